@@ -1,0 +1,164 @@
+//! The error model compiled into 16-bit integers.
+
+use core::fmt;
+
+use crate::matrix;
+use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16};
+
+/// Bits of a coefficient's low part.
+const LOW_BITS: u32 = 15;
+/// At fewer fraction bits in the high part the result can be more than one LSB off.
+const MIN_SHIFT: u32 = 3;
+const MAX_SHIFT: u32 = 14;
+/// 2²⁹ LSB, 8192 m/s²: the integrator adds two samples in 32 bits.
+const LARGEST_OUTPUT: f64 = 536_870_912.0;
+
+/// Maps counts to specific force in body axes in integers, at one latched temperature.
+///
+/// f = M c + o with M = R A(T)⁻¹ · (m/s² per LSB) and o = −R A(T)⁻¹ b(T): equation (3) of
+/// docs/EQUATIONS.md. Each coefficient is split into two 16-bit parts, so that a product of a
+/// count and a part fits 32 bits and Cortex-M0+ needs no library call; sums are exact.
+///
+/// The result is at most 1 LSB (2⁻¹⁶ m/s²) from the f64 result for every count from −32768 to
+/// 32767, and within ±2²⁹ LSB. The nonlinearity q is left out: the host applies it.
+///
+/// ```
+/// use wimu_model::{Corrector, Counts, ParameterSet, Sensitivity};
+///
+/// let sensitivity = Sensitivity::from_lsb_per_g(16384.0)?;
+/// let parameters = ParameterSet::uncalibrated(2, sensitivity);
+/// let corrector = Corrector::compile(&parameters, None)?;
+/// let force = corrector.correct(Counts([0, 0, 16384]));
+/// assert_eq!(force.to_mps2().0[2], (9.80665_f64 * 65536.0).round() / 65536.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Corrector {
+    rows: [Row; 3],
+    /// Fraction bits of the high parts.
+    shift: u32,
+}
+
+/// One output axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Row {
+    /// Coefficients in 2^−shift output LSB per count.
+    high: [i16; 3],
+    /// What `high` leaves, in 2^−(shift + 15) output LSB per count, −2¹⁴..=2¹⁴.
+    low: [i16; 3],
+    /// Offset and rounding in the unit of `high`.
+    high_offset: i32,
+    /// Offset and rounding in the unit of `low`.
+    low_offset: i32,
+}
+
+impl Corrector {
+    /// Compiles `parameters` at `temperature` (at the model's reference if `None`).
+    ///
+    /// Uses f64 with + − × ÷ only, in a fixed order, so that every target gets the same integers.
+    ///
+    /// # Errors
+    /// [`CompileError::Overflow`] when specific force over the 16-bit input range cannot be held
+    /// to one LSB in 32 bits; [`CompileError::Singular`] when A(T) cannot be inverted at this
+    /// temperature.
+    pub fn compile(
+        parameters: &ParameterSet,
+        temperature: Option<CentiCelsius>,
+    ) -> Result<Self, CompileError> {
+        let (bias, a) = parameters.model.at(temperature);
+        if matrix::determinant(&a) < 0.01 {
+            return Err(CompileError::Singular);
+        }
+        let inverse = matrix::multiply(&parameters.alignment.matrix(), &matrix::inverse(&a));
+        let scale = parameters.sensitivity.mps2_per_lsb() * SpecificForceQ16::LSB_PER_MPS2;
+        let coefficients = inverse.map(|row| row.map(|k| k * scale));
+        let offset = matrix::apply(&inverse, bias).map(|o| -o * SpecificForceQ16::LSB_PER_MPS2);
+
+        let mut largest = 0.0_f64;
+        let mut reach = 0.0_f64;
+        for (row, o) in coefficients.iter().zip(offset) {
+            let magnitudes = row.map(f64::abs);
+            largest = magnitudes.iter().fold(largest, |l, &m| l.max(m));
+            reach = reach.max((magnitudes[0] + magnitudes[1] + magnitudes[2]) * 32768.0 + o.abs());
+        }
+        // The high sum may exceed the whole by what the low parts take back: 3 · 2¹⁵ / 2, and the
+        // rounding; 2¹⁷ covers both.
+        let fits = |shift: u32| {
+            let unit = (1_u32 << shift) as f64;
+            largest * unit <= 32766.0 && reach * unit <= 2_147_483_648.0 - 131_072.0
+        };
+        let shift = (MIN_SHIFT..=MAX_SHIFT)
+            .rev()
+            .find(|&shift| fits(shift) && reach <= LARGEST_OUTPUT)
+            .ok_or(CompileError::Overflow)?;
+
+        let mut rows = [Row::default(); 3];
+        for (row, (k, o)) in rows.iter_mut().zip(coefficients.iter().zip(offset)) {
+            for axis in 0..3 {
+                let (high, low) = split(k[axis], shift);
+                row.high[axis] = high as i16;
+                row.low[axis] = low as i16;
+            }
+            let (high, low) = split(o, shift);
+            row.high_offset = high + (1 << (shift - 1));
+            row.low_offset = low + (1 << (LOW_BITS - 1));
+        }
+        Ok(Self { rows, shift })
+    }
+
+    /// Specific force in body axes for counts in sensor axes.
+    #[inline]
+    pub fn correct(&self, counts: Counts) -> SpecificForceQ16 {
+        let c = counts.0.map(i32::from);
+        let sum = |coefficients: &[i16; 3], offset: i32| {
+            i32::from(coefficients[0]) * c[0]
+                + i32::from(coefficients[1]) * c[1]
+                + i32::from(coefficients[2]) * c[2]
+                + offset
+        };
+        SpecificForceQ16(core::array::from_fn(|axis| {
+            let row = &self.rows[axis];
+            let low = sum(&row.low, row.low_offset) >> LOW_BITS;
+            (sum(&row.high, row.high_offset) + low) >> self.shift
+        }))
+    }
+}
+
+/// `value` as high · 2^−shift + low · 2^−(shift + 15), both rounded to nearest.
+fn split(value: f64, shift: u32) -> (i32, i32) {
+    let scaled = value * (1_u32 << shift) as f64;
+    let high = round(scaled);
+    let low = round((scaled - high as f64) * (1_u32 << LOW_BITS) as f64);
+    (high, low)
+}
+
+fn round(value: f64) -> i32 {
+    (value + if value < 0.0 { -0.5 } else { 0.5 }) as i32
+}
+
+/// Why parameters cannot be compiled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum CompileError {
+    /// The result would not fit 32 bits, or not be exact to one LSB.
+    Overflow,
+    /// A cannot be inverted at the latched temperature.
+    Singular,
+}
+
+impl fmt::Display for CompileError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Overflow => {
+                "full-scale counts under these parameters exceed what 32 bits hold at 2⁻¹⁶ m/s²; check sensitivity, bias and scale"
+            }
+            Self::Singular => {
+                "the matrix cannot be inverted at this temperature; check the scale factor's temperature slope"
+            }
+        })
+    }
+}
+
+impl core::error::Error for CompileError {}

@@ -1,0 +1,19 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+mod corrector;
+mod error_model;
+mod matrix;
+mod parameters;
+mod quantities;
+
+pub use corrector::{CompileError, Corrector};
+pub use error_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms, Term};
+pub use matrix::Matrix3;
+pub use parameters::{Alignment, AlignmentError, ParameterId, ParameterSet};
+pub use quantities::{
+    CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
+    STANDARD_GRAVITY_MPS2, Sensitivity, SensitivityError, SpecificForceMps2, SpecificForceQ16,
+    VelocityNmps,
+};

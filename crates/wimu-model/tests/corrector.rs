@@ -1,0 +1,181 @@
+//! The corrector against the error model in f64.
+
+use proptest::prelude::*;
+use wimu_model::{
+    Alignment, CentiCelsius, CompileError, Corrector, Counts, ErrorModel, ErrorTerms, ParameterSet,
+    Sensitivity, TemperatureTerms,
+};
+
+prop_compose! {
+    fn terms()(
+        bias in prop::array::uniform3(-5.0..5.0_f64),
+        scale in prop::array::uniform3(0.8..1.2_f64),
+        m in prop::array::uniform6(-0.1..0.1_f64),
+        reference_c in -20.0..60.0_f64,
+        b1 in prop::array::uniform3(-0.02..0.02_f64),
+        b2 in prop::array::uniform3(-0.0005..0.0005_f64),
+        s1 in prop::array::uniform3(-0.001..0.001_f64),
+    ) -> ErrorTerms {
+        ErrorTerms {
+            bias_mps2: bias,
+            matrix: [
+                [scale[0], m[0], m[1]],
+                [m[2], scale[1], m[3]],
+                [m[4], m[5], scale[2]],
+            ],
+            temperature: TemperatureTerms {
+                reference_c,
+                bias_mps2_per_k: b1,
+                bias_mps2_per_k2: b2,
+                scale_per_k: s1,
+            },
+            nonlinearity: [0.0; 3],
+        }
+    }
+}
+
+prop_compose! {
+    fn parameters()(
+        terms in terms(),
+        // 400 LSB/g to 65000 LSB/g, evenly in the logarithm.
+        octave in 0.0..7.34_f64,
+        quaternion in prop::array::uniform4(-1.0..1.0_f64)
+            .prop_filter("a rotation", |q| Alignment::from_quaternion(*q).is_ok()),
+    ) -> ParameterSet {
+        ParameterSet {
+            range_g: 2,
+            sensitivity: Sensitivity::from_lsb_per_g(400.0 * octave.exp2()).unwrap(),
+            model: ErrorModel::new(terms).unwrap(),
+            alignment: Alignment::from_quaternion(quaternion).unwrap(),
+        }
+    }
+}
+
+fn worst_lsb(parameters: &ParameterSet, at: CentiCelsius, counts: [i16; 3]) -> f64 {
+    let corrector = Corrector::compile(parameters, Some(at)).unwrap();
+    let integer = corrector.correct(Counts(counts)).0;
+    let exact = parameters.correct(Counts(counts), Some(at)).0;
+    (0..3)
+        .map(|axis| (f64::from(integer[axis]) - exact[axis] * 65536.0).abs())
+        .fold(0.0, f64::max)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(20_000))]
+
+    #[test]
+    fn is_within_1_lsb_of_f64_on_every_input(
+        parameters in parameters(),
+        at in -4000_i16..8500,
+        counts in prop::array::uniform3(any::<i16>()),
+    ) {
+        for counts in [counts, [i16::MIN; 3], [i16::MAX; 3], counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX })] {
+            let worst = worst_lsb(&parameters, CentiCelsius(at), counts);
+            prop_assert!(worst <= 1.0, "{worst} LSB at {counts:?}");
+        }
+    }
+
+    #[test]
+    fn what_the_model_distorts_it_corrects(terms in terms(), force in prop::array::uniform3(-20.0..20.0_f64), at in -2000_i16..6000) {
+        let model = ErrorModel::new(terms).unwrap();
+        let at = Some(CentiCelsius(at));
+        let back = model.correct(model.distort(wimu_model::SpecificForceMps2(force), at), at);
+        for axis in 0..3 {
+            prop_assert!((back.0[axis] - force[axis]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn no_numbers_whatever_make_it_panic(
+        words in prop::collection::vec(any::<f64>(), 26), at in any::<Option<i16>>(), counts in prop::array::uniform3(any::<i16>())
+    ) {
+        let three = |i: usize| [words[i], words[i + 1], words[i + 2]];
+        let terms = ErrorTerms {
+            bias_mps2: three(0),
+            matrix: [three(3), three(6), three(9)],
+            temperature: TemperatureTerms {
+                reference_c: words[12],
+                bias_mps2_per_k: three(13),
+                bias_mps2_per_k2: three(16),
+                scale_per_k: three(19),
+            },
+            nonlinearity: three(22),
+        };
+        if let (Ok(model), Ok(sensitivity)) = (ErrorModel::new(terms), Sensitivity::from_lsb_per_g(words[25])) {
+            let parameters = ParameterSet { model, ..ParameterSet::uncalibrated(2, sensitivity) };
+            if let Ok(corrector) = Corrector::compile(&parameters, at.map(CentiCelsius)) {
+                corrector.correct(Counts(counts));
+            }
+        }
+    }
+}
+
+fn terms_with(change: impl FnOnce(&mut ErrorTerms)) -> Result<ErrorModel, String> {
+    let mut terms = ErrorTerms::default();
+    change(&mut terms);
+    ErrorModel::new(terms).map_err(|error| error.to_string())
+}
+
+#[test]
+fn a_model_out_of_bounds_is_refused_by_name() {
+    let refused = |change: fn(&mut ErrorTerms)| terms_with(change).unwrap_err();
+    assert_eq!(
+        refused(|t| t.bias_mps2[1] = f64::NAN),
+        "bias Y is not a finite number"
+    );
+    assert_eq!(
+        refused(|t| t.bias_mps2[2] = 9.8),
+        "bias Z = 9.8 m/s² is outside -5 to 5 m/s²"
+    );
+    assert_eq!(
+        refused(|t| t.matrix[0][0] = -1.0),
+        "scale factor X = -1 is outside 0.5 to 1.5"
+    );
+    assert_eq!(
+        refused(|t| t.matrix[0][2] = f64::INFINITY),
+        "misalignment X is not a finite number"
+    );
+    assert!(
+        refused(|t| {
+            t.matrix = [[0.5, 0.3, 0.3], [0.3, 0.5, -0.3], [0.3, -0.3, 0.5]];
+        })
+        .starts_with("the matrix cannot be inverted")
+    );
+}
+
+#[test]
+fn a_model_that_turns_singular_when_hot_is_refused_there() {
+    let model = terms_with(|t| t.temperature.scale_per_k = [-0.01; 3]).unwrap();
+    let parameters = ParameterSet {
+        model,
+        ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap())
+    };
+    assert!(Corrector::compile(&parameters, Some(CentiCelsius(2500))).is_ok());
+    assert_eq!(
+        Corrector::compile(&parameters, Some(CentiCelsius(12_400))),
+        Err(CompileError::Singular)
+    );
+}
+
+#[test]
+fn full_scale_is_seen_at_both_ends_of_a_left_justified_12_bit_sensor() {
+    assert!(Counts([0, 32752, 0]).saturated(32752));
+    assert!(Counts([0, 0, -32768]).saturated(32752));
+    assert!(Counts([0, -32752, 0]).saturated(32752));
+    assert!(!Counts([32736, -32736, 0]).saturated(32752));
+}
+
+#[cfg(feature = "serde")]
+#[test]
+fn a_parameter_set_comes_back_from_json_bit_for_bit_and_a_bad_one_does_not() {
+    let model = terms_with(|t| t.bias_mps2 = [0.1, 1.0 / 3.0, -0.7]).unwrap();
+    let set = ParameterSet {
+        model,
+        alignment: Alignment::from_quaternion([0.9, 0.1, -0.2, 0.3]).unwrap(),
+        ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0 / 12.0).unwrap())
+    };
+    let text = serde_json::to_string(&set).unwrap();
+    assert_eq!(serde_json::from_str::<ParameterSet>(&text).unwrap(), set);
+    let bad = text.replace("0.1", "99.0");
+    assert!(serde_json::from_str::<ParameterSet>(&bad).is_err());
+}

@@ -1,0 +1,126 @@
+//! How far the integer trapezoid is from the same rule in f64, and what coarser arithmetic costs.
+
+use wimu_integrator::Segment;
+use wimu_model::{PeriodNs, SpecificForceQ16};
+
+const LSB: f64 = 65536.0;
+
+/// Three sines, m/s² at time t.
+fn sines(t: f64) -> f64 {
+    0.8 * (0.9 * t).sin() + 0.5 * (2.3 * t + 0.4).sin() + 0.3 * (5.1 * t + 1.0).sin()
+}
+
+/// Its exact double integral from rest.
+fn sines_position(t: f64) -> f64 {
+    [(0.8, 0.9, 0.0), (0.5, 2.3, 0.4), (0.3, 5.1, 1.0)]
+        .iter()
+        .map(|&(a, w, p): &(f64, f64, f64)| {
+            a / (w * w) * (p.sin() - (w * t + p).sin()) + a / w * p.cos() * t
+        })
+        .sum()
+}
+
+/// The same rule in f64, compensated so that its own rounding does not hide ours.
+#[derive(Default)]
+struct Trapezoid {
+    velocity: Compensated,
+    position: Compensated,
+    previous: Option<f64>,
+}
+
+#[derive(Default, Clone, Copy)]
+struct Compensated {
+    sum: f64,
+    rest: f64,
+}
+
+impl Compensated {
+    fn add(&mut self, value: f64) {
+        let y = value - self.rest;
+        let t = self.sum + y;
+        self.rest = (t - self.sum) - y;
+        self.sum = t;
+    }
+}
+
+impl Trapezoid {
+    fn step(&mut self, a: f64, dt: f64) {
+        if let Some(previous) = self.previous.replace(a) {
+            let before = self.velocity.sum;
+            self.velocity.add((previous + a) * dt / 2.0);
+            self.position.add((before + self.velocity.sum) * dt / 2.0);
+        }
+    }
+}
+
+fn main() {
+    hour_at_1_khz();
+    minute_at_100_hz();
+}
+
+fn hour_at_1_khz() {
+    let period = PeriodNs(1_000_000);
+    let dt = period.to_seconds();
+    // Gravity with a remainder that 2⁻¹⁶ m/s² cannot hold.
+    let gravity = (9.812_345_678_9 * LSB * LSB) as i64;
+    let whole = ((gravity + (1 << 15)) >> 16) as i32;
+    let remainder = (gravity - (i64::from(whole) << 16)) as i32;
+    let mut segment = Segment::default();
+    let mut reference = Trapezoid::default();
+    let mut worst = 0.0_f64;
+    let mut farthest = 0.0_f64;
+    for k in 0..=3_600_000_u32 {
+        let t = f64::from(k) * dt;
+        let force = ((sines(t) + gravity as f64 / (LSB * LSB)) * LSB).round() as i32;
+        segment.step(SpecificForceQ16([0, 0, force]), [0, 0, whole]);
+        reference.step(f64::from(force) / LSB - gravity as f64 / (LSB * LSB), dt);
+        if k % 1000 == 0 {
+            let position = segment.position_nm([0, 0, remainder], period)[2] as f64 * 1e-9;
+            worst = worst.max((position - reference.position.sum).abs());
+            farthest = farthest.max(position.abs());
+        }
+    }
+    println!("integer trapezoid against the same rule in f64, 1 h at 1 kHz, attitude held:");
+    println!(
+        "  worst difference {:.4} µm over {:.0} m (bar: 10 µm)",
+        worst * 1e6,
+        farthest
+    );
+}
+
+fn minute_at_100_hz() {
+    let period = PeriodNs(10_000_000);
+    let dt = period.to_seconds();
+    let mut segment = Segment::default();
+    let (mut euler_v, mut euler_p) = (0.0, 0.0);
+    let (mut shift_v, mut shift_p) = (0_i64, 0_i64);
+    let mut previous = 0;
+    for k in 0..=6000_u32 {
+        let force = (sines(f64::from(k) * dt) * LSB).round() as i32;
+        segment.step(SpecificForceQ16([force, 0, 0]), [0; 3]);
+        if k > 0 {
+            euler_v += f64::from(force) / LSB * dt;
+            euler_p += euler_v * dt;
+            // Q16 all the way, with a multiplication by dt and a truncating shift per step.
+            let step = i64::from(previous + force) / 2 * 655 >> 16;
+            shift_p += (2 * shift_v + step) * 655 >> 17;
+            shift_v += step;
+        }
+        previous = force;
+    }
+    let exact = sines_position(60.0);
+    let ours = segment.position_nm([0; 3], period)[0] as f64 * 1e-9;
+    println!("three sines, 100 Hz, 60 s, error against the exact integral of {exact:.3} m:");
+    println!(
+        "  integer trapezoid         {:>10.6} m",
+        (ours - exact).abs()
+    );
+    println!(
+        "  Euler in f64              {:>10.6} m",
+        (euler_p - exact).abs()
+    );
+    println!(
+        "  Q16 with truncating shift {:>10.6} m",
+        (shift_p as f64 / LSB - exact).abs()
+    );
+}

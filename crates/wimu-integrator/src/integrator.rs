@@ -1,0 +1,383 @@
+//! Samples to velocity and position between rests.
+
+use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
+
+use crate::attitude::{Attitude, unit};
+use crate::segment::Segment;
+use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
+use crate::stillness::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
+
+/// Gravity may turn this far within a leg: the cosine of 1°.
+const TURN_COSINE: f64 = 0.999_847_695;
+/// Beyond this, 2⁶² of its units, a sum is close to leaving 64 bits.
+const SUM_LIMIT: u64 = 1 << 62;
+
+/// What a step found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Transition {
+    /// Nothing changed.
+    None,
+    /// A window of the stillness detector is complete; the phase is as before. Its state is at
+    /// its smallest now: a good moment for an epoch.
+    Window,
+    /// A rest has begun, or the first one has been found.
+    Rest,
+    /// A rest has ended.
+    Motion,
+}
+
+/// Velocity and position after a sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Navigation {
+    /// Position since the first rest, nm, east-north-up; heading zero is body x at that rest.
+    pub position: PositionNm,
+    /// Velocity, nm/s, east-north-up.
+    pub velocity: VelocityNmps,
+    /// Time since velocity was last known to be zero, ms.
+    pub since_rest_ms: u32,
+    /// Where the integrator stands; while `Searching`, velocity and position are zero and mean
+    /// nothing.
+    pub phase: Phase,
+    /// What is wrong with the numbers.
+    pub flags: Flags,
+}
+
+/// Integrates specific force to velocity and position in whole numbers, attitude held between
+/// rests.
+///
+/// Give it every corrected sample in order; say [`gap`](Self::gap) where some are missing.
+/// It finds rests by itself: the first aligns it (attitude from gravity, velocity zero), and with
+/// [`Config::zupt`] every later one sets the velocity to zero, spreads what was left of it over
+/// the leg (equation (8)) and aligns anew.
+///
+/// ```
+/// use wimu_integrator::{Config, Integrator, Phase};
+/// use wimu_model::{PeriodNs, SpecificForceQ16};
+///
+/// let mut integrator = Integrator::new(Config::new(PeriodNs(10_000_000))?);
+/// for _ in 0..100 {
+///     integrator.step(SpecificForceQ16([0, 0, 642_689]), false);
+/// }
+/// let navigation = integrator.navigation();
+/// assert_eq!(navigation.phase, Phase::Resting);
+/// assert_eq!(navigation.position.to_m(), [0.0; 3]);
+/// # Ok::<(), wimu_integrator::ConfigError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Integrator {
+    state: State,
+    // Derived from the state.
+    attitude: Attitude,
+    /// What is taken from each sample, 2⁻³² m/s².
+    gravity: [i64; 3],
+    /// The same, rounded to 2⁻¹⁶ m/s².
+    whole_gravity: [i32; 3],
+    window_steps: u16,
+}
+
+impl Integrator {
+    /// Starts at position zero, searching for a first rest.
+    pub fn new(config: Config) -> Self {
+        Self {
+            state: State {
+                config,
+                phase: Phase::Searching,
+                flags: Flags::default(),
+                rest_mean: [0; 3],
+                east: Attitude::LEVEL.east(),
+                base_position_nm: [0; 3],
+                base_velocity_nmps: [0; 3],
+                base_since_rest_ns: 0,
+                segment: Segment::default(),
+                window: Window::default(),
+                run: None,
+            },
+            attitude: Attitude::LEVEL,
+            gravity: [0; 3],
+            whole_gravity: [0; 3],
+            window_steps: window_steps(config.period),
+        }
+    }
+
+    /// Goes on from a state that [`state`](Self::state) gave, on this device or another.
+    ///
+    /// # Errors
+    /// [`StateError`] when the state cannot have come from an integrator.
+    pub fn from_state(state: State) -> Result<Self, StateError> {
+        let config = state.config.checked().map_err(StateError::Config)?;
+        let mut integrator = Self {
+            state,
+            ..Self::new(config)
+        };
+        if state.phase != Phase::Searching {
+            if state
+                .rest_mean
+                .iter()
+                .any(|mean| mean.unsigned_abs() > 1 << 37)
+            {
+                return Err(StateError::Attitude);
+            }
+            integrator.align().ok_or(StateError::Attitude)?;
+        }
+        let window = &state.window;
+        let run = state.run.unwrap_or_default();
+        if window.samples >= integrator.window_steps
+            || window.sum.iter().any(|sum| sum.unsigned_abs() > 1 << 25)
+            || window.squares > 1 << 42
+            || state.segment.steps < window.start.steps
+            || [run.sum, run.latest]
+                .as_flattened()
+                .iter()
+                .any(|sum| sum.unsigned_abs() > 1 << 48)
+        {
+            return Err(StateError::Stillness);
+        }
+        Ok(integrator)
+    }
+
+    /// Everything that decides what comes next.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Takes the next corrected sample, body axes; `saturated` if any axis stood at full scale.
+    #[inline]
+    pub fn step(&mut self, force: SpecificForceQ16, saturated: bool) -> Transition {
+        let stepped = self.state.segment.step(force, self.whole_gravity);
+        if saturated {
+            self.state.flags = self.state.flags.with(Flags::SATURATED);
+        }
+        if !stepped {
+            self.state.window = Window::starting_at(&self.state.segment);
+            self.state.run = None;
+            return Transition::None;
+        }
+        if self.state.window.add(force) < self.window_steps {
+            return Transition::None;
+        }
+        self.end_window()
+    }
+
+    /// Samples are missing between the last one given and the next, or the next one was taken in
+    /// another way (range, rate, parameters). The leg is marked, nothing is bridged.
+    pub fn gap(&mut self) {
+        self.state.segment.previous = None;
+        if self.state.phase == Phase::Moving {
+            self.state.flags = self.state.flags.with(Flags::GAP);
+        }
+    }
+
+    /// Changes the sample period from the next step on; velocity and position go on.
+    ///
+    /// # Errors
+    /// [`ConfigError::Period`] outside 100 µs..=1 s; nothing changes then.
+    pub fn set_period(&mut self, period: PeriodNs) -> Result<(), ConfigError> {
+        if period == self.state.config.period {
+            return Ok(());
+        }
+        let config = Config {
+            period,
+            ..self.state.config
+        }
+        .checked()?;
+        let now = self.navigation();
+        self.state.base_position_nm = now.position.0;
+        self.state.base_velocity_nmps = now.velocity.0;
+        self.state.base_since_rest_ns = self.since_rest_ns(&self.state.segment);
+        self.state.config = config;
+        self.state.segment = Segment {
+            previous: self.state.segment.previous,
+            ..Segment::default()
+        };
+        self.window_steps = window_steps(period);
+        self.state.window = Window::starting_at(&self.state.segment);
+        self.state.run = None;
+        Ok(())
+    }
+
+    /// Velocity and position after the latest sample.
+    pub fn navigation(&self) -> Navigation {
+        let state = &self.state;
+        match state.phase {
+            Phase::Moving => self.at(&state.segment),
+            phase => Navigation {
+                position: PositionNm(state.base_position_nm),
+                phase,
+                flags: state.flags,
+                ..Navigation::default()
+            },
+        }
+    }
+
+    /// Velocity and position where `segment` ends, which begins where the state's does.
+    fn at(&self, segment: &Segment) -> Navigation {
+        let state = &self.state;
+        let period = state.config.period;
+        let remainder: [i32; 3] = core::array::from_fn(|axis| {
+            (self.gravity[axis] - (i64::from(self.whole_gravity[axis]) << 16)) as i32
+        });
+        let velocity = self
+            .attitude
+            .velocity(segment.velocity_nmps(remainder, period));
+        let position = self
+            .attitude
+            .position(segment.position_nm(remainder, period));
+        let elapsed_ns = i128::from(segment.steps) * i128::from(period.0);
+        let since_rest_ms = self.since_rest_ns(segment) / 1_000_000;
+        Navigation {
+            velocity: VelocityNmps(core::array::from_fn(|axis| {
+                velocity.0[axis].saturating_add(state.base_velocity_nmps[axis])
+            })),
+            position: PositionNm(core::array::from_fn(|axis| {
+                let coasted =
+                    i128::from(state.base_velocity_nmps[axis]) * elapsed_ns / 1_000_000_000;
+                position.0[axis]
+                    .saturating_add(state.base_position_nm[axis])
+                    .saturating_add(saturate(coasted))
+            })),
+            since_rest_ms: u32::try_from(since_rest_ms).unwrap_or(u32::MAX),
+            phase: state.phase,
+            flags: state.flags,
+        }
+    }
+
+    fn since_rest_ns(&self, segment: &Segment) -> u64 {
+        u64::from(segment.steps)
+            .wrapping_mul(u64::from(self.state.config.period.0))
+            .wrapping_add(self.state.base_since_rest_ns)
+    }
+
+    /// Judges the window that is complete and begins the next.
+    #[cold]
+    fn end_window(&mut self) -> Transition {
+        let window = self.state.window;
+        let steps = i64::from(self.window_steps);
+        let total: [i64; 3] = core::array::from_fn(|axis| {
+            self.state.segment.velocity_sum[axis]
+                .wrapping_sub(window.start.velocity_sum[axis])
+                .wrapping_add(2 * steps * i64::from(self.whole_gravity[axis]))
+        });
+        let run = window.is_quiet(total).then(|| match self.state.run {
+            Some(run) if run.agrees(total, window.tolerance()) => run.with(total),
+            _ => Run::starting_with(total, &self.state.segment),
+        });
+        let windows = run.map_or(0, |run| run.windows);
+        let transition = match (self.state.phase, run) {
+            (Phase::Searching, Some(run)) if windows >= REST_WINDOWS => {
+                self.rest(&window, &run);
+                Transition::Rest
+            }
+            (Phase::Resting, Some(run)) if windows >= REST_WINDOWS => {
+                self.rest(&window, &run);
+                Transition::Window
+            }
+            (Phase::Resting, _) => {
+                self.state.phase = Phase::Moving;
+                Transition::Motion
+            }
+            (Phase::Moving, Some(run)) if windows >= self.windows_of_a_rest(&window, total) => {
+                if self.attitude.cosine_to(run.sum) < TURN_COSINE {
+                    self.state.flags = self.state.flags.with(Flags::TURNED);
+                }
+                if self.state.config.zupt {
+                    self.close_leg(&run.start);
+                    self.rest(&window, &run);
+                    Transition::Rest
+                } else {
+                    Transition::Window
+                }
+            }
+            _ => Transition::Window,
+        };
+        self.state.run = run;
+        let out_of_range = |sums: &[i64; 3]| sums.iter().any(|s| s.unsigned_abs() > SUM_LIMIT);
+        if self.state.phase == Phase::Moving
+            && (out_of_range(&self.state.segment.position_sum)
+                || out_of_range(&self.state.segment.velocity_sum))
+        {
+            self.state.flags = self.state.flags.with(Flags::OUT_OF_RANGE);
+        }
+        if self.state.phase == Phase::Searching {
+            // Nothing is integrated yet; sums that only grow would overflow in a long search.
+            self.state.segment = Segment {
+                previous: self.state.segment.previous,
+                ..Segment::default()
+            };
+        }
+        self.state.window = Window::starting_at(&self.state.segment);
+        transition
+    }
+
+    /// How many agreeing windows are a rest after a motion, given the latest window's
+    /// Σ (f_k + f_k+1).
+    fn windows_of_a_rest(&self, window: &Window, total: [i64; 3]) -> u16 {
+        let held = (0..3).all(|axis| {
+            let mean = 2 * i64::from(self.window_steps) * (self.state.rest_mean[axis] >> 16);
+            total[axis].abs_diff(mean) <= 2 * window.tolerance()
+        });
+        if held {
+            REST_WINDOWS
+        } else {
+            TURNED_REST_WINDOWS
+        }
+    }
+
+    /// The unit is at rest: averages gravity, aligns, and begins the next leg where `window`,
+    /// the latest of `run`, began, so that the onset of motion within it is not lost.
+    fn rest(&mut self, window: &Window, run: &Run) {
+        if self.state.phase != Phase::Resting {
+            // Heading goes on from the held attitude: nothing here can see it turn.
+            self.state.east = self.attitude.east();
+            self.state.flags = match self.state.phase {
+                Phase::Searching => Flags::default(),
+                _ => self.state.flags.for_next_leg(),
+            };
+        }
+        self.state.phase = Phase::Resting;
+        self.state.rest_mean = run.mean(self.window_steps);
+        let taken_before = self.whole_gravity;
+        // A quiet window feels gravity, so there is an up.
+        let _ = self.align();
+        let change =
+            core::array::from_fn(|axis| self.whole_gravity[axis].wrapping_sub(taken_before[axis]));
+        self.state.segment = self.state.segment.since(&window.start, change);
+        self.state.base_velocity_nmps = [0; 3];
+        self.state.base_since_rest_ns = 0;
+    }
+
+    /// Derives attitude and gravity from the mean at rest: with ZUPT gravity is that mean,
+    /// without it has local magnitude in that direction. `None` if the mean is zero.
+    fn align(&mut self) -> Option<()> {
+        let mean = self.state.rest_mean;
+        self.attitude = Attitude::from_rest(mean, self.state.east)?;
+        self.gravity = if self.state.config.zupt {
+            mean
+        } else {
+            let magnitude =
+                f64::from(self.state.config.gravity_um_s2) * (4_294_967_296.0 / 1_000_000.0);
+            unit(mean.map(|m| m as f64))?.map(|direction| (direction * magnitude) as i64)
+        };
+        self.whole_gravity = self
+            .gravity
+            .map(|gravity| ((gravity + (1 << 15)) >> 16) as i32);
+        Some(())
+    }
+
+    /// Ends a leg at `end`, where velocity is zero: what is left of it is spread over the leg.
+    fn close_leg(&mut self, end: &Segment) {
+        let left = self.at(end);
+        let leg_ns = i128::from(self.since_rest_ns(end));
+        for axis in 0..3 {
+            let correction = i128::from(left.velocity.0[axis]) * leg_ns / 2_000_000_000;
+            self.state.base_position_nm[axis] =
+                left.position.0[axis].saturating_sub(saturate(correction));
+        }
+    }
+}
+
+fn saturate(value: i128) -> i64 {
+    value.clamp(i128::from(i64::MIN), i128::from(i64::MAX)) as i64
+}

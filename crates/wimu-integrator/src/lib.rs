@@ -1,0 +1,14 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+mod attitude;
+mod integrator;
+mod segment;
+mod state;
+mod stillness;
+
+pub use integrator::{Integrator, Navigation, Transition};
+pub use segment::Segment;
+pub use state::{Config, ConfigError, Flags, Phase, State, StateError};
+pub use stillness::{Run, STILL_SHIFT_MPS2, STILL_SPREAD_MPS2, Window, window_steps};

@@ -1,0 +1,191 @@
+//! The integrator's whole state: what an epoch on the wire carries.
+
+use core::fmt;
+
+use wimu_model::PeriodNs;
+
+use crate::segment::Segment;
+use crate::stillness::{Run, Window};
+
+/// How to integrate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// Sample period, 100 µs to 1 s.
+    pub period: PeriodNs,
+    /// Take the velocity at every rest as zero, and what is measured there as gravity. Off: only
+    /// the first rest aligns, and gravity has the magnitude below.
+    pub zupt: bool,
+    /// Magnitude of local gravity, µm/s², 9.7 to 9.9 m/s².
+    pub gravity_um_s2: u32,
+}
+
+impl Config {
+    /// Standard gravity, ZUPT on.
+    ///
+    /// # Errors
+    /// [`ConfigError::Period`] outside 100 µs..=1 s.
+    pub fn new(period: PeriodNs) -> Result<Self, ConfigError> {
+        Self {
+            period,
+            zupt: true,
+            gravity_um_s2: 9_806_650,
+        }
+        .checked()
+    }
+
+    /// The same, if it is within range.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the field that is outside its range.
+    pub fn checked(self) -> Result<Self, ConfigError> {
+        if !(100_000..=1_000_000_000).contains(&self.period.0) {
+            Err(ConfigError::Period(self.period))
+        } else if !(9_700_000..=9_900_000).contains(&self.gravity_um_s2) {
+            Err(ConfigError::Gravity(self.gravity_um_s2))
+        } else {
+            Ok(self)
+        }
+    }
+}
+
+/// Where the integrator stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Phase {
+    /// No rest has been seen yet: there is no attitude, so no velocity and no position.
+    #[default]
+    Searching,
+    /// At rest: velocity zero, position held, gravity being averaged.
+    Resting,
+    /// Between rests.
+    Moving,
+}
+
+/// What is wrong with the current leg, or has been with an earlier one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Flags(pub u8);
+
+impl Flags {
+    /// Samples were missed in this leg.
+    pub const GAP: Self = Self(1);
+    /// An axis stood at full scale in this leg.
+    pub const SATURATED: Self = Self(2);
+    /// Gravity has another direction than at the leg's start: the unit turned.
+    pub const TURNED: Self = Self(4);
+    /// The position left the range of the arithmetic.
+    pub const OUT_OF_RANGE: Self = Self(8);
+    /// An earlier leg was invalid: the position includes it.
+    pub const POSITION_LOST: Self = Self(16);
+
+    /// Both sets.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether all of `other` are set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Whether nothing is wrong.
+    pub const fn is_valid(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The flags with which the next leg begins.
+    pub(crate) const fn for_next_leg(self) -> Self {
+        if self.is_valid() {
+            self
+        } else {
+            Self::POSITION_LOST
+        }
+    }
+}
+
+/// Everything that decides the integrator's future outputs.
+///
+/// [`Integrator::state`](crate::Integrator::state) gives it and
+/// [`Integrator::from_state`](crate::Integrator::from_state) goes on from it, bit for bit, on any
+/// target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct State {
+    /// How it integrates.
+    pub config: Config,
+    /// Where it stands.
+    pub phase: Phase,
+    /// What is wrong with the leg.
+    pub flags: Flags,
+    /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
+    pub rest_mean: [i64; 3],
+    /// Direction of east (of heading zero, without a magnetometer) in body axes at the rest
+    /// before, 2⁻³⁰ per LSB.
+    pub east: [i32; 3],
+    /// Position at the start of the segment, nm, navigation frame.
+    pub base_position_nm: [i64; 3],
+    /// Velocity at the start of the segment, nm/s, navigation frame.
+    pub base_velocity_nmps: [i64; 3],
+    /// Time from the latest rest to the start of the segment, ns.
+    pub base_since_rest_ns: u64,
+    /// The samples since.
+    pub segment: Segment,
+    /// The stillness detector's window.
+    pub window: Window,
+    /// The quiet windows before it, if there are any.
+    pub run: Option<Run>,
+}
+
+/// A configuration outside its range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ConfigError {
+    /// The sample period is outside 100 µs..=1 s.
+    Period(PeriodNs),
+    /// Local gravity, µm/s², is outside 9.7..=9.9 m/s².
+    Gravity(u32),
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Period(period) => write!(
+                out,
+                "sample period {} ns is outside 100000 to 1000000000 ns",
+                period.0
+            ),
+            Self::Gravity(gravity) => write!(
+                out,
+                "local gravity {gravity} µm/s² is outside 9700000 to 9900000 µm/s²"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+/// Why a state cannot be gone on from: it was not made by an integrator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StateError {
+    /// Its configuration is outside its range.
+    Config(ConfigError),
+    /// The mean specific force at rest is zero or beyond ±2³⁷ LSB (32 m/s²).
+    Attitude,
+    /// The stillness detector holds what no samples can make.
+    Stillness,
+}
+
+impl fmt::Display for StateError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Config(error) => write!(out, "the integrator's state: {error}"),
+            Self::Attitude => out.write_str("the integrator's state has no attitude"),
+            Self::Stillness => out.write_str("the integrator's state has an impossible window"),
+        }
+    }
+}
+
+impl core::error::Error for StateError {}

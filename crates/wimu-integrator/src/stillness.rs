@@ -1,0 +1,197 @@
+//! Stillness from windows of samples: equation (9) of docs/EQUATIONS.md.
+
+use wimu_model::{PeriodNs, SpecificForceQ16};
+
+use crate::segment::Segment;
+
+/// A window is quiet when its samples spread less than this about their mean: root of the summed
+/// variance of the three axes, m/s².
+///
+/// Three axes of an LSM303AGR in high resolution spread 0.03 m/s² at 100 Hz and 0.10 at 1344 Hz.
+pub const STILL_SPREAD_MPS2: f64 = SPREAD_LSB as f64 / 1024.0;
+
+/// Windows of one rest agree in their mean within this, and twice its standard error, per axis,
+/// m/s².
+pub const STILL_SHIFT_MPS2: f64 = SHIFT_LSB as f64 / 65536.0;
+
+/// Windows that make a rest in the attitude of the rest before: 0.5 s.
+pub(crate) const REST_WINDOWS: u16 = 4;
+/// Windows that make a rest in another attitude, which the slow crest of a motion resembles: 2 s.
+pub(crate) const TURNED_REST_WINDOWS: u16 = 16;
+/// At this many windows (16 s) the older half of a rest begins to be forgotten, so that a drifting
+/// bias is followed.
+const LONGEST_RUN: u16 = 128;
+
+/// In the window's own unit, 2⁻¹⁰ m/s².
+const SPREAD_LSB: u64 = 128;
+/// 2⁻¹⁶ m/s².
+const SHIFT_LSB: u64 = 1638;
+/// 2⁻¹⁶ m/s².
+const HALF_G_LSB: i128 = 321_344;
+/// Beyond this distance from the window's first sample the spread is large enough to know: 16 m/s²
+/// in 2⁻¹⁰ m/s². Keeps a square within 32 bits.
+const FAR_LSB: i32 = 1 << 14;
+
+/// Steps of one window at `period`: as many as make 0.125 s, 8 to 1024.
+pub fn window_steps(period: PeriodNs) -> u16 {
+    (125_000_000 / period.0.max(1)).clamp(8, 1024) as u16
+}
+
+/// Statistics of the samples of the current window.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Window {
+    /// The segment as it stood when the window began.
+    pub start: Segment,
+    /// Samples so far.
+    pub samples: u16,
+    /// The window's first sample, 2⁻¹⁶ m/s².
+    pub reference: [i32; 3],
+    /// Σ of the samples less the reference, 2⁻¹⁰ m/s².
+    pub sum: [i32; 3],
+    /// Σ of their squares over all axes, 2⁻²⁰ m²/s⁴.
+    pub squares: u64,
+}
+
+impl Window {
+    /// A window that begins where `segment` stands.
+    pub(crate) fn starting_at(segment: &Segment) -> Self {
+        Self {
+            start: *segment,
+            ..Self::default()
+        }
+    }
+
+    /// Adds a sample; returns how many the window has now.
+    #[inline]
+    pub(crate) fn add(&mut self, force: SpecificForceQ16) -> u16 {
+        if self.samples == 0 {
+            self.reference = force.0;
+        }
+        for axis in 0..3 {
+            let away = force.0[axis].wrapping_sub(self.reference[axis]) >> 6;
+            let away = away.clamp(-FAR_LSB, FAR_LSB);
+            self.sum[axis] = self.sum[axis].wrapping_add(away);
+            self.squares = self.squares.wrapping_add((away * away) as u64);
+        }
+        self.samples = self.samples.saturating_add(1);
+        self.samples
+    }
+
+    /// n² times the summed variance of the axes, 2⁻²⁰ m²/s⁴: n Σx² − (Σx)².
+    fn scatter(&self) -> u64 {
+        let of_mean: u64 = self
+            .sum
+            .iter()
+            .map(|&sum| u64::from(sum.unsigned_abs()).pow(2))
+            .sum();
+        (self.squares * u64::from(self.samples)).saturating_sub(of_mean)
+    }
+
+    /// Whether the samples spread little about a mean that can be gravity, given this window's
+    /// Σ (f_k + f_k+1): a unit in free fall and a dead sensor are quiet too.
+    pub(crate) fn is_quiet(&self, total: [i64; 3]) -> bool {
+        let n = u64::from(self.samples.max(1));
+        let square: i128 = total
+            .iter()
+            .map(|&sum| i128::from(sum / (2 * n as i64)).pow(2))
+            .sum();
+        self.scatter() <= (SPREAD_LSB * n).pow(2)
+            && (HALF_G_LSB.pow(2)..=(3 * HALF_G_LSB).pow(2)).contains(&square)
+    }
+
+    /// How far Σ (f_k + f_k+1) of two windows of one rest may be apart.
+    pub(crate) fn tolerance(&self) -> u64 {
+        let n = u64::from(self.samples.max(1));
+        // Twice the standard error of the mean is 2 √(scatter / n³); the sum is 2n times the mean,
+        // and 2⁶ takes 2⁻¹⁰ to 2⁻¹⁶ m/s².
+        2 * n * SHIFT_LSB + 4 * 64 * (self.scatter() / n).isqrt()
+    }
+}
+
+/// Quiet windows in a row that agree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Run {
+    /// How many windows, at least one.
+    pub windows: u16,
+    /// Σ (f_k + f_k+1) over all of them but the latest, 2⁻¹⁶ m/s².
+    pub sum: [i64; 3],
+    /// Σ (f_k + f_k+1) over the latest, in which motion may have begun unnoticed, 2⁻¹⁶ m/s².
+    pub latest: [i64; 3],
+    /// The segment as it stood when the first window ended.
+    pub start: Segment,
+}
+
+impl Run {
+    /// A run of one window that ends where `segment` stands.
+    pub(crate) fn starting_with(total: [i64; 3], segment: &Segment) -> Self {
+        Self {
+            windows: 1,
+            sum: [0; 3],
+            latest: total,
+            start: *segment,
+        }
+    }
+
+    /// Whether a window with this total has the run's mean.
+    pub(crate) fn agrees(&self, total: [i64; 3], tolerance: u64) -> bool {
+        let windows = u64::from(self.windows.max(1));
+        (0..3).all(|axis| {
+            let mean = (self.sum[axis].saturating_add(self.latest[axis])) / windows as i64;
+            total[axis].abs_diff(mean) <= tolerance
+        })
+    }
+
+    /// The run with one more window.
+    pub(crate) fn with(mut self, total: [i64; 3]) -> Self {
+        for axis in 0..3 {
+            self.sum[axis] = self.sum[axis].saturating_add(self.latest[axis]);
+        }
+        if self.windows >= LONGEST_RUN {
+            self.sum = self.sum.map(|sum| sum / 2);
+            self.windows = LONGEST_RUN / 2;
+        }
+        self.latest = total;
+        self.windows += 1;
+        self
+    }
+
+    /// Mean specific force over all windows but the latest, 2⁻³² m/s².
+    pub(crate) fn mean(&self, window_steps: u16) -> [i64; 3] {
+        let steps = 2 * i64::from(self.windows.saturating_sub(1).max(1)) * i64::from(window_steps);
+        self.sum.map(|sum| (sum << 16) / steps)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Σ (f_k + f_k+1) of 64 samples of gravity.
+    const G: [i64; 3] = [0, 0, 2 * 64 * 642_689];
+
+    fn window_of(samples: impl Iterator<Item = i32>) -> Window {
+        let mut window = Window::default();
+        for z in samples {
+            window.add(SpecificForceQ16([0, 0, z]));
+        }
+        window
+    }
+
+    #[test]
+    fn a_spread_at_the_limit_is_quiet_and_one_above_is_not() {
+        let limit = (STILL_SPREAD_MPS2 * 65536.0) as i32;
+        let swing = |amplitude: i32| {
+            window_of((0..64).map(move |k| if k % 2 == 0 { amplitude } else { -amplitude }))
+        };
+        assert!(swing(limit).is_quiet(G));
+        assert!(!swing(limit + limit / 50).is_quiet(G));
+    }
+
+    #[test]
+    fn the_most_violent_window_does_not_overflow() {
+        let window = window_of((0..64).map(|k| if k % 2 == 0 { -(1 << 29) } else { 1 << 29 }));
+        assert!(!window.is_quiet(G));
+    }
+}

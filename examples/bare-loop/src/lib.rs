@@ -1,0 +1,71 @@
+//! Counts → [`Corrector`] → [`Integrator`] in a blocking loop, on any microcontroller: the crates
+//! stand alone. `read` is your sensor's driver; `calibration` is what `wimu calibrate` found.
+
+#![no_std]
+#![forbid(unsafe_code)]
+
+use wimu_integrator::{Config, Integrator, Navigation};
+use wimu_model::{Corrector, Counts, ParameterSet, PeriodNs};
+
+/// Positive full scale of a sensor that sends 12 bits left-justified, LSB.
+const FULL_SCALE: i16 = 32752;
+
+/// Integrates until `read` ends; `report` sees velocity and position after every sample.
+///
+/// # Errors
+/// When `calibration` cannot be compiled into integers, or `period` is outside 100 µs..=1 s.
+pub fn run(
+    calibration: &ParameterSet,
+    period: PeriodNs,
+    mut read: impl FnMut() -> Option<Counts>,
+    mut report: impl FnMut(&Navigation),
+) -> Result<(), Error> {
+    let corrector = Corrector::compile(calibration, None).map_err(|_| Error::Calibration)?;
+    let mut integrator = Integrator::new(Config::new(period).map_err(|_| Error::Period)?);
+    while let Some(counts) = read() {
+        let force = corrector.correct(counts);
+        integrator.step(force, counts.saturated(FULL_SCALE));
+        report(&integrator.navigation());
+    }
+    Ok(())
+}
+
+/// Why the loop did not start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// The calibration cannot be compiled into integers.
+    Calibration,
+    /// The sample period is outside 100 µs..=1 s.
+    Period,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wimu_model::Sensitivity;
+
+    #[test]
+    fn a_push_and_a_stop_move_it_by_a_metre() {
+        let sensitivity = Sensitivity::from_lsb_per_g(16384.0).unwrap();
+        let one_mps2 = (16384.0 / 9.80665) as i16;
+        // 2 s of rest, 1 s forward at 1 m/s², 1 s back, 1 s of rest, at 100 Hz.
+        let mut samples = (0..500).map(|k| {
+            let x = match k {
+                200..300 => one_mps2,
+                300..400 => -one_mps2,
+                _ => 0,
+            };
+            Counts([x, 0, 16384])
+        });
+        let mut last = Navigation::default();
+        run(
+            &ParameterSet::uncalibrated(2, sensitivity),
+            PeriodNs(10_000_000),
+            || samples.next(),
+            |navigation| last = *navigation,
+        )
+        .unwrap();
+        assert!((last.position.to_m()[0] - 1.0).abs() < 1e-3);
+        assert!(last.flags.is_valid());
+    }
+}

@@ -1,0 +1,168 @@
+//! The chores of this repository: `cargo xtask --help`.
+
+mod budget;
+mod command_line;
+mod setup;
+mod test;
+mod workspace;
+
+use std::process::ExitCode;
+
+use workspace::Workspace;
+
+/// What was asked for.
+#[derive(Debug, PartialEq)]
+enum Task {
+    Help,
+    Setup,
+    /// Names of the steps to run; all of them when empty.
+    Test(Vec<String>),
+    /// A folder of recordings.
+    Budget(Option<String>),
+}
+
+fn main() -> ExitCode {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let task = match parse(&words) {
+        Ok(task) => task,
+        Err(problem) => {
+            eprintln!("error: {problem}\n\n{}", help());
+            return ExitCode::from(2);
+        }
+    };
+    match run(task) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(problem) => {
+            eprintln!("\nerror: {problem}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(task: Task) -> Result<(), String> {
+    match task {
+        Task::Help => {
+            println!("{}", help());
+            Ok(())
+        }
+        Task::Setup => setup::run(),
+        Task::Test(only) => test::run(&Workspace::enter()?, &only),
+        Task::Budget(data) => budget::run(&Workspace::enter()?, data.as_deref()),
+    }
+}
+
+fn parse(words: &[String]) -> Result<Task, String> {
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    if words.iter().any(|w| ["help", "-h", "--help"].contains(w)) {
+        return Ok(Task::Help);
+    }
+    match words[..] {
+        [] => Err("no task given".into()),
+        ["setup"] => Ok(Task::Setup),
+        ["test"] => Ok(Task::Test(Vec::new())),
+        ["test", "--only", names] => steps_named(names).map(Task::Test),
+        ["test", "--only"] => Err("--only needs the name of a step".into()),
+        ["budget"] => Ok(Task::Budget(None)),
+        ["budget", folder] if !folder.starts_with('-') => Ok(Task::Budget(Some(folder.into()))),
+        ["setup" | "test" | "budget", extra, ..] => {
+            Err(format!("`{}` does not take `{extra}`", words[0]))
+        }
+        [unknown, ..] => Err(format!("there is no task `{unknown}`")),
+    }
+}
+
+fn steps_named(names: &str) -> Result<Vec<String>, String> {
+    names
+        .split(',')
+        .map(|name| {
+            let known = test::STEPS.iter().any(|step| step.name == name);
+            known
+                .then(|| name.to_owned())
+                .ok_or_else(|| format!("there is no step `{name}`"))
+        })
+        .collect()
+}
+
+fn help() -> String {
+    let steps: String = test::STEPS
+        .iter()
+        .map(|step| format!("\n    {:<11} {}", step.name, step.about))
+        .collect();
+    format!(
+        "\
+Usage: cargo xtask TASK
+
+  setup                 find or install what the tests need
+  test                  everything that must hold before a change is kept
+  test --only STEP,…    just these steps
+  budget [DATA]         print the measured figures: bytes on the wire, accuracy;
+                        recordings come from the folder DATA (default {}, if there)
+
+Steps of `test`, in order:{steps}
+
+`setup` installs when it runs as root or with CI=true, and otherwise prints the command to run.
+With CI=true cargo also gets --locked. CARGO_TARGET_DIR, CARGO_TERM_COLOR and NO_COLOR are respected.
+Exit codes: 0 done, 1 failed, 2 wrong usage.
+
+Example: cargo xtask test --only format,clippy",
+        budget::DATA
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(line: &str) -> Result<Task, String> {
+        let words: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+        parse(&words)
+    }
+
+    #[test]
+    fn each_task_is_understood() {
+        assert_eq!(parsed("setup"), Ok(Task::Setup));
+        assert_eq!(parsed("test"), Ok(Task::Test(vec![])));
+        assert_eq!(parsed("budget"), Ok(Task::Budget(None)));
+        assert_eq!(parsed("budget data"), Ok(Task::Budget(Some("data".into()))));
+        assert_eq!(
+            parsed("test --only format,clippy"),
+            Ok(Task::Test(vec!["format".into(), "clippy".into()]))
+        );
+    }
+
+    #[test]
+    fn help_can_be_asked_for_anywhere() {
+        for line in ["--help", "help", "-h", "test --help", "test --only --help"] {
+            assert_eq!(parsed(line), Ok(Task::Help), "{line}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_understood_is_named() {
+        for (line, named) in [
+            ("", "no task"),
+            ("tset", "`tset`"),
+            ("setup now", "`now`"),
+            ("test clippy", "`clippy`"),
+            ("test --only", "--only"),
+            ("test --only clipy", "`clipy`"),
+            ("test --only clippy doc", "`--only`"),
+            ("budget --fast", "`--fast`"),
+        ] {
+            let problem = parsed(line).expect_err(line);
+            assert!(problem.contains(named), "{line}: {problem}");
+        }
+    }
+
+    #[test]
+    fn help_names_every_step() {
+        let help = help();
+        for step in &test::STEPS {
+            assert!(
+                help.contains(&format!("\n    {} ", step.name)),
+                "{}",
+                step.name
+            );
+        }
+    }
+}

@@ -1,0 +1,365 @@
+//! Finds or installs what the tests need beyond cargo: the formatter, the linter, and `core` for
+//! two microcontrollers.
+
+use std::path::Path;
+
+use crate::command_line::{CommandLine, is_ci};
+
+/// Cortex-M4F and Cortex-M0+.
+pub const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
+
+/// Something the tests need.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Need {
+    Components,
+    Targets,
+}
+
+/// Where it can come from, the better first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Source {
+    /// The active toolchain, to which rustup adds.
+    Toolchain,
+    /// Debian's packages beside it, to which apt-get adds; `core` is then built from source.
+    Debian,
+}
+
+/// What the search asks of a machine, so that it can be tested without one.
+pub trait Machine {
+    fn has(&self, need: Need, source: Source) -> bool;
+    /// Whether the installer of `source` is there.
+    fn can_add_to(&self, source: Source) -> bool;
+    fn may_install(&self) -> bool;
+    fn run(&mut self, command: &CommandLine) -> Result<(), String>;
+}
+
+/// Finds every need on this machine, or installs it.
+pub fn run() -> Result<(), String> {
+    for need in [Need::Components, Need::Targets] {
+        provide(need, &mut ThisMachine)?;
+    }
+    Ok(())
+}
+
+/// Finds `need`, or installs it: where it now is.
+///
+/// # Errors
+/// Says which command to run when nothing was found and nothing could or may be installed.
+pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String> {
+    let mut advice = Vec::new();
+    for source in [Source::Toolchain, Source::Debian] {
+        if !machine.has(need, source) && machine.can_add_to(source) {
+            let commands = install(need, source);
+            advice.push(commands.iter().map(ToString::to_string).collect::<Vec<_>>());
+            if machine.may_install() {
+                // One that fails, for want of a network or a package, is followed by the next.
+                if let Err(problem) = commands.iter().try_for_each(|c| machine.run(c)) {
+                    eprintln!("{problem}");
+                }
+            }
+        }
+        if machine.has(need, source) {
+            println!("{}: {}", need.name(), source.name());
+            return Ok(source);
+        }
+    }
+    let name = need.name();
+    Err(
+        match advice
+            .iter()
+            .map(|commands| commands.join(" && "))
+            .collect::<Vec<_>>()
+        {
+            none if none.is_empty() => {
+                format!("{name}: missing; install Rust with rustup (https://rustup.rs)")
+            }
+            ways if machine.may_install() => {
+                format!(
+                    "{name}: missing, and could not be installed by {}",
+                    ways.join("; nor by ")
+                )
+            }
+            ways => format!(
+                "{name}: missing; run\n    {}\n(with CI=true, or as root, `cargo xtask setup` runs it)",
+                ways.join("\nor\n    ")
+            ),
+        },
+    )
+}
+
+/// Cargo that can build for [`TARGETS`] from `source`.
+pub fn embedded_cargo(source: Source) -> CommandLine {
+    let cargo = match source {
+        Source::Toolchain => return cargo("build"),
+        // Debian ships no core for these targets, but its sources; nor a rust-lld, but an lld.
+        Source::Debian => CommandLine::new("/usr/bin/cargo build")
+            .words("-Zbuild-std=core,alloc -Zbuild-std-features=compiler-builtins-mem")
+            .with("RUSTC_BOOTSTRAP", "1")
+            .with("RUSTC", "/usr/bin/rustc"),
+    };
+    TARGETS.iter().fold(locked(cargo), |cargo, target| {
+        let name = target.replace('-', "_").to_uppercase();
+        cargo.with(&format!("CARGO_TARGET_{name}_LINKER"), "ld.lld")
+    })
+}
+
+/// `cargo SUBCOMMAND` that leaves the lock file alone on a CI machine.
+pub fn cargo(subcommand: &str) -> CommandLine {
+    locked(CommandLine::new("cargo").words(subcommand))
+}
+
+fn locked(cargo: CommandLine) -> CommandLine {
+    if is_ci() {
+        cargo.word("--locked")
+    } else {
+        cargo
+    }
+}
+
+fn install(need: Need, source: Source) -> Vec<CommandLine> {
+    match source {
+        Source::Toolchain => vec![match need {
+            Need::Components => CommandLine::new("rustup component add rustfmt clippy"),
+            Need::Targets => CommandLine::new("rustup target add").words(&TARGETS.join(" ")),
+        }],
+        Source::Debian => {
+            let packages = match need {
+                Need::Components => "rustfmt-web rust-web-clippy",
+                Need::Targets => "rustc-web cargo-web rust-web-src lld",
+            };
+            let apt = if is_root() { "apt-get" } else { "sudo apt-get" };
+            vec![
+                CommandLine::new(apt).words("update"),
+                CommandLine::new(apt)
+                    .words("install --yes --no-install-recommends")
+                    .words(packages),
+            ]
+        }
+    }
+}
+
+impl Need {
+    fn name(self) -> String {
+        match self {
+            Self::Components => "rustfmt and clippy".into(),
+            Self::Targets => TARGETS.join(" and "),
+        }
+    }
+}
+
+impl Source {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Toolchain => "in the active toolchain",
+            Self::Debian => "from Debian's packages",
+        }
+    }
+}
+
+/// The machine we run on.
+pub struct ThisMachine;
+
+impl Machine for ThisMachine {
+    fn has(&self, need: Need, source: Source) -> bool {
+        let succeeds = |line: &str| CommandLine::new(line).output().is_some();
+        match (need, source) {
+            // Debian's are found by the same cargo, which is then Debian's too.
+            (Need::Components, _) => {
+                succeeds("cargo fmt --version") && succeeds("cargo clippy --version")
+            }
+            (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
+                CommandLine::new("rustc --print target-libdir --target")
+                    .word(target)
+                    .output()
+                    .is_some_and(|folder| holds_core(Path::new(folder.trim())))
+            }),
+            (Need::Targets, Source::Debian) => {
+                succeeds("/usr/bin/cargo --version")
+                    && succeeds("ld.lld --version")
+                    && CommandLine::new("/usr/bin/rustc --print sysroot")
+                        .output()
+                        .is_some_and(|root| {
+                            let source =
+                                Path::new(root.trim()).join("lib/rustlib/src/rust/library");
+                            source.join("core/Cargo.toml").exists()
+                        })
+            }
+        }
+    }
+
+    fn can_add_to(&self, source: Source) -> bool {
+        let installer = match source {
+            Source::Toolchain => "rustup --version",
+            Source::Debian => "apt-get --version",
+        };
+        CommandLine::new(installer).output().is_some()
+    }
+
+    fn may_install(&self) -> bool {
+        is_ci() || is_root()
+    }
+
+    fn run(&mut self, command: &CommandLine) -> Result<(), String> {
+        command.run()
+    }
+}
+
+fn is_root() -> bool {
+    CommandLine::new("id -u")
+        .output()
+        .is_some_and(|user| user.trim() == "0")
+}
+
+fn holds_core(folder: &Path) -> bool {
+    let is_core = |name: &str| name.starts_with("libcore-") && name.ends_with(".rlib");
+    std::fs::read_dir(folder).is_ok_and(|mut entries| {
+        entries.any(|e| e.is_ok_and(|e| e.file_name().to_str().is_some_and(is_core)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A machine on which each installer that works adds everything.
+    #[derive(Default)]
+    struct Imagined {
+        has: Vec<Source>,
+        installers: Vec<Source>,
+        broken: Vec<Source>,
+        may_install: bool,
+        ran: Vec<String>,
+    }
+
+    impl Machine for Imagined {
+        fn has(&self, _: Need, source: Source) -> bool {
+            self.has.contains(&source)
+        }
+
+        fn can_add_to(&self, source: Source) -> bool {
+            self.installers.contains(&source)
+        }
+
+        fn may_install(&self) -> bool {
+            self.may_install
+        }
+
+        fn run(&mut self, command: &CommandLine) -> Result<(), String> {
+            let line = command.to_string();
+            let source = if line.starts_with("rustup") {
+                Source::Toolchain
+            } else {
+                Source::Debian
+            };
+            self.ran.push(line);
+            if self.broken.contains(&source) {
+                return Err("no network".into());
+            }
+            self.has.push(source);
+            Ok(())
+        }
+    }
+
+    const BOTH: [Source; 2] = [Source::Toolchain, Source::Debian];
+
+    #[test]
+    fn what_the_toolchain_has_is_taken_and_nothing_is_installed() {
+        let mut machine = Imagined {
+            has: BOTH.into(),
+            installers: BOTH.into(),
+            may_install: true,
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Toolchain));
+        assert!(machine.ran.is_empty());
+    }
+
+    #[test]
+    fn rustup_is_asked_before_debian() {
+        let mut machine = Imagined {
+            installers: BOTH.into(),
+            may_install: true,
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Toolchain));
+        assert_eq!(
+            machine.ran,
+            ["rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi"]
+        );
+    }
+
+    #[test]
+    fn debian_helps_where_rustup_has_no_network() {
+        let mut machine = Imagined {
+            installers: BOTH.into(),
+            broken: vec![Source::Toolchain],
+            may_install: true,
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Debian));
+        assert!(machine.ran[0].starts_with("rustup"));
+        assert!(machine.ran[2].contains("rust-web-src"), "{:?}", machine.ran);
+    }
+
+    #[test]
+    fn debian_helps_where_there_is_no_rustup() {
+        let mut machine = Imagined {
+            installers: vec![Source::Debian],
+            may_install: true,
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Debian));
+    }
+
+    #[test]
+    fn without_permission_nothing_is_installed_and_the_command_is_given() {
+        let mut machine = Imagined {
+            installers: BOTH.into(),
+            ..Imagined::default()
+        };
+        let problem = provide(Need::Components, &mut machine).expect_err("nothing is there");
+        assert!(
+            problem.contains("\n    rustup component add rustfmt clippy\n"),
+            "{problem}"
+        );
+        assert!(machine.ran.is_empty());
+    }
+
+    #[test]
+    fn without_permission_debians_packages_are_used_if_they_are_there() {
+        let mut machine = Imagined {
+            has: vec![Source::Debian],
+            installers: BOTH.into(),
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Targets, &mut machine), Ok(Source::Debian));
+        assert!(machine.ran.is_empty());
+    }
+
+    #[test]
+    fn where_everything_fails_the_error_names_each_attempt() {
+        let mut machine = Imagined {
+            installers: BOTH.into(),
+            broken: BOTH.into(),
+            may_install: true,
+            ..Imagined::default()
+        };
+        let problem = provide(Need::Targets, &mut machine).expect_err("nothing worked");
+        assert!(problem.contains("rustup target add") && problem.contains("apt-get install"));
+
+        let problem = provide(Need::Targets, &mut Imagined::default()).expect_err("no installer");
+        assert!(problem.contains("https://rustup.rs"), "{problem}");
+    }
+
+    #[test]
+    fn debians_cargo_builds_core_and_links_with_lld() {
+        let line = embedded_cargo(Source::Debian).to_string();
+        for part in [
+            "RUSTC=/usr/bin/rustc",
+            "CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER=ld.lld",
+            "/usr/bin/cargo build -Zbuild-std=core,alloc",
+        ] {
+            assert!(line.contains(part), "{line}");
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! Everything that must hold before a change is kept.
+
+use std::time::{Duration, Instant};
+
+use crate::command_line::{CommandLine, heading};
+use crate::setup::{self, Need, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
+use crate::workspace::{Package, Workspace};
+
+/// One thing that must hold.
+pub struct Step {
+    pub name: &'static str,
+    pub about: &'static str,
+    run: fn(&Workspace) -> Result<(), String>,
+}
+
+/// The cheaper first: a run stops at the first that fails.
+pub const STEPS: [Step; 7] = [
+    Step {
+        name: "setup",
+        about: "rustfmt, clippy and the microcontroller targets are installed",
+        run: |_| setup::run(),
+    },
+    Step {
+        name: "format",
+        about: "the source is formatted",
+        run: |_| {
+            let check = CommandLine::new("cargo fmt --all --check");
+            check
+                .run()
+                .map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))
+        },
+    },
+    Step {
+        name: "clippy",
+        about: "no warning: every target of every package, and the libraries with all features",
+        run: |workspace| all(clippy(workspace)),
+    },
+    Step {
+        name: "doc",
+        about: "the libraries' documentation builds without a warning",
+        run: |workspace| doc(workspace).run(),
+    },
+    Step {
+        name: "embedded",
+        about: "libraries and bare-metal examples build for Cortex-M4F and Cortex-M0+",
+        run: |workspace| {
+            let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+            all(embedded(workspace, source))
+        },
+    },
+    Step {
+        name: "host",
+        about: "all tests on this machine, examples in the documentation included",
+        run: |_| cargo("test --workspace").run(),
+    },
+    Step {
+        name: "standalone",
+        about: "`cargo wimu` builds without C libraries",
+        run: |_| {
+            cargo("build --release -p wimu")
+                .with("PKG_CONFIG", "false")
+                .run()
+        },
+    },
+];
+
+/// Runs the steps named in `only`, or all, and prints how long each took.
+///
+/// # Errors
+/// Says what failed and how to run just that again.
+pub fn run(workspace: &Workspace, only: &[String]) -> Result<(), String> {
+    let mut done = Vec::new();
+    let mut outcome = Ok(());
+    let wanted = |step: &&Step| only.is_empty() || only.iter().any(|name| name == step.name);
+    for step in STEPS.iter().filter(wanted) {
+        heading(&format!("{}: {}", step.name, step.about));
+        let start = Instant::now();
+        outcome = (step.run)(workspace).map_err(|problem| {
+            let name = step.name;
+            format!("{name}: {problem}\njust this step again: cargo xtask test --only {name}")
+        });
+        let took = start.elapsed();
+        println!("{}: {:.1} s", step.name, took.as_secs_f64());
+        done.push((step.name, took, outcome.is_ok()));
+        if outcome.is_err() {
+            break;
+        }
+    }
+    heading("summary");
+    print!("{}", table(&done));
+    outcome
+}
+
+fn table(done: &[(&str, Duration, bool)]) -> String {
+    let row = |name: &str, took: Duration, remark: &str| {
+        format!("{name:<11}{:>8.1} s{remark}\n", took.as_secs_f64())
+    };
+    let total = done.iter().map(|(_, took, _)| *took).sum();
+    done.iter()
+        .map(|&(name, took, passed)| row(name, took, if passed { "" } else { "  FAILED" }))
+        .chain([row("total", total, "")])
+        .collect()
+}
+
+fn all(commands: Vec<CommandLine>) -> Result<(), String> {
+    commands.iter().try_for_each(CommandLine::run)
+}
+
+fn clippy(workspace: &Workspace) -> Vec<CommandLine> {
+    let deny = "--all-targets -- -D warnings";
+    let featured = workspace.below("crates").filter(|p| !p.features.is_empty());
+    vec![
+        cargo("clippy --workspace").words(deny),
+        selecting(cargo("clippy --all-features"), featured).words(deny),
+    ]
+}
+
+fn doc(workspace: &Workspace) -> CommandLine {
+    selecting(
+        cargo("doc --no-deps --all-features"),
+        workspace.below("crates"),
+    )
+    .with("RUSTDOCFLAGS", "-D warnings")
+}
+
+/// Each package by itself: built together, one could lean on features that another asks for.
+fn embedded(workspace: &Workspace, source: Source) -> Vec<CommandLine> {
+    let build = TARGETS
+        .iter()
+        .fold(embedded_cargo(source), |cargo, target| {
+            cargo.word("--target").word(target)
+        });
+    let mut commands = Vec::new();
+    for package in workspace.below("crates").chain(workspace.below("examples")) {
+        let mut plain = build.clone().words(&format!("-p {} --lib", package.name));
+        for program in package
+            .targets
+            .iter()
+            .filter(|t| t.kind == "bin" && t.no_std)
+        {
+            plain = plain.word("--bin").word(&program.name);
+        }
+        commands.push(plain.clone());
+        // A microcontroller has all but the standard library.
+        let features: Vec<&str> = package
+            .features
+            .iter()
+            .map(String::as_str)
+            .filter(|f| *f != "std")
+            .collect();
+        if !features.is_empty() {
+            commands.push(plain.word("--features").word(&features.join(",")));
+        }
+    }
+    commands
+}
+
+fn selecting<'a>(cargo: CommandLine, packages: impl Iterator<Item = &'a Package>) -> CommandLine {
+    packages.fold(cargo, |cargo, package| cargo.word("-p").word(&package.name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::workspace::Target;
+
+    fn package(folder: &str, features: &[&str], targets: &[(&str, bool)]) -> Package {
+        Package {
+            name: folder.rsplit('/').next().unwrap_or(folder).into(),
+            folder: folder.into(),
+            features: features.iter().map(|&f| f.into()).collect(),
+            targets: targets
+                .iter()
+                .map(|&(kind, no_std)| Target {
+                    name: format!("a-{kind}"),
+                    kind: kind.into(),
+                    no_std,
+                })
+                .collect(),
+        }
+    }
+
+    fn workspace() -> Workspace {
+        Workspace {
+            packages: vec![
+                package("crates/plain", &[], &[("lib", true)]),
+                package("crates/rich", &["defmt", "serde", "std"], &[("lib", true)]),
+                package("examples/loop", &[], &[("lib", true), ("bin", true)]),
+                package("examples/desk", &[], &[("lib", true), ("bin", false)]),
+                package("host-tools/tool", &["serde"], &[("bin", false)]),
+            ],
+        }
+    }
+
+    fn tails(commands: Vec<CommandLine>) -> Vec<String> {
+        let tail = |line: String| line.split_once(" -p ").expect("a package").1.to_owned();
+        commands.iter().map(|c| tail(c.to_string())).collect()
+    }
+
+    #[test]
+    fn microcontroller_builds_take_each_package_alone_plain_and_with_all_features_but_std() {
+        assert_eq!(
+            tails(embedded(&workspace(), Source::Toolchain)),
+            [
+                "plain --lib",
+                "rich --lib",
+                "rich --lib --features defmt,serde",
+                "loop --lib --bin a-bin",
+                "desk --lib",
+            ]
+        );
+    }
+
+    #[test]
+    fn only_libraries_with_features_are_linted_a_second_time() {
+        let mut commands = clippy(&workspace());
+        let everything = commands.remove(0).to_string();
+        assert!(everything.contains("--workspace") && everything.contains("--all-targets"));
+        assert_eq!(tails(commands), ["rich --all-targets -- -D warnings"]);
+    }
+
+    #[test]
+    fn the_table_shows_what_failed_and_the_total() {
+        let second = Duration::from_secs(1);
+        assert_eq!(
+            table(&[("format", second, true), ("clippy", second * 61, false)]),
+            "format          1.0 s\nclippy         61.0 s  FAILED\ntotal          62.0 s\n"
+        );
+    }
+
+    #[test]
+    fn no_two_steps_share_a_name() {
+        for (i, step) in STEPS.iter().enumerate() {
+            assert!(STEPS[..i].iter().all(|other| other.name != step.name));
+        }
+    }
+}

@@ -1,0 +1,429 @@
+//! Static poses in a continuous recording: equation (10).
+
+use crate::Pose;
+
+/// Blocks in the shortest hold.
+const BLOCKS: usize = 8;
+/// The shortest hold, s.
+const HOLD_S: f64 = 0.75;
+/// A window is still when its variance is below this many times the least one seen.
+const VARIANCE_RATIO: f64 = 9.0;
+/// A window is still when none of its block means departs from theirs by more than the root of
+/// this times the least scatter of block means seen.
+const SCATTER_RATIO: f64 = 60.0;
+/// Nothing noisier than this over three axes is ever still, (m/s²)²: 0.17 m/s² rms an axis.
+const MOST_VARIANCE: f64 = 0.09;
+/// No block mean of a still window ever departs by more than this, squared, (m/s²)².
+const MOST_DEPARTURE: f64 = 0.04;
+/// A hold ends when a block mean departs from the mean of the hold by 0.5° of gravity, m/s².
+const HOLD_DEPARTURE_MPS2: f64 = 0.085;
+/// Two holds closer than 2° of gravity, m/s², without motion between are one hold, disturbed.
+const SAME_POSE_MPS2: f64 = 0.34;
+/// Block means farther than 10° of gravity, m/s², from the last pose are motion,
+const MOVED_MPS2: f64 = 1.7;
+/// when so many follow each other; a knock is shorter.
+const MOVED_BLOCKS: u8 = 2;
+
+/// How quiet a sensor is at rest, learnt from its own output.
+///
+/// What a [`PoseFinder`] judges stillness by: the least seen over windows as long as the shortest
+/// hold, so that the quietest part of a recording sets the measure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Noise {
+    /// Least variance of a window, summed over the axes, (m/s²)².
+    variance: f64,
+    /// Least variance of the block means of a window, summed over the axes, (m/s²)².
+    scatter: f64,
+    /// Smallest step of the output, m/s²: one count, where the output is in counts.
+    step: f64,
+}
+
+impl Noise {
+    const NOTHING_SEEN: Self = Self {
+        variance: MOST_VARIANCE / VARIANCE_RATIO,
+        scatter: MOST_DEPARTURE / SCATTER_RATIO,
+        step: f64::INFINITY,
+    };
+
+    /// Standard deviation of a sample at rest, m/s² rms over the axes; low by up to a third, being
+    /// the least seen.
+    pub fn sd_mps2(&self) -> f64 {
+        libm::sqrt(self.variance / 3.0)
+    }
+
+    /// Variance of rounding to the output's step, over three axes.
+    fn rounding(&self) -> f64 {
+        if self.step < 1.0 {
+            self.step * self.step / 4.0
+        } else {
+            0.0
+        }
+    }
+
+    fn most_variance(&self) -> f64 {
+        (VARIANCE_RATIO * self.variance.max(self.rounding())).min(MOST_VARIANCE)
+    }
+
+    fn most_departure(&self) -> f64 {
+        (SCATTER_RATIO * self.scatter.max(self.rounding())).min(MOST_DEPARTURE)
+    }
+}
+
+/// Count, mean and summed squared deviations of samples.
+#[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Moments {
+    samples: u32,
+    mean: [f64; 3],
+    squares: [f64; 3],
+    celsius: f64,
+    celsius_samples: u32,
+    first: u64,
+}
+
+impl Moments {
+    fn merge(&mut self, other: &Self) {
+        if self.samples == 0 {
+            *self = *other;
+            return;
+        }
+        let (n, m) = (f64::from(self.samples), f64::from(other.samples));
+        for axis in 0..3 {
+            let apart = other.mean[axis] - self.mean[axis];
+            self.mean[axis] += apart * m / (n + m);
+            self.squares[axis] += other.squares[axis] + apart * apart * n * m / (n + m);
+        }
+        self.samples = self.samples.saturating_add(other.samples);
+        self.celsius += other.celsius;
+        self.celsius_samples = self.celsius_samples.saturating_add(other.celsius_samples);
+    }
+
+    /// Variance of a sample summed over the axes.
+    fn variance(&self) -> f64 {
+        self.squares.iter().sum::<f64>() / f64::from(self.samples.saturating_sub(1).max(1))
+    }
+
+    fn departure(&self, from: &[f64; 3]) -> f64 {
+        (0..3)
+            .map(|axis| self.mean[axis] - from[axis])
+            .map(|apart| apart * apart)
+            .sum()
+    }
+
+    fn pose(&self) -> Pose {
+        let freedom = f64::from(self.samples.saturating_sub(1).max(1));
+        Pose {
+            mean_mps2: self.mean,
+            sd_mps2: self.squares.map(|s| libm::sqrt(s / freedom)),
+            samples: self.samples,
+            temperature_c: (self.celsius_samples > 0)
+                .then(|| self.celsius / f64::from(self.celsius_samples)),
+            first_sample: self.first,
+        }
+    }
+}
+
+/// The block that is being filled: sums of deviations from its first sample, which need no
+/// division per sample and lose nothing to a large mean.
+#[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Block {
+    samples: u32,
+    origin: [f64; 3],
+    sum: [f64; 3],
+    squares: [f64; 3],
+    celsius: f64,
+    celsius_samples: u32,
+    first: u64,
+}
+
+impl Block {
+    fn add(&mut self, output: [f64; 3], celsius: Option<f64>) {
+        if self.samples == 0 {
+            self.origin = output;
+        }
+        for axis in 0..3 {
+            let apart = output[axis] - self.origin[axis];
+            self.sum[axis] += apart;
+            self.squares[axis] += apart * apart;
+        }
+        self.samples += 1;
+        if let Some(celsius) = celsius {
+            self.celsius += celsius;
+            self.celsius_samples += 1;
+        }
+    }
+
+    fn moments(&self) -> Moments {
+        let n = f64::from(self.samples);
+        let mut moments = Moments {
+            samples: self.samples,
+            celsius: self.celsius,
+            celsius_samples: self.celsius_samples,
+            first: self.first,
+            ..Moments::default()
+        };
+        for axis in 0..3 {
+            let mean = self.sum[axis] / n;
+            moments.mean[axis] = self.origin[axis] + mean;
+            moments.squares[axis] = (self.squares[axis] - self.sum[axis] * mean).max(0.0);
+        }
+        moments
+    }
+}
+
+/// Finds the static poses in a stream of samples.
+///
+/// Push every sample in order; a [`Pose`] comes out when the sensor is moved on, or from
+/// [`finish`](Self::finish). There is no threshold to set: the finder learns the sensor's noise
+/// from the stream. It counts samples and never asks for the time, so that the same samples give
+/// the same poses wherever they come from. For a recording prefer [`find_poses`], which knows the
+/// noise from the start.
+///
+/// A hold is still when, over 0.75 s, neither its variance nor the scatter of its block means is
+/// far above the least seen; its first and last block are left out. A hold disturbed by a knock is
+/// one pose, the longer part of it.
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct PoseFinder {
+    block_samples: u32,
+    next_sample: u64,
+    celsius: Option<f64>,
+    last: Option<[f64; 3]>,
+    noise: Noise,
+    block: Block,
+    /// The last blocks, oldest first; `filled` of them, at the end.
+    window: [Moments; BLOCKS],
+    filled: usize,
+    /// The hold under way.
+    hold: Option<Hold>,
+    /// A finished pose that the next hold may still continue.
+    candidate: Option<Moments>,
+    /// How many of the last blocks were away from it.
+    away_blocks: u8,
+}
+
+/// A hold under way.
+#[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Hold {
+    inner: Moments,
+    /// The last block, left out if the hold ends here: motion may have begun in it.
+    edge: Moments,
+}
+
+impl PoseFinder {
+    /// A finder for samples at `rate_hz`; the shortest hold it finds is 0.75 s, 16 samples at the
+    /// least. Rates that make no sense count as the nearest that does.
+    pub fn new(rate_hz: f64) -> Self {
+        let samples = rate_hz * HOLD_S / BLOCKS as f64;
+        Self {
+            // Not a number becomes 0 here.
+            block_samples: ((samples + 0.5) as u32).clamp(2, 1_000_000),
+            next_sample: 0,
+            celsius: None,
+            last: None,
+            noise: Noise::NOTHING_SEEN,
+            block: Block::default(),
+            window: [Moments::default(); BLOCKS],
+            filled: 0,
+            hold: None,
+            candidate: None,
+            away_blocks: 0,
+        }
+    }
+
+    /// The same, with the sensor's noise known from an earlier look at it.
+    pub fn with_noise(rate_hz: f64, noise: Noise) -> Self {
+        Self {
+            noise,
+            ..Self::new(rate_hz)
+        }
+    }
+
+    /// The noise at rest as far as the stream has shown it.
+    pub fn noise(&self) -> Noise {
+        self.noise
+    }
+
+    /// The temperature from here on, °C.
+    pub fn set_temperature(&mut self, celsius: Option<f64>) {
+        self.celsius = celsius.filter(|c| c.is_finite());
+    }
+
+    /// How many samples the sensor has been held still, 0 while it moves: a hold that long is a
+    /// pose, even if it ends now.
+    pub fn held_samples(&self) -> u32 {
+        self.hold.map_or(0, |hold| hold.inner.samples)
+    }
+
+    /// Takes one sample y, m/s², sensor axes. A sample that is not finite counts as motion.
+    pub fn push(&mut self, output_mps2: [f64; 3]) -> Option<Pose> {
+        let index = self.next_sample;
+        self.next_sample += 1;
+        if !output_mps2.iter().all(|y| y.is_finite()) {
+            self.last = None;
+            self.filled = 0;
+            self.block = Block::default();
+            return self.end_hold();
+        }
+        if let Some(last) = self.last.replace(output_mps2) {
+            for axis in 0..3 {
+                let step = (output_mps2[axis] - last[axis]).abs();
+                if step > 0.0 && step < self.noise.step {
+                    self.noise.step = step;
+                }
+            }
+        }
+        if self.block.samples == 0 {
+            self.block.first = index;
+        }
+        self.block.add(output_mps2, self.celsius);
+        if self.block.samples < self.block_samples {
+            return None;
+        }
+        let block = core::mem::take(&mut self.block).moments();
+        self.push_block(block)
+    }
+
+    /// The last pose, if the stream ends in one.
+    ///
+    /// Call it until it returns `None`: a pose may have waited for its hold to go on.
+    pub fn finish(&mut self) -> Option<Pose> {
+        self.filled = 0;
+        self.block = Block::default();
+        self.end_hold()
+            .or_else(|| self.candidate.take().map(|found| found.pose()))
+    }
+
+    fn push_block(&mut self, block: Moments) -> Option<Pose> {
+        self.window.rotate_left(1);
+        if let Some(newest) = self.window.last_mut() {
+            *newest = block;
+        }
+        self.filled = (self.filled + 1).min(BLOCKS);
+        if self.window_is_still() && self.belongs_to_hold(&block) {
+            self.hold = Some(match self.hold.take() {
+                Some(mut hold) => {
+                    hold.inner.merge(&hold.edge);
+                    Hold {
+                        edge: block,
+                        ..hold
+                    }
+                }
+                None => self.begin_hold(),
+            });
+            return None;
+        }
+        let ended = self.end_hold();
+        if ended.is_some() {
+            return ended;
+        }
+        let away = self
+            .candidate
+            .is_some_and(|found| block.departure(&found.mean) > MOVED_MPS2 * MOVED_MPS2);
+        self.away_blocks = if away { self.away_blocks + 1 } else { 0 };
+        if self.away_blocks < MOVED_BLOCKS {
+            return None;
+        }
+        self.away_blocks = 0;
+        self.candidate.take().map(|found| found.pose())
+    }
+
+    /// Whether the last blocks are those of a sensor at rest; learns the noise from them.
+    fn window_is_still(&mut self) -> bool {
+        if self.filled < BLOCKS {
+            return false;
+        }
+        let mut whole = Moments::default();
+        for block in &self.window {
+            whole.merge(block);
+        }
+        let variance = whole.variance();
+        let (mut scatter, mut departure) = (0.0, 0.0_f64);
+        for block in &self.window {
+            let apart = block.departure(&whole.mean);
+            scatter += apart / (BLOCKS - 1) as f64;
+            departure = departure.max(apart);
+        }
+        // Samples that repeat exactly are a stream that hangs: they tell nothing about noise.
+        if self.window.iter().all(|block| block.variance() > 0.0) {
+            self.noise.variance = self.noise.variance.min(variance);
+            self.noise.scatter = self.noise.scatter.min(scatter);
+        }
+        variance <= self.noise.most_variance() && departure <= self.noise.most_departure()
+    }
+
+    fn belongs_to_hold(&self, block: &Moments) -> bool {
+        self.hold.is_none_or(|hold| {
+            let most = HOLD_DEPARTURE_MPS2 + libm::sqrt(self.noise.most_departure());
+            block.departure(&hold.inner.mean) <= most * most
+        })
+    }
+
+    /// A hold of all blocks in the window but the first, in which motion may have ended.
+    fn begin_hold(&self) -> Hold {
+        let mut inner = Moments::default();
+        for block in &self.window[1..BLOCKS - 1] {
+            inner.merge(block);
+        }
+        Hold {
+            inner,
+            edge: self.window[BLOCKS - 1],
+        }
+    }
+
+    /// Ends the hold under way. Returns the pose before it, if this one does not continue it.
+    fn end_hold(&mut self) -> Option<Pose> {
+        let found = self.hold.take()?.inner;
+        // The next hold must not begin with blocks of this one.
+        self.filled = self.filled.min(1);
+        let Some(before) = self.candidate else {
+            self.candidate = Some(found);
+            return None;
+        };
+        if found.departure(&before.mean) <= SAME_POSE_MPS2 * SAME_POSE_MPS2 {
+            if found.samples > before.samples {
+                self.candidate = Some(found);
+            }
+            return None;
+        }
+        self.candidate = Some(found);
+        Some(before.pose())
+    }
+}
+
+/// Finds the static poses in a recording of samples y, m/s², sensor axes, with the temperature in
+/// °C where there is one, at `rate_hz`.
+///
+/// Goes over the recording twice: once for the sensor's noise, once for the poses, as
+/// [`PoseFinder`] finds them. Fills `poses` and returns how many it found, which may be more than
+/// there is room for; the first ones are kept.
+pub fn find_poses<I>(samples: I, rate_hz: f64, poses: &mut [Pose]) -> usize
+where
+    I: Iterator<Item = ([f64; 3], Option<f64>)> + Clone,
+{
+    let mut finder = PoseFinder::new(rate_hz);
+    for (output, _) in samples.clone() {
+        finder.push(output);
+    }
+    let mut finder = PoseFinder::with_noise(rate_hz, finder.noise());
+    let mut found = 0;
+    let mut keep = |pose: Pose| {
+        if let Some(place) = poses.get_mut(found) {
+            *place = pose;
+        }
+        found += 1;
+    };
+    for (output, celsius) in samples {
+        finder.set_temperature(celsius);
+        if let Some(pose) = finder.push(output) {
+            keep(pose);
+        }
+    }
+    while let Some(pose) = finder.finish() {
+        keep(pose);
+    }
+    found
+}

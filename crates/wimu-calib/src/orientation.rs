@@ -1,0 +1,137 @@
+//! Ways to put a sensor down, in words that a person can follow.
+
+use core::fmt;
+
+use crate::Pose;
+
+/// Which side of the sensor is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Face {
+    /// The X axis points up.
+    XUp,
+    /// The X axis points down.
+    XDown,
+    /// The Y axis points up.
+    YUp,
+    /// The Y axis points down.
+    YDown,
+    /// The Z axis points up.
+    ZUp,
+    /// The Z axis points down.
+    ZDown,
+}
+
+impl Face {
+    /// The six of them, X up, X down, Y up, …
+    pub const ALL: [Self; 6] = [
+        Self::XUp,
+        Self::XDown,
+        Self::YUp,
+        Self::YDown,
+        Self::ZUp,
+        Self::ZDown,
+    ];
+
+    /// cos 20°: beyond it no axis was upright, whatever the sensor's errors.
+    const LEAST_COSINE: f64 = 0.94;
+
+    /// The side that is up in `pose`, going by its dominant component: within 20° of an axis.
+    ///
+    /// `None` when it is farther from every axis, or not finite.
+    pub fn of(pose: &Pose) -> Option<Self> {
+        let y = pose.mean_mps2;
+        let norm = libm::sqrt(y.iter().map(|c| c * c).sum());
+        Self::ALL.into_iter().find(|face| {
+            let along = face.sign() * y[face.axis()];
+            norm > 0.0 && along >= Self::LEAST_COSINE * norm
+        })
+    }
+
+    /// The axis that stands upright: 0 = X, 1 = Y, 2 = Z.
+    pub fn axis(self) -> usize {
+        match self {
+            Self::XUp | Self::XDown => 0,
+            Self::YUp | Self::YDown => 1,
+            Self::ZUp | Self::ZDown => 2,
+        }
+    }
+
+    /// 1 when the axis points up, −1 when it points down.
+    pub fn sign(self) -> f64 {
+        match self {
+            Self::XUp | Self::YUp | Self::ZUp => 1.0,
+            Self::XDown | Self::YDown | Self::ZDown => -1.0,
+        }
+    }
+}
+
+impl fmt::Display for Face {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Orientation::from(*self).fmt(out)
+    }
+}
+
+/// One of 26 orientations: an axis, the middle between two, or the middle between all three is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Orientation([i8; 3]);
+
+impl Orientation {
+    /// The 26 of them: 6 faces, 12 edges and 8 corners of a cube.
+    pub const ALL: [Self; 26] = {
+        let mut all = [Self([0; 3]); 26];
+        let mut code = 0;
+        let mut filled = 0;
+        while code < 27 {
+            let signs = [code % 3 - 1, code / 3 % 3 - 1, code / 9 - 1];
+            if code != 13 {
+                all[filled] = Self([signs[0] as i8, signs[1] as i8, signs[2] as i8]);
+                filled += 1;
+            }
+            code += 1;
+        }
+        all
+    };
+
+    /// What points up, a unit vector in sensor axes.
+    pub fn up(self) -> [f64; 3] {
+        let signs = self.0.map(f64::from);
+        let norm = libm::sqrt(signs.iter().map(|s| s * s).sum());
+        signs.map(|s| s / norm)
+    }
+}
+
+impl From<Face> for Orientation {
+    fn from(face: Face) -> Self {
+        let mut signs = [0; 3];
+        signs[face.axis()] = if face.sign() > 0.0 { 1 } else { -1 };
+        Self(signs)
+    }
+}
+
+impl fmt::Display for Orientation {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let axes = self.0.iter().filter(|&&sign| sign != 0).count();
+        let mut named = 0;
+        for (name, sign) in ["X", "Y", "Z"].into_iter().zip(self.0) {
+            let Some(way) = [Some("down"), None, Some("up")]
+                .get((sign + 1) as usize)
+                .copied()
+                .flatten()
+            else {
+                continue;
+            };
+            if named > 0 {
+                out.write_str(if named + 1 == axes { " and " } else { ", " })?;
+            }
+            write!(out, "{name} {way}")?;
+            named += 1;
+        }
+        match axes {
+            2 => out.write_str(" (45° each)"),
+            3 => out.write_str(" (35° each)"),
+            _ => Ok(()),
+        }
+    }
+}

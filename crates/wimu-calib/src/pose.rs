@@ -1,0 +1,44 @@
+//! What every estimator works on.
+
+/// One static pose: what the sensor put out while it was held still.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Pose {
+    /// Mean output y, m/s², sensor axes.
+    pub mean_mps2: [f64; 3],
+    /// Standard deviation of one sample per axis, m/s²; 0 where it is not known.
+    pub sd_mps2: [f64; 3],
+    /// How many samples the mean is of; 0 counts as 1.
+    pub samples: u32,
+    /// Mean temperature while it was held, °C, where one was given.
+    pub temperature_c: Option<f64>,
+    /// Index in the recording of the first sample that the mean is of.
+    pub first_sample: u64,
+}
+
+impl Pose {
+    /// A pose of which only the mean output, m/s², sensor axes, is known.
+    pub fn from_mean(mean_mps2: [f64; 3]) -> Self {
+        Self {
+            mean_mps2,
+            samples: 1,
+            ..Self::default()
+        }
+    }
+
+    /// How much the pose counts in a mean over poses.
+    pub(crate) fn weight(&self) -> f64 {
+        f64::from(self.samples.max(1))
+    }
+}
+
+/// Mean temperature of those poses that have one, weighted by their samples, °C.
+pub(crate) fn mean_temperature<'a>(poses: impl Iterator<Item = &'a Pose>) -> Option<f64> {
+    let (sum, weight) = poses
+        .filter_map(|pose| Some((pose.temperature_c?, pose.weight())))
+        .filter(|(celsius, _)| celsius.is_finite())
+        .fold((0.0, 0.0), |(sum, total), (celsius, weight)| {
+            (sum + celsius * weight, total + weight)
+        });
+    (weight > 0.0).then(|| sum / weight)
+}

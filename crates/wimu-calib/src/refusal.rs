@@ -1,0 +1,247 @@
+//! Why there is no answer, and what to do about it.
+
+use core::fmt;
+
+use wimu_model::ModelError;
+
+use crate::{Face, Model, Orientation, Parameters};
+
+/// Why the poses do not support an answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Refusal {
+    /// Fewer poses than the model needs.
+    TooFewPoses {
+        /// How many there are.
+        have: usize,
+        /// How many are needed.
+        need: usize,
+        /// The model asked for.
+        model: Model,
+    },
+    /// No pose has this side up.
+    PoseMissing {
+        /// Which side.
+        face: Face,
+    },
+    /// A pose has a value that is infinite or not a number.
+    NotFinite {
+        /// Its index.
+        pose: usize,
+    },
+    /// The poses' mean magnitude cannot be gravity in m/s².
+    UnexpectedMagnitude {
+        /// The mean of |y|, m/s² if the unit were right.
+        mean_mps2: f64,
+        /// What the numbers look like.
+        hint: UnitHint,
+    },
+    /// The poses do not determine some parameters.
+    NotObservable {
+        /// The model asked for.
+        model: Model,
+        /// The parameters that are poorly determined.
+        parameters: Parameters,
+        /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
+        condition: f64,
+        /// How much an error in the poses grows in the worst orientation.
+        amplification: f64,
+        /// A pose in this orientation would help most.
+        add: Orientation,
+    },
+    /// Left-out poses are predicted far worse than the fitted ones are fitted: some pose decides
+    /// alone, and nothing would show an error in it.
+    PoorPrediction {
+        /// The model asked for.
+        model: Model,
+        /// Leave-one-out error, m/s² rms; infinite where a pose cannot be spared.
+        loo_rms_mps2: f64,
+        /// In-sample error, m/s² rms.
+        rms_mps2: f64,
+        /// The pose that the others predict worst, its index.
+        pose: usize,
+    },
+    /// No error model makes these poses of one magnitude.
+    PoorFit {
+        /// In-sample error, m/s² rms.
+        rms_mps2: f64,
+        /// The pose that fits worst, its index.
+        pose: usize,
+    },
+    /// The fit found no minimum.
+    NotConverged,
+    /// The result is no accelerometer's error model.
+    OutOfBounds(ModelError),
+    /// What was noted makes the sensor left-handed.
+    Mirrored,
+    /// Every axis that was said to be up reads down.
+    Inverted,
+    /// A pose reads another side up than was noted.
+    AxesSwapped {
+        /// The side that was said to be up.
+        face: Face,
+        /// The side that reads up.
+        reads: Face,
+    },
+    /// A pose that was said to have an axis upright has none.
+    NotUpright {
+        /// The side that was said to be up.
+        face: Face,
+    },
+    /// The six sides were not at right angles.
+    NotSquared {
+        /// The placement error that the poses show, rad rms.
+        placement_rad: f64,
+    },
+}
+
+/// What numbers that are not m/s² look like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum UnitHint {
+    /// g.
+    G,
+    /// mg, or counts of a sensor with about 1000 LSB/g.
+    MilliGOrCounts,
+    /// Raw counts.
+    Counts,
+    /// Nothing that is gravity in any known unit.
+    NotGravity,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooFewPoses { have, need, model } => {
+                write!(
+                    out,
+                    "{have} static poses, the {model} needs {need} at the least: add poses in other \
+                     orientations"
+                )?;
+                smaller(out, model)
+            }
+            Self::PoseMissing { face } => write!(
+                out,
+                "no pose has {face}: put the sensor down with {face}, within 20°, and hold it still"
+            ),
+            Self::NotFinite { pose } => write!(
+                out,
+                "pose {pose} (from 0) has a value that is not a finite number: remove it"
+            ),
+            Self::UnexpectedMagnitude { mean_mps2, hint } => {
+                write!(out, "the poses' mean magnitude is {mean_mps2:.4}, ")?;
+                out.write_str(match hint {
+                    UnitHint::G => "which looks like g, not m/s²: multiply by 9.80665",
+                    UnitHint::MilliGOrCounts => {
+                        "which looks like mg or counts, not m/s²: multiply mg by 0.00980665, or \
+                         divide by the sensitivity in LSB per m/s²"
+                    }
+                    UnitHint::Counts => {
+                        "which looks like counts, not m/s²: divide by the sensitivity in LSB per m/s²"
+                    }
+                    UnitHint::NotGravity => {
+                        "not gravity in m/s²: check the unit, the sensitivity, and that the sensor \
+                         measures on all axes"
+                    }
+                })
+            }
+            Self::NotObservable {
+                model,
+                parameters,
+                condition,
+                amplification,
+                add,
+            } => {
+                write!(
+                    out,
+                    "the poses do not determine {parameters} of the {model}: "
+                )?;
+                if amplification < 1e4 {
+                    write!(
+                        out,
+                        "condition {condition:.0}, an error in a pose grows {amplification:.0} \
+                         times elsewhere"
+                    )?;
+                } else {
+                    out.write_str("elsewhere the output could be anything")?;
+                }
+                write!(
+                    out,
+                    "; add a pose with {add}, and others unlike those you have"
+                )?;
+                smaller(out, model)
+            }
+            Self::PoorPrediction {
+                model,
+                loo_rms_mps2,
+                rms_mps2,
+                pose,
+            } => {
+                write!(
+                    out,
+                    "the {model} fits its own poses to {:.2} mm/s² rms but ",
+                    rms_mps2 * 1e3
+                )?;
+                if loo_rms_mps2.is_finite() {
+                    write!(out, "predicts one left out to {:.2} only", loo_rms_mps2 * 1e3)?;
+                } else {
+                    out.write_str("cannot predict one left out")?;
+                }
+                write!(
+                    out,
+                    ": pose {pose} (from 0) decides alone; put the sensor down that way again, and \
+                     in other orientations that you have only once"
+                )?;
+                smaller(out, model)
+            }
+            Self::PoorFit { rms_mps2, pose } => write!(
+                out,
+                "the best model leaves {:.0} mm/s² rms: pose {pose} (from 0) fits worst; leave it \
+                 out, and check that the sensor was still and not saturated",
+                rms_mps2 * 1e3
+            ),
+            Self::NotConverged => out.write_str(
+                "no error model makes these poses of one magnitude: check that the sensor was still, \
+                 not saturated, and that every axis works",
+            ),
+            Self::OutOfBounds(error) => write!(
+                out,
+                "the result is no accelerometer's: {error}; check the unit, the sensitivity and that \
+                 no pose is saturated or moving"
+            ),
+            Self::Mirrored => out.write_str(
+                "the orientations noted make the sensor left-handed: the sides of one axis were \
+                 mixed up, or the driver negates or swaps an axis",
+            ),
+            Self::Inverted => out.write_str(
+                "every axis noted as up reads down: the output is minus the specific force; negate \
+                 it, or note the side that is down",
+            ),
+            Self::AxesSwapped { face, reads } => write!(
+                out,
+                "a pose noted as {face} reads {reads}: check which side was up, and that the driver \
+                 keeps the axes in order"
+            ),
+            Self::NotUpright { face } => write!(
+                out,
+                "a pose noted as {face} has no axis within 20° of upright: take it again"
+            ),
+            Self::NotSquared { placement_rad } => write!(
+                out,
+                "the six sides are {:.1}° from square: use a box with square corners, or \
+                 multi-position, which needs no known orientation",
+                placement_rad.to_degrees()
+            ),
+        }
+    }
+}
+
+fn smaller(out: &mut fmt::Formatter<'_>, model: Model) -> fmt::Result {
+    match model.smaller() {
+        Some(smaller) => write!(out, ", or use the {smaller}"),
+        None => Ok(()),
+    }
+}
+
+impl core::error::Error for Refusal {}

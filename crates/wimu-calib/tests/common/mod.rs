@@ -1,0 +1,153 @@
+//! Simulated sensors and real recordings for the tests.
+
+#![allow(dead_code, reason = "each test file uses its own part of it")]
+
+use std::path::PathBuf;
+
+use proptest::test_runner::Config as ProptestConfig;
+use wimu_calib::Pose;
+use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
+
+/// Failures print their seed; nothing is written beside the tests.
+pub fn config() -> ProptestConfig {
+    ProptestConfig {
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
+/// SplitMix64: the same numbers on every machine.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    pub fn within(&mut self, limit: f64) -> f64 {
+        (2.0 * self.uniform() - 1.0) * limit
+    }
+
+    /// Normal, mean 0, standard deviation 1.
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+
+    pub fn direction(&mut self) -> [f64; 3] {
+        loop {
+            let v = [self.normal(), self.normal(), self.normal()];
+            let norm = v.iter().map(|c| c * c).sum::<f64>().sqrt();
+            if norm > 0.1 {
+                return v.map(|c| c / norm);
+            }
+        }
+    }
+
+    /// Bias up to 80 mg, scale factor ±4 %, misalignment ±2°; lower triangular or full.
+    pub fn model(&mut self, triangular: bool) -> ErrorModel {
+        let mut terms = ErrorTerms::default();
+        for row in 0..3 {
+            terms.bias_mps2[row] = self.within(0.08 * STANDARD_GRAVITY_MPS2);
+            for column in 0..3 {
+                terms.matrix[row][column] = if row == column {
+                    1.0 + self.within(0.04)
+                } else if triangular && column > row {
+                    0.0
+                } else {
+                    self.within(0.035)
+                };
+            }
+        }
+        ErrorModel::new(terms).expect("within bounds")
+    }
+}
+
+/// What a sensor puts out with `up` upward.
+pub fn pose(model: &ErrorModel, gravity: f64, up: [f64; 3]) -> Pose {
+    let force = SpecificForceMps2(up.map(|c| c * gravity));
+    Pose::from_mean(model.distort(force, None).0)
+}
+
+/// The twelve vertices of an icosahedron: well spread, none along an axis.
+pub fn twelve() -> [[f64; 3]; 12] {
+    let golden = (1.0 + 5.0_f64.sqrt()) / 2.0;
+    let norm = (1.0 + golden * golden).sqrt();
+    let (short, long) = (1.0 / norm, golden / norm);
+    let mut all = [[0.0; 3]; 12];
+    for (k, vertex) in all.iter_mut().enumerate() {
+        let a = if k & 1 == 0 { short } else { -short };
+        let b = if k & 2 == 0 { long } else { -long };
+        vertex[k / 4] = 0.0;
+        vertex[(k / 4 + 1) % 3] = a;
+        vertex[(k / 4 + 2) % 3] = b;
+    }
+    all
+}
+
+/// `up` as a person places it: off by `sd_rad` about each of two axes.
+pub fn misplaced(random: &mut Random, up: [f64; 3], sd_rad: f64) -> [f64; 3] {
+    // Two directions at right angles to `up`.
+    let other = if up[0].abs() < 0.7 {
+        [1.0, 0.0, 0.0]
+    } else {
+        [0.0, 1.0, 0.0]
+    };
+    let a = unit(cross(up, other));
+    let b = cross(up, a);
+    let (s, t) = (random.normal() * sd_rad, random.normal() * sd_rad);
+    unit([0, 1, 2].map(|i| up[i] + s * a[i] + t * b[i]))
+}
+
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+pub fn norm(v: [f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+pub fn unit(v: [f64; 3]) -> [f64; 3] {
+    let norm = norm(v);
+    v.map(|c| c / norm)
+}
+
+/// Bias, then A row by row, as `Parameter::ALL` orders them.
+pub fn parameters(model: &ErrorModel) -> [f64; 12] {
+    let terms = model.terms();
+    let mut all = [0.0; 12];
+    all[..3].copy_from_slice(&terms.bias_mps2);
+    for row in 0..3 {
+        all[3 + 3 * row..6 + 3 * row].copy_from_slice(&terms.matrix[row]);
+    }
+    all
+}
+
+/// The rows of a recording beside the repository, or `None`, saying so, where it is absent.
+pub fn recording(name: &str) -> Option<Vec<Vec<String>>> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data")
+        .join(name);
+    let Ok(text) = std::fs::read_to_string(&path) else {
+        println!("SKIPPED: {} is absent", path.display());
+        return None;
+    };
+    let rows = text.lines().skip(1);
+    Some(
+        rows.map(|row| row.split(',').map(str::to_owned).collect())
+            .collect(),
+    )
+}
+
+/// Three columns of a row as numbers times `scale`.
+pub fn vector(row: &[String], column: usize, scale: f64) -> [f64; 3] {
+    [0, 1, 2].map(|i| row[column + i].parse::<f64>().expect("a number") * scale)
+}

@@ -1,0 +1,251 @@
+//! The pose finder on simulated streams.
+
+mod common;
+
+use common::{Random, norm, unit};
+use proptest::prelude::*;
+use wimu_calib::{Pose, PoseFinder, find_poses};
+
+const G: f64 = 9.80665;
+
+/// A stream of holds with hand motion between them.
+struct Stream {
+    samples: Vec<[f64; 3]>,
+    /// First sample, last sample and true output of each hold.
+    holds: Vec<(usize, usize, [f64; 3])>,
+}
+
+/// `count` holds of `hold_s` at `rate`, noise `sd` (m/s² rms), output rounded to `step`.
+fn stream(random: &mut Random, rate: f64, sd: f64, step: f64, count: usize, hold_s: f64) -> Stream {
+    let mut out = Stream {
+        samples: Vec::new(),
+        holds: Vec::new(),
+    };
+    let mut up = random.direction();
+    for hold in 0..=count {
+        // A turn of 1.5 s to the next orientation, with shaking.
+        let next = loop {
+            let next = random.direction();
+            if next.iter().zip(up).map(|(a, b)| a * b).sum::<f64>() < 0.7 {
+                break next;
+            }
+        };
+        let turn = (1.5 * rate) as usize;
+        let (f1, f2) = (3.0 + 4.0 * random.uniform(), 1.0 + 2.0 * random.uniform());
+        let shake = [random.within(3.0), random.within(3.0), random.within(3.0)];
+        for k in 0..turn {
+            let t = (k as f64 + 0.5) / turn as f64;
+            let ease = t * t * (3.0 - 2.0 * t);
+            let swell = (std::f64::consts::PI * t).sin();
+            let at = unit([0, 1, 2].map(|i| up[i] * (1.0 - ease) + next[i] * ease + 1e-3));
+            let wave = (f1 * t * 9.0).sin() + (f2 * t * 7.0).cos();
+            out.samples
+                .push([0, 1, 2].map(|i| at[i] * G + shake[i] * swell * wave));
+        }
+        up = next;
+        if hold < count {
+            let first = out.samples.len();
+            let length = (hold_s * rate) as usize;
+            out.samples.extend((0..length).map(|_| up.map(|c| c * G)));
+            out.holds
+                .push((first, first + length - 1, up.map(|c| c * G)));
+        }
+    }
+    for sample in &mut out.samples {
+        for y in sample {
+            *y += random.normal() * sd;
+            if step > 0.0 {
+                *y = (*y / step).round() * step;
+            }
+        }
+    }
+    out
+}
+
+fn poses(samples: &[[f64; 3]], rate: f64) -> Vec<Pose> {
+    let mut room = [Pose::default(); 200];
+    let found = find_poses(samples.iter().map(|y| (*y, None)), rate, &mut room);
+    room[..found].to_vec()
+}
+
+fn streamed(finder: &mut PoseFinder, samples: &[[f64; 3]]) -> Vec<Pose> {
+    let mut found: Vec<Pose> = samples.iter().filter_map(|y| finder.push(*y)).collect();
+    found.extend(core::iter::from_fn(|| finder.finish()));
+    found
+}
+
+#[test]
+fn every_hold_is_found_at_any_noise_and_rate_and_nothing_else() {
+    let mut worst = 0.0_f64;
+    for (seed, (sd, rate)) in [3e-3, 10e-3, 30e-3, 80e-3]
+        .into_iter()
+        .flat_map(|sd| [50.0, 100.0, 400.0].map(|rate| (sd, rate)))
+        .cycle()
+        .take(96)
+        .enumerate()
+    {
+        let mut random = Random(seed as u64);
+        let hold_s = 1.0 + 4.0 * random.uniform();
+        let step = [0.0, G / 1024.0, G / 16384.0][seed / 12 % 3];
+        let stream = stream(&mut random, rate, sd, step, 12, hold_s);
+        let found = poses(&stream.samples, rate);
+        assert_eq!(
+            found.len(),
+            12,
+            "noise {sd}, {rate} Hz, holds of {hold_s:.2} s, step {step}"
+        );
+        for (pose, (first, last, truth)) in found.iter().zip(&stream.holds) {
+            let begin = pose.first_sample as usize;
+            let end = begin + pose.samples as usize - 1;
+            // A slow end of a turn may pass as rest, a tenth of a second of it.
+            let slack = (0.15 * rate) as usize;
+            assert!(
+                begin + slack >= *first && end <= last + slack,
+                "{begin}..{end} {first}..{last}"
+            );
+            let error = norm([0, 1, 2].map(|i| pose.mean_mps2[i] - truth[i]));
+            // Rounding coarser than the noise does not average out.
+            let rounding = if step > sd { step / 8.0 } else { 0.0 };
+            let sure = sd / f64::from(pose.samples).sqrt() + rounding;
+            worst = worst.max(error / sure);
+            assert!(
+                pose.sd_mps2.iter().all(|s| *s < 1.5 * sd + step),
+                "{:?}",
+                pose.sd_mps2
+            );
+        }
+    }
+    println!("largest error of a pose: {worst:.1} standard deviations of its mean");
+    assert!(worst < 5.0);
+}
+
+proptest! {
+    #![proptest_config(common::config())]
+
+    #[test]
+    fn motion_alone_gives_no_pose(seed: u64) {
+        let mut random = Random(seed);
+        let stream = stream(&mut random, 100.0, 0.01, 0.0, 0, 0.0);
+        prop_assert_eq!(poses(&stream.samples, 100.0).len(), 0);
+    }
+
+    #[test]
+    fn any_samples_pass_without_panic(
+        samples in proptest::collection::vec([wild(), wild(), wild()], 0..400),
+        rate: f64,
+    ) {
+        let mut finder = PoseFinder::new(rate);
+        for pose in streamed(&mut finder, &samples) {
+            prop_assert!(pose.mean_mps2.iter().chain(&pose.sd_mps2).all(|v| v.is_finite()));
+        }
+        poses(&samples, rate);
+    }
+}
+
+/// Mostly what a sensor might say, sometimes anything.
+fn wild() -> impl Strategy<Value = f64> {
+    prop_oneof![200 => -0.1..0.1_f64, 1 => any::<f64>()]
+}
+
+#[test]
+fn a_stream_gives_what_the_recording_gives_once_the_noise_is_known() {
+    let mut random = Random(1);
+    let stream = stream(&mut random, 100.0, 0.02, 0.0, 12, 2.0);
+    let recorded = poses(&stream.samples, 100.0);
+    let mut first = PoseFinder::new(100.0);
+    let live = streamed(&mut first, &stream.samples);
+    // Live, the noise is not known yet at the first holds: their ends may differ by a block.
+    assert_eq!(live.len(), recorded.len());
+    for (a, b) in live.iter().zip(&recorded) {
+        assert!(norm([0, 1, 2].map(|i| a.mean_mps2[i] - b.mean_mps2[i])) < 0.005);
+    }
+    let mut second = PoseFinder::with_noise(100.0, first.noise());
+    assert_eq!(streamed(&mut second, &stream.samples), recorded);
+    assert!((0.01..0.02).contains(&first.noise().sd_mps2()));
+}
+
+#[test]
+fn a_hold_is_reported_while_it_lasts_and_comes_out_when_the_sensor_is_turned() {
+    let mut random = Random(2);
+    let rate = 100.0;
+    let stream = stream(&mut random, rate, 0.02, 0.0, 2, 2.0);
+    let mut finder = PoseFinder::new(rate);
+    let (first, last, _) = stream.holds[0];
+    let mut held_at = None;
+    let mut out_at = None;
+    for (k, y) in stream.samples.iter().enumerate() {
+        let pose = finder.push(*y);
+        if finder.held_samples() > 0 && held_at.is_none() {
+            held_at = Some(k);
+        }
+        if pose.is_some() && out_at.is_none() {
+            out_at = Some(k);
+        }
+    }
+    let (held_at, out_at) = (held_at.expect("held"), out_at.expect("a pose"));
+    assert!(
+        (first + 60..first + 110).contains(&held_at),
+        "{first} {held_at}"
+    );
+    assert!((last..last + 80).contains(&out_at), "{last} {out_at}");
+}
+
+#[test]
+fn a_knock_does_not_make_two_poses_of_one() {
+    let mut random = Random(3);
+    let mut stream = stream(&mut random, 100.0, 0.02, 0.0, 3, 5.0);
+    let (first, _, _) = stream.holds[1];
+    for k in 0..8 {
+        stream.samples[first + 150 + k][2] += if k % 2 == 0 { 15.0 } else { -12.0 };
+    }
+    let found = poses(&stream.samples, 100.0);
+    assert_eq!(found.len(), 3);
+    assert!(found[1].first_sample as usize > first + 150 && found[1].samples > 250);
+}
+
+#[test]
+fn the_same_orientation_taken_again_is_another_pose() {
+    let mut random = Random(4);
+    let stream = stream(&mut random, 100.0, 0.02, 0.0, 1, 2.0);
+    let mut twice = stream.samples.clone();
+    twice.extend(&stream.samples);
+    assert_eq!(poses(&twice, 100.0).len(), 2);
+}
+
+#[test]
+fn samples_that_are_no_numbers_end_a_hold_and_harm_nothing_else() {
+    let mut random = Random(5);
+    let mut stream = stream(&mut random, 100.0, 0.02, 0.0, 3, 4.0);
+    let middle = stream.holds[1].0 + 200;
+    stream.samples[middle] = [f64::NAN; 3];
+    let found = poses(&stream.samples, 100.0);
+    assert_eq!(found.len(), 3);
+    let range = found[1].first_sample..found[1].first_sample + u64::from(found[1].samples);
+    assert!(!range.contains(&(middle as u64)));
+}
+
+#[test]
+fn a_stream_that_hangs_does_not_pass_for_a_quiet_sensor() {
+    let mut random = Random(6);
+    let mut stream = stream(&mut random, 100.0, 0.03, 0.0, 6, 3.0);
+    let hang = stream.samples[40];
+    for _ in 0..300 {
+        stream.samples.insert(40, hang);
+    }
+    // The six holds, and the hang itself, which nothing tells from a noiseless sensor at rest.
+    assert_eq!(poses(&stream.samples, 100.0).len(), 7);
+}
+
+#[test]
+fn the_temperature_of_a_pose_is_the_mean_while_it_was_held() {
+    let mut random = Random(7);
+    let stream = stream(&mut random, 100.0, 0.02, 0.0, 2, 3.0);
+    let samples = stream.samples.iter().enumerate();
+    let samples = samples.map(|(k, y)| (*y, Some(20.0 + k as f64 * 0.01)));
+    let mut found = [Pose::default(); 1];
+    // More poses than room: the first is kept, the second only counted.
+    assert_eq!(find_poses(samples, 100.0, &mut found), 2);
+    let middle = found[0].first_sample as f64 + (f64::from(found[0].samples) - 1.0) / 2.0;
+    let celsius = found[0].temperature_c.expect("a temperature");
+    assert!((celsius - (20.0 + middle * 0.01)).abs() < 1e-9);
+}

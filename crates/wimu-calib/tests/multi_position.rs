@@ -1,0 +1,440 @@
+//! Multi-position on simulated sensors whose truth is known.
+
+mod common;
+
+use common::{Random, norm, parameters, pose, twelve};
+use proptest::prelude::*;
+use wimu_calib::{Gravity, Model, Parameter, Pose, Refusal, UnitHint, multi_position};
+use wimu_model::{ErrorModel, ErrorTerms};
+
+const G: f64 = 9.80665;
+
+fn exact() -> Gravity {
+    Gravity::new(G, 0.0).expect("gravity")
+}
+
+/// Poses in `count` random directions, after twelve well spread ones.
+fn spread(random: &mut Random, model: &ErrorModel, more: usize) -> Vec<Pose> {
+    let mut ups = twelve().to_vec();
+    ups.extend((0..more).map(|_| random.direction()));
+    ups.into_iter().map(|up| pose(model, G, up)).collect()
+}
+
+fn add_noise(random: &mut Random, poses: &mut [Pose], sd: f64) {
+    for pose in poses {
+        for y in &mut pose.mean_mps2 {
+            *y += random.normal() * sd;
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(common::config())]
+
+    #[test]
+    fn truth_is_recovered_from_noiseless_poses(seed: u64, more in 0_usize..20) {
+        let mut random = Random(seed);
+        let truth = random.model(true);
+        let poses = spread(&mut random, &truth, more);
+        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
+            prop_assert!((found - truth).abs() < 1e-9, "{found} {truth}");
+        }
+        prop_assert!(estimate.rms_mps2 < 1e-9 && estimate.max_mps2 < 1e-9);
+        prop_assert_eq!(estimate.dof, 12 + more - 9);
+    }
+
+    #[test]
+    fn truth_is_recovered_wherever_an_error_model_may_lie(seed: u64) {
+        let mut random = Random(seed);
+        let mut terms = ErrorTerms::default();
+        for row in 0..3 {
+            terms.bias_mps2[row] = random.within(4.0);
+            for column in 0..=row {
+                terms.matrix[row][column] = if row == column {
+                    1.0 + random.within(0.4)
+                } else {
+                    random.within(0.25)
+                };
+            }
+        }
+        let truth = ErrorModel::new(terms).expect("within bounds");
+        let poses = spread(&mut random, &truth, 4);
+        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
+            prop_assert!((found - truth).abs() < 1e-8, "{found} {truth}");
+        }
+    }
+
+    #[test]
+    fn smaller_models_recover_the_truth_that_they_can_express(seed: u64) {
+        let mut random = Random(seed);
+        let mut terms = ErrorTerms {
+            bias_mps2: [random.within(3.0), random.within(3.0), random.within(3.0)],
+            ..ErrorTerms::default()
+        };
+        let bias_only = ErrorModel::new(terms).expect("within bounds");
+        for axis in 0..3 {
+            terms.matrix[axis][axis] = 1.0 + random.within(0.2);
+        }
+        let with_scale = ErrorModel::new(terms).expect("within bounds");
+        for (model, truth) in [(Model::Bias3, bias_only), (Model::BiasScale6, with_scale)] {
+            let poses = spread(&mut random, &truth, 2);
+            let estimate = multi_position(&poses, exact(), model).expect("an answer");
+            for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
+                prop_assert!((found - truth).abs() < 1e-9, "{model}: {found} {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_rotation_of_the_whole_sensor_changes_no_magnitude(seed: u64) {
+        let mut random = Random(seed);
+        let truth = random.model(false);
+        let poses = spread(&mut random, &truth, 5);
+        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        for _ in 0..20 {
+            let unseen = pose(&truth, G, random.direction());
+            prop_assert!(estimate.residual_mps2(&unseen).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn any_garbage_is_refused_or_answered_and_never_panics(
+        values in proptest::collection::vec(
+            [garbage(), garbage(), garbage()],
+            0..40,
+        ),
+        samples: u32,
+        sd in garbage(),
+    ) {
+        let poses: Vec<Pose> = values
+            .into_iter()
+            .map(|mean_mps2| Pose { mean_mps2, sd_mps2: [sd; 3], samples, ..Pose::default() })
+            .collect();
+        for model in [Model::Bias3, Model::BiasScale6, Model::Full9] {
+            match multi_position(&poses, Gravity::UNKNOWN_PLACE, model) {
+                Ok(estimate) => {
+                    prop_assert!(estimate.rms_mps2.is_finite());
+                    prop_assert!(estimate.loo_rms_mps2.is_some_and(f64::is_finite));
+                    prop_assert!(estimate.covariance.matrix().iter().flatten().all(|c| c.is_finite()));
+                }
+                Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
+            }
+        }
+    }
+}
+
+fn garbage() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        6 => -12.0..12.0_f64,
+        2 => prop_oneof![Just(0.0), Just(9.80665), Just(-9.80665)],
+        1 => any::<f64>(),
+    ]
+}
+
+#[test]
+fn the_left_out_error_is_that_of_refitting_without_each_pose() {
+    for (seed, more) in [(1, 3), (2, 5), (3, 8), (4, 26), (5, 290)] {
+        let mut random = Random(seed);
+        let truth = random.model(true);
+        let mut poses = spread(&mut random, &truth, more);
+        add_noise(&mut random, &mut poses, 0.003);
+        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        let mut squares = 0.0;
+        for k in 0..poses.len() {
+            let mut others = poses.clone();
+            let left_out = others.remove(k);
+            let without = multi_position(&others, exact(), Model::Full9).expect("an answer");
+            squares += without.residual_mps2(&left_out).powi(2);
+        }
+        let refitted = (squares / poses.len() as f64).sqrt();
+        let reported = estimate.loo_rms_mps2.expect("multi-position has it");
+        println!("{} poses: {reported} against {refitted} m/s²", poses.len());
+        // Above 256 poses each is left out by one step instead of a refit to the end.
+        let tolerance = if poses.len() > 256 { 1e-6 } else { 1e-9 };
+        assert!((reported - refitted).abs() < tolerance * refitted);
+    }
+}
+
+#[test]
+fn the_covariance_is_the_spread_of_many_estimates() {
+    const TRIALS: usize = 2000;
+    const FITTED: [Parameter; 9] = [
+        Parameter::BiasX,
+        Parameter::BiasY,
+        Parameter::BiasZ,
+        Parameter::ScaleX,
+        Parameter::ScaleY,
+        Parameter::ScaleZ,
+        Parameter::MisalignmentXy,
+        Parameter::MisalignmentXz,
+        Parameter::MisalignmentYz,
+    ];
+    let mut random = Random(7);
+    let truth = random.model(true);
+    let clean = spread(&mut random, &truth, 8);
+    let truth = parameters(&truth);
+    let mut spread_squares = [0.0; 9];
+    let mut predicted_squares = [0.0; 9];
+    let mut covered = 0;
+    for _ in 0..TRIALS {
+        let mut poses = clean.clone();
+        add_noise(&mut random, &mut poses, 0.005);
+        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        let found = parameters(&estimate.model);
+        for (k, parameter) in FITTED.into_iter().enumerate() {
+            let error = found[parameter.index()] - truth[parameter.index()];
+            let sd = estimate.covariance.sd(parameter);
+            spread_squares[k] += error * error;
+            predicted_squares[k] += sd * sd;
+            // 95 % point of Student's t with 11 degrees of freedom.
+            covered += usize::from(error.abs() < 2.201 * sd);
+        }
+        assert_eq!(estimate.dof, 11);
+    }
+    for (k, parameter) in FITTED.into_iter().enumerate() {
+        let ratio = (spread_squares[k] / predicted_squares[k]).sqrt();
+        println!("{parameter}: spread / predicted = {ratio:.3}");
+        assert!((0.94..1.06).contains(&ratio), "{parameter} {ratio}");
+    }
+    let coverage = covered as f64 / (TRIALS * FITTED.len()) as f64;
+    println!("95 % intervals cover {:.1} %", coverage * 100.0);
+    assert!((0.94..0.96).contains(&coverage));
+}
+
+#[test]
+fn the_worst_orientation_is_predicted_as_badly_as_said() {
+    let mut random = Random(8);
+    let truth = random.model(true);
+    let clean = spread(&mut random, &truth, 0);
+    let checks: Vec<Pose> = (0..200)
+        .map(|_| pose(&truth, G, random.direction()))
+        .collect();
+    let mut squares = vec![0.0; checks.len()];
+    let mut said = 0.0;
+    for _ in 0..500 {
+        let mut poses = clean.clone();
+        add_noise(&mut random, &mut poses, 0.005);
+        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        said += estimate.worst_sd_mps2.powi(2);
+        for (square, check) in squares.iter_mut().zip(&checks) {
+            *square += estimate.residual_mps2(check).powi(2);
+        }
+    }
+    let worst = squares.into_iter().fold(0.0, f64::max);
+    let ratio = (worst / said).sqrt();
+    assert!((0.9..1.15).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn the_uncertainty_of_gravity_is_in_the_scale_factor() {
+    let mut random = Random(9);
+    let truth = random.model(true);
+    let poses = spread(&mut random, &truth, 8);
+    let gravity = Gravity::new(G, 0.015).expect("gravity");
+    let estimate = multi_position(&poses, gravity, Model::Full9).expect("an answer");
+    let scale = truth.terms().matrix[0][0];
+    assert!((estimate.sd().matrix[0][0] - scale * 0.015 / G).abs() < 1e-9);
+    assert!(estimate.sd().bias_mps2[0] < 1e-9);
+}
+
+#[test]
+fn twelve_poses_placed_by_hand_are_answered() {
+    for seed in 0..500 {
+        let mut random = Random(seed);
+        let truth = random.model(false);
+        let mut poses: Vec<Pose> = twelve()
+            .into_iter()
+            .map(|up| {
+                let up = common::misplaced(&mut random, up, 0.035);
+                pose(&truth, G, up)
+            })
+            .collect();
+        add_noise(&mut random, &mut poses, 0.002);
+        let estimate = multi_position(&poses, exact(), Model::Full9)
+            .unwrap_or_else(|refusal| panic!("seed {seed}: {refusal}"));
+        let unseen = (0..10).map(|_| pose(&truth, G, random.direction()));
+        let rms = unseen
+            .map(|p| estimate.residual_mps2(&p).powi(2) / 10.0)
+            .sum::<f64>()
+            .sqrt();
+        assert!(rms < 0.01, "seed {seed}: {rms}");
+    }
+}
+
+#[test]
+fn too_few_poses_are_refused() {
+    let mut random = Random(10);
+    let truth = random.model(true);
+    let poses = spread(&mut random, &truth, 0);
+    for (model, need) in [
+        (Model::Bias3, 4),
+        (Model::BiasScale6, 7),
+        (Model::Full9, 10),
+    ] {
+        let refused = multi_position(&poses[..need - 1], exact(), model);
+        assert_eq!(
+            refused,
+            Err(Refusal::TooFewPoses {
+                have: need - 1,
+                need,
+                model
+            })
+        );
+    }
+    assert!(multi_position(&[], exact(), Model::Bias3).is_err());
+}
+
+#[test]
+fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
+    let perfect = ErrorModel::default();
+    let same = vec![pose(&perfect, G, [0.0, 0.0, 1.0]); 20];
+    let plane: Vec<Pose> = (0..24)
+        .map(|k| {
+            let angle = f64::from(k) * 0.26;
+            pose(&perfect, G, [angle.cos(), angle.sin(), 0.0])
+        })
+        .collect();
+    let faces: Vec<Pose> = [1.0, -1.0]
+        .into_iter()
+        .flat_map(|s| [[s, 0.0, 0.0], [0.0, s, 0.0], [0.0, 0.0, s]])
+        .cycle()
+        .take(18)
+        .map(|up| pose(&perfect, G, up))
+        .collect();
+    for poses in [&same, &plane, &faces] {
+        let Err(refusal) = multi_position(poses, exact(), Model::Full9) else {
+            panic!("answered");
+        };
+        println!("{refusal}");
+        assert!(
+            matches!(refusal, Refusal::NotObservable { .. }),
+            "{refusal:?}"
+        );
+    }
+    let Err(Refusal::NotObservable {
+        parameters, add, ..
+    }) = multi_position(&plane, exact(), Model::Full9)
+    else {
+        panic!("answered");
+    };
+    assert!(parameters.contains(Parameter::ScaleZ) && parameters.contains(Parameter::BiasZ));
+    assert!(!parameters.contains(Parameter::ScaleX));
+    assert!(add.up()[2].abs() > 0.5, "{add}");
+    let Err(Refusal::NotObservable { parameters, .. }) =
+        multi_position(&faces, exact(), Model::Full9)
+    else {
+        panic!("answered");
+    };
+    assert!(
+        parameters
+            .iter()
+            .all(|p| p.to_string().starts_with("misalignment")),
+        "{parameters}"
+    );
+    multi_position(&faces, exact(), Model::BiasScale6).expect("the smaller model is determined");
+}
+
+#[test]
+fn a_pose_that_decides_alone_is_named() {
+    let mut random = Random(11);
+    let truth = random.model(true);
+    // Six sides and four edges: ten poses for nine parameters.
+    let mut ups = vec![
+        [1.0, 0.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0],
+    ];
+    ups.extend([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]);
+    ups.extend(
+        [
+            [0.7, 0.7, 0.0],
+            [0.7, 0.0, 0.7],
+            [-0.7, 0.7, 0.0],
+            [0.0, 0.7, 0.7],
+        ]
+        .map(common::unit),
+    );
+    let mut poses: Vec<Pose> = ups.into_iter().map(|up| pose(&truth, G, up)).collect();
+    add_noise(&mut random, &mut poses, 0.003);
+    let refused = multi_position(&poses, exact(), Model::Full9);
+    assert!(
+        matches!(refused, Err(Refusal::PoorPrediction { .. })),
+        "{refused:?}"
+    );
+}
+
+#[test]
+fn wrong_units_are_recognised() {
+    let mut random = Random(12);
+    let truth = random.model(true);
+    let poses = spread(&mut random, &truth, 0);
+    for (factor, expected) in [
+        (1.0 / G, UnitHint::G),
+        (1000.0 / G, UnitHint::MilliGOrCounts),
+        (16384.0 / G, UnitHint::Counts),
+        (0.01, UnitHint::NotGravity),
+        (0.0, UnitHint::NotGravity),
+    ] {
+        let scaled: Vec<Pose> = poses
+            .iter()
+            .map(|p| Pose::from_mean(p.mean_mps2.map(|y| y * factor)))
+            .collect();
+        match multi_position(&scaled, exact(), Model::Full9) {
+            Err(Refusal::UnexpectedMagnitude { hint, .. }) => assert_eq!(hint, expected),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(Gravity::new(1.0, 0.0).is_err() && Gravity::new(f64::NAN, 0.0).is_err());
+    assert!(Gravity::new(G, -1.0).is_err() && Gravity::new(G, f64::NAN).is_err());
+}
+
+#[test]
+fn a_pose_with_a_value_that_is_no_number_is_named() {
+    let mut random = Random(13);
+    let truth = random.model(true);
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut poses = spread(&mut random, &truth, 3);
+        poses[6].mean_mps2[1] = bad;
+        let refused = multi_position(&poses, exact(), Model::Full9);
+        assert_eq!(refused, Err(Refusal::NotFinite { pose: 6 }));
+    }
+}
+
+#[test]
+fn a_dead_axis_and_poses_in_motion_are_refused() {
+    let mut random = Random(14);
+    let truth = random.model(true);
+    let mut dead = spread(&mut random, &truth, 12);
+    for pose in &mut dead {
+        pose.mean_mps2[1] = 0.4;
+    }
+    let mut moving = spread(&mut random, &truth, 12);
+    add_noise(&mut random, &mut moving, 3.0);
+    for poses in [dead, moving] {
+        for model in [Model::BiasScale6, Model::Full9] {
+            let refused = multi_position(&poses, exact(), model).expect_err("a refusal");
+            println!("{refused}");
+        }
+    }
+}
+
+#[test]
+fn very_many_poses_are_answered() {
+    let mut random = Random(15);
+    let truth = random.model(true);
+    let mut poses = spread(&mut random, &truth, 1_000_000);
+    add_noise(&mut random, &mut poses, 0.01);
+    for pose in &mut poses {
+        pose.samples = u32::MAX;
+    }
+    let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+    for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
+        assert!((found - truth).abs() < 1e-4);
+    }
+    assert!((estimate.rms_mps2 - 0.01).abs() < 1e-4);
+    let worst = norm(poses[estimate.worst_pose].mean_mps2);
+    assert!(worst.is_finite() && estimate.max_mps2 > 0.04);
+}

@@ -1,0 +1,222 @@
+//! Real recordings, where they are beside the repository; each figure in README.md is printed here.
+
+mod common;
+
+use common::{norm, recording, vector};
+use wimu_calib::{
+    Estimate, Gravity, Model, Parameter, Placement, Pose, Refusal, find_poses, multi_position,
+    six_position,
+};
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+/// m/s² per count of a sensor with 2048 LSB/g.
+const SCALE_2048: f64 = STANDARD_GRAVITY_MPS2 / 2048.0;
+
+fn array_gravity() -> Gravity {
+    Gravity::new(9.818, 0.0).expect("gravity")
+}
+
+fn poses(samples: &[[f64; 3]], rate_hz: f64) -> Vec<Pose> {
+    let mut room = [Pose::default(); 100];
+    let found = find_poses(samples.iter().map(|y| (*y, None)), rate_hz, &mut room);
+    room[..found].to_vec()
+}
+
+fn rms_mm(estimate: &Estimate) -> f64 {
+    estimate.rms_mps2 * 1e3
+}
+
+fn loo_mm(estimate: &Estimate) -> f64 {
+    estimate.loo_rms_mps2.expect("multi-position has it") * 1e3
+}
+
+#[test]
+fn eight_mpu9150_in_four_runs_reach_the_reference() {
+    let Some(rows) = recording("calibration/mpu9150_array_pose_means.csv") else {
+        return;
+    };
+    println!("MPU-9150, mean of 8 sensors, nine parameters: rms, leave-one-out (mm/s²), condition");
+    for (run, rms_bar, loo_bar) in [
+        ("1", 2.10, 3.82),
+        ("2", 1.31, 2.29),
+        ("7", 2.07, 3.76),
+        ("8", 1.30, 2.36),
+    ] {
+        let (mut rms, mut loo, mut condition) = (0.0, 0.0, 0.0_f64);
+        for imu in 0..8 {
+            let poses: Vec<Pose> = rows
+                .iter()
+                .filter(|row| row[0] == run && row[1] == imu.to_string())
+                .map(|row| Pose::from_mean(vector(row, 5, SCALE_2048)))
+                .collect();
+            let estimate =
+                multi_position(&poses, array_gravity(), Model::Full9).expect("an answer");
+            assert_eq!(estimate.dof, poses.len() - 9);
+            rms += rms_mm(&estimate) / 8.0;
+            loo += loo_mm(&estimate) / 8.0;
+            condition = condition.max(estimate.condition);
+        }
+        println!("  run {run}: {rms:.3} {loo:.3} {condition:.2}");
+        assert!(rms <= rms_bar && loo <= loo_bar && condition < 2.6);
+    }
+}
+
+#[test]
+fn innalabs_reaches_the_reference() {
+    let Some(rows) = recording("calibration/innalabs_49_pose_means.csv") else {
+        return;
+    };
+    let poses: Vec<Pose> = rows
+        .iter()
+        .map(|row| Pose::from_mean(vector(row, 0, STANDARD_GRAVITY_MPS2)))
+        .collect();
+    println!("Innalabs, 49 poses: rms, leave-one-out (mm/s²)");
+    for (model, bar) in [(Model::Full9, 8.2), (Model::BiasScale6, 110.0)] {
+        let estimate = multi_position(&poses, Gravity::UNKNOWN_PLACE, model).expect("an answer");
+        println!(
+            "  {model}: {:.3} {:.3}",
+            rms_mm(&estimate),
+            loo_mm(&estimate)
+        );
+        assert!(rms_mm(&estimate) <= bar);
+    }
+    let in_g: Vec<Pose> = rows
+        .iter()
+        .map(|row| Pose::from_mean(vector(row, 0, 1.0)))
+        .collect();
+    let refused = multi_position(&in_g, Gravity::UNKNOWN_PLACE, Model::Full9);
+    assert!(refused.is_err_and(|refusal| refusal.to_string().contains("looks like g")));
+}
+
+#[test]
+fn ten_poses_of_an_mpu6050_give_no_nine_parameters() {
+    let Some(rows) = recording("calibration/mpu6050_ten_poses.csv") else {
+        return;
+    };
+    let scale = STANDARD_GRAVITY_MPS2 / 16384.0;
+    let samples: Vec<[f64; 3]> = rows.iter().map(|row| vector(row, 1, scale)).collect();
+    let poses = poses(&samples, 100.0);
+    assert_eq!(poses.len(), 10);
+    let refusal =
+        multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Full9).expect_err("refused");
+    println!("MPU-6050, ten poses: {refusal}");
+    let Refusal::NotObservable {
+        parameters,
+        condition,
+        ..
+    } = refusal
+    else {
+        panic!("{refusal:?}");
+    };
+    assert!((300.0..1000.0).contains(&condition));
+    assert!(parameters.contains(Parameter::MisalignmentXy));
+    let smaller = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::BiasScale6).expect("six");
+    println!(
+        "  six parameters: {:.2} {:.2} mm/s²",
+        rms_mm(&smaller),
+        loo_mm(&smaller)
+    );
+}
+
+#[test]
+fn twenty_poses_are_found_before_and_none_within_violent_motion() {
+    let Some(rows) = recording("array/mimu4444_run1.csv") else {
+        return;
+    };
+    let Some(reference) = recording("calibration/mpu9150_array_pose_means.csv") else {
+        return;
+    };
+    let (mut rms, mut loo) = (0.0, 0.0);
+    for imu in 0..8 {
+        let samples: Vec<[f64; 3]> = rows
+            .iter()
+            .map(|row| vector(row, 1 + 6 * imu, SCALE_2048))
+            .collect();
+        let poses = poses(&samples, 62.5);
+        // Twenty, and the rest after the motion, 20 s before the end.
+        assert!(
+            poses.len() == 20 || poses.len() == 21,
+            "IMU {imu}: {}",
+            poses.len()
+        );
+        assert!(
+            poses
+                .iter()
+                .all(|p| p.first_sample < 31_100 || p.first_sample > 37_000)
+        );
+        // Those that another program found, within its rounding of where a pose ends.
+        let known = reference
+            .iter()
+            .filter(|row| row[0] == "1" && row[1] == imu.to_string())
+            .map(|row| norm(vector(row, 5, SCALE_2048)));
+        for (k, (known, found)) in known.zip(&poses).enumerate() {
+            assert!(
+                (known - norm(found.mean_mps2)).abs() < 0.004,
+                "IMU {imu}, pose {k}"
+            );
+        }
+        let twenty = &poses[..20];
+        let estimate = multi_position(twenty, array_gravity(), Model::Full9).expect("an answer");
+        rms += rms_mm(&estimate) / 8.0;
+        loo += loo_mm(&estimate) / 8.0;
+    }
+    println!("MIMU4444 run 1, continuous, nine parameters: {rms:.3} {loo:.3} mm/s²");
+    assert!(rms <= 2.2 && loo <= 4.0);
+}
+
+#[test]
+fn six_positions_by_hand_are_found_and_fitted() {
+    println!("six positions by hand, |f| − g after the fit (mm/s² rms)");
+    if let Some(rows) = recording("calibration/six_position_sections.csv") {
+        let samples: Vec<[f64; 3]> = rows.iter().map(|row| vector(row, 2, SCALE_2048)).collect();
+        let poses = poses(&samples, 102.4);
+        assert_eq!(poses.len(), 6);
+        let gravity = Gravity::new(9.81, 0.0).expect("gravity");
+        let estimate = six_position(&poses, gravity, Placement::BY_HAND).expect("an answer");
+        println!("  sections: {:.3}", rms_mm(&estimate));
+        assert!(rms_mm(&estimate) < 1.0);
+    }
+    if let Some(rows) = recording("calibration/six_position.csv") {
+        let samples: Vec<[f64; 3]> = rows.iter().map(|row| vector(row, 1, 1.0)).collect();
+        let found = poses(&samples, 102.4);
+        // The sections that its author marked: x, y, z, each up and down.
+        let sections = [
+            (540, 1271),
+            (1620, 2361),
+            (2814, 3298),
+            (3740, 4152),
+            (4522, 4975),
+            (5376, 5983),
+        ];
+        for (begin, end) in sections {
+            let length = (end - begin) as f64;
+            let mean =
+                [0, 1, 2].map(|i| samples[begin..end].iter().map(|y| y[i]).sum::<f64>() / length);
+            let nearest = found
+                .iter()
+                .map(|pose| norm([0, 1, 2].map(|i| pose.mean_mps2[i] - mean[i])))
+                .fold(f64::INFINITY, f64::min);
+            assert!(nearest < 0.02, "{begin}..{end}: {nearest}");
+        }
+        let gravity = Gravity::new(9.81, 0.0).expect("gravity");
+        let estimate = six_position(&found, gravity, Placement::BY_HAND).expect("an answer");
+        println!(
+            "  whole session, {} poses: {:.3}",
+            estimate.poses,
+            rms_mm(&estimate)
+        );
+        assert!(estimate.max_mps2 < 0.01);
+        let refused = multi_position(&found, gravity, Model::Full9);
+        assert!(matches!(refused, Err(Refusal::NotObservable { .. })));
+    }
+}
+
+#[test]
+fn a_sensor_at_rest_for_minutes_is_in_one_pose() {
+    let Some(rows) = recording("static/mpu6050_449s.csv") else {
+        return;
+    };
+    let scale = STANDARD_GRAVITY_MPS2 / 16384.0;
+    let samples: Vec<[f64; 3]> = rows.iter().map(|row| vector(row, 1, scale)).collect();
+    assert_eq!(poses(&samples, 100.0).len(), 1);
+}

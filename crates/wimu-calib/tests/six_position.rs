@@ -1,0 +1,280 @@
+//! Six-position on simulated sensors whose truth is known.
+
+mod common;
+
+use common::{Random, misplaced, parameters, pose};
+use proptest::prelude::*;
+use wimu_calib::{
+    Face, Gravity, Method, Orientation, Parameter, Placement, Pose, Refusal, six_position,
+    six_position_labelled,
+};
+use wimu_model::ErrorModel;
+
+const G: f64 = 9.80665;
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+fn exact() -> Gravity {
+    Gravity::new(G, 0.0).expect("gravity")
+}
+
+fn squared() -> Placement {
+    Placement::new(0.0).expect("placement")
+}
+
+fn six(truth: &ErrorModel) -> Vec<(Face, Pose)> {
+    Face::ALL
+        .into_iter()
+        .map(|face| (face, pose(truth, G, Orientation::from(face).up())))
+        .collect()
+}
+
+fn unlabelled(poses: &[(Face, Pose)]) -> Vec<Pose> {
+    poses.iter().map(|(_, pose)| *pose).collect()
+}
+
+proptest! {
+    #![proptest_config(common::config())]
+
+    #[test]
+    fn all_twelve_parameters_are_recovered_from_squared_poses(seed: u64, turn in 0_usize..6) {
+        let truth = Random(seed).model(false);
+        let mut poses = six(&truth);
+        poses.rotate_left(turn);
+        for estimate in [
+            six_position(&unlabelled(&poses), exact(), squared()).expect("an answer"),
+            six_position_labelled(&poses, exact(), squared()).expect("an answer"),
+        ] {
+            for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
+                prop_assert!((found - truth).abs() < 1e-9, "{found} {truth}");
+            }
+            prop_assert!(estimate.rms_mps2 < 1e-9 && estimate.worst_sd_mps2 < 1e-9);
+            prop_assert_eq!((estimate.poses, estimate.dof), (6, 6));
+            prop_assert_eq!(estimate.loo_rms_mps2, None);
+        }
+    }
+
+    #[test]
+    fn any_garbage_is_refused_or_answered_and_never_panics(
+        values in proptest::collection::vec(
+            ((any::<f64>(), -12.0..12.0_f64, -12.0..12.0_f64), 0_usize..6, any::<bool>()),
+            0..30,
+        ),
+        samples: u32,
+    ) {
+        let poses: Vec<(Face, Pose)> = values
+            .into_iter()
+            .map(|((wild, y, z), face, tame)| {
+                let mean_mps2 = [if tame { y.clamp(-1.0, 1.0) } else { wild }, y, z];
+                (Face::ALL[face], Pose { mean_mps2, samples, ..Pose::default() })
+            })
+            .collect();
+        let gravity = Gravity::UNKNOWN_PLACE;
+        for answer in [
+            six_position(&unlabelled(&poses), gravity, Placement::BY_HAND),
+            six_position_labelled(&poses, gravity, Placement::BY_HAND),
+        ] {
+            match answer {
+                Ok(estimate) => prop_assert!(estimate.rms_mps2.is_finite()),
+                Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
+            }
+        }
+    }
+}
+
+#[test]
+fn poses_of_one_side_are_averaged_by_their_samples() {
+    let truth = Random(1).model(false);
+    let mut poses = unlabelled(&six(&truth));
+    let (mut light, mut heavy) = (poses[0], poses[0]);
+    light.mean_mps2[1] += 0.03;
+    light.samples = 100;
+    heavy.mean_mps2[1] -= 0.01;
+    heavy.samples = 300;
+    poses[0] = light;
+    poses.push(heavy);
+    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
+    for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
+        assert!((found - truth).abs() < 1e-9);
+    }
+    assert_eq!((estimate.poses, estimate.dof), (7, 9));
+}
+
+#[test]
+fn the_covariance_is_the_error_that_placement_and_noise_make() {
+    const TRIALS: usize = 4000;
+    let mut random = Random(2);
+    let truth = random.model(false);
+    let placement = Placement::new(DEGREE).expect("placement");
+    let mut errors = [0.0; 12];
+    let mut said = [0.0; 12];
+    let mut seen = 0.0;
+    for _ in 0..TRIALS {
+        let poses: Vec<Pose> = Face::ALL
+            .into_iter()
+            .map(|face| {
+                let up = misplaced(&mut random, Orientation::from(face).up(), DEGREE);
+                let mut pose = pose(&truth, G, up);
+                pose.samples = 100;
+                for axis in 0..3 {
+                    pose.sd_mps2[axis] = 0.08;
+                    pose.mean_mps2[axis] += random.normal() * 0.008;
+                }
+                pose
+            })
+            .collect();
+        let estimate = six_position(&poses, exact(), placement).expect("an answer");
+        let Method::SixPosition { placement_sd_rad } = estimate.method else {
+            panic!("six-position");
+        };
+        seen += placement_sd_rad / TRIALS as f64;
+        let found = parameters(&estimate.model);
+        for (k, parameter) in Parameter::ALL.into_iter().enumerate() {
+            errors[k] += (found[k] - parameters(&truth)[k]).powi(2);
+            // What was seen in the poses themselves may only make it larger.
+            let sd = estimate.covariance.sd(parameter) * DEGREE / placement_sd_rad;
+            said[k] += sd * sd;
+        }
+    }
+    assert!((1.0..1.2).contains(&(seen / DEGREE)), "{}", seen / DEGREE);
+    for (k, parameter) in Parameter::ALL.into_iter().enumerate() {
+        let ratio = (errors[k] / said[k]).sqrt();
+        println!("{parameter}: error / sd = {ratio:.3}");
+        assert!((0.85..1.2).contains(&ratio), "{parameter} {ratio}");
+    }
+}
+
+#[test]
+fn the_left_out_error_is_that_of_refitting_without_each_pose() {
+    let mut random = Random(3);
+    let truth = random.model(false);
+    let poses: Vec<Pose> = Face::ALL
+        .into_iter()
+        .cycle()
+        .take(15)
+        .map(|face| {
+            let up = misplaced(&mut random, Orientation::from(face).up(), DEGREE);
+            pose(&truth, G, up)
+        })
+        .collect();
+    // Three sides came three times, three sides twice.
+    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
+    let mut squares = 0.0;
+    for k in 0..poses.len() {
+        let mut others = poses.clone();
+        let left_out = others.remove(k);
+        let without = six_position(&others, exact(), squared()).expect("an answer");
+        squares += without.residual_mps2(&left_out).powi(2);
+    }
+    let refitted = (squares / poses.len() as f64).sqrt();
+    let reported = estimate.loo_rms_mps2.expect("every side came twice");
+    assert!((reported - refitted).abs() < 1e-9 * refitted);
+    assert_eq!(
+        six_position(&poses[..11], exact(), squared())
+            .expect("an answer")
+            .loo_rms_mps2,
+        None
+    );
+}
+
+#[test]
+fn a_worse_placement_than_declared_is_seen() {
+    let mut random = Random(4);
+    let truth = random.model(false);
+    let poses: Vec<Pose> = Face::ALL
+        .into_iter()
+        .map(|face| {
+            let up = misplaced(&mut random, Orientation::from(face).up(), 3.0 * DEGREE);
+            pose(&truth, G, up)
+        })
+        .collect();
+    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
+    let Method::SixPosition { placement_sd_rad } = estimate.method else {
+        panic!("six-position");
+    };
+    assert!((1.5..5.0).contains(&(placement_sd_rad / DEGREE)));
+    assert!(estimate.sd().matrix[0][1] > 0.015);
+}
+
+#[test]
+fn a_missing_side_is_named() {
+    let truth = Random(5).model(false);
+    for missing in 0..6 {
+        let mut poses = unlabelled(&six(&truth));
+        poses.remove(missing);
+        let refused = six_position(&poses, exact(), squared());
+        let face = Face::ALL[missing];
+        assert_eq!(refused, Err(Refusal::PoseMissing { face }));
+    }
+    let refused = six_position(&[], exact(), squared());
+    assert_eq!(refused, Err(Refusal::PoseMissing { face: Face::XUp }));
+}
+
+#[test]
+fn a_tilted_pose_is_left_out_of_the_fit_and_not_of_its_residuals() {
+    let truth = Random(6).model(false);
+    let mut poses = unlabelled(&six(&truth));
+    poses.push(pose(&truth, G, [0.6, 0.8, 0.0]));
+    poses[6].mean_mps2[0] += 0.1;
+    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
+    assert_eq!((estimate.poses, estimate.worst_pose), (6, 6));
+    assert!((0.05..0.07).contains(&estimate.max_mps2));
+}
+
+#[test]
+fn labels_that_do_not_go_with_the_sensor_are_told_apart() {
+    let truth = Random(7).model(false);
+    let good = six(&truth);
+    let relabelled = |change: fn([f64; 3]) -> [f64; 3]| -> Result<_, Refusal> {
+        let poses: Vec<(Face, Pose)> = good
+            .iter()
+            .map(|&(face, p)| (face, Pose::from_mean(change(p.mean_mps2))))
+            .collect();
+        six_position_labelled(&poses, exact(), squared())
+    };
+    assert!(relabelled(|y| y).is_ok());
+    assert_eq!(relabelled(|[x, y, z]| [-x, -y, -z]), Err(Refusal::Inverted));
+    assert_eq!(relabelled(|[x, y, z]| [x, y, -z]), Err(Refusal::Mirrored));
+    assert_eq!(relabelled(|[x, y, z]| [y, x, z]), Err(Refusal::Mirrored));
+    let turned = relabelled(|[x, y, z]| [y, z, x]);
+    assert!(
+        matches!(turned, Err(Refusal::AxesSwapped { .. })),
+        "{turned:?}"
+    );
+
+    let mut swapped = good.clone();
+    swapped[0].0 = Face::YDown;
+    let refused = six_position_labelled(&swapped, exact(), squared());
+    let (face, reads) = (Face::YDown, Face::XUp);
+    assert_eq!(refused, Err(Refusal::AxesSwapped { face, reads }));
+
+    let mut tilted = good.clone();
+    tilted[2].1 = pose(&truth, G, [0.0, 0.8, 0.6]);
+    let refused = six_position_labelled(&tilted, exact(), squared());
+    assert_eq!(refused, Err(Refusal::NotUpright { face: Face::YUp }));
+}
+
+#[test]
+fn sides_that_are_not_square_are_refused() {
+    let truth = ErrorModel::default();
+    let lean = (12.0 * DEGREE).tan();
+    let poses: Vec<Pose> = Face::ALL
+        .into_iter()
+        .map(|face| {
+            let mut up = Orientation::from(face).up();
+            up[(face.axis() + 1) % 3] = lean;
+            pose(&truth, G, common::unit(up))
+        })
+        .collect();
+    let refused = six_position(&poses, exact(), squared());
+    assert!(
+        matches!(refused, Err(Refusal::NotSquared { .. })),
+        "{refused:?}"
+    );
+}
+
+#[test]
+fn a_placement_error_that_makes_no_sense_is_refused() {
+    for bad in [-0.1, 0.2, f64::NAN, f64::INFINITY] {
+        assert!(Placement::new(bad).is_err());
+    }
+}

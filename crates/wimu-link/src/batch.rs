@@ -1,0 +1,636 @@
+//! Lossless batches of accelerometer samples.
+//!
+//! A batch decodes alone, so that a lost one costs nothing but itself. Every axis is predicted
+//! from its own past, and what the prediction missed is Rice-coded; an axis that would not get
+//! shorter is sent as it is. All in whole numbers. Equations (20) to (24) of
+//! docs/EQUATIONS-link.md.
+//!
+//! Body of a frame of kind 3:
+//!
+//! | offset | size | field |
+//! |---|---|---|
+//! | 0 | 1 | samples less one in bits 0 to 4; bit 5: [`Stream`], 0 raw, 1 corrected; bit 6: a shift follows; bit 7: 0 |
+//! | 1 | 2 | low 16 bits of the first sample's sequence number, low byte first |
+//! | 3 | 3 | low 24 bits of the first sample's device time, µs, low byte first |
+//! | 6 | – | bits, most significant first, zeros up to the next whole byte |
+//!
+//! In the bits, F stands for 4 in a raw batch and 5 in a corrected one, W for 16 and 32:
+//!
+//! - if a shift follows: the shift, F bits. All values below are to be shifted left by it.
+//! - for X, then Y, then Z: the coding in two bits,
+//!   - 0, fixed width: L in F bits, then each sample in L + 1 bits, two's complement;
+//!   - 1 mean, 2 previous, 3 linear: the Rice parameter k; the first sample; the residual of every
+//!     other sample.
+//! - k of the first predicted axis: F bits. Of a later one, against the latest before it: `0` the
+//!   same, `100` one more, `101` one less, `11` and F bits: k itself.
+//! - the first sample v: the length L of m in F bits, where m is v, or −v − 1 if v is negative; a
+//!   sign bit, 1 for negative; m without its highest bit, L − 1 bits, none if L = 0.
+//! - a residual, folded to u: q = ⌊u / 2^k⌋ ones (at most 11), a zero, the low k bits of u. Twelve
+//!   ones are an escape: u follows in W bits.
+
+use core::fmt;
+
+use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+
+use crate::bits::{BitReader, BitWriter, Remainder};
+use crate::frame::{self, EncodeError, Kind};
+
+/// The most samples in a batch.
+pub const MAX_BATCH: usize = 32;
+
+const HEADER: usize = 6;
+const CORRECTED_BIT: u8 = 1 << 5;
+const SHIFT_BIT: u8 = 1 << 6;
+const RESERVED_BIT: u8 = 1 << 7;
+
+/// Every axis at full width, with its coding and length, in 26 bits with the shift.
+const MAX_BATCH_BODY: usize = HEADER + 26_usize.div_ceil(8) + MAX_BATCH * 3 * 4;
+
+/// This many ones are an escape.
+const ESCAPE: u32 = 12;
+
+/// Fraction bits of the mean's predictor.
+const MEAN_BITS: u32 = 4;
+
+/// What the samples of a batch are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Stream {
+    /// [`Counts`]: LSB, sensor axes.
+    Raw,
+    /// [`SpecificForceQ16`]: 2⁻¹⁶ m/s², body axes.
+    Corrected,
+}
+
+impl Stream {
+    /// W: values and residuals are numbers of this many bits.
+    const fn width(self) -> u32 {
+        match self {
+            Self::Raw => 16,
+            Self::Corrected => 32,
+        }
+    }
+
+    /// F: the bits of a number below the width.
+    const fn field(self) -> u32 {
+        match self {
+            Self::Raw => 4,
+            Self::Corrected => 5,
+        }
+    }
+
+    /// `value` modulo 2^W, −2^(W−1) to 2^(W−1) − 1.
+    #[inline]
+    const fn wrap(self, value: i32) -> i32 {
+        let spare = 32 - self.width();
+        (value << spare) >> spare
+    }
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for wimu_model::Counts {}
+    impl Sealed for wimu_model::SpecificForceQ16 {}
+}
+
+/// What a batch can hold: [`Counts`] or [`SpecificForceQ16`].
+pub trait Sample: Copy + sealed::Sealed {
+    /// The stream that such samples make.
+    const STREAM: Stream;
+
+    /// X, Y, Z.
+    fn axes(self) -> [i32; 3];
+}
+
+impl Sample for Counts {
+    const STREAM: Stream = Stream::Raw;
+
+    fn axes(self) -> [i32; 3] {
+        self.0.map(i32::from)
+    }
+}
+
+impl Sample for SpecificForceQ16 {
+    const STREAM: Stream = Stream::Corrected;
+
+    fn axes(self) -> [i32; 3] {
+        self.0
+    }
+}
+
+/// Packs 1 to [`MAX_BATCH`] consecutive samples into a frame; returns the frame's length, bytes.
+///
+/// `first_sequence` and `first_time` are those of the first sample; their low bits travel, and
+/// [`extend_sequence`] and [`extend_time`] complete them.
+///
+/// ```
+/// use wimu_link::{Batch, Deframer, MAX_FRAME, batch};
+/// use wimu_model::{Counts, DeviceTimeUs};
+///
+/// let samples = [Counts([16, -32, 16384]), Counts([0, -48, 16400]), Counts([16, -32, 16368])];
+/// let mut line = [0; MAX_FRAME];
+/// let length = batch::encode(70_000, DeviceTimeUs(7_000_000), &samples, &mut line)?;
+///
+/// let mut deframer = Deframer::new();
+/// for byte in &line[..length] {
+///     let Some(frame) = deframer.push(*byte) else { continue };
+///     let batch = Batch::decode(frame?.body)?;
+///     assert!(batch.counts().eq(samples));
+///     // An epoch told the host roughly where the device is.
+///     assert_eq!(batch::extend_sequence(batch.sequence_low(), 69_950), 70_000);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`EncodeError::BatchLength`] for no samples or too many; [`EncodeError::NoRoom`] when the frame
+/// does not fit, which [`MAX_FRAME`](frame::MAX_FRAME) bytes rule out.
+pub fn encode<S: Sample>(
+    first_sequence: u32,
+    first_time: DeviceTimeUs,
+    samples: &[S],
+    frame: &mut [u8],
+) -> Result<usize, EncodeError> {
+    let mut body = [0; MAX_BATCH_BODY];
+    let length = encode_body(first_sequence, first_time, samples, &mut body)?;
+    let body = body.get(..length).ok_or(EncodeError::NoRoom)?;
+    frame::encode(Kind::Batch, body, frame)
+}
+
+/// The same without the frame.
+pub(crate) fn encode_body<S: Sample>(
+    first_sequence: u32,
+    first_time: DeviceTimeUs,
+    samples: &[S],
+    body: &mut [u8],
+) -> Result<usize, EncodeError> {
+    if samples.is_empty() || samples.len() > MAX_BATCH {
+        return Err(EncodeError::BatchLength);
+    }
+    let stream = S::STREAM;
+    let used = samples.iter().fold(0, |used, sample| {
+        let [x, y, z] = sample.axes();
+        used | x | y | z
+    });
+    let shift = if used == 0 { 0 } else { used.trailing_zeros() };
+
+    let (header, bits) = body
+        .split_first_chunk_mut::<HEADER>()
+        .ok_or(EncodeError::NoRoom)?;
+    let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();
+    let [time_0, time_1, time_2, ..] = first_time.0.to_le_bytes();
+    let stream_bit = match stream {
+        Stream::Raw => 0,
+        Stream::Corrected => CORRECTED_BIT,
+    };
+    let shift_bit = if shift > 0 { SHIFT_BIT } else { 0 };
+    let first = (samples.len() - 1) as u8 | stream_bit | shift_bit;
+    *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
+
+    let mut writer = BitWriter::new(bits);
+    if shift > 0 {
+        writer.push(shift, stream.field());
+    }
+    let mut latest_k = None;
+    let mut buffer = [0; MAX_BATCH];
+    for axis in 0..3 {
+        for (value, sample) in buffer.iter_mut().zip(samples) {
+            *value = sample.axes()[axis] >> shift;
+        }
+        let values = buffer.get(..samples.len()).unwrap_or_default();
+        encode_axis(stream, values, &mut latest_k, &mut writer);
+    }
+    let packed = writer.finish().ok_or(EncodeError::NoRoom)?;
+    Ok(HEADER + packed)
+}
+
+/// How an axis is coded.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Coding {
+    Fixed = 0,
+    Mean = 1,
+    Previous = 2,
+    Linear = 3,
+}
+
+impl Coding {
+    fn from_bits(bits: u32) -> Self {
+        match bits & 3 {
+            0 => Self::Fixed,
+            1 => Self::Mean,
+            2 => Self::Previous,
+            _ => Self::Linear,
+        }
+    }
+}
+
+/// The past of an axis, and what it foretells: equation (21).
+struct Past {
+    previous: i32,
+    before: i32,
+    /// A mean that forgets slowly, 2^−4 per LSB.
+    mean: i32,
+    /// Samples in it.
+    count: u32,
+}
+
+impl Past {
+    #[inline]
+    fn new(first: i32) -> Self {
+        Self {
+            previous: first,
+            before: first,
+            mean: first << MEAN_BITS,
+            count: 1,
+        }
+    }
+
+    #[inline]
+    fn mean(&self) -> i32 {
+        self.mean.wrapping_add(1 << (MEAN_BITS - 1)) >> MEAN_BITS
+    }
+
+    #[inline]
+    fn linear(&self) -> i32 {
+        self.previous
+            .wrapping_add(self.previous.wrapping_sub(self.before))
+    }
+
+    #[inline]
+    fn predict(&self, coding: Coding) -> i32 {
+        match coding {
+            Coding::Fixed => 0,
+            Coding::Mean => self.mean(),
+            Coding::Previous => self.previous,
+            Coding::Linear => self.linear(),
+        }
+    }
+
+    #[inline]
+    fn add(&mut self, value: i32) {
+        self.before = self.previous;
+        self.previous = value;
+        self.count += 1;
+        let innovation = (value << MEAN_BITS).wrapping_sub(self.mean);
+        self.mean = self.mean.wrapping_add(innovation >> self.count.ilog2());
+    }
+}
+
+/// What `predicted` missed of `value`, folded to a whole number: equation (22).
+#[inline]
+fn fold(stream: Stream, value: i32, predicted: i32) -> u32 {
+    let residual = stream.wrap(value.wrapping_sub(predicted));
+    ((residual << 1) ^ (residual >> 31)) as u32
+}
+
+/// The value of which `predicted` missed `folded`.
+#[inline]
+fn unfold(stream: Stream, folded: u32, predicted: i32) -> i32 {
+    let residual = (folded >> 1) as i32 ^ -((folded & 1) as i32);
+    stream.wrap(predicted.wrapping_add(residual))
+}
+
+/// `value`, or −`value` − 1 if it is negative.
+fn magnitude(value: i32) -> u32 {
+    (value ^ (value >> 31)) as u32
+}
+
+/// Bits of `magnitude` without leading zeros.
+fn bit_length(magnitude: u32) -> u32 {
+    32 - magnitude.leading_zeros()
+}
+
+/// An axis's Rice parameter on the wire: a number of at most 7 bits.
+fn k_code(stream: Stream, k: u32, latest: Option<u32>) -> (u32, u32) {
+    let field = stream.field();
+    match latest {
+        None => (k, field),
+        Some(latest) if k == latest => (0, 1),
+        Some(latest) if k == latest + 1 => (0b100, 3),
+        Some(latest) if k + 1 == latest => (0b101, 3),
+        Some(_) => ((0b11 << field) | k, 2 + field),
+    }
+}
+
+/// Bits of `folded` under Rice parameter `k`: equation (23).
+#[inline]
+fn rice_length(stream: Stream, folded: u32, k: u32) -> u32 {
+    let quotient = folded >> k;
+    if quotient < ESCAPE {
+        quotient + 1 + k
+    } else {
+        ESCAPE + stream.width()
+    }
+}
+
+fn encode_axis(
+    stream: Stream,
+    values: &[i32],
+    latest_k: &mut Option<u32>,
+    writer: &mut BitWriter<'_>,
+) {
+    let Some((&first, rest)) = values.split_first() else {
+        return;
+    };
+    let field = stream.field();
+
+    // One pass finds the predictor that misses least, and the longest value.
+    let mut past = Past::new(first);
+    let mut missed = [0_u32; 3];
+    let mut largest = magnitude(first);
+    for &value in rest {
+        largest |= magnitude(value);
+        for (sum, predicted) in missed
+            .iter_mut()
+            .zip([past.mean(), past.previous, past.linear()])
+        {
+            *sum = sum.saturating_add(fold(stream, value, predicted));
+        }
+        past.add(value);
+    }
+    let [mean, previous, linear] = missed;
+    let (coding, sum) = if mean <= previous && mean <= linear {
+        (Coding::Mean, mean)
+    } else if previous <= linear {
+        (Coding::Previous, previous)
+    } else {
+        (Coding::Linear, linear)
+    };
+
+    let mut buffer = [0; MAX_BATCH];
+    let mut past = Past::new(first);
+    for (place, &value) in buffer.iter_mut().zip(rest) {
+        *place = fold(stream, value, past.predict(coding));
+        past.add(value);
+    }
+    let folded = buffer.get(..rest.len()).unwrap_or_default();
+
+    // The best Rice parameter is the logarithm of the mean residual or one less; far less only
+    // where outliers, which are escaped, make the mean.
+    let length_with = |k: u32| {
+        let code = k_code(stream, k, *latest_k).1;
+        folded
+            .iter()
+            .fold(code, |sum, &folded| sum + rice_length(stream, folded, k))
+    };
+    let average = sum / (rest.len() as u32).max(1);
+    let mut k = average.max(1).ilog2();
+    let mut coded = length_with(k);
+    while let Some(lower) = k.checked_sub(1) {
+        let length = length_with(lower);
+        if length >= coded {
+            break;
+        }
+        (k, coded) = (lower, length);
+    }
+
+    let first_magnitude = magnitude(first);
+    let first_length = bit_length(first_magnitude);
+    let length = bit_length(largest);
+    // Both ways begin with the coding and a length.
+    if first_length.max(1) + coded < (length + 1) * values.len() as u32 {
+        writer.push(coding as u32, 2);
+        let (code, bits) = k_code(stream, k, *latest_k);
+        writer.push(code, bits);
+        *latest_k = Some(k);
+        writer.push(first_length, field);
+        writer.push(u32::from(first < 0), 1);
+        writer.push(first_magnitude, first_length.saturating_sub(1));
+        for &folded in folded {
+            let quotient = folded >> k;
+            if quotient < ESCAPE {
+                writer.push((1 << (quotient + 1)) - 2, quotient + 1);
+                writer.push(folded, k);
+            } else {
+                writer.push((1 << ESCAPE) - 1, ESCAPE);
+                writer.push(folded, stream.width());
+            }
+        }
+    } else {
+        writer.push(Coding::Fixed as u32, 2);
+        writer.push(length, field);
+        for &value in values {
+            writer.push(value as u32, length + 1);
+        }
+    }
+}
+
+/// A decoded batch of samples.
+#[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Batch {
+    stream: Stream,
+    length: usize,
+    sequence_low: u16,
+    time_low: u32,
+    /// Those at and after `length` are zero.
+    samples: [[i32; 3]; MAX_BATCH],
+}
+
+impl Batch {
+    /// Unpacks the body of a frame of kind [`Kind::Batch`].
+    ///
+    /// # Errors
+    /// [`BatchError`] when the body is not what [`encode`] makes.
+    pub fn decode(body: &[u8]) -> Result<Self, BatchError> {
+        let (header, bits) = body
+            .split_first_chunk::<HEADER>()
+            .ok_or(BatchError::TooShort)?;
+        let [first, sequence_0, sequence_1, time_0, time_1, time_2] = *header;
+        if first & RESERVED_BIT != 0 {
+            return Err(BatchError::Reserved);
+        }
+        let stream = if first & CORRECTED_BIT == 0 {
+            Stream::Raw
+        } else {
+            Stream::Corrected
+        };
+        let mut batch = Self {
+            stream,
+            length: usize::from(first & 31) + 1,
+            sequence_low: u16::from_le_bytes([sequence_0, sequence_1]),
+            time_low: u32::from_le_bytes([time_0, time_1, time_2, 0]),
+            samples: [[0; 3]; MAX_BATCH],
+        };
+        let mut reader = BitReader::new(bits);
+        let shift = if first & SHIFT_BIT == 0 {
+            0
+        } else {
+            reader.pull(stream.field())
+        };
+        let mut latest_k = None;
+        let samples = batch.samples.get_mut(..batch.length).unwrap_or_default();
+        for axis in 0..3 {
+            decode_axis(stream, samples, axis, shift, &mut latest_k, &mut reader)?;
+        }
+        reader.finish().map_err(|remainder| match remainder {
+            Remainder::Missing => BatchError::TooShort,
+            Remainder::Left => BatchError::TooLong,
+        })?;
+        Ok(batch)
+    }
+
+    /// What the samples are.
+    pub fn stream(&self) -> Stream {
+        self.stream
+    }
+
+    /// How many samples there are, 1..=[`MAX_BATCH`].
+    #[allow(clippy::len_without_is_empty, reason = "a batch is never empty")]
+    pub fn len(&self) -> usize {
+        self.length
+    }
+
+    /// Low 16 bits of the first sample's sequence number: for [`extend_sequence`].
+    pub fn sequence_low(&self) -> u16 {
+        self.sequence_low
+    }
+
+    /// Low 24 bits of the first sample's device time, µs: for [`extend_time`].
+    pub fn time_low(&self) -> u32 {
+        self.time_low
+    }
+
+    /// The samples, X, Y, Z, in the unit and axes of their [`Stream`].
+    pub fn samples(&self) -> &[[i32; 3]] {
+        self.samples.get(..self.length).unwrap_or_default()
+    }
+
+    /// The samples of a raw batch; none of a corrected one.
+    pub fn counts(&self) -> impl Iterator<Item = Counts> + '_ {
+        self.of(Stream::Raw)
+            .iter()
+            .map(|axes| Counts(axes.map(|value| value as i16)))
+    }
+
+    /// The samples of a corrected batch; none of a raw one.
+    pub fn specific_forces(&self) -> impl Iterator<Item = SpecificForceQ16> + '_ {
+        self.of(Stream::Corrected)
+            .iter()
+            .map(|&axes| SpecificForceQ16(axes))
+    }
+
+    fn of(&self, stream: Stream) -> &[[i32; 3]] {
+        if self.stream == stream {
+            self.samples()
+        } else {
+            &[]
+        }
+    }
+}
+
+fn decode_axis(
+    stream: Stream,
+    samples: &mut [[i32; 3]],
+    axis: usize,
+    shift: u32,
+    latest_k: &mut Option<u32>,
+    reader: &mut BitReader<'_>,
+) -> Result<(), BatchError> {
+    let field = stream.field();
+    let coding = Coding::from_bits(reader.pull(2));
+    let shifted = |value: i32| stream.wrap(value << shift);
+    if coding == Coding::Fixed {
+        let width = reader.pull(field) + 1;
+        for sample in samples {
+            let spare = 32 - width;
+            sample[axis] = shifted((reader.pull(width) << spare) as i32 >> spare);
+        }
+        return Ok(());
+    }
+
+    let k = match *latest_k {
+        None => reader.pull(field),
+        Some(latest) => {
+            if reader.pull(1) == 0 {
+                latest
+            } else if reader.pull(1) == 1 {
+                reader.pull(field)
+            } else if reader.pull(1) == 0 {
+                latest + 1
+            } else {
+                latest.checked_sub(1).ok_or(BatchError::Value)?
+            }
+        }
+    };
+    if k >= stream.width() {
+        return Err(BatchError::Value);
+    }
+    *latest_k = Some(k);
+
+    let length = reader.pull(field);
+    let negative = reader.pull(1) == 1;
+    let magnitude = match length.checked_sub(1) {
+        Some(low_bits) => (1 << low_bits) | reader.pull(low_bits),
+        None => 0,
+    };
+    let first = if negative { !magnitude } else { magnitude } as i32;
+    let mut past = Past::new(first);
+    let mut samples = samples.iter_mut();
+    if let Some(sample) = samples.next() {
+        sample[axis] = shifted(first);
+    }
+    let largest_quotient = (u32::MAX >> (32 - stream.width())) >> k;
+    for sample in samples {
+        let quotient = reader.pull_ones(ESCAPE);
+        let folded = if quotient == ESCAPE {
+            reader.pull(stream.width())
+        } else if quotient <= largest_quotient {
+            (quotient << k) | reader.pull(k)
+        } else {
+            return Err(BatchError::Value);
+        };
+        let value = unfold(stream, folded, past.predict(coding));
+        sample[axis] = shifted(value);
+        past.add(value);
+    }
+    Ok(())
+}
+
+/// Why a body is no batch. The frame's CRC has passed, so this is a fault of the sender.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BatchError {
+    /// The body ends before its samples do.
+    TooShort,
+    /// The body goes on after its samples.
+    TooLong,
+    /// The reserved bit of the first byte is set.
+    Reserved,
+    /// A Rice parameter or a residual that the stream cannot have.
+    Value,
+}
+
+impl fmt::Display for BatchError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("a batch of samples cannot be read: ")?;
+        out.write_str(match self {
+            Self::TooShort => "it ends before its samples do",
+            Self::TooLong => "it goes on after its samples",
+            Self::Reserved => "it uses a bit that is reserved",
+            Self::Value => "it holds a residual out of range",
+        })?;
+        out.write_str("; update host and device to the same wire version")
+    }
+}
+
+impl core::error::Error for BatchError {}
+
+/// The sequence number nearest to `near` whose low 16 bits are `low`: equation (24). Right as long
+/// as `near` is less than 2¹⁵ samples away.
+pub fn extend_sequence(low: u16, near: u32) -> u32 {
+    let ahead = low.wrapping_sub(near as u16) as i16;
+    near.wrapping_add_signed(i32::from(ahead))
+}
+
+/// The device time nearest to `near` whose low 24 bits are `low` (µs): equation (24). Right as
+/// long as `near` is less than 2²³ µs (8.3 s) away.
+pub fn extend_time(low: u32, near: DeviceTimeUs) -> DeviceTimeUs {
+    let ahead = (low.wrapping_sub(near.0 as u32) << 8) as i32 >> 8;
+    // Before the device's start there is no time.
+    DeviceTimeUs(
+        near.0
+            .checked_add_signed(i64::from(ahead))
+            .unwrap_or_else(|| near.0.wrapping_add_signed(i64::from(ahead) + (1 << 24))),
+    )
+}

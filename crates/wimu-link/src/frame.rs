@@ -1,0 +1,377 @@
+//! Frames: how messages are told apart on a line of bytes, and damaged ones kept out.
+//!
+//! A frame is `COBS( kind/version byte, body, CRC-32C ) 0x00`. The first byte holds the [`Kind`] in
+//! its low four bits and the wire version in its high four; the CRC-32C (CRC-32/ISCSI) covers that
+//! byte and the body and is sent low byte first. COBS leaves no zero inside, so a receiver that
+//! lost its place finds it again at the next zero.
+//!
+//! ```
+//! use wimu_link::frame::{self, Deframer, Kind};
+//!
+//! let mut line = [0; frame::MAX_FRAME];
+//! let length = frame::encode(Kind::Telemetry, b"a body", &mut line)?;
+//!
+//! let mut deframer = Deframer::new();
+//! let mut bodies = 0;
+//! for byte in &line[..length] {
+//!     if let Some(Ok(frame)) = deframer.push(*byte) {
+//!         assert_eq!((frame.kind, frame.body), (Kind::Telemetry, &b"a body"[..]));
+//!         bodies += 1;
+//!     }
+//! }
+//! assert_eq!(bodies, 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use core::fmt;
+
+use cobs::{CobsEncoder, DecodeResult, DecoderState};
+use crc::{CRC_32_ISCSI, Crc, Digest};
+
+/// The version of the wire that this crate speaks. Version 0 may change until writes are
+/// authenticated; the crate's own version is another matter.
+pub const WIRE_VERSION: u8 = 0;
+
+/// The longest body, bytes.
+pub const MAX_BODY: usize = 576;
+
+/// The longest frame, bytes, with its closing zero.
+pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;
+
+/// Kind byte, body, CRC.
+const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
+const CRC_BYTES: usize = 4;
+
+static CRC_32C: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
+
+/// CRC-32C of `bytes`.
+pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
+    CRC_32C.checksum(bytes)
+}
+
+/// A running CRC-32C.
+pub(crate) fn crc_32c_digest() -> Digest<'static, u32> {
+    CRC_32C.digest()
+}
+
+/// What a frame's body is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Kind {
+    /// [`Hello`](crate::Hello), device to host; readable in every version.
+    Hello = 1,
+    /// [`WhoAreYou`](crate::WhoAreYou), host to device; readable in every version.
+    WhoAreYou = 2,
+    /// A [`Batch`](crate::Batch) of samples, device to host.
+    Batch = 3,
+    /// [`Telemetry`](crate::Telemetry), device to host.
+    Telemetry = 4,
+    /// [`Request`](crate::Request), host to device.
+    Request = 5,
+    /// [`Reply`](crate::Reply), device to host.
+    Reply = 6,
+}
+
+impl Kind {
+    fn from_number(number: u8) -> Option<Self> {
+        Some(match number {
+            1 => Self::Hello,
+            2 => Self::WhoAreYou,
+            3 => Self::Batch,
+            4 => Self::Telemetry,
+            5 => Self::Request,
+            6 => Self::Reply,
+            _ => return None,
+        })
+    }
+
+    /// Whether every version reads this kind.
+    fn is_timeless(self) -> bool {
+        matches!(self, Self::Hello | Self::WhoAreYou)
+    }
+}
+
+/// Puts a frame of `kind` around `body` into `frame`; returns the frame's length, bytes, with its
+/// closing zero. [`MAX_FRAME`] bytes of room are always enough.
+///
+/// # Errors
+/// [`EncodeError`] when `body` exceeds [`MAX_BODY`] or the frame does not fit `frame`.
+pub fn encode(kind: Kind, body: &[u8], frame: &mut [u8]) -> Result<usize, EncodeError> {
+    build(kind, frame, |writer| writer.push(body))
+}
+
+/// Builds a frame whose body `write` pushes piece by piece, so that a message needs no buffer of
+/// its own; returns the frame's length, bytes.
+pub(crate) fn build(
+    kind: Kind,
+    frame: &mut [u8],
+    write: impl FnOnce(&mut BodyWriter) -> Result<(), EncodeError>,
+) -> Result<usize, EncodeError> {
+    let mut writer = BodyWriter {
+        cobs: CobsEncoder::new(frame),
+        digest: crc_32c_digest(),
+        body: 0,
+    };
+    writer.code(&[(WIRE_VERSION << 4) | kind as u8])?;
+    write(&mut writer)?;
+    let BodyWriter {
+        mut cobs, digest, ..
+    } = writer;
+    cobs.push(&digest.finalize().to_le_bytes())
+        .map_err(|_| EncodeError::NoRoom)?;
+    let coded = cobs.finalize();
+    *frame.get_mut(coded).ok_or(EncodeError::NoRoom)? = 0;
+    Ok(coded + 1)
+}
+
+/// Takes the body of a frame being built.
+pub(crate) struct BodyWriter<'a> {
+    cobs: CobsEncoder<'a>,
+    digest: Digest<'static, u32>,
+    body: usize,
+}
+
+impl BodyWriter<'_> {
+    pub(crate) fn push(&mut self, bytes: &[u8]) -> Result<(), EncodeError> {
+        // The encoder counts an empty push after a full run of 254 bytes as one byte more.
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        self.body = self.body.saturating_add(bytes.len());
+        if self.body > MAX_BODY {
+            return Err(EncodeError::BodyTooLong);
+        }
+        self.code(bytes)
+    }
+
+    fn code(&mut self, bytes: &[u8]) -> Result<(), EncodeError> {
+        self.digest.update(bytes);
+        self.cobs.push(bytes).map_err(|_| EncodeError::NoRoom)
+    }
+}
+
+/// Keeps one frame of at most `N` bytes to send it again.
+#[derive(Debug)]
+pub(crate) struct FrameBuffer<const N: usize> {
+    bytes: [u8; N],
+    length: usize,
+}
+
+impl<const N: usize> FrameBuffer<N> {
+    pub(crate) const fn new() -> Self {
+        Self {
+            bytes: [0; N],
+            length: 0,
+        }
+    }
+
+    /// Keeps what `encode` writes, or nothing if that does not fit.
+    pub(crate) fn fill(&mut self, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) {
+        self.length = encode(&mut self.bytes).unwrap_or(0);
+    }
+
+    /// The frame; empty before there is one.
+    pub(crate) fn frame(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+}
+
+/// A frame that arrived whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Frame<'a> {
+    /// The sender's wire version, 0..=15: this crate's own, except on the kinds that every version
+    /// reads.
+    pub version: u8,
+    /// What the body is.
+    pub kind: Kind,
+    /// The body, at most [`MAX_BODY`] bytes.
+    pub body: &'a [u8],
+}
+
+/// Finds frames in a stream of bytes, one byte at a time. Holds one frame and nothing else, so
+/// reading can stop after any byte and go on later.
+#[derive(Debug)]
+pub struct Deframer {
+    cobs: DecoderState,
+    length: usize,
+    plain: [u8; MAX_PLAIN],
+}
+
+impl Deframer {
+    /// A deframer at the start of a stream, or anywhere in it: what comes before the first zero is
+    /// then reported as one damaged frame.
+    pub const fn new() -> Self {
+        Self {
+            cobs: DecoderState::Idle,
+            length: 0,
+            plain: [0; MAX_PLAIN],
+        }
+    }
+
+    /// Takes the next byte; returns a frame, or why there is none, when the byte ended one.
+    ///
+    /// Zeros between frames are nothing: a sender may put some to wake a line.
+    ///
+    /// # Errors
+    /// [`FrameError`], once per damaged or unreadable frame, at its closing zero.
+    #[inline]
+    pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, FrameError>> {
+        match self.cobs.feed(byte) {
+            Ok(DecodeResult::NoData) => None,
+            Ok(DecodeResult::DataStart) => {
+                self.length = 0;
+                None
+            }
+            Ok(DecodeResult::DataContinue(data)) => {
+                if let Some(place) = self.plain.get_mut(self.length) {
+                    *place = data;
+                }
+                // One more than fits marks a frame that is too long.
+                self.length = (self.length + 1).min(MAX_PLAIN + 1);
+                None
+            }
+            Ok(DecodeResult::DataComplete) => Some(match self.plain.get(..self.length) {
+                Some(plain) => check(plain),
+                None => Err(FrameError::TooLong),
+            }),
+            Err(_) => Some(Err(if self.length > MAX_PLAIN {
+                FrameError::TooLong
+            } else {
+                FrameError::Cobs
+            })),
+        }
+    }
+}
+
+impl Default for Deframer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
+    let (covered, crc) = plain
+        .split_last_chunk::<CRC_BYTES>()
+        .ok_or(FrameError::TooShort)?;
+    let (&first, body) = covered.split_first().ok_or(FrameError::TooShort)?;
+    if crc_32c(covered) != u32::from_le_bytes(*crc) {
+        return Err(FrameError::Crc);
+    }
+    let (version, number) = (first >> 4, first & 15);
+    match Kind::from_number(number) {
+        Some(kind) if version == WIRE_VERSION || kind.is_timeless() => Ok(Frame {
+            version,
+            kind,
+            body,
+        }),
+        _ if version != WIRE_VERSION => Err(FrameError::UnknownVersion {
+            version,
+            kind: number,
+        }),
+        _ => Err(FrameError::UnknownKind {
+            version,
+            kind: number,
+        }),
+    }
+}
+
+/// Why bytes between two zeros are no frame for this crate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum FrameError {
+    /// The byte stuffing is broken: bytes were lost or changed.
+    Cobs,
+    /// Fewer than the five bytes of kind and CRC.
+    TooShort,
+    /// More than any frame has: the zero between two frames was lost.
+    TooLong,
+    /// The CRC does not match: bytes were lost or changed.
+    Crc,
+    /// An undamaged frame of a wire version that this crate does not speak.
+    UnknownVersion {
+        /// The sender's version.
+        version: u8,
+        /// Its kind, as a number.
+        kind: u8,
+    },
+    /// An undamaged frame of a kind that this crate does not know.
+    UnknownKind {
+        /// The sender's version.
+        version: u8,
+        /// Its kind, as a number.
+        kind: u8,
+    },
+}
+
+impl FrameError {
+    /// Whether the frame was damaged on its way, rather than sent by a stranger.
+    pub fn is_damage(self) -> bool {
+        matches!(
+            self,
+            Self::Cobs | Self::TooShort | Self::TooLong | Self::Crc
+        )
+    }
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cobs => out.write_str(
+                "a frame was damaged on the link: its byte stuffing is broken; check baud rate and wiring if this goes on",
+            ),
+            Self::TooShort => out.write_str(
+                "a frame was damaged on the link: it is shorter than 5 bytes; check baud rate and wiring if this goes on",
+            ),
+            Self::TooLong => write!(
+                out,
+                "a frame was damaged on the link, or this is no wimu device: more than {MAX_FRAME} bytes without a zero"
+            ),
+            Self::Crc => out.write_str(
+                "a frame was damaged on the link: its CRC does not match; check baud rate and wiring if this goes on",
+            ),
+            Self::UnknownVersion { version, kind } => write!(
+                out,
+                "the other end speaks wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update the older one"
+            ),
+            Self::UnknownKind { version, kind } => write!(
+                out,
+                "frame kind {kind} is unknown to wire version {version}; update this end"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// Why a frame was not built.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum EncodeError {
+    /// The body exceeds [`MAX_BODY`].
+    BodyTooLong,
+    /// The given buffer is too small.
+    NoRoom,
+    /// A batch of no samples, or of more than [`MAX_BATCH`](crate::batch::MAX_BATCH).
+    BatchLength,
+}
+
+impl fmt::Display for EncodeError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::BodyTooLong => write!(out, "a frame's body is longer than {MAX_BODY} bytes"),
+            Self::NoRoom => write!(
+                out,
+                "the frame does not fit the given buffer; {MAX_FRAME} bytes always do"
+            ),
+            Self::BatchLength => write!(
+                out,
+                "a batch holds 1 to {} samples",
+                crate::batch::MAX_BATCH
+            ),
+        }
+    }
+}
+
+impl core::error::Error for EncodeError {}

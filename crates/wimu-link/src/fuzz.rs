@@ -1,0 +1,342 @@
+//! What must hold for any bytes: bodies for fuzzers and for tests with seeded input. Each panics
+//! when it finds a fault.
+
+use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+
+use crate::batch::{self, Batch, Stream};
+use crate::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
+use crate::hello::{self, Hello, LinkRole, WhoAreYou, WriteAccess};
+use crate::message::{Answer, Command, Payload, Reply, Request, Settings, Signature, Telemetry};
+use crate::responder::{Decision, Responder};
+
+/// All of them.
+pub fn all(data: &[u8]) {
+    deframe(data);
+    damage(data);
+    batch_body(data);
+    batch_samples(data);
+    bodies(data);
+    requests(data);
+}
+
+/// Bytes on a line: nothing panics, and the next whole frame is found.
+pub fn deframe(data: &[u8]) {
+    let mut deframer = Deframer::new();
+    for &byte in data {
+        if let Some(Ok(frame)) = deframer.push(byte) {
+            body(&frame);
+        }
+    }
+    deframer.push(0);
+    let mut line = [0; MAX_FRAME];
+    let length = Hello::new(LinkRole::Cable).encode(&mut line).expect("room");
+    let mut found = None;
+    for &byte in &line[..length] {
+        assert!(found.is_none());
+        found = deframer
+            .push(byte)
+            .map(|frame| frame.map(|frame| frame.kind));
+    }
+    assert_eq!(found, Some(Ok(Kind::Hello)));
+}
+
+/// Two frames with flipped bits, lost, doubled and moved bytes between them: what passes is one of
+/// the two.
+pub fn damage(data: &[u8]) {
+    let mut source = Source(data);
+    let bodies = [source.slice(), source.slice()];
+    let mut line = [0; 2 * MAX_FRAME];
+    let mut length = 0;
+    for body in bodies {
+        length += frame::encode(Kind::Batch, body, &mut line[length..]).expect("room");
+    }
+    for _ in 0..1 + source.below(4) {
+        let at = source.below(length);
+        let run = source.below(length - at + 1).min(source.below(64));
+        match source.byte() % 4 {
+            0 => line[at] ^= 1 << (source.byte() % 8),
+            1 => {
+                line.copy_within(at + run..length, at);
+                length -= run;
+            }
+            2 => {
+                let to = source.below(length - run + 1);
+                line.copy_within(at..at + run, to);
+            }
+            _ => line[at] = source.byte(),
+        }
+        if length == 0 {
+            return;
+        }
+    }
+    let mut deframer = Deframer::new();
+    for &byte in &line[..length] {
+        if let Some(Ok(frame)) = deframer.push(byte) {
+            assert_eq!(frame.kind, Kind::Batch);
+            assert!(bodies.contains(&frame.body), "a damaged frame passed");
+        }
+    }
+}
+
+/// Any body of any kind: nothing panics, and what is read is written again as the same message.
+pub fn bodies(data: &[u8]) {
+    for kind in [
+        Kind::Hello,
+        Kind::WhoAreYou,
+        Kind::Batch,
+        Kind::Telemetry,
+        Kind::Request,
+        Kind::Reply,
+    ] {
+        body(&Frame {
+            version: frame::WIRE_VERSION,
+            kind,
+            body: data,
+        });
+    }
+}
+
+fn body(frame: &Frame<'_>) {
+    let mut line = [0; MAX_FRAME];
+    match frame.kind {
+        Kind::Hello => {
+            if let Ok(hello) = Hello::decode(frame.body) {
+                let length = hello.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    assert_eq!(Hello::decode(body), Ok(hello));
+                });
+            }
+            assert!(hello::extensions(frame.body).count() <= frame.body.len());
+        }
+        Kind::WhoAreYou => {
+            let _ = WhoAreYou::decode(frame.body);
+        }
+        Kind::Batch => batch_body(frame.body),
+        // Compared as bytes, because not-a-number differs from itself.
+        Kind::Telemetry => {
+            if let Ok(telemetry) = Telemetry::decode(frame.body) {
+                let length = telemetry.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    let mut again = [0; MAX_FRAME];
+                    let telemetry = Telemetry::decode(body).expect("own frame");
+                    assert_eq!(telemetry.encode(&mut again), Ok(length));
+                    assert_eq!(line, again);
+                });
+            }
+        }
+        Kind::Request => {
+            if let Ok(request) = Request::decode(frame.body) {
+                let length = request.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    let mut again = [0; MAX_FRAME];
+                    let request = Request::decode(body).expect("own frame");
+                    assert_eq!(request.encode(&mut again), Ok(length));
+                    assert_eq!(line, again);
+                });
+            }
+        }
+        Kind::Reply => {
+            if let Ok(reply) = Reply::decode(frame.body) {
+                let length = reply.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    let mut again = [0; MAX_FRAME];
+                    let reply = Reply::decode(body).expect("own frame");
+                    assert_eq!(reply.encode(&mut again), Ok(length));
+                    assert_eq!(line, again);
+                });
+            }
+        }
+    }
+}
+
+fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
+    let mut deframer = Deframer::new();
+    for &byte in line {
+        if let Some(frame) = deframer.push(byte) {
+            return check(frame.expect("own frame").body);
+        }
+    }
+    panic!("a frame did not end");
+}
+
+/// Any body of a batch: what is read is packed again without loss.
+pub fn batch_body(data: &[u8]) {
+    let Ok(batch) = Batch::decode(data) else {
+        return;
+    };
+    let mut line = [0; MAX_FRAME];
+    let (sequence, time) = (
+        batch.sequence_low().into(),
+        DeviceTimeUs(batch.time_low().into()),
+    );
+    let length = match batch.stream() {
+        Stream::Raw => {
+            let mut samples = [Counts::default(); batch::MAX_BATCH];
+            let count = fill(&mut samples, batch.counts());
+            batch::encode(sequence, time, &samples[..count], &mut line)
+        }
+        Stream::Corrected => {
+            let mut samples = [SpecificForceQ16::default(); batch::MAX_BATCH];
+            let count = fill(&mut samples, batch.specific_forces());
+            batch::encode(sequence, time, &samples[..count], &mut line)
+        }
+    };
+    with_body(&line[..length.expect("room")], |body| {
+        let again = Batch::decode(body).expect("own batch");
+        assert_eq!(again.stream(), batch.stream());
+        assert_eq!(again.samples(), batch.samples());
+        assert_eq!(again.sequence_low(), batch.sequence_low());
+        assert_eq!(again.time_low(), batch.time_low());
+    });
+}
+
+fn fill<T>(places: &mut [T], values: impl Iterator<Item = T>) -> usize {
+    places
+        .iter_mut()
+        .zip(values)
+        .map(|(place, value)| *place = value)
+        .count()
+}
+
+/// Any samples: they come back.
+pub fn batch_samples(data: &[u8]) {
+    let mut source = Source(data);
+    let count = 1 + source.below(batch::MAX_BATCH);
+    let start: [u32; 3] = core::array::from_fn(|_| source.word());
+    let narrow = source.below(33) as u32;
+    let mut raw = [Counts::default(); batch::MAX_BATCH];
+    let mut corrected = [SpecificForceQ16::default(); batch::MAX_BATCH];
+    for (raw, corrected) in raw.iter_mut().zip(&mut corrected) {
+        let near =
+            start.map(|start| start.wrapping_add(source.word().checked_shr(narrow).unwrap_or(0)));
+        corrected.0 = near.map(|value| value as i32);
+        raw.0 = near.map(|value| value as i16);
+    }
+    let sequence = source.word();
+    let time = DeviceTimeUs(source.word().into());
+    let mut line = [0; MAX_FRAME];
+    let length = batch::encode(sequence, time, &raw[..count], &mut line).expect("room");
+    with_body(&line[..length], |body| {
+        let batch = Batch::decode(body).expect("own batch");
+        assert!(batch.counts().eq(raw[..count].iter().copied()));
+        assert_eq!(
+            batch::extend_sequence(batch.sequence_low(), sequence),
+            sequence
+        );
+        assert_eq!(batch::extend_time(batch.time_low(), time), time);
+    });
+    let length = batch::encode(sequence, time, &corrected[..count], &mut line).expect("room");
+    with_body(&line[..length], |body| {
+        let batch = Batch::decode(body).expect("own batch");
+        assert!(
+            batch
+                .specific_forces()
+                .eq(corrected[..count].iter().copied())
+        );
+    });
+}
+
+/// Requests of a few sessions, repeated and reordered, between bytes that are none: each is carried
+/// out at most once, its repeats get the same bytes, and no write passes a radio.
+pub fn requests(data: &[u8]) {
+    let mut source = Source(data);
+    let role = if source.byte() % 2 == 0 {
+        LinkRole::Cable
+    } else {
+        LinkRole::Wireless
+    };
+    let mut responder = Responder::new(role);
+    // By session and id.
+    let mut executed = [[false; 8]; 3];
+    let mut replied = [[None; 8]; 3];
+    let mut pending: Option<(usize, usize)> = None;
+    while !source.0.is_empty() {
+        if source.byte() % 4 == 0
+            && let Some((session, id)) = pending.take()
+        {
+            let frame = responder.reply(&Answer::Accepted(Payload::None));
+            assert!(!frame.is_empty());
+            replied[session][id] = Some(frame::crc_32c(frame));
+        }
+        if source.byte() % 16 == 0 {
+            let garbage = source.slice();
+            if Request::decode(garbage).is_err() {
+                assert!(!matches!(
+                    responder.accept(garbage, WriteAccess::Open),
+                    Decision::Execute(_)
+                ));
+            }
+            // Garbage may have a head that is some session's.
+            return;
+        }
+        let (session, id) = (source.below(3), source.below(8));
+        let request = Request {
+            session: session as u32,
+            id: id as u32,
+            signature: Signature::NONE,
+            command: if id % 2 == 0 {
+                Command::SetSettings(Settings::default())
+            } else {
+                Command::GetStatus
+            },
+        };
+        let mut line = [0; MAX_FRAME];
+        let length = request.encode(&mut line).expect("room");
+        with_body(&line[..length], |body| {
+            match responder.accept(body, WriteAccess::Open) {
+                Decision::Execute(command) => {
+                    assert!(!executed[session][id], "a request had two effects");
+                    assert!(role == LinkRole::Cable || !command.is_write());
+                    assert_eq!(pending, None);
+                    executed[session][id] = true;
+                    pending = Some((session, id));
+                }
+                Decision::Send(frame) => {
+                    let answer = frame::crc_32c(frame);
+                    let stale = {
+                        let mut reply = None;
+                        with_body(frame, |body| reply = Reply::decode(body).ok());
+                        let reply = reply.expect("own reply");
+                        assert_eq!((reply.session, reply.id), (request.session, request.id));
+                        reply.answer == Answer::Refused(crate::message::Refusal::Stale)
+                    };
+                    if let Some(before) = replied[session][id] {
+                        assert!(stale || before == answer, "two answers to one request");
+                    }
+                }
+                Decision::Ignore => assert!(pending.is_some()),
+            }
+        });
+    }
+}
+
+/// Numbers from bytes; zeros when they run out.
+struct Source<'a>(&'a [u8]);
+
+impl<'a> Source<'a> {
+    fn byte(&mut self) -> u8 {
+        match self.0.split_first() {
+            Some((&byte, rest)) => {
+                self.0 = rest;
+                byte
+            }
+            None => 0,
+        }
+    }
+
+    fn word(&mut self) -> u32 {
+        u32::from_le_bytes(core::array::from_fn(|_| self.byte()))
+    }
+
+    /// Less than `limit`, or 0.
+    fn below(&mut self, limit: usize) -> usize {
+        usize::from(u16::from_le_bytes([self.byte(), self.byte()])) % limit.max(1)
+    }
+
+    fn slice(&mut self) -> &'a [u8] {
+        let length = self.below(MAX_BODY + 1).min(self.0.len());
+        let (slice, rest) = self.0.split_at(length);
+        self.0 = rest;
+        slice
+    }
+}

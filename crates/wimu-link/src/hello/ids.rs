@@ -1,0 +1,292 @@
+//! The numbers and names in a [`Hello`](super::Hello).
+
+use core::fmt;
+
+pub(super) const NAME_LENGTH: usize = 15;
+
+/// Numbers of boards in [`Hello::board`](super::Hello::board). Numbers are never used twice; 0 is any other.
+pub mod board {
+    /// The simulated board.
+    pub const SIMULATED: u16 = 1;
+    /// BBC micro:bit v2.
+    pub const MICROBIT_V2: u16 = 2;
+    /// Raspberry Pi Pico with an ADXL345.
+    pub const PICO_ADXL345: u16 = 3;
+    /// QEMU's mps2-an386.
+    pub const QEMU_MPS2: u16 = 4;
+}
+
+/// Numbers of sensors in [`Hello::sensor`](super::Hello::sensor). Numbers are never used twice; 0 is any other.
+pub mod sensor {
+    /// ST LSM303AGR.
+    pub const LSM303AGR: u16 = 1;
+    /// Analog Devices ADXL345.
+    pub const ADXL345: u16 = 2;
+    /// The samples of a recording.
+    pub const REPLAY: u16 = 3;
+}
+
+/// Which of a device's links this is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum LinkRole {
+    /// A cable, number 1: who holds it holds the device.
+    Cable,
+    /// A radio, number 2: anyone in range can talk to it.
+    Wireless,
+    /// A role that this crate does not know; it has no rights beyond a radio's.
+    Other(u8),
+}
+
+impl LinkRole {
+    /// Its number on the wire.
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Cable => 1,
+            Self::Wireless => 2,
+            Self::Other(number) => number,
+        }
+    }
+
+    pub(super) const fn from_number(number: u8) -> Self {
+        match number {
+            1 => Self::Cable,
+            2 => Self::Wireless,
+            other => Self::Other(other),
+        }
+    }
+}
+
+impl fmt::Display for LinkRole {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cable => out.write_str("cable"),
+            Self::Wireless => out.write_str("wireless"),
+            Self::Other(number) => write!(out, "role {number}"),
+        }
+    }
+}
+
+/// Who may write on a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum WriteAccess {
+    /// Anyone, without a signature: number 0.
+    Open,
+    /// Who has the device's key: number 1. As long as the device has none, nobody.
+    Key,
+    /// Nobody: number 2.
+    Locked,
+    /// An access that this crate does not know.
+    Other(u8),
+}
+
+impl WriteAccess {
+    /// Its number on the wire.
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Open => 0,
+            Self::Key => 1,
+            Self::Locked => 2,
+            Self::Other(number) => number,
+        }
+    }
+
+    pub(super) const fn from_number(number: u8) -> Self {
+        match number {
+            0 => Self::Open,
+            1 => Self::Key,
+            2 => Self::Locked,
+            other => Self::Other(other),
+        }
+    }
+}
+
+impl fmt::Display for WriteAccess {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Open => out.write_str("open"),
+            Self::Key => out.write_str("key"),
+            Self::Locked => out.write_str("locked"),
+            Self::Other(number) => write!(out, "access {number}"),
+        }
+    }
+}
+
+/// Why a device last started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ResetReason {
+    /// The device cannot tell: number 0.
+    Unknown,
+    /// Power came: number 1.
+    PowerOn,
+    /// The reset pin or button: number 2.
+    Pin,
+    /// A watchdog: number 3.
+    Watchdog,
+    /// The firmware asked for it: number 4.
+    Software,
+    /// The supply dipped: number 5.
+    BrownOut,
+    /// A fault or panic: number 6.
+    Fault,
+    /// A reason that this crate does not know.
+    Other(u8),
+}
+
+impl ResetReason {
+    /// Its number on the wire.
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Unknown => 0,
+            Self::PowerOn => 1,
+            Self::Pin => 2,
+            Self::Watchdog => 3,
+            Self::Software => 4,
+            Self::BrownOut => 5,
+            Self::Fault => 6,
+            Self::Other(number) => number,
+        }
+    }
+
+    pub(super) const fn from_number(number: u8) -> Self {
+        match number {
+            0 => Self::Unknown,
+            1 => Self::PowerOn,
+            2 => Self::Pin,
+            3 => Self::Watchdog,
+            4 => Self::Software,
+            5 => Self::BrownOut,
+            6 => Self::Fault,
+            other => Self::Other(other),
+        }
+    }
+}
+
+impl fmt::Display for ResetReason {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Unknown => "unknown",
+            Self::PowerOn => "power on",
+            Self::Pin => "reset pin",
+            Self::Watchdog => "watchdog",
+            Self::Software => "software",
+            Self::BrownOut => "brown-out",
+            Self::Fault => "fault",
+            Self::Other(number) => return write!(out, "reason {number}"),
+        })
+    }
+}
+
+/// What a device has, as a set of bits; bits that this crate does not know are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Capabilities(pub u32);
+
+impl Capabilities {
+    /// An accelerometer.
+    pub const ACCELEROMETER: Self = Self(1);
+    /// A magnetometer.
+    pub const MAGNETOMETER: Self = Self(1 << 1);
+    /// A thermometer.
+    pub const TEMPERATURE: Self = Self(1 << 2);
+    /// Sample times are those of the sensor's data-ready signal, not of reading it.
+    pub const DATA_READY: Self = Self(1 << 3);
+    /// Parameters and settings survive a restart.
+    pub const STORE: Self = Self(1 << 4);
+
+    /// Both sets.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether all of `other` are there.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}
+
+/// A short name: 0 to 15 characters of printable ASCII.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct Name {
+    pub(super) length: u8,
+    pub(super) bytes: [u8; NAME_LENGTH],
+}
+
+impl Name {
+    /// The first 15 bytes of `text`; what is not printable ASCII becomes `?`.
+    pub const fn new(text: &str) -> Self {
+        Self::from_bytes(text.as_bytes())
+    }
+
+    pub(super) const fn from_bytes(text: &[u8]) -> Self {
+        let mut bytes = [0; NAME_LENGTH];
+        let mut rest = text;
+        let mut length = 0;
+        while let Some((&byte, tail)) = rest.split_first()
+            && length < NAME_LENGTH
+        {
+            bytes[length] = if byte == b' ' || byte.is_ascii_graphic() {
+                byte
+            } else {
+                b'?'
+            };
+            length += 1;
+            rest = tail;
+        }
+        Self {
+            length: length as u8,
+            bytes,
+        }
+    }
+
+    /// The name.
+    pub fn as_str(&self) -> &str {
+        self.bytes
+            .get(..usize::from(self.length))
+            .and_then(|bytes| core::str::from_utf8(bytes).ok())
+            .unwrap_or_default()
+    }
+}
+
+impl fmt::Debug for Name {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self.as_str(), out)
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.pad(self.as_str())
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Name {
+    fn format(&self, out: defmt::Formatter<'_>) {
+        defmt::write!(out, "{=str}", self.as_str());
+    }
+}
+
+/// A part of a device: its number and its name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Part {
+    /// A number of [`board`] or [`sensor`], 0 for one that has none, or one that this crate does
+    /// not know.
+    pub number: u16,
+    /// Its name, for people.
+    pub name: Name,
+}
+
+impl Part {
+    /// A part with a number and a name.
+    pub const fn new(number: u16, name: &str) -> Self {
+        Self {
+            number,
+            name: Name::new(name),
+        }
+    }
+}

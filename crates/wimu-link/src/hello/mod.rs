@@ -1,0 +1,319 @@
+//! Who a device is: the one message that every host reads from every firmware, for ever.
+//!
+//! `Hello` and `WhoAreYou` are laid out by hand at fixed offsets. All numbers are little-endian. A
+//! length says where the fixed part ends: a later version may add fields before that end and
+//! extensions after it, and changes nothing else. A reader takes the fields it knows, skips the
+//! rest, and keeps numbers whose meaning it does not know.
+//!
+//! | offset | size | field of `Hello` (frame kind 1) |
+//! |---|---|---|
+//! | 0 | 4 | `WIMU` in ASCII |
+//! | 4 | 1 | length of the fixed part, this field and the four before it included: 80 or more |
+//! | 5 | 1 | wire version that the device speaks |
+//! | 6 | 1 | role of this link: [`LinkRole`] |
+//! | 7 | 1 | write access on this link: [`WriteAccess`] |
+//! | 8 | 8 | device id |
+//! | 16 | 4 | boot count |
+//! | 20 | 4 | capabilities: [`Capabilities`] |
+//! | 24 | 4 | id of the parameters in use, 0 if uncalibrated |
+//! | 28 | 8 | uptime, µs |
+//! | 36 | 2, 2, 2 | firmware version: major, minor, patch |
+//! | 42 | 1 | why the device last started: [`ResetReason`] |
+//! | 43 | 1 | flags: bit 0, the sensor's nominal sensitivity is known; the others 0 |
+//! | 44 | 2 | board, a number of [`board`] |
+//! | 46 | 2 | sensor, a number of [`sensor`] |
+//! | 48 | 1, 15 | length of the board's name, the name in ASCII |
+//! | 64 | 1, 15 | length of the sensor's name, the name in ASCII |
+//! | 80 | – | (at the length of the fixed part) extensions: number (1), length (1), content; none are defined yet |
+//!
+//! | offset | size | field of `WhoAreYou` (frame kind 2) |
+//! |---|---|---|
+//! | 0 | 4 | `WIMU` in ASCII |
+//! | 4 | 1 | length of the fixed part: 6 or more |
+//! | 5 | 1 | wire version that the host speaks |
+
+use core::fmt;
+
+use wimu_model::ParameterId;
+
+use crate::frame::{self, EncodeError, Kind, WIRE_VERSION};
+
+mod ids;
+
+use ids::NAME_LENGTH;
+pub use ids::{Capabilities, LinkRole, Name, Part, ResetReason, WriteAccess, board, sensor};
+
+const MAGIC: [u8; 4] = *b"WIMU";
+const HELLO_LENGTH: usize = 80;
+const WHO_LENGTH: usize = 6;
+const SENSITIVITY_KNOWN: u8 = 1;
+
+/// Who a device is, what it has and how it is. Sent at start and when asked.
+///
+/// ```
+/// use wimu_link::hello::{Capabilities, Hello, LinkRole, Part, board, sensor};
+/// use wimu_link::{Deframer, MAX_FRAME};
+///
+/// let hello = Hello {
+///     device_id: 0x1234,
+///     board: Part::new(board::MICROBIT_V2, "micro:bit v2"),
+///     sensor: Part::new(sensor::LSM303AGR, "LSM303AGR"),
+///     capabilities: Capabilities::ACCELEROMETER.with(Capabilities::TEMPERATURE),
+///     ..Hello::new(LinkRole::Cable)
+/// };
+/// let mut line = [0; MAX_FRAME];
+/// let length = hello.encode(&mut line)?;
+///
+/// let mut deframer = Deframer::new();
+/// for byte in &line[..length] {
+///     let Some(frame) = deframer.push(*byte) else { continue };
+///     assert_eq!(Hello::decode(frame?.body)?, hello);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Hello {
+    /// The wire version that the device speaks.
+    pub wire_version: u8,
+    /// Which of its links this is.
+    pub role: LinkRole,
+    /// Who may write on this link.
+    pub access: WriteAccess,
+    /// Tells devices apart; the chip's serial number, as a rule.
+    pub device_id: u64,
+    /// How often it has started.
+    pub boot_count: u32,
+    /// What it has.
+    pub capabilities: Capabilities,
+    /// The parameters in use.
+    pub parameter_id: ParameterId,
+    /// Time since its start, µs.
+    pub uptime_us: u64,
+    /// Its firmware: major, minor, patch.
+    pub firmware: [u16; 3],
+    /// Why it last started.
+    pub reset_reason: ResetReason,
+    /// Whether the sensor's nominal sensitivity is known; it is not for a replayed recording.
+    pub sensitivity_known: bool,
+    /// Its board.
+    pub board: Part,
+    /// Its accelerometer.
+    pub sensor: Part,
+}
+
+impl Hello {
+    /// A device of which nothing is said yet but the role of this link; nobody may write.
+    pub const fn new(role: LinkRole) -> Self {
+        Self {
+            wire_version: WIRE_VERSION,
+            role,
+            access: WriteAccess::Locked,
+            device_id: 0,
+            boot_count: 0,
+            capabilities: Capabilities(0),
+            parameter_id: ParameterId::UNCALIBRATED,
+            uptime_us: 0,
+            firmware: [0; 3],
+            reset_reason: ResetReason::Unknown,
+            sensitivity_known: false,
+            board: Part::new(0, ""),
+            sensor: Part::new(0, ""),
+        }
+    }
+
+    /// Puts it into a frame; returns the frame's length, bytes.
+    ///
+    /// # Errors
+    /// [`EncodeError::NoRoom`] when the frame does not fit.
+    pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
+        let [major, minor, patch] = self.firmware.map(u16::to_le_bytes);
+        let flags = if self.sensitivity_known {
+            SENSITIVITY_KNOWN
+        } else {
+            0
+        };
+        // Each piece is as long as its place in the table.
+        frame::build(Kind::Hello, frame, |body| {
+            body.push(&MAGIC)?;
+            body.push(&[
+                HELLO_LENGTH as u8,
+                self.wire_version,
+                self.role.number(),
+                self.access.number(),
+            ])?;
+            body.push(&self.device_id.to_le_bytes())?;
+            body.push(&self.boot_count.to_le_bytes())?;
+            body.push(&self.capabilities.0.to_le_bytes())?;
+            body.push(&self.parameter_id.0.to_le_bytes())?;
+            body.push(&self.uptime_us.to_le_bytes())?;
+            for number in [major, minor, patch] {
+                body.push(&number)?;
+            }
+            body.push(&[self.reset_reason.number(), flags])?;
+            body.push(&self.board.number.to_le_bytes())?;
+            body.push(&self.sensor.number.to_le_bytes())?;
+            for part in [&self.board, &self.sensor] {
+                body.push(&[part.name.length])?;
+                body.push(&part.name.bytes)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Reads the body of a frame of kind [`Kind::Hello`], of this wire version or any other.
+    ///
+    /// # Errors
+    /// [`HelloError`] when it is no `Hello` or shorter than the fields above.
+    pub fn decode(body: &[u8]) -> Result<Self, HelloError> {
+        let fixed = fixed_part(body, HELLO_LENGTH)?;
+        let mut fields = Fields(fixed);
+        fields.take::<5>()?;
+        let [wire_version, role, access] = fields.take()?;
+        let device_id = u64::from_le_bytes(fields.take()?);
+        let boot_count = u32::from_le_bytes(fields.take()?);
+        let capabilities = Capabilities(u32::from_le_bytes(fields.take()?));
+        let parameter_id = ParameterId(u32::from_le_bytes(fields.take()?));
+        let uptime_us = u64::from_le_bytes(fields.take()?);
+        let mut firmware = [0; 3];
+        for number in &mut firmware {
+            *number = u16::from_le_bytes(fields.take()?);
+        }
+        let [reset_reason, flags] = fields.take()?;
+        let numbers = [
+            u16::from_le_bytes(fields.take()?),
+            u16::from_le_bytes(fields.take()?),
+        ];
+        let mut parts = [Part::default(); 2];
+        for (part, number) in parts.iter_mut().zip(numbers) {
+            let [length] = fields.take()?;
+            let name = fields.take::<NAME_LENGTH>()?;
+            *part = Part {
+                number,
+                name: Name::from_bytes(name.get(..usize::from(length)).unwrap_or(&name)),
+            };
+        }
+        let [board, sensor] = parts;
+        Ok(Self {
+            wire_version,
+            role: LinkRole::from_number(role),
+            access: WriteAccess::from_number(access),
+            device_id,
+            boot_count,
+            capabilities,
+            parameter_id,
+            uptime_us,
+            firmware,
+            reset_reason: ResetReason::from_number(reset_reason),
+            sensitivity_known: flags & SENSITIVITY_KNOWN != 0,
+            board,
+            sensor,
+        })
+    }
+}
+
+/// The extensions of a [`Hello`]'s body, number and content, in their order; ends at the first one
+/// that is cut off. This version defines none.
+pub fn extensions(body: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    let fixed = fixed_part(body, HELLO_LENGTH).map_or(body.len(), <[u8]>::len);
+    let mut rest = body.get(fixed..).unwrap_or_default();
+    core::iter::from_fn(move || {
+        let (&[number, length], tail) = rest.split_first_chunk()?;
+        let (content, tail) = tail.split_at_checked(usize::from(length))?;
+        rest = tail;
+        Some((number, content))
+    })
+}
+
+/// A host asks a device for its [`Hello`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WhoAreYou {
+    /// The wire version that the host speaks.
+    pub wire_version: u8,
+}
+
+impl WhoAreYou {
+    /// Puts it into a frame; returns the frame's length, bytes.
+    ///
+    /// # Errors
+    /// [`EncodeError::NoRoom`] when the frame does not fit.
+    pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
+        frame::build(Kind::WhoAreYou, frame, |body| {
+            body.push(&MAGIC)?;
+            body.push(&[WHO_LENGTH as u8, self.wire_version])
+        })
+    }
+
+    /// Reads the body of a frame of kind [`Kind::WhoAreYou`], of this wire version or any other.
+    ///
+    /// # Errors
+    /// [`HelloError`] when it is none or too short.
+    pub fn decode(body: &[u8]) -> Result<Self, HelloError> {
+        let mut fields = Fields(fixed_part(body, WHO_LENGTH)?);
+        fields.take::<5>()?;
+        let [wire_version] = fields.take()?;
+        Ok(Self { wire_version })
+    }
+}
+
+impl Default for WhoAreYou {
+    /// A host that speaks this crate's version.
+    fn default() -> Self {
+        Self {
+            wire_version: WIRE_VERSION,
+        }
+    }
+}
+
+/// The fixed part of `body`, if it is marked as ours and at least `least` bytes long.
+fn fixed_part(body: &[u8], least: usize) -> Result<&[u8], HelloError> {
+    let rest = body.strip_prefix(&MAGIC).ok_or(HelloError::NotWimu)?;
+    let length = usize::from(*rest.first().ok_or(HelloError::TooShort)?);
+    if length < least {
+        return Err(HelloError::TooShort);
+    }
+    body.get(..length).ok_or(HelloError::TooShort)
+}
+
+/// Fields one after another.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], HelloError> {
+        let (field, rest) = self
+            .0
+            .split_first_chunk::<N>()
+            .ok_or(HelloError::TooShort)?;
+        self.0 = rest;
+        Ok(*field)
+    }
+}
+
+/// Why a body is no [`Hello`] or [`WhoAreYou`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum HelloError {
+    /// It does not begin with `WIMU`.
+    NotWimu,
+    /// It ends before the fields that every version has.
+    TooShort,
+}
+
+impl fmt::Display for HelloError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::NotWimu => {
+                "the other end is no wimu device: its greeting does not begin with WIMU; check the port"
+            }
+            Self::TooShort => {
+                "the other end's greeting is cut off: it is shorter than every version's; update that end"
+            }
+        })
+    }
+}
+
+impl core::error::Error for HelloError {}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,20 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod batch;
+mod bits;
+pub mod frame;
+#[doc(hidden)]
+pub mod fuzz;
+pub mod hello;
+pub mod message;
+pub mod requester;
+pub mod responder;
+
+pub use batch::Batch;
+pub use frame::{Deframer, Frame, FrameError, Kind, MAX_BODY, MAX_FRAME, WIRE_VERSION};
+pub use hello::{Hello, LinkRole, WhoAreYou, WriteAccess};
+pub use message::{Answer, Command, Reply, Request, Settings, Telemetry};
+pub use requester::Requester;
+pub use responder::Responder;

@@ -1,0 +1,169 @@
+//! What device and host say to each other, beyond who they are and samples.
+//!
+//! Bodies are `postcard`: fields in order without names; unsigned numbers above 8 bits as varints
+//! (7 bits a byte, lowest first), signed ones folded first (0, −1, 1, −2, …); floating point in 8
+//! bytes, lowest first; an enum as the varint of its variant's place, then the variant's fields.
+//!
+//! **Enums on the wire are append-only**: a variant keeps its place and its fields for ever; new
+//! ones come last. Structs never change; a new need gets a new variant. A body that goes on after
+//! its message, or has a variant that is unknown here, is an error.
+
+use core::fmt;
+
+use crc::Digest;
+use postcard::ser_flavors::Flavor;
+use serde::{Deserialize, Serialize};
+
+use crate::frame::{self, BodyWriter, EncodeError, Kind, crc_32c_digest};
+
+mod parameters;
+mod request;
+mod settings;
+mod state;
+mod telemetry;
+
+pub use parameters::{ParameterFault, WireParameters, WireTerm, parameter_id};
+pub(crate) use request::RequestHead;
+pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};
+pub use settings::{Resolution, Settings, Streams};
+pub use state::{WirePhase, WireRun, WireSegment, WireState, WireWindow};
+pub use telemetry::{
+    ActiveParameters, BusFault, Environment, Epoch, EpochReason, Event, LinkStatus, Navigation,
+    SensorStatus, Status, Telemetry,
+};
+
+macro_rules! framed {
+    ($message:ident, $kind:ident) => {
+        impl $message {
+            /// Puts it into a frame; returns the frame's length, bytes.
+            ///
+            /// # Errors
+            /// [`EncodeError::NoRoom`] when the frame does not fit.
+            pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
+                encode(Kind::$kind, self, frame)
+            }
+
+            #[doc = concat!("Reads the body of a frame of kind [`Kind::", stringify!($kind), "`].")]
+            ///
+            /// # Errors
+            /// [`MessageError`] when it is not exactly one message.
+            pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
+                decode(body)
+            }
+        }
+    };
+}
+
+framed!(Telemetry, Telemetry);
+framed!(Request, Request);
+framed!(Reply, Reply);
+
+fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usize, EncodeError> {
+    frame::build(kind, frame, |body| {
+        let mut failure = None;
+        let sink = FrameSink {
+            body,
+            failure: &mut failure,
+        };
+        let outcome = postcard::serialize_with_flavor(message, sink);
+        match (outcome, failure) {
+            (Ok(()), None) => Ok(()),
+            (_, failure) => Err(failure.unwrap_or(EncodeError::BodyTooLong)),
+        }
+    })
+}
+
+fn decode<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
+    match postcard::take_from_bytes(body) {
+        Ok((message, [])) => Ok(message),
+        Ok((_, rest)) => Err(MessageError::TooLong { extra: rest.len() }),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// CRC-32C of `message`'s wire form.
+pub(crate) fn checksum<T: Serialize>(message: &T) -> u32 {
+    // Neither the sink nor plain numbers can fail.
+    postcard::serialize_with_flavor(message, ChecksumSink(crc_32c_digest())).unwrap_or_default()
+}
+
+struct FrameSink<'s, 'b> {
+    body: &'s mut BodyWriter<'b>,
+    failure: &'s mut Option<EncodeError>,
+}
+
+impl Flavor for FrameSink<'_, '_> {
+    type Output = ();
+
+    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
+        self.body.push(data).map_err(|error| {
+            *self.failure = Some(error);
+            postcard::Error::SerializeBufferFull
+        })
+    }
+
+    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
+        self.try_extend(&[data])
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
+    }
+}
+
+struct ChecksumSink(Digest<'static, u32>);
+
+impl Flavor for ChecksumSink {
+    type Output = u32;
+
+    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
+        self.0.update(data);
+        Ok(())
+    }
+
+    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
+        self.try_extend(&[data])
+    }
+
+    fn finalize(self) -> postcard::Result<u32> {
+        Ok(self.0.finalize())
+    }
+}
+
+/// Why a body is no message. The frame's CRC has passed, so the sender speaks otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum MessageError {
+    /// The body ends before the message does.
+    TooShort,
+    /// The body goes on after the message.
+    TooLong {
+        /// For so many bytes.
+        extra: usize,
+    },
+    /// A variant or value that this version does not have.
+    Malformed,
+}
+
+impl From<postcard::Error> for MessageError {
+    fn from(error: postcard::Error) -> Self {
+        match error {
+            postcard::Error::DeserializeUnexpectedEnd => Self::TooShort,
+            _ => Self::Malformed,
+        }
+    }
+}
+
+impl fmt::Display for MessageError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("a message cannot be read: ")?;
+        match self {
+            Self::TooShort => out.write_str("it ends too early")?,
+            Self::TooLong { extra } => write!(out, "{extra} bytes follow it")?,
+            Self::Malformed => out.write_str("it has a value that is unknown here")?,
+        }
+        out.write_str("; update host and device to the same wire version")
+    }
+}
+
+impl core::error::Error for MessageError {}

@@ -1,0 +1,272 @@
+//! What a host asks for, and what it is answered.
+
+use core::fmt;
+
+use serde::de::{self, Deserializer, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
+
+use super::MessageError;
+use super::parameters::{ParameterFault, WireParameters};
+use super::settings::Settings;
+use super::telemetry::{ActiveParameters, Status};
+
+/// Up to 8 bytes that prove who wrote a request or reply; none in this version.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Signature {
+    length: u8,
+    bytes: [u8; Self::MAX],
+}
+
+impl Signature {
+    /// The longest signature, bytes.
+    pub const MAX: usize = 8;
+
+    /// No signature.
+    pub const NONE: Self = Self {
+        length: 0,
+        bytes: [0; Self::MAX],
+    };
+
+    /// From its bytes; `None` if there are more than 8.
+    pub fn new(signature: &[u8]) -> Option<Self> {
+        let mut bytes = [0; Self::MAX];
+        bytes.get_mut(..signature.len())?.copy_from_slice(signature);
+        Some(Self {
+            length: signature.len() as u8,
+            bytes,
+        })
+    }
+
+    /// Its bytes.
+    pub fn as_bytes(&self) -> &[u8] {
+        self.bytes.get(..self.length.into()).unwrap_or_default()
+    }
+}
+
+impl Serialize for Signature {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(self.as_bytes())
+    }
+}
+
+impl<'de> Deserialize<'de> for Signature {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Bytes;
+
+        impl Visitor<'_> for Bytes {
+            type Value = Signature;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("at most 8 bytes")
+            }
+
+            fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<Signature, E> {
+                Signature::new(bytes).ok_or_else(|| E::invalid_length(bytes.len(), &self))
+            }
+        }
+
+        deserializer.deserialize_bytes(Bytes)
+    }
+}
+
+/// A host asks for something. [`Requester`](crate::Requester) makes them and
+/// [`Responder`](crate::Responder) takes them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Request {
+    /// Chosen by the host at random when it connects.
+    pub session: u32,
+    /// One more with each request of a session; the same when one is repeated.
+    pub id: u32,
+    /// None in this version.
+    pub signature: Signature,
+    /// What it asks for.
+    pub command: Command,
+}
+
+/// What stands before the command in a [`Request`].
+#[derive(Serialize, Deserialize)]
+pub(crate) struct RequestHead {
+    pub(crate) session: u32,
+    pub(crate) id: u32,
+    signature: Signature,
+}
+
+impl RequestHead {
+    /// The head of a request's body, and the rest: a command, perhaps one that is unknown here.
+    pub(crate) fn split(body: &[u8]) -> Result<(Self, &[u8]), MessageError> {
+        postcard::take_from_bytes(body).map_err(MessageError::from)
+    }
+}
+
+/// What a host can ask for, and what it returns. Absolute, so that twice is once. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
+pub enum Command {
+    /// The parameters in use: [`Payload::Parameters`].
+    GetParameters,
+    /// Check these parameters and keep them for a commit: [`Payload::Staged`].
+    StageParameters(WireParameters),
+    /// Store the staged parameters and use them: [`Payload::None`].
+    CommitParameters {
+        /// The id that staging them returned.
+        hash: u32,
+    },
+    /// Forget parameters and settings: [`Payload::None`].
+    FactoryReset,
+    /// The settings in use: [`Payload::Settings`].
+    GetSettings,
+    /// Store these settings and use them: [`Payload::Settings`].
+    SetSettings(Settings),
+    /// How the device is: [`Payload::Status`].
+    GetStatus,
+}
+
+impl Command {
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
+        super::decode(bytes)
+    }
+
+    /// Whether it changes what the device keeps.
+    pub fn is_write(&self) -> bool {
+        match self {
+            Self::GetParameters | Self::GetSettings | Self::GetStatus => false,
+            Self::StageParameters(_)
+            | Self::CommitParameters { .. }
+            | Self::FactoryReset
+            | Self::SetSettings(_) => true,
+        }
+    }
+}
+
+/// A device's answer to a request.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Reply {
+    /// The request's.
+    pub session: u32,
+    /// The request's.
+    pub id: u32,
+    /// None in this version.
+    pub signature: Signature,
+    /// The answer.
+    pub answer: Answer,
+}
+
+/// What came of a request. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
+pub enum Answer {
+    /// It was done.
+    Accepted(Payload),
+    /// It was not done.
+    Refused(Refusal),
+    /// The device does not know this command.
+    Unknown,
+}
+
+/// What an accepted request returns. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
+pub enum Payload {
+    /// Nothing.
+    None,
+    /// The parameters in use.
+    Parameters(ActiveParameters),
+    /// The parameters are staged.
+    Staged {
+        /// Their id, for the commit.
+        hash: u32,
+    },
+    /// The settings in use.
+    Settings(Settings),
+    /// How the device is.
+    Status(Status),
+}
+
+/// Why a request was refused. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Refusal {
+    /// Writing on this link takes the device's key.
+    KeyNeeded,
+    /// Nobody may write on this link.
+    Locked,
+    /// The parameters are none.
+    InvalidParameters(ParameterFault),
+    /// The parameters are for another full-scale range than the device is set to, both ± *g*.
+    WrongRange {
+        /// Theirs.
+        parameters_g: u8,
+        /// The device's.
+        device_g: u8,
+    },
+    /// A commit without staged parameters.
+    NothingStaged,
+    /// A commit names other parameters than are staged.
+    HashMismatch {
+        /// The id of those that are.
+        staged: u32,
+    },
+    /// The sensor cannot be set so.
+    UnsupportedSettings {
+        /// The nearest that it can.
+        nearest: Settings,
+    },
+    /// The store could not be written; the device holds what it held.
+    StoreFailed,
+    /// The sensor does not answer.
+    SensorFailed,
+    /// The request is older than one already answered, or its id was used for another.
+    Stale,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::KeyNeeded => out.write_str(
+                "writing on this link takes the device's key; run `wimu key set` once over the cable",
+            ),
+            Self::Locked => out.write_str("nobody may write on this link; use the cable"),
+            Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
+            Self::WrongRange {
+                parameters_g,
+                device_g,
+            } => write!(
+                out,
+                "the parameters are for ±{parameters_g} g, the device is set to ±{device_g} g; set its range or calibrate at this one"
+            ),
+            Self::NothingStaged => {
+                out.write_str("no parameters are staged; push them again from the start")
+            }
+            Self::HashMismatch { staged } => write!(
+                out,
+                "other parameters ({staged:08x}) are staged: another host is writing; push again"
+            ),
+            Self::UnsupportedSettings { nearest } => write!(
+                out,
+                "the sensor cannot be set so; the nearest is ±{} g at {} Hz, {:?} resolution, batches of {} and {}",
+                nearest.range_g,
+                nearest.rate_hz,
+                nearest.resolution,
+                nearest.cable.batch,
+                nearest.wireless.batch
+            ),
+            Self::StoreFailed => out.write_str(
+                "the device could not write its store and holds what it held; try again, then replace the device",
+            ),
+            Self::SensorFailed => {
+                out.write_str("the accelerometer does not answer; check its wiring")
+            }
+            Self::Stale => out.write_str(
+                "the request is older than one already answered; ask again in a new session",
+            ),
+        }
+    }
+}
+
+impl core::error::Error for Refusal {}

@@ -1,0 +1,261 @@
+//! What a device sends unasked.
+
+use core::fmt;
+
+use serde::{Deserialize, Serialize};
+use wimu_model::ParameterId;
+
+use super::parameters::{ParameterFault, WireParameters};
+use super::settings::Settings;
+use super::state::{WirePhase, WireState};
+
+/// Everything that a device sends unasked besides samples. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
+pub enum Telemetry {
+    /// From here on samples can be replayed.
+    Epoch(Epoch),
+    /// Magnetic field and temperature, at their own rate.
+    Environment(Environment),
+    /// Velocity and position.
+    Navigation(Navigation),
+    /// The parameters in use.
+    Parameters(ActiveParameters),
+    /// The settings in use.
+    Settings(Settings),
+    /// How the device is.
+    Status(Status),
+    /// Something happened.
+    Event {
+        /// When, device time, µs.
+        time_us: u64,
+        /// What.
+        event: Event,
+    },
+}
+
+/// Why an epoch begins. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum EpochReason {
+    /// The device has started.
+    Start,
+    /// A second has passed.
+    Periodic,
+    /// Samples were missed.
+    Gap,
+    /// The integrator found a rest, or the end of one.
+    Stillness,
+    /// The latched temperature has moved by a step.
+    Temperature,
+    /// The settings have changed.
+    Settings,
+    /// The parameters have changed.
+    Parameters,
+}
+
+/// All that decides the device's corrected samples, velocities and positions from a sample on: a
+/// host that runs the same crates over the raw samples from there gets them bit for bit, until the
+/// next epoch or missing sample. Never shed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Epoch {
+    /// Why it begins.
+    pub reason: EpochReason,
+    /// Sequence number of the first sample that it holds for.
+    pub sequence: u32,
+    /// When that sample is expected, device time, µs.
+    pub time_us: u64,
+    /// Sample period, ns.
+    pub period_ns: u32,
+    /// Full-scale range, ± *g*.
+    pub range_g: u8,
+    /// Nominal sensitivity of the sensor at that range, LSB/*g*: with id 0, all there is.
+    pub sensitivity_lsb_per_g: f64,
+    /// The parameters in use: their id, 0 if uncalibrated.
+    pub parameters: u32,
+    /// Temperature that the corrector is compiled at, 0.01 °C; `None` without a thermometer.
+    pub temperature_centi_c: Option<i16>,
+    /// The integrator before that sample.
+    pub state: WireState,
+}
+
+impl Epoch {
+    /// The parameters in use.
+    pub fn parameter_id(&self) -> ParameterId {
+        ParameterId(self.parameters)
+    }
+}
+
+/// What the slow sensors say. A device without one sends `None`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Environment {
+    /// When, device time, µs.
+    pub time_us: u64,
+    /// Magnetic flux density, nT, magnetometer axes.
+    pub magnetic_field_nt: Option<[i32; 3]>,
+    /// Temperature, 0.01 °C.
+    pub temperature_centi_c: Option<i16>,
+}
+
+/// The integrator's output after a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Navigation {
+    /// The sample's sequence number.
+    pub sequence: u32,
+    /// Position, nm, east-north-up.
+    pub position_nm: [i64; 3],
+    /// Velocity, nm/s, east-north-up.
+    pub velocity_nmps: [i64; 3],
+    /// Time since velocity was last known to be zero, ms.
+    pub since_rest_ms: u32,
+    /// Where the integrator stands; while searching, the numbers mean nothing.
+    pub phase: WirePhase,
+    /// What is wrong with the numbers: the bits of [`wimu_integrator::Flags`].
+    pub flags: u8,
+}
+
+impl Navigation {
+    /// The integrator's output after sample `sequence`.
+    pub fn new(sequence: u32, navigation: &wimu_integrator::Navigation) -> Self {
+        Self {
+            sequence,
+            position_nm: navigation.position.0,
+            velocity_nmps: navigation.velocity.0,
+            since_rest_ms: navigation.since_rest_ms,
+            phase: navigation.phase.into(),
+            flags: navigation.flags.0,
+        }
+    }
+}
+
+/// The parameters in use. Sent at start and whenever they change.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ActiveParameters {
+    /// The committed set; `None` if the device is uncalibrated.
+    pub active: Option<WireParameters>,
+    /// Its id, 0 without one.
+    pub id: u32,
+}
+
+/// How a device is. Counts start with the device and wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Status {
+    /// Time since start, µs.
+    pub uptime_us: u64,
+    /// The cable; `None` on a board without one.
+    pub cable: Option<LinkStatus>,
+    /// The wireless link; `None` on a board without one.
+    pub wireless: Option<LinkStatus>,
+    /// The accelerometer.
+    pub sensor: SensorStatus,
+    /// Sample period as measured against the device's clock, ns; `None` until it is known.
+    pub measured_period_ns: Option<u32>,
+}
+
+/// How a link is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct LinkStatus {
+    /// Frames sent.
+    pub frames_sent: u32,
+    /// Bytes sent.
+    pub bytes_sent: u64,
+    /// Frames of telemetry and samples dropped because the link was too slow.
+    pub telemetry_shed: u32,
+    /// Damaged frames received.
+    pub frames_damaged: u32,
+}
+
+/// How the accelerometer is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SensorStatus {
+    /// Samples read.
+    pub samples: u32,
+    /// Samples that the sensor took and nobody read.
+    pub missed: u32,
+    /// Times that the sensor said it overwrote data.
+    pub overruns: u32,
+    /// Bus transfers that failed.
+    pub bus_errors: u32,
+}
+
+/// How a sensor's bus failed. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BusFault {
+    /// Nobody answers at the sensor's address.
+    NoAnswer,
+    /// The transfer failed.
+    Transfer,
+    /// No data came in time.
+    Timeout,
+}
+
+/// Something that happened to a device. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Event {
+    /// The accelerometer is gone; the device goes on trying.
+    SensorLost(BusFault),
+    /// The accelerometer is there again.
+    SensorFound,
+    /// Another chip answers at the accelerometer's address.
+    WrongSensor {
+        /// The identification that the driver expects.
+        expected: u8,
+        /// The one that it read.
+        found: u8,
+    },
+    /// Stored parameters or settings cannot be read; defaults are used.
+    StoreUnreadable,
+    /// Stored parameters are not used.
+    ModelRejected(ParameterFault),
+    /// The stored settings do not fit the sensor; the nearest that do are used.
+    SettingsAdjusted,
+    /// The device is about to write its flash and hears nothing meanwhile.
+    Pause {
+        /// For how long at most, ms.
+        longest_ms: u16,
+    },
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::SensorLost(BusFault::NoAnswer) => out.write_str(
+                "the accelerometer does not answer on its bus; check its wiring and supply; the device goes on trying",
+            ),
+            Self::SensorLost(BusFault::Transfer) => out.write_str(
+                "transfers on the accelerometer's bus fail; check its wiring; the device goes on trying",
+            ),
+            Self::SensorLost(BusFault::Timeout) => out.write_str(
+                "the accelerometer has no new data in time; check its wiring; the device goes on trying",
+            ),
+            Self::SensorFound => out.write_str("the accelerometer answers"),
+            Self::WrongSensor { expected, found } => write!(
+                out,
+                "the chip at the accelerometer's address says it is 0x{found:02x}, expected 0x{expected:02x}; check that the firmware is for this board"
+            ),
+            Self::StoreUnreadable => out.write_str(
+                "stored parameters or settings cannot be read, the device runs on defaults; push them again",
+            ),
+            Self::ModelRejected(fault) => write!(
+                out,
+                "the stored calibration is not used: {fault}; calibrate again"
+            ),
+            Self::SettingsAdjusted => out.write_str(
+                "the stored settings do not fit the sensor, the nearest that do are used; see `wimu settings get`",
+            ),
+            Self::Pause { longest_ms } => {
+                write!(out, "the device writes its flash for up to {longest_ms} ms")
+            }
+        }
+    }
+}

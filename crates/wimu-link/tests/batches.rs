@@ -1,0 +1,183 @@
+//! Packing loses nothing and never blows up.
+
+use proptest::prelude::*;
+use wimu_link::batch::{self, Batch, BatchError, MAX_BATCH, Stream};
+use wimu_link::frame::{Deframer, EncodeError, Kind, MAX_FRAME};
+use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+
+fn pack<S: batch::Sample>(samples: &[S]) -> Vec<u8> {
+    let mut line = [0; MAX_FRAME];
+    let length = batch::encode(
+        0xabcd_1234,
+        DeviceTimeUs(0xff_5678_9abc),
+        samples,
+        &mut line,
+    )
+    .unwrap();
+    let mut deframer = Deframer::new();
+    line[..length]
+        .iter()
+        .find_map(|&byte| {
+            let frame = deframer.push(byte)?.unwrap();
+            assert_eq!(frame.kind, Kind::Batch);
+            Some(frame.body.to_vec())
+        })
+        .unwrap()
+}
+
+fn assert_lossless_raw(samples: &[Counts]) {
+    let body = pack(samples);
+    let batch = Batch::decode(&body).unwrap();
+    assert_eq!(batch.stream(), Stream::Raw);
+    assert_eq!(batch.len(), samples.len());
+    assert_eq!(
+        (batch.sequence_low(), batch.time_low()),
+        (0x1234, 0x78_9abc)
+    );
+    assert!(batch.counts().eq(samples.iter().copied()));
+    assert_eq!(batch.specific_forces().count(), 0);
+    // Header, and every sample as it is with its axis's coding and length, and the shift.
+    assert!(body.len() <= 6 + (22 + samples.len() * 48).div_ceil(8));
+}
+
+fn assert_lossless_corrected(samples: &[SpecificForceQ16]) {
+    let body = pack(samples);
+    let batch = Batch::decode(&body).unwrap();
+    assert_eq!(batch.stream(), Stream::Corrected);
+    assert!(batch.specific_forces().eq(samples.iter().copied()));
+    assert_eq!(batch.counts().count(), 0);
+    assert!(body.len() <= 6 + (26 + samples.len() * 96).div_ceil(8));
+}
+
+/// Samples around a course with a slope, and noise of all sizes.
+fn around_a_course() -> impl Strategy<Value = Vec<[i32; 3]>> {
+    let axis = || (any::<i32>(), -5000..5000_i32, 0..=32_u32);
+    (
+        [axis(), axis(), axis()],
+        0..16_u32,
+        prop::collection::vec(any::<[i32; 3]>(), 1..=MAX_BATCH),
+    )
+        .prop_map(|(axes, shift, noise)| {
+            (0_i32..)
+                .zip(noise)
+                .map(|(k, noise)| {
+                    core::array::from_fn(|axis| {
+                        let (start, slope, quiet) = axes[axis];
+                        start
+                            .wrapping_add(slope.wrapping_mul(k))
+                            .wrapping_add(noise[axis].checked_shr(quiet).unwrap_or(0))
+                            << shift
+                    })
+                })
+                .collect()
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn any_counts_come_back(samples in prop::collection::vec(any::<[i16; 3]>(), 1..=MAX_BATCH)) {
+        assert_lossless_raw(&samples.into_iter().map(Counts).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn any_specific_forces_come_back(samples in prop::collection::vec(any::<[i32; 3]>(), 1..=MAX_BATCH)) {
+        assert_lossless_corrected(&samples.into_iter().map(SpecificForceQ16).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn any_course_comes_back(samples in around_a_course()) {
+        assert_lossless_raw(&samples.iter().map(|s| Counts(s.map(|v| v as i16))).collect::<Vec<_>>());
+        assert_lossless_corrected(&samples.into_iter().map(SpecificForceQ16).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn numbers_are_completed_from_nearby(sequence: u32, ahead in -32768..32768_i32, time: u64, later in -(1_i64 << 23)..1 << 23) {
+        let near = sequence.wrapping_sub(ahead as u32);
+        prop_assert_eq!(batch::extend_sequence(sequence as u16, near), sequence);
+        let near = DeviceTimeUs((time >> 1).saturating_sub_signed(later));
+        if (time >> 1).abs_diff(near.0) < 1 << 23 {
+            let time = DeviceTimeUs(time >> 1);
+            prop_assert_eq!(batch::extend_time(time.0 as u32 & 0xff_ffff, near), time);
+        }
+    }
+
+    #[test]
+    fn a_cut_or_longer_batch_is_refused(samples in around_a_course(), extra: u8) {
+        let mut body = pack(&samples.iter().map(|s| Counts(s.map(|v| v as i16))).collect::<Vec<_>>());
+        for cut in 0..body.len() {
+            prop_assert!(Batch::decode(&body[..cut]).is_err());
+        }
+        body.push(extra);
+        prop_assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::TooLong);
+    }
+}
+
+#[test]
+fn extremes_come_back() {
+    for [a, b] in [
+        [i32::MIN, i32::MAX],
+        [i32::MIN, 0],
+        [-1, 0],
+        [0, 0],
+        [i32::MIN; 2],
+        [1, -1],
+    ] {
+        for count in 1..=MAX_BATCH {
+            let samples: Vec<_> = (0..count)
+                .map(|k| if k % 3 == 0 { [a, b, a] } else { [b, a, a] })
+                .collect();
+            assert_lossless_corrected(
+                &samples
+                    .iter()
+                    .map(|&s| SpecificForceQ16(s))
+                    .collect::<Vec<_>>(),
+            );
+            let raw = samples.iter().map(|s| Counts(s.map(|v| (v >> 16) as i16)));
+            assert_lossless_raw(&raw.collect::<Vec<_>>());
+        }
+    }
+}
+
+#[test]
+fn a_batch_of_none_or_too_many_is_refused() {
+    let mut line = [0; MAX_FRAME];
+    let samples = [Counts::default(); MAX_BATCH + 1];
+    for samples in [&samples[..0], &samples[..]] {
+        assert_eq!(
+            batch::encode(0, DeviceTimeUs(0), samples, &mut line),
+            Err(EncodeError::BatchLength)
+        );
+    }
+}
+
+#[test]
+fn low_bits_that_are_all_zero_cost_nothing() {
+    let noisy: Vec<_> = (0..16_i16)
+        .map(|k| Counts([k * 7 % 5, 3 - k % 3, 1024 + k * 3 % 7]))
+        .collect();
+    let justified: Vec<_> = noisy.iter().map(|c| Counts(c.0.map(|v| v << 4))).collect();
+    assert!(pack(&justified).len() <= pack(&noisy).len() + 1);
+}
+
+#[test]
+fn time_before_the_start_is_not_guessed() {
+    assert_eq!(
+        batch::extend_time(0xff_ffff, DeviceTimeUs(3)),
+        DeviceTimeUs(0xff_ffff)
+    );
+}
+
+#[test]
+fn a_reserved_bit_and_an_impossible_value_are_refused() {
+    let mut body = pack(&[Counts([1, 2, 3])]);
+    body[0] |= 0x80;
+    assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Reserved);
+    // Two raw samples; X: mean, k = 15, first value 0, two ones: a residual of 2·2¹⁵ or more.
+    let bits = [0b0111_1100, 0b0001_1000, 0, 0, 0];
+    let body = [&[1, 0, 0, 0, 0, 0], &bits[..]].concat();
+    assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Value);
+    // And no batch at all.
+    assert_eq!(Batch::decode(&[]).unwrap_err(), BatchError::TooShort);
+}

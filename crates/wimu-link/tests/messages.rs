@@ -1,0 +1,298 @@
+//! Messages and what they carry.
+
+use proptest::prelude::*;
+use wimu_integrator::{Config, Integrator};
+use wimu_link::message::{
+    ActiveParameters, Answer, BusFault, Epoch, EpochReason, Event, MessageError, Navigation,
+    ParameterFault, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
+    WireParameters, WirePhase, WireRun, WireSegment, WireState, WireTerm, WireWindow, parameter_id,
+};
+use wimu_link::{Deframer, MAX_FRAME};
+use wimu_model::{
+    Alignment, CompileError, ErrorModel, ErrorTerms, ParameterId, ParameterSet, PeriodNs,
+    Sensitivity, SpecificForceQ16,
+};
+
+fn body_of(
+    encode: impl FnOnce(&mut [u8]) -> Result<usize, wimu_link::frame::EncodeError>,
+) -> Vec<u8> {
+    let mut line = [0; MAX_FRAME];
+    let length = encode(&mut line).unwrap();
+    let mut deframer = Deframer::new();
+    line[..length]
+        .iter()
+        .find_map(|&byte| Some(deframer.push(byte)?.unwrap().body.to_vec()))
+        .unwrap()
+}
+
+fn calibrated() -> ParameterSet {
+    ParameterSet {
+        model: ErrorModel::new(ErrorTerms {
+            bias_mps2: [0.1, -0.2, 0.3],
+            matrix: [[1.01, 0.02, -0.0], [0.0, 0.99, 0.03], [0.01, 0.0, 1.0]],
+            nonlinearity: [1e-5, 0.0, -1e-5],
+            ..ErrorTerms::default()
+        })
+        .unwrap(),
+        alignment: Alignment::from_quaternion([0.7, 0.1, -0.3, 0.2]).unwrap(),
+        ..ParameterSet::uncalibrated(4, Sensitivity::from_lsb_per_g(8192.0).unwrap())
+    }
+}
+
+/// Every number as long as it gets on the wire.
+fn longest_epoch() -> Epoch {
+    let far = [i64::MIN; 3];
+    let wide = [i32::MIN; 3];
+    let segment = WireSegment {
+        steps: u32::MAX,
+        velocity_sum: far,
+        position_sum: far,
+        previous: Some(wide),
+    };
+    Epoch {
+        reason: EpochReason::Parameters,
+        sequence: u32::MAX,
+        time_us: u64::MAX,
+        period_ns: u32::MAX,
+        range_g: u8::MAX,
+        sensitivity_lsb_per_g: f64::MAX,
+        parameters: u32::MAX,
+        temperature_centi_c: Some(i16::MIN),
+        state: WireState {
+            period_ns: u32::MAX,
+            zupt: true,
+            gravity_um_s2: u32::MAX,
+            phase: WirePhase::Moving,
+            flags: u8::MAX,
+            rest_mean: far,
+            east: wide,
+            base_position_nm: far,
+            base_velocity_nmps: far,
+            base_since_rest_ns: u64::MAX,
+            segment,
+            window: WireWindow {
+                start: segment,
+                samples: u16::MAX,
+                reference: wide,
+                sum: wide,
+                squares: u64::MAX,
+            },
+            run: Some(WireRun {
+                windows: u16::MAX,
+                sum: far,
+                latest: far,
+                start: segment,
+            }),
+        },
+    }
+}
+
+#[test]
+fn the_longest_epoch_fits_a_frame() {
+    let telemetry = Telemetry::Epoch(longest_epoch());
+    let body = body_of(|line| telemetry.encode(line));
+    assert_eq!(Telemetry::decode(&body), Ok(telemetry));
+}
+
+#[test]
+fn the_longest_reply_fits_a_frame() {
+    let reply = Reply {
+        session: u32::MAX,
+        id: u32::MAX,
+        signature: Signature::new(&[0xff; 8]).unwrap(),
+        answer: Answer::Accepted(Payload::Parameters(ActiveParameters {
+            active: Some(WireParameters::from(&calibrated())),
+            id: u32::MAX,
+        })),
+    };
+    let body = body_of(|line| reply.encode(line));
+    assert_eq!(Reply::decode(&body), Ok(reply));
+}
+
+#[test]
+fn an_integrator_goes_on_from_its_state_on_the_wire() {
+    let mut device = Integrator::new(Config::new(PeriodNs(10_000_000)).unwrap());
+    let force = |k: i32| SpecificForceQ16([k * 37 % 600, -k * 91 % 500, 642_688 + k * 17 % 400]);
+    for k in 0..1500 {
+        device.step(force(k), false);
+        if k % 97 == 0 {
+            let epoch = Epoch {
+                state: device.state().into(),
+                ..longest_epoch()
+            };
+            let body = body_of(|line| Telemetry::Epoch(epoch).encode(line));
+            let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(&body) else {
+                panic!("no epoch");
+            };
+            let mut host = Integrator::from_state(epoch.state.into()).unwrap();
+            assert_eq!(host.state(), device.state());
+            let mut ahead = Integrator::from_state(device.state()).unwrap();
+            for later in k..k + 300 {
+                host.step(force(3 * later), false);
+                ahead.step(force(3 * later), false);
+            }
+            assert_eq!(
+                Navigation::new(9, &host.navigation()),
+                Navigation::new(9, &ahead.navigation())
+            );
+        }
+    }
+}
+
+#[test]
+fn a_parameter_set_comes_back_bit_for_bit() {
+    let set = calibrated();
+    let wire = WireParameters::from(&set);
+    let back = ParameterSet::try_from(&wire).unwrap();
+    assert_eq!(back, set);
+    assert_eq!(parameter_id(&back), parameter_id(&set));
+    let bits = |set: &ParameterSet| set.alignment.quaternion().map(f64::to_bits);
+    assert_eq!(bits(&back), bits(&set));
+}
+
+#[test]
+fn an_id_tells_sets_apart_and_is_never_that_of_none() {
+    let set = calibrated();
+    let other = ParameterSet { range_g: 2, ..set };
+    assert_ne!(parameter_id(&set), parameter_id(&other));
+    assert_ne!(parameter_id(&set), ParameterId::UNCALIBRATED);
+}
+
+#[test]
+fn invalid_parameters_name_the_fault() {
+    let fault = |change: &dyn Fn(&mut WireParameters)| {
+        let mut wire = WireParameters::from(&calibrated());
+        change(&mut wire);
+        ParameterSet::try_from(&wire).unwrap_err()
+    };
+    assert_eq!(
+        fault(&|p| p.matrix[1][2] = f64::INFINITY),
+        ParameterFault::NotFinite {
+            term: WireTerm::Misalignment,
+            axis: 1
+        }
+    );
+    assert_eq!(
+        fault(&|p| p.bias_mps2[2] = -6.0).to_string(),
+        "bias Z = -6 m/s² is outside -5 to 5 m/s²"
+    );
+    assert!(matches!(
+        fault(&|p| p.matrix = [[0.5, 0.3, 0.3], [0.3, 0.5, 0.3], [0.3, 0.3, 0.5]]),
+        ParameterFault::Singular(_)
+    ));
+    assert_eq!(
+        fault(&|p| p.sensitivity_lsb_per_g = 0.0),
+        ParameterFault::Sensitivity(0.0)
+    );
+    assert!(matches!(
+        fault(&|p| p.alignment_wxyz = [f64::NAN; 4]),
+        ParameterFault::Alignment(_)
+    ));
+    assert_eq!(
+        ParameterFault::from(CompileError::Overflow).to_string(),
+        CompileError::Overflow.to_string()
+    );
+}
+
+#[test]
+fn unknown_missing_and_left_over_bytes_are_told_apart() {
+    let event = Telemetry::Event {
+        time_us: 5,
+        event: Event::SensorLost(BusFault::NoAnswer),
+    };
+    let body = body_of(|line| event.encode(line));
+    assert_eq!(body, [6, 5, 0, 0]);
+    assert_eq!(Telemetry::decode(&body), Ok(event));
+    assert_eq!(Telemetry::decode(&body[..3]), Err(MessageError::TooShort));
+    assert_eq!(
+        Telemetry::decode(&[6, 5, 0, 0, 7]),
+        Err(MessageError::TooLong { extra: 1 })
+    );
+    assert_eq!(Telemetry::decode(&[7]), Err(MessageError::Malformed));
+    assert_eq!(Telemetry::decode(&[6, 5, 99]), Err(MessageError::Malformed));
+    // A signature of nine bytes.
+    let mut request = vec![1, 1, 9];
+    request.extend([0; 10]);
+    assert_eq!(Request::decode(&request), Err(MessageError::Malformed));
+    assert_eq!(Signature::new(&[0; 9]), None);
+}
+
+#[test]
+fn refusals_say_what_to_do() {
+    let nearest = Settings::default();
+    for (refusal, word) in [
+        (Refusal::KeyNeeded, "wimu key set"),
+        (Refusal::Locked, "cable"),
+        (Refusal::NothingStaged, "push"),
+        (Refusal::UnsupportedSettings { nearest }, "±2 g at 100 Hz"),
+        (
+            Refusal::WrongRange {
+                parameters_g: 4,
+                device_g: 2,
+            },
+            "±4 g",
+        ),
+    ] {
+        assert!(refusal.to_string().contains(word), "{refusal}");
+    }
+}
+
+fn segment() -> impl Strategy<Value = WireSegment> {
+    (
+        any::<u32>(),
+        any::<[i64; 3]>(),
+        any::<[i64; 3]>(),
+        any::<Option<[i32; 3]>>(),
+    )
+        .prop_map(
+            |(steps, velocity_sum, position_sum, previous)| WireSegment {
+                steps,
+                velocity_sum,
+                position_sum,
+                previous,
+            },
+        )
+}
+
+proptest! {
+    #[test]
+    fn any_state_travels_and_becomes_the_integrators(
+        segments in [segment(), segment(), segment()],
+        sums in any::<[[i64; 3]; 5]>(),
+        axes in any::<[[i32; 3]; 3]>(),
+        words in any::<[u32; 4]>(),
+        has_run: bool,
+    ) {
+        let [segment, start, run] = segments;
+        let state = WireState {
+            period_ns: words[0],
+            zupt: words[1] % 2 == 0,
+            gravity_um_s2: words[2],
+            phase: [WirePhase::Searching, WirePhase::Resting, WirePhase::Moving][words[3] as usize % 3],
+            flags: words[3] as u8,
+            rest_mean: sums[0],
+            east: axes[0],
+            base_position_nm: sums[1],
+            base_velocity_nmps: sums[2],
+            base_since_rest_ns: u64::from(words[1]) << 20,
+            segment,
+            window: WireWindow {
+                start,
+                samples: words[0] as u16,
+                reference: axes[1],
+                sum: axes[2],
+                squares: u64::from(words[2]) << 16,
+            },
+            run: has_run.then_some(WireRun {
+                windows: words[2] as u16,
+                sum: sums[3],
+                latest: sums[4],
+                start: run,
+            }),
+        };
+        prop_assert_eq!(WireState::from(wimu_integrator::State::from(state)), state);
+        let telemetry = Telemetry::Epoch(Epoch { state, ..longest_epoch() });
+        let body = body_of(|line| telemetry.encode(line));
+        prop_assert_eq!(Telemetry::decode(&body), Ok(telemetry));
+    }
+}

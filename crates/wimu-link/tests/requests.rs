@@ -1,0 +1,326 @@
+//! Requests and replies between both ends.
+
+use std::time::Duration;
+
+use proptest::prelude::*;
+use wimu_link::hello::{LinkRole, WriteAccess};
+use wimu_link::message::{
+    Answer, Command, Payload, Refusal, Reply, Request, Settings, Signature, WireParameters,
+};
+use wimu_link::requester::{Next, Requester};
+use wimu_link::responder::{Decision, Responder};
+use wimu_link::{Deframer, Kind, MAX_FRAME};
+use wimu_model::{ParameterSet, Sensitivity};
+
+const NOW: Duration = Duration::from_secs(5);
+
+fn body(line: &[u8], kind: Kind) -> Vec<u8> {
+    let mut deframer = Deframer::new();
+    line.iter()
+        .find_map(|&byte| {
+            let frame = deframer.push(byte)?.unwrap();
+            assert_eq!(frame.kind, kind);
+            Some(frame.body.to_vec())
+        })
+        .unwrap()
+}
+
+fn request(session: u32, id: u32, command: Command) -> Vec<u8> {
+    let mut line = [0; MAX_FRAME];
+    let request = Request {
+        session,
+        id,
+        signature: Signature::NONE,
+        command,
+    };
+    let length = request.encode(&mut line).unwrap();
+    body(&line[..length], Kind::Request)
+}
+
+fn answer(line: &[u8]) -> Answer {
+    Reply::decode(&body(line, Kind::Reply)).unwrap().answer
+}
+
+fn uncalibrated() -> WireParameters {
+    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).unwrap();
+    WireParameters::from(&ParameterSet::uncalibrated(2, sensitivity))
+}
+
+fn writes() -> [Command; 4] {
+    [
+        Command::StageParameters(uncalibrated()),
+        Command::CommitParameters { hash: 1 },
+        Command::FactoryReset,
+        Command::SetSettings(Settings::default()),
+    ]
+}
+
+/// A device that remembers what it carried out.
+struct Device {
+    responder: Responder,
+    settings: Settings,
+    effects: Vec<Command>,
+}
+
+impl Device {
+    fn new(role: LinkRole) -> Self {
+        Self {
+            responder: Responder::new(role),
+            settings: Settings::default(),
+            effects: Vec::new(),
+        }
+    }
+
+    fn hear(&mut self, body: &[u8]) -> Vec<u8> {
+        let command = match self.responder.accept(body, WriteAccess::Open) {
+            Decision::Execute(command) => command,
+            Decision::Send(frame) => return frame.to_vec(),
+            Decision::Ignore => return Vec::new(),
+        };
+        self.effects.push(command);
+        let answer = match command {
+            Command::SetSettings(settings) => {
+                self.settings = settings;
+                Answer::Accepted(Payload::None)
+            }
+            Command::GetSettings => Answer::Accepted(Payload::Settings(self.settings)),
+            _ => Answer::Accepted(Payload::None),
+        };
+        self.responder.reply(&answer).to_vec()
+    }
+}
+
+#[test]
+fn a_repeated_request_has_one_effect_and_gets_the_same_bytes() {
+    for command in writes().into_iter().chain([Command::GetSettings]) {
+        let mut device = Device::new(LinkRole::Cable);
+        let request = request(1, 1, command);
+        let first = device.hear(&request);
+        assert!(!first.is_empty());
+        for _ in 0..5 {
+            assert_eq!(device.hear(&request), first);
+        }
+        assert_eq!(device.effects.len(), 1);
+    }
+}
+
+#[test]
+fn a_repeat_while_it_is_carried_out_is_ignored() {
+    let mut responder = Responder::new(LinkRole::Cable);
+    let reset = request(1, 1, Command::FactoryReset);
+    let other = request(2, 1, Command::GetStatus);
+    assert!(matches!(
+        responder.accept(&reset, WriteAccess::Open),
+        Decision::Execute(Command::FactoryReset)
+    ));
+    for body in [&reset, &other] {
+        assert_eq!(responder.accept(body, WriteAccess::Open), Decision::Ignore);
+    }
+    let reply = responder
+        .reply(&Answer::Refused(Refusal::StoreFailed))
+        .to_vec();
+    assert_eq!(answer(&reply), Answer::Refused(Refusal::StoreFailed));
+    assert_eq!(
+        responder.accept(&reset, WriteAccess::Open),
+        Decision::Send(&reply)
+    );
+    // What was ignored was not taken as heard.
+    assert!(matches!(
+        responder.accept(&other, WriteAccess::Open),
+        Decision::Execute(Command::GetStatus)
+    ));
+}
+
+#[test]
+fn a_write_passes_only_on_an_open_cable() {
+    let key = Answer::Refused(Refusal::KeyNeeded);
+    let locked = Answer::Refused(Refusal::Locked);
+    let cases = [
+        (LinkRole::Cable, WriteAccess::Open, None),
+        (LinkRole::Cable, WriteAccess::Key, Some(key)),
+        (LinkRole::Cable, WriteAccess::Locked, Some(locked)),
+        (LinkRole::Wireless, WriteAccess::Open, Some(key)),
+        (LinkRole::Wireless, WriteAccess::Key, Some(key)),
+        (LinkRole::Wireless, WriteAccess::Locked, Some(locked)),
+        (LinkRole::Other(9), WriteAccess::Open, Some(key)),
+        (LinkRole::Cable, WriteAccess::Other(9), Some(key)),
+    ];
+    for (role, access, expected) in cases {
+        for command in writes() {
+            let mut responder = Responder::new(role);
+            match (responder.accept(&request(1, 1, command), access), expected) {
+                (Decision::Execute(executed), None) => assert_eq!(executed, command),
+                (Decision::Send(frame), Some(refusal)) => assert_eq!(answer(frame), refusal),
+                (decision, _) => panic!("{role} {access}: {decision:?}"),
+            }
+        }
+        let mut responder = Responder::new(role);
+        assert!(matches!(
+            responder.accept(&request(1, 1, Command::GetStatus), access),
+            Decision::Execute(Command::GetStatus)
+        ));
+    }
+}
+
+#[test]
+fn an_unknown_command_is_answered_as_unknown() {
+    let mut responder = Responder::new(LinkRole::Cable);
+    let mut body = request(300, 5, Command::GetStatus);
+    *body.last_mut().unwrap() = 99;
+    let Decision::Send(frame) = responder.accept(&body, WriteAccess::Open) else {
+        panic!("not answered");
+    };
+    assert_eq!(answer(frame), Answer::Unknown);
+    // A known command that goes on is not the command we know.
+    let mut body = request(300, 6, Command::GetStatus);
+    body.push(0);
+    let Decision::Send(frame) = responder.accept(&body, WriteAccess::Open) else {
+        panic!("not answered");
+    };
+    assert_eq!(answer(frame), Answer::Unknown);
+    // Bytes without a session and an id cannot be answered.
+    for cut in 0..3 {
+        let body = &request(1, 1, Command::GetStatus)[..cut];
+        assert_eq!(responder.accept(body, WriteAccess::Open), Decision::Ignore);
+    }
+}
+
+#[test]
+fn an_old_request_and_a_reused_id_are_stale() {
+    let mut device = Device::new(LinkRole::Cable);
+    let stale = Answer::Refused(Refusal::Stale);
+    let old = request(u32::MAX, u32::MAX, Command::FactoryReset);
+    let late = request(u32::MAX, 0, Command::GetSettings);
+    device.hear(&old);
+    let answered = device.hear(&late);
+    assert_eq!(answer(&device.hear(&old)), stale);
+    let reused = request(u32::MAX, 0, Command::FactoryReset);
+    assert_eq!(answer(&device.hear(&reused)), stale);
+    // Neither spoils the answer to the latest.
+    assert_eq!(device.hear(&late), answered);
+    assert_eq!(device.effects.len(), 2);
+}
+
+#[test]
+fn sessions_do_not_repeat_each_others_requests() {
+    let mut device = Device::new(LinkRole::Cable);
+    let requests: Vec<_> = (0..4)
+        .map(|session| request(session, 7, Command::FactoryReset))
+        .collect();
+    for request in &requests {
+        device.hear(request);
+    }
+    assert_eq!(device.effects.len(), 4);
+    for request in &requests {
+        assert!(!device.hear(request).is_empty());
+    }
+    assert_eq!(device.effects.len(), 4);
+}
+
+#[test]
+fn a_reply_to_nothing_is_empty() {
+    let mut responder = Responder::new(LinkRole::Cable);
+    assert!(responder.reply(&Answer::Unknown).is_empty());
+}
+
+#[test]
+fn a_host_asks_again_and_gives_up_in_time() {
+    let interval = Duration::from_millis(100);
+    let mut requester = Requester::with_timing(9, interval, 3);
+    assert_eq!(requester.poll(NOW), Next::Idle);
+    let first = requester.start(Command::GetStatus, NOW).to_vec();
+    assert_eq!(
+        requester.poll(NOW),
+        Next::Wait {
+            until: NOW + interval
+        }
+    );
+    assert_eq!(requester.poll(NOW + interval), Next::Send(&first));
+    // A host that slept asks once, not for every time it missed.
+    let awake = NOW + 20 * interval;
+    assert_eq!(requester.poll(awake), Next::Send(&first));
+    assert_eq!(
+        requester.poll(awake),
+        Next::Wait {
+            until: awake + interval
+        }
+    );
+    assert_eq!(requester.poll(awake + interval), Next::TimedOut);
+    assert_eq!(requester.poll(awake + interval), Next::Idle);
+}
+
+#[test]
+fn only_the_reply_to_the_waiting_request_is_taken() {
+    let mut requester = Requester::new(9);
+    let answer = Answer::Accepted(Payload::None);
+    let reply = |session, id| Reply {
+        session,
+        id,
+        signature: Signature::NONE,
+        answer,
+    };
+    assert_eq!(requester.on_reply(&reply(9, 0)), None);
+    requester.start(Command::FactoryReset, NOW);
+    requester.start(Command::GetStatus, NOW);
+    for other in [reply(8, 2), reply(9, 1), reply(9, 3)] {
+        assert_eq!(requester.on_reply(&other), None);
+    }
+    assert_eq!(requester.on_reply(&reply(9, 2)), Some(answer));
+    assert_eq!(requester.on_reply(&reply(9, 2)), None);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(1000))]
+
+    /// Both ends over a line that loses, doubles and delays frames.
+    #[test]
+    fn over_a_bad_line_a_request_has_one_effect_at_most_and_exactly_one_if_answered(
+        count in 1..12_u16,
+        luck in prop::collection::vec((0..4_u8, 0..4_u8), 200),
+    ) {
+        let mut device = Device::new(LinkRole::Cable);
+        let mut requester = Requester::new(77);
+        let mut luck = luck.into_iter().cycle();
+        let mut now = NOW;
+        let mut late: Vec<Vec<u8>> = Vec::new();
+        for rate_hz in 1..=count {
+            let wanted = Settings { rate_hz, ..Settings::default() };
+            let mut line = Some(requester.start(Command::SetSettings(wanted), now).to_vec());
+            let mut answered = None;
+            while let Some(frame) = line.take() {
+                let (there, back) = luck.next().unwrap();
+                let request = body(&frame, Kind::Request);
+                let mut replies = Vec::new();
+                if let (1, Some(old)) = (there, late.pop()) {
+                    replies.push(device.hear(&old));
+                }
+                for _ in 0..there {
+                    replies.push(device.hear(&request));
+                }
+                late.push(request);
+                for reply in replies.iter().filter(|reply| !reply.is_empty() && back > 0) {
+                    let reply = Reply::decode(&body(reply, Kind::Reply)).unwrap();
+                    answered = answered.or(requester.on_reply(&reply));
+                }
+                now += Duration::from_millis(500);
+                if let Next::Send(frame) = requester.poll(now) {
+                    line = Some(frame.to_vec());
+                }
+            }
+            if let Some(answer) = answered {
+                prop_assert_eq!(answer, Answer::Accepted(Payload::None));
+                prop_assert_eq!(device.settings, wanted);
+            }
+        }
+        // Each at most once, and in the order in which they were asked for.
+        let rates: Vec<_> = device
+            .effects
+            .iter()
+            .map(|command| match command {
+                Command::SetSettings(settings) => settings.rate_hz,
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        prop_assert!(rates.is_sorted_by(|a, b| a < b), "{:?}", rates);
+    }
+}

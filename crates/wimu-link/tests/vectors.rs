@@ -1,0 +1,504 @@
+//! Golden vectors: whole frames in `tests/vectors/v0`, one a line in hex, each under a comment that
+//! says what it is. They keep the wire from changing unnoticed, and other hosts can be tested on
+//! them.
+//!
+//! `WRITE_VECTORS=1 cargo test -p wimu-link --test vectors` writes them anew.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use wimu_link::frame::EncodeError;
+use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
+use wimu_link::message::{
+    ActiveParameters, Answer, BusFault, Command, Environment, Epoch, EpochReason, Event,
+    LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request, Resolution,
+    SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireParameters, WirePhase,
+    WireRun, WireSegment, WireState, WireTerm, WireWindow,
+};
+use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WhoAreYou, batch};
+use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
+
+/// A file of frames, each with what it is.
+struct Vectors {
+    name: &'static str,
+    kind: Kind,
+    frames: Vec<(String, Vec<u8>)>,
+}
+
+impl Vectors {
+    fn new(name: &'static str, kind: Kind) -> Self {
+        Self {
+            name,
+            kind,
+            frames: Vec::new(),
+        }
+    }
+
+    fn add(
+        &mut self,
+        what: impl Into<String>,
+        encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+    ) {
+        let mut line = [0; MAX_FRAME];
+        let length = encode(&mut line).unwrap();
+        self.frames.push((what.into(), line[..length].to_vec()));
+    }
+
+    /// Compares with the file, and returns the bodies of its frames.
+    fn check(self) -> Vec<Vec<u8>> {
+        let path = folder().join(self.name).with_extension("hex");
+        let mut text = String::new();
+        for (what, frame) in &self.frames {
+            let hex = frame.iter().fold(String::new(), |mut hex, byte| {
+                write!(hex, "{byte:02x}").unwrap();
+                hex
+            });
+            writeln!(text, "# {what}\n{hex}").unwrap();
+        }
+        if std::env::var_os("WRITE_VECTORS").is_some() {
+            std::fs::create_dir_all(folder()).unwrap();
+            std::fs::write(&path, &text).unwrap();
+        }
+        let golden = std::fs::read_to_string(&path).unwrap();
+        for (made, kept) in text.lines().zip(golden.lines()) {
+            assert_eq!(made, kept, "{}", path.display());
+        }
+        assert_eq!(text.lines().count(), golden.lines().count());
+        golden
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .map(|line| {
+                let bytes: Vec<u8> = (0..line.len() / 2)
+                    .map(|at| u8::from_str_radix(&line[2 * at..2 * at + 2], 16).unwrap())
+                    .collect();
+                let mut deframer = Deframer::new();
+                bytes
+                    .iter()
+                    .find_map(|&byte| {
+                        let frame = deframer.push(byte)?.unwrap();
+                        assert_eq!((frame.version, frame.kind), (0, self.kind));
+                        Some(frame.body.to_vec())
+                    })
+                    .unwrap()
+            })
+            .collect()
+    }
+}
+
+fn folder() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors/v0")
+}
+
+#[test]
+fn every_file_is_checked() {
+    let mut names: Vec<_> = std::fs::read_dir(folder())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(
+        names,
+        [
+            "batch.hex",
+            "hello.hex",
+            "reply.hex",
+            "request.hex",
+            "telemetry.hex",
+            "who_are_you.hex"
+        ]
+    );
+}
+
+#[test]
+fn hello_is_as_it_was() {
+    let hellos = [
+        Hello::new(LinkRole::Cable),
+        Hello {
+            access: WriteAccess::Open,
+            device_id: 0x0123_4567_89ab_cdef,
+            boot_count: 7,
+            capabilities: Capabilities::ACCELEROMETER
+                .with(Capabilities::MAGNETOMETER)
+                .with(Capabilities::TEMPERATURE),
+            parameter_id: ParameterId(0xdead_beef),
+            uptime_us: 0x0102_0304_0506,
+            firmware: [1, 256, 3],
+            reset_reason: ResetReason::Watchdog,
+            sensitivity_known: true,
+            board: Part::new(board::MICROBIT_V2, "micro:bit v2"),
+            sensor: Part::new(sensor::LSM303AGR, "LSM303AGR"),
+            ..Hello::new(LinkRole::Wireless)
+        },
+    ];
+    let mut vectors = Vectors::new("hello", Kind::Hello);
+    for hello in &hellos {
+        vectors.add(format!("{hello:?}"), |line| hello.encode(line));
+    }
+    for (body, hello) in vectors.check().iter().zip(hellos) {
+        assert_eq!(Hello::decode(body), Ok(hello));
+    }
+}
+
+#[test]
+fn who_are_you_is_as_it_was() {
+    let mut vectors = Vectors::new("who_are_you", Kind::WhoAreYou);
+    vectors.add("WhoAreYou { wire_version: 0 }", |line| {
+        WhoAreYou::default().encode(line)
+    });
+    for body in vectors.check() {
+        assert_eq!(WhoAreYou::decode(&body), Ok(WhoAreYou::default()));
+    }
+}
+
+#[test]
+fn batches_are_as_they_were() {
+    let rest: Vec<_> = (0..16_i16)
+        .map(|k| {
+            Counts([
+                16 * (k * 7 % 5),
+                16 * (k * 5 % 3 - 60),
+                16384 + 16 * (k * 11 % 4),
+            ])
+        })
+        .collect();
+    let slope: Vec<_> = (0..8_i16)
+        .map(|k| Counts([300 * k, -41 * k * k, 9 - k % 2]))
+        .collect();
+    let mut shock = rest.clone();
+    shock[9] = Counts([32767, -32768, 1]);
+    let wild = [[-32768, 32767, 1], [32767, -32768, -1]].map(Counts);
+    let one = [Counts([0, -1, 16384])];
+    let still = [Counts([0, 0, 16384]); 4];
+    let mut vectors = Vectors::new("batch", Kind::Batch);
+    let mut raw = Vec::new();
+    for (what, samples) in [
+        ("at rest, 12 bits left-justified", &rest[..]),
+        ("X straight, Y bent, Z flat", &slope),
+        ("at rest with a shock", &shock),
+        ("nothing to predict", &wild),
+        ("one sample", &one),
+        ("no noise", &still),
+    ] {
+        let axes: Vec<_> = samples.iter().map(|sample| sample.0).collect();
+        vectors.add(
+            format!("raw, sequence 0x12345678, time 0x9abcdef012 µs, {what}: {axes:?}"),
+            |line| batch::encode(0x1234_5678, DeviceTimeUs(0x9a_bcde_f012), samples, line),
+        );
+        raw.push(samples);
+    }
+    let forces: Vec<_> = (0..5_i32)
+        .map(|k| SpecificForceQ16([k * k * 4001, -70_000 + k * 13, 642_688 - k]))
+        .collect();
+    let extremes = [[i32::MIN, i32::MAX, 0], [i32::MAX, i32::MIN, -1]].map(SpecificForceQ16);
+    let mut corrected = Vec::new();
+    for samples in [&forces[..], &extremes] {
+        let axes: Vec<_> = samples.iter().map(|sample| sample.0).collect();
+        vectors.add(
+            format!("corrected, sequence 1, time 2 µs: {axes:?}"),
+            |line| batch::encode(1, DeviceTimeUs(2), samples, line),
+        );
+        corrected.push(samples);
+    }
+    let bodies = vectors.check();
+    let (raw_bodies, corrected_bodies) = bodies.split_at(raw.len());
+    for (body, samples) in raw_bodies.iter().zip(raw) {
+        let batch = Batch::decode(body).unwrap();
+        assert_eq!(
+            (batch.sequence_low(), batch.time_low()),
+            (0x5678, 0xde_f012)
+        );
+        assert!(batch.counts().eq(samples.iter().copied()));
+    }
+    for (body, samples) in corrected_bodies.iter().zip(corrected) {
+        let batch = Batch::decode(body).unwrap();
+        assert!(batch.specific_forces().eq(samples.iter().copied()));
+    }
+}
+
+fn parameters() -> WireParameters {
+    WireParameters {
+        range_g: 4,
+        sensitivity_lsb_per_g: 8192.0,
+        bias_mps2: [0.125, -0.25, 0.5],
+        matrix: [[1.0, 0.01, 0.0], [0.0, 0.99, 0.0], [0.02, 0.0, 1.01]],
+        reference_c: 25.0,
+        bias_mps2_per_k: [0.001, 0.002, 0.003],
+        bias_mps2_per_k2: [1e-5, 2e-5, 3e-5],
+        scale_per_k: [1e-4, 2e-4, 3e-4],
+        nonlinearity: [1e-6, 2e-6, 3e-6],
+        alignment_wxyz: [1.0, 0.0, 0.0, 0.0],
+    }
+}
+
+fn settings() -> Settings {
+    Settings {
+        range_g: 8,
+        rate_hz: 400,
+        resolution: Resolution::Normal,
+        zupt: false,
+        gravity_um_s2: 9_818_000,
+        cable: Streams::default(),
+        wireless: Streams {
+            raw: false,
+            corrected: true,
+            navigation: true,
+            environment: false,
+            batch: 32,
+        },
+    }
+}
+
+fn status() -> Status {
+    Status {
+        uptime_us: 3_600_000_000,
+        cable: Some(LinkStatus {
+            frames_sent: 1,
+            bytes_sent: 1 << 33,
+            telemetry_shed: 2,
+            frames_damaged: 3,
+        }),
+        wireless: None,
+        sensor: SensorStatus {
+            samples: 360_000,
+            missed: 4,
+            overruns: 5,
+            bus_errors: 6,
+        },
+        measured_period_ns: Some(10_012_345),
+    }
+}
+
+fn epoch(reason: EpochReason) -> Epoch {
+    let segment = WireSegment {
+        steps: 12,
+        velocity_sum: [-100, 200, -300],
+        position_sum: [1 << 40, -(1 << 41), 0],
+        previous: Some([-5, 6, -7]),
+    };
+    Epoch {
+        reason,
+        sequence: 360_000,
+        time_us: 3_600_000_000,
+        period_ns: 10_012_345,
+        range_g: 2,
+        sensitivity_lsb_per_g: 16384.0,
+        parameters: 0xdead_beef,
+        temperature_centi_c: Some(-512),
+        state: WireState {
+            period_ns: 10_012_345,
+            zupt: true,
+            gravity_um_s2: 9_806_650,
+            phase: WirePhase::Moving,
+            flags: 2,
+            rest_mean: [1, -2, 42_119_196_999],
+            east: [1 << 30, 0, -1],
+            base_position_nm: [1_000_000_000, -2, 3],
+            base_velocity_nmps: [4, -5, 6],
+            base_since_rest_ns: 7_000_000_000,
+            segment,
+            window: WireWindow {
+                start: WireSegment {
+                    previous: None,
+                    ..segment
+                },
+                samples: 300,
+                reference: [1, 2, -3],
+                sum: [4, -5, 6],
+                squares: 7,
+            },
+            run: Some(WireRun {
+                windows: 2,
+                sum: [8, 9, -10],
+                latest: [11, -12, 13],
+                start: segment,
+            }),
+        },
+    }
+}
+
+#[test]
+fn telemetry_is_as_it_was() {
+    let mut messages: Vec<_> = [
+        EpochReason::Start,
+        EpochReason::Periodic,
+        EpochReason::Gap,
+        EpochReason::Stillness,
+        EpochReason::Temperature,
+        EpochReason::Settings,
+        EpochReason::Parameters,
+    ]
+    .map(|reason| Telemetry::Epoch(epoch(reason)))
+    .into();
+    messages.extend([
+        Telemetry::Epoch(Epoch {
+            temperature_centi_c: None,
+            state: WireState::default(),
+            ..epoch(EpochReason::Start)
+        }),
+        Telemetry::Environment(Environment {
+            time_us: 300,
+            magnetic_field_nt: Some([-20_000, 3, 45_000]),
+            temperature_centi_c: Some(2512),
+        }),
+        Telemetry::Environment(Environment::default()),
+        Telemetry::Parameters(ActiveParameters {
+            active: Some(parameters()),
+            id: 0xdead_beef,
+        }),
+        Telemetry::Parameters(ActiveParameters {
+            active: None,
+            id: 0,
+        }),
+        Telemetry::Settings(settings()),
+        Telemetry::Status(status()),
+    ]);
+    messages.extend(
+        [WirePhase::Searching, WirePhase::Resting, WirePhase::Moving].map(|phase| {
+            Telemetry::Navigation(Navigation {
+                sequence: 360_001,
+                position_nm: [1_000_000_000, -1, 0],
+                velocity_nmps: [-300_000_000, 64, -64],
+                since_rest_ms: 1500,
+                phase,
+                flags: 20,
+            })
+        }),
+    );
+    messages.extend(
+        [
+            Event::SensorLost(BusFault::NoAnswer),
+            Event::SensorLost(BusFault::Transfer),
+            Event::SensorLost(BusFault::Timeout),
+            Event::SensorFound,
+            Event::WrongSensor {
+                expected: 0x33,
+                found: 0x44,
+            },
+            Event::StoreUnreadable,
+            Event::ModelRejected(ParameterFault::Overflow),
+            Event::SettingsAdjusted,
+            Event::Pause { longest_ms: 400 },
+        ]
+        .map(|event| Telemetry::Event {
+            time_us: 1_000_000,
+            event,
+        }),
+    );
+    let mut vectors = Vectors::new("telemetry", Kind::Telemetry);
+    for message in &messages {
+        vectors.add(format!("{message:?}"), |line| message.encode(line));
+    }
+    for (body, message) in vectors.check().iter().zip(messages) {
+        assert_eq!(Telemetry::decode(body), Ok(message));
+    }
+}
+
+#[test]
+fn requests_are_as_they_were() {
+    let mut requests = [
+        Command::GetParameters,
+        Command::StageParameters(parameters()),
+        Command::CommitParameters { hash: 0xdead_beef },
+        Command::FactoryReset,
+        Command::GetSettings,
+        Command::SetSettings(settings()),
+        Command::GetStatus,
+    ]
+    .map(|command| Request {
+        session: 0x1234_5678,
+        id: 200,
+        signature: Signature::NONE,
+        command,
+    });
+    requests[6].signature = Signature::new(&[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+    let mut vectors = Vectors::new("request", Kind::Request);
+    for request in &requests {
+        vectors.add(format!("{request:?}"), |line| request.encode(line));
+    }
+    for (body, request) in vectors.check().iter().zip(requests) {
+        assert_eq!(Request::decode(body), Ok(request));
+    }
+}
+
+#[test]
+fn replies_are_as_they_were() {
+    let mut answers: Vec<_> = [
+        Payload::None,
+        Payload::Parameters(ActiveParameters {
+            active: Some(parameters()),
+            id: 1,
+        }),
+        Payload::Staged { hash: 0xdead_beef },
+        Payload::Settings(settings()),
+        Payload::Status(status()),
+    ]
+    .map(Answer::Accepted)
+    .into();
+    answers.extend(
+        [
+            Refusal::KeyNeeded,
+            Refusal::Locked,
+            Refusal::WrongRange {
+                parameters_g: 4,
+                device_g: 2,
+            },
+            Refusal::NothingStaged,
+            Refusal::HashMismatch {
+                staged: 0xdead_beef,
+            },
+            Refusal::UnsupportedSettings {
+                nearest: settings(),
+            },
+            Refusal::StoreFailed,
+            Refusal::SensorFailed,
+            Refusal::Stale,
+        ]
+        .map(Answer::Refused),
+    );
+    answers.extend(
+        [
+            WireTerm::Bias,
+            WireTerm::Scale,
+            WireTerm::Misalignment,
+            WireTerm::ReferenceTemperature,
+            WireTerm::BiasSlope,
+            WireTerm::BiasCurvature,
+            WireTerm::ScaleSlope,
+            WireTerm::Nonlinearity,
+        ]
+        .map(|term| ParameterFault::NotFinite { term, axis: 1 })
+        .into_iter()
+        .chain([
+            ParameterFault::OutOfBounds {
+                term: WireTerm::Bias,
+                axis: 2,
+                value: 6.5,
+                low: -5.0,
+                high: 5.0,
+            },
+            ParameterFault::Singular(0.0),
+            ParameterFault::Sensitivity(1.0),
+            ParameterFault::Alignment(3.0),
+            ParameterFault::Overflow,
+            ParameterFault::SingularAtTemperature,
+        ])
+        .map(|fault| Answer::Refused(Refusal::InvalidParameters(fault))),
+    );
+    answers.push(Answer::Unknown);
+    let mut vectors = Vectors::new("reply", Kind::Reply);
+    let replies: Vec<_> = answers
+        .into_iter()
+        .map(|answer| Reply {
+            session: 0x1234_5678,
+            id: 200,
+            signature: Signature::NONE,
+            answer,
+        })
+        .collect();
+    for reply in &replies {
+        vectors.add(format!("{reply:?}"), |line| reply.encode(line));
+    }
+    for (body, reply) in vectors.check().iter().zip(replies) {
+        assert_eq!(Reply::decode(body), Ok(reply));
+    }
+}

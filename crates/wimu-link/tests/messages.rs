@@ -56,6 +56,7 @@ fn longest_epoch() -> Epoch {
         period_ns: u32::MAX,
         range_g: u8::MAX,
         sensitivity_lsb_per_g: f64::MAX,
+        full_scale: 32752,
         parameters: u32::MAX,
         temperature_centi_c: Some(i16::MIN),
         state: WireState {

@@ -282,6 +282,7 @@ fn epoch(reason: EpochReason) -> Epoch {
         period_ns: 10_012_345,
         range_g: 2,
         sensitivity_lsb_per_g: 16384.0,
+        full_scale: 32752,
         parameters: 0xdead_beef,
         temperature_centi_c: Some(-512),
         state: WireState {

@@ -73,6 +73,8 @@ pub struct Epoch {
     pub range_g: u8,
     /// Nominal sensitivity of the sensor at that range, LSB/*g*: with id 0, all there is.
     pub sensitivity_lsb_per_g: f64,
+    /// Positive full scale of the counts, LSB: at or beyond it an axis is saturated.
+    pub full_scale: i16,
     /// The parameters in use: their id, 0 if uncalibrated.
     pub parameters: u32,
     /// Temperature that the corrector is compiled at, 0.01 °C; `None` without a thermometer.

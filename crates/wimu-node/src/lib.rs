@@ -1,0 +1,27 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod accelerometer;
+mod control;
+mod link;
+mod lsm303agr;
+mod node;
+mod queue;
+mod sampler;
+mod shared;
+mod store;
+mod timer;
+
+pub use accelerometer::Accelerometer;
+pub use control::Control;
+pub use link::{LinkReader, LinkWriter};
+pub use lsm303agr::Lsm303agr;
+pub use node::{Board, Node};
+pub use sampler::Sampler;
+pub use shared::Shared;
+pub use store::{Key, MAX_RECORD, Store, StoreFault};
+pub use timer::Timer;

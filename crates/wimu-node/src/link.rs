@@ -1,0 +1,104 @@
+//! The two halves of a link.
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embedded_io_async::{Read, Write};
+use wimu_link::frame::MAX_FRAME;
+use wimu_link::message::Command;
+use wimu_link::responder::Decision;
+use wimu_link::{Deframer, Kind, LinkRole};
+
+use crate::shared::{Shared, access};
+use crate::timer::Timer;
+
+/// Sends what waits for one link.
+pub struct LinkWriter<'a, W, M: RawMutex> {
+    pub(crate) role: LinkRole,
+    pub(crate) line: W,
+    pub(crate) shared: &'a Shared<M>,
+}
+
+impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
+    /// Runs for ever. A line that fails loses the frame that was under way; the next goes out.
+    pub async fn run(mut self) -> ! {
+        let mut frame = [0; MAX_FRAME];
+        loop {
+            let length = self.shared.next_frame(self.role, &mut frame).await;
+            let frame = frame.get(..length).unwrap_or_default();
+            if self.line.write_all(frame).await.is_ok() {
+                let _ = self.line.flush().await;
+            } else {
+                embassy_futures::yield_now().await;
+            }
+        }
+    }
+}
+
+/// Receives what hosts say on one link: answers who it is, hands requests to the control.
+pub struct LinkReader<'a, R, T, M: RawMutex> {
+    pub(crate) role: LinkRole,
+    pub(crate) line: R,
+    pub(crate) timer: T,
+    pub(crate) shared: &'a Shared<M>,
+}
+
+impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
+    /// Runs for ever. The line's `read` must be cancel-safe: bytes are taken or left, never lost.
+    pub async fn run(mut self) -> ! {
+        let mut deframer = Deframer::new();
+        let mut bytes = [0; 64];
+        loop {
+            let read = match self.line.read(&mut bytes).await {
+                Ok(read) if read > 0 => read,
+                // A line that ended or failed may come back; do not spin meanwhile.
+                _ => {
+                    self.timer.after_us(10_000).await;
+                    continue;
+                }
+            };
+            for &byte in bytes.get(..read).unwrap_or_default() {
+                let Some(received) = deframer.push(byte) else {
+                    continue;
+                };
+                match received {
+                    Ok(frame) if frame.kind == Kind::WhoAreYou => {
+                        self.shared.introduce(self.role, self.timer.now());
+                    }
+                    Ok(frame) if frame.kind == Kind::Request => {
+                        if let Some(command) = self.accept(frame.body) {
+                            self.shared.requests.send((self.role, command)).await;
+                        }
+                    }
+                    // Frames that a device sends, looped back.
+                    Ok(_) => {}
+                    Err(_) => self.count_damaged(),
+                }
+            }
+        }
+    }
+
+    /// A command to carry out; anything else is answered here.
+    fn accept(&self, request: &[u8]) -> Option<Command> {
+        let mut frame = [0; MAX_FRAME];
+        let (command, length) = self.shared.with_inbox(self.role, |inbox| {
+            match inbox.responder.accept(request, access(self.role)) {
+                Decision::Execute(command) => (Some(command), 0),
+                Decision::Send(answer) => {
+                    let length = answer.len().min(frame.len());
+                    frame[..length].copy_from_slice(&answer[..length]);
+                    (None, length)
+                }
+                Decision::Ignore => (None, 0),
+            }
+        });
+        if length > 0 {
+            self.shared.keep(self.role, &frame[..length]);
+        }
+        command
+    }
+
+    fn count_damaged(&self) {
+        self.shared.with_inbox(self.role, |inbox| {
+            inbox.damaged = inbox.damaged.wrapping_add(1)
+        });
+    }
+}

@@ -1,0 +1,126 @@
+//! The node and its parts.
+
+use core::marker::PhantomData;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embedded_io_async::{Read, Write};
+use wimu_link::{Hello, LinkRole};
+
+use crate::accelerometer::Accelerometer;
+use crate::control::Control;
+use crate::link::{LinkReader, LinkWriter};
+use crate::sampler::Sampler;
+use crate::shared::Shared;
+use crate::store::Store;
+use crate::timer::Timer;
+
+/// What a board brings to a node.
+pub struct Board<A, T, S, CR, CW, WR, WW> {
+    /// Who the device is. Role, boot count, uptime and parameters are filled in by the node.
+    pub hello: Hello,
+    /// The sensor.
+    pub accelerometer: A,
+    /// The clock.
+    pub timer: T,
+    /// Non-volatile memory.
+    pub store: S,
+    /// The cable, as its receiving and its sending half. `read` must be cancel-safe.
+    pub cable: (CR, CW),
+    /// The wireless link, likewise.
+    pub wireless: (WR, WW),
+}
+
+/// The tasks of a node. Each has a `run` that never ends: spawn `sampler` at a priority above the
+/// others, and it waits for none of them.
+pub struct Node<'a, A, T, S, CR, CW, WR, WW, M: RawMutex> {
+    /// Reads, corrects, integrates, packs.
+    pub sampler: Sampler<'a, A, T, M>,
+    /// Obeys requests, keeps parameters and settings.
+    pub control: Control<'a, A, T, S, M>,
+    /// Receives from the cable.
+    pub cable_reader: LinkReader<'a, CR, T, M>,
+    /// Sends to the cable.
+    pub cable_writer: LinkWriter<'a, CW, M>,
+    /// Receives from the wireless link.
+    pub wireless_reader: LinkReader<'a, WR, T, M>,
+    /// Sends to the wireless link.
+    pub wireless_writer: LinkWriter<'a, WW, M>,
+}
+
+impl<A, T, S, CR, CW, WR, WW> Board<A, T, S, CR, CW, WR, WW>
+where
+    A: Accelerometer,
+    T: Timer,
+    S: Store,
+    CR: Read,
+    CW: Write,
+    WR: Read,
+    WW: Write,
+{
+    /// Makes the board a node: its tasks, which share `shared`.
+    pub fn split<M: RawMutex>(self, shared: &Shared<M>) -> Node<'_, A, T, S, CR, CW, WR, WW, M> {
+        shared.publish(|published| published.hello = self.hello);
+        Node {
+            cable_reader: LinkReader {
+                role: LinkRole::Cable,
+                line: self.cable.0,
+                timer: self.timer.clone(),
+                shared,
+            },
+            cable_writer: LinkWriter {
+                role: LinkRole::Cable,
+                line: self.cable.1,
+                shared,
+            },
+            wireless_reader: LinkReader {
+                role: LinkRole::Wireless,
+                line: self.wireless.0,
+                timer: self.timer.clone(),
+                shared,
+            },
+            wireless_writer: LinkWriter {
+                role: LinkRole::Wireless,
+                line: self.wireless.1,
+                shared,
+            },
+            sampler: Sampler::new(self.accelerometer, self.timer.clone(), shared),
+            control: Control {
+                store: self.store,
+                timer: self.timer,
+                shared,
+                staged: None,
+                latched: None,
+                sensor: PhantomData,
+            },
+        }
+    }
+}
+
+impl<A, T, S, CR, CW, WR, WW, M> Node<'_, A, T, S, CR, CW, WR, WW, M>
+where
+    A: Accelerometer,
+    T: Timer,
+    S: Store,
+    CR: Read,
+    CW: Write,
+    WR: Read,
+    WW: Write,
+    M: RawMutex,
+{
+    /// Runs all tasks on one executor: for boards without priorities, and for simulation.
+    pub async fn run(self) -> ! {
+        use embassy_futures::join::{join3, join4};
+        let samples_and_control = join3(
+            self.sampler.run(),
+            self.control.run(),
+            self.cable_reader.run(),
+        );
+        let rest = join4(
+            samples_and_control,
+            self.cable_writer.run(),
+            self.wireless_reader.run(),
+            self.wireless_writer.run(),
+        );
+        rest.await.1
+    }
+}

@@ -1,0 +1,485 @@
+//! Samples: read, number, correct, integrate, pack.
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_integrator::{Config, Integrator, Phase, Transition};
+use wimu_link::LinkRole;
+use wimu_link::batch::{self, MAX_BATCH, Sample, Stream};
+use wimu_link::frame::MAX_FRAME;
+use wimu_link::message::{
+    BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings, Telemetry,
+};
+use wimu_model::{Counts, DeviceTimeUs, PeriodNs, SpecificForceQ16};
+
+use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault};
+use crate::shared::{Correction, Order, Shared};
+use crate::timer::Timer;
+
+/// Samples read at once, at most.
+const MAX_READ: usize = 32;
+/// A batch is sent when it is this old, however short.
+const OLDEST_BATCH_US: u64 = 250_000;
+/// Velocity and position are sent this often.
+const NAVIGATION_NS: u32 = 100_000_000;
+/// From here on the next complete stillness window, when the state is small, brings an epoch …
+const EPOCH_DUE_US: u64 = 800_000;
+/// … and here one is sent in any case: never more than a second apart.
+const EPOCH_LATEST_US: u64 = 950_000;
+/// Magnetic field and temperature are read this often.
+const SURROUNDINGS_US: u64 = 500_000;
+/// A lost sensor is tried again this often.
+const RETRY_US: u64 = 200_000;
+/// The period is measured over at least this time before it is used …
+const MEASURE_NS: u64 = 2_000_000_000;
+/// … if it is within this part of the nominal one …
+const BELIEVABLE_PER_MILLE: u64 = 200;
+/// … and this far from the one in use, in parts per million.
+const WORTH_CHANGING_PPM: u64 = 50;
+
+/// Takes every sample that the sensor gives.
+pub struct Sampler<'a, A, T, M: RawMutex> {
+    accelerometer: A,
+    timer: T,
+    shared: &'a Shared<M>,
+    lanes: [Lane; 2],
+    next_sequence: u32,
+    next_surroundings: DeviceTimeUs,
+}
+
+/// What the sampler works with once it has been configured.
+struct Running {
+    plan: Plan,
+    correction: Correction,
+    integrator: Integrator,
+    clock: SampleClock,
+    epoch_reason: Option<EpochReason>,
+    last_epoch: DeviceTimeUs,
+    until_navigation: u32,
+    /// The sensor has failed and not come back.
+    lost: bool,
+}
+
+impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
+    pub(crate) fn new(accelerometer: A, timer: T, shared: &'a Shared<M>) -> Self {
+        Self {
+            accelerometer,
+            timer,
+            shared,
+            lanes: [Lane::default(), Lane::default()],
+            next_sequence: 0,
+            next_surroundings: DeviceTimeUs(0),
+        }
+    }
+
+    /// Runs for ever. Nothing here waits for a link or for the store.
+    pub async fn run(mut self) -> ! {
+        let mut running = loop {
+            if let Order::Configure(plan, correction) = self.shared.orders.receive().await {
+                let outcome = self.accelerometer.configure(&plan).await;
+                let mut running = Running::new(plan, correction, EpochReason::Start);
+                if let Err(fault) = outcome {
+                    self.lose(&mut running, fault);
+                }
+                self.lanes = Lane::of(&plan.settings);
+                self.shared.configured.signal(outcome);
+                break running;
+            }
+        };
+        let mut counts = [Counts::default(); MAX_READ];
+        loop {
+            while let Ok(order) = self.shared.orders.try_receive() {
+                self.obey(&mut running, order).await;
+            }
+            if running.lost {
+                self.retry(&mut running).await;
+                continue;
+            }
+            match self.accelerometer.next(&mut counts).await {
+                Ok(read) => {
+                    let counts = counts.get(..read.count).unwrap_or(&counts);
+                    self.take(&mut running, read, counts);
+                }
+                Err(fault) => self.lose(&mut running, fault),
+            }
+            if !running.lost && self.timer.now() >= self.next_surroundings {
+                self.look_around(&mut running).await;
+            }
+        }
+    }
+
+    async fn obey(&mut self, running: &mut Running, order: Order) {
+        match order {
+            Order::Configure(plan, correction) => {
+                self.flush();
+                let outcome = self.accelerometer.configure(&plan).await;
+                match outcome {
+                    Ok(()) => {
+                        *running = Running::new(plan, correction, EpochReason::Settings);
+                        self.lanes = Lane::of(&plan.settings);
+                    }
+                    // What the sensor does now is unknown: it is brought back under the plan
+                    // before.
+                    Err(fault) => self.lose(running, fault),
+                }
+                self.shared.configured.signal(outcome);
+            }
+            Order::Correct(correction) => {
+                let reason = if correction.parameters == running.correction.parameters {
+                    EpochReason::Temperature
+                } else {
+                    running.integrator = integrator(&running.plan.settings, running.clock.period);
+                    EpochReason::Parameters
+                };
+                running.correction = correction;
+                running.epoch_reason = Some(reason);
+            }
+            Order::Epoch => {
+                running.epoch_reason.get_or_insert(EpochReason::Periodic);
+            }
+        }
+    }
+
+    /// Takes samples that the sensor gave, oldest first.
+    fn take(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
+        let Running { clock, .. } = running;
+        let missed = clock.missed_before(&read, counts.len());
+        if missed > 0 || clock.last.is_none() {
+            self.flush();
+            running.integrator.gap();
+            self.next_sequence = self.next_sequence.wrapping_add(missed);
+            running.epoch_reason.get_or_insert(EpochReason::Gap);
+        }
+        self.shared.publish(|published| {
+            let sensor = &mut published.sensor;
+            sensor.samples = sensor.samples.wrapping_add(counts.len() as u32);
+            sensor.missed = sensor.missed.wrapping_add(missed);
+            sensor.overruns = sensor.overruns.wrapping_add(read.overrun.into());
+            published.measured_period_ns = clock.measured().map(|period| period.0);
+        });
+        for (index, &sample) in counts.iter().enumerate() {
+            let newer = (counts.len() - 1 - index) as u64;
+            let time = DeviceTimeUs(
+                (read.last_time.0).saturating_sub(newer * u64::from(running.clock.period.0) / 1000),
+            );
+            self.sample(running, sample, time);
+        }
+        running
+            .clock
+            .count(read.last_time, missed + counts.len() as u32);
+    }
+
+    fn sample(&mut self, running: &mut Running, counts: Counts, time: DeviceTimeUs) {
+        if let Some(reason) = running.epoch_reason.take() {
+            self.send_epoch(running, reason, time);
+        }
+        let sequence = self.next_sequence;
+        let force = running.correction.corrector.correct(counts);
+        let saturated = counts.saturated(running.plan.full_scale);
+        let transition = running.integrator.step(force, saturated);
+        for lane in &mut self.lanes {
+            lane.add(self.shared, sequence, time, counts, force);
+        }
+        self.next_sequence = sequence.wrapping_add(1);
+
+        running.until_navigation = running.until_navigation.saturating_sub(1);
+        if running.until_navigation == 0 {
+            running.until_navigation = (NAVIGATION_NS / running.clock.period.0.max(1)).max(1);
+            self.send_navigation(running, sequence);
+        }
+        let since_epoch = time.0.saturating_sub(running.last_epoch.0);
+        running.epoch_reason = match transition {
+            Transition::Rest | Transition::Motion => Some(EpochReason::Stillness),
+            Transition::Window if since_epoch >= EPOCH_DUE_US => {
+                running.adopt_measured_period();
+                Some(EpochReason::Periodic)
+            }
+            _ if since_epoch >= EPOCH_LATEST_US => Some(EpochReason::Periodic),
+            _ => None,
+        };
+    }
+
+    fn send_epoch(&mut self, running: &mut Running, reason: EpochReason, time: DeviceTimeUs) {
+        running.last_epoch = time;
+        self.shared.announce(&Telemetry::Epoch(Epoch {
+            reason,
+            sequence: self.next_sequence,
+            time_us: time.0,
+            period_ns: running.clock.period.0,
+            range_g: running.plan.settings.range_g,
+            sensitivity_lsb_per_g: running.plan.sensitivity.lsb_per_g(),
+            full_scale: running.plan.full_scale,
+            parameters: running.correction.parameters.0,
+            temperature_centi_c: running.correction.temperature.map(|t| t.0),
+            state: running.integrator.state().into(),
+        }));
+    }
+
+    fn send_navigation(&self, running: &Running, sequence: u32) {
+        let message =
+            Telemetry::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
+        let mut frame = [0; MAX_FRAME];
+        if let Ok(length) = message.encode(&mut frame) {
+            let frame = frame.get(..length).unwrap_or_default();
+            self.shared.stream([true; 2], frame, |s| s.navigation);
+        }
+    }
+
+    async fn look_around(&mut self, running: &mut Running) {
+        let now = self.timer.now();
+        self.next_surroundings = DeviceTimeUs(now.0.saturating_add(SURROUNDINGS_US));
+        match self.accelerometer.surroundings().await {
+            Ok(surroundings) => {
+                if let Some(temperature) = surroundings.temperature {
+                    self.shared.temperature.signal(temperature);
+                }
+                let message = Telemetry::Environment(Environment {
+                    time_us: now.0,
+                    magnetic_field_nt: surroundings.magnetic_field.map(|field| field.0),
+                    temperature_centi_c: surroundings.temperature.map(|t| t.0),
+                });
+                let mut frame = [0; MAX_FRAME];
+                if let Ok(length) = message.encode(&mut frame) {
+                    let frame = frame.get(..length).unwrap_or_default();
+                    self.shared.stream([true; 2], frame, |s| s.environment);
+                }
+            }
+            Err(fault) => self.lose(running, fault),
+        }
+    }
+
+    /// The sensor has failed: what was read is sent, the leg is marked, and it is tried again.
+    fn lose(&mut self, running: &mut Running, fault: SensorFault) {
+        self.flush();
+        running.integrator.gap();
+        self.shared.publish(|published| {
+            let errors = &mut published.sensor.bus_errors;
+            *errors = errors.wrapping_add(1);
+        });
+        if !core::mem::replace(&mut running.lost, true) {
+            self.shared.report(
+                self.timer.now(),
+                match fault {
+                    SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
+                    SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
+                    SensorFault::WrongIdentity { expected, found } => {
+                        Event::WrongSensor { expected, found }
+                    }
+                },
+            );
+        }
+    }
+
+    async fn retry(&mut self, running: &mut Running) {
+        self.timer.after_us(RETRY_US).await;
+        if self.accelerometer.configure(&running.plan).await.is_ok() {
+            running.lost = false;
+            self.shared.report(self.timer.now(), Event::SensorFound);
+        }
+    }
+
+    fn flush(&mut self) {
+        for lane in &mut self.lanes {
+            lane.flush(self.shared);
+        }
+    }
+}
+
+fn integrator(settings: &Settings, period: PeriodNs) -> Integrator {
+    let config = Config {
+        period,
+        zupt: settings.zupt,
+        gravity_um_s2: settings.gravity_um_s2,
+    };
+    Integrator::new(config)
+}
+
+impl Running {
+    fn new(plan: Plan, correction: Correction, reason: EpochReason) -> Self {
+        Self {
+            plan,
+            correction,
+            integrator: integrator(&plan.settings, plan.period),
+            clock: SampleClock::new(plan.period),
+            epoch_reason: Some(reason),
+            last_epoch: DeviceTimeUs(0),
+            until_navigation: 1,
+            lost: false,
+        }
+    }
+
+    /// Integrates with the sensor's true period once it is known; only at rest, where a change
+    /// costs nothing.
+    fn adopt_measured_period(&mut self) {
+        if self.integrator.navigation().phase == Phase::Moving {
+            return;
+        }
+        if let Some(measured) = self.clock.measured() {
+            let used = self.clock.period;
+            let change = u64::from(measured.0.abs_diff(used.0)) * 1_000_000;
+            if change > WORTH_CHANGING_PPM * u64::from(used.0)
+                && self.integrator.set_period(measured).is_ok()
+            {
+                self.clock.period = measured;
+            }
+        }
+    }
+}
+
+/// Times of samples against the device's clock.
+struct SampleClock {
+    nominal: PeriodNs,
+    /// In use.
+    period: PeriodNs,
+    first: Option<DeviceTimeUs>,
+    last: Option<DeviceTimeUs>,
+    /// Sample periods from first to last.
+    periods: u32,
+}
+
+impl SampleClock {
+    fn new(nominal: PeriodNs) -> Self {
+        Self {
+            nominal,
+            period: nominal,
+            first: None,
+            last: None,
+            periods: 0,
+        }
+    }
+
+    /// Samples that the sensor took since the last one read and that nobody read, given that
+    /// `count` were read now.
+    fn missed_before(&self, read: &Batch, count: usize) -> u32 {
+        let Some(last) = self.last else {
+            return 0;
+        };
+        let period = u64::from(self.period.0.max(1));
+        let elapsed_ns = read.last_time.0.saturating_sub(last.0).saturating_mul(1000);
+        let taken = elapsed_ns.saturating_add(period / 2) / period;
+        let missed = taken.saturating_sub(count as u64);
+        // The sensor knows better than the clock that one is gone.
+        u32::try_from(missed.max(read.overrun.into())).unwrap_or(u32::MAX)
+    }
+
+    fn count(&mut self, last: DeviceTimeUs, periods: u32) {
+        if self.first.is_none() {
+            self.first = Some(last);
+        } else {
+            self.periods = self.periods.saturating_add(periods);
+        }
+        self.last = Some(last);
+    }
+
+    /// The sensor's true period, once it is known well enough to be used.
+    fn measured(&self) -> Option<PeriodNs> {
+        let elapsed_ns = self.last?.0.checked_sub(self.first?.0)?.checked_mul(1000)?;
+        if elapsed_ns < MEASURE_NS {
+            return None;
+        }
+        let period = elapsed_ns.checked_div(u64::from(self.periods))?;
+        let nominal = u64::from(self.nominal.0);
+        let believable = period.abs_diff(nominal) * 1000 <= nominal * BELIEVABLE_PER_MILLE;
+        believable.then_some(PeriodNs(period as u32))
+    }
+}
+
+/// Batches under way for one link, or for both where they are of the same length.
+#[derive(Default)]
+struct Lane {
+    roles: [bool; 2],
+    raw: Batcher<Counts>,
+    corrected: Batcher<SpecificForceQ16>,
+    length: usize,
+}
+
+impl Lane {
+    fn of(settings: &Settings) -> [Self; 2] {
+        let lane = |roles, length: u8| Self {
+            roles,
+            length: usize::from(length).clamp(1, MAX_BATCH),
+            ..Self::default()
+        };
+        let (cable, wireless) = (settings.cable.batch, settings.wireless.batch);
+        if cable == wireless {
+            [lane([true; 2], cable), Self::default()]
+        } else {
+            [lane([true, false], cable), lane([false, true], wireless)]
+        }
+    }
+
+    fn add<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        sequence: u32,
+        time: DeviceTimeUs,
+        counts: Counts,
+        force: SpecificForceQ16,
+    ) {
+        if self.roles == [false; 2] {
+            return;
+        }
+        self.raw.add(sequence, time, counts);
+        self.corrected.add(sequence, time, force);
+        let age = time.0.saturating_sub(self.raw.first_time.0);
+        if self.raw.count >= self.length || age >= OLDEST_BATCH_US {
+            self.flush(shared);
+        }
+    }
+
+    fn flush<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        self.raw.flush(shared, self.roles);
+        self.corrected.flush(shared, self.roles);
+    }
+}
+
+struct Batcher<S> {
+    samples: [S; MAX_BATCH],
+    count: usize,
+    first_sequence: u32,
+    first_time: DeviceTimeUs,
+}
+
+impl<S: Copy + Default> Default for Batcher<S> {
+    fn default() -> Self {
+        Self {
+            samples: [S::default(); MAX_BATCH],
+            count: 0,
+            first_sequence: 0,
+            first_time: DeviceTimeUs(0),
+        }
+    }
+}
+
+impl<S: Sample> Batcher<S> {
+    fn add(&mut self, sequence: u32, time: DeviceTimeUs, sample: S) {
+        if self.count == 0 {
+            self.first_sequence = sequence;
+            self.first_time = time;
+        }
+        if let Some(free) = self.samples.get_mut(self.count) {
+            *free = sample;
+            self.count += 1;
+        }
+    }
+
+    fn flush<M: RawMutex>(&mut self, shared: &Shared<M>, roles: [bool; 2]) {
+        let count = core::mem::take(&mut self.count);
+        let samples = self.samples.get(..count).unwrap_or_default();
+        let mut frame = [0; MAX_FRAME];
+        if let Ok(length) = batch::encode(self.first_sequence, self.first_time, samples, &mut frame)
+        {
+            let frame = frame.get(..length).unwrap_or_default();
+            shared.stream(roles, frame, |streams| match S::STREAM {
+                Stream::Raw => streams.raw,
+                Stream::Corrected => streams.corrected,
+            });
+        }
+    }
+}
+
+const _: () = {
+    // The two links of a lane, in the order of its roles.
+    assert!(matches!(
+        crate::shared::ROLES,
+        [LinkRole::Cable, LinkRole::Wireless]
+    ));
+};

@@ -1,0 +1,278 @@
+//! What the node's tasks share.
+
+use core::cell::RefCell;
+
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
+use wimu_link::frame::MAX_FRAME;
+use wimu_link::message::{
+    ActiveParameters, Command, Event, LinkStatus, SensorStatus, Settings, Status, Streams,
+    Telemetry,
+};
+use wimu_link::{Hello, LinkRole, Responder, WriteAccess};
+use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
+
+use crate::accelerometer::{Plan, SensorFault};
+use crate::queue::FrameQueue;
+
+/// Both links.
+pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+/// Who may write on a link: as long as there are no keys, only the cable is open.
+pub(crate) fn access(role: LinkRole) -> WriteAccess {
+    match role {
+        LinkRole::Cable => WriteAccess::Open,
+        _ => WriteAccess::Key,
+    }
+}
+
+/// Memory that a node's tasks share: put it in a `static`, or where it outlives them.
+///
+/// `M` is the mutex of the priorities at which the tasks run: `CriticalSectionRawMutex` where
+/// sampling interrupts the rest, `NoopRawMutex` where one executor polls all.
+pub struct Shared<M: RawMutex> {
+    links: [LinkShared<M>; 2],
+    pub(crate) orders: Channel<M, Order, 2>,
+    pub(crate) configured: Signal<M, Result<(), SensorFault>>,
+    pub(crate) temperature: Signal<M, CentiCelsius>,
+    pub(crate) requests: Channel<M, (LinkRole, Command), 1>,
+    published: Mutex<M, RefCell<Published>>,
+}
+
+struct LinkShared<M: RawMutex> {
+    outbox: Mutex<M, RefCell<FrameQueue>>,
+    waiting: Signal<M, ()>,
+    inbox: Mutex<M, RefCell<Inbox>>,
+}
+
+/// The receiving side of a link.
+pub(crate) struct Inbox {
+    pub(crate) responder: Responder,
+    pub(crate) damaged: u32,
+}
+
+/// What the sampler is told.
+#[allow(clippy::large_enum_variant)] // Two of them exist.
+pub(crate) enum Order {
+    /// Run the sensor in this way, and say how that went.
+    Configure(Plan, Correction),
+    /// Correct with this from the next sample on; navigation starts anew if the parameters changed.
+    Correct(Correction),
+    /// Send an epoch: somebody has begun to listen.
+    Epoch,
+}
+
+/// A corrector and what it was compiled from.
+#[derive(Clone, Copy)]
+pub(crate) struct Correction {
+    pub(crate) corrector: Corrector,
+    pub(crate) parameters: ParameterId,
+    pub(crate) temperature: Option<CentiCelsius>,
+}
+
+/// What is true of the device now, for whoever asks.
+#[derive(Clone, Copy)]
+pub(crate) struct Published {
+    pub(crate) hello: Hello,
+    pub(crate) settings: Settings,
+    pub(crate) parameters: Option<ParameterSet>,
+    pub(crate) sensor: SensorStatus,
+    pub(crate) measured_period_ns: Option<u32>,
+    /// Whether the store has been read; before that there is nothing to say.
+    pub(crate) ready: bool,
+}
+
+impl<M: RawMutex> Shared<M> {
+    /// Memory for one node.
+    pub fn new() -> Self {
+        let link = |role| LinkShared {
+            outbox: Mutex::new(RefCell::default()),
+            waiting: Signal::new(),
+            inbox: Mutex::new(RefCell::new(Inbox {
+                responder: Responder::new(role),
+                damaged: 0,
+            })),
+        };
+        Self {
+            links: ROLES.map(link),
+            orders: Channel::new(),
+            configured: Signal::new(),
+            temperature: Signal::new(),
+            requests: Channel::new(),
+            published: Mutex::new(RefCell::new(Published {
+                hello: Hello::new(LinkRole::Cable),
+                settings: Settings::default(),
+                parameters: None,
+                sensor: SensorStatus::default(),
+                measured_period_ns: None,
+                ready: false,
+            })),
+        }
+    }
+
+    fn link(&self, role: LinkRole) -> &LinkShared<M> {
+        let [cable, wireless] = &self.links;
+        match role {
+            LinkRole::Cable => cable,
+            _ => wireless,
+        }
+    }
+
+    pub(crate) fn published(&self) -> Published {
+        self.published.lock(|published| *published.borrow())
+    }
+
+    pub(crate) fn publish(&self, change: impl FnOnce(&mut Published)) {
+        self.published
+            .lock(|published| change(&mut published.borrow_mut()));
+    }
+
+    pub(crate) fn with_inbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut Inbox) -> R) -> R {
+        self.link(role)
+            .inbox
+            .lock(|inbox| f(&mut inbox.borrow_mut()))
+    }
+
+    fn with_outbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut FrameQueue) -> R) -> R {
+        let link = self.link(role);
+        let result = link.outbox.lock(|outbox| f(&mut outbox.borrow_mut()));
+        link.waiting.signal(());
+        result
+    }
+
+    /// Queues an encoded frame that is never shed.
+    pub(crate) fn keep(&self, role: LinkRole, frame: &[u8]) {
+        self.with_outbox(role, |outbox| outbox.push_kept(frame));
+    }
+
+    /// Queues an encoded frame that is shed when the link is too slow, on the links that want it.
+    pub(crate) fn stream(&self, roles: [bool; 2], frame: &[u8], wanted: impl Fn(&Streams) -> bool) {
+        let settings = self.published().settings;
+        for ((role, on), streams) in ROLES
+            .into_iter()
+            .zip(roles)
+            .zip([settings.cable, settings.wireless])
+        {
+            if on && wanted(&streams) {
+                self.with_outbox(role, |outbox| outbox.push_telemetry(frame));
+            }
+        }
+    }
+
+    /// Queues a message on both links, never shed.
+    pub(crate) fn announce(&self, message: &Telemetry) {
+        let mut frame = [0; MAX_FRAME];
+        if let Ok(length) = message.encode(&mut frame) {
+            for role in ROLES {
+                self.keep(role, frame.get(..length).unwrap_or_default());
+            }
+        }
+    }
+
+    pub(crate) fn report(&self, now: DeviceTimeUs, event: Event) {
+        self.announce(&Telemetry::Event {
+            time_us: now.0,
+            event,
+        });
+    }
+
+    /// Who the device is, its settings, its parameters and how it is: what a listener needs before
+    /// anything else. The epoch that completes it is asked of the sampler.
+    pub(crate) fn introduce(&self, role: LinkRole, now: DeviceTimeUs) {
+        let published = self.published();
+        if !published.ready {
+            return;
+        }
+        let hello = Hello {
+            role,
+            access: access(role),
+            uptime_us: now.0,
+            parameter_id: published.parameter_id(),
+            ..published.hello
+        };
+        let mut frame = [0; MAX_FRAME];
+        if let Ok(length) = hello.encode(&mut frame) {
+            self.keep(role, frame.get(..length).unwrap_or_default());
+        }
+        for message in [
+            Telemetry::Settings(published.settings),
+            Telemetry::Parameters(published.active()),
+            Telemetry::Status(self.status(now)),
+        ] {
+            if let Ok(length) = message.encode(&mut frame) {
+                self.keep(role, frame.get(..length).unwrap_or_default());
+            }
+        }
+        // If the sampler has orders waiting, an epoch comes anyway.
+        let _ = self.orders.try_send(Order::Epoch);
+    }
+
+    pub(crate) fn status(&self, now: DeviceTimeUs) -> Status {
+        let published = self.published();
+        let link = |role| {
+            let damaged = self.with_inbox(role, |inbox| inbox.damaged);
+            self.link(role).outbox.lock(|outbox| {
+                let outbox = outbox.borrow();
+                LinkStatus {
+                    frames_sent: outbox.frames_sent,
+                    bytes_sent: outbox.bytes_sent,
+                    telemetry_shed: outbox.shed,
+                    frames_damaged: damaged,
+                }
+            })
+        };
+        Status {
+            uptime_us: now.0,
+            cable: Some(link(LinkRole::Cable)),
+            wireless: Some(link(LinkRole::Wireless)),
+            sensor: published.sensor,
+            measured_period_ns: published.measured_period_ns,
+        }
+    }
+
+    /// Waits for the next frame to send on a link and takes it.
+    pub(crate) async fn next_frame(&self, role: LinkRole, frame: &mut [u8; MAX_FRAME]) -> usize {
+        let link = self.link(role);
+        loop {
+            let (length, stalled) = link.outbox.lock(|outbox| {
+                let mut outbox = outbox.borrow_mut();
+                let length = outbox.pop(frame);
+                (
+                    length,
+                    length == 0 && core::mem::take(&mut outbox.overflowed),
+                )
+            });
+            if length > 0 {
+                return length;
+            }
+            if stalled {
+                // What the listener missed may have been an epoch.
+                let _ = self.orders.try_send(Order::Epoch);
+            }
+            link.waiting.wait().await;
+        }
+    }
+}
+
+impl<M: RawMutex> Default for Shared<M> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Published {
+    pub(crate) fn parameter_id(&self) -> ParameterId {
+        self.parameters.map_or(ParameterId::UNCALIBRATED, |set| {
+            wimu_link::message::parameter_id(&set)
+        })
+    }
+
+    pub(crate) fn active(&self) -> ActiveParameters {
+        ActiveParameters {
+            active: self.parameters.as_ref().map(Into::into),
+            id: self.parameter_id().0,
+        }
+    }
+}

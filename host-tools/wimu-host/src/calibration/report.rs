@@ -1,0 +1,283 @@
+//! What comes of a calibration: for people, for machines, and for a board.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use wimu_calib::{Orientation, Parameter};
+use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2};
+
+use crate::dataset::RateSource;
+use crate::error::{ErrorCode, HostError, Result};
+
+/// Where a number comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// The user said it.
+    Given,
+    /// The default.
+    Default,
+    /// The board knows it.
+    Board,
+    /// The fit, so that the mean scale factor is 1.
+    Fit,
+}
+
+/// A pose that would help.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NextPose {
+    /// What points up, a unit vector in sensor axes.
+    pub up: [f64; 3],
+    /// The same in words.
+    pub text: String,
+}
+
+impl From<Orientation> for NextPose {
+    fn from(orientation: Orientation) -> Self {
+        Self {
+            up: orientation.up(),
+            text: orientation.to_string(),
+        }
+    }
+}
+
+/// The numbers of an estimate.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fit {
+    /// Degrees of freedom.
+    pub dof: usize,
+    /// |f| − g over all poses, mm/s² rms.
+    pub rms_mm_s2: f64,
+    /// The largest of them, mm/s².
+    pub max_mm_s2: f64,
+    /// |f| − g of each pose under the model fitted without it, mm/s² rms; `None` where no pose can
+    /// be spared.
+    pub loo_rms_mm_s2: Option<f64>,
+    /// Condition of the fit, 1 is best.
+    pub condition: f64,
+    /// Mean temperature of the poses, °C.
+    pub temperature_c: Option<f64>,
+    /// The error model.
+    pub model: ErrorTerms,
+    /// Standard deviations, 1 σ, in the model's shape; 0 for what was not fitted.
+    pub sd: ErrorTerms,
+    /// Covariance of the bias, then A row by row.
+    pub covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
+}
+
+/// What came of a calibration: the JSON of `wimu calibrate`, and the file that `wimu params push`
+/// reads.
+#[derive(Clone, Debug, Serialize)]
+pub struct CalibrationReport {
+    /// [`CalibrationReport::SCHEMA`].
+    pub schema: &'static str,
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// The data.
+    pub source: String,
+    /// `multi-position` or `six-position`.
+    pub method: &'static str,
+    /// What was fitted.
+    pub terms: &'static [&'static str],
+    /// How many static poses were found or given.
+    pub poses: usize,
+    /// Sample rate at which poses were looked for, Hz, and where it comes from; `None` for pose
+    /// means.
+    pub rate_hz: Option<f64>,
+    /// Where the rate comes from.
+    pub rate_source: Option<RateSource>,
+    /// Gravity, m/s².
+    pub gravity_m_s2: f64,
+    /// Its standard deviation, m/s².
+    pub gravity_sd_m_s2: f64,
+    /// Where it comes from.
+    pub gravity_source: Source,
+    /// Nominal sensitivity, LSB/g; `None` for data in m/s² without one given.
+    pub sensitivity_lsb_per_g: Option<f64>,
+    /// Where it comes from.
+    pub sensitivity_source: Option<Source>,
+    /// |y| − g over all poses before correction, mm/s² rms.
+    pub uncalibrated_rms_mm_s2: Option<f64>,
+    /// The estimate, if there is one.
+    #[serde(flatten)]
+    pub fit: Option<Fit>,
+    /// Poses left out of the fit, by their place from 0.
+    pub rejected_poses: Vec<usize>,
+    /// Poses that would help.
+    pub next_poses: Vec<NextPose>,
+    /// What a board takes; `None` when the data's sensitivity is not known.
+    pub parameters: Option<ParameterSet>,
+    /// Id of that set.
+    pub parameter_id: Option<String>,
+}
+
+impl CalibrationReport {
+    /// Name of the JSON object.
+    pub const SCHEMA: &'static str = "wimu.calibration/1";
+
+    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    pub fn exit_code(&self) -> u8 {
+        if self.fit.is_some() { 0 } else { 3 }
+    }
+}
+
+impl fmt::Display for CalibrationReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let uncertain = |sd: f64| {
+            if sd > 0.0 {
+                format!(" ± {sd:.3}")
+            } else {
+                String::new()
+            }
+        };
+        writeln!(
+            out,
+            "{}: {} static poses, {}, g = {}{} m/s²",
+            self.source,
+            self.poses,
+            self.method,
+            self.gravity_m_s2,
+            uncertain(self.gravity_sd_m_s2),
+        )?;
+        if let (Some(rate), Some(RateSource::Assumed)) = (self.rate_hz, self.rate_source) {
+            writeln!(out, "the data have no times: {rate} Hz assumed")?;
+        }
+        if let (Some(sensitivity), Some(source)) =
+            (self.sensitivity_lsb_per_g, self.sensitivity_source)
+        {
+            let source = match source {
+                Source::Fit => "the mean of the fit",
+                Source::Board => "the board's",
+                Source::Given | Source::Default => "as given",
+            };
+            writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
+        }
+        let Some(fit) = &self.fit else {
+            write!(
+                out,
+                "refused: {}",
+                self.reason.as_deref().unwrap_or("no reason")
+            )?;
+            for pose in &self.next_poses {
+                write!(out, "\nadd a pose with {}", pose.text)?;
+            }
+            return Ok(());
+        };
+        let to_mg = 1e3 / STANDARD_GRAVITY_MPS2;
+        for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
+            writeln!(
+                out,
+                "{name}: bias {:+.4} ± {:.4} m/s² ({:+.2} mg), scale factor {:.5} ± {:.5}",
+                fit.model.bias_mps2[axis],
+                fit.sd.bias_mps2[axis],
+                fit.model.bias_mps2[axis] * to_mg,
+                fit.model.matrix[axis][axis],
+                fit.sd.matrix[axis][axis],
+            )?;
+        }
+        let off = |r: usize, c: usize| fit.model.matrix[r][c] * 1e3;
+        writeln!(
+            out,
+            "misalignment, mrad: m_yx {:+.2}, m_zx {:+.2}, m_xy {:+.2}, m_zy {:+.2}, m_xz {:+.2}, m_yz {:+.2}",
+            off(0, 1),
+            off(0, 2),
+            off(1, 0),
+            off(1, 2),
+            off(2, 0),
+            off(2, 1),
+        )?;
+        writeln!(
+            out,
+            "|f| − g over the poses: {:.2} mm/s² rms before, {:.3} after (largest {:.3})",
+            self.uncalibrated_rms_mm_s2.unwrap_or_default(),
+            fit.rms_mm_s2,
+            fit.max_mm_s2
+        )?;
+        match fit.loo_rms_mm_s2 {
+            Some(loo) => write!(out, "left out one at a time: {loo:.3} mm/s² rms")?,
+            None => write!(
+                out,
+                "no pose can be left out: nothing tells the error elsewhere"
+            )?,
+        }
+        write!(
+            out,
+            "; condition {:.1}, {} degrees of freedom",
+            fit.condition, fit.dof
+        )
+    }
+}
+
+/// Reads the parameters of a calibration file, for a board.
+///
+/// # Errors
+/// `file_unreadable`; `bad_calibration` when it is no calibration, was refused, has no sensitivity
+/// or holds numbers that are out of bounds.
+pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
+    #[derive(Deserialize)]
+    struct File {
+        schema: Option<String>,
+        status: Option<String>,
+        reason: Option<String>,
+        parameters: Option<ParameterSet>,
+    }
+    let name = path.display().to_string();
+    let bad =
+        |message: String, remedy: &str| HostError::new(ErrorCode::BadCalibration, message, remedy);
+    let make = "make it with `wimu calibrate … -o CAL.json`";
+    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+    let file: File = serde_json::from_str(&text).map_err(|error| {
+        bad(format!("this is no calibration: {error}"), make).at(format!(
+            "{name} line {}, column {}",
+            error.line(),
+            error.column()
+        ))
+    })?;
+    if file.schema.as_deref() != Some(CalibrationReport::SCHEMA) {
+        return Err(bad(
+            format!(
+                "its schema is {}, not {}",
+                file.schema.as_deref().unwrap_or("missing"),
+                CalibrationReport::SCHEMA
+            ),
+            make,
+        )
+        .at(name));
+    }
+    if file.status.as_deref() != Some("ok") {
+        let reason = file
+            .reason
+            .unwrap_or_else(|| "no reason is given".to_owned());
+        return Err(bad(
+            format!("the calibration was refused: {reason}"),
+            "calibrate again with other poses",
+        )
+        .at(name));
+    }
+    file.parameters.ok_or_else(|| {
+        bad(
+            "it has no parameters for a board: its data were in m/s²".to_owned(),
+            "calibrate again with --sensitivity, the nominal LSB/g of the board's range",
+        )
+        .at(name)
+    })
+}
+
+/// Writes a report as the file that [`read_parameters`] reads.
+///
+/// # Errors
+/// `file_failed`, `file_unreadable`.
+pub fn write_report(path: &Path, report: &CalibrationReport) -> Result<()> {
+    let name = path.display().to_string();
+    let json = serde_json::to_string_pretty(report).map_err(|error| {
+        HostError::new(
+            ErrorCode::FileFailed,
+            format!("the report cannot be written as JSON: {error}"),
+            "report this as a fault of wimu",
+        )
+    })?;
+    std::fs::write(path, json + "\n").map_err(|error| HostError::file(&name, "write", &error))
+}

@@ -1,0 +1,487 @@
+use std::path::PathBuf;
+
+use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
+use wimu_model::{Counts, DeviceTimeUs, ErrorModel, SpecificForceMps2};
+
+use super::*;
+use crate::dataset::{LoadOptions, Output, RateSource};
+use crate::decode::Decoder;
+use crate::record::LinkRecord;
+
+fn truth() -> ErrorModel {
+    ErrorModel::new(ErrorTerms {
+        bias_mps2: [0.5, -0.3, 0.2],
+        matrix: [[1.03, 0.0, 0.0], [0.02, 0.98, 0.0], [-0.01, 0.015, 1.01]],
+        ..ErrorTerms::default()
+    })
+    .unwrap()
+}
+
+/// Pose means of a sensor with these errors, 26 orientations.
+fn pose_means(unit: OutputUnit, per_mps2: f64) -> Dataset {
+    let output = |orientation: Orientation| {
+        let force = SpecificForceMps2(orientation.up().map(|axis| axis * STANDARD_GRAVITY_MPS2));
+        Output {
+            value: truth().distort(force, None).0.map(|axis| axis * per_mps2),
+            temperature_c: Some(21.5),
+            samples: 100,
+            after_gap: false,
+        }
+    };
+    Dataset {
+        name: "poses".to_owned(),
+        unit,
+        poses: true,
+        rate_hz: 100.0,
+        rate_source: RateSource::Assumed,
+        outputs: Orientation::ALL.into_iter().map(output).collect(),
+    }
+}
+
+const UNKNOWN_COUNTS: OutputUnit = OutputUnit::Counts {
+    nominal: None,
+    range_g: None,
+};
+
+#[test]
+fn the_error_model_comes_back() {
+    let report = calibrate(
+        &pose_means(OutputUnit::Mps2, 1.0),
+        &CalibrateOptions::default(),
+    )
+    .unwrap();
+    assert_eq!((report.status, report.exit_code()), ("ok", 0));
+    let fit = report.fit.as_ref().unwrap();
+    assert!(fit.rms_mm_s2 < 1e-6);
+    for axis in 0..3 {
+        let terms = truth();
+        assert!((fit.model.bias_mps2[axis] - terms.terms().bias_mps2[axis]).abs() < 1e-9);
+        for column in 0..3 {
+            let error = fit.model.matrix[axis][column] - terms.terms().matrix[axis][column];
+            assert!(error.abs() < 1e-9);
+        }
+    }
+    assert!(report.uncalibrated_rms_mm_s2.unwrap() > 300.0);
+    assert_eq!(fit.temperature_c, Some(21.5));
+    // Without a sensitivity there is nothing for a board.
+    assert_eq!(report.parameters, None);
+    let text = report.to_string();
+    assert!(
+        text.contains("bias +0.5000") && text.contains("left out"),
+        "{text}"
+    );
+}
+
+#[test]
+fn counts_of_unknown_worth_are_scaled_so_that_the_mean_scale_factor_is_1() {
+    for lsb_per_g in [2048.0, 16384.0, 333.0] {
+        let data = pose_means(UNKNOWN_COUNTS, lsb_per_g / STANDARD_GRAVITY_MPS2);
+        let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
+        let fit = report.fit.as_ref().unwrap();
+        let matrix = fit.model.matrix;
+        assert!((matrix[0][0] + matrix[1][1] + matrix[2][2] - 3.0).abs() < 1e-9);
+        let found = report.sensitivity_lsb_per_g.unwrap();
+        let mean = (1.03 + 0.98 + 1.01) / 3.0;
+        assert!((found / (lsb_per_g * mean) - 1.0).abs() < 1e-9, "{found}");
+        assert_eq!(report.sensitivity_source, Some(Source::Fit));
+        // The set corrects the counts that it was made from.
+        let set = report.parameters.unwrap();
+        let up = set.correct(
+            Counts(data.outputs[0].value.map(|v| v.round() as i16)),
+            None,
+        );
+        assert!((up.norm() - STANDARD_GRAVITY_MPS2).abs() < 0.03);
+    }
+}
+
+#[test]
+fn a_sensitivity_is_the_given_one_or_the_boards_before_the_fits() {
+    let board = OutputUnit::Counts {
+        nominal: Some(Sensitivity::from_lsb_per_g(16384.0).unwrap()),
+        range_g: Some(2),
+    };
+    let data = pose_means(board, 16384.0 / STANDARD_GRAVITY_MPS2);
+    let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
+    assert_eq!(report.sensitivity_source, Some(Source::Board));
+    assert_eq!(report.parameters.unwrap().range_g, 2);
+    assert!((report.fit.unwrap().model.matrix[0][0] - 1.03).abs() < 1e-9);
+
+    let options = CalibrateOptions {
+        sensitivity_lsb_per_g: Some(16000.0),
+        ..CalibrateOptions::default()
+    };
+    let report = calibrate(&data, &options).unwrap();
+    assert_eq!(report.sensitivity_source, Some(Source::Given));
+    assert_eq!(report.sensitivity_lsb_per_g, Some(16000.0));
+}
+
+#[test]
+fn the_range_follows_from_the_sensitivity_as_usual() {
+    for (lsb_per_g, range_g) in [
+        (16384.0, 2),
+        (15_900.0, 2),
+        (17_400.0, 2),
+        (8192.0, 4),
+        (2048.0, 16),
+        (2027.0, 16),
+        (2110.0, 16),
+        (1365.33, 16),
+        (160.0, 128),
+        (65_536.0, 1),
+    ] {
+        let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).unwrap();
+        assert_eq!(likely_range_g(sensitivity), range_g, "{lsb_per_g}");
+    }
+}
+
+#[test]
+fn options_out_of_bounds_are_wrong_usage() {
+    let data = pose_means(OutputUnit::Mps2, 1.0);
+    for options in [
+        CalibrateOptions {
+            gravity_mps2: Some(1.0),
+            ..CalibrateOptions::default()
+        },
+        CalibrateOptions {
+            sensitivity_lsb_per_g: Some(f64::NAN),
+            ..CalibrateOptions::default()
+        },
+        CalibrateOptions {
+            placement_sd_deg: Some(-1.0),
+            ..CalibrateOptions::default()
+        },
+    ] {
+        let error = calibrate(&data, &options).unwrap_err();
+        assert_eq!((error.code(), error.exit_code()), (ErrorCode::Usage, 2));
+    }
+}
+
+#[test]
+fn a_refusal_says_why_and_which_poses_would_help() {
+    let mut data = pose_means(OutputUnit::Mps2, 1.0);
+    data.outputs.truncate(7);
+    let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
+    assert_eq!((report.status, report.exit_code()), ("refused", 3));
+    assert!(report.reason.as_ref().unwrap().contains("7 static poses"));
+    assert_eq!(report.next_poses.len(), 3);
+    let json = serde_json::to_value(&report).unwrap();
+    assert_eq!(json["status"], "refused");
+    assert!(json["next_poses"][0]["text"].is_string());
+    assert!(report.to_string().contains("refused: 7 static poses"));
+
+    let options = CalibrateOptions {
+        method: MethodChoice::SixPosition,
+        ..CalibrateOptions::default()
+    };
+    let faces: Vec<_> = Face::ALL
+        .into_iter()
+        .map(|face| Orientation::from(face).up())
+        .collect();
+    data.outputs.truncate(6);
+    for (output, up) in data.outputs.iter_mut().zip(&faces[..5]) {
+        output.value = up.map(|axis| axis * STANDARD_GRAVITY_MPS2);
+    }
+    data.outputs.truncate(5);
+    let report = calibrate(&data, &options).unwrap();
+    assert_eq!(report.next_poses.len(), 1);
+    assert_eq!(report.next_poses[0].text, "Z down");
+}
+
+#[test]
+fn the_json_has_every_field_of_the_interface() {
+    let data = pose_means(UNKNOWN_COUNTS, 200.0);
+    let json =
+        serde_json::to_value(calibrate(&data, &CalibrateOptions::default()).unwrap()).unwrap();
+    for field in [
+        "schema",
+        "status",
+        "reason",
+        "method",
+        "terms",
+        "poses",
+        "dof",
+        "gravity_m_s2",
+        "gravity_source",
+        "rms_mm_s2",
+        "max_mm_s2",
+        "loo_rms_mm_s2",
+        "condition",
+        "temperature_c",
+        "model",
+        "sd",
+        "rejected_poses",
+        "next_poses",
+    ] {
+        assert!(json.get(field).is_some(), "{field}");
+    }
+    for shape in ["model", "sd"] {
+        assert_eq!(json[shape]["bias_m_s2"].as_array().unwrap().len(), 3);
+        assert_eq!(json[shape]["matrix"][2].as_array().unwrap().len(), 3);
+        assert!(json[shape].get("temperature").is_some());
+        assert!(json[shape].get("nonlinearity").is_some());
+    }
+}
+
+#[test]
+fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
+    let folder = std::env::temp_dir().join(format!("wimu-host-cal-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("CAL.json");
+    let data = pose_means(UNKNOWN_COUNTS, 208.937_123);
+    let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
+    write_report(&path, &report).unwrap();
+    let set = read_parameters(&path).unwrap();
+    assert_eq!(Some(set), report.parameters);
+    assert_eq!(report.parameter_id, Some(parameter_id(&set).to_string()));
+
+    let good = std::fs::read_to_string(&path).unwrap();
+    let refused = calibrate(
+        &Dataset {
+            outputs: data.outputs[..3].to_vec(),
+            ..data.clone()
+        },
+        &CalibrateOptions::default(),
+    )
+    .unwrap();
+    let without = calibrate(
+        &pose_means(OutputUnit::Mps2, 1.0),
+        &CalibrateOptions::default(),
+    )
+    .unwrap();
+    for (text, part) in [
+        ("{".to_owned(), "no calibration"),
+        ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
+        (
+            good.replace("calibration/1", "calibration/9"),
+            "calibration/9",
+        ),
+        (good.replace("\"range_g\"", "\"range\""), "range_g"),
+        (
+            good.replace("\"sensitivity\":", "\"sensitivity\": 1e9, \"x\":"),
+            "1000000000",
+        ),
+        (
+            serde_json::to_string(&refused).unwrap(),
+            "was refused: 3 static poses",
+        ),
+        (
+            serde_json::to_string(&without).unwrap(),
+            "no parameters for a board",
+        ),
+    ] {
+        std::fs::write(&path, &text).unwrap();
+        let error = read_parameters(&path).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::BadCalibration);
+        assert!(error.message().contains(part), "{part}: {error}");
+        assert_eq!(error.exit_code(), 2);
+    }
+    let error = read_parameters(&folder.join("absent.json")).unwrap_err();
+    assert_eq!(error.code(), ErrorCode::FileUnreadable);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// Counts of a sensor turned through 12 orientations and held in each, with some noise.
+fn turned_counts() -> Vec<[i16; 3]> {
+    let mut noise = 1_u32;
+    let mut counts = Vec::new();
+    for orientation in Orientation::ALL.into_iter().step_by(2) {
+        for step in 0..200 {
+            let turning = if step < 40 {
+                400.0 * f64::from(step % 7)
+            } else {
+                0.0
+            };
+            counts.push(orientation.up().map(|axis| {
+                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (axis * 2050.0 + turning) as i16 + (noise >> 30) as i16
+            }));
+        }
+    }
+    counts
+}
+
+#[test]
+fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
+    let counts = turned_counts();
+    let folder = std::env::temp_dir().join(format!("wimu-host-same-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("counts.csv");
+    let mut text = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
+    for [x, y, z] in &counts {
+        text.push_str(&format!("{x},{y},{z}\n"));
+    }
+    std::fs::write(&path, text).unwrap();
+    let from_csv = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+
+    let mut record = LinkRecord::new(LinkRole::Wireless);
+    let mut decoder = Decoder::new();
+    let mut frame = [0; MAX_FRAME];
+    let mut push = |frame: &[u8]| decoder.push(0, frame, |arrival| record.take(&arrival));
+    let length = Hello::new(LinkRole::Wireless).encode(&mut frame).unwrap();
+    push(&frame[..length]);
+    let epoch = Telemetry::Epoch(Epoch {
+        reason: EpochReason::Start,
+        sequence: 500,
+        time_us: 5_000_000,
+        period_ns: 10_000_000,
+        range_g: 2,
+        sensitivity_lsb_per_g: 16384.0,
+        full_scale: 32752,
+        parameters: 0,
+        temperature_centi_c: None,
+        state: WireState::default(),
+    });
+    let length = epoch.encode(&mut frame).unwrap();
+    push(&frame[..length]);
+    for (index, samples) in counts.chunks(16).enumerate() {
+        let samples: Vec<_> = samples.iter().map(|c| Counts(*c)).collect();
+        let first = 500 + 16 * index as u32;
+        let time = DeviceTimeUs(u64::from(first) * 10_000);
+        let length = batch::encode(first, time, &samples, &mut frame).unwrap();
+        push(&frame[..length]);
+    }
+    let from_link = Dataset::from_link(&record, "link").unwrap();
+    assert_eq!(from_link.outputs, from_csv.outputs);
+
+    let json = |data: &Dataset| {
+        let report = calibrate(data, &CalibrateOptions::default()).unwrap();
+        assert_eq!(report.poses, 13, "{report}");
+        let mut json = serde_json::to_value(&report).unwrap();
+        let object = json.as_object_mut().unwrap();
+        for field in ["source", "rate_source", "parameters", "parameter_id"] {
+            object.remove(field);
+        }
+        json
+    };
+    assert_eq!(json(&from_link), json(&from_csv));
+
+    // Missing samples end a hold instead of passing for a step.
+    let mut gap = record.clone();
+    let boot = gap.latest();
+    let cut = boot.raw.len() - 100;
+    boot.raw.drain(cut..cut + 5);
+    let data = Dataset::from_link(&gap, "link").unwrap();
+    assert_eq!(
+        data.outputs
+            .iter()
+            .filter(|output| output.after_gap)
+            .count(),
+        1
+    );
+
+    // Another range half-way is no calibration.
+    let boot = gap.latest();
+    let mut mark = boot.epochs[0].clone();
+    mark.epoch.range_g = 8;
+    boot.epochs.push(mark);
+    let error = Dataset::from_link(&gap, "link").unwrap_err();
+    assert_eq!(
+        (error.code(), error.exit_code()),
+        (ErrorCode::DataRefused, 3)
+    );
+}
+
+/// A file of the folder of public recordings beside the checkout, if it is there.
+fn recording(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data")
+        .join(name);
+    if path.is_file() {
+        Some(path)
+    } else {
+        println!("skipped: {name} of the public recordings, ../shared/data, is absent");
+        None
+    }
+}
+
+fn load(path: &std::path::Path, filter: Option<&str>, poses: bool) -> Dataset {
+    let options = LoadOptions {
+        filter: filter.map(|f| f.parse().unwrap()),
+        poses,
+        ..LoadOptions::default()
+    };
+    Dataset::from_csv(path, &options).unwrap()
+}
+
+#[test]
+fn eight_real_sensors_reach_the_floor_of_a_float64_reference() {
+    let Some(path) = recording("calibration/mpu9150_array_pose_means.csv") else {
+        return;
+    };
+    let options = CalibrateOptions {
+        gravity_mps2: Some(9.818),
+        ..CalibrateOptions::default()
+    };
+    // Mean over the sensors of rms and leave-one-out rms, mm/s².
+    for (run, rms_floor, loo_floor) in [
+        (1, 2.08, 3.79),
+        (2, 1.29, 2.27),
+        (7, 2.05, 3.73),
+        (8, 1.28, 2.33),
+    ] {
+        let (mut rms, mut loo) = (0.0, 0.0);
+        for imu in 0..8 {
+            let data = load(&path, Some(&format!("Run={run},IMU={imu}")), true);
+            let report = calibrate(&data, &options).unwrap();
+            let fit = report.fit.as_ref().unwrap_or_else(|| panic!("{report}"));
+            rms += fit.rms_mm_s2 / 8.0;
+            loo += fit.loo_rms_mm_s2.unwrap() / 8.0;
+            let sensitivity = report.sensitivity_lsb_per_g.unwrap();
+            assert!((sensitivity / 2048.0 - 1.0).abs() < 0.02, "{sensitivity}");
+        }
+        assert!((rms / rms_floor - 1.0).abs() < 0.01, "run {run}: {rms}");
+        assert!((loo / loo_floor - 1.0).abs() < 0.02, "run {run}: {loo}");
+    }
+}
+
+#[test]
+fn a_navigation_grade_sensor_needs_nine_parameters() {
+    let Some(path) = recording("calibration/innalabs_49_pose_means.csv") else {
+        return;
+    };
+    let data = load(&path, None, true);
+    let rms = |model| {
+        let options = CalibrateOptions {
+            model,
+            ..CalibrateOptions::default()
+        };
+        calibrate(&data, &options).unwrap().fit.unwrap().rms_mm_s2
+    };
+    assert!((rms(ModelChoice::default()) - 8.195).abs() < 0.01);
+    assert!((rms(ModelChoice::Fixed(Model::BiasScale6)) - 110.0).abs() < 2.0);
+    assert_eq!(rms(ModelChoice::Auto), rms(ModelChoice::default()));
+}
+
+#[test]
+fn ten_real_poses_do_not_support_nine_parameters() {
+    let Some(path) = recording("calibration/mpu6050_ten_poses.csv") else {
+        return;
+    };
+    let data = load(&path, None, false);
+    let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
+    assert_eq!(report.exit_code(), 3, "{report}");
+    assert!(!report.next_poses.is_empty(), "{report}");
+}
+
+#[test]
+fn six_real_positions_in_counts_and_in_si_are_calibrated() {
+    let options = CalibrateOptions {
+        method: MethodChoice::SixPosition,
+        placement_sd_deg: Some(1.0),
+        ..CalibrateOptions::default()
+    };
+    for name in ["six_position_sections.csv", "six_position.csv"] {
+        let Some(path) = recording(&format!("calibration/{name}")) else {
+            return;
+        };
+        let report = calibrate(&load(&path, None, false), &options).unwrap();
+        let fit = report.fit.as_ref().unwrap_or_else(|| panic!("{report}"));
+        println!("{report}");
+        assert!(
+            fit.rms_mm_s2 < report.uncalibrated_rms_mm_s2.unwrap() / 5.0,
+            "{report}"
+        );
+    }
+}

@@ -1,0 +1,443 @@
+//! A live board: who it is, what it sends, requests and their answers.
+
+use std::collections::VecDeque;
+use std::hash::{BuildHasher, RandomState};
+use std::time::Duration;
+
+use wimu_link::message::{
+    ActiveParameters, Answer, Event as DeviceEvent, Payload, Refusal, Status, WireParameters,
+    parameter_id,
+};
+use wimu_link::requester::Next;
+use wimu_link::{Command, Hello, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou};
+use wimu_model::{ParameterId, ParameterSet};
+
+use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
+use crate::error::{ErrorCode, HostError, Result};
+use crate::link_url::LinkUrl;
+use crate::transport::{self, Transport};
+
+/// A board is asked who it is this often.
+const ASK_EVERY: Duration = Duration::from_millis(400);
+/// No longer than this between looks at the clock.
+const GLANCE: Duration = Duration::from_millis(50);
+
+/// How to connect.
+#[derive(Clone, Copy, Debug)]
+pub struct ConnectOptions {
+    /// How long to wait for the board to say who it is.
+    pub patience: Duration,
+    /// Tells this host from others in requests; random where it is `None`.
+    pub session: Option<u32>,
+}
+
+impl Default for ConnectOptions {
+    /// 3 s, a random session.
+    fn default() -> Self {
+        Self {
+            patience: Duration::from_secs(3),
+            session: None,
+        }
+    }
+}
+
+impl ConnectOptions {
+    /// 1 s, for a port that may or may not be a board.
+    pub fn probe() -> Self {
+        Self {
+            patience: Duration::from_secs(1),
+            ..Self::default()
+        }
+    }
+}
+
+/// Opens a link and connects to the board behind it; `auto` tries the ports that look like one,
+/// 1 s each.
+///
+/// # Errors
+/// Those of [`transport::open`] and [`Client::connect`]. For `auto`, those of the last port tried.
+pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
+    if *link != LinkUrl::Auto {
+        let transport = transport::open(link)?;
+        return Client::connect(transport, &link.to_string(), ConnectOptions::default());
+    }
+    let mut outcome = Err(HostError::new(
+        ErrorCode::LinkAbsent,
+        "there is no port to try",
+        "plug the board in",
+    ));
+    for candidate in transport::candidates()? {
+        outcome = transport::open(&candidate).and_then(|transport| {
+            Client::connect(transport, &candidate.to_string(), ConnectOptions::probe())
+        });
+        if outcome.is_ok() {
+            break;
+        }
+    }
+    outcome
+}
+
+/// A connection to a board.
+///
+/// What arrives while it waits for something else is kept for [`Client::next_event`], in order.
+pub struct Client<T> {
+    transport: T,
+    name: String,
+    decoder: Decoder,
+    requester: Requester,
+    hello: Hello,
+    /// Arrived and not yet handed out.
+    arrivals: VecDeque<Arrival>,
+    /// The answer to the request under way, when it has arrived.
+    answer: Option<Answer>,
+    /// The device writes its flash until then and hears nothing.
+    deaf_until: Duration,
+}
+
+impl<T: Transport> Client<T> {
+    /// Asks the board who it is and waits for its answer; `name` is what errors call the link.
+    ///
+    /// # Errors
+    /// `not_a_wimu_board` when none comes, `protocol_version` when the board speaks another one,
+    /// `link_lost`.
+    pub fn connect(transport: T, name: &str, options: ConnectOptions) -> Result<Self> {
+        let random = || RandomState::new().hash_one(name) as u32;
+        let mut client = Self {
+            transport,
+            name: name.to_owned(),
+            decoder: Decoder::new(),
+            requester: Requester::new(options.session.unwrap_or_else(random)),
+            hello: Hello::new(wimu_link::LinkRole::Other(0)),
+            arrivals: VecDeque::new(),
+            answer: None,
+            deaf_until: Duration::ZERO,
+        };
+        client.greet(options.patience)?;
+        Ok(client)
+    }
+
+    fn greet(&mut self, patience: Duration) -> Result<()> {
+        let mut question = [0; MAX_FRAME + 1];
+        // The zero in front ends whatever a host before may have left unfinished.
+        let length = WhoAreYou::default()
+            .encode(&mut question[1..])
+            .map_or(0, |length| length + 1);
+        let start = self.transport.now();
+        let mut ask_at = start;
+        let mut looked_at = 0;
+        loop {
+            let now = self.transport.now();
+            if now >= start + patience {
+                return Err(self.no_greeting());
+            }
+            if now >= ask_at {
+                self.transport.write_all(&question[..length])?;
+                ask_at = now + ASK_EVERY;
+            }
+            self.poll(GLANCE)?;
+            let greeting =
+                self.arrivals
+                    .iter()
+                    .skip(looked_at)
+                    .find_map(|arrival| match arrival.event {
+                        Event::Hello(hello) => Some(hello),
+                        _ => None,
+                    });
+            looked_at = self.arrivals.len();
+            if let Some(hello) = greeting {
+                self.hello = hello;
+                return if hello.wire_version == WIRE_VERSION {
+                    Ok(())
+                } else {
+                    Err(HostError::new(
+                        ErrorCode::ProtocolVersion,
+                        format!(
+                            "the board speaks version {} of the protocol, this wimu version {WIRE_VERSION}",
+                            hello.wire_version
+                        ),
+                        "update the older of firmware and wimu",
+                    )
+                    .at(&self.name))
+                };
+            }
+        }
+    }
+
+    fn no_greeting(&self) -> HostError {
+        let statistics = self.decoder.statistics();
+        let (message, remedy) = if statistics.bytes == 0 {
+            (
+                "nothing answers".to_owned(),
+                "check that the board is powered and runs wimu, and that TX and RX are not swapped",
+            )
+        } else if statistics.frames == 0 {
+            (
+                format!(
+                    "{} bytes arrived, but nothing that a wimu board says",
+                    statistics.bytes
+                ),
+                "check the baud rate at both ends, and that this is the board's port",
+            )
+        } else {
+            (
+                format!(
+                    "the board does not say who it is, though {} of its frames arrived",
+                    statistics.frames
+                ),
+                "check the line from this computer to the board: it may not hear",
+            )
+        };
+        HostError::new(ErrorCode::NotAWimuBoard, message, remedy).at(&self.name)
+    }
+
+    /// Who the board was when it last said so.
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// What errors call the link.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What the link carried and lost so far.
+    pub fn statistics(&self) -> LinkStatistics {
+        self.decoder.statistics()
+    }
+
+    /// The link below: for its clock.
+    pub fn transport(&mut self) -> &mut T {
+        &mut self.transport
+    }
+
+    /// The next event, waiting for at most `timeout`; `None` if there is none by then.
+    ///
+    /// # Errors
+    /// `link_lost`; what arrived before has been handed out by then.
+    pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Arrival>> {
+        let until = self.transport.now() + timeout;
+        loop {
+            if let Some(arrival) = self.arrivals.pop_front() {
+                return Ok(Some(arrival));
+            }
+            let left = until.saturating_sub(self.transport.now());
+            if left.is_zero() && !timeout.is_zero() {
+                return Ok(None);
+            }
+            self.poll(left)?;
+            if timeout.is_zero() {
+                return Ok(self.arrivals.pop_front());
+            }
+        }
+    }
+
+    /// Asks for something and waits for the answer, repeating the question as often as it takes.
+    ///
+    /// # Errors
+    /// `device_refused` or `key_needed` with the board's reason; `no_answer`, after which the
+    /// request may have had its effect all the same; `link_lost`.
+    pub fn request(&mut self, command: Command) -> Result<Payload> {
+        self.wait_while_deaf()?;
+        self.answer = None;
+        let frame = self.requester.start(command, self.transport.now());
+        self.transport.write_all(frame)?;
+        loop {
+            if let Some(answer) = self.answer.take() {
+                return self.accepted(answer);
+            }
+            let now = self.transport.now();
+            let wait = match self.requester.poll(now) {
+                Next::Wait { until } => until.saturating_sub(now).min(GLANCE),
+                Next::Send(frame) => {
+                    let frame = frame.to_vec();
+                    self.wait_while_deaf()?;
+                    self.transport.write_all(&frame)?;
+                    continue;
+                }
+                Next::Idle | Next::TimedOut => {
+                    return Err(HostError::new(
+                        ErrorCode::NoAnswer,
+                        "the board does not answer; it may have done what it was asked",
+                        "look at its state before asking again; check the line to the board",
+                    )
+                    .at(&self.name));
+                }
+            };
+            self.poll(wait)?;
+        }
+    }
+
+    fn accepted(&self, answer: Answer) -> Result<Payload> {
+        match answer {
+            Answer::Accepted(payload) => Ok(payload),
+            Answer::Refused(refusal) => {
+                let code = match refusal {
+                    Refusal::KeyNeeded => ErrorCode::KeyNeeded,
+                    _ => ErrorCode::DeviceRefused,
+                };
+                // A refusal says what is wrong; what to do.
+                let text = refusal.to_string();
+                let (message, remedy) = text
+                    .split_once("; ")
+                    .unwrap_or((&text, "see the board's settings"));
+                Err(HostError::new(code, message, remedy).at(&self.name))
+            }
+            Answer::Unknown => Err(HostError::new(
+                ErrorCode::DeviceRefused,
+                "the board does not know this command",
+                "update its firmware",
+            )
+            .at(&self.name)),
+        }
+    }
+
+    fn unexpected(&self) -> HostError {
+        HostError::new(
+            ErrorCode::ProtocolVersion,
+            "the board's answer is of another kind than the question",
+            "update the older of firmware and wimu",
+        )
+        .at(&self.name)
+    }
+
+    /// The parameters in use.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`].
+    pub fn parameters(&mut self) -> Result<ActiveParameters> {
+        match self.request(Command::GetParameters)? {
+            Payload::Parameters(parameters) => Ok(parameters),
+            _ => Err(self.unexpected()),
+        }
+    }
+
+    /// The settings in use.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`].
+    pub fn settings(&mut self) -> Result<Settings> {
+        match self.request(Command::GetSettings)? {
+            Payload::Settings(settings) => Ok(settings),
+            _ => Err(self.unexpected()),
+        }
+    }
+
+    /// Stores settings on the board and has them used; returns those in use then.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`]; the nearest that the sensor can do are in the message.
+    pub fn set_settings(&mut self, settings: Settings) -> Result<Settings> {
+        match self.request(Command::SetSettings(settings))? {
+            Payload::Settings(settings) => Ok(settings),
+            _ => self.settings(),
+        }
+    }
+
+    /// How the board is.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`].
+    pub fn status(&mut self) -> Result<Status> {
+        match self.request(Command::GetStatus)? {
+            Payload::Status(status) => Ok(status),
+            _ => Err(self.unexpected()),
+        }
+    }
+
+    /// Has the board forget parameters and settings.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`].
+    pub fn factory_reset(&mut self) -> Result<()> {
+        self.request(Command::FactoryReset).map(drop)
+    }
+
+    /// Stores a calibration on the board and has it used: stages it, compares what the board
+    /// staged, commits that, and reads it back.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`]; `verify_failed` when the board holds anything else: before
+    /// the commit nothing has changed on the board.
+    pub fn push_parameters(&mut self, set: &ParameterSet) -> Result<ParameterId> {
+        let wire = WireParameters::from(set);
+        let id = parameter_id(set);
+        let differs = |when: &str, found: u32| {
+            HostError::new(
+                ErrorCode::VerifyFailed,
+                format!("{when} {found:08x}, sent were {id}"),
+                "push again; if it stays so, update firmware and wimu to one version",
+            )
+        };
+        match self.request(Command::StageParameters(wire))? {
+            Payload::Staged { hash } if hash == id.0 => {}
+            Payload::Staged { hash } => {
+                return Err(differs("the board has staged parameters", hash).at(&self.name));
+            }
+            _ => return Err(self.unexpected()),
+        }
+        let committed = self.request(Command::CommitParameters { hash: id.0 });
+        match &committed {
+            // The answer may be lost and the commit done: what the board holds tells.
+            Err(error) if error.code() != ErrorCode::NoAnswer => {
+                return Err(error.clone());
+            }
+            _ => {}
+        }
+        let active = self.parameters()?;
+        // Compared as numbers: −0 and 0 are one calibration, and neither is ever not-a-number.
+        if active.id == id.0 && active.active == Some(wire) {
+            Ok(id)
+        } else {
+            committed?;
+            Err(differs("the board uses parameters", active.id).at(&self.name))
+        }
+    }
+
+    /// Keeps silent while the device writes its flash: it would not hear.
+    fn wait_while_deaf(&mut self) -> Result<()> {
+        loop {
+            let left = self.deaf_until.saturating_sub(self.transport.now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            self.poll(left.min(GLANCE))?;
+        }
+    }
+
+    /// Reads once.
+    fn poll(&mut self, timeout: Duration) -> Result<()> {
+        let mut buffer = [0; 4096];
+        let count = self.transport.read(&mut buffer, timeout)?;
+        let now = self.transport.now();
+        let Self {
+            decoder,
+            requester,
+            hello,
+            arrivals,
+            answer,
+            deaf_until,
+            ..
+        } = self;
+        let host_ns = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
+        decoder.push(host_ns, &buffer[..count], |arrival| {
+            match &arrival.event {
+                Event::Hello(new) => *hello = *new,
+                Event::Reply(reply) => {
+                    if let Some(ours) = requester.on_reply(reply) {
+                        *answer = Some(ours);
+                    }
+                }
+                Event::Device {
+                    event: DeviceEvent::Pause { longest_ms },
+                    ..
+                } => *deaf_until = now + Duration::from_millis((*longest_ms).into()),
+                _ => {}
+            }
+            arrivals.push_back(arrival);
+        });
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

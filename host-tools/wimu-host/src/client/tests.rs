@@ -1,0 +1,389 @@
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use wimu_link::hello::LinkRole;
+use wimu_link::message::{Environment, ParameterFault};
+use wimu_link::responder::Decision;
+use wimu_link::{Deframer, Kind, Responder, Telemetry, WriteAccess};
+use wimu_model::{ErrorModel, ErrorTerms, Sensitivity};
+
+use super::*;
+
+/// A board in virtual time: the device side of the protocol, and a line that can be made bad.
+struct Board {
+    now: Duration,
+    deframer: Deframer,
+    responder: Responder,
+    hello: Hello,
+    settings: Settings,
+    staged: Option<WireParameters>,
+    active: Option<WireParameters>,
+    commits: u32,
+    /// On their way to the host.
+    outgoing: VecDeque<u8>,
+    /// Frames from the host to lose.
+    lose_received: u32,
+    /// Frames to the host to lose.
+    lose_sent: u32,
+    /// Device time at which it sends what it measures.
+    next_environment: Duration,
+    silent: bool,
+    deaf_until: Duration,
+    /// Says this much longer pause before a commit.
+    pause: Option<Duration>,
+    /// Stages something else than it was sent.
+    forgetful: bool,
+    heard_while_deaf: u32,
+}
+
+#[derive(Clone)]
+struct Line(Rc<RefCell<Board>>);
+
+impl Line {
+    fn new(role: LinkRole) -> Self {
+        Self(Rc::new(RefCell::new(Board {
+            now: Duration::from_secs(100),
+            deframer: Deframer::new(),
+            responder: Responder::new(role),
+            hello: Hello {
+                access: WriteAccess::Open,
+                ..Hello::new(role)
+            },
+            settings: Settings::default(),
+            staged: None,
+            active: None,
+            commits: 0,
+            outgoing: VecDeque::new(),
+            lose_received: 0,
+            lose_sent: 0,
+            next_environment: Duration::ZERO,
+            silent: false,
+            deaf_until: Duration::ZERO,
+            pause: None,
+            forgetful: false,
+            heard_while_deaf: 0,
+        })))
+    }
+
+    fn board(&self) -> std::cell::RefMut<'_, Board> {
+        self.0.borrow_mut()
+    }
+
+    fn connect(&self) -> Result<Client<Self>> {
+        let options = ConnectOptions {
+            session: Some(7),
+            ..ConnectOptions::default()
+        };
+        Client::connect(self.clone(), "test", options)
+    }
+}
+
+impl Board {
+    fn send(&mut self, frame: &[u8]) {
+        if self.lose_sent > 0 {
+            self.lose_sent -= 1;
+        } else if !self.silent {
+            self.outgoing.extend(frame);
+        }
+    }
+
+    fn say(&mut self, message: &Telemetry) {
+        let mut frame = [0; MAX_FRAME];
+        let length = message.encode(&mut frame).unwrap();
+        self.outgoing.extend(&frame[..length]);
+    }
+
+    fn hear(&mut self, kind: Kind, body: &[u8]) {
+        if self.now < self.deaf_until {
+            self.heard_while_deaf += 1;
+            return;
+        }
+        if self.lose_received > 0 {
+            self.lose_received -= 1;
+            return;
+        }
+        let mut frame = [0; MAX_FRAME];
+        if kind == Kind::WhoAreYou {
+            let length = self.hello.encode(&mut frame).unwrap();
+            return self.send(&frame[..length]);
+        }
+        let command = match self.responder.accept(body, self.hello.access) {
+            Decision::Execute(command) => command,
+            Decision::Send(frame) => {
+                let frame = frame.to_vec();
+                return self.send(&frame);
+            }
+            Decision::Ignore => return,
+        };
+        let answer = self.execute(command);
+        let frame = self.responder.reply(&answer).to_vec();
+        self.send(&frame);
+    }
+
+    fn execute(&mut self, command: Command) -> Answer {
+        let id = |wire: &WireParameters| parameter_id(&ParameterSet::try_from(wire).unwrap()).0;
+        Answer::Accepted(match command {
+            Command::StageParameters(mut wire) => {
+                if self.forgetful {
+                    wire.bias_mps2[0] += 1e-9;
+                }
+                if wire.range_g != self.settings.range_g {
+                    return Answer::Refused(Refusal::WrongRange {
+                        parameters_g: wire.range_g,
+                        device_g: self.settings.range_g,
+                    });
+                }
+                self.staged = Some(wire);
+                Payload::Staged { hash: id(&wire) }
+            }
+            Command::CommitParameters { hash } => match self.staged.take() {
+                Some(wire) if id(&wire) == hash => {
+                    if let Some(pause) = self.pause {
+                        self.deaf_until = self.now + pause;
+                        self.say(&Telemetry::Event {
+                            time_us: 0,
+                            event: DeviceEvent::Pause {
+                                longest_ms: pause.as_millis() as u16,
+                            },
+                        });
+                    }
+                    self.active = Some(wire);
+                    self.commits += 1;
+                    Payload::None
+                }
+                _ => return Answer::Refused(Refusal::NothingStaged),
+            },
+            Command::GetParameters => Payload::Parameters(ActiveParameters {
+                active: self.active,
+                id: self.active.as_ref().map_or(0, id),
+            }),
+            Command::GetSettings => Payload::Settings(self.settings),
+            Command::SetSettings(settings) => {
+                self.settings = settings;
+                Payload::Settings(settings)
+            }
+            Command::FactoryReset => {
+                self.active = None;
+                Payload::None
+            }
+            _ => return Answer::Unknown,
+        })
+    }
+}
+
+impl Transport for Line {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
+        let mut board = self.board();
+        if board.outgoing.is_empty() {
+            let due = board.next_environment.saturating_sub(board.now);
+            let quiet = if board.silent {
+                timeout
+            } else {
+                timeout.min(due)
+            };
+            board.now += quiet.max(Duration::from_millis(1));
+        }
+        if board.now >= board.next_environment && !board.silent {
+            board.next_environment = board.now + Duration::from_millis(100);
+            let time_us = board.now.as_micros() as u64;
+            board.say(&Telemetry::Environment(Environment {
+                time_us,
+                ..Environment::default()
+            }));
+        }
+        let count = board.outgoing.len().min(buffer.len()).min(7);
+        for (place, byte) in buffer.iter_mut().zip(board.outgoing.drain(..count)) {
+            *place = byte;
+        }
+        Ok(count)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
+        let mut board = self.board();
+        for &byte in bytes {
+            let heard = match board.deframer.push(byte) {
+                Some(Ok(frame)) => (frame.kind, frame.body.to_vec()),
+                _ => continue,
+            };
+            board.hear(heard.0, &heard.1);
+        }
+        Ok(())
+    }
+
+    fn now(&self) -> Duration {
+        self.0.borrow().now
+    }
+}
+
+fn calibration() -> ParameterSet {
+    ParameterSet {
+        model: ErrorModel::new(ErrorTerms {
+            bias_mps2: [0.1, -0.2, 0.3],
+            ..ErrorTerms::default()
+        })
+        .unwrap(),
+        ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap())
+    }
+}
+
+#[test]
+fn parameters_are_staged_compared_committed_and_read_back() {
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    assert_eq!(client.hello().role, LinkRole::Cable);
+    let set = calibration();
+    assert_eq!(client.push_parameters(&set).unwrap(), parameter_id(&set));
+    assert_eq!(line.board().active, Some(WireParameters::from(&set)));
+    client.factory_reset().unwrap();
+    assert_eq!(client.parameters().unwrap().active, None);
+}
+
+#[test]
+fn a_line_that_loses_frames_both_ways_changes_nothing() {
+    for lose_received in 0..4 {
+        for lose_sent in 0..4 {
+            let line = Line::new(LinkRole::Cable);
+            let mut client = line.connect().unwrap();
+            line.board().lose_received = lose_received;
+            line.board().lose_sent = lose_sent;
+            if lose_received + lose_sent < 6 {
+                client.push_parameters(&calibration()).unwrap();
+                assert_eq!(line.board().commits, 1);
+            } else {
+                let error = client.push_parameters(&calibration()).unwrap_err();
+                assert_eq!(error.code(), ErrorCode::NoAnswer);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_board_that_staged_something_else_is_not_told_to_commit() {
+    let line = Line::new(LinkRole::Cable);
+    line.board().forgetful = true;
+    let error = line
+        .connect()
+        .unwrap()
+        .push_parameters(&calibration())
+        .unwrap_err();
+    assert_eq!(error.code(), ErrorCode::VerifyFailed);
+    assert_eq!(line.board().commits, 0);
+    assert_eq!(line.board().active, None);
+}
+
+#[test]
+fn the_host_keeps_silent_while_the_board_writes_its_flash() {
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    line.board().pause = Some(Duration::from_millis(400));
+    client.push_parameters(&calibration()).unwrap();
+    assert_eq!(line.board().heard_while_deaf, 0);
+    assert_eq!(line.board().commits, 1);
+}
+
+#[test]
+fn refusals_come_with_the_boards_reason_and_exit_code_4() {
+    let line = Line::new(LinkRole::Wireless);
+    let mut client = line.connect().unwrap();
+    let error = client.push_parameters(&calibration()).unwrap_err();
+    assert_eq!((error.code(), error.exit_code()), (ErrorCode::KeyNeeded, 4));
+    assert!(error.remedy().contains("wimu key set"), "{error}");
+
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    let set = ParameterSet {
+        range_g: 8,
+        ..calibration()
+    };
+    let error = client.push_parameters(&set).unwrap_err();
+    assert_eq!(
+        (error.code(), error.exit_code()),
+        (ErrorCode::DeviceRefused, 4)
+    );
+    assert!(error.message().contains("±8 g"), "{error}");
+    let error = client.status().unwrap_err();
+    assert!(error.message().contains("does not know"), "{error}");
+    let mut settings = client.settings().unwrap();
+    settings.rate_hz = 400;
+    assert_eq!(client.set_settings(settings).unwrap().rate_hz, 400);
+    // Every refusal has something to do.
+    let fault = Refusal::InvalidParameters(ParameterFault::Overflow);
+    let error = client.accepted(Answer::Refused(fault)).unwrap_err();
+    assert!(!error.remedy().is_empty());
+}
+
+#[test]
+fn nothing_received_while_waiting_is_lost() {
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    line.board().lose_received = 3;
+    client.settings().unwrap();
+    let mut times = Vec::new();
+    while times.len() < 30 {
+        let arrival = client.next_event(Duration::from_secs(1)).unwrap().unwrap();
+        if let Event::Environment(environment) = arrival.event {
+            times.push(environment.time_us);
+        }
+    }
+    assert!(times.is_sorted());
+    assert!(
+        times[0] <= 100_100_000,
+        "the first is from before the greeting"
+    );
+    assert!(
+        times.windows(2).all(|pair| pair[1] - pair[0] <= 160_000),
+        "{times:?}"
+    );
+}
+
+#[test]
+fn what_is_no_board_is_told_from_silence() {
+    let line = Line::new(LinkRole::Cable);
+    line.board().silent = true;
+    let error = line.connect().err().unwrap();
+    assert_eq!(error.code(), ErrorCode::NotAWimuBoard);
+    assert!(error.message().contains("nothing answers"));
+    assert!(line.board().now < Duration::from_secs(104));
+
+    line.board()
+        .outgoing
+        .extend(b"$GPGGA,123519,4807.038,N\r\n".repeat(50));
+    let error = line.connect().err().unwrap();
+    assert_eq!(error.code(), ErrorCode::NotAWimuBoard);
+    assert!(error.message().contains("1300 bytes"), "{error}");
+    assert!(error.remedy().contains("baud"));
+}
+
+#[test]
+fn garbage_before_the_greeting_does_not_hide_it() {
+    let line = Line::new(LinkRole::Cable);
+    line.board().outgoing.extend([0x55; 900]);
+    line.board().lose_received = 1;
+    assert!(line.connect().is_ok());
+}
+
+#[test]
+fn a_board_of_another_version_is_named() {
+    let line = Line::new(LinkRole::Cable);
+    line.board().hello.wire_version = 3;
+    let error = line.connect().err().unwrap();
+    assert_eq!(error.code(), ErrorCode::ProtocolVersion);
+    assert!(error.message().contains("version 3"), "{error}");
+}
+
+#[test]
+fn waiting_for_an_event_ends_in_time() {
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    while client.next_event(Duration::ZERO).unwrap().is_some() {}
+    line.board().silent = true;
+    line.board().outgoing.clear();
+    let start = line.now();
+    assert!(
+        client
+            .next_event(Duration::from_millis(500))
+            .unwrap()
+            .is_none()
+    );
+    assert!(line.now() - start <= Duration::from_millis(510));
+}

@@ -1,0 +1,392 @@
+//! Sensor data as CSV: one header line with units in parentheses, any column order.
+//!
+//! `Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²),Magnetometer X (µT),…,Temperature (°C)`.
+//! Several accelerometers are `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …. A byte order
+//! mark, CRLF, quotes and both µ characters are accepted. Other columns are kept as text.
+//!
+//! ```
+//! use wimu_host::csv::CsvReader;
+//!
+//! let text = "Time (ms),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g),Pose\n0,0,0.5,1,a\n";
+//! let mut reader = CsvReader::new(text.as_bytes(), "poses.csv")?;
+//! let row = reader.next_row()?.expect("there is a row");
+//! assert_eq!(row.accelerations, [[0.0, 0.5, 1.0]]);
+//! assert_eq!(row.other, ["a"]);
+//! # Ok::<(), wimu_host::HostError>(())
+//! ```
+
+mod columns;
+mod line;
+mod number;
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+
+pub use columns::{AccelerationUnit, Header};
+use columns::{Columns, Quantity};
+use line::Lines;
+
+use crate::error::{ErrorCode, HostError, Result};
+
+/// One line of a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// Its line in the file, from 1; not written.
+    pub line: u64,
+    /// Time, ns, on whatever clock the file has; `None` without a time column.
+    pub time_ns: Option<i64>,
+    /// X, Y, Z per accelerometer, in the order and unit of the header.
+    pub accelerations: Vec<[f64; 3]>,
+    /// Magnetic field, µT; `None` where the fields are empty.
+    pub magnetic_field_ut: Option<[f64; 3]>,
+    /// Temperature, °C; `None` where the field is empty.
+    pub temperature_c: Option<f64>,
+    /// The other columns' fields, in the order of [`Header::other`].
+    pub other: Vec<String>,
+}
+
+/// Rows to keep: `Run=2,IMU=0` keeps those whose columns `Run` and `IMU` hold these values.
+/// Numbers compare as numbers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filter(Vec<(String, String)>);
+
+impl std::str::FromStr for Filter {
+    type Err = HostError;
+
+    fn from_str(text: &str) -> Result<Self> {
+        text.split(',')
+            .map(|pair| match pair.split_once('=') {
+                Some((column, value)) if !column.trim().is_empty() => {
+                    Ok((column.trim().to_owned(), value.trim().to_owned()))
+                }
+                _ => Err(HostError::new(
+                    ErrorCode::Usage,
+                    format!("`{pair}` in the row filter is not COLUMN=VALUE"),
+                    "write for example --where \"Run=2,IMU=0\"",
+                )),
+            })
+            .collect::<Result<_>>()
+            .map(Self)
+    }
+}
+
+/// Reads rows one at a time; memory does not grow with the file.
+pub struct CsvReader<R> {
+    name: String,
+    lines: Lines<R>,
+    fields: Vec<String>,
+    header: Header,
+    columns: Columns,
+    /// Field to compare, and with what.
+    filter: Vec<(usize, String)>,
+    ordered: bool,
+    /// Time and line of the last row.
+    last: Option<(i64, u64)>,
+}
+
+impl CsvReader<BufReader<File>> {
+    /// Opens a file and reads its header.
+    ///
+    /// # Errors
+    /// `file_unreadable`, and those of [`CsvReader::new`].
+    pub fn open(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = File::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
+        Self::new(BufReader::new(file), &name)
+    }
+}
+
+impl<R: BufRead> CsvReader<R> {
+    /// Reads the header; `name` is what errors call the file.
+    ///
+    /// # Errors
+    /// `csv_empty`, `csv_no_header`, `csv_missing_column` (an axis whose neighbours are there),
+    /// `csv_duplicate_column`, `csv_unknown_unit`, `csv_mixed_units`, `csv_not_utf8`: with the
+    /// column's name.
+    pub fn new(source: R, name: &str) -> Result<Self> {
+        let mut lines = Lines::new(source);
+        let mut fields = Vec::new();
+        let location = |error: HostError, line: u64| {
+            let column = error.location().filter(|column| !column.is_empty());
+            let column = column
+                .map(|c| format!(", column `{c}`"))
+                .unwrap_or_default();
+            error.at(format!("{name} line {line}{column}"))
+        };
+        let found = lines
+            .next_fields(&mut fields)
+            .map_err(|error| location(error, lines.number))?;
+        if found.is_none() {
+            return Err(HostError::new(
+                ErrorCode::CsvEmpty,
+                "the file is empty",
+                "a CSV file starts with a line of column names and units",
+            )
+            .at(name));
+        }
+        let (header, columns) =
+            columns::parse(&fields).map_err(|error| location(error, lines.number))?;
+        Ok(Self {
+            name: name.to_owned(),
+            lines,
+            fields,
+            header,
+            columns,
+            filter: Vec::new(),
+            ordered: true,
+            last: None,
+        })
+    }
+
+    /// Keeps only the rows that `filter` names.
+    ///
+    /// # Errors
+    /// `csv_missing_column` when the file has no such column.
+    pub fn select(mut self, filter: &Filter) -> Result<Self> {
+        for (column, value) in &filter.0 {
+            let index = self.columns.find(column).ok_or_else(|| {
+                HostError::new(
+                    ErrorCode::CsvMissingColumn,
+                    format!("there is no column `{column}` to filter by"),
+                    format!("choose from: {}", self.columns.names().join(", ")),
+                )
+                .at(format!("{} line 1", self.name))
+            })?;
+            self.filter.push((index, value.clone()));
+        }
+        Ok(self)
+    }
+
+    /// Accepts rows in any order of time: for rows that are no time series, such as pose means.
+    #[must_use]
+    pub fn in_any_order(mut self) -> Self {
+        self.ordered = false;
+        self
+    }
+
+    /// What the columns are.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// What errors call the file.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The next row, `None` at the end.
+    ///
+    /// # Errors
+    /// `csv_bad_number`, `csv_field_count`, `csv_time_backwards`, `csv_not_utf8`, with line and
+    /// column; `file_failed`. Reading can go on with the next row.
+    pub fn next_row(&mut self) -> Result<Option<Row>> {
+        loop {
+            let found = self
+                .lines
+                .next_fields(&mut self.fields)
+                .map_err(|error| error.at(self.location(None)))?;
+            if found.is_none() {
+                return Ok(None);
+            }
+            let fields = self.fields.len();
+            if fields != self.columns.len() {
+                return Err(HostError::new(
+                    ErrorCode::CsvFieldCount,
+                    format!(
+                        "{fields} fields where the header has {}",
+                        self.columns.len()
+                    ),
+                    "complete the line or remove it",
+                )
+                .at(self.location(None)));
+            }
+            if self.passes_filter() {
+                let row = self.parse_row()?;
+                self.check_order(&row)?;
+                return Ok(Some(row));
+            }
+        }
+    }
+
+    fn passes_filter(&self) -> bool {
+        self.filter.iter().all(|(index, value)| {
+            let field = &self.fields[*index];
+            field == value
+                || matches!((field.parse::<f64>(), value.parse::<f64>()), (Ok(a), Ok(b)) if a == b)
+        })
+    }
+
+    fn parse_row(&self) -> Result<Row> {
+        let mut row = Row {
+            line: self.lines.number,
+            accelerations: vec![[0.0; 3]; self.header.accelerometers.len()],
+            ..Row::default()
+        };
+        let mut magnetic = [None; 3];
+        for (index, text) in self.fields.iter().enumerate() {
+            let number = || {
+                number::finite(text).ok_or_else(|| {
+                    HostError::new(
+                        ErrorCode::CsvBadNumber,
+                        format!("`{text}` is not a finite number"),
+                        "correct the field or remove the line",
+                    )
+                    .at(self.location(Some(index)))
+                })
+            };
+            match self.columns.quantity(index) {
+                Quantity::Time { exponent } => {
+                    number()?;
+                    let time = number::decimal(text, exponent).ok_or_else(|| {
+                        HostError::new(
+                            ErrorCode::CsvBadNumber,
+                            format!("the time `{text}` does not fit 64 bits of nanoseconds"),
+                            "check the column's unit",
+                        )
+                        .at(self.location(Some(index)))
+                    })?;
+                    row.time_ns = Some(time);
+                }
+                Quantity::Acceleration { sensor, axis } => {
+                    row.accelerations[sensor][axis] = number()?;
+                }
+                Quantity::MagneticField { axis, ut_per_unit } if !text.is_empty() => {
+                    magnetic[axis] = Some(number()? * ut_per_unit);
+                }
+                Quantity::Temperature if !text.is_empty() => row.temperature_c = Some(number()?),
+                Quantity::MagneticField { .. } | Quantity::Temperature => {}
+                Quantity::Other => row.other.push(text.clone()),
+            }
+        }
+        row.magnetic_field_ut = match magnetic {
+            [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+            [None, None, None] => None,
+            _ => {
+                return Err(HostError::new(
+                    ErrorCode::CsvBadNumber,
+                    "some axes of the magnetometer are empty, others are not",
+                    "fill in all three or none",
+                )
+                .at(self.location(None)));
+            }
+        };
+        Ok(row)
+    }
+
+    fn check_order(&mut self, row: &Row) -> Result<()> {
+        let Some(time) = row.time_ns.filter(|_| self.ordered) else {
+            return Ok(());
+        };
+        if let Some((last, last_line)) = self.last
+            && time < last
+        {
+            return Err(HostError::new(
+                ErrorCode::CsvTimeBackwards,
+                format!(
+                    "time goes back by {} s after line {last_line}",
+                    last.abs_diff(time) as f64 * 1e-9
+                ),
+                "sort the rows, or if the file holds several runs choose one with --where",
+            )
+            .at(self.location(None)));
+        }
+        self.last = Some((time, row.line));
+        Ok(())
+    }
+
+    /// The line last read, and a column of it.
+    fn location(&self, column: Option<usize>) -> String {
+        let column = column
+            .and_then(|index| self.columns.names().get(index))
+            .map(|name| format!(", column `{name}`"))
+            .unwrap_or_default();
+        format!("{} line {}{column}", self.name, self.lines.number)
+    }
+}
+
+impl<R: BufRead> Iterator for CsvReader<R> {
+    type Item = Result<Row>;
+
+    fn next(&mut self) -> Option<Result<Row>> {
+        self.next_row().transpose()
+    }
+}
+
+/// Writes rows that [`CsvReader`] reads back the same.
+pub struct CsvWriter<W: Write> {
+    name: String,
+    sink: W,
+    header: Header,
+}
+
+impl<W: Write> CsvWriter<W> {
+    /// Writes the header; `name` is what errors call the file.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn new(sink: W, name: &str, header: Header) -> Result<Self> {
+        let mut writer = Self {
+            name: name.to_owned(),
+            sink,
+            header,
+        };
+        let names = writer.header.column_names();
+        writer.put(&names)?;
+        Ok(writer)
+    }
+
+    /// Writes one row; what the header has and the row has not is left empty.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn write(&mut self, row: &Row) -> Result<()> {
+        let mut fields = Vec::new();
+        if self.header.time {
+            fields.push(row.time_ns.map(number::seconds).unwrap_or_default());
+        }
+        for sensor in 0..self.header.accelerometers.len() {
+            match row.accelerations.get(sensor) {
+                Some(axes) => fields.extend(axes.map(|value| value.to_string())),
+                None => fields.extend([const { String::new() }; 3]),
+            }
+        }
+        if self.header.magnetometer {
+            match row.magnetic_field_ut {
+                Some(axes) => fields.extend(axes.map(|value| value.to_string())),
+                None => fields.extend([const { String::new() }; 3]),
+            }
+        }
+        if self.header.temperature {
+            fields.push(row.temperature_c.map(|c| c.to_string()).unwrap_or_default());
+        }
+        let others = self.header.other.len();
+        fields.extend(
+            row.other
+                .iter()
+                .cloned()
+                .chain(std::iter::repeat(String::new()))
+                .take(others),
+        );
+        self.put(&fields)
+    }
+
+    /// Writes what is buffered.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn finish(mut self) -> Result<()> {
+        self.sink
+            .flush()
+            .map_err(|error| HostError::file(&self.name, "write", &error))
+    }
+
+    fn put(&mut self, fields: &[String]) -> Result<()> {
+        self.sink
+            .write_all(line::join(fields).as_bytes())
+            .map_err(|error| HostError::file(&self.name, "write", &error))
+    }
+}
+
+#[cfg(test)]
+mod tests;

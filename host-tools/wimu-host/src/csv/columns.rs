@@ -1,0 +1,319 @@
+//! The header line: which column holds what, in which unit.
+
+use crate::error::{ErrorCode, HostError, Result};
+
+/// Unit of all accelerometer columns of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AccelerationUnit {
+    /// Counts, as the sensor puts them out.
+    Lsb,
+    /// 9.80665 m/s².
+    G,
+    /// m/s².
+    Mps2,
+}
+
+impl AccelerationUnit {
+    /// The unit's name as written to files.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Lsb => "LSB",
+            Self::G => "g",
+            Self::Mps2 => "m/s²",
+        }
+    }
+
+    /// m/s² per unit, `None` for counts: the sensitivity decides.
+    pub fn mps2(self) -> Option<f64> {
+        match self {
+            Self::Lsb => None,
+            Self::G => Some(wimu_model::STANDARD_GRAVITY_MPS2),
+            Self::Mps2 => Some(1.0),
+        }
+    }
+}
+
+/// What a file's columns are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Whether there is a time.
+    pub time: bool,
+    /// The accelerometers' numbers, in the order of [`Row::accelerations`](super::Row); `None` is
+    /// one without a number.
+    pub accelerometers: Vec<Option<u32>>,
+    /// The unit of all accelerometers.
+    pub acceleration_unit: AccelerationUnit,
+    /// Whether there is a magnetometer.
+    pub magnetometer: bool,
+    /// Whether there is a temperature.
+    pub temperature: bool,
+    /// Full names of the other columns.
+    pub other: Vec<String>,
+}
+
+impl Header {
+    /// Column names as [`CsvWriter`](super::CsvWriter) writes them.
+    pub(super) fn column_names(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        if self.time {
+            names.push("Time (s)".to_owned());
+        }
+        for sensor in &self.accelerometers {
+            let number = sensor.map(|n| format!("{n} ")).unwrap_or_default();
+            let unit = self.acceleration_unit.as_str();
+            names.extend(AXES.map(|axis| format!("Accelerometer {number}{axis} ({unit})")));
+        }
+        if self.magnetometer {
+            names.extend(AXES.map(|axis| format!("Magnetometer {axis} (µT)")));
+        }
+        if self.temperature {
+            names.push("Temperature (°C)".to_owned());
+        }
+        names.extend(self.other.iter().cloned());
+        names
+    }
+}
+
+const AXES: [&str; 3] = ["X", "Y", "Z"];
+
+/// What one column holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Quantity {
+    /// The value times 10^exponent is in ns.
+    Time {
+        exponent: i32,
+    },
+    Acceleration {
+        sensor: usize,
+        axis: usize,
+    },
+    MagneticField {
+        axis: usize,
+        ut_per_unit: f64,
+    },
+    Temperature,
+    Other,
+}
+
+/// Every column's name and meaning.
+pub struct Columns {
+    names: Vec<String>,
+    quantities: Vec<Quantity>,
+}
+
+impl Columns {
+    pub fn len(&self) -> usize {
+        self.names.len()
+    }
+
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    pub fn quantity(&self, index: usize) -> Quantity {
+        self.quantities[index]
+    }
+
+    /// The column called `name`, with or without its unit.
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.names
+            .iter()
+            .position(|column| column.eq_ignore_ascii_case(name))
+            .or_else(|| {
+                self.names
+                    .iter()
+                    .position(|column| split_unit(column).0.eq_ignore_ascii_case(name))
+            })
+    }
+}
+
+/// A column's meaning before its unit is looked at.
+enum Kind {
+    Time,
+    Acceleration { number: Option<u32>, axis: usize },
+    MagneticField { axis: usize },
+    Temperature,
+    Other,
+}
+
+/// Makes sense of the header's fields; an error's location is the column's name alone.
+pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
+    if !names.is_empty() && names.iter().all(|name| name.parse::<f64>().is_ok()) {
+        return Err(HostError::new(
+            ErrorCode::CsvNoHeader,
+            "the first line holds numbers, not column names",
+            "put a header first, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
+        ));
+    }
+    let mut header = Header {
+        time: false,
+        accelerometers: Vec::new(),
+        acceleration_unit: AccelerationUnit::Mps2,
+        magnetometer: false,
+        temperature: false,
+        other: Vec::new(),
+    };
+    let mut quantities = Vec::with_capacity(names.len());
+    // The first column with a unit, which the others must share.
+    let mut acceleration: Option<(&str, AccelerationUnit)> = None;
+    let mut magnetic: Option<(&str, f64)> = None;
+    for (index, name) in names.iter().enumerate() {
+        let (bare, unit) = split_unit(name);
+        let is_first = names[..index]
+            .iter()
+            .all(|earlier| !split_unit(earlier).0.eq_ignore_ascii_case(bare));
+        if !is_first && !bare.is_empty() {
+            return Err(HostError::new(
+                ErrorCode::CsvDuplicateColumn,
+                format!("the column `{bare}` is there twice"),
+                "rename or remove one",
+            )
+            .at(name));
+        }
+        quantities.push(match kind(bare) {
+            Kind::Time => {
+                header.time = true;
+                Quantity::Time {
+                    exponent: lookup(name, unit, &TIME_UNITS)?,
+                }
+            }
+            Kind::Acceleration { number, axis } => {
+                let unit = lookup(name, unit, &ACCELERATION_UNITS)?;
+                let (first, first_unit) = *acceleration.get_or_insert((name, unit));
+                if unit != first_unit {
+                    return Err(mixed_units(name, first));
+                }
+                header.acceleration_unit = unit;
+                let known = header.accelerometers.iter().position(|n| *n == number);
+                let sensor = known.unwrap_or_else(|| {
+                    header.accelerometers.push(number);
+                    header.accelerometers.len() - 1
+                });
+                Quantity::Acceleration { sensor, axis }
+            }
+            Kind::MagneticField { axis } => {
+                let ut_per_unit = lookup(name, unit, &MAGNETIC_UNITS)?;
+                let (first, first_unit) = *magnetic.get_or_insert((name, ut_per_unit));
+                if ut_per_unit != first_unit {
+                    return Err(mixed_units(name, first));
+                }
+                header.magnetometer = true;
+                Quantity::MagneticField { axis, ut_per_unit }
+            }
+            Kind::Temperature => {
+                lookup(name, unit, &TEMPERATURE_UNITS)?;
+                header.temperature = true;
+                Quantity::Temperature
+            }
+            Kind::Other => {
+                header.other.push(name.clone());
+                Quantity::Other
+            }
+        });
+    }
+    for (sensor, number) in header.accelerometers.iter().enumerate() {
+        let sensor_name =
+            number.map_or("Accelerometer".to_owned(), |n| format!("Accelerometer {n}"));
+        all_axes(&sensor_name, header.acceleration_unit.as_str(), |axis| {
+            quantities.contains(&Quantity::Acceleration { sensor, axis })
+        })?;
+    }
+    if header.magnetometer {
+        all_axes("Magnetometer", "µT", |wanted| {
+            quantities
+                .iter()
+                .any(|q| matches!(q, Quantity::MagneticField { axis, .. } if *axis == wanted))
+        })?;
+    }
+    let columns = Columns {
+        names: names.to_vec(),
+        quantities,
+    };
+    Ok((header, columns))
+}
+
+fn kind(bare: &str) -> Kind {
+    let words: Vec<&str> = bare.split_whitespace().collect();
+    let is = |word: &str, name: &str| word.eq_ignore_ascii_case(name);
+    let axis = |word: &str| AXES.iter().position(|axis| axis.eq_ignore_ascii_case(word));
+    match words[..] {
+        [time] if is(time, "Time") => Kind::Time,
+        [temperature] if is(temperature, "Temperature") => Kind::Temperature,
+        [sensor, word] if is(sensor, "Accelerometer") => axis(word).map_or(Kind::Other, |axis| {
+            Kind::Acceleration { number: None, axis }
+        }),
+        [sensor, number, word] if is(sensor, "Accelerometer") => match (number.parse(), axis(word))
+        {
+            (Ok(number), Some(axis)) => Kind::Acceleration {
+                number: Some(number),
+                axis,
+            },
+            _ => Kind::Other,
+        },
+        [sensor, word] if is(sensor, "Magnetometer") => {
+            axis(word).map_or(Kind::Other, |axis| Kind::MagneticField { axis })
+        }
+        _ => Kind::Other,
+    }
+}
+
+/// `Name (unit)` in its two parts.
+fn split_unit(name: &str) -> (&str, Option<&str>) {
+    match name.strip_suffix(')').and_then(|n| n.rsplit_once('(')) {
+        Some((bare, unit)) => (bare.trim(), Some(unit.trim())),
+        None => (name.trim(), None),
+    }
+}
+
+const TIME_UNITS: [(&str, i32); 5] = [("s", 9), ("ms", 6), ("us", 3), ("µs", 3), ("ns", 0)];
+const ACCELERATION_UNITS: [(&str, AccelerationUnit); 5] = [
+    ("LSB", AccelerationUnit::Lsb),
+    ("g", AccelerationUnit::G),
+    ("m/s²", AccelerationUnit::Mps2),
+    ("m/s2", AccelerationUnit::Mps2),
+    ("m/s^2", AccelerationUnit::Mps2),
+];
+/// µT per unit.
+const MAGNETIC_UNITS: [(&str, f64); 4] = [("µT", 1.0), ("uT", 1.0), ("T", 1e6), ("G", 100.0)];
+const TEMPERATURE_UNITS: [(&str, ()); 2] = [("°C", ()), ("C", ())];
+
+fn lookup<T: Copy>(name: &str, unit: Option<&str>, known: &[(&str, T)]) -> Result<T> {
+    // Greek mu for the micro sign: they look the same.
+    let unit = unit.map(|unit| unit.replace('\u{3bc}', "\u{b5}"));
+    let found = known
+        .iter()
+        .find(|(text, _)| Some(*text) == unit.as_deref());
+    found.map(|(_, value)| *value).ok_or_else(|| {
+        let message = match unit {
+            Some(unit) => format!("the unit `{unit}` is not known here"),
+            None => "the unit is missing".to_owned(),
+        };
+        let known: Vec<_> = known.iter().map(|(text, _)| *text).collect();
+        HostError::new(
+            ErrorCode::CsvUnknownUnit,
+            message,
+            format!("write one of {} in parentheses", known.join(", ")),
+        )
+        .at(name)
+    })
+}
+
+fn mixed_units(name: &str, first: &str) -> HostError {
+    HostError::new(
+        ErrorCode::CsvMixedUnits,
+        format!("its unit differs from that of `{first}`"),
+        "convert the columns to one unit",
+    )
+    .at(name)
+}
+
+fn all_axes(sensor: &str, unit: &str, has: impl Fn(usize) -> bool) -> Result<()> {
+    match (0..3).find(|axis| !has(*axis)) {
+        None => Ok(()),
+        Some(axis) => Err(HostError::new(
+            ErrorCode::CsvMissingColumn,
+            format!("there is no column `{sensor} {} ({unit})`", AXES[axis]),
+            "all three axes are needed: add it, or rename the others if they are something else",
+        )),
+    }
+}

@@ -1,0 +1,122 @@
+//! Lines and their fields.
+
+use std::io::BufRead;
+
+use crate::error::{ErrorCode, HostError, Result};
+
+/// Splits a source into lines of fields, and counts them as an editor does.
+pub struct Lines<R> {
+    source: R,
+    bytes: Vec<u8>,
+    /// Number of the line last read, from 1.
+    pub number: u64,
+}
+
+impl<R: BufRead> Lines<R> {
+    pub fn new(source: R) -> Self {
+        Self {
+            source,
+            bytes: Vec::new(),
+            number: 0,
+        }
+    }
+
+    /// The fields of the next line that is not blank, trimmed; `None` at the end. An error has no
+    /// location yet.
+    pub fn next_fields(&mut self, fields: &mut Vec<String>) -> Result<Option<()>> {
+        loop {
+            self.bytes.clear();
+            let read = self
+                .source
+                .read_until(b'\n', &mut self.bytes)
+                .map_err(|error| HostError::file("", "read", &error))?;
+            if read == 0 {
+                return Ok(None);
+            }
+            self.number += 1;
+            let text = std::str::from_utf8(&self.bytes).map_err(|_| {
+                HostError::new(
+                    ErrorCode::CsvNotUtf8,
+                    "the text is not UTF-8",
+                    "save the file with UTF-8 encoding",
+                )
+            })?;
+            let text = text
+                .strip_prefix('\u{feff}')
+                .filter(|_| self.number == 1)
+                .unwrap_or(text);
+            if !text.trim().is_empty() {
+                split(text.trim_end_matches(['\r', '\n']), fields)?;
+                return Ok(Some(()));
+            }
+        }
+    }
+}
+
+fn split(line: &str, fields: &mut Vec<String>) -> Result<()> {
+    fields.clear();
+    let mut rest = line;
+    loop {
+        let start = rest.trim_start();
+        let field;
+        if let Some(quoted) = start.strip_prefix('"') {
+            (field, rest) = unquote(quoted).ok_or_else(|| {
+                HostError::new(
+                    ErrorCode::CsvFieldCount,
+                    "a quoted field does not end on its line, or text follows its end",
+                    "write a quote inside quotes twice, and a comma after the closing one",
+                )
+            })?;
+        } else {
+            let end = rest.find(',').unwrap_or(rest.len());
+            field = rest[..end].trim().to_owned();
+            rest = &rest[end..];
+        }
+        fields.push(field);
+        match rest.strip_prefix(',') {
+            Some(next) => rest = next,
+            None => return Ok(()),
+        }
+    }
+}
+
+/// The field after an opening quote, and what follows it: a comma or nothing.
+fn unquote(text: &str) -> Option<(String, &str)> {
+    let mut field = String::new();
+    let mut rest = text;
+    loop {
+        let (before, after) = rest.split_once('"')?;
+        field.push_str(before);
+        rest = match after.strip_prefix('"') {
+            Some(more) => {
+                field.push('"');
+                more
+            }
+            None => {
+                let after = after.trim_start();
+                return (after.is_empty() || after.starts_with(',')).then_some((field, after));
+            }
+        };
+    }
+}
+
+/// One line of `fields`, quoted where needed, with its end.
+pub fn join(fields: &[String]) -> String {
+    let mut line = String::new();
+    for (index, field) in fields.iter().enumerate() {
+        if index > 0 {
+            line.push(',');
+        }
+        // A single empty field would read back as a blank line.
+        let alone = fields.len() == 1 && field.is_empty();
+        if alone || field.contains([',', '"', '\n', '\r']) || field.trim() != field {
+            // A line end inside a field would break the rule of one row a line.
+            let text = field.replace('"', "\"\"").replace(['\n', '\r'], " ");
+            line.push_str(&format!("\"{text}\""));
+        } else {
+            line.push_str(field);
+        }
+    }
+    line.push('\n');
+    line
+}

@@ -1,0 +1,437 @@
+//! One accelerometer's output over time, or static-pose means, from a CSV file or a recording:
+//! what a calibration reads.
+
+use std::path::Path;
+
+use wimu_link::LinkRole;
+use wimu_model::{Counts, DeviceTimeUs, Sensitivity};
+
+use crate::csv::{AccelerationUnit, CsvReader, Filter};
+use crate::error::{ErrorCode, HostError, Result};
+use crate::record::{Boot, LinkRecord, Recording};
+
+/// Sample rate of a file without times, Hz.
+const ASSUMED_RATE_HZ: f64 = 100.0;
+/// A longer pause between two rows is a break in the file, not a slow rate, ns.
+const BREAK_NS: i64 = 1_000_000_000;
+
+/// What to take from a file.
+#[derive(Clone, Debug, Default)]
+pub struct LoadOptions {
+    /// Rows of a CSV file to keep.
+    pub filter: Option<Filter>,
+    /// Which accelerometer of a CSV file that has several.
+    pub accelerometer: Option<u32>,
+    /// Rows of a CSV file are static-pose means, not a time series.
+    pub poses: bool,
+    /// Which link of a recording; see [`Recording::link`].
+    pub role: Option<LinkRole>,
+}
+
+/// Unit of [`Output::value`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum OutputUnit {
+    /// LSB.
+    Counts {
+        /// Nominal sensitivity, where the device knows it.
+        nominal: Option<Sensitivity>,
+        /// Full-scale range, ± *g*, where it is known.
+        range_g: Option<u8>,
+    },
+    /// m/s².
+    Mps2,
+}
+
+/// Where a sample rate comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RateSource {
+    /// The device's settings.
+    Device,
+    /// The file's times.
+    Times,
+    /// Nothing said it.
+    Assumed,
+}
+
+/// One row: a sample, or the mean of a static pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Output {
+    /// X, Y, Z, sensor axes.
+    pub value: [f64; 3],
+    /// Temperature, °C.
+    pub temperature_c: Option<f64>,
+    /// How many samples a mean is of; 1 for a sample.
+    pub samples: u32,
+    /// Whether samples are missing before this one.
+    pub after_gap: bool,
+}
+
+/// One accelerometer's output.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// What errors call it.
+    pub name: String,
+    /// Unit of the values.
+    pub unit: OutputUnit,
+    /// Whether the rows are static-pose means.
+    pub poses: bool,
+    /// Nominal sample rate, Hz.
+    pub rate_hz: f64,
+    /// Where the rate comes from.
+    pub rate_source: RateSource,
+    /// The rows, in order; at least one.
+    pub outputs: Vec<Output>,
+}
+
+impl Dataset {
+    /// Reads a CSV file.
+    ///
+    /// # Errors
+    /// Those of [`CsvReader`]; `csv_missing_column` without an accelerometer; `usage` when it has
+    /// several and none was chosen; `no_rows`.
+    pub fn from_csv(path: &Path, options: &LoadOptions) -> Result<Self> {
+        let mut reader = CsvReader::open(path)?;
+        if let Some(filter) = &options.filter {
+            reader = reader.select(filter)?;
+        }
+        if options.poses {
+            reader = reader.in_any_order();
+        }
+        let header = reader.header().clone();
+        let name = reader.name().to_owned();
+        let sensor = choose(&name, &header.accelerometers, options.accelerometer)?;
+        let factor = header.acceleration_unit.mps2().unwrap_or(1.0);
+        let weights = header.other.iter().position(|column| column == "Samples");
+        let mut outputs = Vec::new();
+        let mut clock = RowClock::default();
+        for row in reader {
+            let row = row?;
+            clock.see(row.time_ns);
+            let weight = weights
+                .filter(|_| options.poses)
+                .and_then(|column| row.other.get(column)?.parse().ok());
+            outputs.push(Output {
+                value: row.accelerations[sensor].map(|axis| axis * factor),
+                temperature_c: row.temperature_c,
+                samples: weight.unwrap_or(1),
+                after_gap: false,
+            });
+        }
+        if outputs.is_empty() {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                match options.filter {
+                    Some(_) => "no row passes the filter",
+                    None => "there are no rows below the header",
+                },
+                "check the file and --where",
+            )
+            .at(name));
+        }
+        let (rate_hz, rate_source) = match clock.rate_hz() {
+            Some(rate) => (rate, RateSource::Times),
+            None => (ASSUMED_RATE_HZ, RateSource::Assumed),
+        };
+        Ok(Self {
+            name,
+            unit: match header.acceleration_unit {
+                AccelerationUnit::Lsb => OutputUnit::Counts {
+                    nominal: None,
+                    range_g: None,
+                },
+                AccelerationUnit::G | AccelerationUnit::Mps2 => OutputUnit::Mps2,
+            },
+            poses: options.poses,
+            rate_hz,
+            rate_source,
+            outputs,
+        })
+    }
+
+    /// The outputs as a sensor's registers held them.
+    ///
+    /// # Errors
+    /// `unknown_format` when they are no counts; `csv_bad_number` when one does not fit 16 bits.
+    pub fn counts(&self) -> Result<Vec<Counts>> {
+        if self.unit == OutputUnit::Mps2 {
+            return Err(HostError::new(
+                ErrorCode::UnknownFormat,
+                "its accelerations are no raw counts",
+                "give a file whose accelerometer columns are in LSB",
+            )
+            .at(&self.name));
+        }
+        let count = |value: f64| {
+            let exact = value.trunc() == value && (-32768.0..=32767.0).contains(&value);
+            exact.then_some(value as i16).ok_or_else(|| {
+                HostError::new(
+                    ErrorCode::CsvBadNumber,
+                    format!("{value} is no count of a 16-bit sensor"),
+                    "raw counts are whole numbers from -32768 to 32767",
+                )
+                .at(&self.name)
+            })
+        };
+        self.outputs
+            .iter()
+            .map(|output| {
+                let [x, y, z] = output.value;
+                Ok(Counts([count(x)?, count(y)?, count(z)?]))
+            })
+            .collect()
+    }
+
+    /// Reads a recording's raw samples.
+    ///
+    /// # Errors
+    /// Those of [`Recording::load`] and [`Dataset::from_link`].
+    pub fn from_recording(path: &Path, options: &LoadOptions) -> Result<Self> {
+        let recording = Recording::load(path)?;
+        Self::from_link(recording.link(options.role)?, &recording.name)
+    }
+
+    /// The raw samples that a link has brought; `name` is what errors call it.
+    ///
+    /// # Errors
+    /// `no_rows` when there are none, `data_refused` when the range changed meanwhile.
+    pub fn from_link(link: &LinkRecord, name: &str) -> Result<Self> {
+        let boots: Vec<&Boot> = link
+            .boots
+            .iter()
+            .filter(|boot| !boot.raw.is_empty())
+            .collect();
+        let Some(first) = boots.first() else {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                format!("no raw samples came over the {} link", link.role),
+                "switch the raw stream on with `wimu settings set`, or use the other link",
+            )
+            .at(name));
+        };
+        let range_g = first.epochs.first().map(|mark| mark.epoch.range_g);
+        let changed = boots
+            .iter()
+            .flat_map(|boot| &boot.epochs)
+            .find(|mark| Some(mark.epoch.range_g) != range_g);
+        if let Some(mark) = changed {
+            return Err(HostError::new(
+                ErrorCode::DataRefused,
+                format!(
+                    "the range changes from ±{} g to ±{} g at sample {}",
+                    range_g.unwrap_or_default(),
+                    mark.epoch.range_g,
+                    mark.epoch.sequence
+                ),
+                "record at one range: a calibration holds at one range only",
+            )
+            .at(name));
+        }
+        let rate_hz = match (first.settings.first(), first.epochs.first()) {
+            (Some(settings), _) => f64::from(settings.rate_hz),
+            (None, Some(mark)) => 1e9 / f64::from(mark.epoch.period_ns.max(1)),
+            (None, None) => ASSUMED_RATE_HZ,
+        };
+        let mut outputs = Vec::new();
+        for boot in &boots {
+            let mut next = None;
+            let mut temperatures = Temperatures::new(boot);
+            for sample in &boot.raw {
+                outputs.push(Output {
+                    value: sample.value.map(f64::from),
+                    temperature_c: temperatures.at(sample.time),
+                    samples: 1,
+                    after_gap: next != Some(sample.sequence) && !outputs.is_empty(),
+                });
+                next = Some(sample.sequence.wrapping_add(1));
+            }
+        }
+        Ok(Self {
+            name: name.to_owned(),
+            unit: OutputUnit::Counts {
+                nominal: first.nominal_sensitivity(),
+                range_g,
+            },
+            poses: false,
+            rate_hz,
+            rate_source: RateSource::Device,
+            outputs,
+        })
+    }
+}
+
+/// Index of the accelerometer to read.
+fn choose(name: &str, sensors: &[Option<u32>], wanted: Option<u32>) -> Result<usize> {
+    let list = || {
+        let numbers: Vec<_> = sensors.iter().flatten().map(u32::to_string).collect();
+        numbers.join(", ")
+    };
+    match (sensors, wanted) {
+        ([], _) => Err(HostError::new(
+            ErrorCode::CsvMissingColumn,
+            "there is no accelerometer in it",
+            "name the columns `Accelerometer X (g)`, `Accelerometer Y (g)` and `Accelerometer Z (g)`, in LSB, g or m/s²",
+        )
+        .at(format!("{name} line 1"))),
+        ([_], None) => Ok(0),
+        (_, None) => Err(HostError::new(
+            ErrorCode::Usage,
+            format!("it has {} accelerometers", sensors.len()),
+            format!("choose one with --accelerometer: {}", list()),
+        )
+        .at(name)),
+        (_, Some(number)) => sensors
+            .iter()
+            .position(|sensor| *sensor == Some(number))
+            .ok_or_else(|| {
+                HostError::new(
+                    ErrorCode::Usage,
+                    format!("it has no accelerometer {number}"),
+                    format!("choose from: {}", list()),
+                )
+                .at(name)
+            }),
+    }
+}
+
+/// The rate of rows with times: their mean distance, breaks left out.
+#[derive(Default)]
+struct RowClock {
+    last: Option<i64>,
+    total_ns: i64,
+    steps: u32,
+}
+
+impl RowClock {
+    fn see(&mut self, time_ns: Option<i64>) {
+        if let (Some(last), Some(time)) = (self.last, time_ns)
+            && (0..=BREAK_NS).contains(&time.saturating_sub(last))
+        {
+            self.total_ns += time - last;
+            self.steps += 1;
+        }
+        self.last = time_ns.or(self.last);
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        (self.total_ns > 0).then(|| f64::from(self.steps) * 1e9 / self.total_ns as f64)
+    }
+}
+
+/// The latest temperature at growing times.
+struct Temperatures<'a> {
+    rest: &'a [wimu_link::message::Environment],
+    latest: Option<f64>,
+}
+
+impl<'a> Temperatures<'a> {
+    fn new(boot: &'a Boot) -> Self {
+        let first = boot.environment.iter().find_map(|e| e.temperature_centi_c);
+        Self {
+            rest: &boot.environment,
+            latest: first.map(celsius),
+        }
+    }
+
+    fn at(&mut self, time: DeviceTimeUs) -> Option<f64> {
+        while let [first, rest @ ..] = self.rest
+            && first.time_us <= time.0
+        {
+            self.latest = first.temperature_centi_c.map(celsius).or(self.latest);
+            self.rest = rest;
+        }
+        self.latest
+    }
+}
+
+fn celsius(centi_c: i16) -> f64 {
+    f64::from(centi_c) / 100.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(text: &str, options: &LoadOptions) -> Result<Dataset> {
+        // Tests run at once: each text has a file of its own.
+        let name = format!(
+            "wimu-host-dataset-{}-{:p}.csv",
+            std::process::id(),
+            text.as_ptr()
+        );
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, text).unwrap();
+        let outcome = Dataset::from_csv(&path, options);
+        std::fs::remove_file(&path).unwrap();
+        outcome
+    }
+
+    const XYZ: &str = "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)";
+
+    #[test]
+    fn rows_come_in_si_with_their_rate_and_temperature() {
+        let text = format!(
+            "Time (ms),{XYZ},Temperature (C)\n0,0,0,1,20\n20,0,0.5,1,\n5020,1,0,0,22\n5040,0,0,0,22\n"
+        );
+        let data = load(&text, &LoadOptions::default()).unwrap();
+        assert_eq!(data.unit, OutputUnit::Mps2);
+        assert_eq!(data.outputs[1].value, [0.0, 0.5 * 9.80665, 9.80665]);
+        assert_eq!(data.outputs[1].temperature_c, None);
+        assert_eq!(data.outputs[2].temperature_c, Some(22.0));
+        // The pause of 5 s is no sample period.
+        assert_eq!((data.rate_hz, data.rate_source), (50.0, RateSource::Times));
+        let data = load(&format!("{XYZ}\n0,0,1\n"), &LoadOptions::default()).unwrap();
+        assert_eq!(
+            (data.rate_hz, data.rate_source),
+            (100.0, RateSource::Assumed)
+        );
+    }
+
+    #[test]
+    fn pose_means_have_weights_and_any_order() {
+        let text = format!("Time (s),Samples,{XYZ}\n9,1434,0,0,1\n1,20,0,1,0\n");
+        let options = LoadOptions {
+            poses: true,
+            ..LoadOptions::default()
+        };
+        let data = load(&text, &options).unwrap();
+        assert_eq!(data.outputs[0].samples, 1434);
+        let error = load(&text, &LoadOptions::default()).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::CsvTimeBackwards);
+    }
+
+    #[test]
+    fn one_of_several_accelerometers_is_chosen_by_number() {
+        let two = "Accelerometer 3 X (LSB),Accelerometer 3 Y (LSB),Accelerometer 3 Z (LSB),\
+                   Accelerometer 1 X (LSB),Accelerometer 1 Y (LSB),Accelerometer 1 Z (LSB)\n1,2,3,4,5,6\n";
+        let chosen = |accelerometer| {
+            load(
+                two,
+                &LoadOptions {
+                    accelerometer,
+                    ..LoadOptions::default()
+                },
+            )
+        };
+        assert_eq!(chosen(Some(1)).unwrap().outputs[0].value, [4.0, 5.0, 6.0]);
+        let error = chosen(None).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::Usage);
+        assert!(error.remedy().contains("3, 1"), "{error}");
+        assert_eq!(chosen(Some(0)).unwrap_err().code(), ErrorCode::Usage);
+    }
+
+    #[test]
+    fn a_file_without_accelerometer_or_rows_says_so() {
+        let error = load("Time (s),Range (m)\n1,2\n", &LoadOptions::default()).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::CsvMissingColumn);
+        assert!(error.remedy().contains("Accelerometer X (g)"));
+        let error = load(&format!("{XYZ}\n"), &LoadOptions::default()).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::NoRows);
+        let options = LoadOptions {
+            filter: Some("Run=9".parse().unwrap()),
+            ..LoadOptions::default()
+        };
+        let error = load(&format!("Run,{XYZ}\n1,0,0,1\n"), &options).unwrap_err();
+        assert!(error.message().contains("filter"), "{error}");
+    }
+}

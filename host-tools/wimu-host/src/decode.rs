@@ -1,0 +1,422 @@
+//! The bytes of one link become typed events: frames assembled, short numbers completed, losses
+//! counted.
+
+use std::collections::VecDeque;
+
+use wimu_link::batch::{self, Stream};
+use wimu_link::message::{ActiveParameters, Environment, Epoch, Navigation, Status};
+use wimu_link::{Batch, Deframer, FrameError, Hello, Kind, Reply, Settings, Telemetry};
+use wimu_model::{DeviceTimeUs, PeriodNs};
+
+/// Batches kept until an epoch tells where they belong: more than arrive in the second between
+/// two epochs.
+const MAX_UNPLACED: usize = 512;
+/// How far a batch's time may be from what its sequence number says: a part of the time between,
+/// for a sensor whose rate is off by 20 %, and some jitter, µs.
+const PLACE_TOLERANCE_US: u64 = 250_000;
+
+/// Something that a link brought.
+#[derive(Clone, Debug)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "events are handed on one at a time"
+)]
+pub enum Event {
+    /// Who the device is.
+    Hello(Hello),
+    /// The device has started anew: sequence numbers and device times begin again.
+    Restart,
+    /// Consecutive samples.
+    Samples(Samples),
+    /// From here on samples can be replayed; may come before samples that precede it.
+    Epoch {
+        /// As sent.
+        epoch: Epoch,
+        /// Whether frames were damaged since the epoch before, so that another may be missing.
+        after_damage: bool,
+    },
+    /// Magnetic field and temperature.
+    Environment(Environment),
+    /// Velocity and position.
+    Navigation(Navigation),
+    /// The parameters in use.
+    Parameters(ActiveParameters),
+    /// The settings in use.
+    Settings(Settings),
+    /// How the device is.
+    Status(Status),
+    /// Something happened on the device.
+    Device {
+        /// When.
+        time: DeviceTimeUs,
+        /// What.
+        event: wimu_link::message::Event,
+    },
+    /// An answer to a request.
+    Reply(Reply),
+    /// A damaged frame, or one of another version.
+    Damaged(FrameError),
+    /// An undamaged frame whose body makes no sense here.
+    Unreadable(String),
+}
+
+/// Consecutive samples of one stream, never the same ones twice.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Samples {
+    /// Raw counts or corrected specific force.
+    pub stream: Stream,
+    /// Sequence number of the first.
+    pub first_sequence: u32,
+    /// Device time of the first.
+    pub first_time: DeviceTimeUs,
+    /// Time from one to the next.
+    pub period: PeriodNs,
+    /// X, Y, Z in LSB or 2⁻¹⁶ m/s².
+    pub values: Vec<[i32; 3]>,
+}
+
+impl Samples {
+    /// The samples one by one.
+    pub fn iter(&self) -> impl Iterator<Item = TimedSample> + '_ {
+        self.values.iter().enumerate().map(|(index, value)| {
+            let later_us = index as u64 * u64::from(self.period.0) / 1000;
+            TimedSample {
+                sequence: self.first_sequence.wrapping_add(index as u32),
+                time: DeviceTimeUs(self.first_time.0.wrapping_add(later_us)),
+                value: *value,
+            }
+        })
+    }
+}
+
+/// A sample with its number and time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimedSample {
+    /// Counts every sample that the sensor took.
+    pub sequence: u32,
+    /// When it was taken.
+    pub time: DeviceTimeUs,
+    /// X, Y, Z in LSB or 2⁻¹⁶ m/s².
+    pub value: [i32; 3],
+}
+
+/// An event and when the bytes that completed it arrived.
+#[derive(Clone, Debug)]
+pub struct Arrival {
+    /// ns on the host's monotonic clock.
+    pub host_ns: u64,
+    /// What arrived.
+    pub event: Event,
+}
+
+/// What a link carried and lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct LinkStatistics {
+    /// Bytes received.
+    pub bytes: u64,
+    /// Undamaged frames.
+    pub frames: u64,
+    /// Damaged frames. The first is not counted: listening may have begun within it.
+    pub frames_damaged: u64,
+    /// Undamaged frames of an unknown version or kind, or with a body that makes no sense.
+    pub frames_unreadable: u64,
+    /// The raw samples.
+    pub raw: StreamStatistics,
+    /// The corrected samples.
+    pub corrected: StreamStatistics,
+    /// Batches that no epoch has told the place of.
+    pub batches_unplaced: u64,
+}
+
+/// What of a stream of samples arrived.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct StreamStatistics {
+    /// Samples received.
+    pub received: u64,
+    /// Samples between the first and the last received that did not arrive: missed by the device
+    /// or lost on the link.
+    pub missing: u64,
+    /// Samples that arrived again and were left out.
+    pub duplicated: u64,
+}
+
+/// Where a link's samples are: what completes short numbers.
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    sequence: u32,
+    time: DeviceTimeUs,
+    period: PeriodNs,
+}
+
+impl Anchor {
+    /// Sequence number and time of a batch, if they agree.
+    fn place(&self, batch: &Batch) -> Option<(u32, DeviceTimeUs)> {
+        let sequence = batch::extend_sequence(batch.sequence_low(), self.sequence);
+        let time = batch::extend_time(batch.time_low(), self.time);
+        let samples = i64::from(sequence.wrapping_sub(self.sequence) as i32);
+        let foretold_us = samples * i64::from(self.period.0) / 1000;
+        let passed_us = time.0.wrapping_sub(self.time.0) as i64;
+        let tolerance = PLACE_TOLERANCE_US + foretold_us.unsigned_abs() / 4;
+        (foretold_us.abs_diff(passed_us) <= tolerance).then_some((sequence, time))
+    }
+}
+
+/// Turns the bytes of one link into events.
+///
+/// Sample numbers and times are short on the wire; epochs complete them. Batches before the first
+/// epoch, or after a silence that makes them ambiguous, wait for one.
+///
+/// ```
+/// use wimu_host::decode::{Decoder, Event};
+/// use wimu_link::hello::{Hello, LinkRole};
+/// use wimu_link::MAX_FRAME;
+///
+/// let mut frame = [0; MAX_FRAME];
+/// let length = Hello::new(LinkRole::Cable).encode(&mut frame)?;
+///
+/// let mut decoder = Decoder::new();
+/// let mut seen = 0;
+/// decoder.push(1_000, &frame[..length], |arrival| {
+///     assert!(matches!(arrival.event, Event::Hello(hello) if hello.role == LinkRole::Cable));
+///     seen += 1;
+/// });
+/// assert_eq!(seen, 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Decoder {
+    deframer: Deframer,
+    statistics: LinkStatistics,
+    /// The latest and the one before: epochs may overtake samples.
+    anchors: [Option<Anchor>; 2],
+    unplaced: VecDeque<(u64, Batch)>,
+    /// The next sequence number of raw and corrected samples.
+    expected: [Option<u32>; 2],
+    identity: Option<(u64, u32)>,
+    last_epoch_time: Option<DeviceTimeUs>,
+    damage_since_epoch: bool,
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Decoder {
+    /// A decoder at the start of a stream, or anywhere in it.
+    pub fn new() -> Self {
+        Self {
+            deframer: Deframer::new(),
+            statistics: LinkStatistics::default(),
+            anchors: [None; 2],
+            unplaced: VecDeque::new(),
+            expected: [None; 2],
+            identity: None,
+            last_epoch_time: None,
+            damage_since_epoch: false,
+        }
+    }
+
+    /// Takes bytes that arrived at `host_ns`, ns on the host's monotonic clock; calls `each` for
+    /// every event that they complete. No bytes make it panic.
+    pub fn push(&mut self, host_ns: u64, bytes: &[u8], mut each: impl FnMut(Arrival)) {
+        self.statistics.bytes += bytes.len() as u64;
+        for &byte in bytes {
+            let event = match self.deframer.push(byte) {
+                None => continue,
+                Some(Ok(frame)) => {
+                    self.statistics.frames += 1;
+                    match read(frame.kind, frame.body) {
+                        Ok(message) => message,
+                        Err(why) => {
+                            self.statistics.frames_unreadable += 1;
+                            Message::Event(Event::Unreadable(why))
+                        }
+                    }
+                }
+                Some(Err(error)) => {
+                    if !error.is_damage() {
+                        self.statistics.frames_unreadable += 1;
+                    } else if self.statistics.frames > 0 {
+                        self.statistics.frames_damaged += 1;
+                        self.damage_since_epoch = true;
+                    }
+                    Message::Event(Event::Damaged(error))
+                }
+            };
+            let mut emit = |event| each(Arrival { host_ns, event });
+            match event {
+                Message::Batch(batch) => self.take_batch(host_ns, batch, &mut each),
+                Message::Hello(hello) => {
+                    let identity = (hello.device_id, hello.boot_count);
+                    if self
+                        .identity
+                        .replace(identity)
+                        .is_some_and(|i| i != identity)
+                    {
+                        self.restart();
+                        emit(Event::Restart);
+                    }
+                    emit(Event::Hello(hello));
+                }
+                Message::Epoch(epoch) => self.take_epoch(host_ns, epoch, &mut each),
+                Message::Event(event) => emit(event),
+            }
+        }
+    }
+
+    /// What the link carried and lost so far.
+    pub fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            batches_unplaced: self.statistics.batches_unplaced + self.unplaced.len() as u64,
+            ..self.statistics
+        }
+    }
+
+    fn restart(&mut self) {
+        self.statistics.batches_unplaced += self.unplaced.len() as u64;
+        self.unplaced.clear();
+        self.anchors = [None; 2];
+        self.expected = [None; 2];
+        self.last_epoch_time = None;
+    }
+
+    fn take_epoch(&mut self, host_ns: u64, epoch: Epoch, each: &mut impl FnMut(Arrival)) {
+        let time = DeviceTimeUs(epoch.time_us);
+        // A device that starts anew without its greeting having arrived.
+        if self.last_epoch_time.is_some_and(|last| time < last) {
+            self.restart();
+            each(Arrival {
+                host_ns,
+                event: Event::Restart,
+            });
+        }
+        self.last_epoch_time = Some(time);
+        self.anchor(Anchor {
+            sequence: epoch.sequence,
+            time,
+            period: PeriodNs(epoch.period_ns),
+        });
+        for (arrived_ns, batch) in std::mem::take(&mut self.unplaced) {
+            self.take_batch(arrived_ns, batch, each);
+        }
+        let after_damage = std::mem::take(&mut self.damage_since_epoch);
+        each(Arrival {
+            host_ns,
+            event: Event::Epoch {
+                epoch,
+                after_damage,
+            },
+        });
+    }
+
+    fn anchor(&mut self, anchor: Anchor) {
+        self.anchors = [Some(anchor), self.anchors[0]];
+    }
+
+    fn take_batch(&mut self, host_ns: u64, batch: Batch, each: &mut impl FnMut(Arrival)) {
+        let found = self.anchors.iter().flatten().find_map(|anchor| {
+            let (sequence, time) = anchor.place(&batch)?;
+            Some((sequence, time, anchor.period))
+        });
+        let Some((sequence, time, period)) = found else {
+            self.unplaced.push_back((host_ns, batch));
+            if self.unplaced.len() > MAX_UNPLACED {
+                self.unplaced.pop_front();
+                self.statistics.batches_unplaced += 1;
+            }
+            return;
+        };
+        // Follows the samples, so that the place is known even if an epoch is lost.
+        if let Some(latest) = &mut self.anchors[0]
+            && time > latest.time
+        {
+            latest.sequence = sequence;
+            latest.time = time;
+        }
+        let (index, statistics) = match batch.stream() {
+            Stream::Raw => (0, &mut self.statistics.raw),
+            Stream::Corrected => (1, &mut self.statistics.corrected),
+        };
+        let mut samples = Samples {
+            stream: batch.stream(),
+            first_sequence: sequence,
+            first_time: time,
+            period,
+            values: batch.samples().to_vec(),
+        };
+        if let Some(expected) = self.expected[index] {
+            let ahead = sequence.wrapping_sub(expected) as i32;
+            if ahead >= 0 {
+                statistics.missing += ahead as u64;
+            } else {
+                let known = (ahead.unsigned_abs() as usize).min(samples.values.len());
+                statistics.duplicated += known as u64;
+                let first = samples.iter().nth(known);
+                samples.values.drain(..known);
+                match first {
+                    Some(first) => {
+                        samples.first_sequence = first.sequence;
+                        samples.first_time = first.time;
+                    }
+                    None => return,
+                }
+            }
+        }
+        statistics.received += samples.values.len() as u64;
+        self.expected[index] = Some(
+            samples
+                .first_sequence
+                .wrapping_add(samples.values.len() as u32),
+        );
+        each(Arrival {
+            host_ns,
+            event: Event::Samples(samples),
+        });
+    }
+}
+
+/// A frame's content, before the decoder has made an event of it.
+#[allow(clippy::large_enum_variant, reason = "lives for one frame")]
+enum Message {
+    Batch(Batch),
+    Hello(Hello),
+    Epoch(Epoch),
+    Event(Event),
+}
+
+fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
+    let text = |error: &dyn std::error::Error| error.to_string();
+    Ok(Message::Event(match kind {
+        Kind::Hello => {
+            return Hello::decode(body)
+                .map(Message::Hello)
+                .map_err(|e| text(&e));
+        }
+        Kind::Batch => {
+            return Batch::decode(body)
+                .map(Message::Batch)
+                .map_err(|e| text(&e));
+        }
+        Kind::Reply => Event::Reply(Reply::decode(body).map_err(|e| text(&e))?),
+        Kind::Telemetry => match Telemetry::decode(body).map_err(|e| text(&e))? {
+            Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
+            Telemetry::Environment(environment) => Event::Environment(environment),
+            Telemetry::Navigation(navigation) => Event::Navigation(navigation),
+            Telemetry::Parameters(parameters) => Event::Parameters(parameters),
+            Telemetry::Settings(settings) => Event::Settings(settings),
+            Telemetry::Status(status) => Event::Status(status),
+            Telemetry::Event { time_us, event } => Event::Device {
+                time: DeviceTimeUs(time_us),
+                event,
+            },
+        },
+        // What a host sends, looped back.
+        Kind::WhoAreYou | Kind::Request => return Err("a host's own frame came back".to_owned()),
+        other => return Err(format!("frames of kind {other:?} are not known here")),
+    }))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,256 @@
+use proptest::prelude::*;
+use wimu_link::MAX_FRAME;
+use wimu_link::hello::LinkRole;
+use wimu_link::message::{EpochReason, WireState};
+use wimu_model::Counts;
+
+use super::*;
+
+const PERIOD_US: u64 = 10_000;
+
+fn framed(
+    encode: impl FnOnce(&mut [u8]) -> Result<usize, wimu_link::frame::EncodeError>,
+) -> Vec<u8> {
+    let mut frame = [0; MAX_FRAME];
+    let length = encode(&mut frame).unwrap();
+    frame[..length].to_vec()
+}
+
+fn hello(boot_count: u32) -> Vec<u8> {
+    let hello = Hello {
+        boot_count,
+        ..Hello::new(LinkRole::Wireless)
+    };
+    framed(|frame| hello.encode(frame))
+}
+
+fn epoch(sequence: u32, time_us: u64) -> Vec<u8> {
+    let epoch = Telemetry::Epoch(Epoch {
+        reason: EpochReason::Periodic,
+        sequence,
+        time_us,
+        period_ns: PERIOD_US as u32 * 1000,
+        range_g: 2,
+        sensitivity_lsb_per_g: 16384.0,
+        full_scale: 32752,
+        parameters: 0,
+        temperature_centi_c: None,
+        state: WireState::default(),
+    });
+    framed(|frame| epoch.encode(frame))
+}
+
+/// The sample of a sequence number: tells which one it is.
+fn value(sequence: u32) -> [i32; 3] {
+    [sequence as i16, (sequence >> 16) as i16, 16384].map(i32::from)
+}
+
+/// Samples from a device whose sample 0 was at 1 s.
+fn samples(first: u32, count: u32) -> Vec<u8> {
+    let counts: Vec<_> = (first..first + count)
+        .map(|s| Counts(value(s).map(|v| v as i16)))
+        .collect();
+    framed(|frame| batch::encode(first, DeviceTimeUs(time(first)), &counts, frame))
+}
+
+fn time(sequence: u32) -> u64 {
+    1_000_000 + u64::from(sequence) * PERIOD_US
+}
+
+fn decode(decoder: &mut Decoder, frames: &[Vec<u8>]) -> Vec<Event> {
+    let mut events = Vec::new();
+    for frame in frames {
+        decoder.push(0, frame, |arrival| events.push(arrival.event));
+    }
+    events
+}
+
+fn sequences(events: &[Event]) -> Vec<u32> {
+    let mut found = Vec::new();
+    for event in events {
+        if let Event::Samples(samples) = event {
+            for sample in samples.iter() {
+                assert_eq!(sample.value, value(sample.sequence));
+                assert_eq!(sample.time.0, time(sample.sequence));
+                found.push(sample.sequence);
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn samples_before_the_first_epoch_wait_for_it_and_are_not_lost() {
+    let mut decoder = Decoder::new();
+    let events = decode(&mut decoder, &[samples(200_000, 16), samples(200_016, 16)]);
+    assert!(events.is_empty());
+    assert_eq!(decoder.statistics().batches_unplaced, 2);
+    let events = decode(&mut decoder, &[epoch(200_032, time(200_032))]);
+    assert_eq!(sequences(&events), (200_000..200_032).collect::<Vec<_>>());
+    assert!(matches!(events.last(), Some(Event::Epoch { .. })));
+    assert_eq!(decoder.statistics().batches_unplaced, 0);
+}
+
+#[test]
+fn short_numbers_are_completed_for_hours_and_over_their_wraps() {
+    let mut decoder = Decoder::new();
+    let mut expected = Vec::new();
+    for first in (65_000..140_000).step_by(32) {
+        let mut frames = vec![samples(first, 32)];
+        // One epoch a second at first, then none: the samples themselves lead on.
+        if first < 70_000 {
+            frames.insert(0, epoch(first, time(first)));
+        }
+        expected.extend(first..first + 32);
+        let events = decode(&mut decoder, &frames);
+        assert_eq!(sequences(&events), (first..first + 32).collect::<Vec<_>>());
+    }
+    assert_eq!(decoder.statistics().raw.received, expected.len() as u64);
+    assert_eq!(decoder.statistics().raw.missing, 0);
+}
+
+#[test]
+fn losses_damage_and_repeats_are_counted() {
+    let mut decoder = Decoder::new();
+    let mut damaged = samples(16, 16);
+    damaged[9] ^= 0x40;
+    let frames = [
+        // Listening begins within a frame: not counted.
+        epoch(0, time(0))[20..].to_vec(),
+        epoch(0, time(0)),
+        samples(0, 16),
+        damaged,
+        samples(32, 16),
+        samples(32, 16),
+        samples(40, 16),
+        epoch(56, time(56)),
+        epoch(57, time(57)),
+    ];
+    let events = decode(&mut decoder, &frames);
+    let expected: Vec<_> = (0..16).chain(32..56).collect();
+    assert_eq!(sequences(&events), expected);
+    let statistics = decoder.statistics();
+    assert_eq!(statistics.frames_damaged, 1);
+    assert_eq!(
+        statistics.raw,
+        StreamStatistics {
+            received: 40,
+            missing: 16,
+            duplicated: 24
+        }
+    );
+    let after_damage: Vec<_> = events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Epoch { after_damage, .. } => Some(*after_damage),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(after_damage, [false, true, false]);
+}
+
+#[test]
+fn an_epoch_may_overtake_the_samples_before_a_long_gap() {
+    let mut decoder = Decoder::new();
+    let events = decode(
+        &mut decoder,
+        &[
+            epoch(0, time(0)),
+            samples(0, 16),
+            epoch(6_000, time(6_000)),
+            samples(16, 16),
+            samples(6_000, 16),
+        ],
+    );
+    let expected: Vec<_> = (0..32).chain(6_000..6_016).collect();
+    assert_eq!(sequences(&events), expected);
+    assert_eq!(decoder.statistics().raw.missing, 6_000 - 32);
+}
+
+#[test]
+fn after_a_long_silence_samples_wait_for_an_epoch() {
+    let mut decoder = Decoder::new();
+    decode(&mut decoder, &[epoch(0, time(0)), samples(0, 16)]);
+    // 20 s later: the time's low bits have wrapped.
+    let events = decode(&mut decoder, &[samples(2_000, 16)]);
+    assert!(sequences(&events).is_empty());
+    let events = decode(&mut decoder, &[epoch(2_010, time(2_010))]);
+    assert_eq!(sequences(&events), (2_000..2_016).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_restart_begins_numbers_anew() {
+    let restarts = |events: &[Event]| {
+        events
+            .iter()
+            .filter(|event| matches!(event, Event::Restart))
+            .count()
+    };
+    let mut decoder = Decoder::new();
+    let before = [hello(1), epoch(5_000, time(5_000)), samples(5_000, 16)];
+    let events = decode(&mut decoder, &before);
+    assert_eq!(restarts(&events), 0);
+    let again = [hello(1), hello(2), samples(0, 16), epoch(16, time(16))];
+    let events = decode(&mut decoder, &again);
+    assert_eq!(restarts(&events), 1);
+    assert_eq!(sequences(&events), (0..16).collect::<Vec<_>>());
+    // The greeting is lost: the epoch's time tells.
+    let mut decoder = Decoder::new();
+    decode(&mut decoder, &before);
+    let events = decode(&mut decoder, &[epoch(0, time(0)), samples(0, 16)]);
+    assert_eq!(restarts(&events), 1);
+    assert_eq!(sequences(&events), (0..16).collect::<Vec<_>>());
+    assert_eq!(decoder.statistics().raw.missing, 0);
+}
+
+#[test]
+fn strangers_are_told_from_damage() {
+    let mut decoder = Decoder::new();
+    let mut frames = vec![hello(1)];
+    frames.push(framed(|frame| {
+        wimu_link::frame::encode(Kind::Telemetry, &[0xff; 9], frame)
+    }));
+    frames.push(framed(|frame| {
+        wimu_link::WhoAreYou::default().encode(frame)
+    }));
+    let events = decode(&mut decoder, &frames);
+    assert!(matches!(events[1], Event::Unreadable(_)));
+    assert!(matches!(events[2], Event::Unreadable(_)));
+    let statistics = decoder.statistics();
+    assert_eq!(
+        (statistics.frames_unreadable, statistics.frames_damaged),
+        (2, 0)
+    );
+}
+
+proptest! {
+    #[test]
+    fn noise_between_frames_costs_no_sample_twice_and_panics_nowhere(
+        noise in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..40), 30),
+        cuts in prop::collection::vec(0..60_usize, 30),
+        splits in 1..50_usize,
+    ) {
+        let mut bytes = Vec::new();
+        for (index, (noise, cut)) in noise.iter().zip(cuts).enumerate() {
+            let first = index as u32 * 16;
+            bytes.extend(epoch(first, time(first)));
+            let frame = samples(first, 16);
+            bytes.extend(&frame[..frame.len().min(cut)]);
+            bytes.extend(noise);
+            bytes.push(0);
+        }
+        let mut decoder = Decoder::new();
+        let mut events = Vec::new();
+        for piece in bytes.chunks(splits) {
+            decoder.push(0, piece, |arrival| events.push(arrival.event));
+        }
+        let found = sequences(&events);
+        prop_assert!(found.is_sorted_by(|a, b| a < b));
+        prop_assert!(found.iter().all(|s| *s < 480));
+    }
+
+    #[test]
+    fn no_bytes_panic(bytes: Vec<u8>) {
+        Decoder::new().push(0, &bytes, |_| {});
+    }
+}

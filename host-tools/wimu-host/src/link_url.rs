@@ -1,0 +1,291 @@
+//! What a user may write for a LINK or an input file.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use crate::error::{ErrorCode, HostError, Result};
+
+/// Baud rate where none is given.
+pub const DEFAULT_BAUD: u32 = 115_200;
+
+/// A link to a board.
+///
+/// | text | means |
+/// |---|---|
+/// | `serial:///dev/ttyACM0?baud=115200`, `serial://COM5` | a serial port; the baud rate is optional |
+/// | `/dev/ttyACM0`, `/dev/rfcomm0`, `/dev/cu.usbmodem1`, `COM5` | the same, at 115200 baud |
+/// | `tcp://127.0.0.1:7100`, `tcp://[::1]:7100` | a TCP server |
+/// | `auto` | the serial port whose USB identity is that of a known board |
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum LinkUrl {
+    /// A serial port.
+    Serial {
+        /// Path or name as the operating system has it.
+        path: String,
+        /// Baud rate.
+        baud: u32,
+    },
+    /// A TCP server.
+    Tcp {
+        /// Host name or address, an IPv6 address without brackets.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+    /// The only port that looks like a board.
+    Auto,
+}
+
+impl FromStr for LinkUrl {
+    type Err = HostError;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let bad = |message: String| {
+            HostError::new(
+                ErrorCode::BadLink,
+                message,
+                "write serial:///dev/ttyACM0?baud=115200, COM5, /dev/ttyACM0, tcp://127.0.0.1:7100 or auto",
+            )
+            .at(text)
+        };
+        if text == "auto" {
+            return Ok(Self::Auto);
+        }
+        if let Some(rest) = text.strip_prefix("serial://") {
+            return parse_serial(rest).map_err(bad);
+        }
+        if let Some(rest) = text.strip_prefix("tcp://") {
+            return parse_tcp(rest).map_err(bad);
+        }
+        if text.starts_with("ble://") {
+            return Err(HostError::new(
+                ErrorCode::LinkKindMissing,
+                "Bluetooth Low Energy is not built into this wimu",
+                "use a Bluetooth serial (SPP) adapter through its serial port, or a cable",
+            )
+            .at(text));
+        }
+        if let Some((scheme, _)) = text.split_once("://") {
+            return Err(bad(format!("`{scheme}` is no kind of link")));
+        }
+        if text.starts_with("/dev/") || is_com_port(text) {
+            return Ok(Self::Serial {
+                path: text.to_owned(),
+                baud: DEFAULT_BAUD,
+            });
+        }
+        Err(bad("this is not a LINK".to_owned()))
+    }
+}
+
+fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
+    let (path, query) = rest.split_once('?').unwrap_or((rest, ""));
+    // `serial:///COM5` has the URL's slash in front of a name that has none.
+    let path = match path.strip_prefix('/') {
+        Some(name) if is_com_port(name) => name,
+        _ => path,
+    };
+    if path.is_empty() || path == "/" {
+        return Err("the serial port is missing".to_owned());
+    }
+    let mut baud = DEFAULT_BAUD;
+    for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+        match pair.split_once('=') {
+            Some(("baud", value)) => {
+                baud = value
+                    .parse()
+                    .ok()
+                    .filter(|baud| *baud > 0)
+                    .ok_or_else(|| format!("`{value}` is no baud rate"))?;
+            }
+            _ => return Err(format!("`{pair}` is no option of a serial link")),
+        }
+    }
+    Ok(LinkUrl::Serial {
+        path: path.to_owned(),
+        baud,
+    })
+}
+
+fn parse_tcp(rest: &str) -> Result<LinkUrl, String> {
+    let rest = rest.strip_suffix('/').unwrap_or(rest);
+    let (host, port) = rest
+        .rsplit_once(':')
+        .ok_or_else(|| "the TCP port is missing".to_owned())?;
+    let host = match host.strip_prefix('[').and_then(|h| h.strip_suffix(']')) {
+        Some(address) => address,
+        None if host.contains(':') => {
+            return Err("an IPv6 address needs brackets: tcp://[::1]:7100".to_owned());
+        }
+        None => host,
+    };
+    if host.is_empty() {
+        return Err("the host is missing".to_owned());
+    }
+    let port = port
+        .parse()
+        .ok()
+        .filter(|port| *port > 0)
+        .ok_or_else(|| format!("`{port}` is no TCP port"))?;
+    Ok(LinkUrl::Tcp {
+        host: host.to_owned(),
+        port,
+    })
+}
+
+fn is_com_port(text: &str) -> bool {
+    text.get(..3)
+        .is_some_and(|prefix| prefix.eq_ignore_ascii_case("COM"))
+        && text.len() > 3
+        && text[3..].bytes().all(|b| b.is_ascii_digit())
+}
+
+impl fmt::Display for LinkUrl {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial { path, baud } => write!(out, "serial://{path}?baud={baud}"),
+            Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp://[{host}]:{port}"),
+            Self::Tcp { host, port } => write!(out, "tcp://{host}:{port}"),
+            Self::Auto => out.write_str("auto"),
+        }
+    }
+}
+
+/// Where a command takes its data from: a link, a recording or a CSV file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// A live board.
+    Link(LinkUrl),
+    /// A recording, by its content.
+    Recording(PathBuf),
+    /// A CSV file.
+    Csv(PathBuf),
+}
+
+impl Input {
+    /// Tells a LINK from a file, and a recording from a CSV file by its first bytes.
+    ///
+    /// # Errors
+    /// A LINK's own errors; `file_unreadable` when it is neither a LINK nor a readable file.
+    pub fn parse(text: &str) -> Result<Self> {
+        let path = Path::new(text);
+        if text == "auto" || text.contains("://") || !path.is_file() {
+            return match text.parse() {
+                Ok(link) => Ok(Self::Link(link)),
+                Err(error) if text.contains("://") => Err(error),
+                Err(_) => Err(HostError::new(
+                    ErrorCode::FileUnreadable,
+                    "there is no such file, and it is not a LINK",
+                    "name a recording (.mcap), a CSV file, or a LINK such as /dev/ttyACM0 or tcp://127.0.0.1:7100",
+                )
+                .at(text)),
+            };
+        }
+        use std::io::Read;
+        let mut start = Vec::new();
+        std::fs::File::open(path)
+            .and_then(|file| file.take(5).read_to_end(&mut start))
+            .map_err(|error| HostError::file(text, "read", &error))?;
+        let named_mcap = path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("mcap"));
+        Ok(
+            if named_mcap || mcap::MAGIC.starts_with(&start) && !start.is_empty() {
+                Self::Recording(path.to_owned())
+            } else {
+                Self::Csv(path.to_owned())
+            },
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn serial(path: &str, baud: u32) -> LinkUrl {
+        LinkUrl::Serial {
+            path: path.to_owned(),
+            baud,
+        }
+    }
+
+    fn tcp(host: &str, port: u16) -> LinkUrl {
+        LinkUrl::Tcp {
+            host: host.to_owned(),
+            port,
+        }
+    }
+
+    #[test]
+    fn every_documented_form_parses_and_prints_back() {
+        for (text, link) in [
+            (
+                "serial:///dev/ttyACM0?baud=9600",
+                serial("/dev/ttyACM0", 9600),
+            ),
+            ("serial:///dev/ttyACM0", serial("/dev/ttyACM0", 115_200)),
+            ("serial://COM5", serial("COM5", 115_200)),
+            ("serial:///COM5?baud=115200", serial("COM5", 115_200)),
+            ("COM12", serial("COM12", 115_200)),
+            ("/dev/rfcomm0", serial("/dev/rfcomm0", 115_200)),
+            ("/dev/cu.usbmodem1", serial("/dev/cu.usbmodem1", 115_200)),
+            ("tcp://127.0.0.1:7100", tcp("127.0.0.1", 7100)),
+            ("tcp://localhost:1/", tcp("localhost", 1)),
+            ("tcp://[::1]:7100", tcp("::1", 7100)),
+            ("auto", LinkUrl::Auto),
+        ] {
+            let parsed: LinkUrl = text.parse().unwrap();
+            assert_eq!(parsed, link, "{text}");
+            assert_eq!(parsed.to_string().parse::<LinkUrl>().unwrap(), link);
+        }
+    }
+
+    #[test]
+    fn what_is_no_link_says_what_is_wrong() {
+        for (text, code, part) in [
+            ("serial://", ErrorCode::BadLink, "port is missing"),
+            (
+                "serial:///dev/ttyS0?baud=fast",
+                ErrorCode::BadLink,
+                "`fast`",
+            ),
+            ("serial:///dev/ttyS0?baud=0", ErrorCode::BadLink, "`0`"),
+            (
+                "serial:///dev/ttyS0?parity=even",
+                ErrorCode::BadLink,
+                "parity=even",
+            ),
+            ("tcp://127.0.0.1", ErrorCode::BadLink, "port is missing"),
+            ("tcp://::1:7100", ErrorCode::BadLink, "brackets"),
+            ("tcp://:7100", ErrorCode::BadLink, "host is missing"),
+            ("tcp://host:99999", ErrorCode::BadLink, "99999"),
+            ("ble://wimu", ErrorCode::LinkKindMissing, "Low Energy"),
+            ("http://host", ErrorCode::BadLink, "`http`"),
+            ("COMX", ErrorCode::BadLink, "not a LINK"),
+            ("", ErrorCode::BadLink, "not a LINK"),
+            ("²²", ErrorCode::BadLink, "not a LINK"),
+        ] {
+            let error = text.parse::<LinkUrl>().unwrap_err();
+            assert_eq!(error.code(), code, "{text}");
+            assert!(error.message().contains(part), "{text}: {error}");
+            assert_eq!(error.exit_code(), 2);
+        }
+    }
+
+    #[test]
+    fn an_input_that_is_neither_file_nor_link_is_told_both() {
+        let error = Input::parse("no/such/file.csv").unwrap_err();
+        assert_eq!(error.code(), ErrorCode::FileUnreadable);
+        assert!(error.remedy().contains("LINK"));
+        assert_eq!(
+            Input::parse("tcp://127.0.0.1:7100").unwrap(),
+            Input::Link(tcp("127.0.0.1", 7100))
+        );
+        assert_eq!(
+            Input::parse("ble://x").unwrap_err().code(),
+            ErrorCode::LinkKindMissing
+        );
+    }
+}

@@ -1,0 +1,147 @@
+//! Velocity and position of a recording: the device's own, and computed again.
+
+use wimu_integrator::{Config, Integrator, Navigation, Phase};
+use wimu_link::message::{self, WirePhase};
+use wimu_model::{
+    CentiCelsius, Corrector, Counts, DeviceTimeUs, ParameterSet, PeriodNs, PositionNm, VelocityNmps,
+};
+
+use crate::record::Boot;
+use crate::replay::{Replay, Step};
+use crate::{ErrorCode, HostError, Result};
+
+/// Velocity and position after one sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Point {
+    /// The sample's number.
+    pub sequence: u32,
+    /// When it was taken, device clock.
+    pub time: DeviceTimeUs,
+    /// The integrator's output.
+    pub navigation: Navigation,
+}
+
+/// Where the device says it was.
+pub fn device(boot: &Boot) -> Vec<Point> {
+    boot.navigation
+        .iter()
+        .filter_map(|sent| {
+            Some(Point {
+                sequence: sent.sequence,
+                time: boot.time_of(sent.sequence)?,
+                navigation: from_wire(sent),
+            })
+        })
+        .collect()
+}
+
+fn from_wire(sent: &message::Navigation) -> Navigation {
+    Navigation {
+        position: PositionNm(sent.position_nm),
+        velocity: VelocityNmps(sent.velocity_nmps),
+        since_rest_ms: sent.since_rest_ms,
+        phase: match sent.phase {
+            WirePhase::Searching => Phase::Searching,
+            WirePhase::Resting => Phase::Resting,
+            WirePhase::Moving => Phase::Moving,
+        },
+        flags: wimu_integrator::Flags(sent.flags),
+    }
+}
+
+/// The device's arithmetic over the recorded raw samples, from the first epoch on: the same as
+/// [`device`], at every sample.
+pub fn replayed(boot: &Boot) -> Vec<Point> {
+    Replay::new(boot, 0)
+        .filter_map(|step| match step {
+            Step::Sample(sample) => Some(Point {
+                sequence: sample.raw.sequence,
+                time: sample.raw.time,
+                navigation: sample.navigation,
+            }),
+            _ => None,
+        })
+        .collect()
+}
+
+/// The recorded raw samples corrected with other parameters, integrated with or without ZUPT.
+///
+/// # Errors
+/// `no_rows` without an epoch; `data_refused` when the parameters cannot be compiled.
+pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<Vec<Point>> {
+    let Some(first) = boot.epochs.first() else {
+        return Err(HostError::new(
+            ErrorCode::NoRows,
+            "no epoch was recorded, so the sample period is unknown",
+            "record for longer than a second",
+        ));
+    };
+    let refused = |message: String| {
+        HostError::new(
+            ErrorCode::DataRefused,
+            message,
+            "give the calibration of this sensor",
+        )
+    };
+    let temperature = boot
+        .environment
+        .iter()
+        .find_map(|e| e.temperature_centi_c)
+        .map(CentiCelsius);
+    let corrector =
+        Corrector::compile(parameters, temperature).map_err(|e| refused(e.to_string()))?;
+    // The latest epoch knows the sensor's true period best.
+    let period = boot
+        .epochs
+        .last()
+        .map_or(first, |last| last)
+        .epoch
+        .period_ns;
+    let config = Config {
+        period: PeriodNs(period),
+        zupt,
+        gravity_um_s2: first.epoch.state.gravity_um_s2,
+    };
+    let config = config.checked().map_err(|e| refused(e.to_string()))?;
+    let mut integrator = Integrator::new(config);
+    let mut next = None;
+    Ok(boot
+        .raw
+        .iter()
+        .map(|raw| {
+            if next.is_some_and(|next| next != raw.sequence) {
+                integrator.gap();
+            }
+            next = Some(raw.sequence.wrapping_add(1));
+            let counts = Counts(raw.value.map(|axis| axis as i16));
+            let saturated = counts.saturated(first.epoch.full_scale);
+            integrator.step(corrector.correct(counts), saturated);
+            Point {
+                sequence: raw.sequence,
+                time: raw.time,
+                navigation: integrator.navigation(),
+            }
+        })
+        .collect())
+}
+
+/// Length of the path through `points`, m, over those that are valid.
+pub fn path_length_m(points: &[Point]) -> f64 {
+    points
+        .windows(2)
+        .filter(|pair| pair[1].navigation.phase != Phase::Searching)
+        .map(|pair| {
+            let [from, to] = [pair[0], pair[1]].map(|p| p.navigation.position.to_m());
+            distance_m(from, to)
+        })
+        .sum()
+}
+
+/// Distance between two positions, m.
+pub fn distance_m(from: [f64; 3], to: [f64; 3]) -> f64 {
+    from.iter()
+        .zip(to)
+        .map(|(a, b)| (b - a) * (b - a))
+        .sum::<f64>()
+        .sqrt()
+}

@@ -1,0 +1,105 @@
+//! Samples and slow sensors put together: what a person looks at.
+
+use std::collections::BTreeMap;
+
+use wimu_link::batch::Stream;
+use wimu_link::message::{Environment, Navigation};
+use wimu_model::{Counts, DeviceTimeUs, Sensitivity, SpecificForceMps2, SpecificForceQ16};
+
+use crate::decode::Event;
+
+/// Samples kept while their corrected twin may still come.
+const KEPT: usize = 256;
+
+/// Everything known at one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// Number of the sample.
+    pub sequence: u32,
+    /// When it was taken, device clock.
+    pub time: DeviceTimeUs,
+    /// As the sensor put it out, if the link carries that.
+    pub raw: Option<Counts>,
+    /// Specific force, body axes: corrected by the device, or from the counts at nominal
+    /// sensitivity where [`corrected`](Self::corrected) is false.
+    pub specific_force: SpecificForceMps2,
+    /// Whether the device has corrected it. An uncalibrated device corrects with a perfect model.
+    pub corrected: bool,
+    /// The latest magnetic field and temperature, if any came.
+    pub environment: Option<Environment>,
+    /// The latest velocity and position, if any came.
+    pub navigation: Option<Navigation>,
+}
+
+/// Makes [`Reading`]s of a link's events: one for each corrected sample, or for each raw sample of
+/// a link that carries no corrected ones.
+#[derive(Debug, Default)]
+pub struct Readings {
+    raw: BTreeMap<u32, [i32; 3]>,
+    sensitivity: Option<Sensitivity>,
+    environment: Option<Environment>,
+    navigation: Option<Navigation>,
+    corrected_come: bool,
+}
+
+impl Readings {
+    /// None so far.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes an event and calls `each` with the readings that it completes, in order.
+    pub fn push(&mut self, event: &Event, mut each: impl FnMut(Reading)) {
+        match event {
+            Event::Environment(environment) => self.environment = Some(*environment),
+            Event::Navigation(navigation) => self.navigation = Some(*navigation),
+            Event::Epoch { epoch, .. } => {
+                self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
+            }
+            Event::Settings(settings) => {
+                // Either link's choice: where both carry corrected samples, none is made twice.
+                self.corrected_come = settings.cable.corrected || settings.wireless.corrected;
+            }
+            Event::Restart => *self = Self::new(),
+            Event::Samples(samples) => match samples.stream {
+                Stream::Raw => {
+                    for sample in samples.iter() {
+                        if self.corrected_come {
+                            self.raw.insert(sample.sequence, sample.value);
+                        } else if let Some(sensitivity) = self.sensitivity {
+                            let counts = Counts(sample.value.map(|v| v as i16));
+                            each(Reading {
+                                sequence: sample.sequence,
+                                time: sample.time,
+                                raw: Some(counts),
+                                specific_force: sensitivity.to_mps2(counts),
+                                corrected: false,
+                                environment: self.environment,
+                                navigation: self.navigation,
+                            });
+                        }
+                    }
+                    while self.raw.len() > KEPT {
+                        self.raw.pop_first();
+                    }
+                }
+                Stream::Corrected => {
+                    self.corrected_come = true;
+                    for sample in samples.iter() {
+                        let raw = self.raw.remove(&sample.sequence);
+                        each(Reading {
+                            sequence: sample.sequence,
+                            time: sample.time,
+                            raw: raw.map(|value| Counts(value.map(|v| v as i16))),
+                            specific_force: SpecificForceQ16(sample.value).to_mps2(),
+                            corrected: true,
+                            environment: self.environment,
+                            navigation: self.navigation,
+                        });
+                    }
+                }
+            },
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,437 @@
+//! What links have brought, sorted: from a recording or from a live board.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use wimu_link::batch::Stream;
+use wimu_link::message::{
+    ActiveParameters, Answer, Environment, Epoch, Event as DeviceEvent, Navigation, Payload, Status,
+};
+use wimu_link::{Hello, LinkRole, Settings};
+use wimu_model::{DeviceTimeUs, ParameterSet, Sensitivity};
+
+use crate::decode::{Arrival, Decoder, Event, LinkStatistics, TimedSample};
+use crate::error::{ErrorCode, HostError, Result};
+use crate::recording::{ClockAnchor, RecordingReader, Wholeness};
+
+/// An epoch as it arrived.
+#[derive(Clone, Debug)]
+pub struct EpochMark {
+    /// As sent.
+    pub epoch: Epoch,
+    /// Whether frames were damaged since the epoch before, so that another may be missing.
+    pub after_damage: bool,
+}
+
+/// What a device sent on one link from one start to the next.
+#[derive(Clone, Debug, Default)]
+pub struct Boot {
+    /// Who it is, as it said last.
+    pub hello: Option<Hello>,
+    /// Raw samples, LSB, by sequence number.
+    pub raw: Vec<TimedSample>,
+    /// Corrected samples, 2⁻¹⁶ m/s², by sequence number.
+    pub corrected: Vec<TimedSample>,
+    /// Epochs, by sequence number.
+    pub epochs: Vec<EpochMark>,
+    /// Magnetic field and temperature, by time.
+    pub environment: Vec<Environment>,
+    /// Velocity and position, by sequence number.
+    pub navigation: Vec<Navigation>,
+    /// Parameters in use, as it said them.
+    pub parameters: Vec<ActiveParameters>,
+    /// Settings in use, as it said them.
+    pub settings: Vec<Settings>,
+    /// How it was, as it said last.
+    pub status: Option<Status>,
+    /// What happened.
+    pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
+    /// Least of host time − device time, ns: the transfer of least delay.
+    clock_offset_ns: Option<i128>,
+}
+
+impl Boot {
+    /// Host time of a device time, ns: by the transfer that took least. `None` without one.
+    pub fn host_ns(&self, time: DeviceTimeUs) -> Option<u64> {
+        let ns = self.clock_offset_ns? + i128::from(time.0) * 1000;
+        u64::try_from(ns).ok()
+    }
+
+    /// When a sample was taken, if it has arrived raw or corrected.
+    pub fn time_of(&self, sequence: u32) -> Option<DeviceTimeUs> {
+        [&self.raw, &self.corrected]
+            .into_iter()
+            .find_map(|samples| {
+                let found = samples.binary_search_by_key(&sequence, |sample| sample.sequence);
+                found.ok().map(|index| samples[index].time)
+            })
+    }
+
+    /// The parameters that an epoch names: those sent with that id, or for id 0 those of an
+    /// uncalibrated device.
+    ///
+    /// # Errors
+    /// `bad_recording` when they were not sent or are invalid.
+    pub fn parameters_of(&self, epoch: &Epoch) -> Result<ParameterSet> {
+        let bad = |message: String| {
+            HostError::new(
+                ErrorCode::BadRecording,
+                message,
+                "record from the connection on: the device says its parameters then",
+            )
+        };
+        if epoch.parameters == 0 {
+            return Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g)
+                .map(|sensitivity| ParameterSet::uncalibrated(epoch.range_g, sensitivity))
+                .map_err(|error| bad(error.to_string()));
+        }
+        let wire = self
+            .parameters
+            .iter()
+            .find(|active| active.id == epoch.parameters)
+            .and_then(|active| active.active)
+            .ok_or_else(|| {
+                bad(format!(
+                    "the parameters {:08x} are not in it",
+                    epoch.parameters
+                ))
+            })?;
+        ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))
+    }
+
+    /// Nominal sensitivity of the sensor, if the device knows it, from the epochs.
+    pub fn nominal_sensitivity(&self) -> Option<Sensitivity> {
+        let known = self.hello.is_none_or(|hello| hello.sensitivity_known);
+        let epoch = &self.epochs.first()?.epoch;
+        Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g)
+            .ok()
+            .filter(|_| known)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.hello.is_none() && self.raw.is_empty() && self.epochs.is_empty()
+    }
+
+    fn met(&mut self, host_ns: u64, time: DeviceTimeUs) {
+        let offset = i128::from(host_ns) - i128::from(time.0) * 1000;
+        let least = self.clock_offset_ns.get_or_insert(offset);
+        *least = offset.min(*least);
+    }
+
+    fn use_settings(&mut self, settings: Settings) {
+        if self.settings.last() != Some(&settings) {
+            self.settings.push(settings);
+        }
+    }
+
+    fn use_parameters(&mut self, parameters: ActiveParameters) {
+        if self.parameters.last() != Some(&parameters) {
+            self.parameters.push(parameters);
+        }
+    }
+}
+
+/// What one link has brought.
+#[derive(Clone, Debug)]
+pub struct LinkRecord {
+    /// Which link.
+    pub role: LinkRole,
+    /// One for each start of the device, the latest last; at least one.
+    pub boots: Vec<Boot>,
+    /// What it carried and lost.
+    pub statistics: LinkStatistics,
+    /// Samples, epochs and the like whose bytes made no sense, first few.
+    pub complaints: Vec<String>,
+}
+
+impl LinkRecord {
+    /// An empty one.
+    pub fn new(role: LinkRole) -> Self {
+        Self {
+            role,
+            boots: vec![Boot::default()],
+            statistics: LinkStatistics::default(),
+            complaints: Vec::new(),
+        }
+    }
+
+    /// The latest start of the device.
+    pub fn latest(&mut self) -> &mut Boot {
+        if self.boots.is_empty() {
+            self.boots.push(Boot::default());
+        }
+        let last = self.boots.len() - 1;
+        &mut self.boots[last]
+    }
+
+    /// Adds what has arrived.
+    pub fn take(&mut self, arrival: &Arrival) {
+        let host_ns = arrival.host_ns;
+        let boot = self.latest();
+        match &arrival.event {
+            Event::Restart => {
+                if !boot.is_empty() {
+                    self.boots.push(Boot::default());
+                }
+            }
+            Event::Hello(hello) => boot.hello = Some(*hello),
+            Event::Samples(samples) => {
+                if let Some(last) = samples.iter().last() {
+                    boot.met(host_ns, last.time);
+                }
+                match samples.stream {
+                    Stream::Raw => boot.raw.extend(samples.iter()),
+                    Stream::Corrected => boot.corrected.extend(samples.iter()),
+                }
+            }
+            Event::Epoch {
+                epoch,
+                after_damage,
+            } => boot.epochs.push(EpochMark {
+                epoch: *epoch,
+                after_damage: *after_damage,
+            }),
+            Event::Environment(environment) => boot.environment.push(*environment),
+            Event::Navigation(navigation) => boot.navigation.push(*navigation),
+            Event::Parameters(parameters) => boot.use_parameters(*parameters),
+            Event::Settings(settings) => boot.use_settings(*settings),
+            Event::Status(status) => boot.status = Some(*status),
+            Event::Device { time, event } => boot.events.push((*time, *event)),
+            Event::Reply(reply) => match reply.answer {
+                Answer::Accepted(Payload::Parameters(parameters)) => {
+                    boot.use_parameters(parameters)
+                }
+                Answer::Accepted(Payload::Settings(settings)) => boot.use_settings(settings),
+                Answer::Accepted(Payload::Status(status)) => boot.status = Some(status),
+                _ => {}
+            },
+            Event::Unreadable(why) => {
+                if self.complaints.len() < 10 && !self.complaints.contains(why) {
+                    self.complaints.push(why.clone());
+                }
+            }
+            Event::Damaged(_) => {}
+        }
+    }
+}
+
+/// A recording, decoded.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// What errors call the file.
+    pub name: String,
+    /// Its links, the cable first.
+    pub links: Vec<LinkRecord>,
+    /// Host's monotonic clock to UTC.
+    pub anchor: Option<ClockAnchor>,
+    /// Host time from the first bytes to the last, ns.
+    pub duration_ns: u64,
+    /// How whole the file is.
+    pub wholeness: Wholeness,
+}
+
+impl Recording {
+    /// Reads and decodes a whole recording. One that was cut off gives what it has.
+    ///
+    /// # Errors
+    /// Those of [`RecordingReader`].
+    pub fn load(path: &Path) -> Result<Self> {
+        Self::read(RecordingReader::open(path)?, &path.display().to_string())
+    }
+
+    /// The same from an open reader; `name` is what errors call it.
+    ///
+    /// # Errors
+    /// Those of [`RecordingReader`].
+    pub fn read<R: std::io::Read>(mut reader: RecordingReader<R>, name: &str) -> Result<Self> {
+        let anchor = reader.anchor()?;
+        let mut links: BTreeMap<u8, (LinkRecord, Decoder)> = BTreeMap::new();
+        let mut span: Option<(u64, u64)> = None;
+        while let Some(received) = reader.next_received()? {
+            let (record, decoder) = links
+                .entry(received.role.number())
+                .or_insert_with(|| (LinkRecord::new(received.role), Decoder::new()));
+            decoder.push(received.host_ns, &received.bytes, |arrival| {
+                record.take(&arrival)
+            });
+            let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
+            span = Some((first.min(received.host_ns), last.max(received.host_ns)));
+        }
+        let links = links
+            .into_values()
+            .map(|(mut record, decoder)| {
+                record.statistics = decoder.statistics();
+                record
+            })
+            .collect();
+        Ok(Self {
+            name: name.to_owned(),
+            links,
+            anchor,
+            duration_ns: span.map_or(0, |(first, last)| last - first),
+            wholeness: reader.wholeness(),
+        })
+    }
+
+    /// The link of a role; without one, the cable if it has raw samples, else the one with most.
+    ///
+    /// # Errors
+    /// `no_rows` when there is none.
+    pub fn link(&self, role: Option<LinkRole>) -> Result<&LinkRecord> {
+        let raw = |link: &LinkRecord| link.boots.iter().map(|boot| boot.raw.len()).sum::<usize>();
+        let found = match role {
+            Some(role) => self.links.iter().find(|link| link.role == role),
+            None => self
+                .links
+                .iter()
+                .find(|link| link.role == LinkRole::Cable && raw(link) > 0)
+                .or_else(|| self.links.iter().max_by_key(|link| raw(link))),
+        };
+        found.ok_or_else(|| {
+            let what = role.map_or("any link".to_owned(), |role| format!("the {role} link"));
+            HostError::new(
+                ErrorCode::NoRows,
+                format!("nothing was recorded on {what}"),
+                "record again, or name the other link",
+            )
+            .at(&self.name)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use wimu_link::message::{EpochReason, WireState};
+    use wimu_link::{MAX_FRAME, Telemetry, batch};
+    use wimu_model::Counts;
+
+    use super::*;
+    use crate::recording::RecordingWriter;
+
+    const ANCHOR: ClockAnchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_795_222_920_000_000_000,
+    };
+
+    fn hello(role: LinkRole, boot_count: u32) -> Vec<u8> {
+        let mut frame = [0; MAX_FRAME];
+        let hello = Hello {
+            boot_count,
+            ..Hello::new(role)
+        };
+        let length = hello.encode(&mut frame).unwrap();
+        frame[..length].to_vec()
+    }
+
+    /// A second of samples from `first` at 100 Hz, after an epoch.
+    fn second(first: u32) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut frame = [0; MAX_FRAME];
+        let epoch = Telemetry::Epoch(Epoch {
+            reason: EpochReason::Periodic,
+            sequence: first,
+            time_us: u64::from(first) * 10_000,
+            period_ns: 10_000_000,
+            range_g: 4,
+            sensitivity_lsb_per_g: 8192.0,
+            full_scale: 32752,
+            parameters: 0,
+            temperature_centi_c: None,
+            state: WireState::default(),
+        });
+        let length = epoch.encode(&mut frame).unwrap();
+        bytes.extend(&frame[..length]);
+        for start in (first..first + 100).step_by(20) {
+            let samples: Vec<_> = (start..start + 20)
+                .map(|s| Counts([s as i16, 0, 1]))
+                .collect();
+            let time = DeviceTimeUs(u64::from(start) * 10_000);
+            let length = batch::encode(start, time, &samples, &mut frame).unwrap();
+            bytes.extend(&frame[..length]);
+        }
+        bytes
+    }
+
+    /// Both links for 5 s, the device started anew on the wireless one after 3 s.
+    fn recording() -> Vec<u8> {
+        let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+        for s in 0..5_u32 {
+            let host_ns = u64::from(s + 1) * 1_000_000_000 + 7_000_000;
+            writer
+                .append(LinkRole::Cable, host_ns, &hello(LinkRole::Cable, 1))
+                .unwrap();
+            writer
+                .append(LinkRole::Cable, host_ns, &second(s * 100))
+                .unwrap();
+            let (boot, first) = if s < 3 {
+                (1, s * 100)
+            } else {
+                (2, (s - 3) * 100)
+            };
+            let mut bytes = hello(LinkRole::Wireless, boot);
+            bytes.extend(second(first));
+            // Bytes arrive in pieces that know nothing of frames.
+            for piece in bytes.chunks(23) {
+                writer.append(LinkRole::Wireless, host_ns, piece).unwrap();
+            }
+        }
+        writer.finish().unwrap().into_inner()
+    }
+
+    fn read(bytes: &[u8]) -> Recording {
+        Recording::read(RecordingReader::new(bytes, "a.mcap").unwrap(), "a.mcap").unwrap()
+    }
+
+    #[test]
+    fn links_and_starts_are_kept_apart() {
+        let recording = read(&recording());
+        assert_eq!(recording.anchor, Some(ANCHOR));
+        assert_eq!(recording.duration_ns, 4_000_000_000);
+        let cable = recording.link(None).unwrap();
+        assert_eq!(cable.role, LinkRole::Cable);
+        assert_eq!((cable.boots.len(), cable.boots[0].raw.len()), (1, 500));
+        assert_eq!(cable.statistics.raw.missing, 0);
+        let wireless = recording.link(Some(LinkRole::Wireless)).unwrap();
+        let raw: Vec<_> = wireless.boots.iter().map(|boot| boot.raw.len()).collect();
+        assert_eq!(raw, [300, 200]);
+        let boot = &wireless.boots[1];
+        assert_eq!(boot.hello.unwrap().boot_count, 2);
+        assert!(boot.raw.is_sorted_by(|a, b| a.sequence < b.sequence));
+        assert_eq!(
+            boot.parameters_of(&boot.epochs[0].epoch).unwrap().range_g,
+            4
+        );
+    }
+
+    #[test]
+    fn device_times_become_host_times_by_the_fastest_transfer() {
+        let recording = read(&recording());
+        let boot = &recording.link(None).unwrap().boots[0];
+        // Sample 99, of 0.99 s, arrived at 1.007 s.
+        let host_ns = boot.host_ns(DeviceTimeUs(990_000)).unwrap();
+        assert_eq!(host_ns, 1_007_000_000);
+        assert_eq!(ANCHOR.to_utc_ns(host_ns) - ANCHOR.utc_ns, 1_007_000_000);
+    }
+
+    #[test]
+    fn a_recording_cut_off_gives_what_it_has() {
+        let bytes = recording();
+        let recording = read(&bytes[..bytes.len() * 3 / 4]);
+        assert!(recording.wholeness.truncated);
+        let raw = recording.link(None).unwrap().boots[0].raw.len();
+        assert!(raw > 0 && raw < 500, "{raw}");
+    }
+
+    #[test]
+    fn a_link_that_was_not_recorded_is_named() {
+        let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+        writer.append(LinkRole::Wireless, 0, &second(0)).unwrap();
+        let recording = read(&writer.finish().unwrap().into_inner());
+        assert_eq!(recording.link(None).unwrap().role, LinkRole::Wireless);
+        let error = recording.link(Some(LinkRole::Cable)).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::NoRows);
+        assert!(error.message().contains("the cable link"), "{error}");
+    }
+}

@@ -1,0 +1,167 @@
+use std::io::Cursor;
+
+use super::*;
+
+const ANCHOR: ClockAnchor = ClockAnchor {
+    monotonic_ns: 5_000,
+    utc_ns: 1_795_222_920_123_456_789,
+};
+
+fn entry(index: u64) -> Received {
+    Received {
+        role: TOPICS[index.is_multiple_of(3) as usize].0,
+        host_ns: 7_000 + index * 100_000_000,
+        bytes: (0..index % 50).map(|b| b as u8).collect(),
+    }
+}
+
+/// A recording of `count` entries at 10 Hz; closed or left as it is after the last flush.
+fn record(count: u64, close: bool) -> Vec<u8> {
+    let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+    for index in 0..count {
+        let entry = entry(index);
+        writer
+            .append(entry.role, entry.host_ns, &entry.bytes)
+            .unwrap();
+    }
+    if close {
+        writer.finish().unwrap().into_inner()
+    } else {
+        writer.flush().unwrap();
+        writer.writer.into_inner().into_inner()
+    }
+}
+
+fn read(bytes: &[u8]) -> Result<(Vec<Received>, Wholeness)> {
+    let mut reader = RecordingReader::new(bytes, "a.mcap")?;
+    let mut received = Vec::new();
+    while let Some(entry) = reader.next_received()? {
+        received.push(entry);
+    }
+    Ok((received, reader.wholeness()))
+}
+
+#[test]
+fn what_is_recorded_reads_back_the_same() {
+    let bytes = record(95, true);
+    let mut reader = RecordingReader::new(&bytes[..], "a.mcap").unwrap();
+    assert_eq!(reader.anchor().unwrap(), Some(ANCHOR));
+    let received: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
+    assert_eq!(received, (0..95).map(entry).collect::<Vec<_>>());
+    assert_eq!(reader.wholeness(), Wholeness::default());
+    assert_eq!(ANCHOR.to_utc_ns(5_001), 1_795_222_920_123_456_790);
+}
+
+#[test]
+fn a_recording_that_was_not_closed_is_whole_up_to_the_last_flush() {
+    let (received, wholeness) = read(&record(95, false)).unwrap();
+    assert_eq!(received.len(), 95);
+    assert!(wholeness.truncated);
+}
+
+#[test]
+fn a_recording_cut_at_any_byte_reads_what_was_flushed_before() {
+    let bytes = record(40, true);
+    // Where the file ends after each flush, with the entries that are in it.
+    let mut flushed = Vec::new();
+    let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+    for index in 0..40 {
+        let entry = entry(index);
+        writer
+            .append(entry.role, entry.host_ns, &entry.bytes)
+            .unwrap();
+        if writer.last_flush_ns == Some(entry.host_ns) && index > 0 {
+            let copy = record(index + 1, false);
+            assert!(bytes.starts_with(&copy));
+            flushed.push((copy.len(), index as usize + 1));
+        }
+    }
+    assert_eq!(flushed.len(), 3);
+    let expected: Vec<_> = (0..40).map(entry).collect();
+    let mut started = false;
+    for cut in 0..bytes.len() {
+        match read(&bytes[..cut]) {
+            Ok((received, wholeness)) => {
+                started = true;
+                let certain = flushed.iter().rev().find(|(end, _)| *end <= cut);
+                assert!(
+                    received.len() >= certain.map_or(0, |(_, count)| *count),
+                    "at {cut}"
+                );
+                assert_eq!(received, expected[..received.len()], "at {cut}");
+                assert!(wholeness.truncated, "at {cut}");
+            }
+            Err(error) => {
+                assert!(!started, "at {cut}: {error}");
+                assert_eq!(error.exit_code(), 2);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_costs_a_chunk_at_most_and_never_passes() {
+    let bytes = record(40, true);
+    let expected: Vec<_> = (0..40).map(entry).collect();
+    for at in 0..bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 1 << (at % 8);
+        if let Ok((received, _)) = read(&damaged) {
+            // Times follow the anchor, which has no CRC of its own.
+            let mut rest = expected.iter();
+            for entry in received {
+                assert!(
+                    rest.any(|e| e.role == entry.role && e.bytes == entry.bytes),
+                    "at {at}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_no_recording_says_so() {
+    for (bytes, code) in [
+        (&b""[..], ErrorCode::BadRecording),
+        (
+            b"Time (s),Accelerometer X (g)\n1,2\n",
+            ErrorCode::BadRecording,
+        ),
+        (mcap::MAGIC, ErrorCode::BadRecording),
+    ] {
+        let error = read(bytes).unwrap_err();
+        assert_eq!(error.code(), code, "{error}");
+        assert_eq!(error.location(), Some("a.mcap"));
+    }
+    let mut foreign = mcap::WriteOptions::new()
+        .create(Cursor::new(Vec::new()))
+        .unwrap();
+    let channel = foreign
+        .add_channel(0, "/other", "json", &BTreeMap::new())
+        .unwrap();
+    let header = mcap::records::MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    foreign.write_to_known_channel(&header, b"{}").unwrap();
+    foreign.finish().unwrap();
+    let error = read(&foreign.into_inner().into_inner()).unwrap_err();
+    assert_eq!(error.code(), ErrorCode::NoWimuTopics);
+}
+
+#[test]
+fn a_file_that_exists_is_not_overwritten() {
+    let path = std::env::temp_dir().join(format!("wimu-host-{}.mcap", std::process::id()));
+    let anchor = ClockAnchor::now(Duration::from_secs(3));
+    let mut writer = RecordingWriter::create(&path, anchor).unwrap();
+    writer.append(LinkRole::Cable, 3_000_000_007, &[1]).unwrap();
+    writer.finish().unwrap();
+    let error = RecordingWriter::create(&path, anchor).err().unwrap();
+    assert_eq!(error.code(), ErrorCode::FileExists);
+    let received: Vec<_> = RecordingReader::open(&path).unwrap().collect();
+    assert_eq!(received.len(), 1);
+    assert_eq!(received[0].as_ref().unwrap().host_ns, 3_000_000_007);
+    std::fs::remove_file(&path).unwrap();
+}

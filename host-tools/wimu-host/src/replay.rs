@@ -1,0 +1,323 @@
+//! The device's own arithmetic again: from raw samples and epochs, corrected samples, velocity and
+//! position bit for bit.
+
+use wimu_integrator::{Integrator, Navigation, State};
+use wimu_link::message::EpochReason;
+use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
+
+use crate::decode::TimedSample;
+use crate::error::{ErrorCode, HostError, Result};
+use crate::record::{Boot, EpochMark};
+
+/// A device sends an epoch at least this often, ns of samples; without the next one by then it is
+/// unknown what the device went on with.
+const EPOCH_WITHIN_NS: u64 = 1_000_000_000;
+
+/// What replaying came across.
+#[derive(Debug)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "steps are handed on one at a time"
+)]
+pub enum Step {
+    /// A sample, replayed.
+    Sample(Replayed),
+    /// An epoch, by its index in [`Boot::epochs`].
+    Epoch {
+        /// Its index.
+        index: usize,
+        /// Whether the device's state is the replayed one; `None` where it cannot be compared,
+        /// because the replay begins here or the device began anew.
+        agrees: Option<bool>,
+    },
+    /// Nothing can be replayed until the next epoch: a raw sample or an epoch is missing.
+    Break {
+        /// Sequence number of the first sample that is not replayed.
+        sequence: u32,
+    },
+    /// An epoch that nothing can be replayed from, and why.
+    Unusable {
+        /// Its index.
+        index: usize,
+        /// Why.
+        error: HostError,
+    },
+}
+
+/// A raw sample and what the device made of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Replayed {
+    /// The raw sample.
+    pub raw: TimedSample,
+    /// Corrected specific force.
+    pub force: SpecificForceQ16,
+    /// Velocity and position after it.
+    pub navigation: Navigation,
+}
+
+/// Replays a boot's raw samples from an epoch on, over all epochs that follow.
+///
+/// Within an unbroken run of samples everything is computed from the run's first epoch alone; later
+/// epochs tell the temperature and the period that the device went on with, and their states are
+/// compared.
+pub struct Replay<'a> {
+    boot: &'a Boot,
+    /// The next epoch.
+    epoch: usize,
+    /// The next raw sample.
+    raw: usize,
+    running: Option<Running>,
+}
+
+struct Running {
+    corrector: Corrector,
+    integrator: Integrator,
+    full_scale: i16,
+    next_sequence: u32,
+    /// Samples since the latest epoch, and how many there may be without another.
+    since_epoch: u64,
+    most: u64,
+}
+
+impl Running {
+    fn from_epoch(boot: &Boot, mark: &EpochMark) -> Result<Self> {
+        let state = State::from(mark.epoch.state);
+        Ok(Self {
+            corrector: corrector(boot, mark)?,
+            integrator: Integrator::from_state(state).map_err(unusable)?,
+            full_scale: mark.epoch.full_scale,
+            next_sequence: mark.epoch.sequence,
+            since_epoch: 0,
+            most: most_samples(mark),
+        })
+    }
+
+    /// Goes on with an epoch's parameters, temperature, period and range.
+    fn adopt(&mut self, boot: &Boot, mark: &EpochMark) -> Result<()> {
+        self.corrector = corrector(boot, mark)?;
+        self.integrator
+            .set_period(PeriodNs(mark.epoch.period_ns))
+            .map_err(unusable)?;
+        self.full_scale = mark.epoch.full_scale;
+        self.since_epoch = 0;
+        self.most = most_samples(mark);
+        Ok(())
+    }
+}
+
+fn corrector(boot: &Boot, mark: &EpochMark) -> Result<Corrector> {
+    let temperature = mark.epoch.temperature_centi_c.map(CentiCelsius);
+    Corrector::compile(&boot.parameters_of(&mark.epoch)?, temperature).map_err(unusable)
+}
+
+fn most_samples(mark: &EpochMark) -> u64 {
+    EPOCH_WITHIN_NS / u64::from(mark.epoch.period_ns.max(1)) + 1
+}
+
+fn unusable(error: impl std::error::Error) -> HostError {
+    HostError::new(
+        ErrorCode::BadRecording,
+        format!("an epoch cannot be replayed: {error}"),
+        "update firmware and wimu to one version",
+    )
+}
+
+impl<'a> Replay<'a> {
+    /// Begins at the epoch of this index in [`Boot::epochs`].
+    pub fn new(boot: &'a Boot, epoch: usize) -> Self {
+        Self {
+            boot,
+            epoch,
+            raw: 0,
+            running: None,
+        }
+    }
+
+    /// Takes the next epoch.
+    fn take_epoch(&mut self) -> Option<Step> {
+        let index = self.epoch;
+        let mark = self.boot.epochs.get(index)?;
+        self.epoch += 1;
+        let began_anew = matches!(
+            mark.epoch.reason,
+            EpochReason::Start | EpochReason::Gap | EpochReason::Settings | EpochReason::Parameters
+        ) || mark.after_damage;
+        let outcome = match &mut self.running {
+            Some(running) if !began_anew => running.adopt(self.boot, mark).map(|()| {
+                let agrees = running.integrator.state() == State::from(mark.epoch.state);
+                Some(agrees)
+            }),
+            _ => Running::from_epoch(self.boot, mark).map(|running| {
+                let start = running.next_sequence;
+                self.raw = self.boot.raw.partition_point(|raw| raw.sequence < start);
+                self.running = Some(running);
+                None
+            }),
+        };
+        Some(match outcome {
+            Ok(agrees) => Step::Epoch { index, agrees },
+            Err(error) => {
+                self.running = None;
+                Step::Unusable { index, error }
+            }
+        })
+    }
+}
+
+impl Iterator for Replay<'_> {
+    type Item = Step;
+
+    fn next(&mut self) -> Option<Step> {
+        let Some(running) = &mut self.running else {
+            return self.take_epoch();
+        };
+        let sequence = running.next_sequence;
+        if let Some(mark) = self.boot.epochs.get(self.epoch)
+            && mark.epoch.sequence == sequence
+        {
+            return self.take_epoch();
+        }
+        let raw = self.boot.raw.get(self.raw).copied();
+        match raw {
+            Some(raw) if raw.sequence == sequence && running.since_epoch < running.most => {
+                let counts = Counts(raw.value.map(|axis| axis as i16));
+                let force = running.corrector.correct(counts);
+                running
+                    .integrator
+                    .step(force, counts.saturated(running.full_scale));
+                running.next_sequence = sequence.wrapping_add(1);
+                running.since_epoch += 1;
+                self.raw += 1;
+                Some(Step::Sample(Replayed {
+                    raw,
+                    force,
+                    navigation: running.integrator.navigation(),
+                }))
+            }
+            None if self.epoch >= self.boot.epochs.len() => None,
+            _ => {
+                self.running = None;
+                // Epochs of samples that are over have nothing to begin from.
+                let epochs = &self.boot.epochs;
+                while epochs
+                    .get(self.epoch)
+                    .is_some_and(|mark| mark.epoch.sequence < sequence)
+                {
+                    self.epoch += 1;
+                }
+                Some(Step::Break { sequence })
+            }
+        }
+    }
+}
+
+/// How a replay compares with what the device sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct ReplayReport {
+    /// Raw samples replayed.
+    pub samples: u64,
+    /// Corrected samples compared.
+    pub corrected_compared: u64,
+    /// … of which differ in any bit.
+    pub corrected_differ: u64,
+    /// Velocities and positions compared.
+    pub navigation_compared: u64,
+    /// … of which differ in any bit.
+    pub navigation_differ: u64,
+    /// Integrator states in epochs compared with those replayed from an earlier epoch.
+    pub states_compared: u64,
+    /// … of which differ in any bit.
+    pub states_differ: u64,
+    /// Times that a missing sample or epoch made the replay begin again.
+    pub breaks: u64,
+    /// Epochs that nothing could be replayed from.
+    pub epochs_unusable: u64,
+    /// Samples not compared because a frame was damaged before the next epoch: it may have been
+    /// one.
+    pub samples_uncertain: u64,
+    /// Sequence number at the first difference.
+    pub first_difference: Option<u32>,
+}
+
+impl ReplayReport {
+    /// Whether everything that could be compared is the same, and something could.
+    pub fn is_exact(&self) -> bool {
+        self.corrected_compared + self.navigation_compared + self.states_compared > 0
+            && self.corrected_differ + self.navigation_differ + self.states_differ == 0
+    }
+
+    fn add(&mut self, span: &Self) {
+        self.samples += span.samples;
+        self.corrected_compared += span.corrected_compared;
+        self.corrected_differ += span.corrected_differ;
+        self.navigation_compared += span.navigation_compared;
+        self.navigation_differ += span.navigation_differ;
+        self.first_difference = self.first_difference.or(span.first_difference);
+    }
+}
+
+/// Replays from the epoch of this index to the end of the boot, and compares with every corrected
+/// sample, velocity, position and state that the device sent.
+pub fn verify(boot: &Boot, epoch: usize) -> ReplayReport {
+    let mut report = ReplayReport::default();
+    // What was compared since the latest epoch: certain once the next one has come.
+    let mut span = ReplayReport::default();
+    for step in Replay::new(boot, epoch) {
+        match step {
+            Step::Sample(replayed) => compare(boot, &replayed, &mut span),
+            Step::Epoch { index, agrees } => {
+                let mark = &boot.epochs[index];
+                if mark.after_damage {
+                    report.samples_uncertain += span.samples;
+                } else {
+                    report.add(&span);
+                }
+                span = ReplayReport::default();
+                if let Some(agrees) = agrees {
+                    report.states_compared += 1;
+                    if !agrees {
+                        report.states_differ += 1;
+                        report.first_difference.get_or_insert(mark.epoch.sequence);
+                    }
+                }
+            }
+            Step::Break { .. } => report.breaks += 1,
+            Step::Unusable { .. } => report.epochs_unusable += 1,
+        }
+    }
+    report.add(&span);
+    report
+}
+
+fn compare(boot: &Boot, replayed: &Replayed, span: &mut ReplayReport) {
+    let sequence = replayed.raw.sequence;
+    span.samples += 1;
+    let mut differs = false;
+    if let Ok(found) = boot
+        .corrected
+        .binary_search_by_key(&sequence, |sample| sample.sequence)
+    {
+        span.corrected_compared += 1;
+        if boot.corrected[found].value != replayed.force.0 {
+            span.corrected_differ += 1;
+            differs = true;
+        }
+    }
+    if let Ok(found) = boot
+        .navigation
+        .binary_search_by_key(&sequence, |navigation| navigation.sequence)
+    {
+        span.navigation_compared += 1;
+        let ours = wimu_link::message::Navigation::new(sequence, &replayed.navigation);
+        if boot.navigation[found] != ours {
+            span.navigation_differ += 1;
+            differs = true;
+        }
+    }
+    if differs {
+        span.first_difference.get_or_insert(sequence);
+    }
+}
+
+#[cfg(test)]
+mod tests;

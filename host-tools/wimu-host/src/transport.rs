@@ -1,0 +1,378 @@
+//! Bytes to and from a board, blocking with time-outs: serial ports and TCP.
+
+use std::fmt;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+use serialport::{SerialPort, SerialPortType};
+
+use crate::error::{ErrorCode, HostError, Result};
+use crate::link_url::{DEFAULT_BAUD, LinkUrl};
+
+/// Longest wait for a connection, and for a link to take what is written.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+/// A stream of bytes to and from a board.
+pub trait Transport {
+    /// Reads what has arrived, at least one byte; `Ok(0)` when nothing has within `timeout`.
+    ///
+    /// # Errors
+    /// `link_lost` when the other end is gone.
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize>;
+
+    /// Writes all of `bytes`.
+    ///
+    /// # Errors
+    /// `link_lost` when the other end is gone or takes nothing for 3 s.
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()>;
+
+    /// The monotonic clock by which this link waits: everything that times answers on it asks
+    /// here, so that a simulated link can run in virtual time.
+    fn now(&self) -> Duration {
+        static START: OnceLock<Instant> = OnceLock::new();
+        START.get_or_init(Instant::now).elapsed()
+    }
+}
+
+impl<T: Transport + ?Sized> Transport for Box<T> {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
+        (**self).read(buffer, timeout)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
+        (**self).write_all(bytes)
+    }
+
+    fn now(&self) -> Duration {
+        (**self).now()
+    }
+}
+
+/// Opens a link. [`LinkUrl::Auto`] opens the only port with the USB identity of a known board.
+///
+/// # Errors
+/// `link_absent`, `link_busy`, `link_permission`, `link_refused`; `bad_link` when `auto` has
+/// several ports to choose from: [`candidates`] lists them.
+pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
+    match link {
+        LinkUrl::Serial { path, baud } => Ok(Box::new(SerialLink::open(path, *baud)?)),
+        LinkUrl::Tcp { host, port } => Ok(Box::new(TcpLink::open(link, host, *port)?)),
+        LinkUrl::Auto => match candidates()?.as_slice() {
+            [only] => open(only),
+            several => {
+                let names: Vec<_> = several.iter().map(LinkUrl::to_string).collect();
+                Err(HostError::new(
+                    ErrorCode::BadLink,
+                    format!("several ports may be a board: {}", names.join(", ")),
+                    "name one of them instead of `auto`",
+                )
+                .at("auto"))
+            }
+        },
+    }
+}
+
+/// What `auto` tries, in order: the serial ports with the USB identity of a known board. None is
+/// opened.
+///
+/// # Errors
+/// `link_absent` when there is none.
+pub fn candidates() -> Result<Vec<LinkUrl>> {
+    let found: Vec<_> = ports()?
+        .into_iter()
+        .filter(|port| port.board.is_some())
+        .map(|port| LinkUrl::Serial {
+            path: port.path,
+            baud: DEFAULT_BAUD,
+        })
+        .collect();
+    if found.is_empty() {
+        Err(HostError::new(
+            ErrorCode::LinkAbsent,
+            "no serial port has the USB identity of a known board",
+            "plug the board in, or name its port: `wimu ports` lists them; `wimu simulate` needs none",
+        )
+        .at("auto"))
+    } else {
+        Ok(found)
+    }
+}
+
+/// A serial port of this computer.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Port {
+    /// Path or name, as a LINK.
+    pub path: String,
+    /// USB vendor and product id, for a port on USB.
+    pub usb: Option<UsbId>,
+    /// Product name that the device itself gives.
+    pub product: Option<String>,
+    /// Serial number that the device itself gives.
+    pub serial_number: Option<String>,
+    /// What boards and adapters with this USB identity are.
+    pub board: Option<&'static str>,
+}
+
+/// USB vendor and product id.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct UsbId {
+    /// Vendor.
+    pub vendor: u16,
+    /// Product.
+    pub product: u16,
+}
+
+impl UsbId {
+    /// The board or serial adapter of this identity, if it is one that wimu runs on or behind.
+    pub fn board(self) -> Option<&'static str> {
+        KNOWN_BOARDS
+            .iter()
+            .find(|(vendor, product, _)| {
+                *vendor == self.vendor && product.is_none_or(|product| product == self.product)
+            })
+            .map(|(_, _, name)| *name)
+    }
+}
+
+impl fmt::Display for UsbId {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{:04x}:{:04x}", self.vendor, self.product)
+    }
+}
+
+/// Vendor, product (any if `None`), name.
+const KNOWN_BOARDS: [(u16, Option<u16>, &str); 6] = [
+    (0x0d28, Some(0x0204), "micro:bit"),
+    (0x2e8a, None, "Raspberry Pi Pico or its debug probe"),
+    (0x0403, None, "FTDI serial adapter"),
+    (0x10c4, Some(0xea60), "CP210x serial adapter"),
+    (0x10c4, Some(0xea70), "CP2105 serial adapter"),
+    (0x1a86, Some(0x7523), "CH340 serial adapter"),
+];
+
+/// The serial ports, by name; none is opened.
+///
+/// # Errors
+/// `link_absent` when the operating system does not list them.
+pub fn ports() -> Result<Vec<Port>> {
+    let found = serialport::available_ports().map_err(|error| {
+        HostError::new(
+            ErrorCode::LinkAbsent,
+            format!("the operating system does not list its serial ports: {error}"),
+            "name the port",
+        )
+    })?;
+    let mut ports: Vec<_> = found
+        .into_iter()
+        .map(|port| match port.port_type {
+            SerialPortType::UsbPort(usb) => {
+                let id = UsbId {
+                    vendor: usb.vid,
+                    product: usb.pid,
+                };
+                Port {
+                    path: port.port_name,
+                    usb: Some(id),
+                    product: usb.product,
+                    serial_number: usb.serial_number,
+                    board: id.board(),
+                }
+            }
+            _ => Port {
+                path: port.port_name,
+                usb: None,
+                product: None,
+                serial_number: None,
+                board: None,
+            },
+        })
+        .collect();
+    ports.sort_by(|a, b| a.path.cmp(&b.path));
+    Ok(ports)
+}
+
+struct SerialLink {
+    path: String,
+    port: Box<dyn SerialPort>,
+}
+
+impl SerialLink {
+    fn open(path: &str, baud: u32) -> Result<Self> {
+        let port = serialport::new(path, baud)
+            .timeout(PATIENCE)
+            .open()
+            .map_err(|error| serial_error(path, baud, &error))?;
+        Ok(Self {
+            path: path.to_owned(),
+            port,
+        })
+    }
+}
+
+impl Transport for SerialLink {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
+        self.port
+            .set_timeout(timeout)
+            .map_err(|error| lost(&self.path, &error.into()))?;
+        read_some(&mut self.port, buffer, &self.path)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
+        self.port
+            .set_timeout(PATIENCE)
+            .map_err(|error| lost(&self.path, &error.into()))?;
+        self.port
+            .write_all(bytes)
+            .map_err(|error| lost(&self.path, &error))
+    }
+}
+
+fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> HostError {
+    use serialport::ErrorKind as Kind;
+    let exists = if cfg!(unix) {
+        std::path::Path::new(path).exists()
+    } else {
+        ports().is_ok_and(|ports| {
+            ports
+                .iter()
+                .any(|port| port.path.eq_ignore_ascii_case(path))
+        })
+    };
+    let failure = match error.kind() {
+        _ if !exists => HostError::new(
+            ErrorCode::LinkAbsent,
+            "there is no such serial port",
+            "plug the board or adapter in, pair and bind a Bluetooth adapter (`sudo rfcomm bind 0 ADDRESS`), and see `wimu ports`",
+        ),
+        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => HostError::new(
+            ErrorCode::LinkPermission,
+            "this user may not open the port",
+            "join the port's group (`sudo usermod -aG dialout $USER`, on Arch `uucp`) and log in again, or put \
+             `SUBSYSTEM==\"tty\", ATTRS{idVendor}==\"0d28\", TAG+=\"uaccess\"` with the adapter's own id into \
+             /etc/udev/rules.d/70-wimu.rules and plug it in again",
+        ),
+        // Windows calls a port that is open elsewhere a denied access.
+        Kind::NoDevice | Kind::Io(ErrorKind::PermissionDenied | ErrorKind::WouldBlock) => {
+            HostError::new(
+                ErrorCode::LinkBusy,
+                "another program has the port open",
+                "close the other terminal, monitor or modem manager",
+            )
+        }
+        _ => HostError::new(
+            ErrorCode::LinkAbsent,
+            format!("the port does not open at {baud} baud: {error}"),
+            "check that it is a serial port and that it supports this baud rate",
+        ),
+    };
+    failure.at(path)
+}
+
+struct TcpLink {
+    name: String,
+    stream: TcpStream,
+    timeout: Option<Duration>,
+}
+
+impl TcpLink {
+    fn open(link: &LinkUrl, host: &str, port: u16) -> Result<Self> {
+        let name = link.to_string();
+        let addresses = (host, port).to_socket_addrs().map_err(|error| {
+            HostError::new(
+                ErrorCode::LinkAbsent,
+                format!("the host `{host}` is not known: {error}"),
+                "check the name and the network",
+            )
+            .at(&name)
+        })?;
+        let mut last = io::Error::from(ErrorKind::AddrNotAvailable);
+        for address in addresses {
+            match TcpStream::connect_timeout(&address, PATIENCE) {
+                Ok(stream) => {
+                    // Requests are small and wait for their replies.
+                    let ready = stream
+                        .set_nodelay(true)
+                        .and_then(|()| stream.set_write_timeout(Some(PATIENCE)));
+                    ready.map_err(|error| lost(&name, &error))?;
+                    return Ok(Self {
+                        name,
+                        stream,
+                        timeout: None,
+                    });
+                }
+                Err(error) => last = error,
+            }
+        }
+        Err(match last.kind() {
+            ErrorKind::ConnectionRefused => HostError::new(
+                ErrorCode::LinkRefused,
+                "nothing listens there",
+                "start `wimu simulate` first, or check the port",
+            ),
+            _ => HostError::new(
+                ErrorCode::LinkAbsent,
+                format!("the host does not answer: {last}"),
+                "check the address and the network",
+            ),
+        }
+        .at(name))
+    }
+}
+
+impl Transport for TcpLink {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
+        // Zero would mean for ever.
+        let timeout = Some(timeout.max(Duration::from_millis(1)));
+        if self.timeout != timeout {
+            self.stream
+                .set_read_timeout(timeout)
+                .map_err(|error| lost(&self.name, &error))?;
+            self.timeout = timeout;
+        }
+        read_some(&mut self.stream, buffer, &self.name)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
+        self.stream
+            .write_all(bytes)
+            .map_err(|error| lost(&self.name, &error))
+    }
+}
+
+fn read_some(source: &mut dyn Read, buffer: &mut [u8], name: &str) -> Result<usize> {
+    if buffer.is_empty() {
+        return Ok(0);
+    }
+    match source.read(buffer) {
+        Ok(0) => Err(lost(name, &io::Error::from(ErrorKind::UnexpectedEof))),
+        Ok(count) => Ok(count),
+        Err(error) => match error.kind() {
+            ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted => Ok(0),
+            _ => Err(lost(name, &error)),
+        },
+    }
+}
+
+fn lost(name: &str, error: &io::Error) -> HostError {
+    let message = match error.kind() {
+        ErrorKind::UnexpectedEof => "the other end closed the link".to_owned(),
+        ErrorKind::TimedOut | ErrorKind::WouldBlock => {
+            format!(
+                "the other end has taken no bytes for {} s",
+                PATIENCE.as_secs()
+            )
+        }
+        _ => format!("the link failed: {error}"),
+    };
+    HostError::new(
+        ErrorCode::LinkLost,
+        message,
+        "check the cable, the adapter's power and its range, then connect again",
+    )
+    .at(name)
+}
+
+#[cfg(test)]
+mod tests;

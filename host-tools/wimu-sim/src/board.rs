@@ -1,0 +1,290 @@
+//! A whole board: sensor, bus, links, memory, and the node that runs on real boards.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Wake, Waker};
+use std::time::Duration;
+
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use wimu_host::Result;
+use wimu_host::transport::Transport;
+use wimu_link::hello::{Capabilities, Part, board, sensor};
+use wimu_link::{Hello, LinkRole};
+use wimu_model::DeviceTimeUs;
+use wimu_node::{Shared, Timer};
+
+use crate::clock::{Until, VirtualClock};
+use crate::i2c::{Faults, SimI2c, Target};
+use crate::lsm303agr::{DataReadyPin, Lsm303agr};
+use crate::pipe::{HostEnd, LinkConfig, link};
+use crate::source::Source;
+use crate::storage::Storage;
+
+/// How a simulated board is made.
+#[derive(Clone, Debug)]
+pub struct BoardConfig {
+    /// The cable.
+    pub cable: LinkConfig,
+    /// The wireless link.
+    pub wireless: LinkConfig,
+    /// Its memory.
+    pub storage: Storage,
+    /// Its sensor is a recording of another one, whose sensitivity it does not know.
+    pub replay: bool,
+    /// Its serial number.
+    pub device_id: u64,
+}
+
+impl Default for BoardConfig {
+    /// Two links of 115,200 baud, fresh memory.
+    fn default() -> Self {
+        let uart = LinkConfig {
+            baud: Some(115_200),
+            ..LinkConfig::default()
+        };
+        Self {
+            cable: uart,
+            wireless: uart,
+            storage: Storage::in_memory(),
+            replay: false,
+            device_id: 0x5157_0001,
+        }
+    }
+}
+
+/// A simulated board: `wimu-node` with the LSM303AGR driver on simulated hardware, in virtual time.
+///
+/// Time passes only in [`run_until`](Self::run_until): as fast as the machine can, or paced by
+/// whoever calls it. The same calls give the same bytes in every run.
+pub struct Board {
+    clock: VirtualClock,
+    started_us: u64,
+    config: BoardConfig,
+    sensor: Lsm303agr,
+    bus_faults: Faults,
+    cable: HostEnd,
+    wireless: HostEnd,
+    node: Pin<Box<dyn Future<Output = ()>>>,
+    woken: Arc<Woken>,
+}
+
+impl Board {
+    /// Puts power on a board whose sensor takes its samples from `source`.
+    pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
+        let clock = VirtualClock::new();
+        let sensor = Lsm303agr::new(&clock, source);
+        let (node, bus_faults, cable, wireless) = boot(&clock, &config, &sensor);
+        Self {
+            clock,
+            started_us: 0,
+            config,
+            sensor,
+            bus_faults,
+            cable,
+            wireless,
+            node,
+            woken: Arc::new(Woken(AtomicBool::new(true))),
+        }
+    }
+
+    /// Takes power off and puts it back: the node starts anew with what its memory holds. Bytes
+    /// under way on the links are lost; time goes on, but the device's clock starts at 0.
+    pub fn restart(&mut self) {
+        self.sensor.power_cycle();
+        self.started_us = self.clock.now();
+        (self.node, self.bus_faults, self.cable, self.wireless) =
+            boot(&self.clock, &self.config, &self.sensor);
+        self.woken = Arc::new(Woken(AtomicBool::new(true)));
+    }
+
+    /// Lets time pass up to `time_us` since the first start.
+    pub fn run_until(&mut self, time_us: u64) {
+        loop {
+            self.poll();
+            match self.clock.next_deadline() {
+                Some(deadline) if deadline <= time_us => self.clock.advance_to(deadline),
+                _ => break,
+            }
+        }
+        self.clock.advance_to(time_us);
+        self.poll();
+    }
+
+    /// Time since the first start, µs.
+    pub fn now_us(&self) -> u64 {
+        self.clock.now()
+    }
+
+    /// When it last started, µs since the first start: 0 on the device's clock.
+    pub fn started_us(&self) -> u64 {
+        self.started_us
+    }
+
+    /// The sensor, to break it or to give it other samples.
+    pub fn sensor(&self) -> &Lsm303agr {
+        &self.sensor
+    }
+
+    /// The sensor's bus, to break it.
+    pub fn bus_faults(&self) -> &Faults {
+        &self.bus_faults
+    }
+
+    /// The board's memory.
+    pub fn storage(&self) -> &Storage {
+        &self.config.storage
+    }
+
+    /// The host's end of a link.
+    pub fn link(&mut self, role: LinkRole) -> &mut HostEnd {
+        match role {
+            LinkRole::Cable => &mut self.cable,
+            _ => &mut self.wireless,
+        }
+    }
+
+    fn poll(&mut self) {
+        let waker = Waker::from(self.woken.clone());
+        let mut context = Context::from_waker(&waker);
+        while self.woken.0.swap(false, Ordering::Relaxed) {
+            // The node never ends.
+            let _ = self.node.as_mut().poll(&mut context);
+        }
+    }
+}
+
+type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
+
+fn boot(clock: &VirtualClock, config: &BoardConfig, sensor: &Lsm303agr) -> Boot {
+    let i2c = SimI2c::new(clock, [Rc::new(sensor.clone()) as Rc<dyn Target>]);
+    let faults = i2c.faults();
+    let (cable_reader, cable_writer, cable) = link(clock, config.cable);
+    let (wireless_reader, wireless_writer, wireless) = link(clock, config.wireless);
+    let timer = BoardTimer {
+        clock: clock.clone(),
+        started_us: clock.now(),
+    };
+    let hello = Hello {
+        device_id: config.device_id,
+        firmware: firmware_version(),
+        capabilities: Capabilities::ACCELEROMETER
+            .with(Capabilities::MAGNETOMETER)
+            .with(Capabilities::TEMPERATURE)
+            .with(Capabilities::DATA_READY)
+            .with(Capabilities::STORE),
+        sensitivity_known: !config.replay,
+        board: Part::new(board::SIMULATED, "simulated"),
+        sensor: if config.replay {
+            Part::new(sensor::REPLAY, "replay")
+        } else {
+            Part::new(sensor::LSM303AGR, "LSM303AGR")
+        },
+        ..Hello::new(LinkRole::Cable)
+    };
+    let board = wimu_node::Board {
+        hello,
+        accelerometer: wimu_node::Lsm303agr::<SimI2c, DataReadyPin, BoardTimer>::new(
+            i2c,
+            sensor.data_ready(),
+            timer.clone(),
+        ),
+        timer,
+        store: config.storage.clone(),
+        cable: (cable_reader, cable_writer),
+        wireless: (wireless_reader, wireless_writer),
+    };
+    let node = Box::pin(async move {
+        let shared = Shared::<NoopRawMutex>::new();
+        board.split(&shared).run().await;
+    });
+    (node, faults, cable, wireless)
+}
+
+fn firmware_version() -> [u16; 3] {
+    let part = |text: &str| text.parse().unwrap_or(0);
+    [
+        part(env!("CARGO_PKG_VERSION_MAJOR")),
+        part(env!("CARGO_PKG_VERSION_MINOR")),
+        part(env!("CARGO_PKG_VERSION_PATCH")),
+    ]
+}
+
+struct Woken(AtomicBool);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The device's clock: it starts when the device does.
+#[derive(Clone, Debug)]
+pub struct BoardTimer {
+    clock: VirtualClock,
+    started_us: u64,
+}
+
+impl Timer for BoardTimer {
+    fn now(&self) -> DeviceTimeUs {
+        DeviceTimeUs(self.clock.now() - self.started_us)
+    }
+
+    async fn until(&self, moment: DeviceTimeUs) {
+        let until: Until = self.clock.until(moment.0.saturating_add(self.started_us));
+        until.await;
+    }
+}
+
+/// One link of a board in virtual time, as the host's [`Transport`]: waiting for the board lets
+/// its time pass.
+pub struct SimLink<'a> {
+    board: &'a RefCell<Board>,
+    role: LinkRole,
+    /// Arrived, not yet read.
+    arrived: VecDeque<u8>,
+}
+
+impl<'a> SimLink<'a> {
+    /// The host's end of the link `role` of `board`.
+    pub fn new(board: &'a RefCell<Board>, role: LinkRole) -> Self {
+        Self {
+            board,
+            role,
+            arrived: VecDeque::new(),
+        }
+    }
+}
+
+impl Transport for SimLink<'_> {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
+        let mut board = self.board.borrow_mut();
+        let deadline = board.now_us() + timeout.as_micros() as u64;
+        loop {
+            self.arrived.extend(board.link(self.role).pull());
+            if !self.arrived.is_empty() || board.now_us() >= deadline {
+                break;
+            }
+            let step = board.now_us() + 1000;
+            board.run_until(step.min(deadline));
+        }
+        let count = self.arrived.len().min(buffer.len());
+        for (place, byte) in buffer.iter_mut().zip(self.arrived.drain(..count)) {
+            *place = byte;
+        }
+        Ok(count)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
+        self.board.borrow_mut().link(self.role).push(bytes);
+        Ok(())
+    }
+
+    fn now(&self) -> Duration {
+        Duration::from_micros(self.board.borrow().now_us())
+    }
+}

@@ -1,0 +1,311 @@
+//! A serial link between the simulated device and its host, with bounded buffers and, if asked
+//! for, a baud rate.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::future::poll_fn;
+use std::rc::Rc;
+use std::task::{Poll, Waker};
+
+use embedded_io_async::{ErrorType, Read, Write};
+
+use crate::clock::VirtualClock;
+
+/// What a link is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkConfig {
+    /// Bits a second on the line, ten to a byte (8N1), each way; `None` for a link without a line
+    /// rate, such as TCP.
+    pub baud: Option<u32>,
+    /// Bytes the device's transmit buffer holds, at least 1.
+    pub transmit_buffer: usize,
+    /// Bytes the device's receive buffer holds, at least 1.
+    pub receive_buffer: usize,
+}
+
+impl Default for LinkConfig {
+    /// No line rate, 1024 bytes each way.
+    fn default() -> Self {
+        Self {
+            baud: None,
+            transmit_buffer: 1024,
+            receive_buffer: 1024,
+        }
+    }
+}
+
+/// Makes a link; `clock` paces it.
+///
+/// With a baud rate it is a UART without flow control: bytes leave whether or not the host reads
+/// (its buffer is endless), and bytes that reach a full receive buffer are lost and counted.
+/// Without one it is a TCP connection: a host that does not read stalls the device's writer, a
+/// device that does not read keeps the host's bytes waiting, and nothing is lost.
+///
+/// # Panics
+/// When a buffer holds no byte, or the baud rate is 0.
+pub fn link(clock: &VirtualClock, config: LinkConfig) -> (DeviceReader, DeviceWriter, HostEnd) {
+    assert!(config.transmit_buffer > 0 && config.receive_buffer > 0);
+    assert!(config.baud != Some(0));
+    let byte_ns = config.baud.map(|baud| 10_000_000_000 / u64::from(baud));
+    let line = |sender, receiver| {
+        Rc::new(RefCell::new(Line {
+            byte_ns,
+            sender_holds: sender,
+            receiver_holds: receiver,
+            ..Line::default()
+        }))
+    };
+    let to_host = line(Some(config.transmit_buffer), None);
+    let to_device = line(None, Some(config.receive_buffer));
+    let reader = DeviceReader {
+        clock: clock.clone(),
+        line: to_device.clone(),
+    };
+    let writer = DeviceWriter {
+        clock: clock.clone(),
+        line: to_host.clone(),
+    };
+    let host = HostEnd {
+        clock: clock.clone(),
+        to_host,
+        to_device,
+    };
+    (reader, writer, host)
+}
+
+/// One direction.
+#[derive(Debug, Default)]
+struct Line {
+    byte_ns: Option<u64>,
+    sender_holds: Option<usize>,
+    receiver_holds: Option<usize>,
+    /// Accepted from the sender, not yet over the line.
+    sending: VecDeque<u8>,
+    /// When the first byte of `sending` is over the line, ns.
+    next_arrival_ns: u64,
+    arrived: VecDeque<u8>,
+    lost: u64,
+    receiver_gone: bool,
+    /// Waits for something other than time: room, or a byte.
+    waiting: Option<Waker>,
+}
+
+impl Line {
+    /// Moves what has crossed the line by `now`, µs.
+    fn settle(&mut self, now: u64) {
+        let receiver_holds = self.receiver_holds.unwrap_or(usize::MAX);
+        while let Some(&byte) = self.sending.front() {
+            let full = self.arrived.len() >= receiver_holds;
+            match self.byte_ns {
+                Some(_) if self.next_arrival_ns > now * 1000 => break,
+                Some(byte_ns) => self.next_arrival_ns += byte_ns,
+                None if full => break,
+                None => {}
+            }
+            self.sending.pop_front();
+            if self.receiver_gone {
+                continue;
+            } else if full {
+                self.lost += 1;
+            } else {
+                self.arrived.push_back(byte);
+            }
+        }
+    }
+
+    /// Bytes the sender's buffer still takes.
+    fn room(&self) -> usize {
+        let held = match self.byte_ns {
+            Some(_) => self.sending.len(),
+            // Without a line, what nobody has read is still with the sender.
+            None => self.sending.len() + self.arrived.len(),
+        };
+        let holds = self.sender_holds.unwrap_or(usize::MAX);
+        holds.saturating_sub(held)
+    }
+
+    /// When `count` bytes of `sending` will be over the line, µs; `None` without a line rate.
+    fn over_line_at(&self, count: usize) -> Option<u64> {
+        let further = self.byte_ns? * (count.max(1) as u64 - 1);
+        Some((self.next_arrival_ns + further).div_ceil(1000))
+    }
+
+    /// Takes `bytes` at `now`, µs; the caller has checked the room.
+    fn send(&mut self, bytes: &[u8], now: u64) {
+        if let (true, Some(byte_ns)) = (self.sending.is_empty(), self.byte_ns) {
+            self.next_arrival_ns = now * 1000 + byte_ns;
+        }
+        self.sending.extend(bytes);
+        self.settle(now);
+    }
+
+    fn wake(&mut self) {
+        if let Some(waker) = self.waiting.take() {
+            waker.wake();
+        }
+    }
+}
+
+/// Waits until `ready` gives a value, looked for whenever the line's other end does something.
+async fn when<T>(line: &RefCell<Line>, mut ready: impl FnMut(&mut Line) -> Option<T>) -> T {
+    poll_fn(|context| {
+        let mut line = line.borrow_mut();
+        match ready(&mut line) {
+            Some(value) => Poll::Ready(value),
+            None => {
+                line.waiting = Some(context.waker().clone());
+                Poll::Pending
+            }
+        }
+    })
+    .await
+}
+
+/// The device's receiver. Reading is cancel-safe: a dropped read takes no byte.
+#[derive(Debug)]
+pub struct DeviceReader {
+    clock: VirtualClock,
+    line: Rc<RefCell<Line>>,
+}
+
+impl ErrorType for DeviceReader {
+    type Error = Infallible;
+}
+
+impl Read for DeviceReader {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            // Either bytes, or the time when the one on the line arrives.
+            let step = when(&self.line, |line| {
+                line.settle(self.clock.now());
+                let count = buffer.len().min(line.arrived.len());
+                if count > 0 {
+                    for (to, from) in buffer.iter_mut().zip(line.arrived.drain(..count)) {
+                        *to = from;
+                    }
+                    // Without a line rate, this made room for what the host sent.
+                    line.settle(self.clock.now());
+                    Some(Ok(count))
+                } else if line.sending.is_empty() {
+                    None
+                } else {
+                    line.over_line_at(1).map(Err)
+                }
+            });
+            match step.await {
+                Ok(count) => return Ok(count),
+                Err(arrival) => self.clock.until(arrival).await,
+            }
+        }
+    }
+}
+
+/// The device's transmitter. A dropped write has written nothing.
+#[derive(Debug)]
+pub struct DeviceWriter {
+    clock: VirtualClock,
+    line: Rc<RefCell<Line>>,
+}
+
+impl ErrorType for DeviceWriter {
+    type Error = Infallible;
+}
+
+impl Write for DeviceWriter {
+    /// Takes what fits the transmit buffer; when it is full, waits until half of it is free (or
+    /// room for all of `bytes`), as a driver with a refill interrupt does.
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        if bytes.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            let step = when(&self.line, |line| {
+                line.settle(self.clock.now());
+                let room = line.room();
+                if room > 0 || line.receiver_gone {
+                    let count = bytes.len().min(room.max(1));
+                    line.send(&bytes[..count], self.clock.now());
+                    Some(Ok(count))
+                } else {
+                    let half = line.sending.len().div_ceil(2);
+                    line.over_line_at(half.min(bytes.len())).map(Err)
+                }
+            });
+            match step.await {
+                Ok(count) => return Ok(count),
+                Err(room) => self.clock.until(room).await,
+            }
+        }
+    }
+
+    /// With a baud rate, waits until every byte is over the line; without one there is nothing to
+    /// wait for.
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        let over = {
+            let mut line = self.line.borrow_mut();
+            line.settle(self.clock.now());
+            match line.sending.len() {
+                0 => None,
+                count => line.over_line_at(count),
+            }
+        };
+        if let Some(over) = over {
+            self.clock.until(over).await;
+        }
+        Ok(())
+    }
+}
+
+/// The host's end: never waits. When it is dropped, what the device sends goes nowhere.
+#[derive(Debug)]
+pub struct HostEnd {
+    clock: VirtualClock,
+    to_host: Rc<RefCell<Line>>,
+    to_device: Rc<RefCell<Line>>,
+}
+
+impl HostEnd {
+    /// Takes the bytes that have arrived by now.
+    pub fn pull(&mut self) -> Vec<u8> {
+        let mut line = self.to_host.borrow_mut();
+        line.settle(self.clock.now());
+        let bytes = line.arrived.drain(..).collect();
+        line.wake();
+        bytes
+    }
+
+    /// How many bytes [`pull`](Self::pull) would give now.
+    pub fn available(&self) -> usize {
+        let mut line = self.to_host.borrow_mut();
+        line.settle(self.clock.now());
+        line.arrived.len()
+    }
+
+    /// Sends all of `bytes` to the device.
+    pub fn push(&mut self, bytes: &[u8]) {
+        let mut line = self.to_device.borrow_mut();
+        line.settle(self.clock.now());
+        line.send(bytes, self.clock.now());
+        line.wake();
+    }
+
+    /// Bytes to the device that were lost because its receive buffer was full.
+    pub fn lost(&self) -> u64 {
+        let mut line = self.to_device.borrow_mut();
+        line.settle(self.clock.now());
+        line.lost
+    }
+}
+
+impl Drop for HostEnd {
+    fn drop(&mut self) {
+        let mut line = self.to_host.borrow_mut();
+        line.receiver_gone = true;
+        line.arrived.clear();
+        line.wake();
+    }
+}

@@ -1,0 +1,424 @@
+//! First light: the whole loop on a simulated board in virtual time. What `wimu demo` shows and
+//! the end-to-end test holds.
+
+use std::cell::RefCell;
+use std::io::Cursor;
+use std::rc::Rc;
+use std::time::Duration;
+
+use wimu_host::calibration::{CalibrateOptions, CalibrationReport, MethodChoice, calibrate};
+use wimu_host::client::{Client, ConnectOptions};
+use wimu_host::dataset::Dataset;
+use wimu_host::decode::TimedSample;
+use wimu_host::navigation::{self, Point};
+use wimu_host::record::{Boot, Recording};
+use wimu_host::recorder::Tap;
+use wimu_host::recording::{ClockAnchor, Received, RecordingReader, RecordingWriter};
+use wimu_host::replay::{self, ReplayReport};
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_link::message::Settings;
+use wimu_link::{Hello, LinkRole};
+use wimu_model::{ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
+
+use crate::board::{Board, BoardConfig, SimLink};
+use crate::motion::{Hold, Motion, Poses, Rest, Slide};
+use crate::scene::{Scene, World};
+use crate::source::Physics;
+use crate::truth::{Gauge, SensorTruth};
+
+/// How long a pose is held, s.
+const HOLD_S: f64 = 4.0;
+/// Rests of a slide, s: the sensor's true period is measured meanwhile.
+const REST_S: f64 = 6.0;
+/// How far a hand places a pose off, degrees.
+const PLACEMENT_DEG: f64 = 2.0;
+/// Left out at both ends of a hold, s: the turn's smooth end, and a batch.
+const MARGIN_S: f64 = 0.3;
+
+/// How the board is calibrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Calibration {
+    /// Six squared positions, 12 parameters; the hidden misalignment is any.
+    SixPositions,
+    /// Twelve poses placed by hand, 2° off, 9 parameters; the hidden misalignment is
+    /// lower-triangular, which is what gravity alone can tell.
+    TwelvePoses,
+}
+
+/// A scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FirstLight {
+    /// Hidden errors and noise.
+    pub seed: u64,
+    /// How the board is calibrated.
+    pub calibration: Calibration,
+}
+
+/// Distance error of a 1.000 m slide in 3 s between two rests, 3-D, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlideErrors {
+    /// Uncalibrated, no ZUPT: position when the slide ends.
+    pub uncalibrated_m: f64,
+    /// Calibrated, no ZUPT, likewise.
+    pub calibrated_m: f64,
+    /// Calibrated, ZUPT at both ends.
+    pub zupt_m: f64,
+}
+
+/// What came of it. Everything is as the device sent it.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Who answered on the cable.
+    pub hello: Hello,
+    /// What is hidden in the sensor.
+    pub truth: SensorTruth,
+    /// Raw samples recorded on both links before the calibration.
+    pub samples: usize,
+    /// What `calibrate` made of them.
+    pub report: CalibrationReport,
+    /// How the wireless link answered a push.
+    pub wireless_refusal: Option<HostError>,
+    /// What the device holds after the push over the cable.
+    pub pushed: ParameterId,
+    /// What it holds after a restart.
+    pub after_restart: ParameterId,
+    /// Boot counts before and after the restart.
+    pub boot_counts: [u32; 2],
+    /// |f| − g on each of ten tilts that were not fitted, m/s²: raw at nominal sensitivity, and
+    /// corrected.
+    pub tilts: Vec<[f64; 2]>,
+    /// Position errors.
+    pub slide: SlideErrors,
+    /// The uncalibrated slide without ZUPT, from the start of its first rest.
+    pub uncalibrated_path: Vec<Point>,
+    /// The calibrated one without ZUPT.
+    pub calibrated_path: Vec<Point>,
+    /// The calibrated one with ZUPT.
+    pub zupt_path: Vec<Point>,
+    /// Everything recorded, replayed on the host, for each link and start of the device.
+    pub replays: Vec<ReplayReport>,
+    /// Virtual time, s.
+    pub duration_s: f64,
+    /// The recording of both links, an MCAP file.
+    pub recording: Vec<u8>,
+}
+
+impl FirstLight {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// Whatever a step of the host reports.
+    pub fn run(&self) -> Result<Outcome> {
+        let gauge = match self.calibration {
+            Calibration::SixPositions => Gauge::Full,
+            Calibration::TwelvePoses => Gauge::LowerTriangular,
+        };
+        let truth = SensorTruth::random(self.seed, gauge);
+        let scene = Scene::new(World::default());
+        let source = Physics::new(truth, scene.clone(), self.seed);
+        let board = RefCell::new(Board::start(BoardConfig::default(), source));
+        let mut host = Host::connect(&board, scene)?;
+        let hello = *host.cable.hello();
+
+        let uncalibrated = host.slide(false)?;
+        host.set_zupt(true)?;
+        host.play(match self.calibration {
+            Calibration::SixPositions => Poses::six_positions(HOLD_S),
+            Calibration::TwelvePoses => Poses::twelve_by_hand(self.seed, PLACEMENT_DEG, HOLD_S),
+        })?;
+        let recording = host.recording()?;
+        let samples = recording
+            .links
+            .iter()
+            .flat_map(|link| &link.boots)
+            .map(|boot| boot.raw.len())
+            .sum();
+        let (report, set) = self.calibrate(&recording)?;
+
+        let wireless_refusal = host.wireless.push_parameters(&set).err();
+        let pushed = host.cable.push_parameters(&set)?;
+        let boot_count = host.cable.hello().boot_count;
+        host.restart()?;
+        let boot_counts = [boot_count, host.cable.hello().boot_count];
+        let after_restart = ParameterId(host.cable.parameters()?.id);
+
+        let holds = host.play(Poses::tilts(self.seed, HOLD_S))?;
+        let tilts = host.tilts(&holds, &set)?;
+        let calibrated = host.slide(false)?;
+        let with_zupt = host.slide(true)?;
+
+        let recording = host.recording()?;
+        let replays = recording
+            .links
+            .iter()
+            .flat_map(|link| &link.boots)
+            .map(|boot| replay::verify(boot, 0))
+            .collect();
+        Ok(Outcome {
+            hello,
+            truth,
+            samples,
+            report,
+            wireless_refusal,
+            pushed,
+            after_restart,
+            boot_counts,
+            tilts,
+            slide: SlideErrors {
+                uncalibrated_m: uncalibrated.error_m,
+                calibrated_m: calibrated.error_m,
+                zupt_m: with_zupt.error_m,
+            },
+            uncalibrated_path: uncalibrated.path,
+            calibrated_path: calibrated.path,
+            zupt_path: with_zupt.path,
+            replays,
+            duration_s: board.borrow().now_us() as f64 * 1e-6,
+            recording: host.file()?,
+        })
+    }
+
+    /// Calibrates from what the cable brought.
+    fn calibrate(&self, recording: &Recording) -> Result<(CalibrationReport, ParameterSet)> {
+        let options = CalibrateOptions {
+            method: match self.calibration {
+                Calibration::SixPositions => MethodChoice::SixPosition,
+                Calibration::TwelvePoses => MethodChoice::MultiPosition,
+            },
+            placement_sd_deg: Some(0.0),
+            gravity_mps2: Some(World::default().gravity_mps2),
+            ..CalibrateOptions::default()
+        };
+        let cable = recording.link(Some(LinkRole::Cable))?;
+        let report = calibrate(&Dataset::from_link(cable, "the simulated board")?, &options)?;
+        match report.parameters {
+            Some(set) => Ok((report, set)),
+            None => Err(HostError::new(
+                ErrorCode::DataRefused,
+                report.reason.unwrap_or_default(),
+                "choose another seed",
+            )),
+        }
+    }
+}
+
+impl Outcome {
+    /// |f| − g over the tilts before and after the calibration, m/s² rms.
+    pub fn tilts_rms_mps2(&self) -> [f64; 2] {
+        [0, 1].map(|which| {
+            let squares: f64 = self.tilts.iter().map(|tilt| tilt[which].powi(2)).sum();
+            (squares / self.tilts.len() as f64).sqrt()
+        })
+    }
+}
+
+/// A slide as the device saw it.
+struct SlideRun {
+    error_m: f64,
+    path: Vec<Point>,
+}
+
+/// A host on both links of a board in virtual time, that records everything.
+struct Host<'a> {
+    board: &'a RefCell<Board>,
+    scene: Scene,
+    cable: Client<Tap<SimLink<'a>>>,
+    wireless: Client<Tap<SimLink<'a>>>,
+    received: Vec<Received>,
+}
+
+impl<'a> Host<'a> {
+    fn connect(board: &'a RefCell<Board>, scene: Scene) -> Result<Self> {
+        Ok(Self {
+            board,
+            scene,
+            cable: client(board, LinkRole::Cable)?,
+            wireless: client(board, LinkRole::Wireless)?,
+            received: Vec::new(),
+        })
+    }
+
+    fn restart(&mut self) -> Result<()> {
+        self.keep();
+        self.board.borrow_mut().restart();
+        self.cable = client(self.board, LinkRole::Cable)?;
+        self.wireless = client(self.board, LinkRole::Wireless)?;
+        Ok(())
+    }
+
+    fn now_s(&self) -> f64 {
+        self.board.borrow().now_us() as f64 * 1e-6
+    }
+
+    /// Lets time pass and listens on both links.
+    fn run_until(&mut self, end_s: f64) -> Result<()> {
+        while self.now_s() < end_s {
+            self.cable.next_event(Duration::from_millis(20))?;
+            while self.wireless.next_event(Duration::ZERO)?.is_some() {}
+            self.keep();
+        }
+        Ok(())
+    }
+
+    /// Keeps what both links have brought, for the recording.
+    fn keep(&mut self) {
+        for (role, client) in [
+            (LinkRole::Cable, &mut self.cable),
+            (LinkRole::Wireless, &mut self.wireless),
+        ] {
+            let heard = client.transport().take();
+            self.received
+                .extend(heard.into_iter().map(|(host_ns, bytes)| Received {
+                    role,
+                    host_ns,
+                    bytes,
+                }));
+        }
+    }
+
+    /// Everything received so far as a recording's bytes.
+    fn file(&mut self) -> Result<Vec<u8>> {
+        self.keep();
+        self.received.sort_by_key(|received| received.host_ns);
+        let anchor = ClockAnchor {
+            monotonic_ns: 0,
+            utc_ns: 0,
+        };
+        let sink = Cursor::new(Vec::new());
+        let mut writer = RecordingWriter::new(sink, "the recording", anchor)?;
+        for received in &self.received {
+            writer.append(received.role, received.host_ns, &received.bytes)?;
+        }
+        Ok(writer.finish()?.into_inner())
+    }
+
+    fn recording(&mut self) -> Result<Recording> {
+        let file = self.file()?;
+        let name = "the recording";
+        Recording::read(RecordingReader::new(Cursor::new(file), name)?, name)
+    }
+
+    fn set_zupt(&mut self, zupt: bool) -> Result<()> {
+        let settings = self.cable.settings()?;
+        self.cable.set_settings(Settings { zupt, ..settings })?;
+        Ok(())
+    }
+
+    /// Holds the poses; returns when each was held.
+    fn play(&mut self, poses: Poses) -> Result<Vec<Hold>> {
+        let mut holds = poses.holds().to_vec();
+        let duration_s = poses.duration();
+        let begin_s = self.scene.play(self.now_s(), Rc::new(poses));
+        for hold in &mut holds {
+            hold.start_s += begin_s;
+            hold.end_s += begin_s;
+        }
+        self.run_until(begin_s + duration_s)?;
+        Ok(holds)
+    }
+
+    /// Slides by a metre along body x between two rests.
+    fn slide(&mut self, zupt: bool) -> Result<SlideRun> {
+        // Level first: a change of settings begins navigation anew, with body x as east.
+        let level_s = self.scene.play(self.now_s(), Rc::new(Rest::level(0.5)));
+        self.run_until(level_s + 0.5)?;
+        self.set_zupt(zupt)?;
+        let slide = Slide {
+            rest_before_s: REST_S,
+            rest_after_s: REST_S,
+            ..Slide::default()
+        };
+        let begin_s = self.scene.play(self.now_s(), Rc::new(slide));
+        let moved_s = begin_s + REST_S + slide.move_s;
+        self.run_until(moved_s + REST_S)?;
+
+        let path = self.path(begin_s)?;
+        let started_s = self.started_s();
+        let at = |time_s: f64| {
+            let reached = |point: &&Point| point.time.to_seconds() + started_s >= time_s;
+            path.iter().find(reached).or(path.last())
+        };
+        // Without ZUPT position is only good while it is fresh; with it, at the rest afterwards.
+        let end = if zupt { path.last() } else { at(moved_s) };
+        let (Some(start), Some(end)) = (at(begin_s + REST_S - 1.0), end) else {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "the device sent no position",
+                "report this as a fault of wimu",
+            ));
+        };
+        let [start, end] = [start, end].map(|point| point.navigation.position.to_m());
+        let truth = |time_s| self.scene.state(time_s).position_m;
+        let [from, to] = [truth(begin_s), truth(moved_s)];
+        let measured = [0, 1, 2].map(|axis| end[axis] - start[axis]);
+        let true_move = [0, 1, 2].map(|axis| to[axis] - from[axis]);
+        Ok(SlideRun {
+            error_m: navigation::distance_m(measured, true_move),
+            path,
+        })
+    }
+
+    /// The device's path since `begin_s`.
+    fn path(&mut self, begin_s: f64) -> Result<Vec<Point>> {
+        let started_s = self.started_s();
+        let recording = self.recording()?;
+        let boots = &recording.link(Some(LinkRole::Cable))?.boots;
+        Ok(boots
+            .last()
+            .map(navigation::device)
+            .unwrap_or_default()
+            .into_iter()
+            .filter(|point| point.time.to_seconds() + started_s >= begin_s)
+            .collect())
+    }
+
+    fn started_s(&self) -> f64 {
+        self.board.borrow().started_us() as f64 * 1e-6
+    }
+
+    /// |f| − g over each hold: raw at nominal sensitivity, and as the device corrected it, m/s².
+    fn tilts(&mut self, holds: &[Hold], set: &ParameterSet) -> Result<Vec<[f64; 2]>> {
+        let started_s = self.started_s();
+        let recording = self.recording()?;
+        let link = recording.link(Some(LinkRole::Cable))?;
+        let nothing = Boot::default();
+        let boot = link.boots.last().unwrap_or(&nothing);
+        let gravity = World::default().gravity_mps2;
+        let mean = |samples: &[TimedSample], hold: &Hold, mps2_per_lsb: f64| {
+            let held = |sample: &&TimedSample| {
+                let time_s = sample.time.to_seconds() + started_s;
+                (hold.start_s + MARGIN_S..hold.end_s - MARGIN_S).contains(&time_s)
+            };
+            let mut sum = [0.0; 3];
+            let mut count = 0.0;
+            for sample in samples.iter().filter(held) {
+                for (sum, value) in sum.iter_mut().zip(sample.value) {
+                    *sum += f64::from(value);
+                }
+                count += 1.0;
+            }
+            SpecificForceMps2(sum.map(|sum| sum / count * mps2_per_lsb)).norm() - gravity
+        };
+        Ok(holds
+            .iter()
+            .map(|hold| {
+                let nominal = set.sensitivity.mps2_per_lsb();
+                let fixed = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
+                [
+                    mean(&boot.raw, hold, nominal),
+                    mean(&boot.corrected, hold, fixed),
+                ]
+            })
+            .collect())
+    }
+}
+
+fn client(board: &RefCell<Board>, role: LinkRole) -> Result<Client<Tap<SimLink<'_>>>> {
+    let options = ConnectOptions {
+        // Not at random: the same bytes in every run.
+        session: Some(1),
+        ..ConnectOptions::default()
+    };
+    let tap = Tap::on(SimLink::new(board, role));
+    Client::connect(tap, &format!("the simulated {role} link"), options)
+}

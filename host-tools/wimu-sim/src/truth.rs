@@ -1,0 +1,134 @@
+//! What is wrong with a simulated sensor: hidden from the device, known to the test.
+
+use wimu_model::{
+    ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2, TemperatureTerms,
+};
+
+use crate::random::Random;
+
+/// The true errors of one sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorTruth {
+    /// Bias, scale, misalignment, temperature terms, nonlinearity: equation (1).
+    pub model: ErrorModel,
+    /// Accelerometer noise, m/s²/√Hz, one-sided and white up to half the sample rate: a sample's
+    /// σ is N √(fs / 2). At least 0.
+    pub noise_mps2_per_rthz: f64,
+    /// How much longer than nominal the sensor's sample period is, ppm, −100 000..=100 000.
+    pub period_error_ppm: f64,
+    /// What the sensor's thermometer reads too high, K.
+    pub thermometer_error_k: f64,
+    /// The magnetometer's errors.
+    pub magnetometer: MagnetometerTruth,
+}
+
+/// The true errors of a magnetometer: it reads S B + h + noise, equation (37).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MagnetometerTruth {
+    /// h, nT, sensor axes.
+    pub hard_iron_nt: [f64; 3],
+    /// S, row by row; identity for an undisturbed field.
+    pub soft_iron: [[f64; 3]; 3],
+    /// σ of a sample, nT, at least 0.
+    pub noise_nt: f64,
+}
+
+/// Which of a sensor's twelve terms are free.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gauge {
+    /// All twelve: what a calibration with known orientations finds.
+    Full,
+    /// A is lower-triangular, nine terms: all that gravity alone can find, since it does not see
+    /// a rotation of the axes.
+    LowerTriangular,
+}
+
+/// 220 µg/√Hz: what the LSM303AGR's accelerometer is like in high-resolution mode.
+const LSM303AGR_NOISE_MPS2_PER_RTHZ: f64 = 220e-6 * STANDARD_GRAVITY_MPS2;
+/// 3 mG: the LSM303AGR's magnetometer in high-resolution mode.
+const LSM303AGR_MAGNETIC_NOISE_NT: f64 = 300.0;
+
+impl SensorTruth {
+    /// A sensor without errors and noise.
+    pub fn ideal() -> Self {
+        Self {
+            model: ErrorModel::default(),
+            noise_mps2_per_rthz: 0.0,
+            period_error_ppm: 0.0,
+            thermometer_error_k: 0.0,
+            magnetometer: MagnetometerTruth {
+                hard_iron_nt: [0.0; 3],
+                soft_iron: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                noise_nt: 0.0,
+            },
+        }
+    }
+
+    /// A bad but believable LSM303AGR; the same for the same `seed` and `gauge`.
+    ///
+    /// Per axis, uniform: bias 50 to 80 mg of either sign; scale within ±4 %; misalignments within
+    /// ±sin 2°; bias slope within ±0.2 mg/K and scale slope within ±100 ppm/K about 25 °C; sample
+    /// period within ±3000 ppm; thermometer within ±2 K; hard iron within ±20 µT; soft iron within
+    /// ±5 %. Noise 220 µg/√Hz and 300 nT.
+    ///
+    /// Uncalibrated, |y| − g is at least 400 mm/s² rms over the sphere of orientations: the bias
+    /// alone, at least √3 · 50 mg long, makes 490 mm/s² of it, equation (39).
+    pub fn random(seed: u64, gauge: Gauge) -> Self {
+        let mut random = Random::new(seed, 0);
+        let mg = STANDARD_GRAVITY_MPS2 * 1e-3;
+        let mut axes = |low: f64, high: f64| [(); 3].map(|()| random.uniform(low, high));
+
+        let bias = axes(50.0 * mg, 80.0 * mg);
+        let scale = axes(0.96, 1.04);
+        let sin_2_degrees = libm::sin(2.0_f64.to_radians());
+        let above = axes(-sin_2_degrees, sin_2_degrees);
+        let below = axes(-sin_2_degrees, sin_2_degrees);
+        let above = match gauge {
+            Gauge::Full => above,
+            Gauge::LowerTriangular => [0.0; 3],
+        };
+        let temperature = TemperatureTerms {
+            bias_mps2_per_k: axes(-0.2 * mg, 0.2 * mg),
+            scale_per_k: axes(-100e-6, 100e-6),
+            ..TemperatureTerms::default()
+        };
+        let hard_iron_nt = axes(-20_000.0, 20_000.0);
+        let mut soft_iron = [axes(-0.05, 0.05), axes(-0.05, 0.05), axes(-0.05, 0.05)];
+        for axis in 0..3 {
+            soft_iron[axis][axis] += 1.0;
+        }
+        let bias_mps2 = bias.map(|b| b * random.sign());
+        let model = ErrorModel::new(ErrorTerms {
+            bias_mps2,
+            matrix: [
+                [scale[0], above[0], above[1]],
+                [below[0], scale[1], above[2]],
+                [below[1], below[2], scale[2]],
+            ],
+            temperature,
+            nonlinearity: [0.0; 3],
+        });
+        Self {
+            model: model.expect("these ranges lie within the model's bounds"),
+            noise_mps2_per_rthz: LSM303AGR_NOISE_MPS2_PER_RTHZ,
+            period_error_ppm: random.uniform(-3000.0, 3000.0),
+            thermometer_error_k: random.uniform(-2.0, 2.0),
+            magnetometer: MagnetometerTruth {
+                hard_iron_nt,
+                soft_iron,
+                noise_nt: LSM303AGR_MAGNETIC_NOISE_NT,
+            },
+        }
+    }
+
+    /// rms of |y| − g, m/s², over body directions `up` that point up in turn, each of length 1:
+    /// how wrong gravity looks through this sensor at its reference temperature, without noise.
+    pub fn uncalibrated_rms_mps2(&self, up: &[[f64; 3]]) -> f64 {
+        let squares = up.iter().map(|direction| {
+            let force = SpecificForceMps2(direction.map(|u| u * STANDARD_GRAVITY_MPS2));
+            let error = self.model.distort(force, None).norm() - STANDARD_GRAVITY_MPS2;
+            error * error
+        });
+        libm::sqrt(squares.sum::<f64>() / up.len() as f64)
+    }
+}

@@ -1,0 +1,374 @@
+//! What can be asked for.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// A wireless IMU from an ordinary accelerometer: stream, record, calibrate, push back, navigate.
+///
+/// LINK is tcp://127.0.0.1:7100, serial:///dev/ttyACM0?baud=115200, a port (COM5, /dev/rfcomm0) or
+/// `auto`.
+#[derive(Parser)]
+#[command(
+    name = "wimu",
+    version,
+    after_help = "\
+Start with `wimu demo`. Exit codes: 0 done, 1 failed, 2 wrong usage or unreadable input,
+3 the data do not support an answer, 4 the device refused."
+)]
+pub struct Arguments {
+    /// Print JSON on stdout (streaming commands one object per line), human text on stderr
+    #[arg(long, global = true)]
+    pub json: bool,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// The main job on a simulated board, in a few seconds
+    Demo(Demo),
+    /// A simulated board that listens on two TCP ports
+    Simulate(Simulate),
+    /// The serial ports of this computer
+    Ports(Ports),
+    /// Live readings in the terminal
+    Monitor(Monitor),
+    /// Record everything a board sends, byte for byte
+    Record(Record),
+    /// What is in a recording, or who is on a link
+    Info(Info),
+    /// A recording as a table
+    Export(Export),
+    /// Estimate the error model of an accelerometer
+    Calibrate(Calibrate),
+    /// The calibration on a device
+    Params {
+        #[command(subcommand)]
+        action: Params,
+    },
+    /// The settings of a device
+    Settings {
+        #[command(subcommand)]
+        action: Settings,
+    },
+    /// Velocity and position: the device's own, and recomputed from its raw samples
+    Navigate(Navigate),
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu demo --seed 7")]
+pub struct Demo {
+    /// Hidden errors and noise of the simulated sensor
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Where the report with its pictures goes
+    #[arg(
+        long,
+        value_name = "FILE.html",
+        default_value = "wimu-demo-report.html"
+    )]
+    pub report: PathBuf,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu simulate --motion twelve-poses,slide --seed 3
+         wimu simulate --replay recording.csv --speed 10 --exit-when-done")]
+pub struct Simulate {
+    /// The sensor on the board
+    #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
+    pub sensor: Sensor,
+    /// What happens to the board, in order: rest, six-positions, twelve-poses, tilts, slide, hand
+    #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
+    pub motion: String,
+    /// Stream the raw counts of this CSV file instead; time begins when a host connects
+    #[arg(long, value_name = "FILE.csv", conflicts_with = "motion")]
+    pub replay: Option<PathBuf>,
+    /// Only the rows of the CSV file with these values, e.g. "IMU=0"
+    #[arg(long = "where", value_name = "COLUMN=VALUE,…", requires = "replay")]
+    pub filter: Option<String>,
+    /// Which accelerometer of a CSV file that has several
+    #[arg(long, value_name = "N", requires = "replay")]
+    pub accelerometer: Option<u32>,
+    /// Hidden errors and noise of the sensor
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Keep the board's memory in this file; without it, it ends with the program
+    #[arg(long, value_name = "FILE")]
+    pub store: Option<PathBuf>,
+    /// Where the cable listens
+    #[arg(long, default_value = "127.0.0.1:7100", value_name = "ADDRESS")]
+    pub cable: SocketAddr,
+    /// Where the wireless link listens
+    #[arg(long, default_value = "127.0.0.1:7101", value_name = "ADDRESS")]
+    pub wireless: SocketAddr,
+    /// Board seconds per second
+    #[arg(long, default_value_t = 1.0)]
+    pub speed: f64,
+    /// Stop when the motion or the recording is over
+    #[arg(long)]
+    pub exit_when_done: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Sensor {
+    Lsm303agr,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu ports --probe")]
+pub struct Ports {
+    /// Open the ports that look like a board and ask who is there, 1 s each
+    #[arg(long)]
+    pub probe: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu monitor tcp://127.0.0.1:7100 --for 5")]
+pub struct Monitor {
+    /// A LINK, or a recording
+    pub input: String,
+    /// Stop after this many seconds
+    #[arg(long = "for", value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu record tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100 -o session.mcap
+Ctrl-C ends the recording.")]
+pub struct Record {
+    /// A LINK
+    pub link: String,
+    /// A second link of the same board, recorded beside the first
+    #[arg(long, value_name = "LINK")]
+    pub cable: Option<String>,
+    /// The recording
+    #[arg(short, long, value_name = "FILE.mcap")]
+    pub output: PathBuf,
+    /// Stop after this many seconds
+    #[arg(long = "for", value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu info session.mcap")]
+pub struct Info {
+    /// A recording, or a LINK
+    pub input: String,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu export session.mcap -o session.csv --stream corrected")]
+pub struct Export {
+    /// A recording
+    pub input: PathBuf,
+    /// The table
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// How it is written
+    #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
+    pub format: ExportFormat,
+    /// What is written
+    #[arg(long, value_enum, default_value_t = Stream::Raw)]
+    pub stream: Stream,
+    /// Of which link; without it, the cable if it was recorded
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ExportFormat {
+    Csv,
+}
+
+/// A stream of a recording.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Stream {
+    Raw,
+    Corrected,
+    Navigation,
+}
+
+/// A link of a board.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Role {
+    Cable,
+    Wireless,
+}
+
+impl From<Role> for wimu_link::LinkRole {
+    fn from(role: Role) -> Self {
+        match role {
+            Role::Cable => Self::Cable,
+            Role::Wireless => Self::Wireless,
+        }
+    }
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu calibrate session.mcap -o CAL.json
+         wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
+         wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818")]
+pub struct Calibrate {
+    /// A LINK, a recording or a CSV file
+    pub input: String,
+    /// Write the calibration here
+    #[arg(short, long, value_name = "CAL.json")]
+    pub output: Option<PathBuf>,
+    /// How: from gravity's magnitude in any poses, or from six known ones
+    #[arg(long, value_enum, default_value_t = Method::MultiPosition)]
+    pub method: Method,
+    /// How many parameters: 9 = bias, scale and misalignment (default), 6 without misalignment,
+    /// 3 bias only, auto = the least error on poses left out; six-position has 12
+    #[arg(long, value_name = "3|6|9|12|auto")]
+    pub model: Option<String>,
+    /// Local gravity; without it 9.80665 ± 0.015
+    #[arg(long, value_name = "M_S2")]
+    pub gravity: Option<f64>,
+    /// Nominal sensitivity; without it the board's, or for a CSV file the fit's mean
+    #[arg(long, value_name = "LSB_PER_G")]
+    pub sensitivity: Option<f64>,
+    /// The rows are already means over static poses
+    #[arg(long)]
+    pub poses: bool,
+    /// Only the rows of the CSV file with these values
+    #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
+    pub filter: Option<String>,
+    /// Which accelerometer of a CSV file that has several
+    #[arg(long, value_name = "N")]
+    pub accelerometer: Option<u32>,
+    /// How exactly the six positions were placed, 1 σ; without it 1
+    #[arg(long, value_name = "DEG")]
+    pub placement_sd: Option<f64>,
+    /// Of which link of a recording; without it, the cable if it was recorded
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
+    /// How many poses to capture from a live board
+    #[arg(long, value_name = "N", default_value_t = 12)]
+    pub count: usize,
+    /// Push the result to the device (LINK only)
+    #[arg(long)]
+    pub push: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Method {
+    MultiPosition,
+    SixPosition,
+}
+
+#[derive(Subcommand)]
+pub enum Params {
+    /// What the device corrects with
+    #[command(after_help = "Example: wimu params get tcp://127.0.0.1:7100")]
+    Get {
+        /// A LINK
+        link: String,
+    },
+    /// Send a calibration: stage, compare, commit
+    #[command(after_help = "Example: wimu params push tcp://127.0.0.1:7100 CAL.json")]
+    Push {
+        /// A LINK; only the cable writes as long as the device has no key
+        link: String,
+        /// What `wimu calibrate -o` wrote
+        calibration: PathBuf,
+    },
+    /// Forget calibration and settings
+    #[command(after_help = "Example: wimu params factory-reset tcp://127.0.0.1:7100")]
+    FactoryReset {
+        /// A LINK
+        link: String,
+    },
+}
+
+#[derive(Subcommand)]
+pub enum Settings {
+    /// How the device measures and what it sends
+    #[command(after_help = "Example: wimu settings get tcp://127.0.0.1:7100")]
+    Get {
+        /// A LINK
+        link: String,
+    },
+    /// Change some settings; the others stay
+    #[command(after_help = "Example: wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off")]
+    Set {
+        /// A LINK
+        link: String,
+        #[command(flatten)]
+        change: Change,
+    },
+}
+
+#[derive(Args)]
+#[group(required = true, multiple = true)]
+pub struct Change {
+    /// Full-scale range, ± g
+    #[arg(long, value_name = "G")]
+    pub range: Option<u8>,
+    /// Output data rate, Hz
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<u16>,
+    /// Power against noise
+    #[arg(long, value_enum)]
+    pub resolution: Option<Resolution>,
+    /// Take velocity at every rest as zero
+    #[arg(long, value_enum)]
+    pub zupt: Option<Switch>,
+    /// Local gravity, m/s²
+    #[arg(long, value_name = "M_S2")]
+    pub gravity: Option<f64>,
+    /// What the cable carries: raw,corrected,navigation,environment
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STREAMS")]
+    pub cable: Option<Vec<Carried>>,
+    /// What the wireless link carries, likewise
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STREAMS")]
+    pub wireless: Option<Vec<Carried>>,
+    /// Samples to a batch on both links, 1 to 32
+    #[arg(long, value_name = "N")]
+    pub batch: Option<u8>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Resolution {
+    Low,
+    Normal,
+    High,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Switch {
+    On,
+    Off,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Carried {
+    Raw,
+    Corrected,
+    Navigation,
+    Environment,
+    None,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu navigate session.mcap -o path.csv")]
+pub struct Navigate {
+    /// A recording
+    pub input: PathBuf,
+    /// Write velocity and position here, as a CSV file
+    #[arg(short, long, value_name = "PATH.csv")]
+    pub output: Option<PathBuf>,
+    /// Recompute with this calibration instead of the device's own
+    #[arg(long, value_name = "CAL.json")]
+    pub calibration: Option<PathBuf>,
+    /// Recompute with or without zero-velocity updates; without this, as the device did
+    #[arg(long, value_enum)]
+    pub zupt: Option<Switch>,
+    /// Of which link; without it, the cable if it was recorded
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
+}

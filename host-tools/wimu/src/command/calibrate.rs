@@ -1,0 +1,156 @@
+//! `wimu calibrate`.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use wimu_calib::{Face, Model, PoseFinder};
+use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice};
+use wimu_host::client::Client;
+use wimu_host::dataset::{Dataset, LoadOptions};
+use wimu_host::decode::Event;
+use wimu_host::record::LinkRecord;
+use wimu_host::transport::Transport;
+use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_link::batch::Stream;
+use wimu_model::{Counts, Sensitivity};
+
+use crate::arguments::{Calibrate, Method};
+use crate::command::{connect, interrupted, params};
+use crate::output::Output;
+
+/// Returns the exit code: 0, or 3 when the data do not support an answer.
+pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let options = options(arguments)?;
+    let load = LoadOptions {
+        filter: arguments.filter.as_deref().map(str::parse).transpose()?,
+        accelerometer: arguments.accelerometer,
+        poses: arguments.poses,
+        role: arguments.link.map(Into::into),
+    };
+    let input = Input::parse(&arguments.input)?;
+    if arguments.push && !matches!(input, Input::Link(_)) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "--push needs a LINK",
+            "write the calibration with -o and push it with `wimu params push LINK CAL.json`",
+        ));
+    }
+    let mut client = None;
+    let data = match input {
+        Input::Csv(path) => Dataset::from_csv(&path, &load)?,
+        Input::Recording(path) => Dataset::from_recording(&path, &load)?,
+        Input::Link(_) => {
+            let client = client.insert(connect(&arguments.input)?);
+            collect(client, arguments, output)?
+        }
+    };
+    let report = calibration::calibrate(&data, &options)?;
+    output.say(report.to_string());
+    output.object(&report);
+    if report.exit_code() != 0 {
+        return Ok(report.exit_code());
+    }
+    if let Some(path) = &arguments.output {
+        calibration::write_report(path, &report)?;
+    }
+    if arguments.push
+        && let Some(client) = &mut client
+        && let Some(set) = &report.parameters
+    {
+        params::push(client, set, output)?;
+    }
+    Ok(0)
+}
+
+fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
+    let six = arguments.method == Method::SixPosition;
+    let model = match arguments.model.as_deref() {
+        None => ModelChoice::default(),
+        Some("9") if !six => ModelChoice::Fixed(Model::Full9),
+        Some("6") if !six => ModelChoice::Fixed(Model::BiasScale6),
+        Some("3") if !six => ModelChoice::Fixed(Model::Bias3),
+        Some("auto") if !six => ModelChoice::Auto,
+        Some("12") if six => ModelChoice::default(),
+        Some(other) => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!("--model {other} does not go with this method"),
+                "multi-position has 3, 6, 9 or auto, six-position has 12",
+            ));
+        }
+    };
+    Ok(CalibrateOptions {
+        method: if six {
+            MethodChoice::SixPosition
+        } else {
+            MethodChoice::MultiPosition
+        },
+        model,
+        gravity_mps2: arguments.gravity,
+        sensitivity_lsb_per_g: arguments.sensitivity,
+        placement_sd_deg: arguments.placement_sd,
+    })
+}
+
+/// Collects a live board's samples until enough poses were held, or Ctrl-C.
+fn collect<T: Transport>(
+    client: &mut Client<T>,
+    arguments: &Calibrate,
+    output: Output,
+) -> Result<Dataset> {
+    let six = arguments.method == Method::SixPosition;
+    output.say(if six {
+        "hold the board still with each of its six sides up, in any order".to_owned()
+    } else {
+        format!(
+            "hold the board still in {} orientations, as different as you can; Ctrl-C ends early",
+            arguments.count
+        )
+    });
+    let stop = interrupted()?;
+    let mut record = LinkRecord::new(client.hello().role);
+    let mut finder: Option<(PoseFinder, Sensitivity)> = None;
+    let mut held = 0;
+    let mut faces = Vec::new();
+    while !stop.load(Ordering::Relaxed) {
+        let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
+            continue;
+        };
+        record.take(&arrival);
+        match &arrival.event {
+            Event::Epoch { epoch, .. } if finder.is_none() => {
+                finder = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g)
+                    .ok()
+                    .map(|s| (PoseFinder::new(1e9 / f64::from(epoch.period_ns.max(1))), s));
+            }
+            Event::Samples(samples) if samples.stream == Stream::Raw => {
+                let Some((finder, sensitivity)) = &mut finder else {
+                    continue;
+                };
+                for sample in samples.iter() {
+                    let counts = Counts(sample.value.map(|axis| axis as i16));
+                    let Some(pose) = finder.push(sensitivity.to_mps2(counts).0) else {
+                        continue;
+                    };
+                    held += 1;
+                    let face = Face::of(&pose);
+                    faces.extend(face.filter(|face| !faces.contains(face)));
+                    output.say(match face {
+                        Some(face) => format!("pose {held} captured: {face}"),
+                        None => format!("pose {held} captured"),
+                    });
+                }
+                let enough = if six {
+                    faces.len() == Face::ALL.len()
+                } else {
+                    held >= arguments.count
+                };
+                if enough {
+                    break;
+                }
+            }
+            _ => {}
+        }
+    }
+    Dataset::from_link(&record, client.name())
+}

@@ -1,0 +1,62 @@
+//! One module a command.
+
+pub mod calibrate;
+pub mod demo;
+pub mod export;
+pub mod info;
+pub mod monitor;
+pub mod navigate;
+pub mod params;
+pub mod ports;
+pub mod record;
+pub mod settings;
+pub mod simulate;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use wimu_host::client::{self, Client};
+use wimu_host::transport::Transport;
+use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
+
+/// Connects to the board behind LINK.
+fn connect(link: &str) -> Result<Client<Box<dyn Transport + Send>>> {
+    client::connect(&link.parse::<LinkUrl>()?)
+}
+
+/// A flag that Ctrl-C sets.
+fn interrupted() -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let set = flag.clone();
+    ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).map_err(|error| {
+        HostError::new(
+            ErrorCode::FileFailed,
+            format!("Ctrl-C cannot be caught: {error}"),
+            "run the command in a terminal",
+        )
+    })?;
+    Ok(flag)
+}
+
+/// When a command that was given `--for SECONDS` ends.
+fn deadline(seconds: Option<f64>) -> Result<Option<Instant>> {
+    seconds
+        .map(|seconds| {
+            Duration::try_from_secs_f64(seconds)
+                .ok()
+                .and_then(|duration| Instant::now().checked_add(duration))
+                .ok_or_else(|| {
+                    HostError::new(
+                        ErrorCode::Usage,
+                        format!("--for {seconds} is no time"),
+                        "give seconds, 0 or more",
+                    )
+                })
+        })
+        .transpose()
+}
+
+fn is_over(deadline: Option<Instant>, interrupted: &AtomicBool) -> bool {
+    interrupted.load(Ordering::Relaxed) || deadline.is_some_and(|end| Instant::now() >= end)
+}

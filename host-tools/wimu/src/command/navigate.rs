@@ -1,0 +1,168 @@
+//! `wimu navigate`.
+
+use serde::Serialize;
+use wimu_host::calibration::read_parameters;
+use wimu_host::export::{self, ExportStream};
+use wimu_host::navigation::{self, Point};
+use wimu_host::record::{Boot, Recording};
+use wimu_host::replay::{self, ReplayReport};
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_integrator::Phase;
+
+use crate::arguments::{Navigate, Switch};
+use crate::output::Output;
+
+#[derive(Serialize)]
+struct Navigated {
+    schema: &'static str,
+    status: &'static str,
+    source: String,
+    link: String,
+    /// One for each start of the device.
+    starts: Vec<Start>,
+}
+
+#[derive(Serialize)]
+struct Start {
+    device: Option<Track>,
+    recomputed: Option<Track>,
+    /// Whether the recomputed numbers are the device's bit for bit; absent where they are not
+    /// meant to be.
+    replay: Option<ReplayReport>,
+}
+
+#[derive(Serialize)]
+struct Track {
+    duration_s: f64,
+    distance_m: f64,
+    final_position_m: [f64; 3],
+    final_velocity_m_s: [f64; 3],
+    legs: usize,
+    since_rest_s: f64,
+    valid: bool,
+}
+
+impl Track {
+    fn of(points: &[Point]) -> Option<Self> {
+        let first = points
+            .iter()
+            .find(|point| point.navigation.phase != Phase::Searching)?;
+        let last = points.last()?;
+        let moving = |point: &Point| point.navigation.phase == Phase::Moving;
+        let starts = points
+            .windows(2)
+            .filter(|pair| !moving(&pair[0]) && moving(&pair[1]));
+        Some(Self {
+            duration_s: last.time.to_seconds() - first.time.to_seconds(),
+            distance_m: navigation::path_length_m(points),
+            final_position_m: last.navigation.position.to_m(),
+            final_velocity_m_s: last.navigation.velocity.to_mps(),
+            legs: starts.count(),
+            since_rest_s: f64::from(last.navigation.since_rest_ms) / 1000.0,
+            valid: last.navigation.flags.is_valid(),
+        })
+    }
+
+    fn text(&self) -> String {
+        let [e, n, u] = self.final_position_m;
+        format!(
+            "{:.1} s, {} legs, path {:.3} m, ends at E {e:+.4} N {n:+.4} U {u:+.4} m{}",
+            self.duration_s,
+            self.legs,
+            self.distance_m,
+            if self.valid { "" } else { " (invalid)" }
+        )
+    }
+}
+
+pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+    let recording = Recording::load(&arguments.input)?;
+    let link = recording.link(arguments.link.map(Into::into))?;
+    let mut starts = Vec::new();
+    for boot in &link.boots {
+        let start = start(boot, arguments)?;
+        match &start.device {
+            Some(track) => output.say(format!("device:     {}", track.text())),
+            None => output.say("device:     sent no position, or found no rest"),
+        }
+        match (&start.recomputed, &start.replay) {
+            (Some(track), replay) => {
+                output.say(format!("recomputed: {}", track.text()));
+                if let Some(replay) = replay {
+                    output.say(verdict(replay));
+                }
+            }
+            (None, _) => output.say("recomputed: no rest to start from"),
+        }
+        starts.push(start);
+    }
+    if starts
+        .iter()
+        .all(|start| start.device.is_none() && start.recomputed.is_none())
+    {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            "there is no rest in the recording, so there is no attitude and no position",
+            "hold the board still for a second before moving it",
+        )
+        .at(&recording.name));
+    }
+    if let Some(path) = &arguments.output {
+        let rows = export::to_csv(link, recording.anchor, ExportStream::Navigation, path)?;
+        output.say(format!("{}: {rows} rows", path.display()));
+    }
+    output.object(&Navigated {
+        schema: "wimu.navigation/1",
+        status: "ok",
+        source: recording.name.clone(),
+        link: link.role.to_string(),
+        starts,
+    });
+    Ok(())
+}
+
+fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
+    let device = Track::of(&navigation::device(boot));
+    let as_device = arguments.calibration.is_none() && arguments.zupt.is_none();
+    if as_device || boot.epochs.is_empty() {
+        return Ok(Start {
+            device,
+            recomputed: Track::of(&navigation::replayed(boot)),
+            replay: (!boot.epochs.is_empty()).then(|| replay::verify(boot, 0)),
+        });
+    }
+    let mark = &boot.epochs[boot.epochs.len() - 1];
+    let parameters = match &arguments.calibration {
+        Some(path) => read_parameters(path)?,
+        None => boot.parameters_of(&mark.epoch)?,
+    };
+    let zupt = arguments
+        .zupt
+        .map_or(mark.epoch.state.zupt, |zupt| zupt == Switch::On);
+    let points = navigation::recomputed(boot, &parameters, zupt)?;
+    Ok(Start {
+        device,
+        recomputed: Track::of(&points),
+        replay: None,
+    })
+}
+
+fn verdict(replay: &ReplayReport) -> String {
+    if replay.is_exact() {
+        format!(
+            "bit for bit the device's: {} corrected samples, {} positions, {} states compared",
+            replay.corrected_compared, replay.navigation_compared, replay.states_compared
+        )
+    } else {
+        format!(
+            "differs from the device's: {} of {} corrected samples, {} of {} positions, first at sample {}",
+            replay.corrected_differ,
+            replay.corrected_compared,
+            replay.navigation_differ,
+            replay.navigation_compared,
+            replay
+                .first_difference
+                .map_or("?".to_owned(), |s| s.to_string())
+        )
+    }
+}

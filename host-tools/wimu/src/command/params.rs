@@ -1,0 +1,111 @@
+//! `wimu params`.
+
+use serde::Serialize;
+use wimu_host::calibration::read_parameters;
+use wimu_host::client::Client;
+use wimu_host::transport::Transport;
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_link::message::ActiveParameters;
+use wimu_model::{ParameterId, ParameterSet};
+
+use crate::arguments::Params;
+use crate::command::connect;
+use crate::output::Output;
+
+/// What a device corrects with.
+#[derive(Serialize)]
+struct Held {
+    schema: &'static str,
+    status: &'static str,
+    calibrated: bool,
+    parameter_id: String,
+    parameters: Option<ParameterSet>,
+}
+
+pub fn run(action: &Params, output: Output) -> Result<()> {
+    match action {
+        Params::Get { link } => show(&mut connect(link)?, output),
+        Params::Push { link, calibration } => {
+            let set = read_parameters(calibration)?;
+            let mut client = connect(link)?;
+            push(&mut client, &set, output)?;
+            show(&mut client, output)
+        }
+        Params::FactoryReset { link } => {
+            let mut client = connect(link)?;
+            client.factory_reset()?;
+            output.say("the device has forgotten its calibration and its settings");
+            show(&mut client, output)
+        }
+    }
+}
+
+/// Pushes a calibration and says what changes.
+pub fn push<T: Transport>(
+    client: &mut Client<T>,
+    set: &ParameterSet,
+    output: Output,
+) -> Result<()> {
+    let before = held(client)?;
+    let id = client.push_parameters(set)?;
+    output.say(match before.filter(|before| before != set) {
+        Some(before) => format!(
+            "pushed {id} in place of {}: bias {} → {} m/s²",
+            wimu_link::message::parameter_id(&before),
+            vector(before.model.terms().bias_mps2),
+            vector(set.model.terms().bias_mps2)
+        ),
+        None => format!("pushed {id}"),
+    });
+    Ok(())
+}
+
+fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>> {
+    let ActiveParameters { active, .. } = client.parameters()?;
+    active
+        .as_ref()
+        .map(ParameterSet::try_from)
+        .transpose()
+        .map_err(|fault| {
+            HostError::new(
+                ErrorCode::VerifyFailed,
+                format!("the device holds parameters that are none: {fault}"),
+                "calibrate and push again",
+            )
+        })
+}
+
+fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
+    let parameters = held(client)?;
+    let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
+        wimu_link::message::parameter_id(&set)
+    });
+    match &parameters {
+        None => output.say("the device is uncalibrated"),
+        Some(set) => {
+            let terms = set.model.terms();
+            output.say(format!(
+                "parameters {id} for ±{} g, {:.2} LSB/g\nbias   {} m/s²",
+                set.range_g,
+                set.sensitivity.lsb_per_g(),
+                vector(terms.bias_mps2)
+            ));
+            for (name, row) in ["matrix", "", ""].iter().zip(terms.matrix) {
+                output.say(format!("{name:6} {}", vector(row)));
+            }
+        }
+    }
+    output.object(&Held {
+        schema: "wimu.params/1",
+        status: "ok",
+        calibrated: parameters.is_some(),
+        parameter_id: id.to_string(),
+        parameters,
+    });
+    Ok(())
+}
+
+fn vector(values: [f64; 3]) -> String {
+    let [x, y, z] = values;
+    format!("{x:+.5} {y:+.5} {z:+.5}")
+}

@@ -1,0 +1,71 @@
+//! `wimu ports`.
+
+use serde::Serialize;
+use wimu_host::client::{Client, ConnectOptions};
+use wimu_host::transport::{self, Port};
+use wimu_host::{DEFAULT_BAUD, LinkUrl, Result};
+
+use crate::arguments::Ports;
+use crate::output::Output;
+
+#[derive(Serialize)]
+struct Listing {
+    schema: &'static str,
+    status: &'static str,
+    ports: Vec<Listed>,
+}
+
+#[derive(Serialize)]
+struct Listed {
+    #[serde(flatten)]
+    port: Port,
+    /// Who answered, or why nobody did; absent where nobody was asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    probe: Option<Result<String, String>>,
+}
+
+pub fn run(arguments: &Ports, output: Output) -> Result<()> {
+    let ports: Vec<Listed> = transport::ports()?
+        .into_iter()
+        .map(|port| Listed {
+            probe: (arguments.probe && port.board.is_some()).then(|| probe(&port)),
+            port,
+        })
+        .collect();
+    if ports.is_empty() {
+        output.say("no serial ports; `wimu simulate` is a board without one");
+    }
+    for Listed { port, probe } in &ports {
+        let usb = port.usb.map_or(String::new(), |usb| format!("  usb {usb}"));
+        let board = port.board.map_or(String::new(), |b| format!("  {b}"));
+        let answer = match probe {
+            Some(Ok(who)) => format!("  → {who}"),
+            Some(Err(why)) => format!("  → {why}"),
+            None => String::new(),
+        };
+        output.say(format!("{}{usb}{board}{answer}", port.path));
+    }
+    output.object(&Listing {
+        schema: "wimu.ports/1",
+        status: "ok",
+        ports,
+    });
+    Ok(())
+}
+
+fn probe(port: &Port) -> Result<String, String> {
+    let link = LinkUrl::Serial {
+        path: port.path.clone(),
+        baud: DEFAULT_BAUD,
+    };
+    transport::open(&link)
+        .and_then(|line| Client::connect(line, &port.path, ConnectOptions::probe()))
+        .map(|client| {
+            let hello = client.hello();
+            format!(
+                "{} with {}, device {:016x}, {}",
+                hello.board.name, hello.sensor.name, hello.device_id, hello.role
+            )
+        })
+        .map_err(|error| error.message().to_owned())
+}

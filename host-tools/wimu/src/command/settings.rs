@@ -1,0 +1,120 @@
+//! `wimu settings`.
+
+use serde::Serialize;
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_link::message::{Resolution, Settings, Streams};
+
+use crate::arguments::{self, Carried, Change, Switch};
+use crate::command::connect;
+use crate::output::Output;
+
+#[derive(Serialize)]
+struct Held {
+    schema: &'static str,
+    status: &'static str,
+    range_g: u8,
+    rate_hz: u16,
+    resolution: &'static str,
+    zupt: bool,
+    gravity_m_s2: f64,
+    cable: Vec<&'static str>,
+    wireless: Vec<&'static str>,
+    batch: [u8; 2],
+}
+
+pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
+    let settings = match action {
+        arguments::Settings::Get { link } => connect(link)?.settings()?,
+        arguments::Settings::Set { link, change } => {
+            let mut client = connect(link)?;
+            let wanted = changed(client.settings()?, change)?;
+            client.set_settings(wanted)?
+        }
+    };
+    let held = Held {
+        schema: "wimu.settings/1",
+        status: "ok",
+        range_g: settings.range_g,
+        rate_hz: settings.rate_hz,
+        resolution: match settings.resolution {
+            Resolution::LowPower => "low",
+            Resolution::Normal => "normal",
+            Resolution::High => "high",
+        },
+        zupt: settings.zupt,
+        gravity_m_s2: f64::from(settings.gravity_um_s2) * 1e-6,
+        cable: names(&settings.cable),
+        wireless: names(&settings.wireless),
+        batch: [settings.cable.batch, settings.wireless.batch],
+    };
+    output.say(format!(
+        "range ±{} g, {} Hz, {} resolution\nZUPT {}, local gravity {:.6} m/s²\ncable    {} in batches of {}\nwireless {} in batches of {}",
+        held.range_g,
+        held.rate_hz,
+        held.resolution,
+        if held.zupt { "on" } else { "off" },
+        held.gravity_m_s2,
+        held.cable.join(", "),
+        held.batch[0],
+        held.wireless.join(", "),
+        held.batch[1],
+    ));
+    output.object(&held);
+    Ok(())
+}
+
+fn changed(now: Settings, change: &Change) -> Result<Settings> {
+    let gravity_um_s2 = match change.gravity {
+        None => now.gravity_um_s2,
+        Some(gravity) if (9.7..=9.9).contains(&gravity) => (gravity * 1e6).round() as u32,
+        Some(gravity) => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!("local gravity {gravity} m/s² is on no place of the Earth"),
+                "give 9.7 to 9.9",
+            ));
+        }
+    };
+    let streams = |now: Streams, wanted: &Option<Vec<Carried>>| {
+        let batch = change.batch.unwrap_or(now.batch);
+        match wanted {
+            None => Streams { batch, ..now },
+            Some(wanted) => {
+                let on = |stream| wanted.contains(&stream);
+                Streams {
+                    raw: on(Carried::Raw),
+                    corrected: on(Carried::Corrected),
+                    navigation: on(Carried::Navigation),
+                    environment: on(Carried::Environment),
+                    batch,
+                }
+            }
+        }
+    };
+    Ok(Settings {
+        range_g: change.range.unwrap_or(now.range_g),
+        rate_hz: change.rate.unwrap_or(now.rate_hz),
+        resolution: match change.resolution {
+            None => now.resolution,
+            Some(arguments::Resolution::Low) => Resolution::LowPower,
+            Some(arguments::Resolution::Normal) => Resolution::Normal,
+            Some(arguments::Resolution::High) => Resolution::High,
+        },
+        zupt: change.zupt.map_or(now.zupt, |zupt| zupt == Switch::On),
+        gravity_um_s2,
+        cable: streams(now.cable, &change.cable),
+        wireless: streams(now.wireless, &change.wireless),
+    })
+}
+
+fn names(streams: &Streams) -> Vec<&'static str> {
+    [
+        (streams.raw, "raw"),
+        (streams.corrected, "corrected"),
+        (streams.navigation, "navigation"),
+        (streams.environment, "environment"),
+    ]
+    .into_iter()
+    .filter_map(|(on, name)| on.then_some(name))
+    .collect()
+}

@@ -1,0 +1,145 @@
+//! `wimu simulate`.
+
+use std::path::Path;
+
+use serde::Serialize;
+use wimu_host::dataset::{Dataset, LoadOptions};
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_link::LinkRole;
+use wimu_model::Counts;
+use wimu_sim::board::{Board, BoardConfig};
+use wimu_sim::motion;
+use wimu_sim::pipe::LinkConfig;
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::server::Server;
+use wimu_sim::source::{Physics, Replay};
+use wimu_sim::storage::Storage;
+use wimu_sim::truth::{Gauge, SensorTruth};
+
+use crate::arguments::{Sensor, Simulate};
+use crate::command::interrupted;
+use crate::output::Output;
+
+#[derive(Serialize)]
+struct Listening {
+    schema: &'static str,
+    status: &'static str,
+    cable: String,
+    wireless: String,
+}
+
+pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
+    let Sensor::Lsm303agr = arguments.sensor;
+    if !(arguments.speed > 0.0 && arguments.speed <= 1000.0) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("--speed {} is out of range", arguments.speed),
+            "give 0.01 to 1000",
+        ));
+    }
+    let storage = match &arguments.store {
+        Some(path) => Storage::in_file(path)
+            .map_err(|error| HostError::file(&path.display().to_string(), "read", &error))?,
+        None => Storage::in_memory(),
+    };
+    let config = BoardConfig {
+        // TCP has no baud rate: a client that reads slowly makes the board shed.
+        cable: LinkConfig::default(),
+        wireless: LinkConfig::default(),
+        storage,
+        replay: arguments.replay.is_some(),
+        ..BoardConfig::default()
+    };
+    let (board, end_us) = match &arguments.replay {
+        Some(path) => {
+            let counts = counts_of(arguments, path)?;
+            output.say(format!(
+                "replaying {} samples of {}",
+                counts.len(),
+                path.display()
+            ));
+            (
+                Board::start(config, Replay::new(counts).waiting_for_reader()),
+                None,
+            )
+        }
+        None => {
+            let scene = Scene::new(World::default());
+            let motion = motion::named(&arguments.motion, arguments.seed).map_err(|unknown| {
+                let known: Vec<_> = motion::NAMES.iter().map(|(name, _)| *name).collect();
+                HostError::new(
+                    ErrorCode::Usage,
+                    unknown.to_string(),
+                    format!("choose of {}", known.join(", ")),
+                )
+            })?;
+            scene.play(0.0, motion);
+            let end_us = (scene.end_s() * 1e6) as u64;
+            let truth = SensorTruth::random(arguments.seed, Gauge::LowerTriangular);
+            let physics = Physics::new(truth, scene, arguments.seed);
+            (Board::start(config, physics), Some(end_us))
+        }
+    };
+    let mut server = Server::bind(board, arguments.cable, arguments.wireless)
+        .map_err(|(address, error)| {
+            HostError::new(
+                ErrorCode::LinkBusy,
+                format!("cannot listen: {error}"),
+                "stop what listens there, or give other addresses with --cable and --wireless",
+            )
+            .at(address.to_string())
+        })?
+        .at_speed(arguments.speed);
+    if arguments.replay.is_some() || arguments.exit_when_done {
+        server = server.waiting_for_client();
+    }
+    let url = |role| {
+        server
+            .address(role)
+            .map(|address| format!("tcp://{address}"))
+            .map_err(|error| HostError::file("the listening port", "read", &error))
+    };
+    let listening = Listening {
+        schema: "wimu.simulate/1",
+        status: "ok",
+        cable: url(LinkRole::Cable)?,
+        wireless: url(LinkRole::Wireless)?,
+    };
+    output.say(format!(
+        "cable    {}\nwireless {}\nCtrl-C stops; in another terminal: wimu monitor {}",
+        listening.cable, listening.wireless, listening.cable
+    ));
+    output.object(&listening);
+    let stop = interrupted()?;
+    let linger_us = 2_000_000;
+    let mut done_at = None;
+    server.run(|board| {
+        let done = match end_us {
+            Some(end_us) => board.now_us() >= end_us,
+            None => board.sensor().finished(),
+        };
+        if done && done_at.is_none() {
+            done_at = Some(board.now_us());
+            output.say(if end_us.is_some() {
+                "the motion is over; the board rests"
+            } else {
+                "the recording is over; the sensor has no more data"
+            });
+        }
+        // The last batch is on its way for a moment.
+        stop.load(std::sync::atomic::Ordering::Relaxed)
+            || (arguments.exit_when_done
+                && done_at.is_some_and(|at| board.now_us() >= at + linger_us))
+    });
+    Ok(())
+}
+
+/// Raw counts of a CSV file in LSB.
+fn counts_of(arguments: &Simulate, path: &Path) -> Result<Vec<Counts>> {
+    let load = LoadOptions {
+        filter: arguments.filter.as_deref().map(str::parse).transpose()?,
+        accelerometer: arguments.accelerometer,
+        ..LoadOptions::default()
+    };
+    Dataset::from_csv(path, &load)?.counts()
+}

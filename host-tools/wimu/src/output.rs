@@ -1,0 +1,74 @@
+//! Where results and human text go.
+
+use std::io::{self, IsTerminal, Write};
+
+use serde::Serialize;
+use wimu_host::HostError;
+
+/// With `--json`, objects go to stdout and human text to stderr; without, human text to stdout.
+#[derive(Clone, Copy)]
+pub struct Output {
+    json: bool,
+}
+
+impl Output {
+    /// For a command with or without `--json`.
+    pub fn new(json: bool) -> Self {
+        Self { json }
+    }
+
+    /// Whether objects are wanted.
+    pub fn is_json(self) -> bool {
+        self.json
+    }
+
+    /// Human text.
+    pub fn say(self, text: impl AsRef<str>) {
+        let text = text.as_ref();
+        // Whoever closed the other end of a pipe has seen enough.
+        if self.json {
+            let _ = writeln!(io::stderr(), "{text}");
+        } else {
+            let _ = writeln!(io::stdout(), "{text}");
+        }
+    }
+
+    /// A line that the next one replaces, on a terminal.
+    pub fn refresh(self, text: &str) {
+        let mut stderr = io::stderr();
+        if stderr.is_terminal() {
+            let _ = write!(stderr, "\r\x1b[2K{text}");
+            let _ = stderr.flush();
+        }
+    }
+
+    /// Ends a refreshed line.
+    pub fn end_refresh(self) {
+        self.refresh("");
+    }
+
+    /// One object on a line of its own. Returns false when nobody reads any more.
+    pub fn object(self, object: &impl Serialize) -> bool {
+        if !self.json {
+            return true;
+        }
+        let mut stdout = io::stdout().lock();
+        serde_json::to_string(object)
+            .map_err(io::Error::from)
+            .and_then(|text| writeln!(stdout, "{text}"))
+            .and_then(|()| stdout.flush())
+            .is_ok()
+    }
+
+    /// A failure, in the form that was asked for.
+    pub fn failure(self, error: &HostError) {
+        if self.json {
+            self.object(error);
+        }
+        let place = error
+            .location()
+            .map_or(String::new(), |place| format!("{place}: "));
+        let _ = writeln!(io::stderr(), "wimu: {place}{}", error.message());
+        let _ = writeln!(io::stderr(), "      {}", error.remedy());
+    }
+}

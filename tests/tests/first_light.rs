@@ -12,7 +12,10 @@ fn run(seed: u64, calibration: Calibration) -> Outcome {
 fn holds_for_one_board(outcome: &Outcome) {
     let [before, after] = outcome.tilts_rms_mps2();
     assert!(before >= 0.4, "uncalibrated {before} m/s² rms");
-    assert!(after < 0.005 && before / after >= 50.0, "{before} → {after} m/s² rms");
+    assert!(
+        after < 0.005 && before / after >= 50.0,
+        "{before} → {after} m/s² rms"
+    );
     assert_eq!(outcome.tilts.len(), 10);
     assert_ne!(outcome.pushed.0, 0);
     assert_eq!(outcome.pushed, outcome.after_restart);

@@ -260,8 +260,14 @@ impl Integrator {
                 .wrapping_sub(window.start.velocity_sum[axis])
                 .wrapping_add(2 * steps * i64::from(self.whole_gravity[axis]))
         });
-        let run = window.is_quiet(total).then(|| match self.state.run {
-            Some(run) if run.agrees(total, window.tolerance()) => run.with(total),
+        let quiet = window.is_quiet(total);
+        let goes_on = match &self.state.run {
+            Some(run) => quiet && run.agrees(total, window.tolerance()),
+            // After a gap or a change of period there is no run, but the rest before may go on.
+            None => quiet && self.is_as_held(&window, total),
+        };
+        let run = quiet.then(|| match self.state.run {
+            Some(run) if goes_on => run.with(total),
             _ => Run::starting_with(total, &self.state.segment),
         });
         let windows = run.map_or(0, |run| run.windows);
@@ -270,8 +276,10 @@ impl Integrator {
                 self.rest(&window, &run);
                 Transition::Rest
             }
-            (Phase::Resting, Some(run)) if windows >= REST_WINDOWS => {
-                self.rest(&window, &run);
+            (Phase::Resting, Some(run)) if goes_on => {
+                if windows >= REST_WINDOWS {
+                    self.rest(&window, &run);
+                }
                 Transition::Window
             }
             (Phase::Resting, _) => {
@@ -311,14 +319,17 @@ impl Integrator {
         transition
     }
 
-    /// How many agreeing windows are a rest after a motion, given the latest window's
-    /// Σ (f_k + f_k+1).
-    fn windows_of_a_rest(&self, window: &Window, total: [i64; 3]) -> u16 {
-        let held = (0..3).all(|axis| {
+    /// Whether a window with this Σ (f_k + f_k+1) has the mean of the latest rest.
+    fn is_as_held(&self, window: &Window, total: [i64; 3]) -> bool {
+        (0..3).all(|axis| {
             let mean = 2 * i64::from(self.window_steps) * (self.state.rest_mean[axis] >> 16);
             total[axis].abs_diff(mean) <= 2 * window.tolerance()
-        });
-        if held {
+        })
+    }
+
+    /// How many agreeing windows are a rest after a motion.
+    fn windows_of_a_rest(&self, window: &Window, total: [i64; 3]) -> u16 {
+        if self.is_as_held(window, total) {
             REST_WINDOWS
         } else {
             TURNED_REST_WINDOWS

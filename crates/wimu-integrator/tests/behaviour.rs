@@ -172,6 +172,21 @@ fn a_rest_is_announced_once_and_so_is_motion() {
 }
 
 #[test]
+fn a_change_of_period_or_a_gap_at_rest_is_no_motion() {
+    for zupt in [true, false] {
+        let mut ins = integrator(zupt);
+        feed(&mut ins, rest(200));
+        ins.set_period(PeriodNs(10_024_000)).unwrap();
+        feed(&mut ins, rest(200));
+        ins.gap();
+        feed(&mut ins, rest(200));
+        let navigation = ins.navigation();
+        assert_eq!(navigation.phase, Phase::Resting);
+        assert!(navigation.flags.is_valid());
+    }
+}
+
+#[test]
 fn a_change_of_period_goes_on_from_the_same_velocity_and_position() {
     let mut ins = integrator(false);
     feed(&mut ins, rest(200).chain(a_slide().take(151)));

@@ -1,1 +1,411 @@
-//! End-to-end tests of wimu: see `tests/`. Golden wire vectors are in `vectors/`.
+//! The kit of wimu's end-to-end tests (`tests/`): a simulated board with a host on both links, in
+//! virtual time, that can also lie, mumble and look away. Golden wire vectors are in `vectors/`.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use wimu_host::decode::{Decoder, Event, TimedSample};
+use wimu_host::record::{Boot, LinkRecord, Recording};
+use wimu_host::recording::{ClockAnchor, Received, RecordingReader, RecordingWriter};
+use wimu_host::replay;
+use wimu_link::message::{Event as DeviceEvent, Payload, Status, Telemetry};
+use wimu_link::{
+    Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WhoAreYou,
+};
+use wimu_sim::board::{Board, BoardConfig};
+use wimu_sim::motion::{self, Motion};
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::source::{Physics, Source};
+use wimu_sim::truth::{Gauge, SensorTruth};
+
+/// Both links, the cable first.
+pub const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+/// How long an answer may take, s of virtual time.
+const PATIENCE_S: f64 = 4.0;
+/// Bytes are carried this often, µs.
+const TICK_US: u64 = 5_000;
+
+/// A bad but believable sensor in `world`, moved as [`motion::named`] says.
+pub fn sensor(names: &str, world: World, seed: u64) -> Physics {
+    let scene = Scene::new(world);
+    let motion = motion::named(names, seed).expect("a known motion");
+    assert!(motion.duration() > 0.0);
+    scene.play(0.0, motion);
+    Physics::new(
+        SensorTruth::random(seed, Gauge::LowerTriangular),
+        scene,
+        seed,
+    )
+}
+
+/// A board and a host that listens on both its links, in virtual time.
+pub struct Rig {
+    /// The board, to break.
+    pub board: Board,
+    links: [Listener; 2],
+    requests: u32,
+}
+
+impl Rig {
+    /// A board of `config` with a sensor that takes its samples from `source`; no time has passed.
+    pub fn new(config: BoardConfig, source: impl Source + 'static) -> Self {
+        Self {
+            board: Board::start(config, source),
+            links: ROLES.map(Listener::new),
+            requests: 0,
+        }
+    }
+
+    /// A usual board whose sensor is at rest for 10 s, then slides, then rests.
+    pub fn usual() -> Self {
+        Self::new(
+            BoardConfig::default(),
+            sensor("rest,slide", World::default(), 3),
+        )
+    }
+
+    /// Lets time pass while the host listens.
+    pub fn run(&mut self, seconds: f64) {
+        let end = self.board.now_us() + (seconds * 1e6) as u64;
+        while self.board.now_us() < end {
+            self.board
+                .run_until((self.board.now_us() + TICK_US).min(end));
+            let host_ns = self.board.now_us() * 1000;
+            for link in &mut self.links {
+                if link.listens {
+                    link.take(host_ns, &self.board.link(link.role).pull());
+                }
+            }
+        }
+    }
+
+    /// Takes power off and puts it back; the host goes on listening.
+    pub fn restart(&mut self) {
+        self.board.restart();
+    }
+
+    /// Sends bytes to the board.
+    pub fn send(&mut self, role: LinkRole, bytes: &[u8]) {
+        self.board.link(role).push(bytes);
+    }
+
+    /// Makes the host listen on a link, or look away: without a baud rate, that stalls the board's
+    /// sender.
+    pub fn listen(&mut self, role: LinkRole, listens: bool) {
+        self.links[place(role)].listens = listens;
+    }
+
+    /// What a link has brought.
+    pub fn link(&self, role: LinkRole) -> &Listener {
+        &self.links[place(role)]
+    }
+
+    /// What the device sent on a link since it started last.
+    pub fn boot(&self, role: LinkRole) -> &Boot {
+        self.link(role).boots().last().expect("at least one")
+    }
+
+    /// The frame of a new request.
+    pub fn frame_of(&mut self, command: Command) -> Vec<u8> {
+        self.requests += 1;
+        let request = Request {
+            session: 0x7e57,
+            id: self.requests,
+            signature: Default::default(),
+            command,
+        };
+        encoded(|frame| request.encode(frame))
+    }
+
+    /// Asks the board something and waits for the answer.
+    ///
+    /// # Panics
+    /// When none comes in time.
+    pub fn ask(&mut self, role: LinkRole, command: Command) -> Answer {
+        let frame = self.frame_of(command);
+        let id = self.requests;
+        self.send(role, &frame);
+        let end = self.board.now_us() + (PATIENCE_S * 1e6) as u64;
+        while self.board.now_us() < end {
+            self.run(0.01);
+            let mut replies = self.link(role).replies.iter().rev();
+            if let Some(reply) = replies.find(|reply| reply.id == id) {
+                return reply.answer;
+            }
+        }
+        panic!("no answer on the {role} link to {command:?}");
+    }
+
+    /// The board's settings.
+    pub fn settings(&mut self) -> Settings {
+        match self.ask(LinkRole::Cable, Command::GetSettings) {
+            Answer::Accepted(Payload::Settings(settings)) => settings,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// Sets the board over the cable.
+    ///
+    /// # Panics
+    /// When it refuses.
+    pub fn set(&mut self, settings: Settings) {
+        let answer = self.ask(LinkRole::Cable, Command::SetSettings(settings));
+        assert_eq!(answer, Answer::Accepted(Payload::Settings(settings)));
+    }
+
+    /// How the board is.
+    pub fn status(&mut self) -> Status {
+        match self.ask(LinkRole::Cable, Command::GetStatus) {
+            Answer::Accepted(Payload::Status(status)) => status,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// All that was heard, written as a recording and read back.
+    pub fn recording(&self) -> Recording {
+        let name = "the recording";
+        let anchor = ClockAnchor {
+            monotonic_ns: 0,
+            utc_ns: 1_700_000_000_000_000_000,
+        };
+        let mut writer =
+            RecordingWriter::new(Cursor::new(Vec::new()), name, anchor).expect("memory");
+        let mut heard: Vec<&Received> = self.links.iter().flat_map(|link| &link.heard).collect();
+        heard.sort_by_key(|received| received.host_ns);
+        for received in heard {
+            writer
+                .append(received.role, received.host_ns, &received.bytes)
+                .expect("memory");
+        }
+        let file = writer.finish().expect("memory").into_inner();
+        let reader = RecordingReader::new(Cursor::new(file), name).expect("own file");
+        Recording::read(reader, name).expect("own file")
+    }
+}
+
+fn place(role: LinkRole) -> usize {
+    usize::from(role != LinkRole::Cable)
+}
+
+/// The host's end of one link, with the real decoder behind it.
+pub struct Listener {
+    role: LinkRole,
+    listens: bool,
+    decoder: Decoder,
+    record: LinkRecord,
+    heard: Vec<Received>,
+    replies: Vec<Reply>,
+}
+
+impl Listener {
+    fn new(role: LinkRole) -> Self {
+        Self {
+            role,
+            listens: true,
+            decoder: Decoder::new(),
+            record: LinkRecord::new(role),
+            heard: Vec::new(),
+            replies: Vec::new(),
+        }
+    }
+
+    fn take(&mut self, host_ns: u64, bytes: &[u8]) {
+        if bytes.is_empty() {
+            return;
+        }
+        let (record, replies) = (&mut self.record, &mut self.replies);
+        self.decoder.push(host_ns, bytes, |arrival| {
+            if let Event::Reply(reply) = &arrival.event {
+                replies.push(*reply);
+            }
+            record.take(&arrival);
+        });
+        record.statistics = self.decoder.statistics();
+        self.heard.push(Received {
+            role: self.role,
+            host_ns,
+            bytes: bytes.to_vec(),
+        });
+    }
+
+    /// What it has brought, sorted.
+    pub fn record(&self) -> &LinkRecord {
+        &self.record
+    }
+
+    /// What it has brought, for each start of the device.
+    pub fn boots(&self) -> &[Boot] {
+        &self.record.boots
+    }
+
+    /// The bytes, as they came.
+    pub fn bytes(&self) -> Vec<u8> {
+        self.heard
+            .iter()
+            .flat_map(|received| received.bytes.iter().copied())
+            .collect()
+    }
+
+    /// Every reply in answer order.
+    pub fn replies(&self) -> &[Reply] {
+        &self.replies
+    }
+
+    /// Every reply's frame, as it came.
+    pub fn reply_frames(&self) -> Vec<Vec<u8>> {
+        let mut deframer = Deframer::new();
+        let is_reply = |frame: &&[u8]| {
+            frame.iter().any(|&byte| {
+                matches!(deframer.push(byte), Some(Ok(frame)) if frame.kind == Kind::Reply)
+            })
+        };
+        self.bytes()
+            .split_inclusive(|&byte| byte == 0)
+            .filter(is_reply)
+            .map(<[u8]>::to_vec)
+            .collect()
+    }
+
+    /// What happened on the device since it started last.
+    pub fn events(&self) -> Vec<DeviceEvent> {
+        let boot = self.record.boots.last().expect("at least one");
+        boot.events.iter().map(|(_, event)| *event).collect()
+    }
+
+    /// That nothing got lost or damaged on the way, and that the device missed no sample.
+    ///
+    /// # Panics
+    /// When something did.
+    pub fn assert_perfect(&self) {
+        let statistics = self.record.statistics;
+        assert_eq!(statistics.frames_damaged, 0, "{statistics:?}");
+        assert_eq!(statistics.frames_unreadable, 0, "{statistics:?}");
+        assert_eq!(statistics.batches_unplaced, 0, "{statistics:?}");
+        for stream in [statistics.raw, statistics.corrected] {
+            assert!(stream.received > 0, "{statistics:?}");
+            assert_eq!(stream.missing + stream.duplicated, 0, "{statistics:?}");
+        }
+        for boot in self.boots() {
+            assert_replays(boot);
+        }
+    }
+}
+
+/// That a boot's samples, velocities, positions and states are computed again bit for bit, from
+/// whichever epoch one begins.
+///
+/// # Panics
+/// When one bit differs, or there was nothing to compare.
+pub fn assert_replays(boot: &Boot) {
+    for epoch in 0..boot.epochs.len() {
+        let report = replay::verify(boot, epoch);
+        let mark = &boot.epochs[epoch].epoch;
+        assert_eq!(
+            report.first_difference, None,
+            "from epoch {epoch}, {mark:?}: {report:?}"
+        );
+        assert_eq!(report.epochs_unusable, 0, "from epoch {epoch}: {report:?}");
+    }
+    let report = replay::verify(boot, 0);
+    assert!(report.is_exact(), "{report:?}");
+    assert!(report.corrected_compared > 0, "{report:?}");
+}
+
+/// Where samples are missing: the number of the first that is, and how many are.
+pub fn gaps(samples: &[TimedSample]) -> Vec<(u32, u32)> {
+    samples
+        .windows(2)
+        .filter(|pair| pair[1].sequence != pair[0].sequence + 1)
+        .map(|pair| {
+            let first = pair[0].sequence + 1;
+            (first, pair[1].sequence.wrapping_sub(first))
+        })
+        .collect()
+}
+
+/// The frame that `encode` writes.
+pub fn encoded<E: std::fmt::Debug>(encode: impl FnOnce(&mut [u8]) -> Result<usize, E>) -> Vec<u8> {
+    let mut frame = [0; MAX_FRAME];
+    let length = encode(&mut frame).expect("room");
+    frame[..length].to_vec()
+}
+
+/// The question who is there.
+pub fn who_are_you() -> Vec<u8> {
+    encoded(|frame| WhoAreYou::default().encode(frame))
+}
+
+/// A telemetry message as a frame.
+pub fn telemetry(message: &Telemetry) -> Vec<u8> {
+    encoded(|frame| message.encode(frame))
+}
+
+/// A frame of any kind and version, intact by its CRC, made without the crate under test.
+pub fn frame_of(version: u8, kind: u8, body: &[u8]) -> Vec<u8> {
+    let mut plain = vec![version << 4 | kind & 0x0F];
+    plain.extend_from_slice(body);
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(&plain);
+    plain.extend_from_slice(&crc.to_le_bytes());
+    let mut frame = vec![0; cobs::max_encoding_length(plain.len())];
+    let length = cobs::encode(&plain, &mut frame);
+    frame.truncate(length);
+    frame.push(0);
+    frame
+}
+
+/// Random numbers that are the same in every run: SplitMix64.
+pub struct Seeded(pub u64);
+
+impl Seeded {
+    /// The next 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// 0..`limit`; 0 for no limit.
+    pub fn below(&mut self, limit: usize) -> usize {
+        (self.bits() % limit.max(1) as u64) as usize
+    }
+
+    /// `length` bytes.
+    pub fn bytes(&mut self, length: usize) -> Vec<u8> {
+        (0..length).map(|_| self.bits() as u8).collect()
+    }
+
+    /// Damages `bytes`: a flipped bit, a piece lost, a piece doubled, or a piece of noise.
+    pub fn damage(&mut self, bytes: &mut Vec<u8>) {
+        let at = self.below(bytes.len());
+        let run = self.below((bytes.len() - at).min(32));
+        match self.below(4) {
+            _ if bytes.is_empty() => {}
+            0 => bytes[at] ^= 1 << self.below(8),
+            1 => drop(bytes.drain(at..at + run)),
+            2 => {
+                let piece = bytes[at..at + run].to_vec();
+                let to = self.below(bytes.len());
+                bytes.splice(to..to, piece);
+            }
+            _ => {
+                let noise = self.bytes(run);
+                bytes.splice(at..at + run, noise);
+            }
+        }
+    }
+}
+
+/// A file of the recordings that tests use but the project does not hold; `None`, saying so, where
+/// they are absent.
+pub fn data(file: &str) -> Option<PathBuf> {
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(file);
+    if path.exists() {
+        Some(path)
+    } else {
+        println!("skipped: {} is absent", path.display());
+        None
+    }
+}

@@ -15,6 +15,7 @@ pub mod record;
 pub mod recorder;
 pub mod recording;
 pub mod replay;
+pub mod report;
 pub mod transport;
 
 pub use error::{ErrorCode, HostError, Result};

@@ -52,9 +52,11 @@ pub struct Boot {
 
 impl Boot {
     /// Host time of a device time, ns: by the transfer that took least. `None` without one.
+    ///
+    /// Wraps for a device that ran before the host's clock began;
+    /// [`ClockAnchor::to_utc_ns`] undoes that.
     pub fn host_ns(&self, time: DeviceTimeUs) -> Option<u64> {
-        let ns = self.clock_offset_ns? + i128::from(time.0) * 1000;
-        u64::try_from(ns).ok()
+        Some((self.clock_offset_ns? + i128::from(time.0) * 1000) as u64)
     }
 
     /// When a sample was taken, if it has arrived raw or corrected.

@@ -80,7 +80,8 @@ pub struct Simulate {
     /// The sensor on the board
     #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
     pub sensor: Sensor,
-    /// What happens to the board, in order: rest, six-positions, twelve-poses, tilts, slide, hand
+    /// What happens to the board, in order and again: rest, six-positions, twelve-poses, tilts,
+    /// slide, hand
     #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
     pub motion: String,
     /// Stream the raw counts of this CSV file instead; time begins when a host connects

@@ -229,7 +229,7 @@ impl fmt::Display for Refusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::KeyNeeded => out.write_str(
-                "writing on this link takes the device's key; run `wimu key set` once over the cable",
+                "writing on this link takes a key, and the device has none; write over the cable",
             ),
             Self::Locked => out.write_str("nobody may write on this link; use the cable"),
             Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),

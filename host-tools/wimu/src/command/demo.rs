@@ -1,5 +1,237 @@
+//! `wimu demo`: the main job on a simulated board.
+
+use std::time::Instant;
+
+use serde::Serialize;
+use wimu_host::navigation::{Point, distance_m};
+use wimu_host::report::{Chart, Report, Series};
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
+
 use crate::arguments::Demo;
 use crate::output::Output;
-pub fn run(_: &Demo, _: Output) -> wimu_host::Result<()> {
-    Ok(())
+
+#[derive(Serialize)]
+struct Shown {
+    schema: &'static str,
+    status: &'static str,
+    seed: u64,
+    tilts_before_mm_s2: f64,
+    tilts_after_mm_s2: f64,
+    slide_uncalibrated_m: f64,
+    slide_calibrated_m: f64,
+    slide_zupt_m: f64,
+    samples_replayed: u64,
+    replay_exact: bool,
+    parameter_id: String,
+    report: String,
+    recording: String,
+}
+
+pub fn run(arguments: &Demo, output: Output) -> Result<()> {
+    let began = Instant::now();
+    let outcome = FirstLight {
+        seed: arguments.seed,
+        calibration: Calibration::TwelvePoses,
+    }
+    .run()?;
+    let story = story(&outcome, arguments.seed);
+    for line in &story {
+        output.say(line);
+    }
+    let recording = arguments.report.with_extension("mcap");
+    std::fs::write(&recording, &outcome.recording)
+        .map_err(|error| HostError::file(&recording.display().to_string(), "write", &error))?;
+    report(&outcome, &story)?.write(&arguments.report)?;
+    output.say(format!(
+        "{:.0} s of a board's life in {:.1} s. Pictures: {}; the recording: {} (try `wimu navigate` on it).",
+        outcome.duration_s,
+        began.elapsed().as_secs_f64(),
+        arguments.report.display(),
+        recording.display()
+    ));
+    let [before, after] = outcome.tilts_rms_mps2();
+    let exact = outcome.replays.iter().all(|replay| replay.is_exact());
+    output.object(&Shown {
+        schema: "wimu.demo/1",
+        status: "ok",
+        seed: arguments.seed,
+        tilts_before_mm_s2: before * 1e3,
+        tilts_after_mm_s2: after * 1e3,
+        slide_uncalibrated_m: outcome.slide.uncalibrated_m,
+        slide_calibrated_m: outcome.slide.calibrated_m,
+        slide_zupt_m: outcome.slide.zupt_m,
+        samples_replayed: outcome.replays.iter().map(|r| r.corrected_compared).sum(),
+        replay_exact: exact,
+        parameter_id: outcome.after_restart.to_string(),
+        report: arguments.report.display().to_string(),
+        recording: recording.display().to_string(),
+    });
+    if exact && outcome.pushed == outcome.after_restart {
+        Ok(())
+    } else {
+        Err(HostError::new(
+            ErrorCode::VerifyFailed,
+            "what the device computed or kept is not what was expected",
+            "report this as a fault of wimu, with the seed",
+        ))
+    }
+}
+
+/// What happened, a line a step.
+fn story(outcome: &Outcome, seed: u64) -> Vec<String> {
+    let hidden = outcome.truth.model.terms();
+    let mg = |bias: f64| bias * 1e3 / wimu_model::STANDARD_GRAVITY_MPS2;
+    let [bx, by, bz] = hidden.bias_mps2.map(mg);
+    let scale = [0, 1, 2].map(|axis| (hidden.matrix[axis][axis] - 1.0) * 100.0);
+    let [before, after] = outcome.tilts_rms_mps2().map(|rms| rms * 1e3);
+    let slide = &outcome.slide;
+    let replayed: u64 = outcome.replays.iter().map(|r| r.corrected_compared).sum();
+    let fit = outcome.report.fit.as_ref();
+    let worst_bias_mg = fit.map_or(0.0, |fit| {
+        (0..3)
+            .map(|axis| mg(fit.model.bias_mps2[axis]) - mg(hidden.bias_mps2[axis]))
+            .fold(0.0_f64, |worst, error| worst.max(error.abs()))
+    });
+    vec![
+        format!(
+            "A simulated board ({}, seed {seed}) whose accelerometer is wrong in ways nobody told wimu:",
+            outcome.hello.sensor.name
+        ),
+        format!(
+            "  bias {bx:+.0} {by:+.0} {bz:+.0} mg, scale {:+.1} {:+.1} {:+.1} %, axes askew, noise of the real part.",
+            scale[0], scale[1], scale[2]
+        ),
+        "1 stream     raw samples, corrected samples and position over a cable and a wireless link"
+            .to_owned(),
+        format!(
+            "2 move       a 1 m slide, uncalibrated: the position is {:.2} m wrong after 3 s",
+            slide.uncalibrated_m
+        ),
+        format!(
+            "3 record     {} samples while a hand holds the board in {} poses",
+            outcome.samples, outcome.report.poses
+        ),
+        format!(
+            "4 calibrate  9 parameters from gravity alone ({}); the bias is found to {worst_bias_mg:.2} mg",
+            outcome.report.terms.join(", ")
+        ),
+        format!(
+            "5 push       over the wireless link: {}",
+            outcome
+                .wireless_refusal
+                .as_ref()
+                .map_or("accepted".to_owned(), |_| {
+                    "refused, it is open to anyone; over the cable: done".to_owned()
+                })
+        ),
+        format!(
+            "6 restart    the board still holds parameters {}",
+            outcome.after_restart
+        ),
+        format!(
+            "7 verify     on ten new tilts |f| is off g by {before:.1} mm/s² before, {after:.2} mm/s² after: {:.0} times less",
+            before / after
+        ),
+        format!(
+            "8 navigate   the same slide: {:.1} mm wrong; with zero velocity assumed at both rests {:.1} mm",
+            slide.calibrated_m * 1e3,
+            slide.zupt_m * 1e3
+        ),
+        format!(
+            "9 replay     {replayed} corrected samples and all positions computed again here: {}",
+            if outcome.replays.iter().all(|replay| replay.is_exact()) {
+                "bit for bit the board's"
+            } else {
+                "NOT the board's"
+            }
+        ),
+    ]
+}
+
+fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
+    let mut report = Report::new("wimu demo");
+    report.text("A simulated board with hidden errors is streamed, recorded, calibrated and corrected. Everything below is what the board itself sent.");
+    report.printed(&story.join("\n"));
+    let tilt = |which: usize, name: &str| Series {
+        name: name.to_owned(),
+        points: outcome
+            .tilts
+            .iter()
+            .enumerate()
+            .map(|(index, tilt)| (index as f64 + 1.0, tilt[which].abs() * 1e3))
+            .collect(),
+        dots: true,
+    };
+    report.chart(&Chart {
+        title: "Ten tilts that were not fitted: how far |f| is off g".to_owned(),
+        x: "tilt".to_owned(),
+        y: "mm/s²".to_owned(),
+        log: true,
+        y_range: Some((0.01, 2000.0)),
+        series: vec![
+            tilt(0, "as the sensor puts it out"),
+            tilt(1, "corrected on the board"),
+        ],
+    })?;
+    let path = |points: &[Point], name: &str| {
+        let start = points.first().map_or(0.0, |point| point.time.to_seconds());
+        let from = points
+            .first()
+            .map_or([0.0; 3], |point| point.navigation.position.to_m());
+        Series {
+            name: name.to_owned(),
+            points: points
+                .iter()
+                .map(|point| {
+                    let to = point.navigation.position.to_m();
+                    (point.time.to_seconds() - start, distance_m(from, to))
+                })
+                .collect(),
+            dots: false,
+        }
+    };
+    report.chart(&Chart {
+        title: "A slide of 1 m in 3 s between two rests: how far the board says it went".to_owned(),
+        x: "time (s)".to_owned(),
+        y: "distance from the start (m)".to_owned(),
+        log: false,
+        y_range: Some((0.0, 3.0)),
+        series: vec![
+            path(&outcome.uncalibrated_path, "uncalibrated"),
+            path(&outcome.calibrated_path, "calibrated"),
+            path(&outcome.zupt_path, "calibrated, zero velocity at rests"),
+        ],
+    })?;
+    if let Some(fit) = &outcome.report.fit {
+        let truth = outcome.truth.model.terms();
+        let rows: Vec<Vec<String>> = (0..3)
+            .map(|axis| {
+                vec![
+                    ["X", "Y", "Z"][axis].to_owned(),
+                    format!("{:+.4}", truth.bias_mps2[axis]),
+                    format!(
+                        "{:+.4} ± {:.4}",
+                        fit.model.bias_mps2[axis], fit.sd.bias_mps2[axis]
+                    ),
+                    format!("{:.5}", truth.matrix[axis][axis]),
+                    format!(
+                        "{:.5} ± {:.5}",
+                        fit.model.matrix[axis][axis], fit.sd.matrix[axis][axis]
+                    ),
+                ]
+            })
+            .collect();
+        report.table(
+            &[
+                "axis",
+                "true bias (m/s²)",
+                "found",
+                "true scale factor",
+                "found",
+            ],
+            &rows,
+        );
+    }
+    Ok(report)
 }

@@ -1,6 +1,7 @@
 //! `wimu simulate`.
 
 use std::path::Path;
+use std::sync::atomic::Ordering;
 
 use serde::Serialize;
 use wimu_host::dataset::{Dataset, LoadOptions};
@@ -19,6 +20,9 @@ use wimu_sim::truth::{Gauge, SensorTruth};
 use crate::arguments::{Sensor, Simulate};
 use crate::command::interrupted;
 use crate::output::Output;
+
+/// After the end, the last batch is on its way for a moment, µs.
+const LINGER_US: u64 = 2_000_000;
 
 #[derive(Serialize)]
 struct Listening {
@@ -50,7 +54,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         replay: arguments.replay.is_some(),
         ..BoardConfig::default()
     };
-    let (board, end_us) = match &arguments.replay {
+    let (board, played) = match &arguments.replay {
         Some(path) => {
             let counts = counts_of(arguments, path)?;
             output.say(format!(
@@ -73,11 +77,10 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
                     format!("choose of {}", known.join(", ")),
                 )
             })?;
-            scene.play(0.0, motion);
-            let end_us = (scene.end_s() * 1e6) as u64;
+            scene.play(0.0, motion.clone());
             let truth = SensorTruth::random(arguments.seed, Gauge::LowerTriangular);
-            let physics = Physics::new(truth, scene, arguments.seed);
-            (Board::start(config, physics), Some(end_us))
+            let physics = Physics::new(truth, scene.clone(), arguments.seed);
+            (Board::start(config, physics), Some((scene, motion)))
         }
     };
     let mut server = Server::bind(board, arguments.cable, arguments.wireless)
@@ -111,25 +114,29 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     ));
     output.object(&listening);
     let stop = interrupted()?;
-    let linger_us = 2_000_000;
     let mut done_at = None;
     server.run(|board| {
-        let done = match end_us {
-            Some(end_us) => board.now_us() >= end_us,
+        let now_us = board.now_us();
+        let done = match &played {
+            Some((scene, motion)) => {
+                let over = now_us as f64 * 1e-6 >= scene.end_s();
+                if over && !arguments.exit_when_done {
+                    scene.play(scene.end_s(), motion.clone());
+                }
+                over
+            }
             None => board.sensor().finished(),
         };
         if done && done_at.is_none() {
-            done_at = Some(board.now_us());
-            output.say(if end_us.is_some() {
-                "the motion is over; the board rests"
-            } else {
-                "the recording is over; the sensor has no more data"
+            done_at = Some(now_us);
+            output.say(match (&played, arguments.exit_when_done) {
+                (Some(_), false) => "the motion begins again",
+                (Some(_), true) => "the motion is over",
+                (None, _) => "the recording is over; the sensor has no more data",
             });
         }
-        // The last batch is on its way for a moment.
-        stop.load(std::sync::atomic::Ordering::Relaxed)
-            || (arguments.exit_when_done
-                && done_at.is_some_and(|at| board.now_us() >= at + linger_us))
+        stop.load(Ordering::Relaxed)
+            || (arguments.exit_when_done && done_at.is_some_and(|at| now_us >= at + LINGER_US))
     });
     Ok(())
 }

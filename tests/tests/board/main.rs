@@ -1,0 +1,6 @@
+//! A board in virtual time, and everything that can go wrong around it.
+
+mod epochs;
+mod links;
+mod requests;
+mod sensor;

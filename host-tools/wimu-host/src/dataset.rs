@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use wimu_link::LinkRole;
+use wimu_link::hello::sensor;
 use wimu_model::{Counts, DeviceTimeUs, Sensitivity};
 
 use crate::csv::{AccelerationUnit, CsvReader, Filter};
@@ -326,10 +327,14 @@ struct Temperatures<'a> {
 
 impl<'a> Temperatures<'a> {
     fn new(boot: &'a Boot) -> Self {
-        let first = boot.environment.iter().find_map(|e| e.temperature_centi_c);
+        // A board that replays another sensor's counts has a thermometer that was not there.
+        let replays = boot
+            .hello
+            .is_some_and(|hello| hello.sensor.number == sensor::REPLAY);
+        let rest: &[_] = if replays { &[] } else { &boot.environment };
         Self {
-            rest: &boot.environment,
-            latest: first.map(celsius),
+            rest,
+            latest: rest.iter().find_map(|e| e.temperature_centi_c).map(celsius),
         }
     }
 

@@ -31,12 +31,14 @@ impl Segment {
     pub fn step(&mut self, force: SpecificForceQ16, whole_gravity: [i32; 3]) -> bool {
         let a: [i32; 3] =
             core::array::from_fn(|axis| force.0[axis].wrapping_sub(whole_gravity[axis]));
-        let Some(previous) = self.previous.replace(a) else {
+        let Some(previous) = &mut self.previous else {
+            self.previous = Some(a);
             return false;
         };
         for axis in 0..3 {
             let before = self.velocity_sum[axis];
             let after = before.wrapping_add(i64::from(previous[axis].wrapping_add(a[axis])));
+            previous[axis] = a[axis];
             self.velocity_sum[axis] = after;
             self.position_sum[axis] = self.position_sum[axis]
                 .wrapping_add(before)

@@ -41,17 +41,75 @@ pub struct Corrector {
 }
 
 /// One output axis.
+#[cfg(not(no_long_multiply))]
+type Row = LongRow;
+#[cfg(no_long_multiply)]
+type Row = SplitRow;
+
+/// For a processor that multiplies 32 by 32 bits to 64.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Row {
+struct LongRow {
+    /// Coefficients in 2^−(shift + 15) output LSB per count.
+    k: [i32; 3],
+    /// Offset and rounding, 2⁻³² output LSB.
+    offset: i64,
+}
+
+impl LongRow {
+    fn new(k: [Split; 3], offset: Split, shift: u32) -> Self {
+        let whole = |part: Split| (i64::from(part.high) << LOW_BITS) + i64::from(part.low);
+        Self {
+            k: k.map(|k| whole(k) as i32),
+            offset: whole(offset) << (17 - shift),
+        }
+    }
+
+    #[inline(always)]
+    fn apply(&self, c: [i32; 3], shift: u32) -> i32 {
+        // Counts are shifted so that the result is the upper word of the sum.
+        let c = c.map(|c| i64::from(c << (17 - shift)));
+        let sum = self.offset
+            + i64::from(self.k[0]) * c[0]
+            + i64::from(self.k[1]) * c[1]
+            + i64::from(self.k[2]) * c[2];
+        (sum >> 32) as i32
+    }
+}
+
+/// For a processor that multiplies 32 by 32 bits to 32.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct SplitRow {
     /// Coefficients in 2^−shift output LSB per count.
-    high: [i16; 3],
+    high: [i32; 3],
     /// What `high` leaves, in 2^−(shift + 15) output LSB per count, −2¹⁴..=2¹⁴.
-    low: [i16; 3],
-    /// Offset and rounding in the unit of `high`.
-    high_offset: i32,
-    /// Offset and rounding in the unit of `low`.
-    low_offset: i32,
+    low: [i32; 3],
+    offset: Split,
+}
+
+impl SplitRow {
+    fn new(k: [Split; 3], offset: Split, _: u32) -> Self {
+        Self {
+            high: k.map(|k| k.high),
+            low: k.map(|k| k.low),
+            offset,
+        }
+    }
+
+    #[inline(always)]
+    fn apply(&self, c: [i32; 3], shift: u32) -> i32 {
+        let sum = |k: &[i32; 3], offset: i32| k[0] * c[0] + k[1] * c[1] + k[2] * c[2] + offset;
+        let low = sum(&self.low, self.offset.low) >> LOW_BITS;
+        (sum(&self.high, self.offset.high) + low) >> shift
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Split {
+    high: i32,
+    low: i32,
 }
 
 impl Corrector {
@@ -95,15 +153,11 @@ impl Corrector {
             .ok_or(CompileError::Overflow)?;
 
         let mut rows = [Row::default(); 3];
-        for (row, (k, o)) in rows.iter_mut().zip(coefficients.iter().zip(offset)) {
-            for axis in 0..3 {
-                let (high, low) = split(k[axis], shift);
-                row.high[axis] = high as i16;
-                row.low[axis] = low as i16;
-            }
-            let (high, low) = split(o, shift);
-            row.high_offset = high + (1 << (shift - 1));
-            row.low_offset = low + (1 << (LOW_BITS - 1));
+        for (row, (k, o)) in rows.iter_mut().zip(coefficients.iter().zip(&offset)) {
+            let mut offset = split(*o, shift);
+            offset.high += 1 << (shift - 1);
+            offset.low += 1 << (LOW_BITS - 1);
+            *row = Row::new(k.map(|k| split(k, shift)), offset, shift);
         }
         Ok(Self { rows, shift })
     }
@@ -112,26 +166,20 @@ impl Corrector {
     #[inline]
     pub fn correct(&self, counts: Counts) -> SpecificForceQ16 {
         let c = counts.0.map(i32::from);
-        let sum = |coefficients: &[i16; 3], offset: i32| {
-            i32::from(coefficients[0]) * c[0]
-                + i32::from(coefficients[1]) * c[1]
-                + i32::from(coefficients[2]) * c[2]
-                + offset
-        };
-        SpecificForceQ16(core::array::from_fn(|axis| {
-            let row = &self.rows[axis];
-            let low = sum(&row.low, row.low_offset) >> LOW_BITS;
-            (sum(&row.high, row.high_offset) + low) >> self.shift
-        }))
+        SpecificForceQ16([
+            self.rows[0].apply(c, self.shift),
+            self.rows[1].apply(c, self.shift),
+            self.rows[2].apply(c, self.shift),
+        ])
     }
 }
 
 /// `value` as high · 2^−shift + low · 2^−(shift + 15), both rounded to nearest.
-fn split(value: f64, shift: u32) -> (i32, i32) {
+fn split(value: f64, shift: u32) -> Split {
     let scaled = value * (1_u32 << shift) as f64;
     let high = round(scaled);
     let low = round((scaled - high as f64) * (1_u32 << LOW_BITS) as f64);
-    (high, low)
+    Split { high, low }
 }
 
 fn round(value: f64) -> i32 {

@@ -142,8 +142,9 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     fn take(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
         let Running { clock, .. } = running;
         let missed = clock.missed_before(&read, counts.len());
-        if missed > 0 || clock.last.is_none() {
+        if missed > 0 || !clock.goes_on_at(read.last_time) {
             self.flush();
+            clock.measure_anew();
             running.integrator.gap();
             self.next_sequence = self.next_sequence.wrapping_add(missed);
             running.epoch_reason.get_or_insert(EpochReason::Gap);
@@ -162,9 +163,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             );
             self.sample(running, sample, time);
         }
-        running
-            .clock
-            .count(read.last_time, missed + counts.len() as u32);
+        running.clock.count(read.last_time, counts.len() as u32);
     }
 
     fn sample(&mut self, running: &mut Running, counts: Counts, time: DeviceTimeUs) {
@@ -331,7 +330,7 @@ struct SampleClock {
     period: PeriodNs,
     first: Option<DeviceTimeUs>,
     last: Option<DeviceTimeUs>,
-    /// Sample periods from first to last.
+    /// Sample periods from first to last, none of them missed.
     periods: u32,
 }
 
@@ -358,6 +357,18 @@ impl SampleClock {
         let missed = taken.saturating_sub(count as u64);
         // The sensor knows better than the clock that one is gone.
         u32::try_from(missed.max(read.overrun.into())).unwrap_or(u32::MAX)
+    }
+
+    /// Whether `time` follows the latest sample; not before the first, nor where time runs
+    /// backwards.
+    fn goes_on_at(&self, time: DeviceTimeUs) -> bool {
+        self.last.is_some_and(|last| time > last)
+    }
+
+    /// How many periods a gap has is a guess: measuring begins again after it.
+    fn measure_anew(&mut self) {
+        self.first = None;
+        self.periods = 0;
     }
 
     fn count(&mut self, last: DeviceTimeUs, periods: u32) {

@@ -8,12 +8,12 @@ use wimu_host::decode::{Decoder, Event, TimedSample};
 use wimu_host::record::{Boot, LinkRecord, Recording};
 use wimu_host::recording::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay;
-use wimu_link::message::{Event as DeviceEvent, Payload, Status, Telemetry};
+use wimu_link::message::{Event as DeviceEvent, Payload, Status};
 use wimu_link::{
     Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WhoAreYou,
 };
 use wimu_sim::board::{Board, BoardConfig};
-use wimu_sim::motion::{self, Motion};
+use wimu_sim::motion;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::{Physics, Source};
 use wimu_sim::truth::{Gauge, SensorTruth};
@@ -252,21 +252,6 @@ impl Listener {
         &self.replies
     }
 
-    /// Every reply's frame, as it came.
-    pub fn reply_frames(&self) -> Vec<Vec<u8>> {
-        let mut deframer = Deframer::new();
-        let is_reply = |frame: &&[u8]| {
-            frame.iter().any(|&byte| {
-                matches!(deframer.push(byte), Some(Ok(frame)) if frame.kind == Kind::Reply)
-            })
-        };
-        self.bytes()
-            .split_inclusive(|&byte| byte == 0)
-            .filter(is_reply)
-            .map(<[u8]>::to_vec)
-            .collect()
-    }
-
     /// What happened on the device since it started last.
     pub fn events(&self) -> Vec<DeviceEvent> {
         let boot = self.record.boots.last().expect("at least one");
@@ -336,9 +321,19 @@ pub fn who_are_you() -> Vec<u8> {
     encoded(|frame| WhoAreYou::default().encode(frame))
 }
 
-/// A telemetry message as a frame.
-pub fn telemetry(message: &Telemetry) -> Vec<u8> {
-    encoded(|frame| message.encode(frame))
+/// The frames in `bytes` that are replies, as they came.
+pub fn reply_frames(bytes: &[u8]) -> Vec<Vec<u8>> {
+    let mut deframer = Deframer::new();
+    let is_reply = |frame: &&[u8]| {
+        frame.iter().any(
+            |&byte| matches!(deframer.push(byte), Some(Ok(frame)) if frame.kind == Kind::Reply),
+        )
+    };
+    bytes
+        .split_inclusive(|&byte| byte == 0)
+        .filter(is_reply)
+        .map(<[u8]>::to_vec)
+        .collect()
 }
 
 /// A frame of any kind and version, intact by its CRC, made without the crate under test.

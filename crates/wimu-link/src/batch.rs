@@ -3,7 +3,7 @@
 //! A batch decodes alone, so that a lost one costs nothing but itself. Every axis is predicted
 //! from its own past, and what the prediction missed is Rice-coded; an axis that would not get
 //! shorter is sent as it is. All in whole numbers. Equations (20) to (24) of
-//! docs/EQUATIONS-link.md.
+//! docs/EQUATIONS.md.
 //!
 //! Body of a frame of kind 3:
 //!
@@ -48,6 +48,9 @@ const MAX_BATCH_BODY: usize = HEADER + 26_usize.div_ceil(8) + MAX_BATCH * 3 * 4;
 
 /// This many ones are an escape.
 const ESCAPE: u32 = 12;
+
+/// The largest Rice parameter used: with it and the longest prefix a code has 32 bits.
+const LARGEST_K: u32 = 32 - ESCAPE;
 
 /// Fraction bits of the mean's predictor.
 const MEAN_BITS: u32 = 4;
@@ -191,14 +194,17 @@ pub(crate) fn encode_body<S: Sample>(
     if shift > 0 {
         writer.push(shift, stream.field());
     }
-    let mut latest_k = None;
-    let mut buffer = [0; MAX_BATCH];
+    let mut encoder = AxisEncoder {
+        stream,
+        values: [0; MAX_BATCH],
+        missed: [[0; 3]; MAX_BATCH],
+        latest_k: None,
+    };
     for axis in 0..3 {
-        for (value, sample) in buffer.iter_mut().zip(samples) {
+        for (value, sample) in encoder.values.iter_mut().zip(samples) {
             *value = sample.axes()[axis] >> shift;
         }
-        let values = buffer.get(..samples.len()).unwrap_or_default();
-        encode_axis(stream, values, &mut latest_k, &mut writer);
+        writer = encoder.encode(samples.len(), writer);
     }
     let packed = writer.finish().ok_or(EncodeError::NoRoom)?;
     Ok(HEADER + packed)
@@ -276,10 +282,10 @@ impl Past {
     }
 }
 
-/// What `predicted` missed of `value`, folded to a whole number: equation (22).
+/// What was missed of a value, folded to a whole number: equation (22).
 #[inline]
-fn fold(stream: Stream, value: i32, predicted: i32) -> u32 {
-    let residual = stream.wrap(value.wrapping_sub(predicted));
+fn fold(stream: Stream, missed: i32) -> u32 {
+    let residual = stream.wrap(missed);
     ((residual << 1) ^ (residual >> 31)) as u32
 }
 
@@ -312,106 +318,122 @@ fn k_code(stream: Stream, k: u32, latest: Option<u32>) -> (u32, u32) {
     }
 }
 
-/// Bits of `folded` under Rice parameter `k`: equation (23).
-#[inline]
-fn rice_length(stream: Stream, folded: u32, k: u32) -> u32 {
-    let quotient = folded >> k;
-    if quotient < ESCAPE {
-        quotient + 1 + k
-    } else {
-        ESCAPE + stream.width()
+/// A residual's high part q in unary, q ones and a zero, less q: what to add to u at bit k, so that
+/// u's own q there becomes that.
+const UNARY_LESS_QUOTIENT: [u32; ESCAPE as usize] = {
+    let mut table = [0; ESCAPE as usize];
+    let mut quotient = 0;
+    while quotient < ESCAPE {
+        table[quotient as usize] = (2 << quotient) - 2 - quotient;
+        quotient += 1;
     }
+    table
+};
+
+/// How far the mean moves towards the samples after the first: ⌊log2⌋ of their count.
+const MEAN_SHIFTS: [u8; MAX_BATCH - 1] = {
+    let mut shifts = [0; MAX_BATCH - 1];
+    let mut index = 0;
+    while index < shifts.len() {
+        shifts[index] = (index as u32 + 2).ilog2() as u8;
+        index += 1;
+    }
+    shifts
+};
+
+struct AxisEncoder {
+    stream: Stream,
+    values: [i32; MAX_BATCH],
+    /// What the three predictors missed of each value but the first, folded.
+    missed: [[u32; 3]; MAX_BATCH],
+    latest_k: Option<u32>,
 }
 
-fn encode_axis(
-    stream: Stream,
-    values: &[i32],
-    latest_k: &mut Option<u32>,
-    writer: &mut BitWriter<'_>,
-) {
-    let Some((&first, rest)) = values.split_first() else {
-        return;
-    };
-    let field = stream.field();
+impl AxisEncoder {
+    #[inline(never)]
+    fn encode<'a>(&mut self, count: usize, mut writer: BitWriter<'a>) -> BitWriter<'a> {
+        let stream = self.stream;
+        let field = stream.field();
+        let values = self.values.get(..count).unwrap_or_default();
+        let Some((&first, rest)) = values.split_first() else {
+            return writer;
+        };
 
-    // One pass finds the predictor that misses least, and the longest value.
-    let mut past = Past::new(first);
-    let mut missed = [0_u32; 3];
-    let mut largest = magnitude(first);
-    for &value in rest {
-        largest |= magnitude(value);
-        for (sum, predicted) in missed
-            .iter_mut()
-            .zip([past.mean(), past.previous, past.linear()])
-        {
-            *sum = sum.saturating_add(fold(stream, value, predicted));
+        let mut sums = [0_u32; 3];
+        let add = |sum: &mut u32, folded| *sum = match stream {
+            Stream::Raw => *sum + folded,
+            Stream::Corrected => sum.saturating_add(folded),
+        };
+        let mut mean = first << MEAN_BITS;
+        for ((&value, mean_shift), missed) in rest.iter().zip(MEAN_SHIFTS).zip(&mut self.missed) {
+            let rounded_mean = mean.wrapping_add(1 << (MEAN_BITS - 1)) >> MEAN_BITS;
+            missed[0] = fold(stream, value.wrapping_sub(rounded_mean));
+            add(&mut sums[0], missed[0]);
+            let innovation = (value << MEAN_BITS).wrapping_sub(mean);
+            mean = mean.wrapping_add(innovation >> mean_shift);
         }
-        past.add(value);
-    }
-    let [mean, previous, linear] = missed;
-    let (coding, sum) = if mean <= previous && mean <= linear {
-        (Coding::Mean, mean)
-    } else if previous <= linear {
-        (Coding::Previous, previous)
-    } else {
-        (Coding::Linear, linear)
-    };
-
-    let mut buffer = [0; MAX_BATCH];
-    let mut past = Past::new(first);
-    for (place, &value) in buffer.iter_mut().zip(rest) {
-        *place = fold(stream, value, past.predict(coding));
-        past.add(value);
-    }
-    let folded = buffer.get(..rest.len()).unwrap_or_default();
-
-    // The best Rice parameter is the logarithm of the mean residual or one less; far less only
-    // where outliers, which are escaped, make the mean.
-    let length_with = |k: u32| {
-        let code = k_code(stream, k, *latest_k).1;
-        folded
-            .iter()
-            .fold(code, |sum, &folded| sum + rice_length(stream, folded, k))
-    };
-    let average = sum / (rest.len() as u32).max(1);
-    let mut k = average.max(1).ilog2();
-    let mut coded = length_with(k);
-    while let Some(lower) = k.checked_sub(1) {
-        let length = length_with(lower);
-        if length >= coded {
-            break;
+        let (mut previous, mut slope) = (first, 0_i32);
+        for (&value, missed) in rest.iter().zip(&mut self.missed) {
+            let step = value.wrapping_sub(previous);
+            missed[1] = fold(stream, step);
+            add(&mut sums[1], missed[1]);
+            missed[2] = fold(stream, step.wrapping_sub(slope));
+            add(&mut sums[2], missed[2]);
+            (previous, slope) = (value, step);
         }
-        (k, coded) = (lower, length);
-    }
+        let [mean, previous, linear] = sums;
+        let (coding, sum) = if mean <= previous && mean <= linear {
+            (Coding::Mean, mean)
+        } else if previous <= linear {
+            (Coding::Previous, previous)
+        } else {
+            (Coding::Linear, linear)
+        };
 
-    let first_magnitude = magnitude(first);
-    let first_length = bit_length(first_magnitude);
-    let length = bit_length(largest);
-    // Both ways begin with the coding and a length.
-    if first_length.max(1) + coded < (length + 1) * values.len() as u32 {
-        writer.push(coding as u32, 2);
-        let (code, bits) = k_code(stream, k, *latest_k);
-        writer.push(code, bits);
-        *latest_k = Some(k);
-        writer.push(first_length, field);
-        writer.push(u32::from(first < 0), 1);
-        writer.push(first_magnitude, first_length.saturating_sub(1));
-        for &folded in folded {
+        let average = sum / (rest.len() as u32).max(1);
+        let k = average.max(1).ilog2().min(LARGEST_K);
+        let start = writer.place();
+        let (code, bits) = k_code(stream, k, self.latest_k);
+        let first_magnitude = magnitude(first);
+        let first_length = bit_length(first_magnitude);
+        let head = ((coding as u32) << bits | code) << field | first_length;
+        writer.push(head << 1 | u32::from(first < 0), 3 + bits + field);
+        let without_highest = first_length.saturating_sub(1);
+        writer.push(first_magnitude & !(1 << without_highest), without_highest);
+        let predictor = coding as usize - 1;
+        for missed in self.missed.iter().take(rest.len()) {
+            let folded = missed[predictor];
             let quotient = folded >> k;
-            if quotient < ESCAPE {
-                writer.push((1 << (quotient + 1)) - 2, quotient + 1);
-                writer.push(folded, k);
+            if let Some(less) = UNARY_LESS_QUOTIENT.get(quotient as usize) {
+                writer.push(folded + (less << k), quotient + 1 + k);
             } else {
                 writer.push((1 << ESCAPE) - 1, ESCAPE);
                 writer.push(folded, stream.width());
             }
         }
-    } else {
+
+        // An axis that would not get shorter is sent as it is. Its longest sample is looked for
+        // only where the first one does not show already that it would.
+        let coded = writer.bits_since(&start);
+        let fixed = |length: u32| 2 + field + (length + 1) * values.len() as u32;
+        if coded < fixed(first_length) {
+            self.latest_k = Some(k);
+            return writer;
+        }
+        let longest = values.iter().fold(0, |m, &v| m | magnitude(v));
+        let length = bit_length(longest);
+        if coded < fixed(length) {
+            self.latest_k = Some(k);
+            return writer;
+        }
+        writer.go_back(start);
         writer.push(Coding::Fixed as u32, 2);
         writer.push(length, field);
         for &value in values {
-            writer.push(value as u32, length + 1);
+            let spare = 31 - length;
+            writer.push((value as u32) << spare >> spare, length + 1);
         }
+        writer
     }
 }
 

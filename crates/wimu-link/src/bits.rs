@@ -3,51 +3,78 @@
 /// Writes bits; what does not fit is dropped and reported at the end.
 pub(crate) struct BitWriter<'a> {
     bytes: &'a mut [u8],
+    place: Place,
+}
+
+/// Where a writer stands.
+#[derive(Clone, Copy)]
+pub(crate) struct Place {
+    /// Bytes written, four at a time.
     length: usize,
-    /// The latest bits, of which the lowest `pending` (0..=7 between calls) are not written yet.
+    /// Bits not written yet, at the top; zeros below.
     held: u32,
-    pending: u32,
+    /// How many zeros there are below: 1..=32.
+    free: u32,
 }
 
 impl<'a> BitWriter<'a> {
     pub(crate) fn new(bytes: &'a mut [u8]) -> Self {
         Self {
             bytes,
-            length: 0,
-            held: 0,
-            pending: 0,
+            place: Place {
+                length: 0,
+                held: 0,
+                free: 32,
+            },
         }
     }
 
-    /// Appends the lowest `count` (0..=32) bits of `value`.
+    /// Appends `count` (0..=32) bits: `value`, which has no more.
     #[inline]
     pub(crate) fn push(&mut self, value: u32, count: u32) {
-        if count > 16 {
-            self.push_short(value >> 16, count - 16);
-            self.push_short(value, 16);
+        let Place { length, held, free } = self.place;
+        if let Some(left) = free.checked_sub(count + 1) {
+            // In two steps, here and below, because a shift by 32 is none.
+            self.place.held = held | (value << 1 << left);
+            self.place.free = left + 1;
         } else {
-            self.push_short(value, count);
+            let over = count - free;
+            if let Some(place) = self.bytes.get_mut(length..length + 4) {
+                place.copy_from_slice(&(held | (value >> over)).to_be_bytes());
+            }
+            self.place = Place {
+                length: length + 4,
+                held: value << 1 << (31 - over),
+                free: 32 - over,
+            };
         }
     }
 
-    /// `count` in 0..=16, so that 23 bits at most are held.
-    #[inline]
-    fn push_short(&mut self, value: u32, count: u32) {
-        self.held = (self.held << count) | (value & ((1 << count) - 1));
-        self.pending += count;
-        while self.pending >= 8 {
-            self.pending -= 8;
-            if let Some(place) = self.bytes.get_mut(self.length) {
-                *place = (self.held >> self.pending) as u8;
-            }
-            self.length += 1;
-        }
+    /// Where it stands, to [go back](Self::go_back) to.
+    pub(crate) fn place(&self) -> Place {
+        self.place
+    }
+
+    /// Bits pushed since it stood at `start`.
+    pub(crate) fn bits_since(&self, start: &Place) -> u32 {
+        let bits = |place: &Place| 8 * place.length as u32 + 32 - place.free;
+        bits(&self.place) - bits(start)
+    }
+
+    /// Takes back what was pushed since it stood at `place`.
+    pub(crate) fn go_back(&mut self, place: Place) {
+        self.place = place;
     }
 
     /// Fills the last byte with zeros; returns the length in bytes, or `None` if it did not fit.
-    pub(crate) fn finish(mut self) -> Option<usize> {
-        self.push_short(0, self.pending.wrapping_neg() & 7);
-        (self.length <= self.bytes.len()).then_some(self.length)
+    pub(crate) fn finish(self) -> Option<usize> {
+        let Place { length, held, free } = self.place;
+        let left = (32 - free).div_ceil(8) as usize;
+        let end = self.bytes.get_mut(length..length + left)?;
+        for (place, byte) in end.iter_mut().zip(held.to_be_bytes()) {
+            *place = byte;
+        }
+        Some(length + left)
     }
 }
 
@@ -145,16 +172,16 @@ mod tests {
         fn what_is_written_is_read(fields in prop::collection::vec((any::<u32>(), 0..=32_u32), 0..60)) {
             let mut bytes = [0; 256];
             let mut writer = BitWriter::new(&mut bytes);
+            let masked = |value: u32, count: u32| value & ((1_u64 << count) - 1) as u32;
             for &(value, count) in &fields {
-                writer.push(value, count);
+                writer.push(masked(value, count), count);
             }
             let length = writer.finish().unwrap();
             let bits: u32 = fields.iter().map(|field| field.1).sum();
             prop_assert_eq!(length, bits.div_ceil(8) as usize);
             let mut reader = BitReader::new(&bytes[..length]);
             for &(value, count) in &fields {
-                let mask = ((1_u64 << count) - 1) as u32;
-                prop_assert_eq!(reader.pull(count), value & mask);
+                prop_assert_eq!(reader.pull(count), masked(value, count));
             }
             prop_assert!(reader.finish().is_ok());
             prop_assert!(BitReader::new(&[]).finish().is_ok());

@@ -14,7 +14,7 @@ use wimu_link::{Deframer, Kind};
 use wimu_model::{CentiCelsius, CompileError, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
 
 use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{Correction, Order, ROLES, Shared};
+use crate::shared::{Correction, Order, ROLES, Shared, Trouble};
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -82,27 +82,30 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     /// the device runs without it.
     async fn start(&mut self) -> Plan {
         let boot_count = match self.load_boot_count().await {
-            Ok(before) => before.wrapping_add(1),
+            Ok(before) => {
+                let count = before.wrapping_add(1).max(1);
+                if self.save_boot_count(count).await.is_err() {
+                    self.trouble(Trouble::BootCount, Event::StoreUnreadable);
+                }
+                count
+            }
             Err(StoreFault) => {
-                self.report(Event::StoreUnreadable);
+                self.trouble(Trouble::BootCount, Event::StoreUnreadable);
                 0
             }
         };
-        if boot_count > 0 && self.save_boot_count(boot_count).await.is_err() {
-            self.report(Event::StoreUnreadable);
-        }
         let wanted = match self.load(Key::Settings).await {
             Ok(Some(Telemetry::Settings(settings))) => settings,
             Ok(None) => Settings::default(),
             _ => {
-                self.report(Event::StoreUnreadable);
+                self.trouble(Trouble::Settings, Event::StoreUnreadable);
                 Settings::default()
             }
         };
         let plan = match plan::<A>(&wanted) {
             Ok(plan) => Some(plan),
             Err(nearest) => {
-                self.report(Event::SettingsAdjusted);
+                self.trouble(Trouble::Settings, Event::SettingsAdjusted);
                 plan::<A>(&nearest).ok()
             }
         };
@@ -114,12 +117,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             }))) => match ParameterSet::try_from(&stored) {
                 Ok(set) => Some(set),
                 Err(fault) => {
-                    self.report(Event::ModelRejected(fault));
+                    self.trouble(Trouble::Parameters, Event::ModelRejected(fault));
                     None
                 }
             },
             _ => {
-                self.report(Event::StoreUnreadable);
+                self.trouble(Trouble::Parameters, Event::StoreUnreadable);
                 None
             }
         };
@@ -138,7 +141,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.introduce(role, self.timer.now());
         }
         // A sensor that does not start is reported and tried again by the sampler.
-        let _ = self.configure(&plan).await;
+        let _ = self.configure(&plan, parameters.as_ref()).await;
         plan
     }
 
@@ -170,21 +173,38 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             }
             Command::FactoryReset => {
                 let new = plan_nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
-                self.store
-                    .remove(Key::Parameters)
-                    .await
-                    .map_err(|StoreFault| Refusal::StoreFailed)?;
-                self.shared.publish(|published| published.parameters = None);
+                self.configure(&new, None).await?;
+                if let Err(StoreFault) = self.forget(&plan.settings).await {
+                    let committed = self.shared.published().parameters;
+                    self.configure(plan, committed.as_ref()).await?;
+                    return Err(Refusal::StoreFailed);
+                }
+                *plan = new;
                 self.staged = None;
+                self.shared.publish(|published| {
+                    published.settings = new.settings;
+                    published.parameters = None;
+                });
+                for mended in [Trouble::Settings, Trouble::Parameters] {
+                    self.mended(mended);
+                }
+                self.announce(&Telemetry::Settings(new.settings));
                 self.announce_parameters();
-                self.change(plan, new).await?;
-                self.store
-                    .remove(Key::Settings)
-                    .await
-                    .map_err(|StoreFault| Refusal::StoreFailed)?;
                 Ok(Payload::None)
             }
         }
+    }
+
+    /// Removes settings and parameters from the store, or neither.
+    async fn forget(&mut self, settings: &Settings) -> Result<(), StoreFault> {
+        self.store.remove(Key::Settings).await?;
+        let removed = self.store.remove(Key::Parameters).await;
+        if removed.is_err() {
+            let _ = self
+                .save(Key::Settings, &Telemetry::Settings(*settings))
+                .await;
+        }
+        removed
     }
 
     async fn commit(&mut self, named: ParameterId) -> Result<Payload, Refusal> {
@@ -211,6 +231,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.staged = None;
         self.shared
             .publish(|published| published.parameters = Some(staged));
+        self.mended(Trouble::Parameters);
         self.shared.orders.send(Order::Correct(correction)).await;
         self.announce_parameters();
         Ok(self.active())
@@ -218,22 +239,28 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// Runs the sensor under new settings and stores them; on failure it runs as before.
     async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
-        self.configure(&new).await?;
+        let committed = self.shared.published().parameters;
+        self.configure(&new, committed.as_ref()).await?;
         let record = Telemetry::Settings(new.settings);
         if let Err(refusal) = self.save(Key::Settings, &record).await {
-            self.configure(plan).await?;
+            self.configure(plan, committed.as_ref()).await?;
             return Err(refusal);
         }
         *plan = new;
         self.shared
             .publish(|published| published.settings = new.settings);
-        self.shared.announce(&record);
+        self.mended(Trouble::Settings);
+        self.announce(&record);
         Ok(())
     }
 
-    async fn configure(&mut self, plan: &Plan) -> Result<(), Refusal> {
+    async fn configure(
+        &mut self,
+        plan: &Plan,
+        committed: Option<&ParameterSet>,
+    ) -> Result<(), Refusal> {
         let correction = self
-            .correction(plan)
+            .correction(plan, committed)
             .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
         self.shared.configured.reset();
         self.shared
@@ -254,7 +281,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP as u16);
         if moved {
             self.latched = Some(temperature);
-            if let Ok(correction) = self.correction(plan) {
+            let committed = self.shared.published().parameters;
+            if let Ok(correction) = self.correction(plan, committed.as_ref()) {
                 self.shared.orders.send(Order::Correct(correction)).await;
             }
         }
@@ -262,13 +290,23 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// The corrector for `plan`: of the committed parameters if they are for its range, else of a
     /// perfect sensor.
-    fn correction(&self, plan: &Plan) -> Result<Correction, CompileError> {
+    fn correction(
+        &self,
+        plan: &Plan,
+        committed: Option<&ParameterSet>,
+    ) -> Result<Correction, CompileError> {
         let range_g = plan.settings.range_g;
-        let committed = self.shared.published().parameters;
         if let Some(set) = committed.filter(|set| set.range_g == range_g) {
-            match self.compile(&set, parameter_id(&set)) {
-                Ok(correction) => return Ok(correction),
-                Err(fault) => self.report(Event::ModelRejected(ParameterFault::from(fault))),
+            match self.compile(set, parameter_id(set)) {
+                Ok(correction) => {
+                    self.mended(Trouble::Parameters);
+                    return Ok(correction);
+                }
+                Err(fault) => {
+                    let event = Event::ModelRejected(ParameterFault::from(fault));
+                    self.trouble(Trouble::Parameters, event);
+                    self.shared.report(self.timer.now(), event);
+                }
             }
         }
         let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensitivity);
@@ -292,12 +330,19 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     }
 
     fn announce_parameters(&self) {
-        let active = self.shared.published().active();
-        self.shared.announce(&Telemetry::Parameters(active));
+        self.announce(&Telemetry::Parameters(self.shared.published().active()));
     }
 
-    fn report(&self, event: Event) {
-        self.shared.report(self.timer.now(), event);
+    fn announce(&self, message: &Telemetry) {
+        self.shared.announce(message, [true; 2]);
+    }
+
+    fn trouble(&self, trouble: Trouble, event: Event) {
+        self.shared.trouble(trouble, self.timer.now(), Some(event));
+    }
+
+    fn mended(&self, trouble: Trouble) {
+        self.shared.trouble(trouble, self.timer.now(), None);
     }
 
     /// Reads a record; one that is damaged counts as unreadable memory.

@@ -6,9 +6,13 @@ use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::Command;
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, LinkRole};
+use wimu_model::DeviceTimeUs;
 
 use crate::shared::{Shared, access};
 use crate::timer::Timer;
+
+/// A host that asks who is there more often has been answered.
+const INTRODUCED_US: u64 = 250_000;
 
 /// Sends what waits for one link.
 pub struct LinkWriter<'a, W, M: RawMutex> {
@@ -21,6 +25,8 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
     /// Runs for ever. A line that fails loses the frame that was under way; the next goes out.
     pub async fn run(mut self) -> ! {
         let mut frame = [0; MAX_FRAME];
+        // Ends whatever was under way when the device lost its power.
+        let _ = self.line.write_all(&[0]).await;
         loop {
             let length = self.shared.next_frame(self.role, &mut frame).await;
             let frame = frame.get(..length).unwrap_or_default();
@@ -46,6 +52,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     pub async fn run(mut self) -> ! {
         let mut deframer = Deframer::new();
         let mut bytes = [0; 64];
+        let mut introduced: Option<DeviceTimeUs> = None;
         loop {
             let read = match self.line.read(&mut bytes).await {
                 Ok(read) if read > 0 => read,
@@ -61,7 +68,14 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                 };
                 match received {
                     Ok(frame) if frame.kind == Kind::WhoAreYou => {
-                        self.shared.introduce(self.role, self.timer.now());
+                        // One that asks without end gets samples in between.
+                        let now = self.timer.now();
+                        if introduced
+                            .is_none_or(|last| now.0.saturating_sub(last.0) >= INTRODUCED_US)
+                        {
+                            introduced = Some(now);
+                            self.shared.introduce(self.role, now);
+                        }
                     }
                     Ok(frame) if frame.kind == Kind::Request => {
                         if let Some(command) = self.accept(frame.body) {

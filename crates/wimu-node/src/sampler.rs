@@ -11,7 +11,7 @@ use wimu_link::message::{
 use wimu_model::{Counts, DeviceTimeUs, PeriodNs, SpecificForceQ16};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault};
-use crate::shared::{Correction, Order, Shared};
+use crate::shared::{Correction, Order, ROLES, Shared, Trouble};
 use crate::timer::Timer;
 
 /// Samples read at once, at most.
@@ -43,6 +43,8 @@ pub struct Sampler<'a, A, T, M: RawMutex> {
     lanes: [Lane; 2],
     next_sequence: u32,
     next_surroundings: DeviceTimeUs,
+    /// The fault that was reported and that no sample has followed yet.
+    told: Option<SensorFault>,
 }
 
 /// What the sampler works with once it has been configured.
@@ -54,7 +56,7 @@ struct Running {
     epoch_reason: Option<EpochReason>,
     last_epoch: DeviceTimeUs,
     until_navigation: u32,
-    /// The sensor has failed and not come back.
+    /// The sensor has failed and has not been started again.
     lost: bool,
 }
 
@@ -67,6 +69,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             lanes: [Lane::default(), Lane::default()],
             next_sequence: 0,
             next_surroundings: DeviceTimeUs(0),
+            told: None,
         }
     }
 
@@ -130,31 +133,31 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                     EpochReason::Parameters
                 };
                 running.correction = correction;
-                running.epoch_reason = Some(reason);
-            }
-            Order::Epoch => {
-                running.epoch_reason.get_or_insert(EpochReason::Periodic);
+                running.begin_epoch(reason);
             }
         }
     }
 
     /// Takes samples that the sensor gave, oldest first.
     fn take(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
-        let Running { clock, .. } = running;
-        let missed = clock.missed_before(&read, counts.len());
-        if missed > 0 || !clock.goes_on_at(read.last_time) {
+        if self.told.take().is_some() {
+            self.shared.trouble(Trouble::Sensor, self.timer.now(), None);
+            self.shared.report(self.timer.now(), Event::SensorFound);
+        }
+        let missed = running.clock.missed_before(&read, counts.len());
+        if missed > 0 || !running.clock.goes_on_at(read.last_time) {
             self.flush();
-            clock.measure_anew();
+            running.clock.measure_anew();
             running.integrator.gap();
             self.next_sequence = self.next_sequence.wrapping_add(missed);
-            running.epoch_reason.get_or_insert(EpochReason::Gap);
+            running.begin_epoch(EpochReason::Gap);
         }
         self.shared.publish(|published| {
             let sensor = &mut published.sensor;
             sensor.samples = sensor.samples.wrapping_add(counts.len() as u32);
             sensor.missed = sensor.missed.wrapping_add(missed);
             sensor.overruns = sensor.overruns.wrapping_add(read.overrun.into());
-            published.measured_period_ns = clock.measured().map(|period| period.0);
+            published.measured_period_ns = running.clock.measured().map(|period| period.0);
         });
         for (index, &sample) in counts.iter().enumerate() {
             let newer = (counts.len() - 1 - index) as u64;
@@ -167,8 +170,17 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     fn sample(&mut self, running: &mut Running, counts: Counts, time: DeviceTimeUs) {
-        if let Some(reason) = running.epoch_reason.take() {
-            self.send_epoch(running, reason, time);
+        let wanted = ROLES.map(|role| self.shared.take_epoch_wanted(role));
+        match running.epoch_reason.take() {
+            Some(reason) => {
+                running.last_epoch = time;
+                self.send_epoch(running, reason, time, [true; 2]);
+            }
+            // For a link where somebody has begun to listen; it is none of the other's business.
+            None if wanted != [false; 2] => {
+                self.send_epoch(running, EpochReason::Periodic, time, wanted);
+            }
+            None => {}
         }
         let sequence = self.next_sequence;
         let force = running.correction.corrector.correct(counts);
@@ -196,9 +208,14 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         };
     }
 
-    fn send_epoch(&mut self, running: &mut Running, reason: EpochReason, time: DeviceTimeUs) {
-        running.last_epoch = time;
-        self.shared.announce(&Telemetry::Epoch(Epoch {
+    fn send_epoch(
+        &self,
+        running: &Running,
+        reason: EpochReason,
+        time: DeviceTimeUs,
+        roles: [bool; 2],
+    ) {
+        let epoch = Telemetry::Epoch(Epoch {
             reason,
             sequence: self.next_sequence,
             time_us: time.0,
@@ -209,7 +226,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
             state: running.integrator.state().into(),
-        }));
+        });
+        self.shared.announce(&epoch, roles);
     }
 
     fn send_navigation(&self, running: &Running, sequence: u32) {
@@ -249,30 +267,39 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     fn lose(&mut self, running: &mut Running, fault: SensorFault) {
         self.flush();
         running.integrator.gap();
+        running.begin_epoch(EpochReason::Gap);
+        running.lost = true;
         self.shared.publish(|published| {
             let errors = &mut published.sensor.bus_errors;
             *errors = errors.wrapping_add(1);
         });
-        if !core::mem::replace(&mut running.lost, true) {
-            self.shared.report(
-                self.timer.now(),
-                match fault {
-                    SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
-                    SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
-                    SensorFault::WrongIdentity { expected, found } => {
-                        Event::WrongSensor { expected, found }
-                    }
-                },
-            );
-        }
+        self.tell(fault);
     }
 
     async fn retry(&mut self, running: &mut Running) {
         self.timer.after_us(RETRY_US).await;
-        if self.accelerometer.configure(&running.plan).await.is_ok() {
-            running.lost = false;
-            self.shared.report(self.timer.now(), Event::SensorFound);
+        match self.accelerometer.configure(&running.plan).await {
+            // Whether it is found, its first sample tells.
+            Ok(()) => running.lost = false,
+            Err(fault) => self.tell(fault),
         }
+    }
+
+    /// Reports a fault, once until another takes its place or the sensor is found.
+    fn tell(&mut self, fault: SensorFault) {
+        if self.told.replace(fault) == Some(fault) {
+            return;
+        }
+        let event = match fault {
+            SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
+            SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
+            SensorFault::WrongIdentity { expected, found } => {
+                Event::WrongSensor { expected, found }
+            }
+        };
+        let now = self.timer.now();
+        self.shared.trouble(Trouble::Sensor, now, Some(event));
+        self.shared.report(now, event);
     }
 
     fn flush(&mut self) {
@@ -302,6 +329,24 @@ impl Running {
             last_epoch: DeviceTimeUs(0),
             until_navigation: 1,
             lost: false,
+        }
+    }
+
+    /// Has the next sample begin an epoch. If there are several reasons, the one that most begins
+    /// anew is told: whoever replays must not take what begins anew for what goes on.
+    fn begin_epoch(&mut self, reason: EpochReason) {
+        let weight = |reason| match reason {
+            EpochReason::Periodic => 0,
+            EpochReason::Stillness => 1,
+            EpochReason::Temperature => 2,
+            EpochReason::Gap => 3,
+            EpochReason::Start | EpochReason::Settings | EpochReason::Parameters => 4,
+        };
+        if self
+            .epoch_reason
+            .is_none_or(|known| weight(known) <= weight(reason))
+        {
+            self.epoch_reason = Some(reason);
         }
     }
 
@@ -489,8 +534,5 @@ impl<S: Sample> Batcher<S> {
 
 const _: () = {
     // The two links of a lane, in the order of its roles.
-    assert!(matches!(
-        crate::shared::ROLES,
-        [LinkRole::Cable, LinkRole::Wireless]
-    ));
+    assert!(matches!(ROLES, [LinkRole::Cable, LinkRole::Wireless]));
 };

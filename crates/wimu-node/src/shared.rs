@@ -51,6 +51,8 @@ struct LinkShared<M: RawMutex> {
 pub(crate) struct Inbox {
     pub(crate) responder: Responder,
     pub(crate) damaged: u32,
+    /// Somebody has begun to listen, or has missed something.
+    epoch_wanted: bool,
 }
 
 /// What the sampler is told.
@@ -60,8 +62,19 @@ pub(crate) enum Order {
     Configure(Plan, Correction),
     /// Correct with this from the next sample on; navigation starts anew if the parameters changed.
     Correct(Correction),
-    /// Send an epoch: somebody has begun to listen.
-    Epoch,
+}
+
+/// What can be wrong with a device for longer.
+#[derive(Clone, Copy)]
+pub(crate) enum Trouble {
+    Sensor,
+    BootCount,
+    Settings,
+    Parameters,
+}
+
+impl Trouble {
+    const COUNT: usize = 4;
 }
 
 /// A corrector and what it was compiled from.
@@ -80,6 +93,8 @@ pub(crate) struct Published {
     pub(crate) parameters: Option<ParameterSet>,
     pub(crate) sensor: SensorStatus,
     pub(crate) measured_period_ns: Option<u32>,
+    /// What is wrong, by [`Trouble`], and since when.
+    troubles: [Option<(DeviceTimeUs, Event)>; Trouble::COUNT],
     /// Whether the store has been read; before that there is nothing to say.
     pub(crate) ready: bool,
 }
@@ -93,6 +108,7 @@ impl<M: RawMutex> Shared<M> {
             inbox: Mutex::new(RefCell::new(Inbox {
                 responder: Responder::new(role),
                 damaged: 0,
+                epoch_wanted: false,
             })),
         };
         Self {
@@ -107,6 +123,7 @@ impl<M: RawMutex> Shared<M> {
                 parameters: None,
                 sensor: SensorStatus::default(),
                 measured_period_ns: None,
+                troubles: [None; Trouble::COUNT],
                 ready: false,
             })),
         }
@@ -161,25 +178,42 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// Queues a message on both links, never shed.
-    pub(crate) fn announce(&self, message: &Telemetry) {
+    /// Queues a message on the links named, the cable first; never shed.
+    pub(crate) fn announce(&self, message: &Telemetry, roles: [bool; 2]) {
         let mut frame = [0; MAX_FRAME];
         if let Ok(length) = message.encode(&mut frame) {
-            for role in ROLES {
+            for (role, _) in ROLES.into_iter().zip(roles).filter(|(_, on)| *on) {
                 self.keep(role, frame.get(..length).unwrap_or_default());
             }
         }
     }
 
+    /// Tells both links what has happened.
     pub(crate) fn report(&self, now: DeviceTimeUs, event: Event) {
-        self.announce(&Telemetry::Event {
-            time_us: now.0,
-            event,
+        let time_us = now.0;
+        self.announce(&Telemetry::Event { time_us, event }, [true; 2]);
+    }
+
+    /// Notes what is wrong, or no longer, for those who begin to listen later.
+    pub(crate) fn trouble(&self, trouble: Trouble, now: DeviceTimeUs, event: Option<Event>) {
+        self.publish(|published| {
+            if let Some(known) = published.troubles.get_mut(trouble as usize) {
+                *known = event.map(|event| (now, event));
+            }
         });
     }
 
-    /// Who the device is, its settings, its parameters and how it is: what a listener needs before
-    /// anything else. The epoch that completes it is asked of the sampler.
+    /// Whether a link wants an epoch; it wants it no more then.
+    pub(crate) fn take_epoch_wanted(&self, role: LinkRole) -> bool {
+        self.with_inbox(role, |inbox| core::mem::take(&mut inbox.epoch_wanted))
+    }
+
+    fn want_epoch(&self, role: LinkRole) {
+        self.with_inbox(role, |inbox| inbox.epoch_wanted = true);
+    }
+
+    /// Who the device is, its settings, its parameters, how it is and what is wrong with it: what
+    /// a listener needs before anything else. The epoch that completes it is asked of the sampler.
     pub(crate) fn introduce(&self, role: LinkRole, now: DeviceTimeUs) {
         let published = self.published();
         if !published.ready {
@@ -196,17 +230,24 @@ impl<M: RawMutex> Shared<M> {
         if let Ok(length) = hello.encode(&mut frame) {
             self.keep(role, frame.get(..length).unwrap_or_default());
         }
-        for message in [
+        let known = [
             Telemetry::Settings(published.settings),
             Telemetry::Parameters(published.active()),
             Telemetry::Status(self.status(now)),
-        ] {
-            if let Ok(length) = message.encode(&mut frame) {
-                self.keep(role, frame.get(..length).unwrap_or_default());
-            }
+        ];
+        let troubles =
+            published
+                .troubles
+                .iter()
+                .flatten()
+                .map(|&(since, event)| Telemetry::Event {
+                    time_us: since.0,
+                    event,
+                });
+        for message in known.into_iter().chain(troubles) {
+            self.announce(&message, ROLES.map(|other| other == role));
         }
-        // If the sampler has orders waiting, an epoch comes anyway.
-        let _ = self.orders.try_send(Order::Epoch);
+        self.want_epoch(role);
     }
 
     pub(crate) fn status(&self, now: DeviceTimeUs) -> Status {
@@ -249,7 +290,7 @@ impl<M: RawMutex> Shared<M> {
             }
             if stalled {
                 // What the listener missed may have been an epoch.
-                let _ = self.orders.try_send(Order::Epoch);
+                self.want_epoch(role);
             }
             link.waiting.wait().await;
         }

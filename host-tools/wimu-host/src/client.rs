@@ -99,7 +99,7 @@ impl<T: Transport> Client<T> {
     ///
     /// # Errors
     /// `not_a_wimu_board` when none comes, `protocol_version` when the board speaks another one,
-    /// `link_lost`.
+    /// `link_busy` when the other end closes the link at once, `link_lost` when it does so later.
     pub fn connect(transport: T, name: &str, options: ConnectOptions) -> Result<Self> {
         let random = || RandomState::new().hash_one(name) as u32;
         let mut client = Self {
@@ -131,10 +131,11 @@ impl<T: Transport> Client<T> {
                 return Err(self.no_greeting());
             }
             if now >= ask_at {
-                self.transport.write_all(&question[..length])?;
+                let asked = self.transport.write_all(&question[..length]);
+                asked.map_err(|error| self.turned_away(error))?;
                 ask_at = now + ASK_EVERY;
             }
-            self.poll(GLANCE)?;
+            self.poll(GLANCE).map_err(|error| self.turned_away(error))?;
             let greeting =
                 self.arrivals
                     .iter()
@@ -161,6 +162,19 @@ impl<T: Transport> Client<T> {
                 };
             }
         }
+    }
+
+    /// A link that ends before it has brought anything: a server that serves one host at a time.
+    fn turned_away(&self, error: HostError) -> HostError {
+        if error.code() != ErrorCode::LinkLost || self.decoder.statistics().bytes > 0 {
+            return error;
+        }
+        HostError::new(
+            ErrorCode::LinkBusy,
+            "the other end closed the link at once",
+            "another program may be using it: close that one; else check the address",
+        )
+        .at(&self.name)
     }
 
     fn no_greeting(&self) -> HostError {

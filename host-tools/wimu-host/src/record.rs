@@ -198,7 +198,12 @@ impl LinkRecord {
             Event::Parameters(parameters) => boot.use_parameters(*parameters),
             Event::Settings(settings) => boot.use_settings(*settings),
             Event::Status(status) => boot.status = Some(*status),
-            Event::Device { time, event } => boot.events.push((*time, *event)),
+            Event::Device { time, event } => {
+                // What is wrong is told again to whoever asks who is there.
+                if !boot.events.contains(&(*time, *event)) {
+                    boot.events.push((*time, *event));
+                }
+            }
             Event::Reply(reply) => match reply.answer {
                 Answer::Accepted(Payload::Parameters(parameters)) => {
                     boot.use_parameters(parameters)

@@ -240,18 +240,78 @@ impl Timer for BoardTimer {
     }
 }
 
+/// A board whose time passes only when its host lets it, simulated or emulated: the same calls
+/// give the same bytes in every run.
+pub trait VirtualBoard {
+    /// Lets time pass up to `time_us` since the first start.
+    ///
+    /// # Errors
+    /// When the board has failed.
+    fn run_until(&mut self, time_us: u64) -> Result<()>;
+
+    /// Time since the first start, µs.
+    fn now_us(&self) -> u64;
+
+    /// When it last started, µs since the first start: 0 on the device's clock.
+    fn started_us(&self) -> u64;
+
+    /// Takes power off and puts it back.
+    ///
+    /// # Errors
+    /// When it does not start.
+    fn restart(&mut self) -> Result<()>;
+
+    /// What has arrived on a link since the last time.
+    fn receive(&mut self, role: LinkRole) -> Vec<u8>;
+
+    /// Sends bytes to the board on a link.
+    ///
+    /// # Errors
+    /// When the board has failed.
+    fn send(&mut self, role: LinkRole, bytes: &[u8]) -> Result<()>;
+}
+
+impl VirtualBoard for Board {
+    fn run_until(&mut self, time_us: u64) -> Result<()> {
+        self.run_until(time_us);
+        Ok(())
+    }
+
+    fn now_us(&self) -> u64 {
+        self.now_us()
+    }
+
+    fn started_us(&self) -> u64 {
+        self.started_us()
+    }
+
+    fn restart(&mut self) -> Result<()> {
+        self.restart();
+        Ok(())
+    }
+
+    fn receive(&mut self, role: LinkRole) -> Vec<u8> {
+        self.link(role).pull()
+    }
+
+    fn send(&mut self, role: LinkRole, bytes: &[u8]) -> Result<()> {
+        self.link(role).push(bytes);
+        Ok(())
+    }
+}
+
 /// One link of a board in virtual time, as the host's [`Transport`]: waiting for the board lets
 /// its time pass.
-pub struct SimLink<'a> {
-    board: &'a RefCell<Board>,
+pub struct SimLink<'a, R = Board> {
+    board: &'a RefCell<R>,
     role: LinkRole,
     /// Arrived, not yet read.
     arrived: VecDeque<u8>,
 }
 
-impl<'a> SimLink<'a> {
+impl<'a, R: VirtualBoard> SimLink<'a, R> {
     /// The host's end of the link `role` of `board`.
-    pub fn new(board: &'a RefCell<Board>, role: LinkRole) -> Self {
+    pub fn new(board: &'a RefCell<R>, role: LinkRole) -> Self {
         Self {
             board,
             role,
@@ -260,17 +320,17 @@ impl<'a> SimLink<'a> {
     }
 }
 
-impl Transport for SimLink<'_> {
+impl<R: VirtualBoard> Transport for SimLink<'_, R> {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
         let mut board = self.board.borrow_mut();
         let deadline = board.now_us() + timeout.as_micros() as u64;
         loop {
-            self.arrived.extend(board.link(self.role).pull());
+            self.arrived.extend(board.receive(self.role));
             if !self.arrived.is_empty() || board.now_us() >= deadline {
                 break;
             }
             let step = board.now_us() + 1000;
-            board.run_until(step.min(deadline));
+            board.run_until(step.min(deadline))?;
         }
         let count = self.arrived.len().min(buffer.len());
         for (place, byte) in buffer.iter_mut().zip(self.arrived.drain(..count)) {
@@ -280,8 +340,7 @@ impl Transport for SimLink<'_> {
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
-        self.board.borrow_mut().link(self.role).push(bytes);
-        Ok(())
+        self.board.borrow_mut().send(self.role, bytes)
     }
 
     fn now(&self) -> Duration {

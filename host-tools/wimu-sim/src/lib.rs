@@ -3,11 +3,14 @@
 
 pub mod attitude;
 pub mod board;
+pub mod bridge;
 pub mod clock;
 pub mod i2c;
 pub mod lsm303agr;
 pub mod motion;
 pub mod pipe;
+#[cfg(unix)]
+pub mod qemu;
 mod random;
 pub mod scenario;
 pub mod scene;

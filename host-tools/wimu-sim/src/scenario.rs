@@ -20,7 +20,7 @@ use wimu_link::message::Settings;
 use wimu_link::{Hello, LinkRole};
 use wimu_model::{ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
 
-use crate::board::{Board, BoardConfig, SimLink};
+use crate::board::{Board, BoardConfig, SimLink, VirtualBoard};
 use crate::motion::{Hold, Motion, Poses, Rest, Slide};
 use crate::scene::{Scene, World};
 use crate::source::Physics;
@@ -104,11 +104,23 @@ pub struct Outcome {
 }
 
 impl FirstLight {
-    /// Runs it.
+    /// Runs it on a simulated board.
     ///
     /// # Errors
     /// Whatever a step of the host reports.
     pub fn run(&self) -> Result<Outcome> {
+        self.run_on(|source| Ok(Board::start(BoardConfig::default(), source)))
+    }
+
+    /// Runs it on the board that `start` gives power, with a sensor that takes its samples from
+    /// the source.
+    ///
+    /// # Errors
+    /// Whatever a step of the host, or `start`, reports.
+    pub fn run_on<R: VirtualBoard>(
+        &self,
+        start: impl FnOnce(Physics) -> Result<R>,
+    ) -> Result<Outcome> {
         let gauge = match self.calibration {
             Calibration::SixPositions => Gauge::Full,
             Calibration::TwelvePoses => Gauge::LowerTriangular,
@@ -116,7 +128,7 @@ impl FirstLight {
         let truth = SensorTruth::random(self.seed, gauge);
         let scene = Scene::new(World::default());
         let source = Physics::new(truth, scene.clone(), self.seed);
-        let board = RefCell::new(Board::start(BoardConfig::default(), source));
+        let board = RefCell::new(start(source)?);
         let mut host = Host::connect(&board, scene)?;
         let hello = *host.cable.hello();
 
@@ -219,16 +231,22 @@ struct SlideRun {
 }
 
 /// A host on both links of a board in virtual time, that records everything.
-struct Host<'a> {
-    board: &'a RefCell<Board>,
+pub struct Host<'a, R> {
+    /// Its client on the cable.
+    pub cable: Client<Tap<SimLink<'a, R>>>,
+    /// Its client on the wireless link.
+    pub wireless: Client<Tap<SimLink<'a, R>>>,
+    board: &'a RefCell<R>,
     scene: Scene,
-    cable: Client<Tap<SimLink<'a>>>,
-    wireless: Client<Tap<SimLink<'a>>>,
     received: Vec<Received>,
 }
 
-impl<'a> Host<'a> {
-    fn connect(board: &'a RefCell<Board>, scene: Scene) -> Result<Self> {
+impl<'a, R: VirtualBoard> Host<'a, R> {
+    /// Connects to `board`, whose sensor is in `scene`.
+    ///
+    /// # Errors
+    /// Those of [`Client::connect`].
+    pub fn connect(board: &'a RefCell<R>, scene: Scene) -> Result<Self> {
         Ok(Self {
             board,
             scene,
@@ -238,20 +256,28 @@ impl<'a> Host<'a> {
         })
     }
 
-    fn restart(&mut self) -> Result<()> {
+    /// Restarts the board and connects anew.
+    ///
+    /// # Errors
+    /// Those of [`Client::connect`]; when the board does not start.
+    pub fn restart(&mut self) -> Result<()> {
         self.keep();
-        self.board.borrow_mut().restart();
+        self.board.borrow_mut().restart()?;
         self.cable = client(self.board, LinkRole::Cable)?;
         self.wireless = client(self.board, LinkRole::Wireless)?;
         Ok(())
     }
 
-    fn now_s(&self) -> f64 {
+    /// Time since the board's first start, s.
+    pub fn now_s(&self) -> f64 {
         self.board.borrow().now_us() as f64 * 1e-6
     }
 
     /// Lets time pass and listens on both links.
-    fn run_until(&mut self, end_s: f64) -> Result<()> {
+    ///
+    /// # Errors
+    /// When a link fails.
+    pub fn run_until(&mut self, end_s: f64) -> Result<()> {
         while self.now_s() < end_s {
             self.cable.next_event(Duration::from_millis(20))?;
             while self.wireless.next_event(Duration::ZERO)?.is_some() {}
@@ -292,7 +318,11 @@ impl<'a> Host<'a> {
         Ok(writer.finish()?.into_inner())
     }
 
-    fn recording(&mut self) -> Result<Recording> {
+    /// Everything received so far, sorted.
+    ///
+    /// # Errors
+    /// Those of reading a recording.
+    pub fn recording(&mut self) -> Result<Recording> {
         let file = self.file()?;
         let name = "the recording";
         Recording::read(RecordingReader::new(Cursor::new(file), name)?, name)
@@ -413,7 +443,10 @@ impl<'a> Host<'a> {
     }
 }
 
-fn client(board: &RefCell<Board>, role: LinkRole) -> Result<Client<Tap<SimLink<'_>>>> {
+fn client<R: VirtualBoard>(
+    board: &RefCell<R>,
+    role: LinkRole,
+) -> Result<Client<Tap<SimLink<'_, R>>>> {
     let options = ConnectOptions {
         // Not at random: the same bytes in every run.
         session: Some(1),

@@ -94,8 +94,9 @@ impl Server {
     /// Carries what has arrived and lets the board catch up with the time.
     fn tick(&mut self) {
         for port in [&mut self.cable, &mut self.wireless] {
-            port.accept();
+            // First, so that a client that has gone makes room for the next.
             port.deliver(&mut self.board);
+            port.accept();
         }
         let connected = self.cable.client.is_some() || self.wireless.client.is_some();
         if self.started.is_none() && (connected || !self.wait_for_client) {

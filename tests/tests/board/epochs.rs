@@ -1,7 +1,7 @@
 //! From any epoch the device's numbers are computed again bit for bit, whatever changes.
 
-use wimu_link::message::{EpochReason, Resolution, Settings};
 use wimu_link::LinkRole;
+use wimu_link::message::{EpochReason, Resolution, Settings};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::scene::{Temperature, World};
 use wimu_tests::{ROLES, Rig, assert_replays, sensor};

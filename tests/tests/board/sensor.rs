@@ -44,7 +44,10 @@ fn survives(what: &str, expected: BusFault, break_it: fn(&Board), mend: fn(&Boar
         let told = [Event::SensorLost(expected), Event::SensorFound];
         assert_eq!(events, told, "{what}");
         let boot = rig.boot(role);
-        assert!(boot.raw.len() > taken_before + 350, "{what}: sampling resumes");
+        assert!(
+            boot.raw.len() > taken_before + 350,
+            "{what}: sampling resumes"
+        );
         let holes = gaps(&boot.raw);
         let [(_, missing)] = holes[..] else {
             panic!("{what}: one gap in the numbers, not {holes:?}");
@@ -112,6 +115,62 @@ fn a_bus_that_fails_at_any_transfer_leaves_a_gap_in_the_numbers() {
             board.bus_faults().clear();
         });
     }
+}
+
+#[test]
+fn one_failed_transfer_never_makes_what_follows_another_than_is_replayed() {
+    for rate_hz in [1, 10, 100, 400] {
+        let mut rig = Rig::usual();
+        rig.run(0.5);
+        rig.set(Settings {
+            rate_hz,
+            ..Settings::default()
+        });
+        for _ in 0..4 {
+            rig.run(4.0);
+            let before = rig.status().sensor.bus_errors;
+            rig.board.bus_faults().refuse_after(0);
+            while rig.status().sensor.bus_errors == before {
+                rig.run(0.001);
+            }
+            rig.board.bus_faults().clear();
+        }
+        rig.run(6.0);
+        for role in ROLES {
+            assert_replays(rig.boot(role));
+        }
+    }
+}
+
+#[test]
+fn a_host_that_comes_later_is_told_what_is_wrong() {
+    let mut rig = Rig::usual();
+    rig.board.sensor().set_present(false);
+    for role in ROLES {
+        rig.listen(role, false);
+    }
+    rig.run(5.0);
+    for role in ROLES {
+        rig.board.link(role).pull();
+        rig.listen(role, true);
+        rig.send(role, &who_are_you());
+    }
+    rig.run(0.2);
+    for role in ROLES {
+        let told = rig.link(role).events();
+        assert_eq!(told, [Event::SensorLost(BusFault::NoAnswer)]);
+    }
+    rig.board.sensor().set_present(true);
+    rig.run(2.0);
+    for role in ROLES {
+        rig.send(role, &who_are_you());
+    }
+    rig.run(0.5);
+    let told = rig.link(LinkRole::Cable).events();
+    assert_eq!(
+        told,
+        [Event::SensorLost(BusFault::NoAnswer), Event::SensorFound]
+    );
 }
 
 #[test]
@@ -265,7 +324,9 @@ fn a_sensor_clock_that_is_off_by_0_3_percent_is_measured_and_no_sample_is_taken_
         let measured = f64::from(status.measured_period_ns.expect("25 s are enough"));
         assert!((measured / truth_ns - 1.0).abs() < 20e-6, "{measured} ns");
         assert_eq!((status.sensor.missed, status.sensor.overruns), (0, 0));
-        assert_eq!(u64::from(status.sensor.samples), rig.board.sensor().samples_taken());
+        // One may have been taken and not read yet.
+        let unread = rig.board.sensor().samples_taken() - u64::from(status.sensor.samples);
+        assert!(unread <= 1, "{unread}");
         for role in ROLES {
             rig.link(role).assert_perfect();
             let epochs = &rig.boot(role).epochs;
@@ -294,7 +355,10 @@ fn every_sample_has_its_number_at_every_rate_of_the_sensor() {
             rig.board.sensor().samples_taken() - before,
             u64::from(status.samples - status_before),
         );
-        assert!(taken.abs_diff(read) <= 30, "{rate_hz} Hz: {read} of {taken}");
+        assert!(
+            taken.abs_diff(read) <= 30,
+            "{rate_hz} Hz: {read} of {taken}"
+        );
         assert!(read as f64 > 5.0 * f64::from(rate_hz), "{rate_hz} Hz");
         for role in ROLES {
             assert_replays(rig.boot(role));

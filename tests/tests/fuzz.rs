@@ -1,0 +1,91 @@
+//! The wire's fuzz bodies on seeded bytes, and a whole board that is talked at.
+
+use std::time::{Duration, Instant};
+
+use wimu_link::{Answer, Command, fuzz};
+use wimu_sim::board::BoardConfig;
+use wimu_sim::scene::World;
+use wimu_tests::{ROLES, Rig, Seeded, assert_replays, frame_of, sensor, who_are_you};
+
+/// At least so many inputs, and as many more as fit.
+const LEAST: u64 = 2_000;
+const TIME: Duration = Duration::from_secs(3);
+
+#[test]
+fn no_bytes_break_the_wire() {
+    let start = Instant::now();
+    let mut seeded = Seeded(0xf022);
+    let mut inputs = 0;
+    while inputs < LEAST || start.elapsed() < TIME {
+        let length = seeded.below(700);
+        let mut data = seeded.bytes(length);
+        // Small numbers look more like messages than even ones do.
+        let mask = [0xff, 0x7f, 0x0f, 0x03][seeded.below(4)];
+        data.iter_mut().for_each(|byte| *byte &= mask);
+        fuzz::all(&data);
+        inputs += 1;
+    }
+    println!("{inputs} inputs");
+}
+
+/// What a confused, hostile or broken host may say.
+fn anything(seeded: &mut Seeded, rig: &mut Rig) -> Vec<u8> {
+    let length = seeded.below(300);
+    match seeded.below(6) {
+        0 => seeded.bytes(length),
+        1 => vec![seeded.bits() as u8; length],
+        2 => frame_of(
+            seeded.below(3) as u8,
+            seeded.bits() as u8,
+            &seeded.bytes(length),
+        ),
+        3 => {
+            let command = [
+                Command::GetStatus,
+                Command::GetParameters,
+                Command::FactoryReset,
+                Command::CommitParameters { hash: 5 },
+            ][seeded.below(4)];
+            let mut frame = rig.frame_of(command);
+            for _ in 0..seeded.below(3) {
+                seeded.damage(&mut frame);
+            }
+            frame
+        }
+        4 => {
+            let mut body = vec![seeded.below(4) as u8, seeded.below(256) as u8, 0];
+            body.push(seeded.below(8) as u8);
+            body.extend(seeded.bytes(length));
+            frame_of(0, 5, &body)
+        }
+        _ => who_are_you(),
+    }
+}
+
+#[test]
+fn no_bytes_break_a_board() {
+    for seed in 0..12 {
+        let mut seeded = Seeded(seed);
+        let source = sensor("rest,hand,slide", World::default(), seed);
+        let mut rig = Rig::new(BoardConfig::default(), source);
+        for _ in 0..200 {
+            let role = ROLES[seeded.below(2)];
+            let bytes = anything(&mut seeded, &mut rig);
+            rig.send(role, &bytes);
+            rig.run(0.001 * seeded.below(100) as f64);
+        }
+        for role in ROLES {
+            rig.send(role, &[0]);
+        }
+        rig.run(3.0);
+        let status = rig.status();
+        assert_eq!(status.sensor.missed, 0, "seed {seed}");
+        assert!(status.sensor.samples > 500, "seed {seed}: {status:?}");
+        for role in ROLES {
+            let answer = rig.ask(role, Command::GetSettings);
+            assert!(matches!(answer, Answer::Accepted(_)), "seed {seed}");
+            assert_replays(rig.boot(role));
+            assert_eq!(rig.link(role).boots().len(), 1, "seed {seed}");
+        }
+    }
+}

@@ -1,0 +1,384 @@
+//! The firmware of `firmware/qemu-mps2` on an emulated Cortex-M4F.
+//!
+//! `cargo xtask test --only qemu` builds it and runs these; by hand
+//! `cargo xtask firmware && cargo test -p wimu-tests --test qemu -- --ignored`.
+//!
+//! Most run in lockstep: what they hold does not depend on how fast this computer is.
+#![cfg(unix)]
+
+use std::cell::RefCell;
+use std::fs;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use wimu_host::client::{Client, ConnectOptions};
+use wimu_host::decode::Event;
+use wimu_host::transport::{self, Transport};
+use wimu_host::{ErrorCode, LinkUrl, replay};
+use wimu_link::LinkRole;
+use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
+use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
+use wimu_sim::motion;
+use wimu_sim::qemu::{FreeRunning, Machine, QemuBoard};
+use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
+use wimu_sim::scene::{Scene, Temperature, World};
+use wimu_sim::source::Physics;
+use wimu_sim::truth::{Gauge, SensorTruth};
+
+/// A board whose memory and log are in `folder`.
+fn machine(folder: &Path) -> Machine {
+    let built = "../firmware/qemu-mps2/target/thumbv7em-none-eabihf/release/wimu-qemu-mps2";
+    let image = std::env::var_os("WIMU_QEMU_FIRMWARE").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join(built),
+        PathBuf::from,
+    );
+    Machine {
+        image,
+        memory: Some(memory(folder)),
+        log: Some(folder.join("log")),
+        power_loss_after: None,
+    }
+}
+
+fn memory(folder: &Path) -> PathBuf {
+    folder.join("memory")
+}
+
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a folder for temporary files")
+}
+
+/// A sensor that is moved as [`motion::named`] says, and where it is.
+fn sensor(names: &str, world: World, seed: u64) -> (Physics, Scene) {
+    let scene = Scene::new(world);
+    scene.play(0.0, motion::named(names, seed).expect("a known motion"));
+    let truth = SensorTruth::random(seed, Gauge::LowerTriangular);
+    (Physics::new(truth, scene.clone(), seed), scene)
+}
+
+/// What a perfect calibration of the sensor of `seed` finds.
+fn parameters(seed: u64) -> ParameterSet {
+    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("the sensor's");
+    ParameterSet {
+        model: SensorTruth::random(seed, Gauge::LowerTriangular).model,
+        alignment: Alignment::IDENTITY,
+        ..ParameterSet::uncalibrated(2, sensitivity)
+    }
+}
+
+fn first_light(seed: u64, calibration: Calibration) -> Outcome {
+    let folder = folder();
+    FirstLight { seed, calibration }
+        .run_on(|source| QemuBoard::start(machine(folder.path()), source))
+        .unwrap_or_else(|error| panic!("{error}"))
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn first_light_on_a_cortex_m() {
+    for (seed, calibration) in [(1, Calibration::TwelvePoses), (2, Calibration::SixPositions)] {
+        let outcome = first_light(seed, calibration);
+        assert_eq!(outcome.hello.board.name.as_str(), "QEMU mps2-an386");
+        let [before, after] = outcome.tilts_rms_mps2();
+        assert!(
+            before >= 0.4 && after < 0.005 && before / after >= 50.0,
+            "{before} → {after} m/s² rms"
+        );
+        assert_eq!(outcome.tilts.len(), 10);
+        assert_ne!(outcome.pushed, ParameterId::UNCALIBRATED);
+        assert_eq!(outcome.pushed, outcome.after_restart);
+        assert_eq!(outcome.boot_counts, [1, 2]);
+        let refusal = outcome.wireless_refusal.as_ref().map(|error| error.code());
+        assert_eq!(refusal, Some(ErrorCode::KeyNeeded));
+        assert!(outcome.slide.uncalibrated_m > 1.0, "{:?}", outcome.slide);
+        assert!(outcome.slide.calibrated_m < 0.1, "{:?}", outcome.slide);
+        assert!(outcome.slide.zupt_m < 0.02, "{:?}", outcome.slide);
+        assert_eq!(outcome.replays.len(), 4, "two links, two starts");
+        for replay in &outcome.replays {
+            assert!(replay.is_exact() && replay.breaks == 0, "{replay:?}");
+            assert!(replay.corrected_compared > 4000 && replay.navigation_compared > 400);
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn the_same_seed_gives_the_same_bytes_however_busy_the_computer_is() {
+    let run = || first_light(3, Calibration::TwelvePoses).recording;
+    // Two at once are in each other's way.
+    let (one, other) = thread::scope(|scope| {
+        let other = scope.spawn(run);
+        (run(), other.join().expect("a recording"))
+    });
+    assert!(!one.is_empty() && one == other);
+    assert!(one == run());
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings() {
+    let folder = folder();
+    let world = World {
+        temperature: Temperature::Step {
+            before_c: 20.0,
+            after_c: 31.0,
+            at_s: 150.0,
+        },
+        ..World::default()
+    };
+    let (source, scene) = sensor("twelve-poses,hand,slide,tilts,hand,slide", world, 4);
+    let board = QemuBoard::start(machine(folder.path()), source);
+    let board = RefCell::new(board.unwrap_or_else(|error| panic!("{error}")));
+    let mut host = Host::connect(&board, scene.clone()).expect("a board");
+    let mut at = |host: &mut Host<'_, QemuBoard>, end_s: f64| {
+        // It moves all the time.
+        while scene.end_s() < end_s {
+            let again = motion::named("hand,rest,slide,tilts", end_s as u64);
+            scene.play(scene.end_s(), again.expect("a known motion"));
+        }
+        host.run_until(end_s).expect("the board goes on");
+    };
+    at(&mut host, 60.0);
+    host.cable.push_parameters(&parameters(4)).expect("pushed");
+    at(&mut host, 100.0);
+    board.borrow().sensor().set_present(false);
+    at(&mut host, 101.5);
+    board.borrow().sensor().set_present(true);
+    // The temperature steps meanwhile.
+    at(&mut host, 200.0);
+    board.borrow().bus_faults().set_stuck(true);
+    at(&mut host, 200.7);
+    board.borrow().bus_faults().set_stuck(false);
+    at(&mut host, 300.0);
+    let settings = host.cable.settings().expect("settings");
+    for (end_s, rate_hz, range_g) in [(400.0, 50, 2), (500.0, 200, 4), (620.0, 100, 2)] {
+        let changed = host.cable.set_settings(Settings {
+            rate_hz,
+            range_g,
+            ..settings
+        });
+        assert_eq!(changed.expect("changed").rate_hz, rate_hz);
+        at(&mut host, end_s);
+    }
+
+    let recording = host.recording().expect("a recording");
+    for link in &recording.links {
+        let [boot] = link.boots.as_slice() else {
+            panic!("{} starts", link.boots.len());
+        };
+        let replay = replay::verify(boot, 0);
+        println!("{:?}: {replay:?}", link.role);
+        assert!(replay.is_exact(), "{replay:?}");
+        assert!(replay.corrected_compared > 60_000 && replay.navigation_compared > 5_500);
+        let compared = boot.corrected.len() as u64 - replay.corrected_compared;
+        assert_eq!(compared, 0, "corrected samples not compared");
+        let has = |reason| boot.epochs.iter().any(|mark| mark.epoch.reason == reason);
+        for reason in [
+            EpochReason::Gap,
+            EpochReason::Temperature,
+            EpochReason::Parameters,
+            EpochReason::Settings,
+            EpochReason::Stillness,
+        ] {
+            assert!(has(reason), "no epoch for {reason:?}");
+        }
+        let lost = |(_, event): &&(_, DeviceEvent)| matches!(event, DeviceEvent::SensorLost(_));
+        assert_eq!(boot.events.iter().filter(lost).count(), 2);
+    }
+}
+
+/// A host on a board that has started in `folder`.
+fn started(folder: &Path) -> (RefCell<QemuBoard>, Scene) {
+    let (source, scene) = sensor("rest", World::default(), 5);
+    let board = QemuBoard::start(machine(folder), source);
+    (
+        RefCell::new(board.unwrap_or_else(|error| panic!("{error}"))),
+        scene,
+    )
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn a_corrupted_memory_is_reported_and_can_be_written_again() {
+    let folder = folder();
+    // 16 MiB, of which the first pages are used: noise, the same in every run.
+    let mut state = 1_u32;
+    let noise = (0..64 * 1024).map(|_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    });
+    let mut bytes: Vec<u8> = noise.collect();
+    bytes.resize(16 << 20, 0);
+    fs::write(memory(folder.path()), bytes).expect("written");
+
+    let (board, scene) = started(folder.path());
+    let mut host = Host::connect(&board, scene).expect("a board");
+    host.run_until(1.0).expect("the board goes on");
+    let recording = host.recording().expect("a recording");
+    let cable = recording.link(Some(LinkRole::Cable)).expect("the cable");
+    let events = &cable.boots[0].events;
+    let unreadable = |(_, event): &(_, DeviceEvent)| *event == DeviceEvent::StoreUnreadable;
+    assert!(events.iter().any(unreadable), "{events:?}");
+    let pushed = host.cable.push_parameters(&parameters(5)).expect("pushed");
+    host.restart().expect("it starts again");
+    assert_eq!(host.cable.parameters().expect("answered").id, pushed.0);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
+    let folder = folder();
+    let (board, scene) = started(folder.path());
+    let mut host = Host::connect(&board, scene.clone()).expect("a board");
+    let sets = [5, 6].map(parameters);
+    let ids = sets.map(|set| host.cable.push_parameters(&set).expect("pushed").0);
+    let mut holds = ids[1];
+    let mut outcomes = [0; 3];
+    for words in (0..).step_by(5) {
+        board.borrow_mut().machine().power_loss_after = Some(words);
+        let new = usize::from(holds == ids[0]);
+        let pushed = host.restart().and_then(|()| host.cable.push_parameters(&sets[new]));
+        board.borrow_mut().machine().power_loss_after = None;
+        host.restart().expect("it starts again");
+        let found = host.cable.parameters().expect("answered").id;
+        if pushed.is_ok() {
+            assert_eq!(found, ids[new]);
+            outcomes[2] += 1;
+            break;
+        }
+        assert!(ids.contains(&found), "{found:08x} after {words} words");
+        outcomes[usize::from(found != holds)] += 1;
+        holds = found;
+    }
+    println!("lost before the new set stood, after, never: {outcomes:?}");
+    assert!(outcomes[0] > 10 && outcomes[2] == 1, "{outcomes:?}");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn firmware_that_is_missing_or_does_not_start_is_named() {
+    let folder = folder();
+    let source = || sensor("rest", World::default(), 1).0;
+    let missing = Machine {
+        image: folder.path().join("nothing"),
+        ..machine(folder.path())
+    };
+    let error = QemuBoard::start(missing, source()).err().expect("no image");
+    assert!(error.to_string().contains("cargo xtask firmware"), "{error}");
+
+    let unusable = Machine {
+        memory: Some(folder.path().join("no/such/folder")),
+        ..machine(folder.path())
+    };
+    let error = QemuBoard::start(unusable, source()).err().expect("no memory");
+    assert!(error.to_string().contains("no/such/folder"), "{error}");
+}
+
+/// Ports that are free now.
+fn free_ports() -> [SocketAddr; 2] {
+    let listeners = [(); 2].map(|()| TcpListener::bind((Ipv4Addr::LOCALHOST, 0)));
+    listeners.map(|listener| {
+        let address = listener.and_then(|listener| listener.local_addr());
+        address.expect("a free port")
+    })
+}
+
+type Link = Client<Box<dyn Transport + Send>>;
+
+fn connect(address: SocketAddr) -> Link {
+    let url: LinkUrl = format!("tcp://{address}").parse().expect("a link");
+    let options = ConnectOptions {
+        patience: Duration::from_secs(20),
+        ..ConnectOptions::default()
+    };
+    let transport = transport::open(&url).expect("it listens");
+    Client::connect(transport, &url.to_string(), options).expect("a board")
+}
+
+/// Listens until `wanted` has seen what it waits for; as long as that takes, within reason.
+fn until(link: &mut Link, mut wanted: impl FnMut(&Event) -> bool) {
+    // Something comes at least once a second.
+    for _ in 0..5_000 {
+        let arrival = link.next_event(Duration::from_secs(20)).expect("a link");
+        if wanted(&arrival.expect("the board is silent").event) {
+            return;
+        }
+    }
+    panic!("it never came");
+}
+
+/// Listens until `count` more samples have come.
+fn hear_samples(link: &mut Link, count: usize) {
+    let mut heard = 0;
+    until(link, |event| {
+        if let Event::Samples(samples) = event {
+            heard += samples.samples.len();
+        }
+        heard >= count
+    });
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn a_board_whose_sensor_bridge_is_silent_says_so_and_goes_on_when_it_speaks() {
+    let folder = folder();
+    let [cable, wireless] = free_ports();
+    let (source, _scene) = sensor("rest", World::default(), 1);
+    let board = FreeRunning::start(&machine(folder.path()), source, cable, wireless);
+    let mut board = board.unwrap_or_else(|error| panic!("{error}"));
+    let (speaks, done) = (AtomicBool::new(false), AtomicBool::new(false));
+    thread::scope(|scope| {
+        let host = scope.spawn(|| {
+            let mut cable = connect(cable);
+            until(&mut cable, |event| {
+                matches!(event, Event::Device { event: DeviceEvent::SensorLost(_), .. })
+            });
+            speaks.store(true, Ordering::Relaxed);
+            until(&mut cable, |event| {
+                matches!(event, Event::Device { event: DeviceEvent::SensorFound, .. })
+            });
+            hear_samples(&mut cable, 100);
+        });
+        while !speaks.load(Ordering::Relaxed) && !host.is_finished() {
+            thread::sleep(Duration::from_millis(10));
+        }
+        let ran = board.run(|| done.load(Ordering::Relaxed) || host.is_finished());
+        ran.unwrap_or_else(|error| panic!("{error}"));
+    });
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn a_client_that_floods_or_leaves_stops_no_sampling() {
+    let folder = folder();
+    let [cable, wireless] = free_ports();
+    let (source, _scene) = sensor("rest", World::default(), 1);
+    let board = FreeRunning::start(&machine(folder.path()), source, cable, wireless);
+    let mut board = board.unwrap_or_else(|error| panic!("{error}"));
+    thread::scope(|scope| {
+        let host = scope.spawn(|| {
+            let mut cable = connect(cable);
+            let mut flooding = connect(wireless);
+            let boots = flooding.hello().boot_count;
+            // Frames' ends among them, so that there is something to be damaged.
+            let noise: Vec<u8> = (0..100_000_u32).map(|n| (n * n >> 7) as u8).collect();
+            flooding.transport().write_all(&noise).expect("sent");
+            hear_samples(&mut cable, 300);
+            drop(flooding);
+            hear_samples(&mut cable, 100);
+            let mut again = connect(wireless);
+            assert_eq!(again.hello().boot_count, boots, "it has not started anew");
+            hear_samples(&mut again, 100);
+            let status = again.status().expect("answered");
+            let damaged = status.wireless.map(|link| link.frames_damaged);
+            assert!(damaged > Some(0), "{status:?}");
+            assert_eq!(status.cable.map(|link| link.frames_damaged), Some(0));
+        });
+        let ran = board.run(|| host.is_finished());
+        ran.unwrap_or_else(|error| panic!("{error}"));
+    });
+}

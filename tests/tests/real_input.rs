@@ -1,0 +1,205 @@
+//! A real sensor's counts through the driver, the node, the wire and a recording: nothing is lost
+//! on the way, and a calibration of the recording is one of the file.
+
+use serde_json::Value;
+use wimu_host::calibration::{
+    CalibrateOptions, CalibrationReport, MethodChoice, ModelChoice, calibrate,
+};
+use wimu_host::csv::Filter;
+use wimu_host::dataset::{Dataset, LoadOptions};
+use wimu_host::record::Recording;
+use wimu_link::LinkRole;
+use wimu_model::Counts;
+use wimu_sim::board::BoardConfig;
+use wimu_sim::source::Replay;
+use wimu_tests::{ROLES, Rig, assert_replays, data};
+
+/// Replays counts on a board until the last has arrived.
+fn replayed(counts: &[Counts]) -> Recording {
+    let config = BoardConfig {
+        replay: true,
+        ..BoardConfig::default()
+    };
+    let source = Replay::new(counts.iter().copied()).waiting_for_reader();
+    let mut rig = Rig::new(config, source);
+    while !rig.board.sensor().finished() {
+        rig.run(1.0);
+    }
+    rig.run(2.0);
+    for role in ROLES {
+        rig.link(role).assert_perfect();
+    }
+    rig.recording()
+}
+
+/// The report, without what must differ: where the data are, how the rate is known, and what only
+/// a board can know.
+fn essence(report: &CalibrationReport) -> Value {
+    let mut json = serde_json::to_value(report).unwrap();
+    let object = json.as_object_mut().unwrap();
+    for key in ["source", "rate_source", "parameter_id"] {
+        object.remove(key).unwrap();
+    }
+    if let Some(parameters) = object["parameters"].as_object_mut() {
+        parameters.remove("range_g").unwrap();
+    }
+    json
+}
+
+fn options() -> [(&'static str, CalibrateOptions); 6] {
+    use wimu_calib::Model;
+    let multi = |model| CalibrateOptions {
+        model,
+        ..CalibrateOptions::default()
+    };
+    let six_positions = CalibrateOptions {
+        method: MethodChoice::SixPosition,
+        ..CalibrateOptions::default()
+    };
+    let six_and_more_known = CalibrateOptions {
+        sensitivity_lsb_per_g: Some(2048.0),
+        gravity_mps2: Some(9.81),
+        ..multi(ModelChoice::Fixed(Model::BiasScale6))
+    };
+    [
+        ("12", six_positions),
+        ("3", multi(ModelChoice::Fixed(Model::Bias3))),
+        ("6", multi(ModelChoice::Fixed(Model::BiasScale6))),
+        ("9", multi(ModelChoice::Fixed(Model::Full9))),
+        ("auto", multi(ModelChoice::Auto)),
+        ("6 at 2048 LSB/g and 9.81 m/s²", six_and_more_known),
+    ]
+}
+
+/// Calibrates from the file and from a recording of its replay; returns what was answered, the
+/// rest being refused, or `None` without the file.
+fn alike(file: &str) -> Option<Vec<&'static str>> {
+    let path = data(file)?;
+    let from_file = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
+    let counts = from_file.counts().unwrap();
+    let recording = replayed(&counts);
+    let mut answered = Vec::new();
+    for role in ROLES {
+        let link = recording.link(Some(role)).unwrap();
+        let [boot] = &link.boots[..] else {
+            panic!("one start, not {}", link.boots.len());
+        };
+        let arrived: Vec<Counts> = boot
+            .raw
+            .iter()
+            .map(|sample| Counts(sample.value.map(|axis| axis.try_into().unwrap())))
+            .collect();
+        assert_eq!(arrived.len(), counts.len());
+        assert!(arrived == counts, "every count, bit for bit");
+        assert_replays(boot);
+
+        let from_recording = Dataset::from_link(link, "the recording").unwrap();
+        answered.clear();
+        for (name, options) in options() {
+            let [ours, theirs] = [&from_recording, &from_file].map(|data| {
+                let report = calibrate(data, &options).unwrap();
+                println!(
+                    "{file}, {name}: {}",
+                    report.reason.as_deref().unwrap_or("ok")
+                );
+                (report.exit_code(), essence(&report))
+            });
+            assert_eq!(ours, theirs, "{role}, {name}");
+            assert_eq!(ours.1.to_string(), theirs.1.to_string(), "{role}, {name}");
+            if ours.0 == 0 {
+                answered.push(name);
+            }
+        }
+    }
+    Some(answered)
+}
+
+#[test]
+fn six_positions_of_a_real_sensor_calibrate_alike_from_the_file_and_through_the_board() {
+    if let Some(answered) = alike("calibration/six_position_sections.csv") {
+        assert_eq!(answered, ["12", "3", "auto"]);
+    }
+}
+
+#[test]
+fn ten_poses_of_a_real_sensor_calibrate_or_are_refused_alike() {
+    if let Some(answered) = alike("calibration/mpu6050_ten_poses.csv") {
+        assert_eq!(answered, ["12", "6", "auto"]);
+    }
+}
+
+/// Means over the eight sensors of the array: in-sample and leave-one-out rms, mm/s².
+fn array(run: u32) -> Option<[f64; 2]> {
+    let path = data("calibration/mpu9150_array_pose_means.csv")?;
+    let options = CalibrateOptions {
+        gravity_mps2: Some(9.818),
+        ..CalibrateOptions::default()
+    };
+    let mut sums = [0.0; 2];
+    for imu in 0..8 {
+        let filter: Filter = format!("Run={run},IMU={imu}").parse().unwrap();
+        let load = LoadOptions {
+            filter: Some(filter),
+            poses: true,
+            ..LoadOptions::default()
+        };
+        let data = Dataset::from_csv(&path, &load).unwrap();
+        let report = calibrate(&data, &options).unwrap();
+        let fit = report.fit.unwrap_or_else(|| panic!("{:?}", report.reason));
+        assert!((1.5..4.0).contains(&fit.condition), "{}", fit.condition);
+        let sensitivity = report.sensitivity_lsb_per_g.unwrap();
+        assert!((sensitivity / 2048.0 - 1.0).abs() < 0.03, "{sensitivity}");
+        sums[0] += fit.rms_mm_s2 / 8.0;
+        sums[1] += fit.loo_rms_mm_s2.unwrap() / 8.0;
+    }
+    Some(sums)
+}
+
+#[test]
+fn an_array_of_real_sensors_is_calibrated_as_well_as_by_the_reference() {
+    // Floor figures of a float64 reference for these recordings.
+    for (run, reference) in [
+        (1, [2.08, 3.79]),
+        (2, [1.29, 2.27]),
+        (7, [2.05, 3.73]),
+        (8, [1.28, 2.33]),
+    ] {
+        let Some(found) = array(run) else { return };
+        println!("run {run}: {found:.3?} mm/s², reference {reference:?}");
+        for (found, reference) in found.into_iter().zip(reference) {
+            assert!(
+                (found - reference).abs() <= 0.02 * reference,
+                "run {run}: {found} against {reference}"
+            );
+        }
+    }
+}
+
+#[test]
+fn only_raw_counts_are_replayed() {
+    let Some(path) = data("calibration/six_position.csv") else {
+        return;
+    };
+    let in_si = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
+    let error = in_si.counts().unwrap_err();
+    assert_eq!(error.exit_code(), 2);
+    assert!(error.remedy().contains("LSB"), "{error}");
+}
+
+#[test]
+fn a_recording_of_real_counts_is_perfect_on_both_links_at_once() {
+    let Some(path) = data("array/mimu4444_run1.csv") else {
+        return;
+    };
+    let load = LoadOptions {
+        accelerometer: Some(0),
+        ..LoadOptions::default()
+    };
+    let counts = Dataset::from_csv(&path, &load).unwrap().counts().unwrap();
+    let tail = &counts[counts.len() - 7500..];
+    let recording = replayed(tail);
+    for role in [LinkRole::Cable, LinkRole::Wireless] {
+        let link = recording.link(Some(role)).unwrap();
+        assert_eq!(link.statistics.raw.received, 7500);
+    }
+}

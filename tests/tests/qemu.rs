@@ -10,7 +10,6 @@ use std::cell::RefCell;
 use std::fs;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -80,7 +79,10 @@ fn first_light(seed: u64, calibration: Calibration) -> Outcome {
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn first_light_on_a_cortex_m() {
-    for (seed, calibration) in [(1, Calibration::TwelvePoses), (2, Calibration::SixPositions)] {
+    for (seed, calibration) in [
+        (1, Calibration::TwelvePoses),
+        (2, Calibration::SixPositions),
+    ] {
         let outcome = first_light(seed, calibration);
         assert_eq!(outcome.hello.board.name.as_str(), "QEMU mps2-an386");
         let [before, after] = outcome.tilts_rms_mps2();
@@ -134,7 +136,7 @@ fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings(
     let board = QemuBoard::start(machine(folder.path()), source);
     let board = RefCell::new(board.unwrap_or_else(|error| panic!("{error}")));
     let mut host = Host::connect(&board, scene.clone()).expect("a board");
-    let mut at = |host: &mut Host<'_, QemuBoard>, end_s: f64| {
+    let at = |host: &mut Host<'_, QemuBoard>, end_s: f64| {
         // It moves all the time.
         while scene.end_s() < end_s {
             let again = motion::named("hand,rest,slide,tilts", end_s as u64);
@@ -238,10 +240,12 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
     let ids = sets.map(|set| host.cable.push_parameters(&set).expect("pushed").0);
     let mut holds = ids[1];
     let mut outcomes = [0; 3];
-    for words in (0..).step_by(5) {
+    for words in (0..).step_by(3) {
         board.borrow_mut().machine().power_loss_after = Some(words);
         let new = usize::from(holds == ids[0]);
-        let pushed = host.restart().and_then(|()| host.cable.push_parameters(&sets[new]));
+        let pushed = host
+            .restart()
+            .and_then(|()| host.cable.push_parameters(&sets[new]));
         board.borrow_mut().machine().power_loss_after = None;
         host.restart().expect("it starts again");
         let found = host.cable.parameters().expect("answered").id;
@@ -255,7 +259,7 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
         holds = found;
     }
     println!("lost before the new set stood, after, never: {outcomes:?}");
-    assert!(outcomes[0] > 10 && outcomes[2] == 1, "{outcomes:?}");
+    assert!(outcomes[0] > 20 && outcomes[2] == 1, "{outcomes:?}");
 }
 
 #[test]
@@ -268,13 +272,18 @@ fn firmware_that_is_missing_or_does_not_start_is_named() {
         ..machine(folder.path())
     };
     let error = QemuBoard::start(missing, source()).err().expect("no image");
-    assert!(error.to_string().contains("cargo xtask firmware"), "{error}");
+    assert!(
+        error.to_string().contains("cargo xtask firmware"),
+        "{error}"
+    );
 
     let unusable = Machine {
         memory: Some(folder.path().join("no/such/folder")),
         ..machine(folder.path())
     };
-    let error = QemuBoard::start(unusable, source()).err().expect("no memory");
+    let error = QemuBoard::start(unusable, source())
+        .err()
+        .expect("no memory");
     assert!(error.to_string().contains("no/such/folder"), "{error}");
 }
 
@@ -316,7 +325,7 @@ fn hear_samples(link: &mut Link, count: usize) {
     let mut heard = 0;
     until(link, |event| {
         if let Event::Samples(samples) = event {
-            heard += samples.samples.len();
+            heard += samples.values.len();
         }
         heard >= count
     });
@@ -335,11 +344,23 @@ fn a_board_whose_sensor_bridge_is_silent_says_so_and_goes_on_when_it_speaks() {
         let host = scope.spawn(|| {
             let mut cable = connect(cable);
             until(&mut cable, |event| {
-                matches!(event, Event::Device { event: DeviceEvent::SensorLost(_), .. })
+                matches!(
+                    event,
+                    Event::Device {
+                        event: DeviceEvent::SensorLost(_),
+                        ..
+                    }
+                )
             });
             speaks.store(true, Ordering::Relaxed);
             until(&mut cable, |event| {
-                matches!(event, Event::Device { event: DeviceEvent::SensorFound, .. })
+                matches!(
+                    event,
+                    Event::Device {
+                        event: DeviceEvent::SensorFound,
+                        ..
+                    }
+                )
             });
             hear_samples(&mut cable, 100);
         });
@@ -365,7 +386,9 @@ fn a_client_that_floods_or_leaves_stops_no_sampling() {
             let mut flooding = connect(wireless);
             let boots = flooding.hello().boot_count;
             // Frames' ends among them, so that there is something to be damaged.
-            let noise: Vec<u8> = (0..100_000_u32).map(|n| (n * n >> 7) as u8).collect();
+            let noise: Vec<u8> = (0..100_000_u32)
+                .map(|n| (n.wrapping_mul(n) >> 7) as u8)
+                .collect();
             flooding.transport().write_all(&noise).expect("sent");
             hear_samples(&mut cable, 300);
             drop(flooding);

@@ -453,6 +453,10 @@ fn replies_are_as_they_were() {
             Refusal::StoreFailed,
             Refusal::SensorFailed,
             Refusal::Stale,
+            Refusal::WrongSensitivity {
+                parameters_lsb_per_g: 2048.0,
+                device_lsb_per_g: 16384.0,
+            },
         ]
         .map(Answer::Refused),
     );

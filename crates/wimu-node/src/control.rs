@@ -20,6 +20,9 @@ use crate::timer::Timer;
 
 /// The corrector is compiled anew when the temperature has moved this far.
 const TEMPERATURE_STEP: i16 = 50;
+/// Sensitivity of a parameter set against the sensor's own: what a user may have measured, no
+/// other range and no other sensor.
+const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
 /// How the device is, is told this often.
 const STATUS_US: u64 = 5_000_000;
 
@@ -156,6 +159,14 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                     return Err(Refusal::WrongRange {
                         parameters_g: set.range_g,
                         device_g: plan.settings.range_g,
+                    });
+                }
+                let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
+                let known = self.shared.published().hello.sensitivity_known;
+                if known && !SENSITIVITY_RATIO.contains(&ratio) {
+                    return Err(Refusal::WrongSensitivity {
+                        parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
+                        device_lsb_per_g: plan.sensitivity.lsb_per_g(),
                     });
                 }
                 Corrector::compile(&set, self.latched)

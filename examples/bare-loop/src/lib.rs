@@ -7,10 +7,11 @@
 use wimu_integrator::{Config, Integrator, Navigation};
 use wimu_model::{Corrector, Counts, ParameterSet, PeriodNs};
 
-/// Positive full scale of a sensor that sends 12 bits left-justified, LSB.
+/// Positive full scale of your sensor, LSB: this is that of 12 bits left-justified.
 const FULL_SCALE: i16 = 32752;
 
-/// Integrates until `read` ends; `report` sees velocity and position after every sample.
+/// Integrates until `read` ends; `report` sees velocity and position after every sample. A driver
+/// that knows when it missed a sample calls [`Integrator::gap`] there.
 ///
 /// # Errors
 /// When `calibration` cannot be compiled into integers, or `period` is outside 100 µs..=1 s.

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use wimu_link::batch::Stream;
 use wimu_link::message::{Environment, Navigation};
-use wimu_model::{Counts, DeviceTimeUs, Sensitivity, SpecificForceMps2, SpecificForceQ16};
+use wimu_model::{
+    Counts, DeviceTimeUs, ParameterId, Sensitivity, SpecificForceMps2, SpecificForceQ16,
+};
 
 use crate::decode::Event;
 
@@ -25,6 +27,8 @@ pub struct Reading {
     pub specific_force: SpecificForceMps2,
     /// Whether the device has corrected it. An uncalibrated device corrects with a perfect model.
     pub corrected: bool,
+    /// The parameters that the device corrects with, if an epoch has told.
+    pub parameters: Option<ParameterId>,
     /// The latest magnetic field and temperature, if any came.
     pub environment: Option<Environment>,
     /// The latest velocity and position, if any came.
@@ -37,6 +41,7 @@ pub struct Reading {
 pub struct Readings {
     raw: BTreeMap<u32, [i32; 3]>,
     sensitivity: Option<Sensitivity>,
+    parameters: Option<ParameterId>,
     environment: Option<Environment>,
     navigation: Option<Navigation>,
     corrected_come: bool,
@@ -54,6 +59,7 @@ impl Readings {
             Event::Environment(environment) => self.environment = Some(*environment),
             Event::Navigation(navigation) => self.navigation = Some(*navigation),
             Event::Epoch { epoch, .. } => {
+                self.parameters = Some(epoch.parameter_id());
                 self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
             }
             Event::Settings(settings) => {
@@ -74,6 +80,7 @@ impl Readings {
                                 raw: Some(counts),
                                 specific_force: sensitivity.to_mps2(counts),
                                 corrected: false,
+                                parameters: self.parameters,
                                 environment: self.environment,
                                 navigation: self.navigation,
                             });
@@ -93,6 +100,7 @@ impl Readings {
                             raw: raw.map(|value| Counts(value.map(|v| v as i16))),
                             specific_force: SpecificForceQ16(sample.value).to_mps2(),
                             corrected: true,
+                            parameters: self.parameters,
                             environment: self.environment,
                             navigation: self.navigation,
                         });

@@ -133,17 +133,6 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .disable_seeking(true)
             .create(sink)
             .map_err(failed)?;
-        let metadata = [
-            ("version", env!("CARGO_PKG_VERSION").to_owned()),
-            ("anchor_monotonic_ns", anchor.monotonic_ns.to_string()),
-            ("anchor_utc_ns", anchor.utc_ns.to_string()),
-        ];
-        writer
-            .write_metadata(&Metadata {
-                name: METADATA.to_owned(),
-                metadata: metadata.map(|(k, v)| (k.to_owned(), v)).into(),
-            })
-            .map_err(failed)?;
         let schema = writer
             .add_schema(SCHEMA_NAME, "ros2msg", SCHEMA.as_bytes())
             .map_err(failed)?;
@@ -153,6 +142,20 @@ impl<W: Write + Seek> RecordingWriter<W> {
                 .add_channel(schema, topic, "cdr", &BTreeMap::new())
                 .map_err(failed)?;
         }
+        let metadata = [
+            ("version", env!("CARGO_PKG_VERSION").to_owned()),
+            ("anchor_monotonic_ns", anchor.monotonic_ns.to_string()),
+            ("anchor_utc_ns", anchor.utc_ns.to_string()),
+            // The channels stand in the first chunk alone: damage there must not lose the rest.
+            (CHANNEL_KEYS[0], channels[0].0.to_string()),
+            (CHANNEL_KEYS[1], channels[1].0.to_string()),
+        ];
+        writer
+            .write_metadata(&Metadata {
+                name: METADATA.to_owned(),
+                metadata: metadata.map(|(k, v)| (k.to_owned(), v)).into(),
+            })
+            .map_err(failed)?;
         writer.flush().map_err(failed)?;
         Ok(Self {
             name: name.to_owned(),
@@ -252,6 +255,9 @@ fn decode(message: &[u8]) -> Option<&[u8]> {
 }
 
 const PREFIX: [u8; 12] = [0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+
+/// Metadata keys of the channels' ids, in the order of [`TOPICS`].
+const CHANNEL_KEYS: [&str; 2] = ["channel_wireless", "channel_cable"];
 
 /// How whole a recording is, known once it has been read to its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -409,6 +415,12 @@ impl<R: Read> RecordingReader<R> {
     fn take(&mut self, record: Record<'static>) -> Result<()> {
         match record {
             Record::Metadata(metadata) if metadata.name == METADATA && self.anchor.is_none() => {
+                for (key, (role, _)) in CHANNEL_KEYS.iter().zip(TOPICS) {
+                    let id = metadata.metadata.get(*key).and_then(|id| id.parse().ok());
+                    if let Some(id) = id {
+                        self.channels.entry(id).or_insert(role);
+                    }
+                }
                 let number = |key| metadata.metadata.get(key)?.parse().ok();
                 self.anchor = number("anchor_monotonic_ns")
                     .zip(number("anchor_utc_ns"))

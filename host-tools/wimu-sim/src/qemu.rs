@@ -27,8 +27,8 @@ const QEMU: &str = "qemu-system-arm";
 const START_PATIENCE: Duration = Duration::from_secs(20);
 /// How long a board may compute without asking for anything.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long to wait for one byte before looking around.
-const GLANCE: Duration = Duration::from_millis(20);
+/// How long to wait for one byte before looking around: a link that is full holds the board up.
+const GLANCE: Duration = Duration::from_millis(1);
 /// Bytes that are sent before the board is seen to have taken them.
 const PIECE: usize = 512;
 
@@ -521,8 +521,7 @@ impl FreeRunning {
         self.bridge.sensor()
     }
 
-    /// Plays the sensor until `stop` returns true, which is asked some fifty times a second at
-    /// least.
+    /// Plays the sensor until `stop` returns true, which is asked many times a second.
     ///
     /// # Errors
     /// When QEMU has ended.
@@ -538,7 +537,12 @@ impl FreeRunning {
                 Err(error) => Err(error),
             };
             if let Err(error) = outcome {
-                thread::sleep(GLANCE);
+                // Its exit code comes a moment after its lines end.
+                thread::sleep(Duration::from_millis(200));
+                // Ctrl-C in a terminal ends it too.
+                if stop() {
+                    break;
+                }
                 return Err(self.process.failure().unwrap_or_else(|| lost(&error)));
             }
         }

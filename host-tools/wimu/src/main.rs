@@ -19,7 +19,7 @@ fn main() -> ExitCode {
         Err(error) => return wrong_usage(&error),
     };
     let output = Output::new(arguments.json);
-    match run(arguments.command, output) {
+    match run(arguments.command, output).and_then(|code| Output::finish().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
             output.failure(&error);
@@ -53,9 +53,15 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion
     );
     if !asked_for_help && std::env::args().any(|argument| argument == "--json") {
+        // What clap says up to its own advice, in one line.
         let text = error.to_string();
-        let first = text.lines().next().unwrap_or_default();
-        let message = first.trim_start_matches("error: ");
+        let told: Vec<&str> = text
+            .lines()
+            .take_while(|line| !line.starts_with("Usage:"))
+            .map(str::trim)
+            .filter(|line| !line.is_empty())
+            .collect();
+        let message = told.join(" ").trim_start_matches("error: ").to_owned();
         let failure = HostError::new(ErrorCode::Usage, message, "see `wimu --help`");
         Output::new(true).failure(&failure);
     } else {

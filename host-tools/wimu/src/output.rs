@@ -1,9 +1,23 @@
 //! Where results and human text go.
 
 use std::io::{self, IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
-use wimu_host::HostError;
+use wimu_host::{ErrorCode, HostError, Result};
+
+/// Whether something could not be written to stdout.
+static FAILED: AtomicBool = AtomicBool::new(false);
+
+/// Remembers a failed write; returns whether it was done.
+fn note(outcome: io::Result<()>) -> bool {
+    if let Err(error) = &outcome
+        && error.kind() != io::ErrorKind::BrokenPipe
+    {
+        FAILED.store(true, Ordering::Relaxed);
+    }
+    outcome.is_ok()
+}
 
 /// With `--json`, objects go to stdout and human text to stderr; without, human text to stdout.
 #[derive(Clone, Copy)]
@@ -25,12 +39,27 @@ impl Output {
     /// Human text.
     pub fn say(self, text: impl AsRef<str>) {
         let text = text.as_ref();
-        // Whoever closed the other end of a pipe has seen enough.
         if self.json {
             let _ = writeln!(io::stderr(), "{text}");
         } else {
-            let _ = writeln!(io::stdout(), "{text}");
+            note(writeln!(io::stdout(), "{text}"));
         }
+    }
+
+    /// Whether everything could be written.
+    ///
+    /// # Errors
+    /// `file_failed` when stdout took less than all. Whoever closed the other end of a pipe has
+    /// seen enough: that is no failure.
+    pub fn finish() -> Result<()> {
+        if FAILED.load(Ordering::Relaxed) {
+            return Err(HostError::new(
+                ErrorCode::FileFailed,
+                "what was to be printed could not be written",
+                "check where stdout goes, and that there is space",
+            ));
+        }
+        Ok(())
     }
 
     /// A line that the next one replaces, on a terminal.
@@ -53,11 +82,12 @@ impl Output {
             return true;
         }
         let mut stdout = io::stdout().lock();
-        serde_json::to_string(object)
-            .map_err(io::Error::from)
-            .and_then(|text| writeln!(stdout, "{text}"))
-            .and_then(|()| stdout.flush())
-            .is_ok()
+        note(
+            serde_json::to_string(object)
+                .map_err(io::Error::from)
+                .and_then(|text| writeln!(stdout, "{text}"))
+                .and_then(|()| stdout.flush()),
+        )
     }
 
     /// A failure, in the form that was asked for.

@@ -1,8 +1,10 @@
-//! The measured figures: every example of a library that measures a budget or an accuracy.
+//! The measured figures: every example of a library that measures a budget or an accuracy, and
+//! what a sample costs on a microcontroller.
 
 use std::path::Path;
 
 use crate::command_line::heading;
+use crate::instructions;
 use crate::setup::cargo;
 use crate::workspace::Workspace;
 
@@ -10,6 +12,9 @@ use crate::workspace::Workspace;
 pub const DATA: &str = "../shared/data";
 
 /// Runs each measurement, handing it the folder of recordings if there is one.
+///
+/// # Errors
+/// Says which command failed, or which figure is past its bar.
 pub fn run(workspace: &Workspace, data: Option<&str>) -> Result<(), String> {
     let data = match data {
         Some(folder) if Path::new(folder).is_dir() => Some(folder),
@@ -30,5 +35,5 @@ pub fn run(workspace: &Workspace, data: Option<&str>) -> Result<(), String> {
                 .run()?;
         }
     }
-    Ok(())
+    instructions::run()
 }

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// Whether this is a continuous-integration machine.
@@ -9,11 +10,12 @@ pub fn is_ci() -> bool {
     std::env::var("CI").is_ok_and(|value| value == "true")
 }
 
-/// A program, its arguments, and what its environment has beyond ours.
+/// A program, its arguments, where it runs, and what its environment has beyond ours.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CommandLine {
     environment: Vec<(String, String)>,
     words: Vec<String>,
+    folder: Option<PathBuf>,
 }
 
 impl CommandLine {
@@ -22,6 +24,7 @@ impl CommandLine {
         Self {
             environment: Vec::new(),
             words: Vec::new(),
+            folder: None,
         }
         .words(line)
     }
@@ -45,6 +48,12 @@ impl CommandLine {
         self
     }
 
+    /// Runs it in `folder`.
+    pub fn inside(mut self, folder: &Path) -> Self {
+        self.folder = Some(folder.to_owned());
+        self
+    }
+
     /// Runs it in view.
     ///
     /// # Errors
@@ -56,6 +65,15 @@ impl CommandLine {
             Ok(status) => Err(format!("`{self}` failed ({status})")),
             Err(problem) => Err(format!("`{self}` cannot be started: {problem}")),
         }
+    }
+
+    /// Goes on as this program, in view, so that signals reach it and its exit code is ours; returns
+    /// only if it cannot be started.
+    #[cfg(unix)]
+    pub fn become_it(&self) -> String {
+        println!("$ {self}");
+        let problem = std::os::unix::process::CommandExt::exec(&mut self.command());
+        format!("`{self}` cannot be started: {problem}")
     }
 
     /// Runs it out of sight: what it put out, if it succeeded.
@@ -75,6 +93,9 @@ impl CommandLine {
                 if colour() { "always" } else { "never" },
             )
             .envs(self.environment.iter().map(|(name, value)| (name, value)));
+        if let Some(folder) = &self.folder {
+            command.current_dir(folder);
+        }
         command
     }
 }
@@ -82,11 +103,15 @@ impl CommandLine {
 impl fmt::Display for CommandLine {
     /// As a shell would take it.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(folder) = &self.folder {
+            write!(out, "(cd {} && ", quoted(&folder.display().to_string()))?;
+        }
         for (name, value) in &self.environment {
             write!(out, "{name}={} ", quoted(value))?;
         }
         let words: Vec<String> = self.words.iter().map(|word| quoted(word)).collect();
-        out.write_str(&words.join(" "))
+        out.write_str(&words.join(" "))?;
+        out.write_str(if self.folder.is_some() { ")" } else { "" })
     }
 }
 
@@ -130,6 +155,12 @@ mod tests {
             line.to_string(),
             r"RUSTDOCFLAGS='-D warnings' cargo doc --no-deps 'it'\''s here'"
         );
+    }
+
+    #[test]
+    fn a_command_in_a_folder_is_shown_with_it() {
+        let line = CommandLine::new("cargo build").inside(Path::new("firmware/a board"));
+        assert_eq!(line.to_string(), "(cd 'firmware/a board' && cargo build)");
     }
 
     #[test]

@@ -2,7 +2,11 @@
 
 mod budget;
 mod command_line;
+mod firmware;
+mod instructions;
+mod output;
 mod setup;
+mod size;
 mod test;
 mod workspace;
 
@@ -19,6 +23,10 @@ enum Task {
     Test(Vec<String>),
     /// A folder of recordings.
     Budget(Option<String>),
+    Firmware,
+    Size,
+    /// Options of the emulated board.
+    Qemu(Vec<String>),
 }
 
 fn main() -> ExitCode {
@@ -48,11 +56,23 @@ fn run(task: Task) -> Result<(), String> {
         Task::Setup => setup::run(),
         Task::Test(only) => test::run(&Workspace::enter()?, &only),
         Task::Budget(data) => budget::run(&Workspace::enter()?, data.as_deref()),
+        Task::Firmware => firmware::run(&Workspace::enter()?),
+        Task::Size => size::run(&Workspace::enter()?),
+        Task::Qemu(options) => {
+            Workspace::enter()?;
+            firmware::qemu(&options)
+        }
     }
 }
 
 fn parse(words: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    // What follows `qemu` is for the emulated board to understand.
+    if let ["qemu", options @ ..] = &words[..] {
+        return Ok(Task::Qemu(
+            options.iter().map(ToString::to_string).collect(),
+        ));
+    }
     if words.iter().any(|w| ["help", "-h", "--help"].contains(w)) {
         return Ok(Task::Help);
     }
@@ -64,7 +84,9 @@ fn parse(words: &[String]) -> Result<Task, String> {
         ["test", "--only"] => Err("--only needs the name of a step".into()),
         ["budget"] => Ok(Task::Budget(None)),
         ["budget", folder] if !folder.starts_with('-') => Ok(Task::Budget(Some(folder.into()))),
-        ["setup" | "test" | "budget", extra, ..] => {
+        ["firmware"] => Ok(Task::Firmware),
+        ["size"] => Ok(Task::Size),
+        ["setup" | "test" | "budget" | "firmware" | "size", extra, ..] => {
             Err(format!("`{}` does not take `{extra}`", words[0]))
         }
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
@@ -95,8 +117,13 @@ Usage: cargo xtask TASK
   setup                 find or install what the tests need
   test                  everything that must hold before a change is kept
   test --only STEP,…    just these steps
-  budget [DATA]         print the measured figures: bytes on the wire, accuracy;
+  budget [DATA]         print the measured figures: bytes on the wire, accuracy, instructions per
+                        sample in QEMU, and fail where one is past its bar;
                         recordings come from the folder DATA (default {}, if there)
+  firmware              build every board
+  size                  build every board, and print the flash and RAM it takes, by crate
+  qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
+                        links; Ctrl-C stops it; `qemu --help` lists the options
 
 Steps of `test`, in order:{steps}
 
@@ -124,6 +151,12 @@ mod tests {
         assert_eq!(parsed("test"), Ok(Task::Test(vec![])));
         assert_eq!(parsed("budget"), Ok(Task::Budget(None)));
         assert_eq!(parsed("budget data"), Ok(Task::Budget(Some("data".into()))));
+        assert_eq!(parsed("firmware"), Ok(Task::Firmware));
+        assert_eq!(parsed("size"), Ok(Task::Size));
+        assert_eq!(
+            parsed("qemu --seed 2"),
+            Ok(Task::Qemu(vec!["--seed".into(), "2".into()]))
+        );
         assert_eq!(
             parsed("test --only format,clippy"),
             Ok(Task::Test(vec!["format".into(), "clippy".into()]))
@@ -148,6 +181,7 @@ mod tests {
             ("test --only clipy", "`clipy`"),
             ("test --only clippy doc", "`--only`"),
             ("budget --fast", "`--fast`"),
+            ("firmware qemu-mps2", "`qemu-mps2`"),
         ] {
             let problem = parsed(line).expect_err(line);
             assert!(problem.contains(named), "{line}: {problem}");

@@ -1,5 +1,5 @@
-//! Finds or installs what the tests need beyond cargo: the formatter, the linter, and `core` for
-//! two microcontrollers.
+//! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
+//! microcontrollers, and an emulator of one.
 
 use std::path::Path;
 
@@ -13,6 +13,7 @@ pub const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 pub enum Need {
     Components,
     Targets,
+    Qemu,
 }
 
 /// Where it can come from, the better first.
@@ -35,7 +36,7 @@ pub trait Machine {
 
 /// Finds every need on this machine, or installs it.
 pub fn run() -> Result<(), String> {
-    for need in [Need::Components, Need::Targets] {
+    for need in [Need::Components, Need::Targets, Need::Qemu] {
         provide(need, &mut ThisMachine)?;
     }
     Ok(())
@@ -48,8 +49,8 @@ pub fn run() -> Result<(), String> {
 pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String> {
     let mut advice = Vec::new();
     for source in [Source::Toolchain, Source::Debian] {
-        if !machine.has(need, source) && machine.can_add_to(source) {
-            let commands = install(need, source);
+        let commands = install(need, source);
+        if !commands.is_empty() && !machine.has(need, source) && machine.can_add_to(source) {
             advice.push(commands.iter().map(ToString::to_string).collect::<Vec<_>>());
             if machine.may_install() {
                 // One that fails, for want of a network or a package, is followed by the next.
@@ -59,7 +60,7 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
             }
         }
         if machine.has(need, source) {
-            println!("{}: {}", need.name(), source.name());
+            println!("{}: {}", need.name(), need.found(source));
             return Ok(source);
         }
     }
@@ -71,7 +72,7 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
             .collect::<Vec<_>>()
         {
             none if none.is_empty() => {
-                format!("{name}: missing; install Rust with rustup (https://rustup.rs)")
+                format!("{name}: missing; {}", need.otherwise())
             }
             ways if machine.may_install() => {
                 format!(
@@ -116,16 +117,21 @@ fn locked(cargo: CommandLine) -> CommandLine {
     }
 }
 
+/// None where `source` has nothing of the kind.
 fn install(need: Need, source: Source) -> Vec<CommandLine> {
     match source {
-        Source::Toolchain => vec![match need {
-            Need::Components => CommandLine::new("rustup component add rustfmt clippy"),
-            Need::Targets => CommandLine::new("rustup target add").words(&TARGETS.join(" ")),
-        }],
+        Source::Toolchain => match need {
+            Need::Components => vec![CommandLine::new("rustup component add rustfmt clippy")],
+            Need::Targets => {
+                vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
+            }
+            Need::Qemu => Vec::new(),
+        },
         Source::Debian => {
             let packages = match need {
                 Need::Components => "rustfmt-web rust-web-clippy",
                 Need::Targets => "rustc-web cargo-web rust-web-src lld",
+                Need::Qemu => "qemu-system-arm",
             };
             let apt = if is_root() { "apt-get" } else { "sudo apt-get" };
             vec![
@@ -143,15 +149,24 @@ impl Need {
         match self {
             Self::Components => "rustfmt and clippy".into(),
             Self::Targets => TARGETS.join(" and "),
+            Self::Qemu => "qemu-system-arm".into(),
         }
     }
-}
 
-impl Source {
-    fn name(self) -> &'static str {
+    /// Where it was found.
+    fn found(self, source: Source) -> &'static str {
+        match (self, source) {
+            (Self::Qemu, _) => "installed",
+            (_, Source::Toolchain) => "in the active toolchain",
+            (_, Source::Debian) => "from Debian's packages",
+        }
+    }
+
+    /// What to do where there is no installer.
+    fn otherwise(self) -> &'static str {
         match self {
-            Self::Toolchain => "in the active toolchain",
-            Self::Debian => "from Debian's packages",
+            Self::Components | Self::Targets => "install Rust with rustup (https://rustup.rs)",
+            Self::Qemu => "install QEMU (https://www.qemu.org/download)",
         }
     }
 }
@@ -167,6 +182,8 @@ impl Machine for ThisMachine {
             (Need::Components, _) => {
                 succeeds("cargo fmt --version") && succeeds("cargo clippy --version")
             }
+            (Need::Qemu, Source::Toolchain) => false,
+            (Need::Qemu, Source::Debian) => succeeds("qemu-system-arm --version"),
             (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
                 CommandLine::new("rustc --print target-libdir --target")
                     .word(target)
@@ -349,6 +366,20 @@ mod tests {
 
         let problem = provide(Need::Targets, &mut Imagined::default()).expect_err("no installer");
         assert!(problem.contains("https://rustup.rs"), "{problem}");
+    }
+
+    #[test]
+    fn rustup_is_not_asked_for_an_emulator() {
+        let mut machine = Imagined {
+            installers: BOTH.into(),
+            may_install: true,
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Qemu, &mut machine), Ok(Source::Debian));
+        let line = machine.ran.last().expect("an installer ran");
+        assert!(line.ends_with("qemu-system-arm"), "{line}");
+        let problem = provide(Need::Qemu, &mut Imagined::default()).expect_err("no installer");
+        assert!(problem.contains("https://www.qemu.org"), "{problem}");
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::command_line::{CommandLine, heading};
+use crate::firmware;
 use crate::setup::{self, Need, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
 use crate::workspace::{Package, Workspace};
 
@@ -14,20 +15,22 @@ pub struct Step {
 }
 
 /// The cheaper first: a run stops at the first that fails.
-pub const STEPS: [Step; 7] = [
+pub const STEPS: [Step; 9] = [
     Step {
         name: "setup",
-        about: "rustfmt, clippy and the microcontroller targets are installed",
+        about: "rustfmt, clippy, the microcontroller targets and QEMU are installed",
         run: |_| setup::run(),
     },
     Step {
         name: "format",
         about: "the source is formatted",
-        run: |_| {
+        run: |workspace| {
             let check = CommandLine::new("cargo fmt --all --check");
             check
                 .run()
-                .map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))
+                .map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))?;
+            all(firmware::format(workspace))
+                .map_err(|problem| format!("{problem}; `cargo fmt` there formats it"))
         },
     },
     Step {
@@ -49,9 +52,19 @@ pub const STEPS: [Step; 7] = [
         },
     },
     Step {
+        name: "firmware",
+        about: "every board builds, without a warning",
+        run: firmware::check,
+    },
+    Step {
         name: "host",
         about: "all tests on this machine, examples in the documentation included",
         run: |_| cargo("test --workspace").run(),
+    },
+    Step {
+        name: "qemu",
+        about: "the firmware does the main job on an emulated Cortex-M4F, bit for bit",
+        run: |_| firmware::test(),
     },
     Step {
         name: "standalone",
@@ -189,6 +202,7 @@ mod tests {
                 package("examples/desk", &[], &[("lib", true), ("bin", false)]),
                 package("host-tools/tool", &["serde"], &[("bin", false)]),
             ],
+            firmware: vec!["firmware/board".into()],
         }
     }
 

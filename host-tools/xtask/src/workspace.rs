@@ -9,6 +9,9 @@ use crate::command_line::CommandLine;
 /// The packages of this repository.
 pub struct Workspace {
     pub packages: Vec<Package>,
+    /// The firmware packages' folders below the repository's root, each with a lock file, a target
+    /// and a profile of its own, by name.
+    pub firmware: Vec<PathBuf>,
 }
 
 pub struct Package {
@@ -45,6 +48,7 @@ impl Workspace {
         let packages: Result<_, String> = packages.iter().map(|p| Package::read(p, root)).collect();
         Ok(Self {
             packages: packages?,
+            firmware: firmware(Path::new("firmware"))?,
         })
     }
 
@@ -92,6 +96,20 @@ impl Target {
             }),
         })
     }
+}
+
+/// The folders in `parent` that hold a package.
+fn firmware(parent: &Path) -> Result<Vec<PathBuf>, String> {
+    let failed = |problem| format!("cannot list {}: {problem}", parent.display());
+    let mut folders = Vec::new();
+    for entry in std::fs::read_dir(parent).map_err(failed)? {
+        let folder = entry.map_err(failed)?.path();
+        if folder.join("Cargo.toml").is_file() {
+            folders.push(folder);
+        }
+    }
+    folders.sort();
+    Ok(folders)
 }
 
 fn string(value: &Value) -> Result<&str, String> {

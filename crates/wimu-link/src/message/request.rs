@@ -223,6 +223,13 @@ pub enum Refusal {
     SensorFailed,
     /// The request is older than one already answered, or its id was used for another.
     Stale,
+    /// The parameters are for another sensitivity than the sensor has at this range.
+    WrongSensitivity {
+        /// Theirs, LSB/*g*.
+        parameters_lsb_per_g: f64,
+        /// The sensor's, LSB/*g*.
+        device_lsb_per_g: f64,
+    },
 }
 
 impl fmt::Display for Refusal {
@@ -264,6 +271,13 @@ impl fmt::Display for Refusal {
             }
             Self::Stale => out.write_str(
                 "the request is older than one already answered; ask again in a new session",
+            ),
+            Self::WrongSensitivity {
+                parameters_lsb_per_g,
+                device_lsb_per_g,
+            } => write!(
+                out,
+                "the parameters are for {parameters_lsb_per_g} LSB/g, the sensor has {device_lsb_per_g} LSB/g; calibrate from this board's own recording"
             ),
         }
     }

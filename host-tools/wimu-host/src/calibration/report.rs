@@ -223,6 +223,8 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         status: Option<String>,
         reason: Option<String>,
         parameters: Option<ParameterSet>,
+        parameter_id: Option<String>,
+        model: Option<ErrorTerms>,
     }
     let name = path.display().to_string();
     let bad =
@@ -257,13 +259,24 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         )
         .at(name));
     }
-    file.parameters.ok_or_else(|| {
+    let set = file.parameters.ok_or_else(|| {
         bad(
             "it has no parameters for a board: its data were in m/s²".to_owned(),
             "calibrate again with --sensitivity, the nominal LSB/g of the board's range",
         )
-        .at(name)
-    })
+        .at(&name)
+    })?;
+    // The file says everything twice; where it disagrees, nobody knows what was meant.
+    let id_agrees =
+        file.parameter_id.as_deref() == Some(&wimu_link::message::parameter_id(&set).to_string());
+    if !id_agrees || file.model.as_ref() != Some(set.model.terms()) {
+        return Err(bad(
+            "it has been changed by hand: its parts disagree".to_owned(),
+            "undo the change, or calibrate again",
+        )
+        .at(name));
+    }
+    Ok(set)
 }
 
 /// Writes a report as the file that [`read_parameters`] reads.

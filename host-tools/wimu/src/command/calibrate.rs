@@ -1,5 +1,6 @@
 //! `wimu calibrate`.
 
+use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -15,7 +16,7 @@ use wimu_link::batch::Stream;
 use wimu_model::{Counts, Sensitivity};
 
 use crate::arguments::{Calibrate, Method};
-use crate::command::{connect, interrupted, params};
+use crate::command::{connect, interrupted, not_over_input, params};
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 when the data do not support an answer.
@@ -28,6 +29,7 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         role: arguments.link.map(Into::into),
     };
     let input = Input::parse(&arguments.input)?;
+    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
     if arguments.push && !matches!(input, Input::Link(_)) {
         return Err(HostError::new(
             ErrorCode::Usage,
@@ -41,25 +43,25 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         Input::Recording(path) => Dataset::from_recording(&path, &load)?,
         Input::Link(_) => {
             let client = client.insert(connect(&arguments.input)?);
-            collect(client, arguments, output)?
+            collect(client, arguments, &options, output)?
         }
     };
     let report = calibration::calibrate(&data, &options)?;
     output.say(report.to_string());
-    output.object(&report);
-    if report.exit_code() != 0 {
-        return Ok(report.exit_code());
-    }
-    if let Some(path) = &arguments.output {
+    if report.exit_code() == 0
+        && let Some(path) = &arguments.output
+    {
         calibration::write_report(path, &report)?;
     }
-    if arguments.push
+    if report.exit_code() == 0
+        && arguments.push
         && let Some(client) = &mut client
         && let Some(set) = &report.parameters
     {
         params::push(client, set, output)?;
     }
-    Ok(0)
+    output.object(&report);
+    Ok(report.exit_code())
 }
 
 fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
@@ -96,9 +98,21 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
 fn collect<T: Transport>(
     client: &mut Client<T>,
     arguments: &Calibrate,
+    options: &CalibrateOptions,
     output: Output,
 ) -> Result<Dataset> {
     let six = arguments.method == Method::SixPosition;
+    let fewest = match options.model {
+        ModelChoice::Fixed(model) => model.parameters() + 1,
+        ModelChoice::Auto => Model::Bias3.parameters() + 1,
+    };
+    if !six && arguments.count < fewest {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("--count {} poses do not suffice", arguments.count),
+            format!("give {fewest} or more, or a smaller --model"),
+        ));
+    }
     output.say(if six {
         "hold the board still with each of its six sides up, in any order".to_owned()
     } else {

@@ -6,6 +6,7 @@ use wimu_host::export::{self, ExportStream};
 use wimu_host::record::Recording;
 
 use crate::arguments::{Export, ExportFormat, Stream};
+use crate::command::not_over_input;
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -19,6 +20,7 @@ struct Exported {
 
 pub fn run(arguments: &Export, output: Output) -> Result<()> {
     let ExportFormat::Csv = arguments.format;
+    not_over_input(&arguments.input, Some(&arguments.output))?;
     let recording = Recording::load(&arguments.input)?;
     let link = recording.link(arguments.link.map(Into::into))?;
     let stream = match arguments.stream {

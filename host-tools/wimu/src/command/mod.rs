@@ -12,6 +12,7 @@ pub mod record;
 pub mod settings;
 pub mod simulate;
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -25,7 +26,26 @@ fn connect(link: &str) -> Result<Client<Box<dyn Transport + Send>>> {
     client::connect(&link.parse::<LinkUrl>()?)
 }
 
-/// A flag that Ctrl-C sets.
+/// Refuses to write over what is being read.
+fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
+    let same = output.is_some_and(|output| {
+        match (std::fs::canonicalize(input), std::fs::canonicalize(output)) {
+            (Ok(input), Ok(output)) => input == output,
+            _ => false,
+        }
+    });
+    if same {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "the output is the input: it would be destroyed",
+            "name another file with -o",
+        )
+        .at(input.display().to_string()));
+    }
+    Ok(())
+}
+
+/// A flag that Ctrl-C and a request to end set.
 fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let set = flag.clone();

@@ -24,6 +24,8 @@ struct Line {
     raw_lsb: Option<[i16; 3]>,
     specific_force_m_s2: [f64; 3],
     corrected: bool,
+    /// Of the parameters in use; "00000000" on an uncalibrated device.
+    parameter_id: Option<String>,
     magnetic_field_ut: Option<[f64; 3]>,
     temperature_c: Option<f64>,
     phase: Option<String>,
@@ -45,6 +47,7 @@ impl From<&Reading> for Line {
             raw_lsb: reading.raw.map(|counts| counts.0),
             specific_force_m_s2: reading.specific_force.0,
             corrected: reading.corrected,
+            parameter_id: reading.parameters.map(|id| id.to_string()),
             magnetic_field_ut: environment
                 .and_then(|e| e.magnetic_field_nt)
                 .map(|field| field.map(|nt| f64::from(nt) * 1e-3)),

@@ -10,6 +10,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_integrator::Phase;
 
 use crate::arguments::{Navigate, Switch};
+use crate::command::not_over_input;
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -76,6 +77,7 @@ impl Track {
 }
 
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+    not_over_input(&arguments.input, arguments.output.as_deref())?;
     let recording = Recording::load(&arguments.input)?;
     let link = recording.link(arguments.link.map(Into::into))?;
     let mut starts = Vec::new();

@@ -20,6 +20,8 @@ struct Held {
     calibrated: bool,
     parameter_id: String,
     parameters: Option<ParameterSet>,
+    /// Whether they are for the range that the device is set to.
+    in_use: bool,
 }
 
 pub fn run(action: &Params, output: Output) -> Result<()> {
@@ -60,7 +62,8 @@ pub fn push<T: Transport>(
     Ok(())
 }
 
-fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>> {
+/// The parameters that a device holds.
+pub fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>> {
     let ActiveParameters { active, .. } = client.parameters()?;
     active
         .as_ref()
@@ -77,6 +80,7 @@ fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>> {
 
 fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
     let parameters = held(client)?;
+    let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
     let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
         wimu_link::message::parameter_id(&set)
     });
@@ -101,8 +105,24 @@ fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
         calibrated: parameters.is_some(),
         parameter_id: id.to_string(),
         parameters,
+        in_use,
     });
     Ok(())
+}
+
+/// Whether a device set to `range_g` corrects with these parameters; says so if not.
+pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: Output) -> bool {
+    match parameters {
+        Some(set) if set.range_g != range_g => {
+            output.say(format!(
+                "not in use: the parameters are for ±{} g and the device is set to ±{range_g} g; \
+                 it runs uncalibrated",
+                set.range_g
+            ));
+            false
+        }
+        other => other.is_some(),
+    }
 }
 
 fn vector(values: [f64; 3]) -> String {

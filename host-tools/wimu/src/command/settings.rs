@@ -5,7 +5,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::{Resolution, Settings, Streams};
 
 use crate::arguments::{self, Carried, Change, Switch};
-use crate::command::connect;
+use crate::command::{connect, params};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -28,7 +28,9 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         arguments::Settings::Set { link, change } => {
             let mut client = connect(link)?;
             let wanted = changed(client.settings()?, change)?;
-            client.set_settings(wanted)?
+            let now = client.set_settings(wanted)?;
+            params::applies(params::held(&mut client)?.as_ref(), now.range_g, output);
+            now
         }
     };
     let held = Held {

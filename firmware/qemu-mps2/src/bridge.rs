@@ -1,0 +1,208 @@
+//! The sensor's I²C bus behind a UART: an SC18IM700-style bridge (NXP), played by the host.
+//!
+//! The chip's commands are used as its data sheet has them: `S address length [bytes] … P` is a
+//! transaction, `R register P` reads one of its registers, `I P` its port. Two things differ: a
+//! read that nobody answers gives 0xFF bytes, as an idle bus does, and the sensor's data-ready
+//! line is bit 0 of the port.
+
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::mutex::Mutex;
+use embedded_hal_async::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use embedded_io_async::{Read, Write};
+use wimu_model::DeviceTimeUs;
+use wimu_node::Timer;
+
+use crate::clock::{BoardTimer, is_lockstep};
+use crate::uart::{Reader, SENSOR_BUS, Writer};
+
+/// I2CStat.
+const STATUS_REGISTER: u8 = 0x0A;
+const STATUS_OK: u8 = 0xF0;
+const STATUS_NACK_ADDRESS: u8 = 0xF1;
+const STATUS_NACK_DATA: u8 = 0xF2;
+/// The bridge answers within this time or not at all.
+const PATIENCE_US: u64 = 1_000_000;
+/// Longest message.
+const MESSAGE: usize = 64;
+
+/// The line to the bridge: it takes one question after the other.
+pub struct Bridge {
+    reader: Reader,
+    writer: Writer,
+    /// Bytes of an answer that nobody waits for any more.
+    owed: usize,
+}
+
+impl Bridge {
+    /// The bridge on a UART.
+    pub fn new((reader, writer): (Reader, Writer)) -> Self {
+        Self {
+            reader,
+            writer,
+            owed: 0,
+        }
+    }
+
+    /// Sends `question` and waits for as many bytes as `answer` has. If dropped meanwhile, the
+    /// next one swallows what is still to come. In lockstep no other task goes on meanwhile: how
+    /// far it would get depends on how fast the host is.
+    async fn ask(&mut self, question: &[u8], answer: &mut [u8]) -> Result<(), BridgeError> {
+        if is_lockstep() {
+            SENSOR_BUS.write_now(question);
+            SENSOR_BUS.read_now(answer, || {});
+            return Ok(());
+        }
+        let deadline = DeviceTimeUs(BoardTimer.now().0 + PATIENCE_US);
+        while self.owed > 0 {
+            let mut stale = [0; MESSAGE];
+            let length = self.owed.min(stale.len());
+            // If it never comes, the bridge has begun anew.
+            let read = self.receive(deadline, &mut stale[..length]).await;
+            read.inspect_err(|_| self.owed = 0)?;
+        }
+        self.owed = answer.len();
+        let Ok(()) = self.writer.write_all(question).await;
+        let mut rest = answer;
+        while !rest.is_empty() {
+            let count = self.receive(deadline, rest).await?;
+            rest = &mut rest[count..];
+        }
+        Ok(())
+    }
+
+    async fn receive(
+        &mut self,
+        deadline: DeviceTimeUs,
+        buffer: &mut [u8],
+    ) -> Result<usize, BridgeError> {
+        match BoardTimer.before(deadline, self.reader.read(buffer)).await {
+            Some(Ok(count)) => {
+                self.owed -= count;
+                Ok(count)
+            }
+            None => Err(BridgeError::Silent),
+        }
+    }
+
+    /// Whether the sensor has data.
+    pub async fn data_ready(&mut self) -> Result<bool, BridgeError> {
+        let mut port = [0];
+        self.ask(b"IP", &mut port).await?;
+        Ok(port[0] & 1 != 0)
+    }
+}
+
+/// Why a transaction failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BridgeError {
+    /// The bridge does not answer.
+    Silent,
+    /// The transaction is longer than a message.
+    TooLong,
+    /// The bridge reports a status other than done.
+    Status(u8),
+}
+
+impl Error for BridgeError {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Status(STATUS_NACK_ADDRESS) => {
+                ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address)
+            }
+            Self::Status(STATUS_NACK_DATA) => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Data),
+            Self::Status(_) => ErrorKind::Bus,
+            Self::TooLong => ErrorKind::Overrun,
+            Self::Silent => ErrorKind::Other,
+        }
+    }
+}
+
+/// The sensor's bus.
+pub struct BridgeI2c(pub &'static Mutex<NoopRawMutex, Bridge>);
+
+impl ErrorType for BridgeI2c {
+    type Error = BridgeError;
+}
+
+impl I2c for BridgeI2c {
+    async fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), BridgeError> {
+        let mut question = Message::default();
+        let mut expected = 1;
+        // Neighbours in one direction are one message on the bus.
+        let same = |a: &Operation<'_>, b: &Operation<'_>| {
+            matches!(a, Operation::Read(_)) == matches!(b, Operation::Read(_))
+        };
+        for group in operations.chunk_by(same) {
+            let reads = matches!(group, [Operation::Read(_), ..]);
+            let length: usize = group.iter().map(length).sum();
+            let count = u8::try_from(length).map_err(|_| BridgeError::TooLong)?;
+            question.append(&[b'S', address << 1 | u8::from(reads), count])?;
+            for operation in group {
+                if let Operation::Write(bytes) = operation {
+                    question.append(bytes)?;
+                }
+            }
+            expected += if reads { length } else { 0 };
+        }
+        question.append(&[b'P', b'R', STATUS_REGISTER, b'P'])?;
+
+        let mut answer = [0; MESSAGE];
+        let answer = answer.get_mut(..expected).ok_or(BridgeError::TooLong)?;
+        self.0.lock().await.ask(question.bytes(), answer).await?;
+        match answer {
+            [data @ .., STATUS_OK] => {
+                let mut rest = &*data;
+                for operation in operations {
+                    if let Operation::Read(buffer) = operation {
+                        let (mine, after) = rest.split_at(buffer.len());
+                        buffer.copy_from_slice(mine);
+                        rest = after;
+                    }
+                }
+                Ok(())
+            }
+            [.., status] => Err(BridgeError::Status(*status)),
+            [] => Err(BridgeError::Silent),
+        }
+    }
+}
+
+fn length(operation: &Operation<'_>) -> usize {
+    match operation {
+        Operation::Read(buffer) => buffer.len(),
+        Operation::Write(bytes) => bytes.len(),
+    }
+}
+
+struct Message {
+    bytes: [u8; MESSAGE],
+    length: usize,
+}
+
+impl Default for Message {
+    fn default() -> Self {
+        Self {
+            bytes: [0; MESSAGE],
+            length: 0,
+        }
+    }
+}
+
+impl Message {
+    fn append(&mut self, bytes: &[u8]) -> Result<(), BridgeError> {
+        self.bytes
+            .get_mut(self.length..self.length + bytes.len())
+            .ok_or(BridgeError::TooLong)?
+            .copy_from_slice(bytes);
+        self.length += bytes.len();
+        Ok(())
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &self.bytes[..self.length]
+    }
+}

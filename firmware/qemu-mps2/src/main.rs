@@ -1,0 +1,168 @@
+//! wimu on QEMU's mps2-an386: pins, clocks, interrupts and a main. Everything else is `wimu-node`.
+//!
+//! UART0 is the wireless link, UART1 the cable, UART2 leads to the sensor, UART3 carries `defmt`
+//! logs. Parameters live in the memory at 0x2100_0000, which QEMU keeps in a file. Words on the
+//! command line: `free-running`, time is that of the machine's timers, or `lockstep`, it is what
+//! the host says that plays the sensor; `power-loss=WORDS` ends the machine when as many words of
+//! flash have been written.
+
+#![no_std]
+#![no_main]
+
+mod bridge;
+mod clock;
+mod data_ready;
+mod interrupts;
+mod lockstep;
+mod log;
+mod register;
+mod semihosting;
+mod store;
+mod uart;
+
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use cortex_m_rt::entry;
+use embassy_executor::raw::Executor;
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::mutex::Mutex;
+use static_cell::StaticCell;
+use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
+use wimu_link::{Hello, LinkRole};
+use wimu_node::{Board, Control, LinkReader, LinkWriter, Lsm303agr, Sampler, Shared};
+
+use crate::bridge::{Bridge, BridgeI2c};
+use crate::clock::BoardTimer;
+use crate::data_ready::DataReady;
+use crate::lockstep::Lockstep;
+use crate::store::{Flash, FlashStore};
+use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
+
+type Sensor = Lsm303agr<BridgeI2c, DataReady, BoardTimer>;
+type M = NoopRawMutex;
+
+#[embassy_executor::task]
+async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
+    sampler.run().await
+}
+
+#[embassy_executor::task]
+async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore, M>) -> ! {
+    control.run().await
+}
+
+#[embassy_executor::task(pool_size = 2)]
+async fn listen(reader: LinkReader<'static, Reader, BoardTimer, M>) -> ! {
+    reader.run().await
+}
+
+#[embassy_executor::task(pool_size = 2)]
+async fn talk(writer: LinkWriter<'static, Writer, M>) -> ! {
+    writer.run().await
+}
+
+/// Whether a task has been woken.
+static WOKEN: AtomicBool = AtomicBool::new(false);
+
+#[unsafe(export_name = "__pender")]
+fn pend(_context: *mut ()) {
+    WOKEN.store(true, Ordering::Relaxed);
+}
+
+#[entry]
+fn main() -> ! {
+    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+    static SHARED: StaticCell<Shared<M>> = StaticCell::new();
+    static BRIDGE: StaticCell<Mutex<M, Bridge>> = StaticCell::new();
+
+    LOG.start_polled();
+    let mut line = [0; 256];
+    let lockstep = options(semihosting::command_line(&mut line));
+    clock::start(lockstep);
+    let bridge = &*BRIDGE.init(Mutex::new(Bridge::new(SENSOR_BUS.start())));
+    let board = Board {
+        hello: hello(),
+        accelerometer: Sensor::new(BridgeI2c(bridge), DataReady(bridge), BoardTimer),
+        timer: BoardTimer,
+        // SAFETY: nothing else uses the memory there.
+        store: FlashStore::new(unsafe { Flash::new() }),
+        cable: CABLE.start(),
+        wireless: WIRELESS.start(),
+    };
+    let node = board.split(SHARED.init(Shared::new()));
+
+    let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
+    let spawner = executor.spawner();
+    // Each is spawned once: there is room.
+    spawner.spawn(sample(node.sampler).unwrap());
+    spawner.spawn(control(node.control).unwrap());
+    spawner.spawn(listen(node.cable_reader).unwrap());
+    spawner.spawn(talk(node.cable_writer).unwrap());
+    spawner.spawn(listen(node.wireless_reader).unwrap());
+    spawner.spawn(talk(node.wireless_writer).unwrap());
+    // SAFETY: no critical section is under way.
+    unsafe { interrupts::unmask() };
+    defmt::info!("started, lockstep {}", lockstep);
+
+    let mut in_lockstep = Lockstep::new();
+    loop {
+        WOKEN.store(false, Ordering::Relaxed);
+        // SAFETY: it is called here only.
+        unsafe { executor.poll() };
+        // With interrupts off none slips in between looking and sleeping; one still wakes.
+        let idle = cortex_m::interrupt::free(|_| {
+            let idle = !WOKEN.load(Ordering::Relaxed);
+            if idle && !lockstep {
+                cortex_m::asm::wfi();
+            }
+            idle
+        });
+        if idle && lockstep {
+            in_lockstep.pass_time();
+        }
+    }
+}
+
+/// Does as the command line says; returns whether to run in lockstep.
+fn options(line: &str) -> bool {
+    let mut lockstep = false;
+    // The first is the program.
+    for word in line.split(' ').skip(1) {
+        match (word, word.split_once('=')) {
+            ("lockstep", _) => lockstep = true,
+            ("free-running", _) => lockstep = false,
+            (_, Some(("power-loss", words))) => match words.parse() {
+                Ok(words) => store::lose_power_after(words),
+                Err(_) => unknown(word),
+            },
+            _ => unknown(word),
+        }
+    }
+    lockstep
+}
+
+fn unknown(option: &str) -> ! {
+    defmt::error!("`{}` is no option", option);
+    semihosting::exit(log::exit_code::USAGE)
+}
+
+fn hello() -> Hello {
+    let part = |text: &str| text.parse().unwrap_or(0);
+    Hello {
+        device_id: 0x5145_0386,
+        firmware: [
+            part(env!("CARGO_PKG_VERSION_MAJOR")),
+            part(env!("CARGO_PKG_VERSION_MINOR")),
+            part(env!("CARGO_PKG_VERSION_PATCH")),
+        ],
+        reset_reason: ResetReason::PowerOn,
+        capabilities: Capabilities::ACCELEROMETER
+            .with(Capabilities::MAGNETOMETER)
+            .with(Capabilities::TEMPERATURE)
+            .with(Capabilities::STORE),
+        sensitivity_known: true,
+        board: Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
+        sensor: Part::new(sensor::LSM303AGR, "LSM303AGR"),
+        ..Hello::new(LinkRole::Cable)
+    }
+}

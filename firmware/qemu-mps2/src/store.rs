@@ -1,0 +1,239 @@
+//! Records in the memory that QEMU keeps in a file, as they would be in flash.
+
+use core::ops::Range;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embedded_storage_async::nor_flash::{
+    ErrorType, MultiwriteNorFlash, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+use sequential_storage::Error;
+use sequential_storage::cache::{Cache, Uncached};
+use sequential_storage::map::{MapConfig, MapStorage};
+use wimu_node::{Key, MAX_RECORD, Store, StoreFault};
+
+use crate::log::exit_code;
+use crate::semihosting;
+
+/// The machine's PSRAM.
+const BASE: usize = 0x2100_0000;
+/// As on an nRF52.
+const PAGE: usize = 4096;
+const WORD: usize = 4;
+const RANGE: Range<u32> = 0..4 * PAGE as u32;
+
+/// Words that can be written or erased before power is lost.
+static WORDS_LEFT: AtomicU32 = AtomicU32::new(u32::MAX);
+
+/// Ends the machine when `words` more words have been written or erased, so that a test can lose
+/// power at each of them.
+pub fn lose_power_after(words: u32) {
+    WORDS_LEFT.store(words, Ordering::Relaxed);
+}
+
+/// Flash made of ordinary memory: an erase sets all bits of a page, a write only clears them.
+///
+/// The memory holds the complement of what the flash does, so that a fresh file of zeros is
+/// erased flash.
+pub struct Flash(());
+
+impl Flash {
+    /// The only one.
+    ///
+    /// # Safety
+    /// Nothing else may use the first pages of the PSRAM.
+    pub const unsafe fn new() -> Self {
+        Self(())
+    }
+
+    /// Whether all of it is erased.
+    fn is_blank(&self) -> bool {
+        (BASE..BASE + RANGE.end as usize)
+            .step_by(WORD)
+            .all(|address| {
+                // SAFETY: the aligned address is in the flash.
+                unsafe { (address as *const u32).read_volatile() == 0 }
+            })
+    }
+
+    /// Puts `value` into the aligned `address` of the memory.
+    fn put(address: usize, value: u32) {
+        match WORDS_LEFT.load(Ordering::Relaxed) {
+            0 => semihosting::exit(exit_code::POWER_LOSS),
+            u32::MAX => {}
+            left => WORDS_LEFT.store(left - 1, Ordering::Relaxed),
+        }
+        // SAFETY: the aligned address is in the flash.
+        unsafe { (address as *mut u32).write_volatile(value) };
+    }
+
+    fn range(from: u32, length: usize) -> Result<Range<usize>, NorFlashErrorKind> {
+        let from = from as usize;
+        match from.checked_add(length) {
+            Some(end) if end <= RANGE.end as usize => Ok(BASE + from..BASE + end),
+            _ => Err(NorFlashErrorKind::OutOfBounds),
+        }
+    }
+}
+
+fn aligned(from: u32, length: usize, to: usize) -> Result<(), NorFlashErrorKind> {
+    if (from as usize).is_multiple_of(to) && length.is_multiple_of(to) {
+        Ok(())
+    } else {
+        Err(NorFlashErrorKind::NotAligned)
+    }
+}
+
+/// Why a flash operation was not done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FlashError(NorFlashErrorKind);
+
+impl From<NorFlashErrorKind> for FlashError {
+    fn from(kind: NorFlashErrorKind) -> Self {
+        Self(kind)
+    }
+}
+
+impl NorFlashError for FlashError {
+    fn kind(&self) -> NorFlashErrorKind {
+        self.0
+    }
+}
+
+impl ErrorType for Flash {
+    type Error = FlashError;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        let addresses = Self::range(offset, bytes.len())?;
+        for (place, address) in bytes.iter_mut().zip(addresses) {
+            // SAFETY: the address is in the flash.
+            *place = !unsafe { (address as *const u8).read_volatile() };
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        RANGE.end as usize
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = WORD;
+    const ERASE_SIZE: usize = PAGE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
+        aligned(from, length, PAGE)?;
+        for address in Self::range(from, length)?.step_by(WORD) {
+            Self::put(address, 0);
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        aligned(offset, bytes.len(), WORD)?;
+        let words = bytes.as_chunks::<WORD>().0;
+        let addresses = Self::range(offset, bytes.len())?.step_by(WORD);
+        for (word, address) in words.iter().zip(addresses) {
+            // SAFETY: the aligned address is in the flash.
+            let before = unsafe { (address as *const u32).read_volatile() };
+            Self::put(address, before | !u32::from_le_bytes(*word));
+        }
+        Ok(())
+    }
+}
+
+impl MultiwriteNorFlash for Flash {}
+
+/// The node's records in [`Flash`].
+pub struct FlashStore {
+    map: MapStorage<u8, Flash, Cache<Uncached, Uncached, Uncached, u8>>,
+    /// A key and a record, in whole words.
+    buffer: [u8; (1 + MAX_RECORD).next_multiple_of(WORD)],
+    /// Whether the flash holds something, but no record; `None` before it has been looked at.
+    ruined: Option<bool>,
+}
+
+impl FlashStore {
+    /// Whatever `flash` holds.
+    pub const fn new(flash: Flash) -> Self {
+        Self {
+            map: MapStorage::new(
+                flash,
+                const { MapConfig::new(RANGE) },
+                Cache::new_uncached(),
+            ),
+            buffer: [0; _],
+            ruined: None,
+        }
+    }
+
+    /// A map that is ruined as a whole looks as if nothing had been stored: tells the two apart.
+    async fn is_ruined(&mut self) -> bool {
+        if let Some(ruined) = self.ruined {
+            return ruined;
+        }
+        // First: looking for records may repair the flash.
+        let mut ruined = !self.map.flash().is_blank();
+        for key in Key::ALL {
+            let key = number(key);
+            let found = self.map.fetch_item::<&[u8]>(&mut self.buffer, &key);
+            ruined &= !matches!(found.await, Ok(Some(_)));
+        }
+        self.ruined = Some(ruined);
+        ruined
+    }
+
+    async fn put(&mut self, key: Key, record: &[u8]) -> Result<(), Error<FlashError>> {
+        let key = number(key);
+        let stored = self.map.store_item(&mut self.buffer, &key, &record);
+        stored.await
+    }
+}
+
+impl Store for FlashStore {
+    async fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+        if self.is_ruined().await {
+            return Err(StoreFault);
+        }
+        let key = number(key);
+        let found = self.map.fetch_item::<&[u8]>(&mut self.buffer, &key);
+        let Some(record) = found.await.map_err(|_| StoreFault)? else {
+            return Ok(None);
+        };
+        buffer
+            .get_mut(..record.len())
+            .ok_or(StoreFault)?
+            .copy_from_slice(record);
+        Ok(Some(record.len()))
+    }
+
+    async fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault> {
+        if self.is_ruined().await {
+            defmt::warn!("the flash holds no record that can be read: it is erased");
+            self.map.erase_all().await.map_err(|_| StoreFault)?;
+            self.ruined = Some(false);
+        }
+        self.put(key, record).await.map_err(|error| {
+            defmt::error!("the flash takes no record: {}", defmt::Debug2Format(&error));
+            StoreFault
+        })
+    }
+
+    async fn remove(&mut self, key: Key) -> Result<(), StoreFault> {
+        let key = number(key);
+        let removed = self.map.remove_item(&mut self.buffer, &key);
+        removed.await.map_err(|_| StoreFault)
+    }
+}
+
+fn number(key: Key) -> u8 {
+    match key {
+        Key::Parameters => 1,
+        Key::Settings => 2,
+        Key::BootCount => 3,
+    }
+}

@@ -1,0 +1,267 @@
+//! What a sample costs in instructions: the image of `firmware/bench`, run in QEMU, which counts
+//! them exactly.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::command_line::{CommandLine, heading};
+use crate::output::Output;
+use crate::setup::{self, Need, ThisMachine, embedded_cargo};
+
+const FOLDER: &str = "firmware/bench";
+
+/// A processor, and the machine of QEMU that has it.
+struct Processor {
+    name: &'static str,
+    target: &'static str,
+    machine: &'static str,
+}
+
+/// QEMU has no Cortex-M0+; Cortex-M0 runs the same instructions.
+const PROCESSORS: [Processor; 2] = [
+    Processor {
+        name: "Cortex-M4F",
+        target: "thumbv7em-none-eabihf",
+        machine: "mps2-an386",
+    },
+    Processor {
+        name: "Cortex-M0+",
+        target: "thumbv6m-none-eabi",
+        machine: "microbit",
+    },
+];
+
+/// A line of the table.
+struct Row {
+    /// As the image names it.
+    key: &'static str,
+    about: &'static str,
+    /// The most that a sample may cost, on each processor.
+    bars: Option<[f64; 2]>,
+}
+
+const fn row(key: &'static str, about: &'static str) -> Row {
+    Row {
+        key,
+        about,
+        bars: None,
+    }
+}
+
+const fn barred(key: &'static str, about: &'static str, bars: [f64; 2]) -> Row {
+    Row {
+        key,
+        about,
+        bars: Some(bars),
+    }
+}
+
+const ROWS: [Row; 14] = [
+    row("correction", "correction"),
+    row("integration", "integration"),
+    barred(
+        "correction+integration",
+        "correction and integration, inlined together",
+        [92.0, 170.0],
+    ),
+    row("saturation", "check for saturation"),
+    row(
+        "integrator-step",
+        "integrator in whole: with stillness and gaps",
+    ),
+    row("gap", "a gap, when there is one"),
+    barred(
+        "packing-rest",
+        "packing 16 samples at rest, 12 bits",
+        [150.0, 400.0],
+    ),
+    row("framing-rest", "their frame: CRC and COBS"),
+    barred(
+        "packing-motion",
+        "packing 16 samples in motion, 16 bits",
+        [150.0, 400.0],
+    ),
+    row("framing-motion", "their frame: CRC and COBS"),
+    row("batch-rest", "packing and frame, at rest"),
+    row("batch-motion", "packing and frame, in motion"),
+    row("path-rest", "all of it: counts to frames, at rest"),
+    row("path-motion", "all of it: counts to frames, in motion"),
+];
+
+/// x-io Fusion, 6 axes, per sample, as published: an attitude filter in f32.
+const FUSION: [f64; 2] = [199.0, 10_328.0];
+
+/// Instructions per sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Cost {
+    mean: f64,
+    most: f64,
+}
+
+type Costs = BTreeMap<String, Cost>;
+
+/// Builds the image for every processor, runs it, and prints the table.
+///
+/// # Errors
+/// Says what is missing, which command failed, or which costs are past their bars.
+pub fn run() -> Result<(), String> {
+    setup::provide(Need::Qemu, &mut ThisMachine)?;
+    let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+    let folder = Path::new(FOLDER);
+    let mut costs = Vec::new();
+    for processor in &PROCESSORS {
+        embedded_cargo(source)
+            .words("--release --target")
+            .word(processor.target)
+            .inside(folder)
+            .run()?;
+        let image = Output::of(folder)?.image("bench", processor.target);
+        let run = CommandLine::new("qemu-system-arm -display none -monitor none -serial none")
+            .words("-icount shift=10 -semihosting-config enable=on,target=native")
+            .words(&format!("-M {} -kernel", processor.machine))
+            .word(&image.display().to_string());
+        println!("$ {run}");
+        let text = run
+            .output()
+            .ok_or_else(|| format!("`{run}` failed; it says why"))?;
+        costs.push(parsed(&text)?);
+    }
+    heading("instructions per sample: mean (most)");
+    print!("{}", table(&costs));
+    let exceeded = exceeded(&costs);
+    if exceeded.is_empty() {
+        Ok(())
+    } else {
+        Err(exceeded.join("\n"))
+    }
+}
+
+/// Lines of a name, the mean and the most.
+fn parsed(text: &str) -> Result<Costs, String> {
+    text.lines()
+        .map(|line| {
+            let mut words = line.split_whitespace();
+            let name = words.next()?;
+            let mean = words.next()?.parse().ok()?;
+            let most = words.next()?.parse().ok()?;
+            Some((name.to_owned(), Cost { mean, most }))
+        })
+        .collect::<Option<Costs>>()
+        .filter(|costs| !costs.is_empty())
+        .ok_or_else(|| format!("the image printed something else than counts:\n{text}"))
+}
+
+fn table(costs: &[Costs]) -> String {
+    let cell = |cost: Option<&Cost>| {
+        cost.map_or(String::new(), |cost| {
+            format!("{:.0} ({:.0})", cost.mean, cost.most)
+        })
+    };
+    let mut text = format!("{:<46}", "");
+    for processor in &PROCESSORS {
+        text += &format!("{:>14}{:>12}{:>6}", processor.name, "f32", "bar");
+    }
+    text.push('\n');
+    for row in &ROWS {
+        text += &format!("{:<46}", row.about);
+        for (index, costs) in costs.iter().enumerate() {
+            let bar = row
+                .bars
+                .map_or(String::new(), |bars| format!("{:.0}", bars[index]));
+            let float = costs.get(&format!("{}-f32", row.key));
+            let float = float.map_or(String::new(), |cost| format!("{:.0}", cost.mean));
+            text += &format!("{:>14}{float:>12}{bar:>6}", cell(costs.get(row.key)));
+        }
+        text.push('\n');
+    }
+    text += &format!("{:<46}", "x-io Fusion, 6 axes, as published");
+    for published in FUSION {
+        text += &format!("{:>14}{published:>12.0}{:>6}", "", "");
+    }
+    text.push('\n');
+    text
+}
+
+/// What costs more than it may, or was not measured.
+fn exceeded(costs: &[Costs]) -> Vec<String> {
+    let mut problems = Vec::new();
+    for row in &ROWS {
+        for (index, (costs, processor)) in costs.iter().zip(&PROCESSORS).enumerate() {
+            let what = format!("{} on {}", row.about, processor.name);
+            match (costs.get(row.key), row.bars) {
+                (None, _) => problems.push(format!("{what}: was not measured")),
+                (Some(cost), Some(bars)) if cost.mean > bars[index] => problems.push(format!(
+                    "{what}: {:.1} instructions, the bar is {:.0}",
+                    cost.mean, bars[index]
+                )),
+                _ => {}
+            }
+        }
+    }
+    problems
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every row at `cost`.
+    fn everywhere(cost: f64) -> Costs {
+        ROWS.iter()
+            .map(|row| {
+                let cost = Cost {
+                    mean: cost,
+                    most: cost,
+                };
+                (row.key.to_owned(), cost)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_the_image_prints_is_understood() {
+        let costs = parsed("correction 39.0 40\ngap 5.5 6\n").unwrap();
+        let cost = Cost {
+            mean: 5.5,
+            most: 6.0,
+        };
+        assert_eq!(costs["gap"], cost);
+        assert_eq!(costs.len(), 2);
+        assert!(parsed("").is_err());
+        assert!(
+            parsed("error: out of order")
+                .unwrap_err()
+                .contains("out of order")
+        );
+    }
+
+    #[test]
+    fn a_cost_past_its_bar_is_named_and_one_at_it_is_not() {
+        assert!(exceeded(&[everywhere(92.0), everywhere(170.0)]).is_empty());
+        let problems = exceeded(&[everywhere(92.1), everywhere(170.0)]);
+        assert_eq!(
+            problems,
+            [
+                "correction and integration, inlined together on Cortex-M4F: 92.1 instructions, the bar is 92"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_cost_that_is_missing_is_named() {
+        let mut costs = everywhere(1.0);
+        costs.remove("gap");
+        let problems = exceeded(&[costs, everywhere(1.0)]);
+        assert_eq!(
+            problems,
+            ["a gap, when there is one on Cortex-M4F: was not measured"]
+        );
+    }
+
+    #[test]
+    fn the_table_has_a_line_for_each_row() {
+        let text = table(&[everywhere(1.0), everywhere(2.0)]);
+        assert_eq!(text.lines().count(), 1 + ROWS.len() + 1);
+        assert!(text.contains("Cortex-M0+") && text.contains("10328"));
+    }
+}

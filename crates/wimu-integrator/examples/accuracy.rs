@@ -102,8 +102,8 @@ fn minute_at_100_hz() {
             euler_v += f64::from(force) / LSB * dt;
             euler_p += euler_v * dt;
             // Q16 all the way, with a multiplication by dt and a truncating shift per step.
-            let step = i64::from(previous + force) / 2 * 655 >> 16;
-            shift_p += (2 * shift_v + step) * 655 >> 17;
+            let step = (i64::from(previous + force) / 2 * 655) >> 16;
+            shift_p += ((2 * shift_v + step) * 655) >> 17;
             shift_v += step;
         }
         previous = force;

@@ -1,5 +1,7 @@
 //! The trapezoid in whole numbers: equations (4) to (6) of docs/EQUATIONS.md.
 
+use core::sync::atomic::{Ordering, compiler_fence};
+
 use wimu_model::{PeriodNs, SpecificForceQ16};
 
 /// Specific force integrated twice in body axes over an unbroken run of samples with one period,
@@ -29,6 +31,8 @@ impl Segment {
     /// the trapezoid starts; returns whether a step was made.
     #[inline]
     pub fn step(&mut self, force: SpecificForceQ16, whole_gravity: [i32; 3]) -> bool {
+        // What the caller computes is finished before anything is loaded here, for want of registers.
+        compiler_fence(Ordering::SeqCst);
         let a: [i32; 3] =
             core::array::from_fn(|axis| force.0[axis].wrapping_sub(whole_gravity[axis]));
         let Some(previous) = &mut self.previous else {
@@ -43,6 +47,9 @@ impl Segment {
             self.position_sum[axis] = self.position_sum[axis]
                 .wrapping_add(before)
                 .wrapping_add(after);
+            // One axis after the other: interleaved, as the compiler would, they need more registers
+            // than there are, and a seventh more instructions on Cortex-M0+.
+            compiler_fence(Ordering::SeqCst);
         }
         self.steps = self.steps.wrapping_add(1);
         true

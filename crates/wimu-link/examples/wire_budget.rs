@@ -1,19 +1,26 @@
 //! What a sample costs on the wire, everything included: frame, header and packing of raw batches.
 //!
-//! `cargo run --release -p wimu-link --example wire_budget [FILE.csv[:FROM[:COUNT]] …]`
+//! `cargo run --release -p wimu-link --example wire_budget [FOLDER | FILE.csv[:FROM[:COUNT]] …]`
 //!
-//! Without arguments it makes its own signals: a 12-bit sensor at rest, a 16-bit one at rest and in
-//! a moving hand. A CSV is read by its columns `Accelerometer X (LSB)`, `Y`, `Z`, or
+//! Without files it makes its own signals: a 12-bit sensor at rest, a 16-bit one at rest and in
+//! a moving hand. In a FOLDER it looks for the recordings that it knows. A CSV is read by its columns `Accelerometer X (LSB)`, `Y`, `Z`, or
 //! `Accelerometer 0 X (LSB)`, …; a negative FROM counts from the end.
 
 use std::error::Error;
 use std::f64::consts::TAU;
+use std::path::Path;
 
 use wimu_link::batch::{self, Batch};
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{Counts, DeviceTimeUs};
 
 const BATCH: usize = 16;
+/// What is looked for in a folder: a sensor at rest, all of an array's sensor, and its walk.
+const RECORDINGS: [&str; 3] = [
+    "static/mpu6050_449s.csv",
+    "array/mimu4444_run1.csv",
+    "array/mimu4444_run1.csv:-7500",
+];
 /// 115200 baud, 8N1: ten bits to a byte.
 const LINE_BYTES_PER_S: f64 = 11_520.0;
 
@@ -23,11 +30,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         "{:<44} {:>8} {:>9} {:>14}",
         "signal", "samples", "B/sample", "Hz at 115200"
     );
-    let files: Vec<String> = std::env::args().skip(1).collect();
+    let mut files: Vec<String> = std::env::args().skip(1).collect();
+    let folder = files.pop_if(|file| Path::new(file).is_dir());
     if files.is_empty() {
         for (name, samples) in signals() {
             report(name, &samples)?;
         }
+    }
+    if let Some(folder) = folder {
+        files.extend(RECORDINGS.map(|name| format!("{folder}/{name}")));
     }
     for file in files {
         report(&file, &read(&file)?)?;

@@ -1,53 +1,60 @@
 //! Bits in a slice of bytes, most significant first.
 
-/// Writes bits; what does not fit is dropped and reported at the end.
+/// Writes bits, four bytes at a time; what does not fit is dropped and reported at the end.
 pub(crate) struct BitWriter<'a> {
-    bytes: &'a mut [u8],
+    words: &'a mut [[u8; 4]],
     place: Place,
 }
 
 /// Where a writer stands.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
-    /// Bytes written, four at a time.
-    length: usize,
-    /// Bits not written yet, at the top; zeros below.
+    /// Words written.
+    words: usize,
+    /// Bits not written yet, from the top, inverted: a run of ones is then nothing to write.
     held: u32,
-    /// How many zeros there are below: 1..=32.
-    free: u32,
+    /// How many they are, 0..=31.
+    count: u32,
 }
 
 impl<'a> BitWriter<'a> {
+    /// Writes to `bytes`, of which up to three at the end stay unused.
     pub(crate) fn new(bytes: &'a mut [u8]) -> Self {
         Self {
-            bytes,
+            words: bytes.as_chunks_mut().0,
             place: Place {
-                length: 0,
+                words: 0,
                 held: 0,
-                free: 32,
+                count: 0,
             },
         }
     }
 
     /// Appends `count` (0..=32) bits: `value`, which has no more.
-    #[inline]
     pub(crate) fn push(&mut self, value: u32, count: u32) {
-        let Place { length, held, free } = self.place;
-        if let Some(left) = free.checked_sub(count + 1) {
-            // In two steps, here and below, because a shift by 32 is none.
-            self.place.held = held | (value << 1 << left);
-            self.place.free = left + 1;
-        } else {
-            let over = count - free;
-            if let Some(place) = self.bytes.get_mut(length..length + 4) {
-                place.copy_from_slice(&(held | (value >> over)).to_be_bytes());
+        let inverted = value ^ u32::MAX.unbounded_shr(32 - count);
+        self.place.append(self.words, inverted, count);
+    }
+
+    /// Appends each of `numbers` u as q = ⌊u / 2^k⌋ ones, a zero, and the low k bits of u; one with
+    /// q of `escape` or more as `escape` ones and all its `width` bits. k + `escape` is 32 at most.
+    #[inline(never)]
+    pub(crate) fn push_rice(&mut self, numbers: &[u32], k: u32, escape: u32, width: u32) {
+        // A copy, so that the loop keeps it in registers.
+        let mut place = self.place;
+        let zero = 1 << k;
+        let lowest = u32::MAX >> (31 - k);
+        for &number in numbers {
+            let ones = number >> k;
+            if ones < escape {
+                place.append(self.words, (zero | !number) & lowest, ones + 1 + k);
+            } else {
+                seldom();
+                place.append(self.words, 0, escape);
+                place.append(self.words, number ^ (u32::MAX >> (32 - width)), width);
             }
-            self.place = Place {
-                length: length + 4,
-                held: value << 1 << (31 - over),
-                free: 32 - over,
-            };
         }
+        self.place = place;
     }
 
     /// Where it stands, to [go back](Self::go_back) to.
@@ -57,7 +64,7 @@ impl<'a> BitWriter<'a> {
 
     /// Bits pushed since it stood at `start`.
     pub(crate) fn bits_since(&self, start: &Place) -> u32 {
-        let bits = |place: &Place| 8 * place.length as u32 + 32 - place.free;
+        let bits = |place: &Place| 32 * place.words as u32 + place.count;
         bits(&self.place) - bits(start)
     }
 
@@ -68,15 +75,43 @@ impl<'a> BitWriter<'a> {
 
     /// Fills the last byte with zeros; returns the length in bytes, or `None` if it did not fit.
     pub(crate) fn finish(self) -> Option<usize> {
-        let Place { length, held, free } = self.place;
-        let left = (32 - free).div_ceil(8) as usize;
-        let end = self.bytes.get_mut(length..length + left)?;
-        for (place, byte) in end.iter_mut().zip(held.to_be_bytes()) {
-            *place = byte;
+        let Place { words, held, count } = self.place;
+        if count > 0 {
+            let bits = !held & !(u32::MAX >> count);
+            *self.words.get_mut(words)? = bits.to_be_bytes();
         }
-        Some(length + left)
+        let fits = words <= self.words.len();
+        fits.then_some(4 * words + count.div_ceil(8) as usize)
     }
 }
+
+impl Place {
+    /// Appends the `count` bits of `inverted`. Always inlined: a place that has an address is not
+    /// kept in registers.
+    #[inline(always)]
+    fn append(&mut self, words: &mut [[u8; 4]], inverted: u32, count: u32) {
+        // Rotated by this, the last bit comes to its place.
+        let end = self.count + count;
+        let rotated = inverted.rotate_right(end);
+        if end < 32 {
+            self.held |= rotated;
+            self.count = end;
+        } else {
+            seldom();
+            self.count = end % 32;
+            let now = u32::MAX >> self.count;
+            if let Some(word) = words.get_mut(self.words) {
+                *word = (!(self.held | (rotated & now))).to_be_bytes();
+            }
+            self.words += 1;
+            self.held = rotated & !now;
+        }
+    }
+}
+
+/// Tells the compiler which way not to make the shorter.
+#[cold]
+fn seldom() {}
 
 /// Reads bits; past the end it reads zeros, and [`BitReader::finish`] then fails.
 pub(crate) struct BitReader<'a> {
@@ -210,6 +245,46 @@ mod tests {
         let mut reader = BitReader::new(&[0xf0, 0]);
         reader.pull(4);
         assert!(matches!(reader.finish(), Err(Remainder::Left)));
+    }
+
+    proptest! {
+        #[test]
+        fn rice_coded_numbers_come_back(
+            before in 0..=32_u32,
+            numbers in prop::collection::vec((any::<u32>(), 0..32_u32).prop_map(|(u, less)| u >> less), 0..31),
+            k in 0..=20_u32,
+        ) {
+            let mut bytes = [0; 256];
+            let mut writer = BitWriter::new(&mut bytes);
+            writer.push(0, before);
+            writer.push_rice(&numbers, k, 12, 32);
+            let length = writer.finish().unwrap();
+            let mut reader = BitReader::new(&bytes[..length]);
+            reader.pull(before);
+            for number in numbers {
+                let read = match reader.pull_ones(12) {
+                    12 => reader.pull(32),
+                    ones => (ones << k) | reader.pull(k),
+                };
+                prop_assert_eq!(read, number);
+            }
+            prop_assert!(reader.finish().is_ok());
+        }
+    }
+
+    #[test]
+    fn what_is_taken_back_was_never_written() {
+        let mut bytes = [0xff; 64];
+        let mut writer = BitWriter::new(&mut bytes);
+        writer.push(0b101, 3);
+        let start = writer.place();
+        // More than there is room for.
+        writer.push_rice(&[0x1234_5678; 20], 3, 12, 32);
+        assert_eq!(writer.bits_since(&start), 20 * 44);
+        writer.go_back(start);
+        writer.push(0b01, 2);
+        assert_eq!(writer.finish(), Some(1));
+        assert_eq!(bytes[0], 0b1010_1000);
     }
 
     #[test]

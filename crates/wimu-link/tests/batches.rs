@@ -170,6 +170,16 @@ fn time_before_the_start_is_not_guessed() {
 }
 
 #[test]
+fn a_prediction_that_this_encoder_leaves_out_is_understood() {
+    // Three raw samples. X by the one before: coding 10, k = 0, first value 0, then residuals +1
+    // and −1. Y and Z of fixed width: coding 00, one bit each.
+    let bits = [0b1000_0000, 0b0001_1010, 0, 0, 0];
+    let body = [&[2, 0, 0, 0, 0, 0], &bits[..]].concat();
+    let batch = Batch::decode(&body).unwrap();
+    assert_eq!(batch.samples(), [[0, 0, 0], [1, 0, 0], [0, 0, 0]]);
+}
+
+#[test]
 fn a_reserved_bit_and_an_impossible_value_are_refused() {
     let mut body = pack(&[Counts([1, 2, 3])]);
     body[0] |= 0x80;

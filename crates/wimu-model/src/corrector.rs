@@ -1,12 +1,11 @@
-//! The error model compiled into 16-bit integers.
+//! The error model compiled into integers.
 
 use core::fmt;
 
+use crate::kernel::{Fixed, Kernel, LOW_BITS, Split};
 use crate::matrix;
 use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16};
 
-/// Bits of a coefficient's low part.
-const LOW_BITS: u32 = 15;
 /// At fewer fraction bits in the high part the result can be more than one LSB off.
 const MIN_SHIFT: u32 = 3;
 const MAX_SHIFT: u32 = 14;
@@ -16,8 +15,8 @@ const LARGEST_OUTPUT: f64 = 536_870_912.0;
 /// Maps counts to specific force in body axes in integers, at one latched temperature.
 ///
 /// f = M c + o with M = R A(T)⁻¹ · (m/s² per LSB) and o = −R A(T)⁻¹ b(T): equation (3) of
-/// docs/EQUATIONS.md. Each coefficient is split into two 16-bit parts, so that a product of a
-/// count and a part fits 32 bits and Cortex-M0+ needs no library call; sums are exact.
+/// docs/EQUATIONS.md. Sums are exact, and the same on every target: a processor with a long
+/// multiplication takes nine of them, Cortex-M0+ eighteen of a count and half a coefficient.
 ///
 /// The result is at most 1 LSB (2⁻¹⁶ m/s²) from the f64 result for every count from −32768 to
 /// 32767, and within ±2²⁹ LSB. The nonlinearity q is left out: the host applies it.
@@ -35,81 +34,7 @@ const LARGEST_OUTPUT: f64 = 536_870_912.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Corrector {
-    rows: [Row; 3],
-    /// Fraction bits of the high parts.
-    shift: u32,
-}
-
-/// One output axis.
-#[cfg(not(no_long_multiply))]
-type Row = LongRow;
-#[cfg(no_long_multiply)]
-type Row = SplitRow;
-
-/// For a processor that multiplies 32 by 32 bits to 64.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct LongRow {
-    /// Coefficients in 2^−(shift + 15) output LSB per count.
-    k: [i32; 3],
-    /// Offset and rounding, 2⁻³² output LSB.
-    offset: i64,
-}
-
-impl LongRow {
-    fn new(k: [Split; 3], offset: Split, shift: u32) -> Self {
-        let whole = |part: Split| (i64::from(part.high) << LOW_BITS) + i64::from(part.low);
-        Self {
-            k: k.map(|k| whole(k) as i32),
-            offset: whole(offset) << (17 - shift),
-        }
-    }
-
-    #[inline(always)]
-    fn apply(&self, c: [i32; 3], shift: u32) -> i32 {
-        // Counts are shifted so that the result is the upper word of the sum.
-        let c = c.map(|c| i64::from(c << (17 - shift)));
-        let sum = self.offset
-            + i64::from(self.k[0]) * c[0]
-            + i64::from(self.k[1]) * c[1]
-            + i64::from(self.k[2]) * c[2];
-        (sum >> 32) as i32
-    }
-}
-
-/// For a processor that multiplies 32 by 32 bits to 32.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct SplitRow {
-    /// Coefficients in 2^−shift output LSB per count.
-    high: [i32; 3],
-    /// What `high` leaves, in 2^−(shift + 15) output LSB per count, −2¹⁴..=2¹⁴.
-    low: [i32; 3],
-    offset: Split,
-}
-
-impl SplitRow {
-    fn new(k: [Split; 3], offset: Split, _: u32) -> Self {
-        Self {
-            high: k.map(|k| k.high),
-            low: k.map(|k| k.low),
-            offset,
-        }
-    }
-
-    #[inline(always)]
-    fn apply(&self, c: [i32; 3], shift: u32) -> i32 {
-        let sum = |k: &[i32; 3], offset: i32| k[0] * c[0] + k[1] * c[1] + k[2] * c[2] + offset;
-        let low = sum(&self.low, self.offset.low) >> LOW_BITS;
-        (sum(&self.high, self.offset.high) + low) >> shift
-    }
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Split {
-    high: i32,
-    low: i32,
+    kernel: Kernel,
 }
 
 impl Corrector {
@@ -152,33 +77,29 @@ impl Corrector {
             .find(|&shift| fits(shift) && reach <= LARGEST_OUTPUT)
             .ok_or(CompileError::Overflow)?;
 
-        let mut rows = [Row::default(); 3];
-        for (row, (k, o)) in rows.iter_mut().zip(coefficients.iter().zip(&offset)) {
-            let mut offset = split(*o, shift);
-            offset.high += 1 << (shift - 1);
-            offset.low += 1 << (LOW_BITS - 1);
-            *row = Row::new(k.map(|k| split(k, shift)), offset, shift);
-        }
-        Ok(Self { rows, shift })
+        let unit = (1_u32 << shift) as f64;
+        Ok(Self {
+            kernel: Kernel::new(&Fixed {
+                shift,
+                coefficients: coefficients.map(|row| row.map(|k| split(k * unit))),
+                // Half a unit of the high parts more, because the sum of the low parts is rounded
+                // down.
+                offset: offset.map(|o| round(o * unit + 0.5) + (1 << (shift - 1))),
+            }),
+        })
     }
 
     /// Specific force in body axes for counts in sensor axes.
     #[inline]
     pub fn correct(&self, counts: Counts) -> SpecificForceQ16 {
-        let c = counts.0.map(i32::from);
-        SpecificForceQ16([
-            self.rows[0].apply(c, self.shift),
-            self.rows[1].apply(c, self.shift),
-            self.rows[2].apply(c, self.shift),
-        ])
+        SpecificForceQ16(self.kernel.apply(counts.0))
     }
 }
 
-/// `value` as high · 2^−shift + low · 2^−(shift + 15), both rounded to nearest.
-fn split(value: f64, shift: u32) -> Split {
-    let scaled = value * (1_u32 << shift) as f64;
-    let high = round(scaled);
-    let low = round((scaled - high as f64) * (1_u32 << LOW_BITS) as f64);
+/// `value` as high + low · 2⁻¹⁵, both rounded to nearest.
+fn split(value: f64) -> Split {
+    let high = round(value);
+    let low = round((value - high as f64) * (1_u32 << LOW_BITS) as f64);
     Split { high, low }
 }
 

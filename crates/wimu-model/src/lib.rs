@@ -4,6 +4,7 @@
 
 mod corrector;
 mod error_model;
+mod kernel;
 mod matrix;
 mod parameters;
 mod quantities;

@@ -123,7 +123,7 @@ pub fn run() -> Result<(), String> {
         println!("$ {run}");
         let text = run
             .output()
-            .ok_or_else(|| format!("`{run}` failed; it says why"))?;
+            .ok_or_else(|| format!("`{run}` failed: run it to see why"))?;
         costs.push(parsed(&text)?);
     }
     heading("instructions per sample: mean (most)");

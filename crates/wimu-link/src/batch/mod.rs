@@ -28,11 +28,15 @@
 //! - a residual, folded to u: q = ⌊u / 2^k⌋ ones (at most 11), a zero, the low k bits of u. Twelve
 //!   ones are an escape: u follows in W bits.
 
+mod packing;
+mod predict;
+
 use core::fmt;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
-use crate::bits::{BitReader, BitWriter, Remainder};
+use self::predict::{Coding, Past, unfold};
+use crate::bits::{BitReader, Remainder};
 use crate::frame::{self, EncodeError, Kind};
 
 /// The most samples in a batch.
@@ -43,17 +47,13 @@ const CORRECTED_BIT: u8 = 1 << 5;
 const SHIFT_BIT: u8 = 1 << 6;
 const RESERVED_BIT: u8 = 1 << 7;
 
-/// Every axis at full width, with its coding and length, in 26 bits with the shift.
-const MAX_BATCH_BODY: usize = HEADER + 26_usize.div_ceil(8) + MAX_BATCH * 3 * 4;
+/// Every axis at full width, with its coding and length, in 26 bits with the shift; up to a whole
+/// number of words.
+const MAX_BATCH_BODY: usize =
+    HEADER + (26_usize.div_ceil(8) + MAX_BATCH * 3 * 4).next_multiple_of(4);
 
 /// This many ones are an escape.
 const ESCAPE: u32 = 12;
-
-/// The largest Rice parameter used: with it and the longest prefix a code has 32 bits.
-const LARGEST_K: u32 = 32 - ESCAPE;
-
-/// Fraction bits of the mean's predictor.
-const MEAN_BITS: u32 = 4;
 
 /// What the samples of a batch are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -82,6 +82,30 @@ impl Stream {
         }
     }
 
+    /// The largest Rice parameter that the encoder uses: below W, and with the longest prefix a
+    /// code still has 32 bits.
+    const fn largest_k(self) -> u32 {
+        match self {
+            Self::Raw => 15,
+            Self::Corrected => 32 - ESCAPE,
+        }
+    }
+
+    /// The sum of the residuals of a batch, before they are wrapped.
+    #[inline]
+    const fn add(self, sum: u32, folded: u32) -> u32 {
+        match self {
+            // 31 times 2¹⁹ at most.
+            Self::Raw => sum + folded,
+            Self::Corrected => sum.saturating_add(folded),
+        }
+    }
+
+    /// Whether numbers with this sum can have more than W bits.
+    const fn can_be_exceeded_in(self, sum: u32) -> bool {
+        matches!(self, Self::Raw) && sum > u16::MAX as u32
+    }
+
     /// `value` modulo 2^W, −2^(W−1) to 2^(W−1) − 1.
     #[inline]
     const fn wrap(self, value: i32) -> i32 {
@@ -101,30 +125,33 @@ pub trait Sample: Copy + sealed::Sealed {
     /// The stream that such samples make.
     const STREAM: Stream;
 
-    /// X, Y, Z.
-    fn axes(self) -> [i32; 3];
+    /// X, Y or Z by its index; Z from 2 on, so that a loop need not check.
+    fn axis(&self, axis: usize) -> i32;
 }
 
 impl Sample for Counts {
     const STREAM: Stream = Stream::Raw;
 
-    fn axes(self) -> [i32; 3] {
-        self.0.map(i32::from)
+    #[inline]
+    fn axis(&self, axis: usize) -> i32 {
+        i32::from(self.0[axis.min(2)])
     }
 }
 
 impl Sample for SpecificForceQ16 {
     const STREAM: Stream = Stream::Corrected;
 
-    fn axes(self) -> [i32; 3] {
-        self.0
+    #[inline]
+    fn axis(&self, axis: usize) -> i32 {
+        self.0[axis.min(2)]
     }
 }
 
 /// Packs 1 to [`MAX_BATCH`] consecutive samples into a frame; returns the frame's length, bytes.
 ///
 /// `first_sequence` and `first_time` are those of the first sample; their low bits travel, and
-/// [`extend_sequence`] and [`extend_time`] complete them.
+/// [`extend_sequence`] and [`extend_time`] complete them. What `frame` has beyond the frame's length
+/// is of no meaning afterwards.
 ///
 /// ```
 /// use wimu_link::{Batch, Deframer, MAX_FRAME, batch};
@@ -154,287 +181,29 @@ pub fn encode<S: Sample>(
     samples: &[S],
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
+    // The far end of `frame` has room for the body of all but the longest batches of corrected
+    // samples; to clear a buffer of its own would take an eighth of the time of packing.
+    let body_room = HEADER + 8 + samples.len() * 3 * (S::STREAM.width() as usize / 8);
+    let frame_room = frame::MAX_FRAME - frame::MAX_BODY + body_room;
+    if let Some((frame, body)) = frame.split_at_mut_checked(frame.len().wrapping_sub(body_room))
+        && frame.len() >= frame_room
+    {
+        return pack(first_sequence, first_time, samples, body, frame);
+    }
     let mut body = [0; MAX_BATCH_BODY];
-    let length = encode_body(first_sequence, first_time, samples, &mut body)?;
-    let body = body.get(..length).ok_or(EncodeError::NoRoom)?;
-    frame::encode(Kind::Batch, body, frame)
+    pack(first_sequence, first_time, samples, &mut body, frame)
 }
 
-/// The same without the frame.
-pub(crate) fn encode_body<S: Sample>(
+fn pack<S: Sample>(
     first_sequence: u32,
     first_time: DeviceTimeUs,
     samples: &[S],
     body: &mut [u8],
+    frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    if samples.is_empty() || samples.len() > MAX_BATCH {
-        return Err(EncodeError::BatchLength);
-    }
-    let stream = S::STREAM;
-    let used = samples.iter().fold(0, |used, sample| {
-        let [x, y, z] = sample.axes();
-        used | x | y | z
-    });
-    let shift = if used == 0 { 0 } else { used.trailing_zeros() };
-
-    let (header, bits) = body
-        .split_first_chunk_mut::<HEADER>()
-        .ok_or(EncodeError::NoRoom)?;
-    let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();
-    let [time_0, time_1, time_2, ..] = first_time.0.to_le_bytes();
-    let stream_bit = match stream {
-        Stream::Raw => 0,
-        Stream::Corrected => CORRECTED_BIT,
-    };
-    let shift_bit = if shift > 0 { SHIFT_BIT } else { 0 };
-    let first = (samples.len() - 1) as u8 | stream_bit | shift_bit;
-    *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
-
-    let mut writer = BitWriter::new(bits);
-    if shift > 0 {
-        writer.push(shift, stream.field());
-    }
-    let mut encoder = AxisEncoder {
-        stream,
-        values: [0; MAX_BATCH],
-        missed: [[0; 3]; MAX_BATCH],
-        latest_k: None,
-    };
-    for axis in 0..3 {
-        for (value, sample) in encoder.values.iter_mut().zip(samples) {
-            *value = sample.axes()[axis] >> shift;
-        }
-        writer = encoder.encode(samples.len(), writer);
-    }
-    let packed = writer.finish().ok_or(EncodeError::NoRoom)?;
-    Ok(HEADER + packed)
-}
-
-/// How an axis is coded.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Coding {
-    Fixed = 0,
-    Mean = 1,
-    Previous = 2,
-    Linear = 3,
-}
-
-impl Coding {
-    fn from_bits(bits: u32) -> Self {
-        match bits & 3 {
-            0 => Self::Fixed,
-            1 => Self::Mean,
-            2 => Self::Previous,
-            _ => Self::Linear,
-        }
-    }
-}
-
-/// The past of an axis, and what it foretells: equation (21).
-struct Past {
-    previous: i32,
-    before: i32,
-    /// A mean that forgets slowly, 2^−4 per LSB.
-    mean: i32,
-    /// Samples in it.
-    count: u32,
-}
-
-impl Past {
-    #[inline]
-    fn new(first: i32) -> Self {
-        Self {
-            previous: first,
-            before: first,
-            mean: first << MEAN_BITS,
-            count: 1,
-        }
-    }
-
-    #[inline]
-    fn mean(&self) -> i32 {
-        self.mean.wrapping_add(1 << (MEAN_BITS - 1)) >> MEAN_BITS
-    }
-
-    #[inline]
-    fn linear(&self) -> i32 {
-        self.previous
-            .wrapping_add(self.previous.wrapping_sub(self.before))
-    }
-
-    #[inline]
-    fn predict(&self, coding: Coding) -> i32 {
-        match coding {
-            Coding::Fixed => 0,
-            Coding::Mean => self.mean(),
-            Coding::Previous => self.previous,
-            Coding::Linear => self.linear(),
-        }
-    }
-
-    #[inline]
-    fn add(&mut self, value: i32) {
-        self.before = self.previous;
-        self.previous = value;
-        self.count += 1;
-        let innovation = (value << MEAN_BITS).wrapping_sub(self.mean);
-        self.mean = self.mean.wrapping_add(innovation >> self.count.ilog2());
-    }
-}
-
-/// What was missed of a value, folded to a whole number: equation (22).
-#[inline]
-fn fold(stream: Stream, missed: i32) -> u32 {
-    let residual = stream.wrap(missed);
-    ((residual << 1) ^ (residual >> 31)) as u32
-}
-
-/// The value of which `predicted` missed `folded`.
-#[inline]
-fn unfold(stream: Stream, folded: u32, predicted: i32) -> i32 {
-    let residual = (folded >> 1) as i32 ^ -((folded & 1) as i32);
-    stream.wrap(predicted.wrapping_add(residual))
-}
-
-/// `value`, or −`value` − 1 if it is negative.
-fn magnitude(value: i32) -> u32 {
-    (value ^ (value >> 31)) as u32
-}
-
-/// Bits of `magnitude` without leading zeros.
-fn bit_length(magnitude: u32) -> u32 {
-    32 - magnitude.leading_zeros()
-}
-
-/// An axis's Rice parameter on the wire: a number of at most 7 bits.
-fn k_code(stream: Stream, k: u32, latest: Option<u32>) -> (u32, u32) {
-    let field = stream.field();
-    match latest {
-        None => (k, field),
-        Some(latest) if k == latest => (0, 1),
-        Some(latest) if k == latest + 1 => (0b100, 3),
-        Some(latest) if k + 1 == latest => (0b101, 3),
-        Some(_) => ((0b11 << field) | k, 2 + field),
-    }
-}
-
-/// A residual's high part q in unary, q ones and a zero, less q: what to add to u at bit k, so that
-/// u's own q there becomes that.
-const UNARY_LESS_QUOTIENT: [u32; ESCAPE as usize] = {
-    let mut table = [0; ESCAPE as usize];
-    let mut quotient = 0;
-    while quotient < ESCAPE {
-        table[quotient as usize] = (2 << quotient) - 2 - quotient;
-        quotient += 1;
-    }
-    table
-};
-
-/// How far the mean moves towards the samples after the first: ⌊log2⌋ of their count.
-const MEAN_SHIFTS: [u8; MAX_BATCH - 1] = {
-    let mut shifts = [0; MAX_BATCH - 1];
-    let mut index = 0;
-    while index < shifts.len() {
-        shifts[index] = (index as u32 + 2).ilog2() as u8;
-        index += 1;
-    }
-    shifts
-};
-
-struct AxisEncoder {
-    stream: Stream,
-    values: [i32; MAX_BATCH],
-    /// What the three predictors missed of each value but the first, folded.
-    missed: [[u32; 3]; MAX_BATCH],
-    latest_k: Option<u32>,
-}
-
-impl AxisEncoder {
-    #[inline(never)]
-    fn encode<'a>(&mut self, count: usize, mut writer: BitWriter<'a>) -> BitWriter<'a> {
-        let stream = self.stream;
-        let field = stream.field();
-        let values = self.values.get(..count).unwrap_or_default();
-        let Some((&first, rest)) = values.split_first() else {
-            return writer;
-        };
-
-        let mut sums = [0_u32; 3];
-        let add = |sum: &mut u32, folded| *sum = match stream {
-            Stream::Raw => *sum + folded,
-            Stream::Corrected => sum.saturating_add(folded),
-        };
-        let mut mean = first << MEAN_BITS;
-        for ((&value, mean_shift), missed) in rest.iter().zip(MEAN_SHIFTS).zip(&mut self.missed) {
-            let rounded_mean = mean.wrapping_add(1 << (MEAN_BITS - 1)) >> MEAN_BITS;
-            missed[0] = fold(stream, value.wrapping_sub(rounded_mean));
-            add(&mut sums[0], missed[0]);
-            let innovation = (value << MEAN_BITS).wrapping_sub(mean);
-            mean = mean.wrapping_add(innovation >> mean_shift);
-        }
-        let (mut previous, mut slope) = (first, 0_i32);
-        for (&value, missed) in rest.iter().zip(&mut self.missed) {
-            let step = value.wrapping_sub(previous);
-            missed[1] = fold(stream, step);
-            add(&mut sums[1], missed[1]);
-            missed[2] = fold(stream, step.wrapping_sub(slope));
-            add(&mut sums[2], missed[2]);
-            (previous, slope) = (value, step);
-        }
-        let [mean, previous, linear] = sums;
-        let (coding, sum) = if mean <= previous && mean <= linear {
-            (Coding::Mean, mean)
-        } else if previous <= linear {
-            (Coding::Previous, previous)
-        } else {
-            (Coding::Linear, linear)
-        };
-
-        let average = sum / (rest.len() as u32).max(1);
-        let k = average.max(1).ilog2().min(LARGEST_K);
-        let start = writer.place();
-        let (code, bits) = k_code(stream, k, self.latest_k);
-        let first_magnitude = magnitude(first);
-        let first_length = bit_length(first_magnitude);
-        let head = ((coding as u32) << bits | code) << field | first_length;
-        writer.push(head << 1 | u32::from(first < 0), 3 + bits + field);
-        let without_highest = first_length.saturating_sub(1);
-        writer.push(first_magnitude & !(1 << without_highest), without_highest);
-        let predictor = coding as usize - 1;
-        for missed in self.missed.iter().take(rest.len()) {
-            let folded = missed[predictor];
-            let quotient = folded >> k;
-            if let Some(less) = UNARY_LESS_QUOTIENT.get(quotient as usize) {
-                writer.push(folded + (less << k), quotient + 1 + k);
-            } else {
-                writer.push((1 << ESCAPE) - 1, ESCAPE);
-                writer.push(folded, stream.width());
-            }
-        }
-
-        // An axis that would not get shorter is sent as it is. Its longest sample is looked for
-        // only where the first one does not show already that it would.
-        let coded = writer.bits_since(&start);
-        let fixed = |length: u32| 2 + field + (length + 1) * values.len() as u32;
-        if coded < fixed(first_length) {
-            self.latest_k = Some(k);
-            return writer;
-        }
-        let longest = values.iter().fold(0, |m, &v| m | magnitude(v));
-        let length = bit_length(longest);
-        if coded < fixed(length) {
-            self.latest_k = Some(k);
-            return writer;
-        }
-        writer.go_back(start);
-        writer.push(Coding::Fixed as u32, 2);
-        writer.push(length, field);
-        for &value in values {
-            let spare = 31 - length;
-            writer.push((value as u32) << spare >> spare, length + 1);
-        }
-        writer
-    }
+    let length = packing::encode_body(first_sequence, first_time, samples, body)?;
+    let body = body.get(..length).ok_or(EncodeError::NoRoom)?;
+    frame::encode(Kind::Batch, body, frame)
 }
 
 /// A decoded batch of samples.
@@ -602,7 +371,7 @@ fn decode_axis(
         } else {
             return Err(BatchError::Value);
         };
-        let value = unfold(stream, folded, past.predict(coding));
+        let value = stream.wrap(past.predict(coding).wrapping_add(unfold(folded)));
         sample[axis] = shifted(value);
         past.add(value);
     }

@@ -1,0 +1,248 @@
+//! The sender's half: which way of coding, and the bits.
+
+use wimu_model::DeviceTimeUs;
+
+use super::predict::{Coding, MEAN_GAINS, Mean, fold, unfold};
+use super::{CORRECTED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT, Sample, Stream};
+use crate::bits::BitWriter;
+use crate::frame::EncodeError;
+
+/// The predictor is chosen by this many samples of X.
+const TRIED: usize = 8;
+
+/// Packs samples into the body of a frame; returns its length, bytes.
+pub(super) fn encode_body<S: Sample>(
+    first_sequence: u32,
+    first_time: DeviceTimeUs,
+    samples: &[S],
+    body: &mut [u8],
+) -> Result<usize, EncodeError> {
+    if samples.is_empty() || samples.len() > MAX_BATCH {
+        return Err(EncodeError::BatchLength);
+    }
+    let stream = S::STREAM;
+    let shift = common_shift(samples);
+
+    let (header, bits) = body
+        .split_first_chunk_mut::<HEADER>()
+        .ok_or(EncodeError::NoRoom)?;
+    let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();
+    let [time_0, time_1, time_2, ..] = first_time.0.to_le_bytes();
+    let stream_bit = match stream {
+        Stream::Raw => 0,
+        Stream::Corrected => CORRECTED_BIT,
+    };
+    let shift_bit = if shift > 0 { SHIFT_BIT } else { 0 };
+    let first = (samples.len() - 1) as u8 | stream_bit | shift_bit;
+    *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
+
+    let mut packer = Packer {
+        writer: BitWriter::new(bits),
+        missed: [0; MAX_BATCH - 1],
+        coding: None,
+        latest_k: None,
+    };
+    if shift > 0 {
+        packer.writer.push(shift, stream.field());
+    }
+    for axis in 0..3 {
+        packer.pack(Axis {
+            samples,
+            axis,
+            shift,
+        });
+    }
+    let packed = packer.writer.finish().ok_or(EncodeError::NoRoom)?;
+    Ok(HEADER + packed)
+}
+
+/// How many low bits are zero in all samples: equation (20).
+fn common_shift<S: Sample>(samples: &[S]) -> u32 {
+    let mut used = 0;
+    for few in samples.chunks(4) {
+        used = few.iter().fold(used, |used, sample| {
+            used | sample.axis(0) | sample.axis(1) | sample.axis(2)
+        });
+        if used & 1 == 1 {
+            return 0;
+        }
+    }
+    if used == 0 { 0 } else { used.trailing_zeros() }
+}
+
+/// `value`, or −`value` − 1 if it is negative.
+fn magnitude(value: i32) -> u32 {
+    (value ^ (value >> 31)) as u32
+}
+
+/// Bits of `magnitude` without leading zeros.
+fn bit_length(magnitude: u32) -> u32 {
+    32 - magnitude.leading_zeros()
+}
+
+/// An axis's Rice parameter on the wire: a number of at most 7 bits.
+fn k_code(stream: Stream, k: u32, latest: Option<u32>) -> (u32, u32) {
+    let field = stream.field();
+    match latest {
+        None => (k, field),
+        Some(latest) if k == latest => (0, 1),
+        Some(latest) if k == latest + 1 => (0b100, 3),
+        Some(latest) if k + 1 == latest => (0b101, 3),
+        Some(_) => ((0b11 << field) | k, 2 + field),
+    }
+}
+
+/// One axis of samples, their common shift undone.
+#[derive(Clone, Copy)]
+struct Axis<'s, S> {
+    samples: &'s [S],
+    axis: usize,
+    shift: u32,
+}
+
+// The loops over samples are functions of their own, so that each has all registers for itself.
+impl<S: Sample> Axis<'_, S> {
+    #[inline]
+    fn value(&self, sample: &S) -> i32 {
+        sample.axis(self.axis) >> self.shift
+    }
+
+    /// The bits of the longest value, without its sign.
+    fn longest(&self) -> u32 {
+        bit_length((self.samples.iter()).fold(0, |longest, s| longest | magnitude(self.value(s))))
+    }
+
+    /// The line where the first samples after the first bend less than they move, the mean
+    /// otherwise.
+    #[inline(never)]
+    fn likely_coding(self, first: i32) -> Coding {
+        let mut previous = first;
+        let mut slope = (self.samples.first()).map_or(0, |s| self.value(s).wrapping_sub(first));
+        let (mut moved, mut bent) = (0, 0);
+        for sample in self.samples.iter().take(TRIED) {
+            let value = self.value(sample);
+            let step = value.wrapping_sub(previous);
+            moved = S::STREAM.add(moved, magnitude(step));
+            bent = S::STREAM.add(bent, magnitude(step.wrapping_sub(slope)));
+            (previous, slope) = (value, step);
+        }
+        if bent < moved {
+            Coding::Linear
+        } else {
+            Coding::Mean
+        }
+    }
+
+    /// What the mean misses of the samples after the first, folded but not yet wrapped to W bits,
+    /// and its sum.
+    #[inline(never)]
+    fn miss_by_mean(self, first: i32, missed: &mut Missed) -> u32 {
+        let mut mean = Mean::of(first);
+        let mut sum = 0;
+        for ((sample, folded), gain) in self.samples.iter().zip(missed).zip(&MEAN_GAINS) {
+            let missed = self.value(sample).wrapping_sub(mean.rounded());
+            *folded = fold(missed);
+            sum = S::STREAM.add(sum, *folded);
+            mean.improve(missed, *gain);
+        }
+        sum
+    }
+
+    /// The same of the line through the two samples before.
+    #[inline(never)]
+    fn miss_by_line(self, first: i32, missed: &mut Missed) -> u32 {
+        let (mut previous, mut slope) = (first, 0_i32);
+        let mut sum = 0;
+        for (sample, missed) in self.samples.iter().zip(missed) {
+            let value = self.value(sample);
+            let step = value.wrapping_sub(previous);
+            *missed = fold(step.wrapping_sub(slope));
+            sum = S::STREAM.add(sum, *missed);
+            (previous, slope) = (value, step);
+        }
+        sum
+    }
+}
+
+/// Room for what a predictor misses of the samples after the first: cleared once a batch.
+type Missed = [u32; MAX_BATCH - 1];
+
+/// What goes on from axis to axis.
+struct Packer<'a> {
+    writer: BitWriter<'a>,
+    missed: Missed,
+    /// Chosen by the first axis, for all.
+    coding: Option<Coding>,
+    latest_k: Option<u32>,
+}
+
+impl Packer<'_> {
+    // Not inlined three times over, which would only be larger.
+    #[inline(never)]
+    fn pack<S: Sample>(&mut self, all: Axis<'_, S>) {
+        let stream = S::STREAM;
+        let field = stream.field();
+        let Some((first, rest)) = all.samples.split_first() else {
+            return;
+        };
+        let first = all.value(first);
+        let rest = Axis {
+            samples: rest,
+            ..all
+        };
+        let coding = *(self.coding).get_or_insert_with(|| rest.likely_coding(first));
+        let sum = match coding {
+            Coding::Linear => rest.miss_by_line(first, &mut self.missed),
+            _ => rest.miss_by_mean(first, &mut self.missed),
+        };
+        let missed = self
+            .missed
+            .get_mut(..rest.samples.len())
+            .unwrap_or_default();
+        if stream.can_be_exceeded_in(sum) {
+            for missed in &mut *missed {
+                *missed = fold(stream.wrap(unfold(*missed)));
+            }
+        }
+
+        // The best Rice parameter is the logarithm of the mean residual, or one less for a bit or
+        // two.
+        let average = sum / (missed.len() as u32).max(1);
+        let k = average.max(1).ilog2().min(stream.largest_k());
+        let (code, code_bits) = k_code(stream, k, self.latest_k);
+        let first_magnitude = magnitude(first);
+        let first_length = bit_length(first_magnitude);
+        let head = ((coding as u32) << code_bits | code) << field | first_length;
+        let head = head << 1 | u32::from(first < 0);
+        let head_bits = 2 + code_bits + field + 1;
+        let tail_bits = first_length.saturating_sub(1);
+        let tail = first_magnitude & !(1 << tail_bits);
+        let writer = &mut self.writer;
+        let start = writer.place();
+        match stream {
+            // 13 bits and 14 at most.
+            Stream::Raw => writer.push(head << tail_bits | tail, head_bits + tail_bits),
+            Stream::Corrected => {
+                writer.push(head, head_bits);
+                writer.push(tail, tail_bits);
+            }
+        }
+        writer.push_rice(missed, k, ESCAPE, stream.width());
+
+        // An axis that would not get shorter is sent as it is. Its longest sample is looked for
+        // only where the first one does not show already that it would.
+        let coded = writer.bits_since(&start);
+        let fixed = |length: u32| 2 + field + (length + 1) * all.samples.len() as u32;
+        if coded < fixed(first_length) || coded < fixed(all.longest()) {
+            self.latest_k = Some(k);
+            return;
+        }
+        let length = all.longest();
+        writer.go_back(start);
+        writer.push((Coding::Fixed as u32) << field | length, 2 + field);
+        let spare = 31 - length;
+        for sample in all.samples {
+            writer.push(((all.value(sample) as u32) << spare) >> spare, length + 1);
+        }
+    }
+}

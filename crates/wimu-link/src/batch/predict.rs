@@ -1,0 +1,123 @@
+//! Predictors and residuals: equations (21) and (22).
+
+use super::MAX_BATCH;
+
+/// Fraction bits of the mean's predictor.
+const MEAN_BITS: u32 = 4;
+
+/// How an axis is coded.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Coding {
+    Fixed = 0,
+    Mean = 1,
+    Previous = 2,
+    Linear = 3,
+}
+
+impl Coding {
+    pub(super) fn from_bits(bits: u32) -> Self {
+        match bits & 3 {
+            0 => Self::Fixed,
+            1 => Self::Mean,
+            2 => Self::Previous,
+            _ => Self::Linear,
+        }
+    }
+}
+
+/// The past of an axis, and what it foretells: equation (21).
+pub(super) struct Past {
+    previous: i32,
+    before: i32,
+    mean: Mean,
+    /// Samples in the mean.
+    count: u32,
+}
+
+impl Past {
+    #[inline]
+    pub(super) fn new(first: i32) -> Self {
+        Self {
+            previous: first,
+            before: first,
+            mean: Mean::of(first),
+            count: 1,
+        }
+    }
+
+    #[inline]
+    fn linear(&self) -> i32 {
+        self.previous
+            .wrapping_add(self.previous.wrapping_sub(self.before))
+    }
+
+    #[inline]
+    pub(super) fn predict(&self, coding: Coding) -> i32 {
+        match coding {
+            Coding::Fixed => 0,
+            Coding::Mean => self.mean.rounded(),
+            Coding::Previous => self.previous,
+            Coding::Linear => self.linear(),
+        }
+    }
+
+    #[inline]
+    pub(super) fn add(&mut self, value: i32) {
+        self.before = self.previous;
+        self.previous = value;
+        self.count += 1;
+        let missed = value.wrapping_sub(self.mean.rounded());
+        self.mean.improve(missed, mean_gain(self.count));
+    }
+}
+
+/// A mean that forgets slowly, 2^−4 per LSB and half an LSB more, so that cut off it is rounded.
+#[derive(Clone, Copy)]
+pub(super) struct Mean(i32);
+
+impl Mean {
+    #[inline]
+    pub(super) fn of(first: i32) -> Self {
+        Self((first << MEAN_BITS).wrapping_add(1 << (MEAN_BITS - 1)))
+    }
+
+    #[inline]
+    pub(super) fn rounded(self) -> i32 {
+        self.0 >> MEAN_BITS
+    }
+
+    /// Moves by 2^(`gain` − 4) of what it missed.
+    #[inline]
+    pub(super) fn improve(&mut self, missed: i32, gain: u8) {
+        self.0 = self.0.wrapping_add(missed.wrapping_shl(u32::from(gain)));
+    }
+}
+
+/// The gain of a mean of `count` samples, the new one included: 4 − ⌊log2 `count`⌋. The mean of 32,
+/// for which that is negative, predicts nothing any more.
+const fn mean_gain(count: u32) -> u8 {
+    MEAN_BITS.saturating_sub(count.ilog2()) as u8
+}
+
+/// A residual, folded to a whole number: equation (22).
+#[inline]
+pub(super) fn fold(residual: i32) -> u32 {
+    ((residual << 1) ^ (residual >> 31)) as u32
+}
+
+/// The residual of which `folded` was made.
+#[inline]
+pub(super) fn unfold(folded: u32) -> i32 {
+    (folded >> 1) as i32 ^ -((folded & 1) as i32)
+}
+
+/// The mean's gains for the samples after the first.
+pub(super) const MEAN_GAINS: [u8; MAX_BATCH - 1] = {
+    let mut gains = [0; MAX_BATCH - 1];
+    let mut index = 0;
+    while index < gains.len() {
+        gains[index] = mean_gain(index as u32 + 2);
+        index += 1;
+    }
+    gains
+};

@@ -1,0 +1,152 @@
+//! A matrix product per sample in whole numbers, in two ways that agree on every input: equation
+//! (3) of docs/EQUATIONS.md. Which one is used is a matter of speed alone.
+
+// One of the two is the target's.
+#![cfg_attr(not(test), allow(dead_code))]
+
+/// Cortex-M0 and M0+ multiply 32 by 32 bits to 32 only. They are also the ARM cores without atomic
+/// read-modify-write, and that is what a target says of itself.
+#[cfg(all(target_arch = "arm", not(target_has_atomic = "32")))]
+pub(crate) use self::Short as Kernel;
+
+#[cfg(not(all(target_arch = "arm", not(target_has_atomic = "32"))))]
+pub(crate) use self::Long as Kernel;
+
+/// Bits of a coefficient's low part.
+pub(crate) const LOW_BITS: u32 = 15;
+
+/// What a kernel is made from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Fixed {
+    /// Fraction bits of the high parts, 3 to 14.
+    pub(crate) shift: u32,
+    /// Coefficients, rows: high and low part.
+    pub(crate) coefficients: [[Split; 3]; 3],
+    /// Offset and rounding in the unit of the high parts.
+    pub(crate) offset: [i32; 3],
+}
+
+/// high · 2^−shift + low · 2^−(shift + 15) output LSB per count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Split {
+    /// 16 bits.
+    pub(crate) high: i32,
+    /// −2¹⁴..=2¹⁴.
+    pub(crate) low: i32,
+}
+
+/// With multiplications of 32 by 32 bits to 64: nine of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(crate) struct Long {
+    /// 2⁻³² output LSB.
+    offset: [i64; 3],
+    /// Both parts in one, 2^−(shift + 15) output LSB per count. Columns: three sums grow side by
+    /// side and wait for each other's multiplications, not for their own.
+    columns: [[i32; 3]; 3],
+    /// 2^(17 − shift). Counts times this make products in 2⁻³² output LSB, so that the result is
+    /// the upper word of a sum and needs no shift of 64 bits.
+    scale: i32,
+}
+
+impl Long {
+    pub(crate) fn new(fixed: &Fixed) -> Self {
+        let whole = |k: Split| (k.high << LOW_BITS) + k.low;
+        Self {
+            offset: fixed.offset.map(|o| i64::from(o) << (32 - fixed.shift)),
+            columns: [0, 1, 2].map(|column| fixed.coefficients.map(|row| whole(row[column]))),
+            scale: 1 << (32 - LOW_BITS - fixed.shift),
+        }
+    }
+
+    #[inline]
+    pub(crate) fn apply(&self, counts: [i16; 3]) -> [i32; 3] {
+        let mut sums = self.offset;
+        for (column, count) in self.columns.iter().zip(counts) {
+            let count = i64::from(i32::from(count) * self.scale);
+            for axis in 0..3 {
+                sums[axis] += i64::from(column[axis]) * count;
+            }
+        }
+        sums.map(|sum| (sum >> 32) as i32)
+    }
+}
+
+/// With multiplications of 32 by 32 bits to 32: eighteen of them, of a count and a part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(crate) struct Short {
+    rows: [Row; 3],
+    shift: u32,
+}
+
+/// One output axis. 32 bits a part although 16 would hold it: loading half words costs more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Row {
+    low: [i32; 3],
+    high: [i32; 3],
+    offset: i32,
+}
+
+impl Short {
+    pub(crate) fn new(fixed: &Fixed) -> Self {
+        Self {
+            rows: [0, 1, 2].map(|axis| Row {
+                low: fixed.coefficients[axis].map(|k| k.low),
+                high: fixed.coefficients[axis].map(|k| k.high),
+                offset: fixed.offset[axis],
+            }),
+            shift: fixed.shift,
+        }
+    }
+
+    #[inline]
+    pub(crate) fn apply(&self, counts: [i16; 3]) -> [i32; 3] {
+        let c = counts.map(i32::from);
+        let product = |k: &[i32; 3]| k[0] * c[0] + k[1] * c[1] + k[2] * c[2];
+        let output = |row: &Row| {
+            let low = product(&row.low) >> LOW_BITS;
+            (low + row.offset + product(&row.high)) >> self.shift
+        };
+        [
+            output(&self.rows[0]),
+            output(&self.rows[1]),
+            output(&self.rows[2]),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    prop_compose! {
+        /// Of all sizes whose sums fit 32 bits.
+        fn fixed()(
+            shift in 3..=14_u32,
+            parts in prop::array::uniform9((-21_500..=21_500, -16_384..=16_384)),
+            offset in prop::array::uniform3(-30_000_000..=30_000_000),
+        ) -> Fixed {
+            let coefficient = |(high, low)| Split { high, low };
+            Fixed {
+                shift,
+                coefficients: [0, 3, 6].map(|i| [parts[i], parts[i + 1], parts[i + 2]].map(coefficient)),
+                offset,
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(20_000))]
+
+        #[test]
+        fn both_ways_agree_on_every_input(fixed in fixed(), counts: [i16; 3]) {
+            let extreme = counts.map(|c| if c < 0 { i16::MIN } else { i16::MAX });
+            for counts in [counts, extreme] {
+                prop_assert_eq!(Long::new(&fixed).apply(counts), Short::new(&fixed).apply(counts));
+            }
+        }
+    }
+}

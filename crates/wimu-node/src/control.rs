@@ -161,6 +161,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         device_g: plan.settings.range_g,
                     });
                 }
+                Corrector::compile(&set, self.latched)
+                    .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
                 let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
                 let known = self.shared.published().hello.sensitivity_known;
                 if known && !SENSITIVITY_RATIO.contains(&ratio) {
@@ -169,8 +171,6 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         device_lsb_per_g: plan.sensitivity.lsb_per_g(),
                     });
                 }
-                Corrector::compile(&set, self.latched)
-                    .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
                 self.staged = Some(set);
                 Ok(Payload::Staged {
                     hash: parameter_id(&set).0,

@@ -158,6 +158,16 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         device_g: 2,
     };
     assert_eq!(answer, Answer::Refused(wrong_range));
+    let eightfold = WireParameters {
+        sensitivity_lsb_per_g: 2048.0,
+        ..good
+    };
+    let answer = rig.ask(CABLE, Command::StageParameters(eightfold));
+    let wrong_sensitivity = Refusal::WrongSensitivity {
+        parameters_lsb_per_g: 2048.0,
+        device_lsb_per_g: 16384.0,
+    };
+    assert_eq!(answer, Answer::Refused(wrong_sensitivity));
     // Nothing of this was staged.
     let answer = rig.ask(CABLE, Command::CommitParameters { hash: 1 });
     assert_eq!(answer, Answer::Refused(Refusal::NothingStaged));

@@ -106,7 +106,9 @@ pub fn embedded_cargo(source: Source) -> CommandLine {
 
 /// `cargo SUBCOMMAND` that leaves the lock file alone on a CI machine.
 pub fn cargo(subcommand: &str) -> CommandLine {
-    locked(CommandLine::new("cargo").words(subcommand))
+    // Before the rest: what follows a `--` is not cargo's.
+    let (verb, rest) = subcommand.split_once(' ').unwrap_or((subcommand, ""));
+    locked(CommandLine::new("cargo").word(verb)).words(rest)
 }
 
 fn locked(cargo: CommandLine) -> CommandLine {

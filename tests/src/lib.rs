@@ -5,8 +5,8 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use wimu_host::decode::{Decoder, Event, TimedSample};
-use wimu_host::record::{Boot, LinkRecord, Recording};
-use wimu_host::recording::{ClockAnchor, Received, RecordingReader, RecordingWriter};
+use wimu_host::history::{Boot, LinkHistory, Recording};
+use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay;
 use wimu_link::message::{Event as DeviceEvent, Payload, Status};
 use wimu_link::{
@@ -193,7 +193,7 @@ pub struct Listener {
     role: LinkRole,
     listens: bool,
     decoder: Decoder,
-    record: LinkRecord,
+    record: LinkHistory,
     heard: Vec<Received>,
     replies: Vec<Reply>,
 }
@@ -204,7 +204,7 @@ impl Listener {
             role,
             listens: true,
             decoder: Decoder::new(),
-            record: LinkRecord::new(role),
+            record: LinkHistory::new(role),
             heard: Vec::new(),
             replies: Vec::new(),
         }
@@ -230,7 +230,7 @@ impl Listener {
     }
 
     /// What it has brought, sorted.
-    pub fn record(&self) -> &LinkRecord {
+    pub fn record(&self) -> &LinkHistory {
         &self.record
     }
 

@@ -7,7 +7,7 @@ use wimu_host::calibration::{
 };
 use wimu_host::csv::Filter;
 use wimu_host::dataset::{Dataset, LoadOptions};
-use wimu_host::record::Recording;
+use wimu_host::history::Recording;
 use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::BoardConfig;

@@ -9,7 +9,7 @@ use wimu_model::{Counts, DeviceTimeUs, Sensitivity};
 
 use crate::csv::{AccelerationUnit, CsvReader, Filter};
 use crate::error::{ErrorCode, HostError, Result};
-use crate::record::{Boot, LinkRecord, Recording};
+use crate::history::{Boot, LinkHistory, Recording};
 
 /// Sample rate of a file without times, Hz.
 const ASSUMED_RATE_HZ: f64 = 100.0;
@@ -196,7 +196,7 @@ impl Dataset {
     ///
     /// # Errors
     /// `no_rows` when there are none, `data_refused` when the range changed meanwhile.
-    pub fn from_link(link: &LinkRecord, name: &str) -> Result<Self> {
+    pub fn from_link(link: &LinkHistory, name: &str) -> Result<Self> {
         let boots: Vec<&Boot> = link
             .boots
             .iter()

@@ -7,8 +7,8 @@ use std::path::Path;
 use wimu_model::{DeviceTimeUs, SpecificForceQ16};
 
 use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
-use crate::record::{Boot, LinkRecord};
-use crate::recording::ClockAnchor;
+use crate::history::{Boot, LinkHistory};
+use crate::mcap_file::ClockAnchor;
 use crate::{ErrorCode, HostError, Result};
 
 /// What a table holds.
@@ -28,7 +28,7 @@ pub enum ExportStream {
 /// # Errors
 /// `no_rows` when the link carried no such stream; `file_failed`, `file_unreadable`.
 pub fn to_csv(
-    link: &LinkRecord,
+    link: &LinkHistory,
     anchor: Option<ClockAnchor>,
     stream: ExportStream,
     path: &Path,

@@ -8,14 +8,14 @@ pub mod dataset;
 pub mod decode;
 mod error;
 pub mod export;
+pub mod history;
+pub mod html;
 mod link_url;
+pub mod mcap_file;
+pub mod monitor;
 pub mod navigation;
-pub mod reading;
-pub mod record;
 pub mod recorder;
-pub mod recording;
 pub mod replay;
-pub mod report;
 pub mod transport;
 
 pub use error::{ErrorCode, HostError, Result};

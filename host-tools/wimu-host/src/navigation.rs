@@ -6,7 +6,7 @@ use wimu_model::{
     CentiCelsius, Corrector, Counts, DeviceTimeUs, ParameterSet, PeriodNs, PositionNm, VelocityNmps,
 };
 
-use crate::record::Boot;
+use crate::history::Boot;
 use crate::replay::{Replay, Step};
 use crate::{ErrorCode, HostError, Result};
 

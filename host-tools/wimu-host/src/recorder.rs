@@ -10,7 +10,7 @@ use wimu_link::{Hello, LinkRole};
 
 use crate::client::{Client, ConnectOptions};
 use crate::decode::LinkStatistics;
-use crate::recording::{ClockAnchor, RecordingWriter};
+use crate::mcap_file::{ClockAnchor, RecordingWriter};
 use crate::transport::{self, Transport};
 use crate::{ErrorCode, HostError, LinkUrl, Result};
 

@@ -7,7 +7,7 @@ use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
 
 use crate::decode::TimedSample;
 use crate::error::{ErrorCode, HostError, Result};
-use crate::record::{Boot, EpochMark};
+use crate::history::{Boot, EpochMark};
 
 /// A device sends an epoch at least this often, ns of samples; without the next one by then it is
 /// unknown what the device went on with.

@@ -10,10 +10,10 @@ use wimu_host::calibration::{CalibrateOptions, CalibrationReport, MethodChoice, 
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::dataset::Dataset;
 use wimu_host::decode::TimedSample;
+use wimu_host::history::{Boot, Recording};
+use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::navigation::{self, Point};
-use wimu_host::record::{Boot, Recording};
 use wimu_host::recorder::Tap;
-use wimu_host::recording::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::Settings;

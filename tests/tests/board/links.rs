@@ -309,7 +309,7 @@ fn a_host_that_looks_away_for_long_finds_its_way_back() {
 #[test]
 fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
     use wimu_host::decode::{Decoder, Event};
-    use wimu_host::record::LinkRecord;
+    use wimu_host::history::LinkHistory;
     let mut rig = Rig::usual();
     rig.run(15.0);
     let truth = rig.boot(LinkRole::Cable);
@@ -321,7 +321,7 @@ fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
             seeded.damage(&mut bytes);
         }
         let mut decoder = Decoder::new();
-        let mut record = LinkRecord::new(LinkRole::Cable);
+        let mut record = LinkHistory::new(LinkRole::Cable);
         let mut damage = 0;
         for piece in bytes.chunks(1 + seeded.below(100)) {
             decoder.push(0, piece, |arrival| {

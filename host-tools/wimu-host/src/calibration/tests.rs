@@ -7,7 +7,7 @@ use wimu_model::{Counts, DeviceTimeUs, ErrorModel, SpecificForceMps2};
 use super::*;
 use crate::dataset::{LoadOptions, Output, RateSource};
 use crate::decode::Decoder;
-use crate::record::LinkRecord;
+use crate::history::LinkHistory;
 
 fn truth() -> ErrorModel {
     ErrorModel::new(ErrorTerms {
@@ -315,7 +315,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     let from_csv = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
     std::fs::remove_dir_all(&folder).unwrap();
 
-    let mut record = LinkRecord::new(LinkRole::Wireless);
+    let mut record = LinkHistory::new(LinkRole::Wireless);
     let mut decoder = Decoder::new();
     let mut frame = [0; MAX_FRAME];
     let mut push = |frame: &[u8]| decoder.push(0, frame, |arrival| record.take(&arrival));

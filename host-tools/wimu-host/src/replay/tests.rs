@@ -8,7 +8,7 @@ use wimu_model::{
 
 use super::*;
 use crate::decode::Decoder;
-use crate::record::LinkRecord;
+use crate::history::LinkHistory;
 
 /// What a device does per sample, without a sensor or a link: the same crates, and frames.
 struct Device {
@@ -159,7 +159,7 @@ impl Device {
 }
 
 fn boot(frames: &[Vec<u8>]) -> Boot {
-    let mut record = LinkRecord::new(LinkRole::Cable);
+    let mut record = LinkHistory::new(LinkRole::Cable);
     let mut decoder = Decoder::new();
     for frame in frames {
         decoder.push(0, frame, |arrival| record.take(&arrival));
@@ -263,7 +263,7 @@ fn an_epoch_that_may_be_missing_makes_samples_uncertain_not_different() {
         .position(|mark| mark.epoch.reason == EpochReason::Temperature)
         .unwrap();
     let sequence = intact.epochs[temperature].epoch.sequence;
-    let mut record = LinkRecord::new(LinkRole::Cable);
+    let mut record = LinkHistory::new(LinkRole::Cable);
     let mut decoder = Decoder::new();
     let mut epochs = 0;
     for frame in &frames {

@@ -9,7 +9,7 @@ use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice};
 use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
-use wimu_host::record::LinkRecord;
+use wimu_host::history::LinkHistory;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
@@ -122,7 +122,7 @@ fn collect<T: Transport>(
         )
     });
     let stop = interrupted()?;
-    let mut record = LinkRecord::new(client.hello().role);
+    let mut record = LinkHistory::new(client.hello().role);
     let mut finder: Option<(PoseFinder, Sensitivity)> = None;
     let mut held = 0;
     let mut faces = Vec::new();

@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use serde::Serialize;
+use wimu_host::html::{Chart, Report, Series};
 use wimu_host::navigation::{Point, distance_m};
-use wimu_host::report::{Chart, Report, Series};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::export::{self, ExportStream};
-use wimu_host::record::Recording;
+use wimu_host::history::Recording;
 
 use crate::arguments::{Export, ExportFormat, Stream};
 use crate::command::not_over_input;

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::decode::LinkStatistics;
-use wimu_host::record::Recording;
-use wimu_host::recording::Wholeness;
+use wimu_host::history::Recording;
+use wimu_host::mcap_file::Wholeness;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::Hello;
 

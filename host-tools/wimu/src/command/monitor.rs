@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use wimu_host::decode::{Decoder, Event};
-use wimu_host::reading::{Reading, Readings};
-use wimu_host::recording::RecordingReader;
+use wimu_host::mcap_file::RecordingReader;
+use wimu_host::monitor::{Reading, Readings};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 
 use crate::arguments::Monitor;

@@ -3,8 +3,8 @@
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::export::{self, ExportStream};
+use wimu_host::history::{Boot, Recording};
 use wimu_host::navigation::{self, Point};
-use wimu_host::record::{Boot, Recording};
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_integrator::Phase;

@@ -12,7 +12,7 @@ use wimu_model::{DeviceTimeUs, ParameterSet, Sensitivity};
 
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics, TimedSample};
 use crate::error::{ErrorCode, HostError, Result};
-use crate::recording::{ClockAnchor, RecordingReader, Wholeness};
+use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 
 /// An epoch as it arrived.
 #[derive(Clone, Debug)]
@@ -135,7 +135,7 @@ impl Boot {
 
 /// What one link has brought.
 #[derive(Clone, Debug)]
-pub struct LinkRecord {
+pub struct LinkHistory {
     /// Which link.
     pub role: LinkRole,
     /// One for each start of the device, the latest last; at least one.
@@ -146,7 +146,7 @@ pub struct LinkRecord {
     pub complaints: Vec<String>,
 }
 
-impl LinkRecord {
+impl LinkHistory {
     /// An empty one.
     pub fn new(role: LinkRole) -> Self {
         Self {
@@ -228,7 +228,7 @@ pub struct Recording {
     /// What errors call the file.
     pub name: String,
     /// Its links, the cable first.
-    pub links: Vec<LinkRecord>,
+    pub links: Vec<LinkHistory>,
     /// Host's monotonic clock to UTC.
     pub anchor: Option<ClockAnchor>,
     /// Host time from the first bytes to the last, ns.
@@ -252,12 +252,12 @@ impl Recording {
     /// Those of [`RecordingReader`].
     pub fn read<R: std::io::Read>(mut reader: RecordingReader<R>, name: &str) -> Result<Self> {
         let anchor = reader.anchor()?;
-        let mut links: BTreeMap<u8, (LinkRecord, Decoder)> = BTreeMap::new();
+        let mut links: BTreeMap<u8, (LinkHistory, Decoder)> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
         while let Some(received) = reader.next_received()? {
             let (record, decoder) = links
                 .entry(received.role.number())
-                .or_insert_with(|| (LinkRecord::new(received.role), Decoder::new()));
+                .or_insert_with(|| (LinkHistory::new(received.role), Decoder::new()));
             decoder.push(received.host_ns, &received.bytes, |arrival| {
                 record.take(&arrival)
             });
@@ -284,8 +284,8 @@ impl Recording {
     ///
     /// # Errors
     /// `no_rows` when there is none.
-    pub fn link(&self, role: Option<LinkRole>) -> Result<&LinkRecord> {
-        let raw = |link: &LinkRecord| link.boots.iter().map(|boot| boot.raw.len()).sum::<usize>();
+    pub fn link(&self, role: Option<LinkRole>) -> Result<&LinkHistory> {
+        let raw = |link: &LinkHistory| link.boots.iter().map(|boot| boot.raw.len()).sum::<usize>();
         let found = match role {
             Some(role) => self.links.iter().find(|link| link.role == role),
             None => self
@@ -315,7 +315,7 @@ mod tests {
     use wimu_model::Counts;
 
     use super::*;
-    use crate::recording::RecordingWriter;
+    use crate::mcap_file::RecordingWriter;
 
     const ANCHOR: ClockAnchor = ClockAnchor {
         monotonic_ns: 0,

@@ -11,6 +11,7 @@ mod multi_position;
 mod orientation;
 mod parameter;
 mod pose;
+mod reference;
 mod refusal;
 mod six_position;
 
@@ -21,5 +22,6 @@ pub use multi_position::{Model, multi_position};
 pub use orientation::{Face, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use pose::Pose;
+pub use reference::{AxisTransfer, Line, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal};
 pub use refusal::{Refusal, UnitHint};
 pub use six_position::{Placement, PlacementError, six_position, six_position_labelled};

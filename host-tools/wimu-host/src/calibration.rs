@@ -1,7 +1,9 @@
 //! From data to an error model, its report, and the file that goes to a board.
 
+mod reference;
 mod report;
 
+pub use reference::{AxisReport, Paired, ReferenceReport, compare_with_reference};
 pub use report::{CalibrationReport, Fit, NextPose, Source, read_parameters, write_report};
 
 use wimu_calib::{
@@ -306,13 +308,21 @@ fn numbers(estimate: &Estimate) -> Fit {
         sd: ErrorTerms {
             bias_mps2: sd.bias_mps2,
             matrix: sd.matrix,
-            temperature: TemperatureTerms {
-                reference_c: 0.0,
-                ..TemperatureTerms::default()
-            },
-            nonlinearity: [0.0; 3],
+            ..no_terms()
         },
         covariance: *estimate.covariance.matrix(),
+    }
+}
+
+/// Standard deviations of nothing.
+fn no_terms() -> ErrorTerms {
+    ErrorTerms {
+        matrix: [[0.0; 3]; 3],
+        temperature: TemperatureTerms {
+            reference_c: 0.0,
+            ..TemperatureTerms::default()
+        },
+        ..ErrorTerms::default()
     }
 }
 

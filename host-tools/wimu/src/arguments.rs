@@ -213,14 +213,17 @@ impl From<Role> for wimu_link::LinkRole {
 #[command(after_help = "\
 Example: wimu calibrate session.mcap -o CAL.json
          wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
-         wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818")]
+         wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
+         wimu calibrate session.mcap --method reference           (wireless against cable)
+         wimu calibrate two.csv --method reference --reference 0 --accelerometer 1")]
 pub struct Calibrate {
     /// A LINK, a recording or a CSV file
     pub input: String,
     /// Write the calibration here
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
-    /// How: from gravity's magnitude in any poses, or from six known ones
+    /// How: from gravity's magnitude in any poses, from six known ones, or against a reference
+    /// that moves along: the cable's samples, or another accelerometer of a CSV file
     #[arg(long, value_enum, default_value_t = Method::MultiPosition)]
     pub method: Method,
     /// How many parameters: 9 = bias, scale and misalignment (default), 6 without misalignment,
@@ -242,6 +245,9 @@ pub struct Calibrate {
     /// Which accelerometer of a CSV file that has several
     #[arg(long, value_name = "N")]
     pub accelerometer: Option<u32>,
+    /// Which accelerometer of a CSV file is the reference; without it the first (method reference)
+    #[arg(long, value_name = "N")]
+    pub reference: Option<u32>,
     /// How exactly the six positions were placed, 1 σ; without it 1
     #[arg(long, value_name = "DEG")]
     pub placement_sd: Option<f64>,
@@ -260,6 +266,7 @@ pub struct Calibrate {
 pub enum Method {
     MultiPosition,
     SixPosition,
+    Reference,
 }
 
 #[derive(Subcommand)]

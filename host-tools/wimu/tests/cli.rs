@@ -290,6 +290,14 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
         wimu(&["export", &session, "-o", &out, "--stream", stream]).succeeds();
     }
 
+    // What came over both links is the same, sample by sample.
+    let against = wimu(&["calibrate", &session, "--method", "reference"]).succeeds();
+    assert_eq!(against["method"], "reference");
+    for axis in 0..3 {
+        assert_eq!(against["model"]["bias_m_s2"][axis], 0.0);
+        assert_eq!(against["model"]["matrix"][axis][axis], 1.0);
+    }
+
     let report = wimu(&["calibrate", &session, "-o", &cal]).succeeds();
     assert_eq!(report["schema"], "wimu.calibration/1");
     has(

@@ -283,7 +283,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
 ///
 /// # Errors
 /// `file_failed`, `file_unreadable`.
-pub fn write_report(path: &Path, report: &CalibrationReport) -> Result<()> {
+pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
     let name = path.display().to_string();
     let json = serde_json::to_string_pretty(report).map_err(|error| {
         HostError::new(

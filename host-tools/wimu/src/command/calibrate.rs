@@ -5,11 +5,11 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use wimu_calib::{Face, Model, PoseFinder};
-use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice};
+use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
 use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
-use wimu_host::history::LinkHistory;
+use wimu_host::history::{LinkHistory, Recording};
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
@@ -21,6 +21,16 @@ use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 when the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+    if arguments.method == Method::Reference {
+        return against_reference(arguments, output);
+    }
+    if arguments.reference.is_some() {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "--reference goes with --method reference only",
+            "leave it out, or add --method reference",
+        ));
+    }
     let options = options(arguments)?;
     let load = LoadOptions {
         filter: arguments.filter.as_deref().map(str::parse).transpose()?,
@@ -59,6 +69,64 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         && let Some(set) = &report.parameters
     {
         params::push(client, set, output)?;
+    }
+    output.object(&report);
+    Ok(report.exit_code())
+}
+
+/// One stream against another of the same motion.
+fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let others = [
+        ("--model", arguments.model.is_some()),
+        ("--gravity", arguments.gravity.is_some()),
+        ("--poses", arguments.poses),
+        ("--placement-sd", arguments.placement_sd.is_some()),
+        ("--link", arguments.link.is_some()),
+        ("--push", arguments.push),
+    ];
+    if let Some((flag, _)) = others.into_iter().find(|(_, given)| *given) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("{flag} does not go with --method reference"),
+            "leave it out; push the result with `wimu params push LINK CAL.json`",
+        ));
+    }
+    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
+    let sensitivity = arguments
+        .sensitivity
+        .map(Sensitivity::from_lsb_per_g)
+        .transpose()
+        .map_err(|error| {
+            HostError::new(ErrorCode::Usage, error.to_string(), "check --sensitivity")
+        })?;
+    let data = match Input::parse(&arguments.input)? {
+        Input::Csv(path) => Paired::from_csv(
+            &path,
+            arguments
+                .filter
+                .as_deref()
+                .map(str::parse)
+                .transpose()?
+                .as_ref(),
+            arguments.reference,
+            arguments.accelerometer,
+            sensitivity,
+        )?,
+        Input::Recording(path) => Paired::from_recording(&Recording::load(&path)?)?,
+        Input::Link(_) => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "--method reference needs a recording of both links, or a CSV file",
+                "record with `wimu record LINK --cable LINK -o FILE.mcap` first",
+            ));
+        }
+    };
+    let report = calibration::compare_with_reference(&data);
+    output.say(report.to_string());
+    if report.exit_code() == 0
+        && let Some(path) = &arguments.output
+    {
+        calibration::write_report(path, &report)?;
     }
     output.object(&report);
     Ok(report.exit_code())

@@ -1,5 +1,7 @@
 //! Runs the real `wimu`, always with `--json`, and never for ever.
 
+#![allow(dead_code, reason = "each test file uses its own part of it")]
+
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::thread;

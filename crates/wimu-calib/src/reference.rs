@@ -1,0 +1,446 @@
+//! Calibration against a reference: one stream against another of the same motion.
+
+use core::fmt;
+
+use wimu_model::{ErrorModel, ErrorTerms, ModelError};
+
+/// Most blocks that sums are kept for; two become one when they are full.
+const BLOCKS: usize = 32;
+/// Fewest samples for a standard deviation that means something.
+const FEWEST: u64 = 8;
+/// An axis that moves less than this, m/s² rms, could be two sensors that warm up together: their
+/// drifts would pass for a scale factor.
+const LEAST_MOTION_MPS2: f64 = 0.5;
+/// Streams of one motion are correlated at least this much where there is motion.
+const LEAST_CORRELATION: f64 = 0.9;
+
+/// Noise of the output per noise of the reference (standard deviations), within 10⁻³..=10³.
+///
+/// A wrong ratio moves the scale factor by at most the share of noise in the variance of the motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct NoiseRatio(f64);
+
+impl NoiseRatio {
+    /// Both are as noisy: two sensors of a kind.
+    pub const EQUAL: Self = Self(1.0);
+
+    /// From the two standard deviations of one sample, m/s²; `None` when either is not positive and
+    /// finite. A ratio beyond 10³ is taken as 10³.
+    pub fn new(output_sd_mps2: f64, reference_sd_mps2: f64) -> Option<Self> {
+        let ratio = output_sd_mps2 / reference_sd_mps2;
+        let sound = output_sd_mps2 > 0.0 && reference_sd_mps2 > 0.0 && ratio.is_finite();
+        sound.then(|| Self(ratio.clamp(1e-3, 1e3)))
+    }
+}
+
+impl Default for NoiseRatio {
+    fn default() -> Self {
+        Self::EQUAL
+    }
+}
+
+/// Bias and scale factor of an axis, y = b + S x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Line {
+    /// b, m/s².
+    pub bias_mps2: f64,
+    /// S.
+    pub scale: f64,
+    /// Covariance of b and S.
+    pub covariance: [[f64; 2]; 2],
+}
+
+/// One axis of a stream against that of the reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct AxisTransfer {
+    /// Mean of the reference, m/s²: where the offset holds.
+    pub at_mps2: f64,
+    /// Mean of output less reference, m/s².
+    pub offset_mps2: f64,
+    /// Its standard deviation, m/s².
+    pub offset_sd_mps2: f64,
+    /// Motion of the axis, m/s² rms about its mean, without noise.
+    pub motion_mps2: f64,
+    /// What the answer leaves of output less reference, m/s² rms.
+    pub rms_mps2: f64,
+    /// Bias and scale factor; `None` where the axis moved less than 0.5 m/s² rms, so that only
+    /// their sum, the offset, is known.
+    pub line: Option<Line>,
+}
+
+/// What a stream is against the reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Transfer {
+    /// X, Y, Z.
+    pub axes: [AxisTransfer; 3],
+    /// Pairs of samples.
+    pub samples: u64,
+    /// Pairs left out because a value was not finite.
+    pub not_finite: u64,
+    /// Degrees of freedom of the standard deviations, for Student's intervals.
+    pub dof: usize,
+}
+
+impl Transfer {
+    /// The error model that makes the reference of the output; an axis of which only the offset is
+    /// known has scale factor 1 and the offset as bias.
+    ///
+    /// # Errors
+    /// [`ModelError`] when that is no accelerometer's.
+    pub fn model(&self) -> Result<ErrorModel, ModelError> {
+        let mut terms = ErrorTerms::default();
+        for (axis, transfer) in self.axes.iter().enumerate() {
+            match transfer.line {
+                Some(line) => {
+                    terms.bias_mps2[axis] = line.bias_mps2;
+                    terms.matrix[axis][axis] = line.scale;
+                }
+                None => terms.bias_mps2[axis] = transfer.offset_mps2,
+            }
+        }
+        ErrorModel::new(terms)
+    }
+}
+
+/// Why two streams say nothing about each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum TransferRefusal {
+    /// Fewer pairs of samples than 8.
+    TooFewSamples {
+        /// How many there are.
+        have: u64,
+    },
+    /// The axes move, but not together.
+    NotTheSameMotion {
+        /// 0 = X.
+        axis: usize,
+        /// Their correlation.
+        correlation: f64,
+    },
+    /// One part of the motion alone decides the scale factor.
+    OneMotionOnly {
+        /// 0 = X.
+        axis: usize,
+    },
+}
+
+impl fmt::Display for TransferRefusal {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
+        match *self {
+            Self::TooFewSamples { have } => write!(
+                out,
+                "{have} samples are on both streams, 8 are needed: record both at the same time"
+            ),
+            Self::NotTheSameMotion { axis, correlation } => write!(
+                out,
+                "axis {} of the two streams is correlated by {correlation:.2} only: they show \
+                 different motions; check that samples are paired in time, and axes and their signs",
+                name(axis)
+            ),
+            Self::OneMotionOnly { axis } => write!(
+                out,
+                "all motion of axis {} is in one short part of the recording, which decides alone: \
+                 move it more than once, or hold it in several orientations",
+                name(axis)
+            ),
+        }
+    }
+}
+
+impl core::error::Error for TransferRefusal {}
+
+/// Takes pairs of samples and says what one stream is against the other: per axis, both noisy.
+/// Equations (50) and (51) of docs/EQUATIONS.md.
+///
+/// Memory is fixed, 5 KB: sums over blocks whose length grows with the data.
+///
+/// ```
+/// use wimu_calib::{NoiseRatio, ReferenceTransfer};
+///
+/// let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+/// for k in 0..1000 {
+///     let swing = f64::from(k) * 0.05;
+///     let reference = [3.0 * swing.sin(), 3.0 * swing.cos(), 9.81];
+///     // The noise of both is left out here.
+///     let output = [1.02 * reference[0] + 0.3, reference[1] - 0.1, 9.91];
+///     transfer.push(reference, output);
+/// }
+/// let found = transfer.result()?;
+/// let x = found.axes[0].line.ok_or("X moved")?;
+/// assert!((x.scale - 1.02).abs() < 1e-9 && (x.bias_mps2 - 0.3).abs() < 1e-9);
+/// // Z saw gravity only: bias and scale factor cannot be told apart there.
+/// assert!(found.axes[2].line.is_none());
+/// assert!((found.axes[2].offset_mps2 - 0.1).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct ReferenceTransfer {
+    ratio: NoiseRatio,
+    /// The first pair: sums are of what differs from it.
+    origin: Option<[[f64; 2]; 3]>,
+    blocks: [[Sums; 3]; BLOCKS],
+    /// Full blocks.
+    full: usize,
+    /// Samples of a full block.
+    length: u64,
+    samples: u64,
+    not_finite: u64,
+}
+
+impl ReferenceTransfer {
+    /// Nothing taken yet.
+    pub fn new(ratio: NoiseRatio) -> Self {
+        Self {
+            ratio,
+            origin: None,
+            blocks: [[Sums::ZERO; 3]; BLOCKS],
+            full: 0,
+            length: 1,
+            samples: 0,
+            not_finite: 0,
+        }
+    }
+
+    /// Takes the next sample of both streams, m/s², taken at the same time.
+    pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
+        let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
+        if !finite(reference_mps2) || !finite(output_mps2) {
+            self.not_finite += 1;
+            return;
+        }
+        let [x, y, z] = reference_mps2;
+        let [u, v, w] = output_mps2;
+        let pairs = [[x, u], [y, v], [z, w]];
+        let origin = *self.origin.get_or_insert(pairs);
+        if self.full == BLOCKS {
+            for k in 0..BLOCKS / 2 {
+                self.blocks[k] = core::array::from_fn(|axis| {
+                    self.blocks[2 * k][axis].plus(&self.blocks[2 * k + 1][axis], 1.0)
+                });
+            }
+            for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
+                *block = [Sums::ZERO; 3];
+            }
+            self.full = BLOCKS / 2;
+            self.length *= 2;
+        }
+        if let Some(block) = self.blocks.get_mut(self.full) {
+            for (sums, (pair, origin)) in block.iter_mut().zip(pairs.iter().zip(origin)) {
+                sums.take(pair[0] - origin[0], pair[1] - origin[1]);
+            }
+            if block[0].n >= self.length as f64 {
+                self.full += 1;
+            }
+        }
+        self.samples += 1;
+    }
+
+    /// What the pairs taken so far say.
+    ///
+    /// # Errors
+    /// [`TransferRefusal`].
+    pub fn result(&self) -> Result<Transfer, TransferRefusal> {
+        let (Some(origin), FEWEST..) = (self.origin, self.samples) else {
+            return Err(TransferRefusal::TooFewSamples { have: self.samples });
+        };
+        let used = self.blocks.iter().filter(|block| block[0].n > 0.0).count();
+        let mut axes = [None; 3];
+        for (axis, found) in axes.iter_mut().enumerate() {
+            *found = Some(self.axis(axis, origin[axis], used)?);
+        }
+        let [Some(x), Some(y), Some(z)] = axes else {
+            return Err(TransferRefusal::TooFewSamples { have: self.samples });
+        };
+        Ok(Transfer {
+            axes: [x, y, z],
+            samples: self.samples,
+            not_finite: self.not_finite,
+            dof: used - 1,
+        })
+    }
+
+    fn axis(
+        &self,
+        axis: usize,
+        origin: [f64; 2],
+        used: usize,
+    ) -> Result<AxisTransfer, TransferRefusal> {
+        let blocks = || self.blocks.iter().take(used).map(|block| &block[axis]);
+        let all = blocks().fold(Sums::ZERO, |sum, block| sum.plus(block, 1.0));
+        let without = || blocks().map(|block| all.plus(block, -1.0));
+        let delta = self.ratio.0 * self.ratio.0;
+        let moments = all.moments();
+        let offset = origin[1] - origin[0] + moments.y - moments.x;
+        let mut offset_sd = Jackknife::<1>::default();
+        for sums in without() {
+            let left = sums.moments();
+            offset_sd.take([left.y - left.x]);
+        }
+        let slope = moments.slope(delta);
+        let motion = slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0)));
+        let left = |slope: f64| {
+            let square = moments.yy - 2.0 * slope * moments.xy + slope * slope * moments.xx;
+            libm::sqrt(square.max(0.0))
+        };
+        let mut transfer = AxisTransfer {
+            at_mps2: origin[0] + moments.x,
+            offset_mps2: offset,
+            offset_sd_mps2: libm::sqrt(offset_sd.covariance()[0][0]),
+            motion_mps2: motion,
+            rms_mps2: left(1.0),
+            line: None,
+        };
+        // What moves at all decides whether the streams can be compared.
+        let moves = libm::sqrt(moments.xx.max(moments.yy / delta.max(1.0))) >= LEAST_MOTION_MPS2;
+        if !moves {
+            return Ok(transfer);
+        }
+        let correlation = moments.xy / libm::sqrt(moments.xx * moments.yy);
+        let Some(slope) = slope.filter(|_| correlation >= LEAST_CORRELATION) else {
+            return Err(TransferRefusal::NotTheSameMotion { axis, correlation });
+        };
+        // b = ȳ − S x̄, both about the origin.
+        let bias = |slope: f64, m: &Moments| origin[1] + m.y - slope * (origin[0] + m.x);
+        let mut spread = Jackknife::<2>::default();
+        for sums in without() {
+            let left = sums.moments();
+            let slope = left
+                .slope(delta)
+                .filter(|_| left.xx > moments.xx * 0.1)
+                .ok_or(TransferRefusal::OneMotionOnly { axis })?;
+            spread.take([bias(slope, &left), slope]);
+        }
+        transfer.rms_mps2 = left(slope);
+        transfer.line = Some(Line {
+            bias_mps2: bias(slope, &moments),
+            scale: slope,
+            covariance: spread.covariance(),
+        });
+        Ok(transfer)
+    }
+}
+
+/// Sums over samples of an axis.
+#[derive(Clone, Copy, Debug)]
+struct Sums {
+    n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+/// Means and central second moments.
+struct Moments {
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Sums {
+    const ZERO: Self = Self {
+        n: 0.0,
+        x: 0.0,
+        y: 0.0,
+        xx: 0.0,
+        xy: 0.0,
+        yy: 0.0,
+    };
+
+    fn take(&mut self, x: f64, y: f64) {
+        self.n += 1.0;
+        self.x += x;
+        self.y += y;
+        self.xx += x * x;
+        self.xy += x * y;
+        self.yy += y * y;
+    }
+
+    /// With `sign` times `other` added.
+    fn plus(&self, other: &Self, sign: f64) -> Self {
+        Self {
+            n: self.n + sign * other.n,
+            x: self.x + sign * other.x,
+            y: self.y + sign * other.y,
+            xx: self.xx + sign * other.xx,
+            xy: self.xy + sign * other.xy,
+            yy: self.yy + sign * other.yy,
+        }
+    }
+
+    fn moments(&self) -> Moments {
+        let (x, y) = (self.x / self.n, self.y / self.n);
+        Moments {
+            x,
+            y,
+            xx: self.xx / self.n - x * x,
+            xy: self.xy / self.n - x * y,
+            yy: self.yy / self.n - y * y,
+        }
+    }
+}
+
+impl Moments {
+    /// Deming's slope, equation (50); δ is the variance of the output's noise per that of the
+    /// reference's.
+    fn slope(&self, delta: f64) -> Option<f64> {
+        let apart = self.yy - delta * self.xx;
+        let root = libm::sqrt(apart * apart + 4.0 * delta * self.xy * self.xy);
+        // Two forms of the same root; each keeps its digits on its side.
+        let slope = if apart >= 0.0 {
+            (apart + root) / (2.0 * self.xy)
+        } else {
+            2.0 * delta * self.xy / (root - apart)
+        };
+        (slope.is_finite() && slope != 0.0).then_some(slope)
+    }
+}
+
+/// Spread of estimates made without one block each: equation (51).
+struct Jackknife<const N: usize> {
+    count: f64,
+    mean: [f64; N],
+    squares: [[f64; N]; N],
+}
+
+impl<const N: usize> Default for Jackknife<N> {
+    fn default() -> Self {
+        Self {
+            count: 0.0,
+            mean: [0.0; N],
+            squares: [[0.0; N]; N],
+        }
+    }
+}
+
+impl<const N: usize> Jackknife<N> {
+    fn take(&mut self, estimate: [f64; N]) {
+        self.count += 1.0;
+        let before: [f64; N] = core::array::from_fn(|i| estimate[i] - self.mean[i]);
+        for (mean, step) in self.mean.iter_mut().zip(before) {
+            *mean += step / self.count;
+        }
+        for i in 0..N {
+            for j in 0..N {
+                self.squares[i][j] += before[i] * (estimate[j] - self.mean[j]);
+            }
+        }
+    }
+
+    fn covariance(&self) -> [[f64; N]; N] {
+        let factor = (self.count - 1.0) / self.count;
+        core::array::from_fn(|i| {
+            core::array::from_fn(|j| factor * 0.5 * (self.squares[i][j] + self.squares[j][i]))
+        })
+    }
+}

@@ -1,0 +1,235 @@
+//! One stream against another, with known truth.
+
+mod common;
+
+use common::Random;
+use proptest::prelude::*;
+use wimu_calib::{Line, NoiseRatio, ReferenceTransfer, TransferRefusal};
+
+/// A hand's motion about a tilted gravity, m/s².
+fn motion(k: usize) -> [f64; 3] {
+    let t = k as f64 * 0.01;
+    [
+        2.0 * (1.3 * t).sin() + 1.5 * (2.9 * t + 1.0).cos() + 1.0,
+        2.5 * (0.9 * t + 0.3).sin() - 3.0,
+        2.0 * (1.7 * t).cos() + 1.0 * (4.1 * t).sin() + 9.0,
+    ]
+}
+
+/// Noise with a memory of `memory` samples or none, standard deviation 1.
+struct Noise {
+    keep: f64,
+    last: f64,
+}
+
+impl Noise {
+    fn new(memory: f64) -> Self {
+        let keep = if memory > 0.0 {
+            (-1.0 / memory).exp()
+        } else {
+            0.0
+        };
+        Self { keep, last: 0.0 }
+    }
+
+    fn next(&mut self, random: &mut Random) -> f64 {
+        self.last = self.keep * self.last + (1.0 - self.keep * self.keep).sqrt() * random.normal();
+        self.last
+    }
+}
+
+/// How often, of 1000 sensors, the 95 % intervals of bias and scale factor hold the truth, %.
+fn coverage(memory: f64, sd: [f64; 2], samples: usize, t_97_5: f64) -> [f64; 2] {
+    let mut held = [0; 2];
+    let mut all = 0;
+    for seed in 0..334 {
+        let mut random = Random(seed);
+        let mut noises: [_; 6] = std::array::from_fn(|_| Noise::new(memory));
+        let truth: [_; 3] =
+            std::array::from_fn(|_| (random.within(0.8), 1.0 + random.within(0.04)));
+        let ratio = NoiseRatio::new(sd[1], sd[0]).expect("noise");
+        let mut transfer = ReferenceTransfer::new(ratio);
+        for k in 0..samples {
+            let force = motion(k);
+            let mut of = |axis: usize| noises[axis].next(&mut random);
+            let reference = [0, 1, 2].map(|axis| force[axis] + sd[0] * of(axis));
+            let output = [0, 1, 2]
+                .map(|axis| truth[axis].0 + truth[axis].1 * force[axis] + sd[1] * of(3 + axis));
+            transfer.push(reference, output);
+        }
+        let found = transfer.result().expect("an answer");
+        assert_eq!(found.dof, 24);
+        for (axis, (bias, scale)) in found.axes.iter().zip(truth) {
+            let line = axis.line.expect("it moved");
+            let within = |error: f64, variance: f64| error.abs() <= t_97_5 * variance.sqrt();
+            held[0] += usize::from(within(line.bias_mps2 - bias, line.covariance[0][0]));
+            held[1] += usize::from(within(line.scale - scale, line.covariance[1][1]));
+            all += 1;
+        }
+    }
+    held.map(|held| 100.0 * held as f64 / all as f64)
+}
+
+#[test]
+fn intervals_hold_the_truth_95_percent_of_the_time() {
+    // 3200 samples are 25 blocks of 128; Student's t of 24 degrees of freedom.
+    for (memory, sd) in [(0.0, [0.05, 0.05]), (0.0, [0.02, 0.2]), (5.0, [0.05, 0.1])] {
+        let [bias, scale] = coverage(memory, sd, 3200, 2.064);
+        println!("noise {sd:?}, memory {memory}: bias {bias:.1} %, scale factor {scale:.1} %");
+        for percent in [bias, scale] {
+            assert!((93.0..=97.0).contains(&percent), "{percent}");
+        }
+    }
+}
+
+#[test]
+fn noise_of_the_reference_does_not_shrink_the_scale_factor_as_least_squares_lets_it() {
+    let mut random = Random(5);
+    let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    let (mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0);
+    for k in 0..20_000 {
+        let force = motion(k)[0];
+        let a = force + 0.5 * random.normal();
+        let b = 1.04 * force + 0.5 * random.normal();
+        transfer.push([a, 0.0, 0.0], [b, 0.0, 0.0]);
+        (x, y, xx, xy) = (x + a, y + b, xx + a * a, xy + a * b);
+    }
+    let ordinary = (xy - x * y / 2e4) / (xx - x * x / 2e4);
+    let line = transfer.result().expect("an answer").axes[0]
+        .line
+        .expect("it moved");
+    assert!(ordinary < 0.98, "{ordinary}");
+    assert!((line.scale - 1.04).abs() < 0.01, "{line:?}");
+}
+
+proptest! {
+    #![proptest_config(common::config())]
+
+    /// Independent computation: the direction of least variance of the scaled cloud, found by
+    /// search over its angle, from two passes over stored data.
+    #[test]
+    fn the_slope_is_the_direction_of_most_variance(seed: u64, ratio in 0.2_f64..5.0, n in 40_usize..400) {
+        let mut random = Random(seed);
+        let truth = 1.0 + random.within(0.3);
+        let pairs: Vec<[f64; 2]> = (0..n)
+            .map(|k| {
+                let force = motion(7 * k)[0];
+                [force + 0.05 * random.normal(), 0.4 + truth * force + 0.05 * ratio * random.normal()]
+            })
+            .collect();
+        let mut transfer = ReferenceTransfer::new(NoiseRatio::new(ratio, 1.0).unwrap());
+        for [x, y] in &pairs {
+            transfer.push([*x, 0.0, 0.0], [*y, 0.0, 0.0]);
+        }
+        let mean = |i: usize| pairs.iter().map(|p| p[i]).sum::<f64>() / n as f64;
+        let means = [mean(0), mean(1)];
+        let spread = |angle: f64| -> f64 {
+            let (sin, cos) = angle.sin_cos();
+            pairs
+                .iter()
+                .map(|p| (cos * (p[1] - means[1]) / ratio - sin * (p[0] - means[0])).powi(2))
+                .sum()
+        };
+        let (mut low, mut high) = (0.0_f64, std::f64::consts::FRAC_PI_2);
+        for _ in 0..200 {
+            let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
+            if spread(a) < spread(b) { high = b } else { low = a }
+        }
+        let slope = ratio * low.tan();
+        let line = transfer.result().unwrap().axes[0].line.unwrap();
+        prop_assert!((line.scale - slope).abs() < 1e-6 * slope, "{} {}", line.scale, slope);
+        let bias = means[1] - slope * means[0];
+        prop_assert!((line.bias_mps2 - bias).abs() < 1e-5, "{} {}", line.bias_mps2, bias);
+    }
+
+    #[test]
+    fn a_stream_against_itself_is_exact(seed: u64, n in 8_usize..5000) {
+        let mut random = Random(seed);
+        let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+        for k in 0..n {
+            let force = motion(13 * k).map(|f| f + random.normal());
+            transfer.push(force, force);
+        }
+        let found = transfer.result().unwrap();
+        prop_assert_eq!(found.samples, n as u64);
+        for axis in found.axes {
+            let expected = Line { bias_mps2: 0.0, scale: 1.0, covariance: [[0.0; 2]; 2] };
+            prop_assert_eq!((axis.offset_mps2, axis.rms_mps2, axis.line), (0.0, 0.0, Some(expected)));
+        }
+    }
+}
+
+#[test]
+fn at_one_static_pose_the_offset_alone_is_known() {
+    let mut held = 0;
+    for seed in 0..500 {
+        let mut random = Random(seed);
+        let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+        for k in 0..3200 {
+            // Both drift by the same 30 mm/s² as they warm up.
+            let drift = 0.03 * f64::from(k) / 3200.0;
+            let noisy = |random: &mut Random, y: f64| y + drift + 0.05 * random.normal();
+            let reference = [0.1, 0.2, 9.8].map(|y| noisy(&mut random, y));
+            let output = [0.3, 0.2, 9.9].map(|y| noisy(&mut random, y));
+            transfer.push(reference, output);
+        }
+        let found = transfer.result().expect("an answer");
+        for (axis, offset) in found.axes.iter().zip([0.2, 0.0, 0.1]) {
+            assert_eq!(axis.line, None);
+            let error = (axis.offset_mps2 - offset).abs();
+            held += usize::from(error <= 2.064 * axis.offset_sd_mps2);
+        }
+        let model = found.model().expect("a model");
+        assert_eq!(
+            model.terms().matrix,
+            wimu_model::ErrorTerms::default().matrix
+        );
+    }
+    let percent = 100.0 * f64::from(held as u32) / 1500.0;
+    println!("offsets: {percent:.1} %");
+    assert!((93.0..=97.0).contains(&percent), "{percent}");
+}
+
+#[test]
+fn bad_input_is_refused_or_left_out() {
+    let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    assert_eq!(
+        transfer.result(),
+        Err(TransferRefusal::TooFewSamples { have: 0 })
+    );
+    transfer.push([f64::NAN; 3], [0.0; 3]);
+    transfer.push([0.0; 3], [f64::INFINITY; 3]);
+    for k in 0..1000 {
+        transfer.push(motion(k), motion(k).map(|f| 1.01 * f));
+    }
+    let found = transfer.result().expect("an answer");
+    assert_eq!((found.samples, found.not_finite), (1000, 2));
+
+    // Different motions, a mirrored axis, and a motion in one short part only.
+    let mut other = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    let mut mirrored = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    let mut short = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    for k in 0..3200 {
+        let [x, y, z] = motion(k);
+        other.push([x, y, z], motion(k + 137));
+        mirrored.push([x, y, z], [x, -y, z]);
+        let force = if k < 90 {
+            motion(50 * k).map(|f| 3.0 * f)
+        } else {
+            [0.0, 0.0, 9.8]
+        };
+        short.push(force, force);
+    }
+    for (transfer, axes) in [(&other, 0..1), (&mirrored, 1..2)] {
+        match transfer.result() {
+            Err(TransferRefusal::NotTheSameMotion { axis, .. }) => assert!(axes.contains(&axis)),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(
+        short.result(),
+        Err(TransferRefusal::OneMotionOnly { axis: 0 })
+    );
+    assert_eq!(NoiseRatio::new(0.0, 1.0), None);
+    assert_eq!(NoiseRatio::new(1.0, f64::NAN), None);
+}

@@ -1,0 +1,438 @@
+//! One stream against another of the same motion: the wireless link against the cable, or one
+//! accelerometer of a CSV file against another.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::Serialize;
+use wimu_calib::{
+    NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer, TransferRefusal, find_poses,
+};
+use wimu_link::LinkRole;
+use wimu_model::{ErrorTerms, ParameterSet, Sensitivity};
+
+use super::{CalibrationReport, MAX_POSES, likely_range_g, median_magnitude};
+use crate::csv::{CsvReader, Filter};
+use crate::dataset::{Dataset, LoadOptions, OutputUnit};
+use crate::error::{ErrorCode, HostError, Result};
+use crate::history::{Boot, Recording};
+
+/// Two streams of one motion, sample by sample.
+#[derive(Clone, Debug)]
+pub struct Paired {
+    /// What errors call it.
+    pub name: String,
+    /// What the reference is.
+    pub reference: String,
+    /// What is compared with it.
+    pub output: String,
+    /// Reference and output, m/s², sensor axes, in order.
+    pub pairs: Vec<[[f64; 3]; 2]>,
+    /// Sample rate, Hz.
+    pub rate_hz: f64,
+    /// Sensitivity that turned counts into m/s²; `None` for data in m/s².
+    pub sensitivity: Option<Sensitivity>,
+    /// Full-scale range, ± *g*, where it is known.
+    pub range_g: Option<u8>,
+}
+
+impl Paired {
+    /// Rows of a CSV file with several accelerometers: `reference` (the first of the file if
+    /// `None`) and `output` (the other one if `None` and there are two).
+    ///
+    /// `sensitivity`, LSB/g, is for both; where it is not given, the median magnitude of the
+    /// reference's counts is taken for 1 g.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::from_csv`]; `usage` when the file does not have the two.
+    pub fn from_csv(
+        path: &Path,
+        filter: Option<&Filter>,
+        reference: Option<u32>,
+        output: Option<u32>,
+        sensitivity: Option<Sensitivity>,
+    ) -> Result<Self> {
+        let sensors: Vec<u32> = {
+            let reader = CsvReader::open(path)?;
+            let all = &reader.header().accelerometers;
+            all.iter().copied().flatten().collect()
+        };
+        let name = path.display().to_string();
+        let usage = |message: String, remedy: String| {
+            HostError::new(ErrorCode::Usage, message, remedy).at(&name)
+        };
+        let list = || {
+            sensors
+                .iter()
+                .map(u32::to_string)
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
+        let [first, _, ..] = sensors[..] else {
+            return Err(usage(
+                "it has one accelerometer: there is nothing to compare it with".to_owned(),
+                "name the columns of two `Accelerometer 0 X (…)`, `Accelerometer 1 X (…)`"
+                    .to_owned(),
+            ));
+        };
+        let reference = reference.unwrap_or(first);
+        let others: Vec<u32> = sensors
+            .iter()
+            .copied()
+            .filter(|s| *s != reference)
+            .collect();
+        let output = match (output, &others[..]) {
+            (Some(output), _) => output,
+            (None, [other]) => *other,
+            (None, _) => {
+                return Err(usage(
+                    format!("it has {} accelerometers", sensors.len()),
+                    format!(
+                        "choose the one to calibrate with --accelerometer: {}",
+                        list()
+                    ),
+                ));
+            }
+        };
+        if output == reference {
+            return Err(usage(
+                format!("accelerometer {output} cannot be its own reference"),
+                format!(
+                    "choose two of {} with --accelerometer and --reference",
+                    list()
+                ),
+            ));
+        }
+        let load = |sensor| {
+            let options = LoadOptions {
+                filter: filter.cloned(),
+                accelerometer: Some(sensor),
+                ..LoadOptions::default()
+            };
+            Dataset::from_csv(path, &options)
+        };
+        let (x, y) = (load(reference)?, load(output)?);
+        let sensitivity = match (x.unit, sensitivity) {
+            (OutputUnit::Mps2, _) => None,
+            (OutputUnit::Counts { .. }, Some(given)) => Some(given),
+            (OutputUnit::Counts { .. }, None) => Some(
+                Sensitivity::from_lsb_per_g(median_magnitude(&x)).map_err(|error| {
+                    usage(
+                        format!("the reference's counts make no accelerometer: {error}"),
+                        "give --sensitivity".to_owned(),
+                    )
+                })?,
+            ),
+        };
+        let scale = sensitivity.map_or(1.0, Sensitivity::mps2_per_lsb);
+        let si = |value: [f64; 3]| value.map(|axis| axis * scale);
+        Ok(Self {
+            reference: format!("accelerometer {reference}"),
+            output: format!("accelerometer {output}"),
+            pairs: x
+                .outputs
+                .iter()
+                .zip(&y.outputs)
+                .map(|(x, y)| [si(x.value), si(y.value)])
+                .collect(),
+            rate_hz: x.rate_hz,
+            sensitivity,
+            range_g: None,
+            name,
+        })
+    }
+
+    /// The raw samples of a recording that came over both links, the cable's as reference.
+    ///
+    /// # Errors
+    /// Those of [`Recording::link`]; `no_rows` when no sample came over both.
+    pub fn from_recording(recording: &Recording) -> Result<Self> {
+        let cable = recording.link(Some(LinkRole::Cable))?;
+        let wireless = recording.link(Some(LinkRole::Wireless))?;
+        let count = |boot: &Boot| boot.hello.map(|hello| hello.boot_count);
+        let same_start = wireless.boots.iter().flat_map(|theirs| {
+            let ours = cable.boots.iter().find(|ours| {
+                !ours.raw.is_empty() && count(ours).is_some() && count(ours) == count(theirs)
+            });
+            ours.map(|ours| (ours, theirs))
+        });
+        let mut pairs = Vec::new();
+        let mut known: Option<(Sensitivity, u8, f64)> = None;
+        for (ours, theirs) in same_start {
+            let Some(mark) = ours.epochs.first() else {
+                continue;
+            };
+            let Ok(sensitivity) = Sensitivity::from_lsb_per_g(mark.epoch.sensitivity_lsb_per_g)
+            else {
+                continue;
+            };
+            let rate_hz = 1e9 / f64::from(mark.epoch.period_ns.max(1));
+            known.get_or_insert((sensitivity, mark.epoch.range_g, rate_hz));
+            let scale = sensitivity.mps2_per_lsb();
+            let si = |value: [i32; 3]| value.map(|axis| f64::from(axis) * scale);
+            for sample in &theirs.raw {
+                let found = ours
+                    .raw
+                    .binary_search_by_key(&sample.sequence, |sample| sample.sequence);
+                if let Ok(index) = found {
+                    pairs.push([si(ours.raw[index].value), si(sample.value)]);
+                }
+            }
+        }
+        let Some((sensitivity, range_g, rate_hz)) = known.filter(|_| !pairs.is_empty()) else {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "no raw sample came over both links",
+                "record both at once with `wimu record LINK --cable LINK`, raw samples on both",
+            )
+            .at(&recording.name));
+        };
+        Ok(Self {
+            name: recording.name.clone(),
+            reference: "cable".to_owned(),
+            output: "wireless".to_owned(),
+            pairs,
+            rate_hz,
+            sensitivity: Some(sensitivity),
+            range_g: Some(range_g),
+        })
+    }
+
+    /// Noise of one per noise of the other, from what both show while they are held still.
+    fn noise_ratio(&self) -> Option<NoiseRatio> {
+        let sd = |which: usize| -> Option<f64> {
+            let mut poses = vec![Pose::default(); MAX_POSES];
+            let samples = self.pairs.iter().map(|pair| (pair[which], None));
+            let found = find_poses(samples, self.rate_hz, &mut poses);
+            let mut sds: Vec<f64> = poses
+                .iter()
+                .take(found)
+                .map(|pose| pose.sd_mps2.iter().map(|sd| sd * sd).sum::<f64>().sqrt())
+                .collect();
+            sds.sort_by(f64::total_cmp);
+            sds.get(sds.len() / 2).copied()
+        };
+        NoiseRatio::new(sd(1)?, sd(0)?)
+    }
+}
+
+/// An axis in a [`ReferenceReport`].
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AxisReport {
+    /// Mean of output less reference, m/s².
+    pub offset_m_s2: f64,
+    /// Its standard deviation, 1 σ, m/s².
+    pub offset_sd_m_s2: f64,
+    /// Mean of the reference, m/s²: where the offset holds.
+    pub at_m_s2: f64,
+    /// Motion of the axis, m/s² rms.
+    pub motion_m_s2: f64,
+    /// What is left, mm/s² rms.
+    pub rms_mm_s2: f64,
+    /// Whether bias and scale factor could be told apart.
+    pub separated: bool,
+}
+
+/// What `wimu calibrate --method reference` says, and the file that `wimu params push` reads.
+#[derive(Clone, Debug, Serialize)]
+pub struct ReferenceReport {
+    /// [`CalibrationReport::SCHEMA`].
+    pub schema: &'static str,
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// The data.
+    pub source: String,
+    /// `reference`.
+    pub method: &'static str,
+    /// What was estimated of every axis.
+    pub terms: &'static [&'static str],
+    /// What the reference is.
+    pub reference: String,
+    /// What was compared with it.
+    pub output: String,
+    /// Pairs of samples.
+    pub samples: usize,
+    /// Degrees of freedom of the standard deviations.
+    pub dof: Option<usize>,
+    /// Whether the ratio of the noises was seen at rest, or equal noise was assumed.
+    pub noise_ratio_seen: bool,
+    /// X, Y, Z.
+    pub axes: Option<[AxisReport; 3]>,
+    /// Nominal sensitivity, LSB/g; `None` for data in m/s².
+    pub sensitivity_lsb_per_g: Option<f64>,
+    /// The error model that makes the reference of the output.
+    pub model: Option<ErrorTerms>,
+    /// Standard deviations, 1 σ, in the model's shape; 0 for what was not estimated.
+    pub sd: Option<ErrorTerms>,
+    /// Covariance of the bias, then A row by row.
+    pub covariance: Option<[[f64; Parameter::COUNT]; Parameter::COUNT]>,
+    /// What a board takes; `None` without a sensitivity.
+    pub parameters: Option<ParameterSet>,
+    /// Id of that set.
+    pub parameter_id: Option<String>,
+}
+
+impl ReferenceReport {
+    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    pub fn exit_code(&self) -> u8 {
+        if self.model.is_some() { 0 } else { 3 }
+    }
+}
+
+/// Bias and scale factor of one stream against the other.
+///
+/// Data that do not support an answer give a report that says so.
+pub fn compare_with_reference(data: &Paired) -> ReferenceReport {
+    let ratio = data.noise_ratio();
+    let mut transfer = ReferenceTransfer::new(ratio.unwrap_or_default());
+    for [reference, output] in &data.pairs {
+        transfer.push(*reference, *output);
+    }
+    let mut report = ReferenceReport {
+        schema: CalibrationReport::SCHEMA,
+        status: "refused",
+        reason: None,
+        source: data.name.clone(),
+        method: "reference",
+        terms: &[],
+        reference: data.reference.clone(),
+        output: data.output.clone(),
+        samples: data.pairs.len(),
+        dof: None,
+        noise_ratio_seen: ratio.is_some(),
+        axes: None,
+        sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
+        model: None,
+        sd: None,
+        covariance: None,
+        parameters: None,
+        parameter_id: None,
+    };
+    let found = match transfer.result() {
+        Ok(found) => found,
+        Err(refusal) => return refused(report, &refusal),
+    };
+    report.dof = Some(found.dof);
+    report.axes = Some(found.axes.map(|axis| AxisReport {
+        offset_m_s2: axis.offset_mps2,
+        offset_sd_m_s2: axis.offset_sd_mps2,
+        at_m_s2: axis.at_mps2,
+        motion_m_s2: axis.motion_mps2,
+        rms_mm_s2: axis.rms_mps2 * 1e3,
+        separated: axis.line.is_some(),
+    }));
+    let model = match found.model() {
+        Ok(model) => model,
+        Err(error) => {
+            report.reason = Some(format!(
+                "the result is no accelerometer's: {error}; check the units of both streams"
+            ));
+            return report;
+        }
+    };
+    let covariance = covariance(&found);
+    let sd = |index: usize| covariance[index][index].sqrt();
+    report.status = "ok";
+    report.terms = if found.axes.iter().all(|axis| axis.line.is_some()) {
+        &["bias", "scale"]
+    } else if found.axes.iter().any(|axis| axis.line.is_some()) {
+        &["bias", "scale where it moved"]
+    } else {
+        &["offset"]
+    };
+    report.model = Some(*model.terms());
+    report.sd = Some(ErrorTerms {
+        bias_mps2: [sd(0), sd(1), sd(2)],
+        matrix: std::array::from_fn(|row| std::array::from_fn(|col| sd(3 + 3 * row + col))),
+        ..super::no_terms()
+    });
+    report.covariance = Some(covariance);
+    report.parameters = data.sensitivity.map(|sensitivity| ParameterSet {
+        model,
+        ..ParameterSet::uncalibrated(
+            data.range_g.unwrap_or_else(|| likely_range_g(sensitivity)),
+            sensitivity,
+        )
+    });
+    report.parameter_id = report
+        .parameters
+        .as_ref()
+        .map(|set| wimu_link::message::parameter_id(set).to_string());
+    report
+}
+
+fn refused(mut report: ReferenceReport, refusal: &TransferRefusal) -> ReferenceReport {
+    report.reason = Some(refusal.to_string());
+    report
+}
+
+/// In the order of [`Parameter::ALL`].
+fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
+    let mut covariance = [[0.0; Parameter::COUNT]; Parameter::COUNT];
+    for (axis, transfer) in found.axes.iter().enumerate() {
+        let (bias, scale) = (axis, 3 + 4 * axis);
+        match transfer.line {
+            Some(line) => {
+                for (i, row) in [bias, scale].into_iter().zip(line.covariance) {
+                    for (j, value) in [bias, scale].into_iter().zip(row) {
+                        covariance[i][j] = value;
+                    }
+                }
+            }
+            None => covariance[bias][bias] = transfer.offset_sd_mps2.powi(2),
+        }
+    }
+    covariance
+}
+
+impl fmt::Display for ReferenceReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "{}: {} against {}, {} samples on both, {}",
+            self.source,
+            self.output,
+            self.reference,
+            self.samples,
+            if self.noise_ratio_seen {
+                "noise as seen at rest"
+            } else {
+                "both taken as equally noisy"
+            }
+        )?;
+        let (Some(axes), Some(model), Some(sd)) = (&self.axes, &self.model, &self.sd) else {
+            return write!(
+                out,
+                "refused: {}",
+                self.reason.as_deref().unwrap_or("no reason")
+            );
+        };
+        for (axis, (name, report)) in ["X", "Y", "Z"].into_iter().zip(axes).enumerate() {
+            if report.separated {
+                writeln!(
+                    out,
+                    "{name}: bias {:+.5} ± {:.5} m/s², scale factor {:.6} ± {:.6}; {:.2} mm/s² rms left",
+                    model.bias_mps2[axis],
+                    sd.bias_mps2[axis],
+                    model.matrix[axis][axis],
+                    sd.matrix[axis][axis],
+                    report.rms_mm_s2
+                )?;
+            } else {
+                writeln!(
+                    out,
+                    "{name}: offset {:+.5} ± {:.5} m/s² at {:+.2} m/s²; it moved {:.2} m/s² rms only: \
+                     bias and scale factor cannot be told apart",
+                    report.offset_m_s2, report.offset_sd_m_s2, report.at_m_s2, report.motion_m_s2
+                )?;
+            }
+        }
+        write!(
+            out,
+            "± is 1 σ of {} degrees of freedom",
+            self.dof.unwrap_or(0)
+        )
+    }
+}

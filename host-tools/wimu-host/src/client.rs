@@ -1,5 +1,6 @@
 //! A live board: who it is, what it sends, requests and their answers.
 
+use std::cmp::Ordering;
 use std::collections::VecDeque;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
@@ -150,15 +151,7 @@ impl<T: Transport> Client<T> {
                 return if hello.wire_version == WIRE_VERSION {
                     Ok(())
                 } else {
-                    Err(HostError::new(
-                        ErrorCode::ProtocolVersion,
-                        format!(
-                            "the board speaks version {} of the protocol, this wimu version {WIRE_VERSION}",
-                            hello.wire_version
-                        ),
-                        "update the older of firmware and wimu",
-                    )
-                    .at(&self.name))
+                    Err(self.foreign(hello.wire_version))
                 };
             }
         }
@@ -177,7 +170,26 @@ impl<T: Transport> Client<T> {
         .at(&self.name)
     }
 
+    /// A board of another wire version.
+    fn foreign(&self, version: u8) -> HostError {
+        let older = match version.cmp(&WIRE_VERSION) {
+            Ordering::Less => "the board's firmware",
+            _ => "wimu on this computer",
+        };
+        HostError::new(
+            ErrorCode::ProtocolVersion,
+            format!(
+                "the board speaks version {version} of the protocol, this wimu version {WIRE_VERSION}"
+            ),
+            format!("update {older}, which is the older one"),
+        )
+        .at(&self.name)
+    }
+
     fn no_greeting(&self) -> HostError {
+        if let Some(version) = self.decoder.foreign_version() {
+            return self.foreign(version);
+        }
         let statistics = self.decoder.statistics();
         let (message, remedy) = if statistics.bytes == 0 {
             (

@@ -195,6 +195,7 @@ pub struct Decoder {
     identity: Option<(u64, u32)>,
     last_epoch_time: Option<DeviceTimeUs>,
     damage_since_epoch: bool,
+    foreign_version: Option<u8>,
 }
 
 impl Default for Decoder {
@@ -215,6 +216,7 @@ impl Decoder {
             identity: None,
             last_epoch_time: None,
             damage_since_epoch: false,
+            foreign_version: None,
         }
     }
 
@@ -236,6 +238,9 @@ impl Decoder {
                     }
                 }
                 Some(Err(error)) => {
+                    if let FrameError::UnknownVersion { version, .. } = error {
+                        self.foreign_version = Some(version);
+                    }
                     if !error.is_damage() {
                         self.statistics.frames_unreadable += 1;
                     } else if self.statistics.frames > 0 {
@@ -272,6 +277,11 @@ impl Decoder {
             batches_unplaced: self.statistics.batches_unplaced + self.unplaced.len() as u64,
             ..self.statistics
         }
+    }
+
+    /// The wire version of the latest undamaged frame that is of another version than ours.
+    pub fn foreign_version(&self) -> Option<u8> {
+        self.foreign_version
     }
 
     fn restart(&mut self) {

@@ -7,7 +7,7 @@ use wimu_link::batch::Stream;
 use wimu_link::message::{
     ActiveParameters, Answer, Environment, Epoch, Event as DeviceEvent, Navigation, Payload, Status,
 };
-use wimu_link::{Hello, LinkRole, Settings};
+use wimu_link::{Hello, LinkRole, Settings, WIRE_VERSION};
 use wimu_model::{DeviceTimeUs, ParameterSet, Sensitivity};
 
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics, TimedSample};
@@ -241,7 +241,7 @@ impl Recording {
     /// Reads and decodes a whole recording. One that was cut off gives what it has.
     ///
     /// # Errors
-    /// Those of [`RecordingReader`].
+    /// Those of [`Recording::read`].
     pub fn load(path: &Path) -> Result<Self> {
         Self::read(RecordingReader::open(path)?, &path.display().to_string())
     }
@@ -249,7 +249,8 @@ impl Recording {
     /// The same from an open reader; `name` is what errors call it.
     ///
     /// # Errors
-    /// Those of [`RecordingReader`].
+    /// Those of [`RecordingReader`]; `bad_recording` when all that boards say in it is of another
+    /// wire version.
     pub fn read<R: std::io::Read>(mut reader: RecordingReader<R>, name: &str) -> Result<Self> {
         let anchor = reader.anchor()?;
         let mut links: BTreeMap<u8, (LinkHistory, Decoder)> = BTreeMap::new();
@@ -263,6 +264,23 @@ impl Recording {
             });
             let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
             span = Some((first.min(received.host_ns), last.max(received.host_ns)));
+        }
+        let foreign = |(record, decoder): &(LinkHistory, Decoder)| {
+            let readable = record.boots.iter().any(|boot| !boot.epochs.is_empty());
+            decoder.foreign_version().filter(|_| !readable)
+        };
+        if !links.is_empty()
+            && let Some(versions) = links.values().map(foreign).collect::<Option<Vec<u8>>>()
+        {
+            return Err(HostError::new(
+                ErrorCode::BadRecording,
+                format!(
+                    "the board spoke version {} of the protocol, this wimu reads version {WIRE_VERSION}",
+                    versions[0]
+                ),
+                "read it with the wimu that recorded it",
+            )
+            .at(name));
         }
         let links = links
             .into_values()
@@ -429,6 +447,25 @@ mod tests {
         assert!(recording.wholeness.truncated);
         let raw = recording.link(None).unwrap().boots[0].raw.len();
         assert!(raw > 0 && raw < 500, "{raw}");
+    }
+
+    #[test]
+    fn a_recording_of_another_version_is_named_unless_some_of_it_can_be_read() {
+        // Telemetry of version 3, empty.
+        let foreign = [6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0];
+        let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+        writer.append(LinkRole::Cable, 0, &foreign).unwrap();
+        let bytes = writer.finish().unwrap().into_inner();
+        let reader = RecordingReader::new(&bytes[..], "a.mcap").unwrap();
+        let error = Recording::read(reader, "a.mcap").unwrap_err();
+        assert_eq!(error.code(), ErrorCode::BadRecording);
+        assert!(error.message().contains("version 3"), "{error}");
+
+        let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+        writer.append(LinkRole::Cable, 0, &foreign).unwrap();
+        writer.append(LinkRole::Cable, 1, &second(0)).unwrap();
+        let recording = read(&writer.finish().unwrap().into_inner());
+        assert_eq!(recording.link(None).unwrap().boots[0].raw.len(), 100);
     }
 
     #[test]

@@ -476,7 +476,36 @@ fn hear(stream: &mut UnixStream, patience: Duration) -> io::Result<Option<Vec<u8
     }
 }
 
-/// A board in QEMU in real time behind two TCP ports, for any host that speaks the wire: its time
+/// Where a link of a [`FreeRunning`] board listens.
+#[derive(Clone, Debug)]
+pub enum Listen {
+    /// A TCP port. It takes megabytes that nobody reads: there a link never looks slow.
+    Tcp(SocketAddr),
+    /// A Unix socket. It takes a few hundred bytes that nobody reads, as a serial port does: the
+    /// board then waits.
+    Unix(PathBuf),
+}
+
+impl From<SocketAddr> for Listen {
+    fn from(address: SocketAddr) -> Self {
+        Self::Tcp(address)
+    }
+}
+
+impl Listen {
+    /// As QEMU's option says it.
+    fn device(&self) -> String {
+        let place = match self {
+            Self::Tcp(address) => {
+                format!("host={},port={},nodelay=on", address.ip(), address.port())
+            }
+            Self::Unix(path) => format!("path={}", escaped(path)),
+        };
+        format!("{place},server=on,wait=off")
+    }
+}
+
+/// A board in QEMU in real time behind two sockets, for any host that speaks the wire: its time
 /// is that of the machine's timers, its sensor's that of this computer.
 pub struct FreeRunning {
     bridge: Bridge,
@@ -496,16 +525,16 @@ impl FreeRunning {
     pub fn start(
         machine: &Machine,
         source: impl Source + 'static,
-        cable: SocketAddr,
-        wireless: SocketAddr,
+        cable: impl Into<Listen>,
+        wireless: impl Into<Listen>,
     ) -> Result<Self> {
         let folder = Folder::new()?;
         let listener = folder.listen("bus")?;
-        let device = |address: SocketAddr| {
-            let (host, port) = (address.ip(), address.port());
-            format!("host={host},port={port},server=on,wait=off,nodelay=on")
-        };
-        let devices = [device(cable), device(wireless), listener.device()];
+        let devices = [
+            cable.into().device(),
+            wireless.into().device(),
+            listener.device(),
+        ];
         let mut process = machine.start("free-running", devices.each_ref().map(String::as_str))?;
         Ok(Self {
             bridge: Bridge::new(&VirtualClock::new(), source),

@@ -117,6 +117,18 @@ fn what_is_no_wimu_board_is_called_so() {
 }
 
 #[test]
+fn a_board_of_another_wire_version_is_called_so() {
+    // Telemetry of version 3, empty.
+    let link = stranger(Some(&[6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0]));
+    for command in [&["info", &link][..], &["params", "get", &link]] {
+        let failure = wimu(command).fails(1, "protocol_version");
+        let message = failure["message"].as_str().unwrap();
+        assert!(message.contains("version 3"), "{message}");
+        assert_eq!(failure["where"], link);
+    }
+}
+
+#[test]
 fn a_link_or_an_address_in_use_says_so() {
     let board = Simulator::start(&[]);
     let address = board.cable.strip_prefix("tcp://").unwrap();

@@ -372,6 +372,19 @@ fn a_board_of_another_version_is_named() {
 }
 
 #[test]
+fn a_board_of_another_version_is_named_even_if_it_does_not_hear() {
+    let line = Line::new(LinkRole::Cable);
+    line.board().silent = true;
+    // Telemetry of version 3, empty, and its CRC-32C.
+    line.board()
+        .outgoing
+        .extend([6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0]);
+    let error = line.connect().err().unwrap();
+    assert_eq!(error.code(), ErrorCode::ProtocolVersion, "{error}");
+    assert!(error.message().contains("version 3"), "{error}");
+}
+
+#[test]
 fn waiting_for_an_event_ends_in_time() {
     let line = Line::new(LinkRole::Cable);
     let mut client = line.connect().unwrap();

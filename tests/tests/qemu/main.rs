@@ -6,23 +6,18 @@
 //! Most run in lockstep: what they hold does not depend on how fast this computer is.
 #![cfg(unix)]
 
-use std::cell::RefCell;
-use std::fs;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
-use std::time::Duration;
+mod links;
+mod storage;
 
-use wimu_host::client::{Client, ConnectOptions};
-use wimu_host::decode::Event;
-use wimu_host::transport::{self, Transport};
-use wimu_host::{ErrorCode, LinkUrl, replay};
-use wimu_link::LinkRole;
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use wimu_host::{ErrorCode, replay};
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
 use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
 use wimu_sim::motion;
-use wimu_sim::qemu::{FreeRunning, Machine, QemuBoard};
+use wimu_sim::qemu::{Machine, QemuBoard};
 use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
 use wimu_sim::scene::{Scene, Temperature, World};
 use wimu_sim::source::Physics;
@@ -193,75 +188,6 @@ fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings(
     }
 }
 
-/// A host on a board that has started in `folder`.
-fn started(folder: &Path) -> (RefCell<QemuBoard>, Scene) {
-    let (source, scene) = sensor("rest", World::default(), 5);
-    let board = QemuBoard::start(machine(folder), source);
-    (
-        RefCell::new(board.unwrap_or_else(|error| panic!("{error}"))),
-        scene,
-    )
-}
-
-#[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
-fn a_corrupted_memory_is_reported_and_can_be_written_again() {
-    let folder = folder();
-    // 16 MiB, of which the first pages are used: noise, the same in every run.
-    let mut state = 1_u32;
-    let noise = (0..64 * 1024).map(|_| {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 24) as u8
-    });
-    let mut bytes: Vec<u8> = noise.collect();
-    bytes.resize(16 << 20, 0);
-    fs::write(memory(folder.path()), bytes).expect("written");
-
-    let (board, scene) = started(folder.path());
-    let mut host = Host::connect(&board, scene).expect("a board");
-    host.run_until(1.0).expect("the board goes on");
-    let recording = host.recording().expect("a recording");
-    let cable = recording.link(Some(LinkRole::Cable)).expect("the cable");
-    let events = &cable.boots[0].events;
-    let unreadable = |(_, event): &(_, DeviceEvent)| *event == DeviceEvent::StoreUnreadable;
-    assert!(events.iter().any(unreadable), "{events:?}");
-    let pushed = host.cable.push_parameters(&parameters(5)).expect("pushed");
-    host.restart().expect("it starts again");
-    assert_eq!(host.cable.parameters().expect("answered").id, pushed.0);
-}
-
-#[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
-fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
-    let folder = folder();
-    let (board, scene) = started(folder.path());
-    let mut host = Host::connect(&board, scene.clone()).expect("a board");
-    let sets = [5, 6].map(parameters);
-    let ids = sets.map(|set| host.cable.push_parameters(&set).expect("pushed").0);
-    let mut holds = ids[1];
-    let mut outcomes = [0; 3];
-    for words in (0..).step_by(3) {
-        board.borrow_mut().machine().power_loss_after = Some(words);
-        let new = usize::from(holds == ids[0]);
-        let pushed = host
-            .restart()
-            .and_then(|()| host.cable.push_parameters(&sets[new]));
-        board.borrow_mut().machine().power_loss_after = None;
-        host.restart().expect("it starts again");
-        let found = host.cable.parameters().expect("answered").id;
-        if pushed.is_ok() {
-            assert_eq!(found, ids[new]);
-            outcomes[2] += 1;
-            break;
-        }
-        assert!(ids.contains(&found), "{found:08x} after {words} words");
-        outcomes[usize::from(found != holds)] += 1;
-        holds = found;
-    }
-    println!("lost before the new set stood, after, never: {outcomes:?}");
-    assert!(outcomes[0] > 20 && outcomes[2] == 1, "{outcomes:?}");
-}
-
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn firmware_that_is_missing_or_does_not_start_is_named() {
@@ -285,123 +211,4 @@ fn firmware_that_is_missing_or_does_not_start_is_named() {
         .err()
         .expect("no memory");
     assert!(error.to_string().contains("no/such/folder"), "{error}");
-}
-
-/// Ports that are free now.
-fn free_ports() -> [SocketAddr; 2] {
-    let listeners = [(); 2].map(|()| TcpListener::bind((Ipv4Addr::LOCALHOST, 0)));
-    listeners.map(|listener| {
-        let address = listener.and_then(|listener| listener.local_addr());
-        address.expect("a free port")
-    })
-}
-
-type Link = Client<Box<dyn Transport + Send>>;
-
-fn connect(address: SocketAddr) -> Link {
-    let url: LinkUrl = format!("tcp://{address}").parse().expect("a link");
-    let options = ConnectOptions {
-        patience: Duration::from_secs(20),
-        ..ConnectOptions::default()
-    };
-    let transport = transport::open(&url).expect("it listens");
-    Client::connect(transport, &url.to_string(), options).expect("a board")
-}
-
-/// Listens until `wanted` has seen what it waits for; as long as that takes, within reason.
-fn until(link: &mut Link, mut wanted: impl FnMut(&Event) -> bool) {
-    // Something comes at least once a second.
-    for _ in 0..5_000 {
-        let arrival = link.next_event(Duration::from_secs(20)).expect("a link");
-        if wanted(&arrival.expect("the board is silent").event) {
-            return;
-        }
-    }
-    panic!("it never came");
-}
-
-/// Listens until `count` more samples have come.
-fn hear_samples(link: &mut Link, count: usize) {
-    let mut heard = 0;
-    until(link, |event| {
-        if let Event::Samples(samples) = event {
-            heard += samples.values.len();
-        }
-        heard >= count
-    });
-}
-
-#[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
-fn a_board_whose_sensor_bridge_is_silent_says_so_and_goes_on_when_it_speaks() {
-    let folder = folder();
-    let [cable, wireless] = free_ports();
-    let (source, _scene) = sensor("rest", World::default(), 1);
-    let board = FreeRunning::start(&machine(folder.path()), source, cable, wireless);
-    let mut board = board.unwrap_or_else(|error| panic!("{error}"));
-    let (speaks, done) = (AtomicBool::new(false), AtomicBool::new(false));
-    thread::scope(|scope| {
-        let host = scope.spawn(|| {
-            let mut cable = connect(cable);
-            until(&mut cable, |event| {
-                matches!(
-                    event,
-                    Event::Device {
-                        event: DeviceEvent::SensorLost(_),
-                        ..
-                    }
-                )
-            });
-            speaks.store(true, Ordering::Relaxed);
-            until(&mut cable, |event| {
-                matches!(
-                    event,
-                    Event::Device {
-                        event: DeviceEvent::SensorFound,
-                        ..
-                    }
-                )
-            });
-            hear_samples(&mut cable, 100);
-        });
-        while !speaks.load(Ordering::Relaxed) && !host.is_finished() {
-            thread::sleep(Duration::from_millis(10));
-        }
-        let ran = board.run(|| done.load(Ordering::Relaxed) || host.is_finished());
-        ran.unwrap_or_else(|error| panic!("{error}"));
-    });
-}
-
-#[test]
-#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
-fn a_client_that_floods_or_leaves_stops_no_sampling() {
-    let folder = folder();
-    let [cable, wireless] = free_ports();
-    let (source, _scene) = sensor("rest", World::default(), 1);
-    let board = FreeRunning::start(&machine(folder.path()), source, cable, wireless);
-    let mut board = board.unwrap_or_else(|error| panic!("{error}"));
-    thread::scope(|scope| {
-        let host = scope.spawn(|| {
-            let mut cable = connect(cable);
-            let mut flooding = connect(wireless);
-            let boots = flooding.hello().boot_count;
-            // Frames' ends among them, so that there is something to be damaged.
-            let noise: Vec<u8> = (0..100_000_u32)
-                .map(|n| (n.wrapping_mul(n) >> 7) as u8)
-                .collect();
-            flooding.transport().write_all(&noise).expect("sent");
-            hear_samples(&mut cable, 300);
-            drop(flooding);
-            hear_samples(&mut cable, 100);
-            let mut again = connect(wireless);
-            assert_eq!(again.hello().boot_count, boots, "it has not started anew");
-            hear_samples(&mut again, 100);
-            let status = again.status().expect("answered");
-            let damaged = status.wireless.map(|link| link.frames_damaged);
-            assert!(damaged > Some(0), "{status:?}");
-            assert_eq!(status.cable.map(|link| link.frames_damaged), Some(0));
-        });
-        let ran = board.run(|| host.is_finished());
-        ran.unwrap_or_else(|error| panic!("{error}"));
-    });
 }

@@ -11,17 +11,18 @@ use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
-use wimu_host::Result;
 use wimu_host::transport::Transport;
+use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::{Shared, Timer};
 
 use crate::clock::{Until, VirtualClock};
+use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
 use crate::lsm303agr::{DataReadyPin, Lsm303agr};
-use crate::pipe::{HostEnd, LinkConfig, link};
+use crate::pipe::{Channels, HostEnd, LinkConfig, faulty_link};
 use crate::source::Source;
 use crate::storage::Storage;
 
@@ -32,6 +33,14 @@ pub struct BoardConfig {
     pub cable: LinkConfig,
     /// The wireless link.
     pub wireless: LinkConfig,
+    /// What goes wrong on the cable. A rate of the line in it counts, and that in `cable` does not.
+    pub cable_faults: LinkFaults,
+    /// What goes wrong on the wireless link, likewise.
+    pub wireless_faults: LinkFaults,
+    /// What the faults are drawn from: the same seed, the same faults.
+    pub fault_seed: u64,
+    /// How much faster its clock runs than the host's, 10⁻⁹, −10⁸..=10⁸.
+    pub clock_error_ppb: i32,
     /// Its memory.
     pub storage: Storage,
     /// Its sensor is a recording of another one, whose sensitivity it does not know.
@@ -50,6 +59,10 @@ impl Default for BoardConfig {
         Self {
             cable: uart,
             wireless: uart,
+            cable_faults: LinkFaults::default(),
+            wireless_faults: LinkFaults::default(),
+            fault_seed: 1,
+            clock_error_ppb: 0,
             storage: Storage::in_memory(),
             replay: false,
             device_id: 0x5157_0001,
@@ -69,6 +82,8 @@ pub struct Board {
     bus_faults: Faults,
     cable: HostEnd,
     wireless: HostEnd,
+    /// Their faults, the cable's first.
+    channels: [Option<Channels>; 2],
     node: Pin<Box<dyn Future<Output = ()>>>,
     woken: Arc<Woken>,
 }
@@ -78,7 +93,12 @@ impl Board {
     pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
         let sensor = Lsm303agr::new(&clock, source);
-        let (node, bus_faults, cable, wireless) = boot(&clock, &config, &sensor);
+        let channels = [
+            (&config.cable_faults, config.fault_seed),
+            (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
+        ]
+        .map(|(faults, seed)| (!faults.is_none()).then(|| Channels::new(faults, seed)));
+        let (node, bus_faults, cable, wireless) = boot(&clock, &config, &sensor, &channels);
         Self {
             clock,
             started_us: 0,
@@ -87,6 +107,7 @@ impl Board {
             bus_faults,
             cable,
             wireless,
+            channels,
             node,
             woken: Arc::new(Woken(AtomicBool::new(true))),
         }
@@ -97,8 +118,11 @@ impl Board {
     pub fn restart(&mut self) {
         self.sensor.power_cycle();
         self.started_us = self.clock.now();
+        for channels in self.channels.iter().flatten() {
+            channels.clear();
+        }
         (self.node, self.bus_faults, self.cable, self.wireless) =
-            boot(&self.clock, &self.config, &self.sensor);
+            boot(&self.clock, &self.config, &self.sensor, &self.channels);
         self.woken = Arc::new(Woken(AtomicBool::new(true)));
     }
 
@@ -148,6 +172,15 @@ impl Board {
         }
     }
 
+    /// The faults of a link and what they did so far; `None` for a link that has none.
+    pub fn faults(&self, role: LinkRole) -> Option<&Channels> {
+        let [cable, wireless] = &self.channels;
+        match role {
+            LinkRole::Cable => cable.as_ref(),
+            _ => wireless.as_ref(),
+        }
+    }
+
     fn poll(&mut self) {
         let waker = Waker::from(self.woken.clone());
         let mut context = Context::from_waker(&waker);
@@ -160,14 +193,30 @@ impl Board {
 
 type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
 
-fn boot(clock: &VirtualClock, config: &BoardConfig, sensor: &Lsm303agr) -> Boot {
+fn boot(
+    clock: &VirtualClock,
+    config: &BoardConfig,
+    sensor: &Lsm303agr,
+    channels: &[Option<Channels>; 2],
+) -> Boot {
     let i2c = SimI2c::new(clock, [Rc::new(sensor.clone()) as Rc<dyn Target>]);
     let faults = i2c.faults();
-    let (cable_reader, cable_writer, cable) = link(clock, config.cable);
-    let (wireless_reader, wireless_writer, wireless) = link(clock, config.wireless);
+    let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
+        let config = LinkConfig {
+            baud: faults.baud.or(config.baud),
+            ..config
+        };
+        faulty_link(clock, config, channels.clone())
+    };
+    let [cable_channels, wireless_channels] = channels;
+    let (cable_reader, cable_writer, cable) =
+        link(config.cable, &config.cable_faults, cable_channels);
+    let (wireless_reader, wireless_writer, wireless) =
+        link(config.wireless, &config.wireless_faults, wireless_channels);
     let timer = BoardTimer {
         clock: clock.clone(),
         started_us: clock.now(),
+        rate_ppb: u128::from((1_000_000_000 + i64::from(config.clock_error_ppb)) as u64),
     };
     let hello = Hello {
         device_id: config.device_id,
@@ -227,15 +276,23 @@ impl Wake for Woken {
 pub struct BoardTimer {
     clock: VirtualClock,
     started_us: u64,
+    /// 10⁻⁹ µs of the device to one of the simulation.
+    rate_ppb: u128,
 }
+
+const ONE_PPB: u128 = 1_000_000_000;
 
 impl Timer for BoardTimer {
     fn now(&self) -> DeviceTimeUs {
-        DeviceTimeUs(self.clock.now() - self.started_us)
+        let passed = u128::from(self.clock.now() - self.started_us);
+        DeviceTimeUs((passed * self.rate_ppb / ONE_PPB) as u64)
     }
 
     async fn until(&self, moment: DeviceTimeUs) {
-        let until: Until = self.clock.until(moment.0.saturating_add(self.started_us));
+        // The first µs at which `now` is there.
+        let passed = (u128::from(moment.0) * ONE_PPB).div_ceil(self.rate_ppb);
+        let passed = u64::try_from(passed).unwrap_or(u64::MAX);
+        let until: Until = self.clock.until(passed.saturating_add(self.started_us));
         until.await;
     }
 }
@@ -269,6 +326,11 @@ pub trait VirtualBoard {
     /// # Errors
     /// When the board has failed.
     fn send(&mut self, role: LinkRole, bytes: &[u8]) -> Result<()>;
+
+    /// How often the connection of a link has been lost so far; `None` while there is none.
+    fn connection(&mut self, _role: LinkRole) -> Option<u64> {
+        Some(0)
+    }
 }
 
 impl VirtualBoard for Board {
@@ -298,6 +360,10 @@ impl VirtualBoard for Board {
         self.link(role).push(bytes);
         Ok(())
     }
+
+    fn connection(&mut self, role: LinkRole) -> Option<u64> {
+        self.link(role).connection()
+    }
 }
 
 /// One link of a board in virtual time, as the host's [`Transport`]: waiting for the board lets
@@ -305,18 +371,35 @@ impl VirtualBoard for Board {
 pub struct SimLink<'a, R = Board> {
     board: &'a RefCell<R>,
     role: LinkRole,
+    /// The connection that it is.
+    connection: Option<u64>,
     /// Arrived, not yet read.
     arrived: VecDeque<u8>,
 }
 
 impl<'a, R: VirtualBoard> SimLink<'a, R> {
-    /// The host's end of the link `role` of `board`.
+    /// The host's end of the link `role` of `board`. When the connection is lost it fails, and a new
+    /// one is to be made.
     pub fn new(board: &'a RefCell<R>, role: LinkRole) -> Self {
         Self {
             board,
             role,
+            connection: board.borrow_mut().connection(role),
             arrived: VecDeque::new(),
         }
+    }
+
+    fn connected(&self, board: &mut R) -> Result<()> {
+        let connection = board.connection(self.role);
+        if connection.is_some() && connection == self.connection {
+            return Ok(());
+        }
+        Err(HostError::new(
+            ErrorCode::LinkLost,
+            "the simulated link is disconnected",
+            "connect again",
+        )
+        .at(format!("the simulated {} link", self.role)))
     }
 }
 
@@ -325,7 +408,11 @@ impl<R: VirtualBoard> Transport for SimLink<'_, R> {
         let mut board = self.board.borrow_mut();
         let deadline = board.now_us() + timeout.as_micros() as u64;
         loop {
-            self.arrived.extend(board.receive(self.role));
+            if self.connected(&mut board).is_ok() {
+                self.arrived.extend(board.receive(self.role));
+            } else if self.arrived.is_empty() {
+                self.connected(&mut board)?;
+            }
             if !self.arrived.is_empty() || board.now_us() >= deadline {
                 break;
             }
@@ -340,7 +427,9 @@ impl<R: VirtualBoard> Transport for SimLink<'_, R> {
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
-        self.board.borrow_mut().send(self.role, bytes)
+        let mut board = self.board.borrow_mut();
+        self.connected(&mut board)?;
+        board.send(self.role, bytes)
     }
 
     fn now(&self) -> Duration {

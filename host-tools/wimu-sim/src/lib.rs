@@ -5,6 +5,7 @@ pub mod attitude;
 pub mod board;
 pub mod bridge;
 pub mod clock;
+pub mod faults;
 pub mod i2c;
 pub mod lsm303agr;
 pub mod motion;

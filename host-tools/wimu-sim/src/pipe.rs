@@ -1,5 +1,5 @@
 //! A serial link between the simulated device and its host, with bounded buffers and, if asked
-//! for, a baud rate.
+//! for, a baud rate and faults.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -11,6 +11,7 @@ use std::task::{Poll, Waker};
 use embedded_io_async::{ErrorType, Read, Write};
 
 use crate::clock::VirtualClock;
+use crate::faults::{Channel, LinkFaults};
 
 /// What a link is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,19 +46,36 @@ impl Default for LinkConfig {
 /// # Panics
 /// When a buffer holds no byte, or the baud rate is 0.
 pub fn link(clock: &VirtualClock, config: LinkConfig) -> (DeviceReader, DeviceWriter, HostEnd) {
+    faulty_link(clock, config, None)
+}
+
+/// Makes a link as [`link`] does, behind whose line the bytes go through `channels`.
+///
+/// # Panics
+/// As [`link`].
+pub fn faulty_link(
+    clock: &VirtualClock,
+    config: LinkConfig,
+    channels: Option<Channels>,
+) -> (DeviceReader, DeviceWriter, HostEnd) {
     assert!(config.transmit_buffer > 0 && config.receive_buffer > 0);
     assert!(config.baud != Some(0));
     let byte_ns = config.baud.map(|baud| 10_000_000_000 / u64::from(baud));
-    let line = |sender, receiver| {
+    let line = |sender, receiver, channel| {
         Rc::new(RefCell::new(Line {
             byte_ns,
             sender_holds: sender,
             receiver_holds: receiver,
+            channel,
             ..Line::default()
         }))
     };
-    let to_host = line(Some(config.transmit_buffer), None);
-    let to_device = line(None, Some(config.receive_buffer));
+    let (outwards, inwards) = match channels {
+        Some(Channels { to_host, to_device }) => (Some(to_host), Some(to_device)),
+        None => (None, None),
+    };
+    let to_host = line(Some(config.transmit_buffer), None, outwards);
+    let to_device = line(None, Some(config.receive_buffer), inwards);
     let reader = DeviceReader {
         clock: clock.clone(),
         line: to_device.clone(),
@@ -74,6 +92,33 @@ pub fn link(clock: &VirtualClock, config: LinkConfig) -> (DeviceReader, DeviceWr
     (reader, writer, host)
 }
 
+/// The faults of a link, one channel for each direction. Clones are the same channels.
+#[derive(Clone, Debug)]
+pub struct Channels {
+    /// From device to host.
+    pub to_host: Rc<RefCell<Channel>>,
+    /// From host to device.
+    pub to_device: Rc<RefCell<Channel>>,
+}
+
+impl Channels {
+    /// Channels with these faults.
+    pub fn new(faults: &LinkFaults, seed: u64) -> Self {
+        let shared = |channel| Rc::new(RefCell::new(channel));
+        Self {
+            to_host: shared(Channel::new(faults, seed)),
+            // Another seed, so that the directions have nothing in common.
+            to_device: shared(Channel::new(faults, !seed).without_values()),
+        }
+    }
+
+    /// Forgets what is under way.
+    pub(crate) fn clear(&self) {
+        self.to_host.borrow_mut().clear();
+        self.to_device.borrow_mut().clear();
+    }
+}
+
 /// One direction.
 #[derive(Debug, Default)]
 struct Line {
@@ -84,6 +129,7 @@ struct Line {
     sending: VecDeque<u8>,
     /// When the first byte of `sending` is over the line, ns.
     next_arrival_ns: u64,
+    channel: Option<Rc<RefCell<Channel>>>,
     arrived: VecDeque<u8>,
     lost: u64,
     receiver_gone: bool,
@@ -92,26 +138,68 @@ struct Line {
 }
 
 impl Line {
-    /// Moves what has crossed the line by `now`, µs.
+    /// Moves what has crossed the line, and the channel behind it, by `now`, µs.
     fn settle(&mut self, now: u64) {
-        let receiver_holds = self.receiver_holds.unwrap_or(usize::MAX);
+        let channel = self.channel.clone();
         while let Some(&byte) = self.sending.front() {
-            let full = self.arrived.len() >= receiver_holds;
-            match self.byte_ns {
+            // Without a line rate, what finds no room waits with the sender.
+            let full = match &channel {
+                Some(channel) => channel.borrow().room() == 0,
+                None => self.is_full(),
+            };
+            let crossed_ns = match self.byte_ns {
                 Some(_) if self.next_arrival_ns > now * 1000 => break,
-                Some(byte_ns) => self.next_arrival_ns += byte_ns,
+                Some(byte_ns) => {
+                    self.next_arrival_ns += byte_ns;
+                    self.next_arrival_ns - byte_ns
+                }
                 None if full => break,
-                None => {}
-            }
+                None => now * 1000,
+            };
             self.sending.pop_front();
-            if self.receiver_gone {
-                continue;
-            } else if full {
-                self.lost += 1;
-            } else {
-                self.arrived.push_back(byte);
+            match &channel {
+                Some(channel) => channel.borrow_mut().push(crossed_ns, &[byte]),
+                None => self.arrive(byte),
             }
         }
+        if let Some(channel) = channel {
+            let mut channel = channel.borrow_mut();
+            // A UART's bytes arrive also where there is no room for them.
+            let room = match self.byte_ns {
+                Some(_) => usize::MAX,
+                None => self
+                    .receiver_holds
+                    .map_or(usize::MAX, |holds| holds.saturating_sub(self.arrived.len())),
+            };
+            for byte in channel.pull(now * 1000, room) {
+                self.arrive(byte);
+            }
+        }
+    }
+
+    fn is_full(&self) -> bool {
+        self.receiver_holds
+            .is_some_and(|holds| self.arrived.len() >= holds)
+    }
+
+    fn arrive(&mut self, byte: u8) {
+        if self.receiver_gone {
+        } else if self.is_full() {
+            self.lost += 1;
+        } else {
+            self.arrived.push_back(byte);
+        }
+    }
+
+    /// When the next byte reaches the receiver at the earliest, µs.
+    fn next_step_at(&self) -> Option<u64> {
+        let crossing = (!self.sending.is_empty()).then(|| self.over_line_at(1));
+        let due = self
+            .channel
+            .as_ref()
+            .and_then(|channel| channel.borrow().next_arrival_ns())
+            .map(|due_ns| due_ns.div_ceil(1000));
+        [crossing.flatten(), due].into_iter().flatten().min()
     }
 
     /// Bytes the sender's buffer still takes.
@@ -190,10 +278,8 @@ impl Read for DeviceReader {
                     // Without a line rate, this made room for what the host sent.
                     line.settle(self.clock.now());
                     Some(Ok(count))
-                } else if line.sending.is_empty() {
-                    None
                 } else {
-                    line.over_line_at(1).map(Err)
+                    line.next_step_at().map(Err)
                 }
             });
             match step.await {
@@ -283,6 +369,14 @@ impl HostEnd {
         let mut line = self.to_host.borrow_mut();
         line.settle(self.clock.now());
         line.arrived.len()
+    }
+
+    /// How often the connection has been lost so far; `None` while there is none.
+    pub fn connection(&self) -> Option<u64> {
+        match &self.to_host.borrow().channel {
+            Some(channel) => channel.borrow().connection(self.clock.now() * 1000),
+            None => Some(0),
+        }
     }
 
     /// Sends all of `bytes` to the device.

@@ -51,7 +51,7 @@ impl Random {
     }
 
     /// Number `n`, uniform in (0, 1].
-    fn unit(&self, n: u64) -> f64 {
+    pub(crate) fn unit(&self, n: u64) -> f64 {
         let steps = n.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         let bits = mix(self.key.wrapping_add(steps));
         ((bits >> 11) + 1) as f64 / (1_u64 << 53) as f64

@@ -95,6 +95,7 @@ impl Server {
     fn tick(&mut self) {
         for port in [&mut self.cable, &mut self.wireless] {
             // First, so that a client that has gone makes room for the next.
+            port.follow_connection(&mut self.board);
             port.deliver(&mut self.board);
             port.accept();
         }
@@ -120,6 +121,8 @@ struct Port {
     role: LinkRole,
     listener: TcpListener,
     client: Option<TcpStream>,
+    /// The board's connection that the client has.
+    connection: Option<u64>,
     outgoing: VecDeque<u8>,
 }
 
@@ -131,6 +134,7 @@ impl Port {
             role,
             listener,
             client: None,
+            connection: Some(0),
             outgoing: VecDeque::new(),
         })
     }
@@ -139,10 +143,21 @@ impl Port {
         self.client.is_some() && !self.outgoing.is_empty()
     }
 
-    /// Takes a client if there is none; turns a second one away.
+    /// Hangs up when the board's link is disconnected.
+    fn follow_connection(&mut self, board: &mut Board) {
+        let connection = board.link(self.role).connection();
+        if connection != self.connection {
+            self.connection = connection;
+            self.client = None;
+        }
+    }
+
+    /// Takes a client if there is none; turns a second one away, and any while the link is
+    /// disconnected.
     fn accept(&mut self) {
         if let Ok((client, _)) = self.listener.accept()
             && self.client.is_none()
+            && self.connection.is_some()
             && client.set_nonblocking(true).is_ok()
             && client.set_nodelay(true).is_ok()
         {

@@ -75,7 +75,10 @@ pub struct Demo {
 #[derive(Args)]
 #[command(after_help = "\
 Example: wimu simulate --motion twelve-poses,slide --seed 3
-         wimu simulate --replay recording.csv --speed 10 --exit-when-done")]
+         wimu simulate --replay recording.csv --speed 10 --exit-when-done
+         wimu simulate --faults noisy --clock-ppm 35
+         wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
+         wimu simulate --faults other-unit --faults cable:latency=2ms")]
 pub struct Simulate {
     /// The sensor on the board
     #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
@@ -105,6 +108,14 @@ pub struct Simulate {
     /// Where the wireless link listens
     #[arg(long, default_value = "127.0.0.1:7101", value_name = "ADDRESS")]
     pub wireless: SocketAddr,
+    /// What goes wrong on a link, the wireless one unless `cable:` stands before it: presets (none,
+    /// bluetooth, noisy, other-unit) and baud, latency, jitter, loss, burst, bits, splice, duplicate,
+    /// stall, disconnect, buffer, bias, scale, noise; may be given for each link
+    #[arg(long, value_name = "[LINK:]FAULT=VALUE,…")]
+    pub faults: Vec<String>,
+    /// How much faster the board's clock runs than this computer's, ppm
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub clock_ppm: f64,
     /// Board seconds per second
     #[arg(long, default_value_t = 1.0)]
     pub speed: f64,

@@ -30,6 +30,9 @@ fn wrong_usage_ends_with_2_and_one_object() {
     for (arguments, code) in [
         (&["simulate", "--speed", "0"][..], "usage"),
         (&["simulate", "--motion", "fly"], "usage"),
+        (&["simulate", "--faults", "loss=200%"], "usage"),
+        (&["simulate", "--faults", "cable:lossy"], "usage"),
+        (&["simulate", "--clock-ppm", "1e9"], "usage"),
         (&["calibrate", "a.csv", "--model", "12"], "usage"),
         (&["monitor", "tcp://127.0.0.1"], "bad_link"),
         (&["monitor", "carrier-pigeon://coop"], "bad_link"),

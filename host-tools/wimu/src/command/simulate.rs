@@ -9,6 +9,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::{Board, BoardConfig};
+use wimu_sim::faults::{FaultCounts, LinkFaults, PRESETS};
 use wimu_sim::motion;
 use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};
@@ -32,6 +33,27 @@ struct Listening {
     wireless: String,
 }
 
+/// What only the simulation knows, when it ends.
+#[derive(Serialize)]
+struct Truth {
+    schema: &'static str,
+    status: &'static str,
+    /// How much faster the board's clock ran.
+    clock_ppm: f64,
+    cable: Option<LinkTruth>,
+    wireless: Option<LinkTruth>,
+}
+
+/// What a link with faults did.
+#[derive(Serialize)]
+struct LinkTruth {
+    bias_m_s2: [f64; 3],
+    scale: [f64; 3],
+    noise_m_s2: f64,
+    to_host: FaultCounts,
+    to_device: FaultCounts,
+}
+
 pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     let Sensor::Lsm303agr = arguments.sensor;
     if !(arguments.speed > 0.0 && arguments.speed <= 1000.0) {
@@ -41,6 +63,14 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             "give 0.01 to 1000",
         ));
     }
+    if arguments.clock_ppm.is_nan() || arguments.clock_ppm.abs() > 10_000.0 {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("--clock-ppm {} is out of range", arguments.clock_ppm),
+            "give -10000 to 10000",
+        ));
+    }
+    let [cable_faults, wireless_faults] = faults_of(&arguments.faults)?;
     let storage = match &arguments.store {
         Some(path) => Storage::in_file(path)
             .map_err(|error| HostError::file(&path.display().to_string(), "read", &error))?,
@@ -50,6 +80,10 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         // TCP has no baud rate: a client that reads slowly makes the board shed.
         cable: LinkConfig::default(),
         wireless: LinkConfig::default(),
+        cable_faults,
+        wireless_faults,
+        fault_seed: arguments.seed,
+        clock_error_ppb: (arguments.clock_ppm * 1e3).round() as i32,
         storage,
         replay: arguments.replay.is_some(),
         ..BoardConfig::default()
@@ -138,7 +172,67 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         stop.load(Ordering::Relaxed)
             || (arguments.exit_when_done && done_at.is_some_and(|at| now_us >= at + LINGER_US))
     });
+    let board = server.board();
+    let truth = |role| {
+        let channels = board.faults(role)?;
+        let to_host = channels.to_host.borrow();
+        let values = to_host.faults().values.unwrap_or_default();
+        Some(LinkTruth {
+            bias_m_s2: values.bias_mps2,
+            scale: values.scale,
+            noise_m_s2: values.noise_mps2,
+            to_host: to_host.counts(),
+            to_device: channels.to_device.borrow().counts(),
+        })
+    };
+    let truth = Truth {
+        schema: "wimu.simulate-truth/1",
+        status: "ok",
+        clock_ppm: arguments.clock_ppm,
+        cable: truth(LinkRole::Cable),
+        wireless: truth(LinkRole::Wireless),
+    };
+    for (name, link) in [("cable", &truth.cable), ("wireless", &truth.wireless)] {
+        if let Some(LinkTruth { to_host, .. }) = link {
+            output.say(format!(
+                "{name}: of {} bytes sent {} were lost, {} bits flipped; of the frames {} were intact, {} damaged, {} lost",
+                to_host.bytes_sent,
+                to_host.bytes_lost + to_host.bytes_overflowed + to_host.bytes_disconnected,
+                to_host.bits_flipped,
+                to_host.frames_intact,
+                to_host.frames_damaged + to_host.frames_fused,
+                to_host.frames_lost,
+            ));
+        }
+    }
+    output.object(&truth);
     Ok(())
+}
+
+/// The faults of the cable and of the wireless link.
+fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
+    let mut texts = [Vec::new(), Vec::new()];
+    for spec in specs {
+        match spec.strip_prefix("cable:") {
+            Some(cable) => texts[0].push(cable),
+            None => texts[1].push(spec.strip_prefix("wireless:").unwrap_or(spec)),
+        }
+    }
+    let read = |texts: &Vec<&str>| {
+        let text = texts.join(",");
+        text.parse().map_err(|error| {
+            let presets: Vec<_> = PRESETS.iter().map(|(name, ..)| *name).collect();
+            HostError::new(
+                ErrorCode::Usage,
+                format!("--faults: {error}"),
+                format!(
+                    "give presets ({}) or faults such as loss=2%,bits=1e-4,jitter=50ms,stall=3s@30s; see `wimu simulate --help`",
+                    presets.join(", ")
+                ),
+            )
+        })
+    };
+    Ok([read(&texts[0])?, read(&texts[1])?])
 }
 
 /// Raw counts of a CSV file in LSB.

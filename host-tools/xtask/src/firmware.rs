@@ -2,14 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
-
 use crate::command_line::{CommandLine, heading};
+use crate::output::Output;
 use crate::setup::{self, Need, Source, ThisMachine, embedded_cargo};
 use crate::workspace::Workspace;
 
 /// The board that everyone has.
 const QEMU_BOARD: &str = "firmware/qemu-mps2";
+const QEMU_PROGRAM: &str = "wimu-qemu-mps2";
+const QEMU_TARGET: &str = "thumbv7em-none-eabihf";
 
 /// Builds every board.
 ///
@@ -19,13 +20,23 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     for folder in &workspace.firmware {
         heading(&folder.display().to_string());
-        build(source, folder).run()?;
+        build(source, folder, None).run()?;
     }
     Ok(())
 }
 
-fn build(source: Source, folder: &Path) -> CommandLine {
-    embedded_cargo(source).word("--release").inside(folder)
+fn build(source: Source, folder: &Path, target: Option<&str>) -> CommandLine {
+    let cargo = embedded_cargo(source).word("--release").inside(folder);
+    target.map_or(cargo.clone(), |target| cargo.word("--target").word(target))
+}
+
+/// Builds the package in `folder` for its own target, or for another; says where that went.
+///
+/// # Errors
+/// Says which command failed.
+pub fn built(source: Source, folder: &Path, target: Option<&str>) -> Result<Output, String> {
+    build(source, folder, target).run()?;
+    Output::of(folder)
 }
 
 /// Builds the board for QEMU; returns its image.
@@ -35,17 +46,7 @@ fn build(source: Source, folder: &Path) -> CommandLine {
 pub fn qemu_image() -> Result<PathBuf, String> {
     setup::provide(Need::Qemu, &mut ThisMachine)?;
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
-    let folder = Path::new(QEMU_BOARD);
-    build(source, folder).run()?;
-    let listing = CommandLine::new("cargo metadata --no-deps --format-version 1").inside(folder);
-    let metadata: Option<Value> = listing
-        .output()
-        .and_then(|text| serde_json::from_str(&text).ok());
-    let target = metadata
-        .as_ref()
-        .and_then(|metadata| metadata["target_directory"].as_str())
-        .ok_or_else(|| format!("`{listing}` names no target directory"))?;
-    let image = Path::new(target).join("thumbv7em-none-eabihf/release/wimu-qemu-mps2");
+    let image = built(source, Path::new(QEMU_BOARD), None)?.image(QEMU_PROGRAM, QEMU_TARGET);
     if image.is_file() {
         Ok(image)
     } else {
@@ -115,8 +116,35 @@ mod tests {
 
     #[test]
     fn a_board_is_built_in_its_own_folder() {
-        let line = build(Source::Debian, Path::new("firmware/x")).to_string();
+        let line = build(Source::Debian, Path::new("firmware/x"), None).to_string();
         assert!(line.starts_with("(cd firmware/x && "), "{line}");
         assert!(line.contains("-Zbuild-std=core,alloc") && line.ends_with("--release)"));
+    }
+
+    /// What a package's manifest says of how its code is optimised.
+    fn optimisation(folder: &str) -> Vec<String> {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let manifest = std::fs::read_to_string(root.join(folder).join("Cargo.toml"));
+        let manifest = manifest.expect("a manifest");
+        let mut table = "";
+        let mut found = Vec::new();
+        for line in manifest.lines().filter(|line| !line.starts_with('#')) {
+            if line.starts_with('[') {
+                table = line;
+            } else if table.starts_with("[profile.release")
+                && !line.is_empty()
+                && !line.starts_with("debug")
+            {
+                found.push(format!("{table} {line}"));
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn the_image_is_optimised_as_the_code_whose_instructions_are_counted() {
+        let counted = optimisation("firmware/bench");
+        assert!(counted.len() > 3, "{counted:?}");
+        assert_eq!(optimisation(QEMU_BOARD), counted);
     }
 }

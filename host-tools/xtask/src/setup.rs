@@ -104,6 +104,20 @@ pub fn embedded_cargo(source: Source) -> CommandLine {
     })
 }
 
+/// The release of the compiler that [`embedded_cargo`] runs, like `1.95.0`.
+///
+/// # Errors
+/// When it does not say.
+pub fn embedded_release(source: Source) -> Result<String, String> {
+    let line = CommandLine::new(match source {
+        Source::Toolchain => "rustc --version",
+        Source::Debian => "/usr/bin/rustc --version",
+    });
+    let said = line.output().unwrap_or_default();
+    let release = said.split_whitespace().nth(1).map(str::to_owned);
+    release.ok_or_else(|| format!("`{line}` failed: run it to see why"))
+}
+
 /// `cargo SUBCOMMAND` that leaves the lock file alone on a CI machine.
 pub fn cargo(subcommand: &str) -> CommandLine {
     // Before the rest: what follows a `--` is not cargo's.

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use crate::command_line::heading;
-use crate::output::Output;
-use crate::setup::{self, Need, TARGETS, ThisMachine, embedded_cargo};
+use crate::firmware;
+use crate::setup::{self, Need, TARGETS, ThisMachine};
 use crate::workspace::Workspace;
 
 /// Crates below this many bytes of code are added up.
@@ -18,11 +18,7 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     let mut found = Vec::new();
     for folder in &workspace.firmware {
-        embedded_cargo(source)
-            .word("--release")
-            .inside(folder)
-            .run()?;
-        let output = Output::of(folder)?;
+        let output = firmware::built(source, folder, None)?;
         for program in &output.programs {
             for target in TARGETS {
                 // A board is built for one of them only.

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::command_line::{CommandLine, heading};
 use crate::firmware;
+use crate::instructions;
 use crate::setup::{self, Need, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
 use crate::workspace::{Package, Workspace};
 
@@ -15,7 +16,7 @@ pub struct Step {
 }
 
 /// The cheaper first: a run stops at the first that fails.
-pub const STEPS: [Step; 9] = [
+pub const STEPS: [Step; 10] = [
     Step {
         name: "setup",
         about: "rustfmt, clippy, the microcontroller targets and QEMU are installed",
@@ -55,6 +56,11 @@ pub const STEPS: [Step; 9] = [
         name: "firmware",
         about: "every board builds, without a warning",
         run: firmware::check,
+    },
+    Step {
+        name: "budget",
+        about: "a sample costs no more instructions than it may, counted in QEMU",
+        run: |_| instructions::run(),
     },
     Step {
         name: "host",

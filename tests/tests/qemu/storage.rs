@@ -1,7 +1,8 @@
 //! The memory that holds parameters: corrupted, and without power at any word.
 
 use std::cell::RefCell;
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read;
 use std::path::Path;
 
 use wimu_link::LinkRole;
@@ -79,4 +80,66 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
     }
     println!("lost before the new set stood, after, never: {outcomes:?}");
     assert!(outcomes[0] > 20 && outcomes[2] == 1, "{outcomes:?}");
+}
+
+/// The flash's bytes in the file that keeps it, complemented: an erased bit is 0.
+fn flash(path: &Path) -> Vec<u8> {
+    let mut bytes = vec![0; 16 << 10];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut bytes));
+    read.expect("the board's memory");
+    bytes
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn power_lost_while_a_page_is_erased_leaves_the_old_parameters_or_the_new() {
+    let folder = folder();
+    let (board, scene) = started(folder.path());
+    let mut host = Host::connect(&board, scene).expect("a board");
+    let sets = [5, 6].map(parameters);
+    let ids = sets.map(|set| host.cable.push_parameters(&set).expect("pushed").0);
+    // Fills page after page until a push erases one; what was there before it is kept.
+    let (before, new) = (0..200)
+        .find_map(|push| {
+            let before = flash(&memory(folder.path()));
+            let new = push % 2;
+            host.cable.push_parameters(&sets[new]).expect("pushed");
+            let after = flash(&memory(folder.path()));
+            let erased = before.iter().zip(&after).any(|(old, now)| old & !now != 0);
+            erased.then_some((before, new))
+        })
+        .expect("no page is ever erased");
+
+    let trial = folder.path().join("trial");
+    board.borrow_mut().machine().memory = Some(trial.clone());
+    let mut outcomes = [0; 2];
+    for words in (0..).step_by(89) {
+        // The board that still runs keeps the file that it has open.
+        let _ = fs::remove_file(&trial);
+        let mut bytes = before.clone();
+        bytes.resize(16 << 20, 0);
+        fs::write(&trial, bytes).expect("written");
+        board.borrow_mut().machine().power_loss_after = Some(words);
+        let pushed = host
+            .restart()
+            .and_then(|()| host.cable.push_parameters(&sets[new]));
+        board.borrow_mut().machine().power_loss_after = None;
+        host.restart().expect("it starts again");
+        let found = host.cable.parameters().expect("answered").id;
+        if pushed.is_ok() {
+            assert_eq!(found, ids[new]);
+            assert!(
+                words > 1024,
+                "all is done after {words} words, no page erased"
+            );
+            break;
+        }
+        assert!(ids.contains(&found), "{found:08x} after {words} words");
+        outcomes[usize::from(found == ids[new])] += 1;
+        // What the loss left behind is in nobody's way.
+        let again = host.cable.push_parameters(&sets[new]).expect("pushed");
+        assert_eq!(again.0, ids[new]);
+    }
+    println!("lost before the new set stood, after: {outcomes:?}");
+    assert!(outcomes[0] > 10, "{outcomes:?}");
 }

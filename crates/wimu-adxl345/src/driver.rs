@@ -1,0 +1,194 @@
+use embedded_hal_async::i2c::I2c;
+
+use crate::registers::*;
+use crate::{DataFormat, Error, Fifo, Interrupts, Rate};
+
+/// The chip's address, by the level of its pin SDO/ALT ADDRESS.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Address {
+    /// The pin is low: 0x53. So on most breakouts.
+    #[default]
+    Low,
+    /// The pin is high: 0x1D.
+    High,
+}
+
+impl Address {
+    /// 0x53 or 0x1D.
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Low => 0x53,
+            Self::High => 0x1D,
+        }
+    }
+}
+
+/// What FIFO_STATUS says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct FifoLevel {
+    /// Samples that wait: 0..=33, 32 in the FIFO and one at the filter's output.
+    pub samples: u8,
+}
+
+/// An ADXL345.
+///
+/// A future that is dropped may end a bus transfer early; the next call is whole again.
+#[derive(Debug)]
+pub struct Adxl345<I2C> {
+    i2c: I2C,
+    address: u8,
+}
+
+impl<I2C> Adxl345<I2C> {
+    /// What register DEVID holds.
+    pub const IDENTITY: u8 = 0xE5;
+
+    /// A chip on `i2c`; nothing is sent yet.
+    pub fn new(i2c: I2C, address: Address) -> Self {
+        Self {
+            i2c,
+            address: address.number(),
+        }
+    }
+
+    /// The bus, back.
+    pub fn release(self) -> I2C {
+        self.i2c
+    }
+}
+
+impl<I2C: I2c> Adxl345<I2C> {
+    /// What the chip says it is.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn device_id(&mut self) -> Result<u8, Error<I2C::Error>> {
+        self.read(DEVID).await
+    }
+
+    /// Makes sure that the chip is an ADXL345.
+    ///
+    /// # Errors
+    /// [`Error::WrongIdentity`] if it is not; [`Error::Bus`].
+    pub async fn check_identity(&mut self) -> Result<(), Error<I2C::Error>> {
+        match self.device_id().await? {
+            Self::IDENTITY => Ok(()),
+            found => Err(Error::WrongIdentity { found }),
+        }
+    }
+
+    /// Stops measuring: change settings in standby.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn standby(&mut self) -> Result<(), Error<I2C::Error>> {
+        self.write(POWER_CTL, 0).await
+    }
+
+    /// Measures from now on. The first sample is good 1.1 ms + one sample period later.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn measure(&mut self) -> Result<(), Error<I2C::Error>> {
+        self.write(POWER_CTL, POWER_CTL_MEASURE).await
+    }
+
+    /// Sets range, resolution and justification; ends a self-test.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn set_data_format(&mut self, format: DataFormat) -> Result<(), Error<I2C::Error>> {
+        self.write(DATA_FORMAT, format.register()).await
+    }
+
+    /// Sets the rate, and whether less power is wanted at the price of noise; that has an effect
+    /// only where [`Rate::has_low_power`].
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn set_rate(&mut self, rate: Rate, low_power: bool) -> Result<(), Error<I2C::Error>> {
+        let power = if low_power { BW_RATE_LOW_POWER } else { 0 };
+        self.write(BW_RATE, power | rate.code()).await
+    }
+
+    /// Sets what the FIFO does, emptied.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn set_fifo(&mut self, fifo: Fifo) -> Result<(), Error<I2C::Error>> {
+        self.write(FIFO_CTL, Fifo::Bypass.register()).await?;
+        if fifo == Fifo::Bypass {
+            return Ok(());
+        }
+        self.write(FIFO_CTL, fifo.register()).await
+    }
+
+    /// Sets which interrupts drive the pins, active high, and which of them INT2 instead of INT1.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn set_interrupts(
+        &mut self,
+        enabled: Interrupts,
+        on_int2: Interrupts,
+    ) -> Result<(), Error<I2C::Error>> {
+        self.write(INT_MAP, on_int2.0).await?;
+        self.write(INT_ENABLE, enabled.0).await
+    }
+
+    /// What has happened, whether enabled or not. Reading it ends what reading data does not.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn interrupts(&mut self) -> Result<Interrupts, Error<I2C::Error>> {
+        self.read(INT_SOURCE).await.map(Interrupts)
+    }
+
+    /// How many samples wait.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn fifo_level(&mut self) -> Result<FifoLevel, Error<I2C::Error>> {
+        let status = self.read(FIFO_STATUS).await?;
+        Ok(FifoLevel {
+            samples: status & FIFO_STATUS_ENTRIES,
+        })
+    }
+
+    /// The oldest sample that waits, or the latest one if none does: x, y, z in LSB of
+    /// [`DataFormat::lsb_per_g`]. One burst; the FIFO moves on after it.
+    ///
+    /// # Errors
+    /// [`Error::Bus`]: the sample may be gone then.
+    pub async fn sample(&mut self) -> Result<[i16; 3], Error<I2C::Error>> {
+        let mut bytes = [0; 6];
+        self.i2c
+            .write_read(self.address, &[DATAX0], &mut bytes)
+            .await?;
+        let [x0, x1, y0, y1, z0, z1] = bytes;
+        Ok([[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes))
+    }
+
+    /// Sets what the chip itself adds to each axis, 15.6 m*g*/LSB: registers OFSX to OFSZ.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn set_offset(&mut self, offset: [i8; 3]) -> Result<(), Error<I2C::Error>> {
+        let [x, y, z] = offset.map(|axis| axis as u8);
+        Ok(self.i2c.write(self.address, &[OFSX, x, y, z]).await?)
+    }
+
+    pub(crate) async fn write(&mut self, register: u8, value: u8) -> Result<(), Error<I2C::Error>> {
+        Ok(self.i2c.write(self.address, &[register, value]).await?)
+    }
+
+    async fn read(&mut self, register: u8) -> Result<u8, Error<I2C::Error>> {
+        let mut value = [0];
+        self.i2c
+            .write_read(self.address, &[register], &mut value)
+            .await?;
+        Ok(value[0])
+    }
+}

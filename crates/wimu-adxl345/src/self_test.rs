@@ -1,0 +1,115 @@
+use embedded_hal_async::delay::DelayNs;
+use embedded_hal_async::i2c::I2c;
+
+use crate::registers::*;
+use crate::{Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
+
+/// ±16 *g* at full resolution, as the datasheet's limits are stated.
+const FORMAT: DataFormat = DataFormat {
+    range: Range::G16,
+    resolution: Resolution::Full,
+    justify: Justify::Right,
+};
+const RATE: Rate = Rate::Hz100;
+/// A sample period, with room for an oscillator that is slow by 10 %.
+const PERIOD_US: u32 = 11_000;
+/// Samples that are not used after a change.
+const SETTLING: u32 = 5;
+/// Samples that are averaged.
+const AVERAGED: i32 = 10;
+
+/// Shift at 2.5 V: least and most, LSB at 256 LSB/*g*, positive on x and z, negative on y.
+const LIMITS: [(i32, i32); 3] = [(50, 540), (50, 540), (75, 875)];
+/// The limits' scale by supply voltage: mV, then of x and y and of z, per cent.
+const SCALES: [(i32, i32, i32); 4] = [
+    (2000, 64, 80),
+    (2500, 100, 100),
+    (3300, 177, 147),
+    (3600, 211, 169),
+];
+
+/// How far the electrostatic force of the self-test moved each axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SelfTest {
+    /// Mean with the force less mean without, x, y, z, at 256 LSB/*g*.
+    pub shift: [i16; 3],
+}
+
+impl SelfTest {
+    /// Which axes moved as far as the datasheet says they do at a supply of `supply_mv`, which is
+    /// taken as 2000..=3600 mV.
+    pub fn passed(&self, supply_mv: u16) -> [bool; 3] {
+        let scales = scales(i32::from(supply_mv));
+        let [x, y, z] = self.shift.map(i32::from);
+        let within = |shift: i32, (least, most): (i32, i32), scale: i32| {
+            (least * scale..=most * scale).contains(&(shift * 100))
+        };
+        let [of_x, of_y, of_z] = LIMITS;
+        [
+            within(x, of_x, scales.0),
+            within(-y, of_y, scales.0),
+            within(z, of_z, scales.1),
+        ]
+    }
+}
+
+/// Per cent, of x and y and of z, linear between the datasheet's rows.
+fn scales(supply_mv: i32) -> (i32, i32) {
+    let [first, .., last] = SCALES;
+    let supply_mv = supply_mv.clamp(first.0, last.0);
+    for pair in SCALES.windows(2) {
+        if let [low, high] = pair
+            && supply_mv <= high.0
+        {
+            let between =
+                |from: i32, to: i32| from + (to - from) * (supply_mv - low.0) / (high.0 - low.0);
+            return (between(low.1, high.1), between(low.2, high.2));
+        }
+    }
+    (last.1, last.2)
+}
+
+impl<I2C: I2c> Adxl345<I2C> {
+    /// Measures how far the self-test moves each axis; the chip must be at rest, and is in standby
+    /// afterwards with format, rate and FIFO to be set anew. Takes 0.34 s.
+    ///
+    /// # Errors
+    /// [`Error::Bus`].
+    pub async fn self_test(
+        &mut self,
+        delay: &mut impl DelayNs,
+    ) -> Result<SelfTest, Error<I2C::Error>> {
+        self.standby().await?;
+        self.set_interrupts(Interrupts::NONE, Interrupts::NONE)
+            .await?;
+        self.set_fifo(Fifo::Bypass).await?;
+        self.set_rate(RATE, false).await?;
+        self.set_data_format(FORMAT).await?;
+        self.measure().await?;
+        let without = self.mean(delay).await?;
+        self.write(DATA_FORMAT, FORMAT.register() | DATA_FORMAT_SELF_TEST)
+            .await?;
+        let with = self.mean(delay).await?;
+        self.set_data_format(FORMAT).await?;
+        self.standby().await?;
+        let mut shift = [0; 3];
+        for ((shift, with), without) in shift.iter_mut().zip(with).zip(without) {
+            // Of 13-bit samples: it fits.
+            *shift = (with - without) as i16;
+        }
+        Ok(SelfTest { shift })
+    }
+
+    async fn mean(&mut self, delay: &mut impl DelayNs) -> Result<[i32; 3], Error<I2C::Error>> {
+        delay.delay_us(SETTLING * PERIOD_US).await;
+        let mut sum = [0; 3];
+        for _ in 0..AVERAGED {
+            delay.delay_us(PERIOD_US).await;
+            for (sum, axis) in sum.iter_mut().zip(self.sample().await?) {
+                *sum += i32::from(axis);
+            }
+        }
+        Ok(sum.map(|sum| sum / AVERAGED))
+    }
+}

@@ -1,0 +1,212 @@
+use crate::registers::*;
+
+/// Full-scale range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Range {
+    /// ±2 *g*.
+    G2,
+    /// ±4 *g*.
+    G4,
+    /// ±8 *g*.
+    G8,
+    /// ±16 *g*.
+    G16,
+}
+
+impl Range {
+    /// Its code: 0 for ±2 *g* to 3 for ±16 *g*.
+    const fn code(self) -> u8 {
+        match self {
+            Self::G2 => 0,
+            Self::G4 => 1,
+            Self::G8 => 2,
+            Self::G16 => 3,
+        }
+    }
+}
+
+/// How fine a step of the output is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Resolution {
+    /// 10 bits over the range: 256 LSB/*g* at ±2 *g* down to 32 LSB/*g* at ±16 *g*.
+    TenBits,
+    /// 256 LSB/*g* at every range: 10 bits at ±2 *g* up to 13 bits at ±16 *g* (FULL_RES).
+    Full,
+}
+
+/// Where the bits of a sample are in its 16.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Justify {
+    /// At the lower end, with the sign extended.
+    Right,
+    /// At the upper end, with zeros below: full scale is then ±2¹⁵ at every setting.
+    Left,
+}
+
+/// What a sample looks like: register DATA_FORMAT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct DataFormat {
+    /// Full scale.
+    pub range: Range,
+    /// Step.
+    pub resolution: Resolution,
+    /// Place in 16 bits.
+    pub justify: Justify,
+}
+
+impl DataFormat {
+    /// Bits of a sample that carry data: 10..=13.
+    pub const fn bits(&self) -> u8 {
+        match self.resolution {
+            Resolution::TenBits => 10,
+            Resolution::Full => 10 + self.range.code(),
+        }
+    }
+
+    /// Nominal sensitivity, LSB/*g*: the part's own is within ±10 %.
+    pub const fn lsb_per_g(&self) -> u16 {
+        let right = 256 >> (self.range.code() + 10 - self.bits());
+        match self.justify {
+            Justify::Right => right,
+            Justify::Left => right << (16 - self.bits()),
+        }
+    }
+
+    pub(crate) const fn register(&self) -> u8 {
+        let full = match self.resolution {
+            Resolution::TenBits => 0,
+            Resolution::Full => DATA_FORMAT_FULL_RES,
+        };
+        let left = match self.justify {
+            Justify::Right => 0,
+            Justify::Left => DATA_FORMAT_JUSTIFY,
+        };
+        full | left | self.range.code()
+    }
+}
+
+/// Output data rate; the bandwidth is half of it. The part's own oscillator makes it: expect
+/// percents of deviation, and measure it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Rate {
+    /// 6.25 Hz.
+    Hz6_25,
+    /// 12.5 Hz.
+    Hz12_5,
+    /// 25 Hz.
+    Hz25,
+    /// 50 Hz.
+    Hz50,
+    /// 100 Hz, that of a chip which has just got power.
+    Hz100,
+    /// 200 Hz.
+    Hz200,
+    /// 400 Hz.
+    Hz400,
+    /// 800 Hz.
+    Hz800,
+    /// 1600 Hz: a sample's lowest bit is always 0 at full resolution and at ±2 *g*.
+    Hz1600,
+    /// 3200 Hz, likewise.
+    Hz3200,
+}
+
+impl Rate {
+    /// All of them, slow to fast.
+    pub const ALL: [Self; 10] = [
+        Self::Hz6_25,
+        Self::Hz12_5,
+        Self::Hz25,
+        Self::Hz50,
+        Self::Hz100,
+        Self::Hz200,
+        Self::Hz400,
+        Self::Hz800,
+        Self::Hz1600,
+        Self::Hz3200,
+    ];
+
+    /// Its code in BW_RATE: 0x06..=0x0F.
+    pub(crate) const fn code(self) -> u8 {
+        0x06 + self as u8
+    }
+
+    /// Nominal time between two samples, ns, exactly.
+    pub const fn period_ns(self) -> u32 {
+        312_500 << (0x0F - self.code())
+    }
+
+    /// Whether low power is less than normal power at this rate: 12.5 to 400 Hz.
+    pub const fn has_low_power(self) -> bool {
+        matches!(self.code(), 0x07..=0x0C)
+    }
+
+    /// The fastest rate that the datasheet recommends on an I²C bus of `bus_hz`: 800 Hz at
+    /// 400 kHz, and in proportion; `None` below 3.125 kHz. Faster, samples may be lost or noisier.
+    pub fn fastest_on_i2c(bus_hz: u32) -> Option<Self> {
+        let fits =
+            |rate: &Self| 1_000_000_000 / u64::from(rate.period_ns()) <= u64::from(bus_hz) / 500;
+        Self::ALL.into_iter().rev().find(fits)
+    }
+}
+
+/// What the FIFO does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Fifo {
+    /// Holds nothing: the data registers show the newest sample.
+    Bypass,
+    /// Holds the newest 32 samples; one that comes when it is full pushes the oldest out, and sets
+    /// [`Interrupts::OVERRUN`].
+    Stream {
+        /// [`Interrupts::WATERMARK`] is on while at least as many wait; 1..=31.
+        watermark: u8,
+    },
+    /// Holds 32 samples and then stops.
+    UntilFull {
+        /// As in `Stream`.
+        watermark: u8,
+    },
+}
+
+impl Fifo {
+    pub(crate) fn register(self) -> u8 {
+        match self {
+            Self::Bypass => 0,
+            Self::Stream { watermark } => FIFO_CTL_STREAM | watermark.clamp(1, 31),
+            Self::UntilFull { watermark } => FIFO_CTL_FIFO | watermark.clamp(1, 31),
+        }
+    }
+}
+
+/// A set of the chip's interrupts: the bits of INT_ENABLE, INT_MAP and INT_SOURCE.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Interrupts(pub u8);
+
+impl Interrupts {
+    /// None of them.
+    pub const NONE: Self = Self(0);
+    /// A sample waits that was not read.
+    pub const DATA_READY: Self = Self(1 << 7);
+    /// As many samples wait as the watermark says, or more.
+    pub const WATERMARK: Self = Self(1 << 1);
+    /// A sample was lost before it was read; reading data ends it.
+    pub const OVERRUN: Self = Self(1);
+
+    /// Both sets.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether all of `other` are in it.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}

@@ -29,6 +29,9 @@ pub struct Batch {
     pub last_time: DeviceTimeUs,
     /// Whether the sensor says that samples before these were lost.
     pub overrun: bool,
+    /// Whether the sensor queues its samples: without an overrun none is missing before these,
+    /// however late they were read.
+    pub queued: bool,
 }
 
 /// What a sensor measures beside acceleration; `None` for what it does not have.

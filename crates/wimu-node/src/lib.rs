@@ -6,7 +6,9 @@
 extern crate std;
 
 pub mod accelerometer;
+mod adxl345;
 mod control;
+mod data_ready;
 mod link;
 mod lsm303agr;
 mod node;
@@ -17,7 +19,9 @@ mod store;
 mod timer;
 
 pub use accelerometer::Accelerometer;
+pub use adxl345::Adxl345;
 pub use control::Control;
+pub use data_ready::DataReady;
 pub use link::{LinkReader, LinkWriter};
 pub use lsm303agr::Lsm303agr;
 pub use node::{Board, Node};

@@ -1,6 +1,5 @@
 //! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`].
 
-use embedded_hal_async::digital::Wait;
 use embedded_hal_async::i2c::I2c;
 use lsm303agr::interface::I2cInterface;
 use lsm303agr::mode::{MagContinuous, MagOneShot};
@@ -11,6 +10,7 @@ use wimu_link::message::{Resolution, Settings};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
+use crate::data_ready::DataReady;
 use crate::timer::Timer;
 
 /// WHO_AM_I_A.
@@ -38,9 +38,9 @@ const RATES: [(u16, AccelOutputDataRate, u32); 8] = [
 ];
 
 /// An LSM303AGR on an I²C bus with its data-ready line (INT1 of the accelerometer).
-pub struct Lsm303agr<I2C, P, T> {
+pub struct Lsm303agr<I2C, D, T> {
     device: Device<I2C>,
-    data_ready: P,
+    data_ready: D,
     timer: T,
     period: PeriodNs,
 }
@@ -53,9 +53,9 @@ enum Device<I2C> {
     Changing,
 }
 
-impl<I2C: I2c, P: Wait, T: Timer> Lsm303agr<I2C, P, T> {
+impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     /// A sensor on `i2c` whose `data_ready` line is high while a sample waits.
-    pub fn new(i2c: I2C, data_ready: P, timer: T) -> Self {
+    pub fn new(i2c: I2C, data_ready: D, timer: T) -> Self {
         Self {
             device: Device::Idle(lsm303agr::Lsm303agr::new_with_i2c(i2c)),
             data_ready,
@@ -82,7 +82,7 @@ impl<I2C: I2c, P: Wait, T: Timer> Lsm303agr<I2C, P, T> {
     }
 }
 
-impl<I2C: I2c, P: Wait, T: Timer> Accelerometer for Lsm303agr<I2C, P, T> {
+impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
     fn plan(wanted: &Settings) -> Result<Plan, Settings> {
         let nearest_range = RANGES
             .iter()
@@ -169,9 +169,9 @@ impl<I2C: I2c, P: Wait, T: Timer> Accelerometer for Lsm303agr<I2C, P, T> {
         let deadline = self.timer.now().0 + u64::from(self.period.0) / 1000 * 3 + 20_000;
         let ready = self
             .timer
-            .before(DeviceTimeUs(deadline), self.data_ready.wait_for_high())
+            .before(DeviceTimeUs(deadline), self.data_ready.ready())
             .await;
-        let last_time = self.timer.now();
+        let woken = self.timer.now();
         let device = self.running().await?;
         let status = device.accel_status().await.map_err(not_answering)?;
         if ready.is_none() && !status.xyz_new_data() {
@@ -179,11 +179,18 @@ impl<I2C: I2c, P: Wait, T: Timer> Accelerometer for Lsm303agr<I2C, P, T> {
         }
         let sample = device.acceleration().await.map_err(not_answering)?;
         let (x, y, z) = sample.xyz_raw();
+        // After a whole period or an overrun, the line tells of an older sample.
+        let period_us = u64::from(self.period.0) / 1000;
+        let last_time = match ready.flatten() {
+            Some(rose) if !status.xyz_overrun() && woken.0 < rose.0 + period_us => rose,
+            _ => woken,
+        };
         *first = Counts([x, y, z].map(|raw| raw as i16));
         Ok(Batch {
             count: 1,
             last_time,
             overrun: status.xyz_overrun(),
+            queued: false,
         })
     }
 

@@ -10,7 +10,7 @@ use wimu_link::message::{
 };
 use wimu_model::{Counts, DeviceTimeUs, PeriodNs, SpecificForceQ16};
 
-use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault};
+use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::shared::{Correction, Order, ROLES, Shared, Trouble};
 use crate::timer::Timer;
 
@@ -145,7 +145,10 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             self.shared.report(self.timer.now(), Event::SensorFound);
         }
         let missed = running.clock.missed_before(&read, counts.len());
-        if missed > 0 || !running.clock.goes_on_at(read.last_time) {
+        let mut spacing_ns = u64::from(running.clock.period.0);
+        if missed == 0 && running.clock.goes_on_at(read.last_time) {
+            spacing_ns = running.clock.spacing_ns(&read, spacing_ns);
+        } else {
             self.flush();
             running.clock.measure_anew();
             running.integrator.gap();
@@ -162,7 +165,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         for (index, &sample) in counts.iter().enumerate() {
             let newer = (counts.len() - 1 - index) as u64;
             let time = DeviceTimeUs(
-                (read.last_time.0).saturating_sub(newer * u64::from(running.clock.period.0) / 1000),
+                (read.last_time.0).saturating_sub(newer.saturating_mul(spacing_ns) / 1000),
             );
             self.sample(running, sample, time);
         }
@@ -244,6 +247,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         let now = self.timer.now();
         self.next_surroundings = DeviceTimeUs(now.0.saturating_add(SURROUNDINGS_US));
         match self.accelerometer.surroundings().await {
+            // Of a sensor without: nothing is said rather than invented.
+            Ok(nothing) if nothing == Surroundings::default() => {}
             Ok(surroundings) => {
                 if let Some(temperature) = surroundings.temperature {
                     self.shared.temperature.signal(temperature);
@@ -268,6 +273,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         self.flush();
         running.integrator.gap();
         running.begin_epoch(EpochReason::Gap);
+        running.clock.broken = true;
         running.lost = true;
         self.shared.publish(|published| {
             let errors = &mut published.sensor.bus_errors;
@@ -377,6 +383,8 @@ struct SampleClock {
     last: Option<DeviceTimeUs>,
     /// Sample periods from first to last, none of them missed.
     periods: u32,
+    /// The sensor has failed since: its queue began anew.
+    broken: bool,
 }
 
 impl SampleClock {
@@ -387,6 +395,7 @@ impl SampleClock {
             first: None,
             last: None,
             periods: 0,
+            broken: false,
         }
     }
 
@@ -396,6 +405,9 @@ impl SampleClock {
         let Some(last) = self.last else {
             return 0;
         };
+        if read.queued && !read.overrun && !self.broken {
+            return 0;
+        }
         let period = u64::from(self.period.0.max(1));
         let elapsed_ns = read.last_time.0.saturating_sub(last.0).saturating_mul(1000);
         let taken = elapsed_ns.saturating_add(period / 2) / period;
@@ -408,6 +420,16 @@ impl SampleClock {
     /// backwards.
     fn goes_on_at(&self, time: DeviceTimeUs) -> bool {
         self.last.is_some_and(|last| time > last)
+    }
+
+    /// Time between samples that follow the latest one without a gap: spread evenly up to `read`.
+    fn spacing_ns(&self, read: &Batch, otherwise: u64) -> u64 {
+        let since = self
+            .last
+            .map(|last| read.last_time.0.saturating_sub(last.0));
+        since
+            .and_then(|since| since.checked_mul(1000)?.checked_div(read.count as u64))
+            .unwrap_or(otherwise)
     }
 
     /// How many periods a gap has is a guess: measuring begins again after it.
@@ -423,6 +445,7 @@ impl SampleClock {
             self.periods = self.periods.saturating_add(periods);
         }
         self.last = Some(last);
+        self.broken = false;
     }
 
     /// The sensor's true period, once it is known well enough to be used.

@@ -11,20 +11,31 @@ use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embedded_hal_async::digital::Wait;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
-use wimu_node::{Shared, Timer};
+use wimu_node::{Accelerometer, DataReady, Shared, Timer};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
-use crate::lsm303agr::{DataReadyPin, Lsm303agr};
-use crate::pipe::{Channels, HostEnd, LinkConfig, faulty_link};
+use crate::pipe::{Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link};
+use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
+
+/// Which sensor a simulated board has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SensorPart {
+    /// Accelerometer, magnetometer and thermometer, each sample by its data-ready.
+    #[default]
+    Lsm303agr,
+    /// Accelerometer only, through its FIFO.
+    Adxl345,
+}
 
 /// How a simulated board is made.
 #[derive(Clone, Debug)]
@@ -43,7 +54,9 @@ pub struct BoardConfig {
     pub clock_error_ppb: i32,
     /// Its memory.
     pub storage: Storage,
-    /// Its sensor is a recording of another one, whose sensitivity it does not know.
+    /// Its sensor.
+    pub sensor: SensorPart,
+    /// That sensor plays a recording of another one, whose sensitivity it does not know.
     pub replay: bool,
     /// Its serial number.
     pub device_id: u64,
@@ -64,13 +77,14 @@ impl Default for BoardConfig {
             fault_seed: 1,
             clock_error_ppb: 0,
             storage: Storage::in_memory(),
+            sensor: SensorPart::default(),
             replay: false,
             device_id: 0x5157_0001,
         }
     }
 }
 
-/// A simulated board: `wimu-node` with the LSM303AGR driver on simulated hardware, in virtual time.
+/// A simulated board: `wimu-node` with the drivers of boards on simulated hardware, in virtual time.
 ///
 /// Time passes only in [`run_until`](Self::run_until): as fast as the machine can, or paced by
 /// whoever calls it. The same calls give the same bytes in every run.
@@ -78,7 +92,7 @@ pub struct Board {
     clock: VirtualClock,
     started_us: u64,
     config: BoardConfig,
-    sensor: Lsm303agr,
+    sensor: Sensor,
     bus_faults: Faults,
     cable: HostEnd,
     wireless: HostEnd,
@@ -92,7 +106,10 @@ impl Board {
     /// Puts power on a board whose sensor takes its samples from `source`.
     pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
-        let sensor = Lsm303agr::new(&clock, source);
+        let sensor = match config.sensor {
+            SensorPart::Lsm303agr => Sensor::lsm303agr(&clock, source),
+            SensorPart::Adxl345 => Sensor::adxl345(&clock, source),
+        };
         let channels = [
             (&config.cable_faults, config.fault_seed),
             (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
@@ -150,7 +167,7 @@ impl Board {
     }
 
     /// The sensor, to break it or to give it other samples.
-    pub fn sensor(&self) -> &Lsm303agr {
+    pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }
 
@@ -196,10 +213,10 @@ type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
 fn boot(
     clock: &VirtualClock,
     config: &BoardConfig,
-    sensor: &Lsm303agr,
+    device: &Sensor,
     channels: &[Option<Channels>; 2],
 ) -> Boot {
-    let i2c = SimI2c::new(clock, [Rc::new(sensor.clone()) as Rc<dyn Target>]);
+    let i2c = SimI2c::new(clock, [Rc::new(device.clone()) as Rc<dyn Target>]);
     let faults = i2c.faults();
     let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
         let config = LinkConfig {
@@ -218,12 +235,18 @@ fn boot(
         started_us: clock.now(),
         rate_ppb: u128::from((1_000_000_000 + i64::from(config.clock_error_ppb)) as u64),
     };
+    let (part, capabilities) = match config.sensor {
+        SensorPart::Lsm303agr => (
+            Part::new(sensor::LSM303AGR, "LSM303AGR"),
+            Capabilities::MAGNETOMETER.with(Capabilities::TEMPERATURE),
+        ),
+        SensorPart::Adxl345 => (Part::new(sensor::ADXL345, "ADXL345"), Capabilities(0)),
+    };
     let hello = Hello {
         device_id: config.device_id,
         firmware: firmware_version(),
-        capabilities: Capabilities::ACCELEROMETER
-            .with(Capabilities::MAGNETOMETER)
-            .with(Capabilities::TEMPERATURE)
+        capabilities: capabilities
+            .with(Capabilities::ACCELEROMETER)
             .with(Capabilities::DATA_READY)
             .with(Capabilities::STORE),
         sensitivity_known: !config.replay,
@@ -231,27 +254,51 @@ fn boot(
         sensor: if config.replay {
             Part::new(sensor::REPLAY, "replay")
         } else {
-            Part::new(sensor::LSM303AGR, "LSM303AGR")
+            part
         },
         ..Hello::new(LinkRole::Cable)
     };
+    let store = config.storage.clone();
+    let links = [
+        (cable_reader, cable_writer),
+        (wireless_reader, wireless_writer),
+    ];
+    let line = Stamped {
+        pin: device.data_ready(),
+        timer: timer.clone(),
+    };
+    let node = match config.sensor {
+        SensorPart::Lsm303agr => {
+            let accelerometer = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
+            node(hello, accelerometer, timer, store, links)
+        }
+        SensorPart::Adxl345 => {
+            let accelerometer = wimu_node::Adxl345::new(i2c, line, timer.clone());
+            node(hello, accelerometer, timer, store, links)
+        }
+    };
+    (node, faults, cable, wireless)
+}
+
+fn node(
+    hello: Hello,
+    accelerometer: impl Accelerometer + 'static,
+    timer: BoardTimer,
+    store: Storage,
+    [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
+) -> Pin<Box<dyn Future<Output = ()>>> {
     let board = wimu_node::Board {
         hello,
-        accelerometer: wimu_node::Lsm303agr::<SimI2c, DataReadyPin, BoardTimer>::new(
-            i2c,
-            sensor.data_ready(),
-            timer.clone(),
-        ),
+        accelerometer,
         timer,
-        store: config.storage.clone(),
-        cable: (cable_reader, cable_writer),
-        wireless: (wireless_reader, wireless_writer),
+        store,
+        cable,
+        wireless,
     };
-    let node = Box::pin(async move {
+    Box::pin(async move {
         let shared = Shared::<NoopRawMutex>::new();
         board.split(&shared).run().await;
-    });
-    (node, faults, cable, wireless)
+    })
 }
 
 fn firmware_version() -> [u16; 3] {
@@ -282,10 +329,17 @@ pub struct BoardTimer {
 
 const ONE_PPB: u128 = 1_000_000_000;
 
+impl BoardTimer {
+    /// What it shows at `time_us` of the simulation.
+    fn at(&self, time_us: u64) -> DeviceTimeUs {
+        let passed = u128::from(time_us.saturating_sub(self.started_us));
+        DeviceTimeUs((passed * self.rate_ppb / ONE_PPB) as u64)
+    }
+}
+
 impl Timer for BoardTimer {
     fn now(&self) -> DeviceTimeUs {
-        let passed = u128::from(self.clock.now() - self.started_us);
-        DeviceTimeUs((passed * self.rate_ppb / ONE_PPB) as u64)
+        self.at(self.clock.now())
     }
 
     async fn until(&self, moment: DeviceTimeUs) {
@@ -294,6 +348,19 @@ impl Timer for BoardTimer {
         let passed = u64::try_from(passed).unwrap_or(u64::MAX);
         let until: Until = self.clock.until(passed.saturating_add(self.started_us));
         until.await;
+    }
+}
+
+/// INT1 of the sensor, with the time at which it rose, as an interrupt would note it.
+struct Stamped {
+    pin: DataReadyPin,
+    timer: BoardTimer,
+}
+
+impl DataReady for Stamped {
+    async fn ready(&mut self) -> Option<DeviceTimeUs> {
+        let _ = self.pin.wait_for_high().await;
+        Some(self.timer.at(self.pin.rose_us()))
     }
 }
 

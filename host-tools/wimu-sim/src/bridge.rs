@@ -24,7 +24,7 @@ use embedded_hal_async::i2c::{I2c, Operation};
 
 use crate::clock::VirtualClock;
 use crate::i2c::{Faults, I2cError, SimI2c, Target};
-use crate::lsm303agr::Lsm303agr;
+use crate::sensor::Sensor;
 use crate::source::Source;
 
 /// Registers of the chip.
@@ -54,7 +54,7 @@ pub struct Traffic {
 /// A bridge, its bus at 400 kHz, and an LSM303AGR on it, in virtual time.
 pub struct Bridge {
     clock: VirtualClock,
-    sensor: Lsm303agr,
+    sensor: Sensor,
     i2c: SimI2c,
     /// Received, not yet a whole message.
     incoming: Vec<u8>,
@@ -99,7 +99,7 @@ enum Part {
 impl Bridge {
     /// A bridge to a sensor that takes its samples from `source`.
     pub fn new(clock: &VirtualClock, source: impl Source + 'static) -> Self {
-        let sensor = Lsm303agr::new(clock, source);
+        let sensor = Sensor::lsm303agr(clock, source);
         Self {
             clock: clock.clone(),
             i2c: SimI2c::new(clock, [Rc::new(sensor.clone()) as Rc<dyn Target>]),
@@ -133,7 +133,7 @@ impl Bridge {
     }
 
     /// The sensor, to break it or to give it other samples.
-    pub fn sensor(&self) -> &Lsm303agr {
+    pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }
 

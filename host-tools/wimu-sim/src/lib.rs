@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod adxl345;
 pub mod attitude;
 pub mod board;
 pub mod bridge;
@@ -13,8 +14,10 @@ pub mod pipe;
 #[cfg(unix)]
 pub mod qemu;
 mod random;
+mod sampling;
 pub mod scenario;
 pub mod scene;
+pub mod sensor;
 pub mod server;
 pub mod source;
 pub mod storage;

@@ -19,7 +19,7 @@ use crate::board::VirtualBoard;
 use crate::bridge::{Bridge, Traffic};
 use crate::clock::VirtualClock;
 use crate::i2c::Faults;
-use crate::lsm303agr::Lsm303agr;
+use crate::sensor::Sensor;
 use crate::source::Source;
 
 const QEMU: &str = "qemu-system-arm";
@@ -274,7 +274,7 @@ impl QemuBoard {
     }
 
     /// The sensor, to break it or to give it other samples.
-    pub fn sensor(&self) -> &Lsm303agr {
+    pub fn sensor(&self) -> &Sensor {
         self.bridge.sensor()
     }
 
@@ -546,7 +546,7 @@ impl FreeRunning {
     }
 
     /// The sensor, to break it.
-    pub fn sensor(&self) -> &Lsm303agr {
+    pub fn sensor(&self) -> &Sensor {
         self.bridge.sensor()
     }
 

@@ -45,6 +45,8 @@ pub enum Gauge {
 
 /// 220 µg/√Hz: what the LSM303AGR's accelerometer is like in high-resolution mode.
 const LSM303AGR_NOISE_MPS2_PER_RTHZ: f64 = 220e-6 * STANDARD_GRAVITY_MPS2;
+/// 0.75 LSB of 3.9 mg in the 50 Hz of a rate of 100 Hz: the datasheet's x and y axes of an ADXL345.
+const ADXL345_NOISE_MPS2_PER_RTHZ: f64 = 414e-6 * STANDARD_GRAVITY_MPS2;
 /// 3 mG: the LSM303AGR's magnetometer in high-resolution mode.
 const LSM303AGR_MAGNETIC_NOISE_NT: f64 = 300.0;
 
@@ -118,6 +120,17 @@ impl SensorTruth {
                 soft_iron,
                 noise_nt: LSM303AGR_MAGNETIC_NOISE_NT,
             },
+        }
+    }
+
+    /// A bad but believable ADXL345, as [`random`](Self::random) but for noise of 414 µg/√Hz and a
+    /// sample period within ±5 %.
+    pub fn random_adxl345(seed: u64, gauge: Gauge) -> Self {
+        let mut random = Random::new(seed, 6);
+        Self {
+            noise_mps2_per_rthz: ADXL345_NOISE_MPS2_PER_RTHZ,
+            period_error_ppm: random.uniform(-50_000.0, 50_000.0),
+            ..Self::random(seed, gauge)
         }
     }
 

@@ -14,9 +14,10 @@ use wimu_model::Counts;
 use wimu_sim::attitude::Attitude;
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{Faults, I2cError, SimI2c};
-use wimu_sim::lsm303agr::{ACCELEROMETER_ADDRESS, Lsm303agr};
+use wimu_sim::lsm303agr::ACCELEROMETER_ADDRESS;
 use wimu_sim::motion::{Poses, Rest};
 use wimu_sim::scene::{Scene, Temperature, World};
+use wimu_sim::sensor::Sensor;
 use wimu_sim::source::{Physics, Replay, Source};
 use wimu_sim::truth::{Gauge, SensorTruth};
 
@@ -32,18 +33,18 @@ impl embedded_hal::delay::DelayNs for NoDelay {
 
 struct Bench {
     clock: VirtualClock,
-    sensor: Lsm303agr,
+    sensor: Sensor,
     driver: Driver,
     faults: Faults,
 }
 
-fn bus(clock: &VirtualClock, sensor: &Lsm303agr) -> SimI2c {
+fn bus(clock: &VirtualClock, sensor: &Sensor) -> SimI2c {
     SimI2c::new(clock, [Rc::new(sensor.clone()) as Rc<_>])
 }
 
 fn bench(source: impl Source + 'static) -> Bench {
     let clock = VirtualClock::new();
-    let sensor = Lsm303agr::new(&clock, source);
+    let sensor = Sensor::lsm303agr(&clock, source);
     let bus = bus(&clock, &sensor);
     Bench {
         faults: bus.faults(),

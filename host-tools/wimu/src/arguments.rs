@@ -126,7 +126,10 @@ pub struct Simulate {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum Sensor {
+    /// Accelerometer, magnetometer, thermometer
     Lsm303agr,
+    /// Accelerometer only, through a FIFO
+    Adxl345,
 }
 
 #[derive(Args)]

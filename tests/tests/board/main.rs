@@ -1,5 +1,6 @@
 //! A board in virtual time, and everything that can go wrong around it.
 
+mod adxl345;
 mod epochs;
 mod links;
 mod requests;

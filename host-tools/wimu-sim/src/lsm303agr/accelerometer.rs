@@ -1,6 +1,7 @@
 //! The accelerometer's and the thermometer's registers.
 
-use super::sampling::{Output, SampleClock};
+use super::output::Output;
+use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 
 const STATUS_AUX: u8 = 0x07;

@@ -1,6 +1,7 @@
 //! The magnetometer's registers.
 
-use super::sampling::{Output, SampleClock};
+use super::output::Output;
+use crate::sampling::SampleClock;
 use crate::source::{Source, quantise};
 
 const OFFSET_X_L: u8 = 0x45;

@@ -8,7 +8,7 @@ use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
-use wimu_sim::board::{Board, BoardConfig};
+use wimu_sim::board::{Board, BoardConfig, SensorPart};
 use wimu_sim::faults::{FaultCounts, LinkFaults, PRESETS};
 use wimu_sim::motion;
 use wimu_sim::pipe::LinkConfig;
@@ -55,7 +55,6 @@ struct LinkTruth {
 }
 
 pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
-    let Sensor::Lsm303agr = arguments.sensor;
     if !(arguments.speed > 0.0 && arguments.speed <= 1000.0) {
         return Err(HostError::new(
             ErrorCode::Usage,
@@ -85,6 +84,10 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         fault_seed: arguments.seed,
         clock_error_ppb: (arguments.clock_ppm * 1e3).round() as i32,
         storage,
+        sensor: match arguments.sensor {
+            Sensor::Lsm303agr => SensorPart::Lsm303agr,
+            Sensor::Adxl345 => SensorPart::Adxl345,
+        },
         replay: arguments.replay.is_some(),
         ..BoardConfig::default()
     };
@@ -112,7 +115,10 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
                 )
             })?;
             scene.play(0.0, motion.clone());
-            let truth = SensorTruth::random(arguments.seed, Gauge::LowerTriangular);
+            let truth = match arguments.sensor {
+                Sensor::Lsm303agr => SensorTruth::random,
+                Sensor::Adxl345 => SensorTruth::random_adxl345,
+            }(arguments.seed, Gauge::LowerTriangular);
             let physics = Physics::new(truth, scene.clone(), arguments.seed);
             (Board::start(config, physics), Some((scene, motion)))
         }

@@ -1,0 +1,222 @@
+//! The ADXL345 (accelerometer) behind [`Accelerometer`], through its FIFO.
+
+use embedded_hal_async::i2c::I2c;
+use wimu_adxl345::{
+    Address, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step,
+};
+use wimu_link::message::{Resolution, Settings};
+use wimu_model::{Counts, DeviceTimeUs, PeriodNs, Sensitivity};
+
+use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
+use crate::data_ready::DataReady;
+use crate::timer::Timer;
+
+/// Ranges, ± g.
+const RANGES: [(u8, Range); 4] = [
+    (2, Range::G2),
+    (4, Range::G4),
+    (8, Range::G8),
+    (16, Range::G16),
+];
+
+/// Rates, Hz: those of whole numbers, up to the fastest that a bus of 400 kHz carries.
+const RATES: [(u16, Rate); 6] = [
+    (25, Rate::Hz25),
+    (50, Rate::Hz50),
+    (100, Rate::Hz100),
+    (200, Rate::Hz200),
+    (400, Rate::Hz400),
+    (800, Rate::Hz800),
+];
+
+/// Samples that the FIFO holds.
+const FIFO: u8 = 32;
+/// The watermark is reached after this time, ns …
+const LATENCY_NS: u32 = 40_000_000;
+/// … and leaves half of the FIFO for the time it takes to come.
+const MOST: u32 = 16;
+/// How late the line may be before the FIFO is looked at without it, samples.
+const PATIENCE: u64 = 8;
+
+/// An ADXL345 on an I²C bus with its INT1 line.
+///
+/// Samples wait in the sensor's FIFO until INT1 says that there are enough for 40 ms, but at most
+/// 16: up to as many again are safe while nobody reads.
+pub struct Adxl345<I2C, D, T> {
+    device: wimu_adxl345::Adxl345<I2C>,
+    data_ready: D,
+    timer: T,
+    period: PeriodNs,
+    watermark: u8,
+    /// When the newest sample that was read was taken.
+    last: Option<DeviceTimeUs>,
+}
+
+impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
+    /// A sensor on `i2c` at 0x53, whose INT1 is `data_ready`.
+    pub fn new(i2c: I2C, data_ready: D, timer: T) -> Self {
+        Self {
+            device: wimu_adxl345::Adxl345::new(i2c, Address::Low),
+            data_ready,
+            timer,
+            period: PeriodNs(10_000_000),
+            watermark: 1,
+            last: None,
+        }
+    }
+
+    async fn start(&mut self, plan: &Plan) -> Result<(), Error<I2C::Error>> {
+        let range_g = plan.settings.range_g;
+        let range = RANGES.iter().find(|(g, _)| *g == range_g);
+        let rate_hz = plan.settings.rate_hz;
+        let rate = RATES.iter().find(|(hz, _)| *hz == rate_hz);
+        let (Some(&(_, range)), Some(&(_, rate))) = (range, rate) else {
+            return Ok(()); // Not of a plan of this sensor.
+        };
+        let device = &mut self.device;
+        device.check_identity().await?;
+        device.standby().await?;
+        // What the chip would add is part of the calibration.
+        device.set_offset([0; 3]).await?;
+        device
+            .set_data_format(format(range, plan.settings.resolution))
+            .await?;
+        let low_power = plan.settings.resolution == Resolution::LowPower;
+        device.set_rate(rate, low_power).await?;
+        device
+            .set_fifo(Fifo::Stream {
+                watermark: self.watermark,
+            })
+            .await?;
+        device
+            .set_interrupts(Interrupts::WATERMARK, Interrupts::NONE)
+            .await?;
+        device.measure().await
+    }
+
+    /// When the newest of `waiting` samples was taken, given that the line rose at `rose` and that
+    /// they were counted at `looked`.
+    fn newest(
+        &self,
+        rose: DeviceTimeUs,
+        waiting: u8,
+        looked: DeviceTimeUs,
+        overrun: bool,
+    ) -> DeviceTimeUs {
+        let periods = |count: u64| count * u64::from(self.period.0) / 1000;
+        let above = waiting.saturating_sub(self.watermark);
+        let by_line = rose.0.saturating_add(periods(above.into()));
+        let oldest = looked.0.saturating_sub(periods(1));
+        // A line that nobody could look at in time tells when that was over instead.
+        let slack = periods(1) / 4;
+        if !overrun
+            && waiting >= self.watermark
+            && (oldest.saturating_sub(slack)..=looked.0).contains(&by_line)
+        {
+            return DeviceTimeUs(by_line);
+        }
+        let expected = match self.last {
+            Some(last) if !overrun => last.0.saturating_add(periods(waiting.into())),
+            _ => looked.0,
+        };
+        DeviceTimeUs(expected.clamp(oldest, looked.0))
+    }
+}
+
+fn format(range: Range, resolution: Resolution) -> DataFormat {
+    DataFormat {
+        range,
+        resolution: match resolution {
+            Resolution::Normal => Step::TenBits,
+            Resolution::LowPower | Resolution::High => Step::Full,
+        },
+        justify: Justify::Left,
+    }
+}
+
+impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
+    fn plan(wanted: &Settings) -> Result<Plan, Settings> {
+        let nearest_range = RANGES
+            .iter()
+            .min_by_key(|(g, _)| g.abs_diff(wanted.range_g));
+        let low_power = wanted.resolution == Resolution::LowPower;
+        let nearest_rate = RATES
+            .iter()
+            .filter(|(_, rate)| !low_power || rate.has_low_power())
+            .min_by_key(|(hz, _)| hz.abs_diff(wanted.rate_hz));
+        let (Some(&(range_g, range)), Some(&(rate_hz, rate))) = (nearest_range, nearest_rate)
+        else {
+            return Err(*wanted);
+        };
+        let settings = Settings {
+            range_g,
+            rate_hz,
+            ..*wanted
+        };
+        let format = format(range, settings.resolution);
+        match Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g())) {
+            Ok(sensitivity) if settings == *wanted => Ok(Plan {
+                settings,
+                period: PeriodNs(rate.period_ns()),
+                sensitivity,
+                full_scale: i16::MAX << (16 - format.bits()),
+            }),
+            _ => Err(settings),
+        }
+    }
+
+    async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
+        self.period = plan.period;
+        self.watermark = (LATENCY_NS / plan.period.0.max(1)).clamp(1, MOST) as u8;
+        self.last = None;
+        self.start(plan).await.map_err(fault)
+    }
+
+    async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
+        let patience = (u64::from(self.watermark) + PATIENCE) * u64::from(self.period.0) / 1000;
+        let deadline = DeviceTimeUs(self.timer.now().0.saturating_add(patience));
+        let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+        let woken = self.timer.now();
+        let waiting = self.device.fifo_level().await.map_err(fault)?.samples;
+        let looked = self.timer.now();
+        let overrun = waiting >= FIFO
+            && (self.device.interrupts().await.map_err(fault)?).contains(Interrupts::OVERRUN);
+        let mut count = 0;
+        for place in counts.iter_mut().take(waiting.into()) {
+            *place = Counts(self.device.sample().await.map_err(fault)?);
+            count += 1;
+        }
+        if count == 0 {
+            return Err(SensorFault::NoData);
+        }
+        let newest = self.newest(rose.flatten().unwrap_or(woken), waiting, looked, overrun);
+        let unread = u64::from(waiting).saturating_sub(count as u64);
+        let last_time = DeviceTimeUs(
+            newest
+                .0
+                .saturating_sub(unread * u64::from(self.period.0) / 1000),
+        );
+        self.last = Some(last_time);
+        Ok(Batch {
+            count,
+            last_time,
+            overrun,
+            queued: true,
+        })
+    }
+
+    /// It measures nothing else.
+    async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
+        Ok(Surroundings::default())
+    }
+}
+
+fn fault<E>(error: Error<E>) -> SensorFault {
+    match error {
+        Error::Bus(_) => SensorFault::NotAnswering,
+        Error::WrongIdentity { found } => SensorFault::WrongIdentity {
+            expected: wimu_adxl345::Adxl345::<()>::IDENTITY,
+            found,
+        },
+    }
+}

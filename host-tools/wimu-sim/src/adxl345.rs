@@ -1,0 +1,325 @@
+//! The ADXL345 at register level: accelerometer at 0x53.
+//!
+//! Modelled: identity, output data rates 0.10 to 3200 Hz, standby and measuring, ranges, 10 bits
+//! and full resolution, both justifications, the lowest bit that is 0 at 1600 and 3200 Hz, the FIFO of 32
+//! samples (bypass, FIFO, stream) that moves on when a sample was read, watermark, overrun,
+//! data-ready, interrupt enable, map and invert on INT1, self-test at 2.5 V. Other registers keep
+//! what is written to them and do nothing: offsets, tap, activity, free fall, sleep, trigger mode,
+//! INT2. Low power changes no noise.
+
+use std::collections::VecDeque;
+
+use crate::sampling::SampleClock;
+use crate::sensor::Chip;
+use crate::source::{Conversion, Source};
+
+/// Its I²C address, with SDO low.
+pub const ADDRESS: u8 = 0x53;
+
+const DEVID: u8 = 0x00;
+const ACT_TAP_STATUS: u8 = 0x2B;
+const BW_RATE: u8 = 0x2C;
+const POWER_CTL: u8 = 0x2D;
+const INT_ENABLE: u8 = 0x2E;
+const INT_MAP: u8 = 0x2F;
+const INT_SOURCE: u8 = 0x30;
+const DATA_FORMAT: u8 = 0x31;
+const DATAX0: u8 = 0x32;
+const DATAZ1: u8 = 0x37;
+const FIFO_CTL: u8 = 0x38;
+const FIFO_STATUS: u8 = 0x39;
+
+const RATE: u8 = 0x0F;
+const MEASURE: u8 = 0x08;
+const SELF_TEST: u8 = 0x80;
+const INVERT: u8 = 0x20;
+const FULL_RES: u8 = 0x08;
+const JUSTIFY: u8 = 0x04;
+const DATA_READY: u8 = 0x80;
+const WATERMARK: u8 = 0x02;
+const OVERRUN: u8 = 0x01;
+
+const FIFO_SAMPLES: usize = 32;
+/// From standby to the first conversion, µs.
+const WAKE_UP_US: u64 = 1_100;
+/// What the self-test adds at 2.5 V, *g*: in the middle of the datasheet's limits.
+const SELF_TEST_G: [f64; 3] = [1.15, -1.15, 1.85];
+
+#[derive(Debug)]
+pub(crate) struct Adxl345 {
+    identity: u8,
+    registers: [u8; 0x40],
+    pointer: u8,
+    expects_register: bool,
+    sampling: Option<SampleClock>,
+    taken: u64,
+    fifo: VecDeque<[i16; 3]>,
+    /// What the data registers show while nothing waits.
+    latest: [i16; 3],
+    /// A sample whose reading has begun: it does not change until the message ends.
+    reading: Option<[i16; 3]>,
+    /// In bypass mode: not read yet.
+    fresh: bool,
+    overrun: bool,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Mode {
+    Bypass,
+    Fifo,
+    Stream,
+}
+
+impl Default for Adxl345 {
+    fn default() -> Self {
+        let mut chip = Self {
+            identity: 0xE5,
+            registers: [0; 0x40],
+            pointer: 0,
+            expects_register: false,
+            sampling: None,
+            taken: 0,
+            fifo: VecDeque::new(),
+            latest: [0; 3],
+            reading: None,
+            fresh: false,
+            overrun: false,
+        };
+        chip.reset();
+        chip
+    }
+}
+
+impl Adxl345 {
+    fn register(&self, register: u8) -> u8 {
+        self.registers
+            .get(usize::from(register))
+            .copied()
+            .unwrap_or(0)
+    }
+
+    fn is_set(&self, register: u8, mask: u8) -> bool {
+        self.register(register) & mask != 0
+    }
+
+    fn mode(&self) -> Mode {
+        match self.register(FIFO_CTL) >> 6 {
+            0b00 => Mode::Bypass,
+            0b01 => Mode::Fifo,
+            _ => Mode::Stream,
+        }
+    }
+
+    fn watermark(&self) -> usize {
+        usize::from(self.register(FIFO_CTL) & 0x1F)
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        let slower = RATE - (self.register(BW_RATE) & RATE);
+        let measures = self.is_set(POWER_CTL, MEASURE);
+        measures.then(|| 3200.0 / f64::from(1_u32 << slower))
+    }
+
+    /// Bits that carry data.
+    fn bits(&self) -> u32 {
+        let format = self.register(DATA_FORMAT);
+        match format & FULL_RES {
+            0 => 10,
+            _ => 10 + u32::from(format & 3),
+        }
+    }
+
+    /// Of a left-justified sample: 256 LSB/g in 10 bits at ±2 g, half of it at twice the range.
+    fn lsb_per_g(&self) -> f64 {
+        f64::from(16384_u32 >> (self.register(DATA_FORMAT) & 3))
+    }
+
+    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
+        let bits = self.bits();
+        let conversion = Conversion {
+            index: self.taken,
+            time_s,
+            rate_hz: self.rate_hz().unwrap_or_default(),
+            lsb_per_g: self.lsb_per_g(),
+            bits,
+        };
+        let full = self.fifo.len() >= self.watermark().max(1);
+        let unread = if self.mode() == Mode::Bypass {
+            self.fresh
+        } else {
+            full
+        };
+        if source.waits_for_reader() && unread {
+            return;
+        }
+        let Some(counts) = source.acceleration(&conversion) else {
+            return;
+        };
+        self.taken += 1;
+        let mut sample = counts.0;
+        if self.is_set(DATA_FORMAT, SELF_TEST) {
+            for (axis, shift) in sample.iter_mut().zip(SELF_TEST_G) {
+                let shift = (shift * self.lsb_per_g()) as i16 >> (16 - bits) << (16 - bits);
+                *axis = axis.saturating_add(shift);
+            }
+        }
+        let fast = self.register(BW_RATE) & RATE >= 0x0E;
+        let finest = self.is_set(DATA_FORMAT, FULL_RES) || !self.is_set(DATA_FORMAT, 3);
+        if fast && finest {
+            sample = sample.map(|axis| axis & !(1_i16 << (16 - bits)));
+        }
+        if !self.is_set(DATA_FORMAT, JUSTIFY) {
+            sample = sample.map(|axis| axis >> (16 - bits));
+        }
+        self.store(sample);
+    }
+
+    fn store(&mut self, sample: [i16; 3]) {
+        self.latest = sample;
+        match self.mode() {
+            Mode::Bypass => {
+                self.overrun |= self.fresh;
+                self.fresh = true;
+            }
+            Mode::Fifo if self.fifo.len() >= FIFO_SAMPLES => self.overrun = true,
+            Mode::Fifo => self.fifo.push_back(sample),
+            Mode::Stream => {
+                if self.fifo.len() >= FIFO_SAMPLES {
+                    self.fifo.pop_front();
+                    self.overrun = true;
+                }
+                self.fifo.push_back(sample);
+            }
+        }
+    }
+
+    /// A byte of the sample that is being read.
+    fn data(&mut self, register: u8) -> u8 {
+        let shown = self.fifo.front().copied().unwrap_or(self.latest);
+        let sample = *self.reading.get_or_insert(shown);
+        let byte = usize::from(register - DATAX0);
+        let value = sample[byte / 2].to_le_bytes()[byte % 2];
+        self.fresh = false;
+        self.overrun = false;
+        if register == DATAZ1 {
+            self.end_reading();
+        }
+        value
+    }
+
+    /// The FIFO moves on when a sample has been read, or the message has ended in it.
+    fn end_reading(&mut self) {
+        if self.reading.take().is_some() {
+            self.fifo.pop_front();
+        }
+    }
+
+    fn interrupts(&self) -> u8 {
+        let on = |condition: bool, bit: u8| if condition { bit } else { 0 };
+        let bypass = self.mode() == Mode::Bypass;
+        let waits = if bypass {
+            self.fresh
+        } else {
+            !self.fifo.is_empty()
+        };
+        on(waits, DATA_READY)
+            | on(self.fifo.len() >= self.watermark(), WATERMARK)
+            | on(self.overrun, OVERRUN)
+    }
+}
+
+impl Chip for Adxl345 {
+    fn settle(&mut self, now: u64, source: &mut dyn Source) {
+        let Some(mut sampling) = self.sampling else {
+            return;
+        };
+        while let Some(time_s) = sampling.take_due(now) {
+            self.sample(time_s, source);
+        }
+        self.sampling = Some(sampling);
+    }
+
+    fn reset(&mut self) {
+        self.registers = [0; 0x40];
+        self.registers[usize::from(BW_RATE)] = 0x0A;
+        self.sampling = None;
+        self.fifo.clear();
+        self.reading = None;
+        self.fresh = false;
+        self.overrun = false;
+    }
+
+    fn acknowledges(&self, address: u8) -> bool {
+        address == ADDRESS
+    }
+
+    fn begin_write(&mut self, _address: u8) {
+        self.end_reading();
+        self.expects_register = true;
+    }
+
+    fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
+        if std::mem::take(&mut self.expects_register) {
+            self.pointer = byte & 0x3F;
+            return;
+        }
+        let register = self.pointer;
+        self.pointer = (register + 1) & 0x3F;
+        let read_only = matches!(
+            register,
+            DEVID | ACT_TAP_STATUS | INT_SOURCE | DATAX0..=DATAZ1 | FIFO_STATUS
+        );
+        if read_only {
+            return;
+        }
+        let rate_before = self.rate_hz();
+        self.registers[usize::from(register)] = byte;
+        if register == FIFO_CTL && self.mode() == Mode::Bypass {
+            self.fifo.clear();
+            self.overrun = false;
+        }
+        let rate = self.rate_hz();
+        if rate != rate_before {
+            let begins = if rate_before.is_none() {
+                now + WAKE_UP_US
+            } else {
+                now
+            };
+            self.sampling = rate.map(|rate| SampleClock::new(rate, begins, period_error_ppm));
+        }
+    }
+
+    fn read(&mut self, _address: u8) -> u8 {
+        let register = self.pointer;
+        self.pointer = (register + 1) & 0x3F;
+        match register {
+            DEVID => self.identity,
+            INT_SOURCE => self.interrupts(),
+            DATAX0..=DATAZ1 => self.data(register),
+            FIFO_STATUS => self.fifo.len() as u8,
+            _ => self.register(register),
+        }
+    }
+
+    fn interrupt(&self) -> bool {
+        let on_int1 = self.register(INT_ENABLE) & !self.register(INT_MAP);
+        (self.interrupts() & on_int1 != 0) != self.is_set(DATA_FORMAT, INVERT)
+    }
+
+    fn next_change(&self) -> Option<u64> {
+        // Any sample may raise it.
+        self.sampling.map(|sampling| sampling.next_us())
+    }
+
+    fn set_identity(&mut self, identity: u8) {
+        self.identity = identity;
+    }
+
+    fn samples_taken(&self) -> u64 {
+        self.taken
+    }
+
+    fn has_unread(&self) -> bool {
+        self.fresh || !self.fifo.is_empty()
+    }
+}

@@ -1,0 +1,325 @@
+//! A simulated sensor: its chip at register level, its interrupt line, and how to take it away.
+
+use std::cell::RefCell;
+use std::convert::Infallible;
+use std::fmt;
+use std::future::{Future, poll_fn};
+use std::pin::Pin;
+use std::rc::Rc;
+use std::task::{Context, Poll, Waker};
+
+use embedded_hal::digital::{ErrorType, InputPin};
+use embedded_hal_async::digital::Wait;
+
+use crate::clock::{Until, VirtualClock};
+use crate::i2c::Target;
+use crate::source::Source;
+
+/// The registers of a chip and what they do.
+pub(crate) trait Chip: fmt::Debug {
+    /// Takes the samples that are due by `now` (µs).
+    fn settle(&mut self, now: u64, source: &mut dyn Source);
+    /// All registers as after power came.
+    fn reset(&mut self);
+    /// Whether it answers at the 7-bit `address`.
+    fn acknowledges(&self, address: u8) -> bool;
+    /// A message to `address` begins.
+    fn begin_write(&mut self, address: u8);
+    /// The next byte of it.
+    fn write(&mut self, address: u8, byte: u8, now: u64, period_error_ppm: f64);
+    /// The next byte from `address`.
+    fn read(&mut self, address: u8) -> u8;
+    /// The level of its interrupt line.
+    fn interrupt(&self) -> bool;
+    /// When that may next change without anybody touching the chip, µs.
+    fn next_change(&self) -> Option<u64>;
+    /// Makes it identify itself as `identity`.
+    fn set_identity(&mut self, identity: u8);
+    /// Accelerometer samples taken since it was made, read or not.
+    fn samples_taken(&self) -> u64;
+    /// Whether samples wait that were not read.
+    fn has_unread(&self) -> bool;
+}
+
+/// A simulated sensor; clones are the same one, so that one can be on the bus and another in the
+/// hands of a test.
+///
+/// It computes its samples when somebody looks, up to the time the clock shows.
+#[derive(Clone, Debug)]
+pub struct Sensor {
+    clock: VirtualClock,
+    state: Rc<RefCell<State>>,
+}
+
+#[derive(Debug)]
+struct State {
+    source: Box<dyn Source>,
+    present: bool,
+    chip: Box<dyn Chip>,
+    pin: PinState,
+    watchers: Vec<Waker>,
+}
+
+/// The interrupt line: its level, and how often it changed, so that no edge is missed.
+#[derive(Clone, Copy, Debug, Default)]
+struct PinState {
+    high: bool,
+    rises: u64,
+    falls: u64,
+    /// When it last rose, µs.
+    rose_us: u64,
+}
+
+impl Sensor {
+    /// An LSM303AGR that has just got power, with samples from `source`; its interrupt line is
+    /// INT1.
+    pub fn lsm303agr(clock: &VirtualClock, source: impl Source + 'static) -> Self {
+        Self::of(
+            clock,
+            source,
+            Box::new(crate::lsm303agr::Lsm303agr::default()),
+        )
+    }
+
+    /// An ADXL345 that has just got power, with samples from `source`; its interrupt line is INT1.
+    pub fn adxl345(clock: &VirtualClock, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(crate::adxl345::Adxl345::default()))
+    }
+
+    fn of(clock: &VirtualClock, source: impl Source + 'static, chip: Box<dyn Chip>) -> Self {
+        Self {
+            clock: clock.clone(),
+            state: Rc::new(RefCell::new(State {
+                source: Box::new(source),
+                present: true,
+                chip,
+                pin: PinState::default(),
+                watchers: Vec::new(),
+            })),
+        }
+    }
+
+    /// The interrupt line, for the microcontroller to wait on.
+    pub fn data_ready(&self) -> DataReadyPin {
+        DataReadyPin {
+            sensor: self.clone(),
+        }
+    }
+
+    /// Takes the sensor off the board, or puts it back: it answers at no address and its line is
+    /// low meanwhile; put back, it has just got power.
+    pub fn set_present(&self, present: bool) {
+        self.change(|state, _| {
+            if present && !state.present {
+                state.chip.reset();
+            }
+            state.present = present;
+        });
+    }
+
+    /// Makes the accelerometer identify itself as `id`. Survives loss of power.
+    pub fn set_who_am_i(&self, id: u8) {
+        self.change(|state, _| state.chip.set_identity(id));
+    }
+
+    /// Takes samples from `source` from now on.
+    pub fn set_source(&self, source: impl Source + 'static) {
+        self.change(|state, _| state.source = Box::new(source));
+    }
+
+    /// Takes power off and puts it back: all registers are as after a start.
+    pub fn power_cycle(&self) {
+        self.change(|state, _| state.chip.reset());
+    }
+
+    /// How many accelerometer samples were taken since the sensor was made, read or not.
+    pub fn samples_taken(&self) -> u64 {
+        self.look(|state, _| state.chip.samples_taken())
+    }
+
+    /// Whether a replayed recording is at its end and its last sample was read.
+    pub fn finished(&self) -> bool {
+        self.look(|state, _| state.source.exhausted() && !state.chip.has_unread())
+    }
+
+    /// Brings the sensor up to now and lets `visit` see it.
+    fn look<R>(&self, visit: impl FnOnce(&mut State, u64) -> R) -> R {
+        let now = self.clock.now();
+        let (result, watchers) = {
+            let state = &mut *self.state.borrow_mut();
+            let before = state.pin;
+            state.settle(now);
+            let result = visit(state, now);
+            state.update_pin(now);
+            let edges = |pin: PinState| (pin.rises, pin.falls);
+            let watchers = if edges(state.pin) != edges(before) {
+                std::mem::take(&mut state.watchers)
+            } else {
+                Vec::new()
+            };
+            (result, watchers)
+        };
+        watchers.into_iter().for_each(Waker::wake);
+        result
+    }
+
+    /// Wakes `waker` at the next change.
+    fn watch(&self, waker: &Waker) {
+        let watchers = &mut self.state.borrow_mut().watchers;
+        if !watchers.iter().any(|known| known.will_wake(waker)) {
+            watchers.push(waker.clone());
+        }
+    }
+
+    /// As [`look`](Self::look), where the change may move the next sample.
+    fn change(&self, change: impl FnOnce(&mut State, u64)) {
+        let watchers = self.look(|state, now| {
+            change(state, now);
+            std::mem::take(&mut state.watchers)
+        });
+        watchers.into_iter().for_each(Waker::wake);
+    }
+}
+
+impl State {
+    /// Takes the samples that are due.
+    fn settle(&mut self, now: u64) {
+        if self.present {
+            self.chip.settle(now, self.source.as_mut());
+        }
+        self.update_pin(now);
+    }
+
+    fn update_pin(&mut self, now: u64) {
+        let high = self.present && self.chip.interrupt();
+        if high != self.pin.high {
+            self.pin.high = high;
+            if high {
+                self.pin.rises += 1;
+                self.pin.rose_us = now;
+            } else {
+                self.pin.falls += 1;
+            }
+        }
+    }
+
+    fn next_change(&self) -> Option<u64> {
+        if self.present && !self.source.exhausted() {
+            self.chip.next_change()
+        } else {
+            None
+        }
+    }
+}
+
+impl Target for Sensor {
+    fn acknowledges(&self, address: u8) -> bool {
+        let state = self.state.borrow();
+        state.present && state.chip.acknowledges(address)
+    }
+
+    fn begin_write(&self, address: u8) {
+        self.look(|state, _| state.chip.begin_write(address));
+    }
+
+    fn write(&self, address: u8, byte: u8) {
+        self.change(|state, now| {
+            let error = state.source.period_error_ppm();
+            state.chip.write(address, byte, now, error);
+        });
+    }
+
+    fn read(&self, address: u8) -> u8 {
+        self.look(|state, _| state.chip.read(address))
+    }
+}
+
+/// The interrupt line of the sensor as a pin of the microcontroller. Waiting can be cancelled at any time.
+#[derive(Clone, Debug)]
+pub struct DataReadyPin {
+    sensor: Sensor,
+}
+
+impl DataReadyPin {
+    fn state(&self) -> PinState {
+        self.sensor.look(|state, _| state.pin)
+    }
+
+    /// When it last rose, µs on the simulation's clock: 0 if it never did.
+    pub fn rose_us(&self) -> u64 {
+        self.state().rose_us
+    }
+
+    /// Waits until `reached` holds of the pin.
+    async fn until(&self, reached: impl Fn(PinState) -> bool) {
+        let mut timer = None;
+        poll_fn(|context| self.poll(context, &mut timer, &reached)).await;
+    }
+
+    fn poll(
+        &self,
+        context: &mut Context<'_>,
+        timer: &mut Option<Until>,
+        reached: impl Fn(PinState) -> bool,
+    ) -> Poll<()> {
+        loop {
+            let (pin, next_change) = self
+                .sensor
+                .look(|state, _| (state.pin, state.next_change()));
+            if reached(pin) {
+                return Poll::Ready(());
+            }
+            self.sensor.watch(context.waker());
+            *timer = next_change.map(|time| self.sensor.clock.until(time));
+            let timer = timer.as_mut().map(|timer| Pin::new(timer).poll(context));
+            if timer != Some(Poll::Ready(())) {
+                return Poll::Pending;
+            }
+        }
+    }
+}
+
+impl ErrorType for DataReadyPin {
+    type Error = Infallible;
+}
+
+impl InputPin for DataReadyPin {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(self.state().high)
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.state().high)
+    }
+}
+
+impl Wait for DataReadyPin {
+    async fn wait_for_high(&mut self) -> Result<(), Infallible> {
+        self.until(|pin| pin.high).await;
+        Ok(())
+    }
+
+    async fn wait_for_low(&mut self) -> Result<(), Infallible> {
+        self.until(|pin| !pin.high).await;
+        Ok(())
+    }
+
+    async fn wait_for_rising_edge(&mut self) -> Result<(), Infallible> {
+        let seen = self.state().rises;
+        self.until(|pin| pin.rises > seen).await;
+        Ok(())
+    }
+
+    async fn wait_for_falling_edge(&mut self) -> Result<(), Infallible> {
+        let seen = self.state().falls;
+        self.until(|pin| pin.falls > seen).await;
+        Ok(())
+    }
+
+    async fn wait_for_any_edge(&mut self) -> Result<(), Infallible> {
+        let seen = self.state();
+        self.until(|pin| (pin.rises, pin.falls) != (seen.rises, seen.falls))
+            .await;
+        Ok(())
+    }
+}

@@ -1,0 +1,198 @@
+//! The `wimu-adxl345` driver on the simulated sensor, in virtual time.
+
+use std::rc::Rc;
+
+use embedded_hal_async::digital::Wait;
+use embedded_hal_async::i2c::I2c;
+use wimu_adxl345::{
+    Address, Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution,
+};
+use wimu_model::Counts;
+use wimu_sim::clock::VirtualClock;
+use wimu_sim::i2c::{I2cError, SimI2c};
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::sensor::Sensor;
+use wimu_sim::source::{Physics, Replay, Source};
+use wimu_sim::truth::SensorTruth;
+
+type Outcome = Result<(), Error<I2cError>>;
+
+/// Runs `use_it` with a driver on a bus with a sensor that takes its samples from `source`.
+fn on_bench(
+    source: impl Source + 'static,
+    use_it: impl AsyncFnOnce(&VirtualClock, &Sensor, &mut Adxl345<SimI2c>) -> Outcome,
+) {
+    let clock = VirtualClock::new();
+    let sensor = Sensor::adxl345(&clock, source);
+    let bus = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
+    let mut driver = Adxl345::new(bus, Address::Low);
+    let outcome = clock.run(use_it(&clock, &sensor, &mut driver));
+    outcome.expect("nothing stalls").expect("the bus works");
+}
+
+fn at_rest() -> Physics {
+    Physics::new(SensorTruth::ideal(), Scene::new(World::default()), 1)
+}
+
+/// Samples that tell their number.
+fn numbered(count: i16) -> Replay {
+    Replay::new((0..count).map(|k| Counts([k << 6, -(k << 6), 0])))
+}
+
+const LEFT: DataFormat = DataFormat {
+    range: Range::G2,
+    resolution: Resolution::Full,
+    justify: Justify::Left,
+};
+
+async fn start(driver: &mut Adxl345<SimI2c>, rate: Rate, fifo: Fifo) -> Outcome {
+    driver.check_identity().await?;
+    driver.set_data_format(LEFT).await?;
+    driver.set_rate(rate, false).await?;
+    driver.set_fifo(fifo).await?;
+    driver
+        .set_interrupts(Interrupts::WATERMARK, Interrupts::NONE)
+        .await?;
+    driver.measure().await
+}
+
+async fn number(driver: &mut Adxl345<SimI2c>) -> Result<i16, Error<I2cError>> {
+    Ok(driver.sample().await?[0] >> 6)
+}
+
+#[test]
+fn every_format_reads_one_g_upward() {
+    for range in [Range::G2, Range::G4, Range::G8, Range::G16] {
+        for resolution in [Resolution::TenBits, Resolution::Full] {
+            for justify in [Justify::Right, Justify::Left] {
+                let format = DataFormat {
+                    range,
+                    resolution,
+                    justify,
+                };
+                on_bench(at_rest(), async |clock, _, driver| {
+                    driver.set_data_format(format).await?;
+                    driver.measure().await?;
+                    clock.until(30_000).await;
+                    let [x, y, z] = driver.sample().await?;
+                    assert_eq!([x, y], [0, 0]);
+                    let g = f64::from(z) / f64::from(format.lsb_per_g());
+                    // Local gravity, to half a step.
+                    let step = f64::from(range as u8 + 1) * 0.04;
+                    assert!((g - 1.0).abs() < step, "{format:?}: {g} g");
+                    Ok(())
+                });
+            }
+        }
+    }
+}
+
+#[test]
+fn the_fifo_gives_every_sample_once_and_int1_follows_the_watermark() {
+    on_bench(numbered(500), async |clock, sensor, driver| {
+        start(driver, Rate::Hz400, Fifo::Stream { watermark: 8 }).await?;
+        let mut line = sensor.data_ready();
+        let mut expected = 0;
+        for _ in 0..20 {
+            line.wait_for_high().await.unwrap();
+            assert_eq!(
+                line.rose_us(),
+                clock.now(),
+                "the line rises with the sample"
+            );
+            let waiting = driver.fifo_level().await?.samples;
+            assert!((8..=9).contains(&waiting), "{waiting}");
+            for _ in 0..waiting {
+                assert_eq!(number(driver).await?, expected);
+                expected += 1;
+            }
+            line.wait_for_low().await.unwrap();
+        }
+        let period = (line.rose_us() - 1_100) as f64 / f64::from(expected);
+        assert!((period - 2_500.0).abs() < 60.0, "{period} µs");
+        Ok(())
+    });
+}
+
+#[test]
+fn a_full_fifo_drops_the_oldest_and_says_so_until_data_are_read() {
+    on_bench(numbered(500), async |clock, _, driver| {
+        start(driver, Rate::Hz400, Fifo::Stream { watermark: 16 }).await?;
+        clock.until(clock.now() + 1_100 + 2_500 * 41).await;
+        assert_eq!(driver.fifo_level().await?.samples, 32);
+        assert!(driver.interrupts().await?.contains(Interrupts::OVERRUN));
+        assert_eq!(number(driver).await?, 41 - 32);
+        assert!(!driver.interrupts().await?.contains(Interrupts::OVERRUN));
+        Ok(())
+    });
+}
+
+#[test]
+fn a_fifo_that_stops_when_full_keeps_the_oldest() {
+    on_bench(numbered(500), async |clock, _, driver| {
+        start(driver, Rate::Hz400, Fifo::UntilFull { watermark: 31 }).await?;
+        clock.until(clock.now() + 200_000).await;
+        assert_eq!(driver.fifo_level().await?.samples, 32);
+        assert_eq!(number(driver).await?, 0);
+        Ok(())
+    });
+}
+
+#[test]
+fn a_byte_read_alone_is_the_last_of_its_sample() {
+    let clock = VirtualClock::new();
+    let sensor = Sensor::adxl345(&clock, numbered(500));
+    let mut bus = SimI2c::new(&clock, [Rc::new(sensor) as Rc<_>]);
+    let low_bytes = clock.run(async {
+        bus.write(0x53, &[0x38, 0x90]).await?;
+        bus.write(0x53, &[0x31, 0x04]).await?;
+        bus.write(0x53, &[0x2D, 0x08]).await?;
+        clock.until(100_000).await;
+        let mut bytes = [[0]; 3];
+        for byte in &mut bytes {
+            bus.write_read(0x53, &[0x32], byte).await?;
+        }
+        Ok::<_, I2cError>(bytes)
+    });
+    assert_eq!(low_bytes.unwrap().unwrap(), [[0], [0x40], [0x80]]);
+}
+
+#[test]
+fn the_self_test_moves_each_axis_as_far_as_the_datasheet_says() {
+    on_bench(at_rest(), async |clock, _, driver| {
+        let test = driver.self_test(&mut clock.clone()).await?;
+        assert_eq!(test.passed(2500), [true; 3], "{test:?}");
+        Ok(())
+    });
+}
+
+#[test]
+fn the_oscillator_sets_the_rate() {
+    for ppm in [-50_000.0, 50_000.0] {
+        let mut physics = at_rest();
+        physics.truth.period_error_ppm = ppm;
+        on_bench(physics, async |clock, sensor, driver| {
+            start(driver, Rate::Hz100, Fifo::Stream { watermark: 1 }).await?;
+            clock.until(clock.now() + 1_100 + 10_000_000).await;
+            let expected = (1000.0 / (1.0 + ppm * 1e-6)) as u64;
+            assert_eq!(sensor.samples_taken(), expected);
+            Ok(())
+        });
+    }
+}
+
+#[test]
+fn another_chip_and_no_chip_are_told_apart() {
+    on_bench(at_rest(), async |_, sensor, driver| {
+        sensor.set_who_am_i(0x33);
+        let wrong = driver.check_identity().await;
+        assert_eq!(wrong, Err(Error::WrongIdentity { found: 0x33 }));
+        sensor.set_present(false);
+        let gone = driver.check_identity().await;
+        assert_eq!(
+            gone,
+            Err(Error::Bus(I2cError::NoAcknowledge { address: 0x53 }))
+        );
+        Ok(())
+    });
+}

@@ -112,28 +112,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 plan::<A>(&nearest).ok()
             }
         };
-        let parameters = match self.load(Key::Parameters).await {
-            Ok(None) => None,
-            Ok(Some(Telemetry::Parameters(ActiveParameters {
-                active: Some(stored),
-                ..
-            }))) => match ParameterSet::try_from(&stored) {
-                Ok(set) => Some(set),
-                Err(fault) => {
-                    self.trouble(Trouble::Parameters, Event::ModelRejected(fault));
-                    None
-                }
-            },
-            _ => {
-                self.trouble(Trouble::Parameters, Event::StoreUnreadable);
-                None
-            }
-        };
         // A sensor has at least one way to run.
         let plan = match plan.or_else(|| plan_nearest::<A>(&Settings::default())) {
             Some(plan) => plan,
             None => core::future::pending().await,
         };
+        let parameters = self.load_parameters(plan.settings.range_g).await;
         self.shared.publish(|published| {
             published.hello.boot_count = boot_count;
             published.settings = plan.settings;
@@ -146,6 +130,33 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         // A sensor that does not start is reported and tried again by the sampler.
         let _ = self.configure(&plan, parameters.as_ref()).await;
         plan
+    }
+
+    /// The set committed for a range. What cannot be read or used is reported.
+    async fn load_parameters(&mut self, range_g: u8) -> Option<ParameterSet> {
+        match self.load(Key::Parameters { range_g }).await {
+            Ok(None) => {
+                self.mended(Trouble::Parameters);
+                None
+            }
+            Ok(Some(Telemetry::Parameters(ActiveParameters {
+                active: Some(stored),
+                ..
+            }))) if stored.range_g == range_g => match ParameterSet::try_from(&stored) {
+                Ok(set) => {
+                    self.mended(Trouble::Parameters);
+                    Some(set)
+                }
+                Err(fault) => {
+                    self.trouble(Trouble::Parameters, Event::ModelRejected(fault));
+                    None
+                }
+            },
+            _ => {
+                self.trouble(Trouble::Parameters, Event::StoreUnreadable);
+                None
+            }
+        }
     }
 
     async fn obey(&mut self, plan: &mut Plan, command: Command) -> Result<Payload, Refusal> {
@@ -185,7 +196,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Command::FactoryReset => {
                 let new = plan_nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
                 self.configure(&new, None).await?;
-                if let Err(StoreFault) = self.forget(&plan.settings).await {
+                if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
                     let committed = self.shared.published().parameters;
                     self.configure(plan, committed.as_ref()).await?;
                     return Err(Refusal::StoreFailed);
@@ -204,18 +215,6 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 Ok(Payload::None)
             }
         }
-    }
-
-    /// Removes settings and parameters from the store, or neither.
-    async fn forget(&mut self, settings: &Settings) -> Result<(), StoreFault> {
-        self.store.remove(Key::Settings).await?;
-        let removed = self.store.remove(Key::Parameters).await;
-        if removed.is_err() {
-            let _ = self
-                .save(Key::Settings, &Telemetry::Settings(*settings))
-                .await;
-        }
-        removed
     }
 
     async fn commit(&mut self, named: ParameterId) -> Result<Payload, Refusal> {
@@ -238,7 +237,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             active: Some((&staged).into()),
             id: id.0,
         });
-        self.save(Key::Parameters, &record).await?;
+        let key = Key::Parameters {
+            range_g: staged.range_g,
+        };
+        self.save(key, &record).await?;
         self.staged = None;
         self.shared
             .publish(|published| published.parameters = Some(staged));
@@ -250,18 +252,31 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// Runs the sensor under new settings and stores them; on failure it runs as before.
     async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
-        let committed = self.shared.published().parameters;
-        self.configure(&new, committed.as_ref()).await?;
+        let before = self.shared.published().parameters;
+        let parameters = if new.settings.range_g == plan.settings.range_g {
+            before
+        } else {
+            self.load_parameters(new.settings.range_g).await
+        };
         let record = Telemetry::Settings(new.settings);
-        if let Err(refusal) = self.save(Key::Settings, &record).await {
-            self.configure(plan, committed.as_ref()).await?;
-            return Err(refusal);
+        let mut outcome = self.configure(&new, parameters.as_ref()).await;
+        if outcome.is_ok() {
+            outcome = self.save(Key::Settings, &record).await;
+            if outcome.is_err() {
+                self.configure(plan, before.as_ref()).await?;
+            }
         }
+        outcome?;
         *plan = new;
-        self.shared
-            .publish(|published| published.settings = new.settings);
+        self.shared.publish(|published| {
+            published.settings = new.settings;
+            published.parameters = parameters;
+        });
         self.mended(Trouble::Settings);
         self.announce(&record);
+        if parameters != before {
+            self.announce_parameters();
+        }
         Ok(())
     }
 
@@ -406,6 +421,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .save(Key::BootCount, bytes.get(..length).unwrap_or_default())
             .await
     }
+}
+
+fn is_calibration_or_settings(key: Key) -> bool {
+    matches!(key, Key::Parameters { .. } | Key::Settings)
 }
 
 /// How the sensor will run under `wanted`, or the nearest that the device can do.

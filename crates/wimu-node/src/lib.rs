@@ -9,6 +9,8 @@ pub mod accelerometer;
 mod adxl345;
 mod control;
 mod data_ready;
+#[cfg(feature = "flash-store")]
+mod flash_store;
 mod link;
 mod lsm303agr;
 mod node;
@@ -22,6 +24,8 @@ pub use accelerometer::Accelerometer;
 pub use adxl345::Adxl345;
 pub use control::Control;
 pub use data_ready::DataReady;
+#[cfg(feature = "flash-store")]
+pub use flash_store::{FlashLayout, FlashStore};
 pub use link::{LinkReader, LinkWriter};
 pub use lsm303agr::Lsm303agr;
 pub use node::{Board, Node};

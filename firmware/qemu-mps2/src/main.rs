@@ -29,13 +29,13 @@ use embassy_sync::mutex::Mutex;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
 use wimu_link::{Hello, LinkRole};
-use wimu_node::{Board, Control, LinkReader, LinkWriter, Lsm303agr, Sampler, Shared};
+use wimu_node::{Board, Control, FlashStore, LinkReader, LinkWriter, Lsm303agr, Sampler, Shared};
 
 use crate::bridge::{Bridge, BridgeI2c};
 use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
 use crate::lockstep::Lockstep;
-use crate::store::{Flash, FlashStore};
+use crate::store::Flash;
 use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
 
 type Sensor = Lsm303agr<BridgeI2c, DataReady, BoardTimer>;
@@ -47,7 +47,7 @@ async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
 }
 
 #[embassy_executor::task]
-async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore, M>) -> ! {
+async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>) -> ! {
     control.run().await
 }
 
@@ -85,7 +85,7 @@ fn main() -> ! {
         accelerometer: Sensor::new(BridgeI2c(bridge), DataReady(bridge), BoardTimer),
         timer: BoardTimer,
         // SAFETY: nothing else uses the memory there.
-        store: FlashStore::new(unsafe { Flash::new() }),
+        store: FlashStore::new(unsafe { Flash::new() }, store::LAYOUT, 0),
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
     };

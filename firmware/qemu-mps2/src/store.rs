@@ -1,15 +1,12 @@
-//! Records in the memory that QEMU keeps in a file, as they would be in flash.
+//! The memory that QEMU keeps in a file, as if it were flash.
 
 use core::ops::Range;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embedded_storage_async::nor_flash::{
-    ErrorType, MultiwriteNorFlash, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
-use sequential_storage::Error;
-use sequential_storage::cache::{Cache, Uncached};
-use sequential_storage::map::{MapConfig, MapStorage};
-use wimu_node::{Key, MAX_RECORD, Store, StoreFault};
+use wimu_node::FlashLayout;
 
 use crate::log::exit_code;
 use crate::semihosting;
@@ -43,16 +40,6 @@ impl Flash {
     /// Nothing else may use the first pages of the PSRAM.
     pub const unsafe fn new() -> Self {
         Self(())
-    }
-
-    /// Whether all of it is erased.
-    fn is_blank(&self) -> bool {
-        (BASE..BASE + RANGE.end as usize)
-            .step_by(WORD)
-            .all(|address| {
-                // SAFETY: the aligned address is in the flash.
-                unsafe { (address as *const u32).read_volatile() == 0 }
-            })
     }
 
     /// Puts `value` into the aligned `address` of the memory.
@@ -146,94 +133,5 @@ impl NorFlash for Flash {
     }
 }
 
-impl MultiwriteNorFlash for Flash {}
-
-/// The node's records in [`Flash`].
-pub struct FlashStore {
-    map: MapStorage<u8, Flash, Cache<Uncached, Uncached, Uncached, u8>>,
-    /// A key and a record, in whole words.
-    buffer: [u8; (1 + MAX_RECORD).next_multiple_of(WORD)],
-    /// Whether the flash holds something, but no record; `None` before it has been looked at.
-    ruined: Option<bool>,
-}
-
-impl FlashStore {
-    /// Whatever `flash` holds.
-    pub const fn new(flash: Flash) -> Self {
-        Self {
-            map: MapStorage::new(
-                flash,
-                const { MapConfig::new(RANGE) },
-                Cache::new_uncached(),
-            ),
-            buffer: [0; _],
-            ruined: None,
-        }
-    }
-
-    /// A map that is ruined as a whole looks as if nothing had been stored: tells the two apart.
-    async fn is_ruined(&mut self) -> bool {
-        if let Some(ruined) = self.ruined {
-            return ruined;
-        }
-        // First: looking for records may repair the flash.
-        let mut ruined = !self.map.flash().is_blank();
-        for key in Key::ALL {
-            let key = number(key);
-            let found = self.map.fetch_item::<&[u8]>(&mut self.buffer, &key);
-            ruined &= !matches!(found.await, Ok(Some(_)));
-        }
-        self.ruined = Some(ruined);
-        ruined
-    }
-
-    async fn put(&mut self, key: Key, record: &[u8]) -> Result<(), Error<FlashError>> {
-        let key = number(key);
-        let stored = self.map.store_item(&mut self.buffer, &key, &record);
-        stored.await
-    }
-}
-
-impl Store for FlashStore {
-    async fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault> {
-        if self.is_ruined().await {
-            return Err(StoreFault);
-        }
-        let key = number(key);
-        let found = self.map.fetch_item::<&[u8]>(&mut self.buffer, &key);
-        let Some(record) = found.await.map_err(|_| StoreFault)? else {
-            return Ok(None);
-        };
-        buffer
-            .get_mut(..record.len())
-            .ok_or(StoreFault)?
-            .copy_from_slice(record);
-        Ok(Some(record.len()))
-    }
-
-    async fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault> {
-        if self.is_ruined().await {
-            defmt::warn!("the flash holds no record that can be read: it is erased");
-            self.map.erase_all().await.map_err(|_| StoreFault)?;
-            self.ruined = Some(false);
-        }
-        self.put(key, record).await.map_err(|error| {
-            defmt::error!("the flash takes no record: {}", defmt::Debug2Format(&error));
-            StoreFault
-        })
-    }
-
-    async fn remove(&mut self, key: Key) -> Result<(), StoreFault> {
-        let key = number(key);
-        let removed = self.map.remove_item(&mut self.buffer, &key);
-        removed.await.map_err(|_| StoreFault)
-    }
-}
-
-fn number(key: Key) -> u8 {
-    match key {
-        Key::Parameters => 1,
-        Key::Settings => 2,
-        Key::BootCount => 3,
-    }
-}
+/// The pages that the node's records are in.
+pub const LAYOUT: FlashLayout<Flash> = FlashLayout::new(RANGE);

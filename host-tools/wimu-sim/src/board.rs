@@ -258,7 +258,7 @@ fn boot(
         },
         ..Hello::new(LinkRole::Cable)
     };
-    let store = config.storage.clone();
+    let storage = config.storage.clone();
     let links = [
         (cable_reader, cable_writer),
         (wireless_reader, wireless_writer),
@@ -270,11 +270,11 @@ fn boot(
     let node = match config.sensor {
         SensorPart::Lsm303agr => {
             let accelerometer = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, store, links)
+            node(hello, accelerometer, timer, storage, links)
         }
         SensorPart::Adxl345 => {
             let accelerometer = wimu_node::Adxl345::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, store, links)
+            node(hello, accelerometer, timer, storage, links)
         }
     };
     (node, faults, cable, wireless)
@@ -284,14 +284,14 @@ fn node(
     hello: Hello,
     accelerometer: impl Accelerometer + 'static,
     timer: BoardTimer,
-    store: Storage,
+    storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
 ) -> Pin<Box<dyn Future<Output = ()>>> {
     let board = wimu_node::Board {
         hello,
         accelerometer,
         timer,
-        store,
+        store: storage.store(),
         cable,
         wireless,
     };

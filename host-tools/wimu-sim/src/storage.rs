@@ -1,127 +1,243 @@
-//! The simulated board's non-volatile memory.
+//! The simulated board's non-volatile memory: a NOR flash that can wear out, rot and lose power.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
-use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::fs::{File, OpenOptions};
+use std::future::pending;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+use std::path::Path;
 use std::rc::Rc;
+use std::task::Poll;
 
-use wimu_node::{Key, Store, StoreFault};
+use embassy_futures::poll_once;
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store};
 
-/// Records that survive the board's restarts, and the program's if they are kept in a file.
-/// Clones are the same memory.
+const PAGES: usize = 4;
+/// As on an nRF52.
+const PAGE: usize = 4096;
+const WORD: usize = 4;
+/// How long an erase may take on an nRF52, ms.
+const PAUSE_MS: u16 = 90;
+
+/// Flash of four pages of 4 KiB that survives the board's restarts, and the program's if it is kept
+/// in a file. Clones are the same flash.
+///
+/// An erase sets all bits of a page, a write only clears bits, byte by byte from the first on.
 #[derive(Clone, Debug, Default)]
-pub struct Storage {
-    records: Rc<RefCell<BTreeMap<u8, Vec<u8>>>>,
-    file: Option<PathBuf>,
-    /// Whether writes fail, as those of a worn-out flash do.
-    worn_out: Rc<RefCell<bool>>,
+pub struct Storage(Rc<RefCell<Chip>>);
+
+#[derive(Debug)]
+struct Chip {
+    bytes: Vec<u8>,
+    file: Option<File>,
+    worn_out: bool,
+    /// Bytes that always read 0.
+    stuck: BTreeSet<usize>,
+    /// Bytes that can be written or erased before power is lost.
+    left: Option<u64>,
+    /// Bytes written or erased so far.
+    changed: u64,
+    erases: [u32; PAGES],
+}
+
+impl Default for Chip {
+    fn default() -> Self {
+        Self {
+            bytes: vec![0xFF; PAGES * PAGE],
+            file: None,
+            worn_out: false,
+            stuck: BTreeSet::new(),
+            left: None,
+            changed: 0,
+            erases: [0; PAGES],
+        }
+    }
 }
 
 impl Storage {
-    /// Memory that ends with the program.
+    /// Flash that ends with the program.
     pub fn in_memory() -> Self {
         Self::default()
     }
 
-    /// Memory kept in the file at `path`, which is made when something is stored.
-    ///
-    /// A file is a series of records: key, length (16 bits, lowest first), bytes. It is replaced
-    /// as a whole, so that a program that is killed leaves the old one or the new one.
-    ///
-    /// # Errors
-    /// When the file is there but cannot be read. One that is damaged holds what can be read of it;
-    /// the node finds out.
-    pub fn in_file(path: &Path) -> io::Result<Self> {
-        let bytes = match fs::read(path) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
-            Err(error) => return Err(error),
-        };
-        let mut records = BTreeMap::new();
-        let mut rest = bytes.as_slice();
-        while let [key, low, high, after @ ..] = rest {
-            let length = usize::from(u16::from_le_bytes([*low, *high])).min(after.len());
-            let (record, after) = after.split_at(length);
-            records.insert(*key, record.to_vec());
-            rest = after;
+    /// Flash that holds `image`, the rest of it erased.
+    pub fn from_image(image: &[u8]) -> Self {
+        let storage = Self::default();
+        for (byte, kept) in storage.0.borrow_mut().bytes.iter_mut().zip(image) {
+            *byte = *kept;
         }
-        Ok(Self {
-            records: Rc::new(RefCell::new(records)),
-            file: Some(path.to_path_buf()),
-            ..Self::default()
-        })
+        storage
     }
 
-    /// Makes every write fail from now on, or succeed again.
+    /// Flash kept in the file at `path`, which is made if it is absent. Every byte is in the file
+    /// when it is in the flash.
+    ///
+    /// # Errors
+    /// When the file cannot be opened or read. One that is damaged holds what can be read of it;
+    /// the node finds out.
+    pub fn in_file(path: &Path) -> io::Result<Self> {
+        let mut options = OpenOptions::new();
+        let mut file = options
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)?;
+        let mut image = Vec::new();
+        file.read_to_end(&mut image)?;
+        let storage = Self::from_image(&image);
+        storage.0.borrow_mut().file = Some(file);
+        Ok(storage)
+    }
+
+    /// What it holds.
+    pub fn image(&self) -> Vec<u8> {
+        self.0.borrow().bytes.clone()
+    }
+
+    /// The node's records in it.
+    pub fn store(&self) -> FlashStore<Self> {
+        const LAYOUT: FlashLayout<Storage> = FlashLayout::new(0..(PAGES * PAGE) as u32);
+        FlashStore::new(self.clone(), LAYOUT, PAUSE_MS)
+    }
+
+    /// Makes every write and erase without effect from now on, or with one again.
     pub fn set_worn_out(&self, worn_out: bool) {
-        *self.worn_out.borrow_mut() = worn_out;
+        self.0.borrow_mut().worn_out = worn_out;
+    }
+
+    /// Wears out the byte at `at`: it reads 0 for ever once it is written or erased.
+    pub fn stick(&self, at: usize) {
+        self.0.borrow_mut().stuck.insert(at);
+    }
+
+    /// Takes power off after so many more bytes have been written or erased: whoever writes the
+    /// next one waits for ever. `None` gives power back.
+    pub fn lose_power_after(&self, bytes: Option<u64>) {
+        self.0.borrow_mut().left = bytes;
+    }
+
+    /// Bytes written or erased so far.
+    pub fn bytes_changed(&self) -> u64 {
+        self.0.borrow().changed
+    }
+
+    /// How often each page has been erased.
+    pub fn erases(&self) -> [u32; PAGES] {
+        self.0.borrow().erases
     }
 
     /// Damages the stored record of `key`, if there is one.
     pub fn corrupt(&self, key: Key) {
-        if let Some(record) = self.records.borrow_mut().get_mut(&number(key))
-            && let Some(byte) = record.get_mut(3)
-        {
-            *byte ^= 0x55;
+        let mut record = [0; MAX_RECORD];
+        let mut store = Self::from_image(&self.image()).store();
+        let Poll::Ready(Ok(Some(length))) = poll_once(store.load(key, &mut record)) else {
+            return;
+        };
+        let mut chip = self.0.borrow_mut();
+        let mut at = 0;
+        while let Some(copy) = chip.bytes.get_mut(at..at + length) {
+            if *copy == record[..length] {
+                copy[length / 2] ^= 0x55;
+            }
+            at += 1;
         }
+        let everything = 0..chip.bytes.len();
+        chip.keep(everything);
+    }
+}
+
+impl Chip {
+    /// Changes a byte; false when there is no power left to.
+    fn change(&mut self, at: usize, change: impl FnOnce(u8) -> u8) -> bool {
+        match &mut self.left {
+            Some(0) => return false,
+            Some(left) => *left -= 1,
+            None => {}
+        }
+        self.changed += 1;
+        if let Some(byte) = self.bytes.get_mut(at)
+            && !self.worn_out
+        {
+            *byte = change(*byte);
+            if self.stuck.contains(&at) {
+                *byte = 0;
+            }
+        }
+        true
     }
 
-    fn change(&self, change: impl FnOnce(&mut BTreeMap<u8, Vec<u8>>)) -> Result<(), StoreFault> {
-        if *self.worn_out.borrow() {
-            return Err(StoreFault);
+    /// Puts bytes into the file. A disk that is full is not the flash's fault: what it holds ends
+    /// with the program then.
+    fn keep(&mut self, range: Range<usize>) {
+        if let (Some(file), Some(bytes)) = (&mut self.file, self.bytes.get(range.clone())) {
+            let _ = file
+                .seek(SeekFrom::Start(range.start as u64))
+                .and_then(|_| file.write_all(bytes));
         }
-        let mut records = self.records.borrow().clone();
-        change(&mut records);
-        if let Some(path) = &self.file {
-            let mut bytes = Vec::new();
-            for (key, record) in &records {
-                let length = u16::try_from(record.len()).map_err(|_| StoreFault)?;
-                bytes.push(*key);
-                bytes.extend(length.to_le_bytes());
-                bytes.extend(record);
-            }
-            let new = path.with_extension("new");
-            fs::write(&new, bytes)
-                .and_then(|()| fs::rename(&new, path))
-                .map_err(|_| StoreFault)?;
-        }
-        *self.records.borrow_mut() = records;
+    }
+}
+
+impl ErrorType for Storage {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Storage {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        let offset = offset as usize;
+        let chip = self.0.borrow();
+        let held = chip.bytes.get(offset..offset + bytes.len());
+        bytes.copy_from_slice(held.ok_or(NorFlashErrorKind::OutOfBounds)?);
         Ok(())
     }
+
+    fn capacity(&self) -> usize {
+        PAGES * PAGE
+    }
 }
 
-impl Store for Storage {
-    async fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault> {
-        let records = self.records.borrow();
-        let Some(record) = records.get(&number(key)) else {
-            return Ok(None);
+impl NorFlash for Storage {
+    const WRITE_SIZE: usize = WORD;
+    const ERASE_SIZE: usize = PAGE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        let range = within(from as usize..to as usize, PAGE)?;
+        let done = {
+            let mut chip = self.0.borrow_mut();
+            for page in range.clone().step_by(PAGE) {
+                chip.erases[page / PAGE] += 1;
+            }
+            let done = range.clone().all(|at| chip.change(at, |_| 0xFF));
+            chip.keep(range);
+            done
         };
-        buffer
-            .get_mut(..record.len())
-            .ok_or(StoreFault)?
-            .copy_from_slice(record);
-        Ok(Some(record.len()))
+        if done { Ok(()) } else { pending().await }
     }
 
-    async fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault> {
-        self.change(|records| {
-            records.insert(number(key), record.to_vec());
-        })
-    }
-
-    async fn remove(&mut self, key: Key) -> Result<(), StoreFault> {
-        self.change(|records| {
-            records.remove(&number(key));
-        })
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        let offset = offset as usize;
+        within(offset..offset + bytes.len(), WORD)?;
+        let done = {
+            let mut chip = self.0.borrow_mut();
+            let mut places = (offset..).zip(bytes);
+            let done = places.all(|(at, byte)| chip.change(at, |before| before & byte));
+            chip.keep(offset..offset + bytes.len());
+            done
+        };
+        if done { Ok(()) } else { pending().await }
     }
 }
 
-fn number(key: Key) -> u8 {
-    match key {
-        Key::Parameters => 1,
-        Key::Settings => 2,
-        Key::BootCount => 3,
+fn within(range: Range<usize>, unit: usize) -> Result<Range<usize>, NorFlashErrorKind> {
+    if !range.start.is_multiple_of(unit) || !range.end.is_multiple_of(unit) {
+        Err(NorFlashErrorKind::NotAligned)
+    } else if range.start > range.end || range.end > PAGES * PAGE {
+        Err(NorFlashErrorKind::OutOfBounds)
+    } else {
+        Ok(range)
     }
 }

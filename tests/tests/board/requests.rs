@@ -507,7 +507,8 @@ fn a_damaged_record_is_told_and_the_board_runs_without_it() {
         rate_hz: 200,
         ..Settings::default()
     };
-    for key in Key::ALL {
+    let parameters = Key::Parameters { range_g: 2 };
+    for key in [parameters, Key::Settings, Key::BootCount] {
         let mut rig = Rig::usual();
         rig.run(1.0);
         rig.set(settings);
@@ -526,7 +527,7 @@ fn a_damaged_record_is_told_and_the_board_runs_without_it() {
             _ => settings,
         };
         assert_eq!(rig.settings(), expected, "{key:?}");
-        let calibrated = key != Key::Parameters;
+        let calibrated = key != parameters;
         assert_eq!(active(&mut rig).0.is_some(), calibrated, "{key:?}");
         assert_eq!(newest_epoch_id(&rig) != 0, calibrated, "{key:?}");
         assert!(rig.boot(CABLE).raw.len() > 250, "{key:?}");

@@ -1,0 +1,407 @@
+//! The store in a flash that loses power at every byte, wears out, fills up and rots.
+//!
+//! The whole campaign, which prints its counts:
+//! `cargo test --release -p wimu-tests --test store -- --ignored --nocapture`.
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+
+use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
+use wimu_sim::storage::Storage;
+use wimu_tests::Seeded;
+
+/// What a future that needs no waiting returns; `None` when power was lost.
+fn done<T>(future: impl Future<Output = T>) -> Option<T> {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => Some(value),
+        Poll::Pending => None,
+    }
+}
+
+/// What a store is to hold.
+type Model = BTreeMap<u8, Vec<u8>>;
+
+const KEYS: [Key; 7] = [
+    Key::Parameters { range_g: 2 },
+    Key::Parameters { range_g: 4 },
+    Key::Parameters { range_g: 8 },
+    Key::Parameters { range_g: 16 },
+    Key::Settings,
+    Key::BootCount,
+    Key::DeviceKey,
+];
+
+fn number(key: Key) -> u8 {
+    key.number().expect("one of ours")
+}
+
+fn load(store: &mut impl Store, key: Key) -> Result<Option<Vec<u8>>, StoreFault> {
+    let mut record = [0; MAX_RECORD];
+    let length = done(store.load(key, &mut record)).expect("power")?;
+    Ok(length.map(|length| record[..length].to_vec()))
+}
+
+/// The store of a board that has just started; the reference board's has two pages.
+fn start(storage: &Storage, pages: usize) -> FlashStore<Storage> {
+    const TWO: FlashLayout<Storage> = FlashLayout::new(0x1000..0x3000);
+    match pages {
+        2 => FlashStore::new(storage.clone(), TWO, 0),
+        _ => storage.store(),
+    }
+}
+
+/// What a store that has just started finds.
+fn held(storage: &Storage, pages: usize) -> Result<Model, StoreFault> {
+    let mut store = start(storage, pages);
+    let mut model = Model::new();
+    for key in KEYS {
+        if let Some(record) = load(&mut store, key)? {
+            model.insert(number(key), record);
+        }
+    }
+    Ok(model)
+}
+
+/// A change of what is stored.
+#[derive(Clone, Debug)]
+enum Change {
+    Save(Key, Vec<u8>),
+    FactoryReset,
+    LostKey,
+}
+
+impl Change {
+    /// As hosts do: parameters and settings mostly, keys and starts often, resets now and then.
+    fn random(source: &mut Seeded) -> Self {
+        let (key, length) = match source.below(20) {
+            0..8 => (KEYS[source.below(4)], 250 + source.below(330)),
+            8..12 => (Key::Settings, 30),
+            12..15 => (Key::BootCount, 5),
+            15..18 => (Key::DeviceKey, 33),
+            18 => return Self::FactoryReset,
+            _ => return Self::LostKey,
+        };
+        Self::Save(key, source.bytes(length))
+    }
+
+    fn is_removed(&self) -> fn(Key) -> bool {
+        match self {
+            Self::Save(..) => |_| false,
+            Self::FactoryReset => |key| matches!(key, Key::Parameters { .. } | Key::Settings),
+            Self::LostKey => |key| matches!(key, Key::DeviceKey | Key::Settings),
+        }
+    }
+
+    /// `None` when power was lost meanwhile.
+    fn make(&self, store: &mut impl Store) -> Option<Result<(), StoreFault>> {
+        match self {
+            Self::Save(key, record) => done(store.save(*key, record)),
+            _ => done(store.remove(self.is_removed())),
+        }
+    }
+
+    fn apply(&self, model: &Model) -> Model {
+        let mut model = model.clone();
+        if let Self::Save(key, record) = self {
+            model.insert(number(*key), record.clone());
+        }
+        let removed = self.is_removed();
+        model.retain(|&number, _| !Key::from_number(number).is_some_and(removed));
+        model
+    }
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    changes: u64,
+    cuts: u64,
+    cuts_in_repairs: u64,
+    kept_old: u64,
+    took_new: u64,
+    erases: u64,
+}
+
+/// Makes `changes` changes, and each again and again with power lost after every `stride` bytes
+/// of it; then once more, with power lost again while the flash is repaired.
+fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
+    let mut source = Seeded(seed);
+    let mut counts = Counts::default();
+    let storage = Storage::in_memory();
+    let mut model = Model::new();
+    for _ in 0..changes {
+        let before = storage.image();
+        let change = Change::random(&mut source);
+        let next = change.apply(&model);
+        let changed_before = storage.bytes_changed();
+        assert_eq!(
+            change.make(&mut start(&storage, pages)),
+            Some(Ok(())),
+            "{change:?}"
+        );
+        assert_eq!(held(&storage, pages), Ok(next.clone()), "{change:?}");
+        let bytes = storage.bytes_changed() - changed_before;
+        let first = source.below(stride as usize) as u64;
+        for cut in (first..bytes).step_by(stride as usize) {
+            let torn = Storage::from_image(&before);
+            torn.lose_power_after(Some(cut));
+            assert_eq!(change.make(&mut start(&torn, pages)), None, "{change:?}");
+            counts.cuts += 1;
+            if cut % 7 == 0 {
+                // Power is lost again while what is torn is being repaired.
+                torn.lose_power_after(Some(source.below(1 + bytes as usize) as u64));
+                let mut store = start(&torn, pages);
+                for key in KEYS {
+                    let _ = done(store.load(key, &mut [0; MAX_RECORD]));
+                }
+                let _ = done(store.save(Key::BootCount, &[]));
+                counts.cuts_in_repairs += 1;
+            }
+            torn.lose_power_after(None);
+            let found = held(&torn, pages).unwrap_or_else(|_| panic!("{change:?} cut after {cut}"));
+            if found == model {
+                counts.kept_old += 1;
+            } else {
+                assert!(found == next, "{change:?} cut after {cut}");
+                counts.took_new += 1;
+            }
+            // Life goes on: the same change again, and it stands.
+            assert_eq!(change.make(&mut start(&torn, pages)), Some(Ok(())));
+            assert!(
+                held(&torn, pages) == Ok(next.clone()),
+                "{change:?} cut after {cut}, again"
+            );
+        }
+        model = next;
+        counts.changes += 1;
+    }
+    counts.erases = storage
+        .erases()
+        .iter()
+        .map(|&erases| u64::from(erases))
+        .sum();
+    let worn = storage
+        .erases()
+        .into_iter()
+        .filter(|_| pages == 4 || counts.erases == 0);
+    let spread = worn.clone().max().zip(worn.min());
+    assert!(
+        spread.is_none_or(|(most, least)| most - least <= 1),
+        "{:?}",
+        storage.erases()
+    );
+    counts
+}
+
+#[test]
+fn power_lost_at_any_byte_leaves_the_old_records_or_the_new() {
+    for (pages, changes) in [(2, 70), (4, 110)] {
+        let counts = lose_power(pages, 1, changes, 23);
+        println!("{pages} pages: {counts:?}");
+        assert!(counts.cuts > 2000 && counts.erases > 3, "{counts:?}");
+        assert!(counts.kept_old > 100 && counts.took_new > 100, "{counts:?}");
+    }
+}
+
+#[test]
+#[ignore = "takes minutes; run it with --release"]
+fn power_lost_at_every_byte_leaves_the_old_records_or_the_new() {
+    for pages in [2, 4] {
+        let counts = lose_power(pages, 2, 240, 1);
+        println!(
+            "{pages} pages: {counts:?}: 0 bad states, 0 committed records lost, 0 damaged records"
+        );
+        assert!(counts.changes >= 200 && counts.cuts >= 30_000);
+    }
+}
+
+/// A store that holds a record under every key, but for `spare` bytes less in each.
+fn filled(storage: &Storage, pages: usize, spare: usize) -> Model {
+    let mut store = start(storage, pages);
+    let mut source = Seeded(7);
+    for key in KEYS {
+        let record = source.bytes(MAX_RECORD - spare);
+        assert_eq!(done(store.save(key, &record)), Some(Ok(())), "{key:?}");
+    }
+    held(storage, pages).expect("readable")
+}
+
+#[test]
+fn a_full_store_refuses_what_does_not_fit_and_keeps_what_it_holds() {
+    let storage = Storage::in_memory();
+    let mut store = start(&storage, 2);
+    let mut source = Seeded(3);
+    let mut model = Model::new();
+    let mut refused = 0;
+    // More ranges than any sensor has.
+    for round in 0..4 {
+        for range_g in 1..20 {
+            let key = Key::Parameters { range_g };
+            let record = source.bytes(MAX_RECORD - round * 100);
+            match done(store.save(key, &record)).expect("power") {
+                Ok(()) => drop(model.insert(number(key), record)),
+                Err(StoreFault) => refused += 1,
+            }
+            for (&number, record) in &model {
+                let key = Key::from_number(number).expect("one of ours");
+                assert_eq!(load(&mut store, key).as_ref(), Ok(&Some(record.clone())));
+            }
+        }
+    }
+    assert!(
+        refused > 10 && model.len() >= 5,
+        "{refused} {}",
+        model.len()
+    );
+    // Refusing wears nothing.
+    let erases = storage.erases();
+    let large = source.bytes(MAX_RECORD);
+    for _ in 0..50 {
+        let outcome = done(store.save(Key::Parameters { range_g: 100 }, &large));
+        assert_eq!(outcome, Some(Err(StoreFault)));
+    }
+    assert_eq!(storage.erases(), erases);
+    // There is room again when something has been removed.
+    let removed = done(store.remove(|key| matches!(key, Key::Parameters { .. })));
+    assert_eq!(removed, Some(Ok(())));
+    assert_eq!(filled(&storage, 2, 200).len(), KEYS.len());
+}
+
+#[test]
+fn what_a_node_keeps_fits_two_pages_at_its_longest_and_can_be_changed_for_ever() {
+    let storage = Storage::in_memory();
+    let mut store = start(&storage, 2);
+    let mut source = Seeded(11);
+    let mut model = Model::new();
+    for round in 0..200 {
+        let key = KEYS[round % KEYS.len()];
+        let length = match key {
+            Key::Parameters { .. } => MAX_RECORD,
+            _ => 64,
+        };
+        let change = Change::Save(key, source.bytes(length));
+        assert_eq!(change.make(&mut store), Some(Ok(())), "{round}");
+        model = change.apply(&model);
+        assert_eq!(held(&storage, 2), Ok(model.clone()));
+    }
+}
+
+#[test]
+fn worn_out_flash_refuses_writes_and_keeps_what_it_holds() {
+    let storage = Storage::in_memory();
+    let model = filled(&storage, 4, 100);
+    // Bytes that are stuck all over a page but for its marks, found when something is written or
+    // moved there.
+    for page in 0..4 {
+        let worn = Storage::from_image(&storage.image());
+        for at in (page * 4096 + 40..(page + 1) * 4096 - 4).step_by(97) {
+            worn.stick(at);
+        }
+        let mut store = worn.store();
+        let mut source = Seeded(page as u64);
+        let mut model = model.clone();
+        let mut refused = 0;
+        for _ in 0..60 {
+            let change = Change::random(&mut source);
+            match change.make(&mut store).expect("power") {
+                Ok(()) => model = change.apply(&model),
+                Err(StoreFault) => refused += 1,
+            }
+            assert_eq!(held(&worn, 4), Ok(model.clone()), "page {page}, {change:?}");
+        }
+        assert!(refused > 0, "page {page}");
+    }
+}
+
+#[test]
+fn a_record_that_is_damaged_after_it_was_saved_is_an_error_and_no_older_one() {
+    let storage = Storage::in_memory();
+    let mut store = storage.store();
+    for generation in 0..3 {
+        for key in KEYS {
+            let record = [generation * 16 + number(key); 300];
+            assert_eq!(done(store.save(key, &record)), Some(Ok(())));
+        }
+    }
+    let model = held(&storage, 4).expect("readable");
+    for key in KEYS {
+        let damaged = Storage::from_image(&storage.image());
+        damaged.corrupt(key);
+        let mut store = damaged.store();
+        for other in KEYS {
+            let found = load(&mut store, other);
+            if other == key {
+                assert_eq!(found, Err(StoreFault), "{key:?}");
+            } else {
+                assert_eq!(found, Ok(model.get(&number(other)).cloned()), "{key:?}");
+            }
+        }
+        // Written again, it is whole again.
+        assert_eq!(done(store.save(key, b"new")), Some(Ok(())));
+        assert_eq!(load(&mut damaged.store(), key), Ok(Some(b"new".to_vec())));
+    }
+}
+
+#[test]
+fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() {
+    let storage = Storage::in_memory();
+    let mut store = storage.store();
+    let mut source = Seeded(5);
+    let mut model = Model::new();
+    let mut older: Vec<Model> = Vec::new();
+    for _ in 0..12 {
+        older.push(model.clone());
+        let change = Change::random(&mut source);
+        assert_eq!(change.make(&mut store), Some(Ok(())));
+        model = change.apply(&model);
+    }
+    let image = storage.image();
+    let used = image
+        .iter()
+        .rposition(|&byte| byte != 0xFF)
+        .unwrap_or(0)
+        .min(8192);
+    let mut reported = 0;
+    for at in 0..used {
+        let mut image = image.clone();
+        image[at] ^= 1 << source.below(8);
+        let mut store = Storage::from_image(&image).store();
+        let mut lost = 0;
+        for key in KEYS {
+            match load(&mut store, key) {
+                Err(StoreFault) => lost += 1,
+                Ok(found) => {
+                    assert_eq!(
+                        found.as_ref(),
+                        model.get(&number(key)),
+                        "{key:?}, byte {at}"
+                    );
+                }
+            }
+        }
+        assert!(lost <= 1, "byte {at}: {lost}");
+        reported += lost;
+    }
+    println!("{used} bytes damaged, one at a time: {reported} times a record was reported");
+    assert!(reported > 100);
+}
+
+#[test]
+fn noise_is_reported_and_can_be_written_again() {
+    for seed in 0..300 {
+        let mut source = Seeded(seed);
+        let length = 1 + source.below(4 * 4096);
+        let noise = source.bytes(length);
+        let storage = Storage::from_image(&noise);
+        let mut store = storage.store();
+        for key in KEYS {
+            // Short noise looks like a first record that power loss interrupted.
+            let found = load(&mut store, key);
+            assert!(found == Err(StoreFault) || (found == Ok(None) && length <= 4096));
+        }
+        let change = Change::Save(Key::BootCount, source.bytes(5));
+        assert_eq!(change.make(&mut store), Some(Ok(())), "{seed}");
+        assert_eq!(held(&storage, 4), Ok(change.apply(&Model::new())), "{seed}");
+    }
+}

@@ -51,6 +51,7 @@ fn longest_epoch() -> Epoch {
     };
     Epoch {
         reason: EpochReason::Parameters,
+        number: 255,
         sequence: u32::MAX,
         time_us: u64::MAX,
         period_ns: u32::MAX,

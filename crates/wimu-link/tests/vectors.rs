@@ -277,6 +277,7 @@ fn epoch(reason: EpochReason) -> Epoch {
     };
     Epoch {
         reason,
+        number: 200,
         sequence: 360_000,
         time_us: 3_600_000_000,
         period_ns: 10_012_345,

@@ -42,6 +42,8 @@ pub struct Sampler<'a, A, T, M: RawMutex> {
     shared: &'a Shared<M>,
     lanes: [Lane; 2],
     next_sequence: u32,
+    /// Epochs sent on both links, modulo 256.
+    epochs: u8,
     next_surroundings: DeviceTimeUs,
     /// The fault that was reported and that no sample has followed yet.
     told: Option<SensorFault>,
@@ -68,6 +70,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             shared,
             lanes: [Lane::default(), Lane::default()],
             next_sequence: 0,
+            epochs: 0,
             next_surroundings: DeviceTimeUs(0),
             told: None,
         }
@@ -177,6 +180,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         match running.epoch_reason.take() {
             Some(reason) => {
                 running.last_epoch = time;
+                self.epochs = self.epochs.wrapping_add(1);
                 self.send_epoch(running, reason, time, [true; 2]);
             }
             // For a link where somebody has begun to listen; it is none of the other's business.
@@ -220,6 +224,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     ) {
         let epoch = Telemetry::Epoch(Epoch {
             reason,
+            number: self.epochs,
             sequence: self.next_sequence,
             time_us: time.0,
             period_ns: running.clock.period.0,

@@ -32,8 +32,8 @@ pub enum Event {
     Epoch {
         /// As sent.
         epoch: Epoch,
-        /// Whether frames were damaged since the epoch before, so that another may be missing.
-        after_damage: bool,
+        /// Whether epochs before it have not arrived.
+        after_loss: bool,
     },
     /// Magnetic field and temperature.
     Environment(Environment),
@@ -194,7 +194,7 @@ pub struct Decoder {
     expected: [Option<u32>; 2],
     identity: Option<(u64, u32)>,
     last_epoch_time: Option<DeviceTimeUs>,
-    damage_since_epoch: bool,
+    last_epoch_number: Option<u8>,
     foreign_version: Option<u8>,
 }
 
@@ -215,7 +215,7 @@ impl Decoder {
             expected: [None; 2],
             identity: None,
             last_epoch_time: None,
-            damage_since_epoch: false,
+            last_epoch_number: None,
             foreign_version: None,
         }
     }
@@ -245,7 +245,6 @@ impl Decoder {
                         self.statistics.frames_unreadable += 1;
                     } else if self.statistics.frames > 0 {
                         self.statistics.frames_damaged += 1;
-                        self.damage_since_epoch = true;
                     }
                     Message::Event(Event::Damaged(error))
                 }
@@ -290,6 +289,7 @@ impl Decoder {
         self.anchors = [None; 2];
         self.expected = [None; 2];
         self.last_epoch_time = None;
+        self.last_epoch_number = None;
     }
 
     fn take_epoch(&mut self, host_ns: u64, epoch: Epoch, each: &mut impl FnMut(Arrival)) {
@@ -311,13 +311,12 @@ impl Decoder {
         for (arrived_ns, batch) in std::mem::take(&mut self.unplaced) {
             self.take_batch(arrived_ns, batch, each);
         }
-        let after_damage = std::mem::take(&mut self.damage_since_epoch);
+        // One that was sent for a new listener has the number of the one before.
+        let last = self.last_epoch_number.replace(epoch.number);
+        let after_loss = last.is_some_and(|last| epoch.number.wrapping_sub(last) > 1);
         each(Arrival {
             host_ns,
-            event: Event::Epoch {
-                epoch,
-                after_damage,
-            },
+            event: Event::Epoch { epoch, after_loss },
         });
     }
 

@@ -19,8 +19,8 @@ use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 pub struct EpochMark {
     /// As sent.
     pub epoch: Epoch,
-    /// Whether frames were damaged since the epoch before, so that another may be missing.
-    pub after_damage: bool,
+    /// Whether epochs before it have not arrived.
+    pub after_loss: bool,
 }
 
 /// What a device sent on one link from one start to the next.
@@ -186,12 +186,9 @@ impl LinkHistory {
                     Stream::Corrected => boot.corrected.extend(samples.iter()),
                 }
             }
-            Event::Epoch {
-                epoch,
-                after_damage,
-            } => boot.epochs.push(EpochMark {
+            Event::Epoch { epoch, after_loss } => boot.epochs.push(EpochMark {
                 epoch: *epoch,
-                after_damage: *after_damage,
+                after_loss: *after_loss,
             }),
             Event::Environment(environment) => boot.environment.push(*environment),
             Event::Navigation(navigation) => boot.navigation.push(*navigation),
@@ -356,6 +353,7 @@ mod tests {
         let mut frame = [0; MAX_FRAME];
         let epoch = Telemetry::Epoch(Epoch {
             reason: EpochReason::Periodic,
+            number: (first / 100) as u8,
             sequence: first,
             time_us: u64::from(first) * 10_000,
             period_ns: 10_000_000,

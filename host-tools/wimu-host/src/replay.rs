@@ -141,7 +141,7 @@ impl<'a> Replay<'a> {
         let began_anew = matches!(
             mark.epoch.reason,
             EpochReason::Start | EpochReason::Gap | EpochReason::Settings | EpochReason::Parameters
-        ) || mark.after_damage;
+        ) || mark.after_loss;
         let outcome = match &mut self.running {
             Some(running) if !began_anew => running.adopt(self.boot, mark).map(|()| {
                 let agrees = running.integrator.state() == State::from(mark.epoch.state);
@@ -232,8 +232,7 @@ pub struct ReplayReport {
     pub breaks: u64,
     /// Epochs that nothing could be replayed from.
     pub epochs_unusable: u64,
-    /// Samples not compared because a frame was damaged before the next epoch: it may have been
-    /// one.
+    /// Samples not compared because an epoch after them was lost: it may have held for some of them.
     pub samples_uncertain: u64,
     /// Sequence number at the first difference.
     pub first_difference: Option<u32>,
@@ -267,7 +266,7 @@ pub fn verify(boot: &Boot, epoch: usize) -> ReplayReport {
             Step::Sample(replayed) => compare(boot, &replayed, &mut span),
             Step::Epoch { index, agrees } => {
                 let mark = &boot.epochs[index];
-                if mark.after_damage {
+                if mark.after_loss {
                     report.samples_uncertain += span.samples;
                 } else {
                     report.add(&span);

@@ -63,6 +63,9 @@ pub enum EpochReason {
 pub struct Epoch {
     /// Why it begins.
     pub reason: EpochReason,
+    /// Counts the epochs that a device sends on its links, modulo 256: a number left out is an epoch
+    /// that was lost. One that is sent to a new listener alone bears the number of the one before.
+    pub number: u8,
     /// Sequence number of the first sample that it holds for.
     pub sequence: u32,
     /// When that sample is expected, device time, µs.

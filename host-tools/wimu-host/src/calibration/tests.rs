@@ -323,6 +323,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     push(&frame[..length]);
     let epoch = Telemetry::Epoch(Epoch {
         reason: EpochReason::Start,
+        number: 0,
         sequence: 500,
         time_us: 5_000_000,
         period_ns: 10_000_000,

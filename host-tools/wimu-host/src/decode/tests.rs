@@ -25,8 +25,13 @@ fn hello(boot_count: u32) -> Vec<u8> {
 }
 
 fn epoch(sequence: u32, time_us: u64) -> Vec<u8> {
+    numbered_epoch(0, sequence, time_us)
+}
+
+fn numbered_epoch(number: u8, sequence: u32, time_us: u64) -> Vec<u8> {
     let epoch = Telemetry::Epoch(Epoch {
         reason: EpochReason::Periodic,
+        number,
         sequence,
         time_us,
         period_ns: PERIOD_US as u32 * 1000,
@@ -139,14 +144,29 @@ fn losses_damage_and_repeats_are_counted() {
             duplicated: 24
         }
     );
-    let after_damage: Vec<_> = events
+}
+
+#[test]
+fn an_epoch_that_did_not_arrive_is_known_by_its_number() {
+    let mut decoder = Decoder::new();
+    // The first may have any; one that a new listener asked for has that of the one before.
+    let numbers = [254, 255, 0, 0, 2, 3, 3, 2];
+    let frames = (0..).zip(numbers).map(|(sequence, number)| {
+        let sequence = sequence * 100;
+        numbered_epoch(number, sequence, time(sequence))
+    });
+    let events = decode(&mut decoder, &frames.collect::<Vec<_>>());
+    let after_loss: Vec<_> = events
         .iter()
         .filter_map(|event| match event {
-            Event::Epoch { after_damage, .. } => Some(*after_damage),
+            Event::Epoch { after_loss, .. } => Some(*after_loss),
             _ => None,
         })
         .collect();
-    assert_eq!(after_damage, [false, true, false]);
+    assert_eq!(
+        after_loss,
+        [false, false, false, false, true, false, false, true]
+    );
 }
 
 #[test]

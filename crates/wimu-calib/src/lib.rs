@@ -11,6 +11,7 @@ mod multi_position;
 mod orientation;
 mod parameter;
 mod pose;
+mod quality;
 mod reference;
 mod refusal;
 mod six_position;

@@ -32,8 +32,8 @@ use crc::{CRC_32_ISCSI, Crc, Digest};
 /// authenticated; the crate's own version is another matter.
 pub const WIRE_VERSION: u8 = 0;
 
-/// The longest body, bytes.
-pub const MAX_BODY: usize = 576;
+/// The longest body, bytes: a parameter set with everything in it, signed. The longest epoch has 540.
+pub const MAX_BODY: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.
 pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;

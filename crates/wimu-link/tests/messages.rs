@@ -3,14 +3,17 @@
 use proptest::prelude::*;
 use wimu_integrator::{Config, Integrator};
 use wimu_link::message::{
-    ActiveParameters, Answer, BusFault, Epoch, EpochReason, Event, MessageError, Navigation,
-    ParameterFault, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
-    WireParameters, WirePhase, WireRun, WireSegment, WireState, WireTerm, WireWindow, parameter_id,
+    ActiveParameters, Answer, BusFault, Command, Epoch, EpochReason, Event, MessageError,
+    Navigation, ParameterFault, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
+    WireMagnetometer, WireMagnetometerFault, WireParameters, WirePhase, WireQuality,
+    WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow, parameter_id,
 };
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{
-    Alignment, CompileError, ErrorModel, ErrorTerms, ParameterId, ParameterSet, PeriodNs,
-    Sensitivity, SpecificForceQ16,
+    Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, CompileError,
+    ErrorModel, ErrorTerms, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
+    ModelCovariance, ParameterId, ParameterSet, PeriodNs, QualityTerms, RotationCovariance,
+    Sensitivity, SpecificForceQ16, TermDeviations,
 };
 
 fn body_of(
@@ -25,6 +28,12 @@ fn body_of(
         .unwrap()
 }
 
+fn rotation_covariance() -> RotationCovariance {
+    RotationCovariance::from_matrix(&[[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-4]])
+        .unwrap()
+}
+
+/// With everything that a set can hold, each number as long as it gets on the wire.
 fn calibrated() -> ParameterSet {
     ParameterSet {
         model: ErrorModel::new(ErrorTerms {
@@ -35,6 +44,52 @@ fn calibrated() -> ParameterSet {
         })
         .unwrap(),
         alignment: Alignment::from_quaternion([0.7, 0.1, -0.3, 0.2]).unwrap(),
+        alignment_covariance: Some(rotation_covariance()),
+        quality: Some(
+            CalibrationQuality::new(QualityTerms {
+                method: CalibrationMethod::Updated,
+                utc_s: Some(u64::MAX),
+                temperature: Some(CalibratedTemperature {
+                    mean_c: 25.0,
+                    lowest_c: -10.0,
+                    highest_c: 60.0,
+                }),
+                poses: u32::MAX,
+                dof: u32::MAX,
+                rms_mps2: 0.002,
+                loo_rms_mps2: Some(0.003),
+                condition: Some(2.5),
+                covariance: ModelCovariance::from_matrix(&std::array::from_fn(|a| {
+                    std::array::from_fn(|b| if a == b { 2e-6 } else { 1e-6 })
+                }))
+                .unwrap(),
+                other_sd: TermDeviations {
+                    scale_per_k: [1e-5; 3],
+                    ..TermDeviations::default()
+                },
+            })
+            .unwrap(),
+        ),
+        magnetometer: Some(
+            MagnetometerModel::new(MagnetometerTerms {
+                hard_iron_nt: [12_000.0, -3000.0, 800.0],
+                hard_iron_sd_nt: [50.0; 3],
+                soft_iron: [1.01, 0.98, 1.02, 0.01, -0.02, 0.03],
+                soft_iron_sd: [0.001; 6],
+                field_nt: 48_300.0,
+                poses: u32::MAX,
+                rms_nt: 120.0,
+                loo_rms_nt: 140.0,
+                condition: 3.0,
+                to_accelerometer: Some(MagnetometerRotation {
+                    rotation: Alignment::from_quaternion([0.9, 0.1, 0.2, -0.3]).unwrap(),
+                    covariance: rotation_covariance(),
+                    dip_rad: 1.15,
+                    dip_rms_rad: 0.01,
+                }),
+            })
+            .unwrap(),
+        ),
         ..ParameterSet::uncalibrated(4, Sensitivity::from_lsb_per_g(8192.0).unwrap())
     }
 }
@@ -153,6 +208,21 @@ fn a_parameter_set_comes_back_bit_for_bit() {
 }
 
 #[test]
+fn the_longest_parameter_set_leaves_room_for_a_signed_request() {
+    let command = Command::StageParameters(WireParameters::from(&calibrated()));
+    let request = Request {
+        session: u32::MAX,
+        id: u32::MAX,
+        signature: Signature::new(&[0xff; 8]).unwrap(),
+        command,
+    };
+    let body = body_of(|line| request.encode(line));
+    assert_eq!(Request::decode(&body), Ok(request));
+    println!("{} bytes", body.len());
+    assert!(body.len() <= 864, "{}", body.len());
+}
+
+#[test]
 fn an_id_tells_sets_apart_and_is_never_that_of_none() {
     let set = calibrated();
     let other = ParameterSet { range_g: 2, ..set };
@@ -190,6 +260,71 @@ fn invalid_parameters_name_the_fault() {
         fault(&|p| p.alignment_wxyz = [f64::NAN; 4]),
         ParameterFault::Alignment(_)
     ));
+    fn quality(wire: &mut WireParameters) -> &mut WireQuality {
+        wire.quality.as_mut().unwrap()
+    }
+    fn magnetometer(wire: &mut WireParameters) -> &mut WireMagnetometer {
+        wire.magnetometer.as_mut().unwrap()
+    }
+    for (found, expected) in [
+        (
+            fault(&|p| p.alignment_factor = Some([f32::NAN; 6])),
+            ParameterFault::Covariance,
+        ),
+        (
+            fault(&|p| quality(p).covariance_factor[5][12] = f32::INFINITY),
+            ParameterFault::Covariance,
+        ),
+        (
+            fault(&|p| quality(p).temperature_c = Some([20.0, 30.0, 40.0])),
+            ParameterFault::Quality(WireQualityFault::Temperature),
+        ),
+        (
+            fault(&|p| quality(p).loo_rms_mps2 = Some(-1.0)),
+            ParameterFault::Quality(WireQualityFault::Residual),
+        ),
+        (
+            fault(&|p| quality(p).condition = Some(0.5)),
+            ParameterFault::Quality(WireQualityFault::Condition),
+        ),
+        (
+            fault(&|p| quality(p).other_sd[3][1] = f32::NAN),
+            ParameterFault::Quality(WireQualityFault::Deviation),
+        ),
+        (
+            fault(&|p| magnetometer(p).hard_iron_nt[0] = f32::NAN),
+            ParameterFault::Magnetometer(WireMagnetometerFault::HardIron),
+        ),
+        (
+            fault(&|p| magnetometer(p).soft_iron = [1.0, 1.0, 1.0, 2.0, 0.0, 0.0]),
+            ParameterFault::Magnetometer(WireMagnetometerFault::SoftIron),
+        ),
+        (
+            fault(&|p| magnetometer(p).field_nt = 0.0),
+            ParameterFault::Magnetometer(WireMagnetometerFault::Field),
+        ),
+        (
+            fault(&|p| magnetometer(p).rms_nt = f32::NAN),
+            ParameterFault::Magnetometer(WireMagnetometerFault::Quality),
+        ),
+        (
+            fault(&|p| magnetometer(p).to_accelerometer.as_mut().unwrap().dip_rad = 2.0),
+            ParameterFault::Magnetometer(WireMagnetometerFault::Dip),
+        ),
+        (
+            fault(&|p| {
+                magnetometer(p)
+                    .to_accelerometer
+                    .as_mut()
+                    .unwrap()
+                    .rotation_wxyz = [0.0; 4]
+            }),
+            ParameterFault::Alignment(0.0),
+        ),
+    ] {
+        assert_eq!(found, expected);
+        assert!(!found.to_string().is_empty());
+    }
     assert_eq!(
         ParameterFault::from(CompileError::Overflow).to_string(),
         CompileError::Overflow.to_string()

@@ -12,8 +12,9 @@ use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, b
 use wimu_link::message::{
     ActiveParameters, Answer, BusFault, Command, Environment, Epoch, EpochReason, Event,
     LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request, Resolution,
-    SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireParameters, WirePhase,
-    WireRun, WireSegment, WireState, WireTerm, WireWindow,
+    SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireMagnetometer,
+    WireMagnetometerRotation, WireMethod, WireParameters, WirePhase, WireQuality, WireRun,
+    WireSegment, WireState, WireTerm, WireWindow,
 };
 use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
@@ -227,6 +228,38 @@ fn parameters() -> WireParameters {
         scale_per_k: [1e-4, 2e-4, 3e-4],
         nonlinearity: [1e-6, 2e-6, 3e-6],
         alignment_wxyz: [1.0, 0.0, 0.0, 0.0],
+        alignment_factor: Some([0.001, 0.0, 0.002, 0.0, 0.0, 0.003]),
+        quality: Some(WireQuality {
+            method: WireMethod::MultiPosition,
+            utc_s: Some(1_795_222_920),
+            temperature_c: Some([25.0, 20.0, 30.0]),
+            poses: 13,
+            dof: 4,
+            rms_mps2: 0.001,
+            loo_rms_mps2: Some(0.0025),
+            condition: Some(2.5),
+            covariance_factor: std::array::from_fn(|row| {
+                std::array::from_fn(|column| (13 * row + column) as f32 / 16384.0)
+            }),
+            other_sd: [[1e-4; 3], [2e-5; 3], [3e-5; 3], [4e-6; 3]],
+        }),
+        magnetometer: Some(WireMagnetometer {
+            hard_iron_nt: [12000.0, -3000.0, 500.0],
+            hard_iron_sd_nt: [40.0, 50.0, 60.0],
+            soft_iron: [1.01, 0.99, 1.02, 0.01, -0.02, 0.03],
+            soft_iron_sd: [0.001, 0.002, 0.003, 0.004, 0.005, 0.006],
+            field_nt: 48000.0,
+            poses: 20,
+            rms_nt: 100.0,
+            loo_rms_nt: 150.0,
+            condition: 3.0,
+            to_accelerometer: Some(WireMagnetometerRotation {
+                rotation_wxyz: [0.0, 1.0, 0.0, 0.0],
+                factor: [0.01, 0.0, 0.01, 0.0, 0.0, 0.02],
+                dip_rad: 1.125,
+                dip_rms_rad: 0.0625,
+            }),
+        }),
     }
 }
 

@@ -3,16 +3,27 @@
 #![forbid(unsafe_code)]
 
 mod corrector;
+mod covariance;
 mod error_model;
 mod kernel;
+mod magnetometer;
 mod matrix;
 mod parameters;
+mod quality;
 mod quantities;
 
 pub use corrector::{CompileError, Corrector};
+pub use covariance::{CovarianceError, ModelCovariance, RotationCovariance};
 pub use error_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms, Term};
+pub use magnetometer::{
+    MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
+};
 pub use matrix::Matrix3;
 pub use parameters::{Alignment, AlignmentError, ParameterId, ParameterSet};
+pub use quality::{
+    CalibratedTemperature, CalibrationMethod, CalibrationQuality, QualityError, QualityTerms,
+    TermDeviations,
+};
 pub use quantities::{
     CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
     STANDARD_GRAVITY_MPS2, Sensitivity, SensitivityError, SpecificForceMps2, SpecificForceQ16,

@@ -3,7 +3,10 @@
 use core::fmt;
 
 use crate::matrix::{self, Matrix3};
-use crate::{Counts, ErrorModel, Sensitivity, SpecificForceMps2};
+use crate::{
+    CalibrationQuality, Counts, ErrorModel, MagneticFieldNt, MagnetometerModel, RotationCovariance,
+    Sensitivity, SpecificForceMps2,
+};
 
 /// The rotation from the sensor's axes to those of the body it is mounted on, as a unit
 /// quaternion.
@@ -36,7 +39,13 @@ impl Alignment {
         self.0
     }
 
-    pub(crate) fn matrix(self) -> Matrix3 {
+    /// Rotates a vector from the axes that the rotation leads from to those that it leads to.
+    pub fn rotate(self, vector: [f64; 3]) -> [f64; 3] {
+        matrix::apply(&self.matrix(), vector)
+    }
+
+    /// The rotation as a matrix, row by row.
+    pub fn matrix(self) -> Matrix3 {
         let [w, x, y, z] = self.0;
         [
             [
@@ -123,7 +132,7 @@ impl fmt::Display for ParameterId {
 }
 
 /// A calibration as a device holds it: error model, the sensitivity and range it was estimated
-/// at, and the alignment to the body.
+/// at, what it says of itself, the alignment to the body, and the magnetometer's model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -134,8 +143,17 @@ pub struct ParameterSet {
     pub sensitivity: Sensitivity,
     /// The error model.
     pub model: ErrorModel,
+    /// How the model was estimated and how good it is; `None` for one that nobody estimated.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub quality: Option<CalibrationQuality>,
     /// Sensor axes to body axes.
     pub alignment: Alignment,
+    /// Covariance of the alignment's error about body axes; `None` where nobody measured it.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub alignment_covariance: Option<RotationCovariance>,
+    /// The magnetometer's model; `None` as long as it is uncalibrated, and heading with it.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub magnetometer: Option<MagnetometerModel>,
 }
 
 impl ParameterSet {
@@ -145,7 +163,10 @@ impl ParameterSet {
             range_g,
             sensitivity,
             model: ErrorModel::default(),
+            quality: None,
             alignment: Alignment::IDENTITY,
+            alignment_covariance: None,
+            magnetometer: None,
         }
     }
 
@@ -158,6 +179,13 @@ impl ParameterSet {
     ) -> SpecificForceMps2 {
         let sensed = self.sensitivity.to_mps2(counts);
         let force = self.model.correct(sensed, temperature);
-        SpecificForceMps2(matrix::apply(&self.alignment.matrix(), force.0))
+        SpecificForceMps2(self.alignment.rotate(force.0))
+    }
+
+    /// The magnetic field in body axes, nT, from what the magnetometer put out; `None` as long as
+    /// it is uncalibrated or its rotation to the accelerometer is not known.
+    pub fn correct_field(&self, output: MagneticFieldNt) -> Option<[f64; 3]> {
+        let field = self.magnetometer?.correct_to_accelerometer(output)?;
+        Some(self.alignment.rotate(field))
     }
 }

@@ -4,8 +4,8 @@ use wimu_link::frame::MAX_FRAME;
 
 /// Bytes for frames that may be shed when the link is too slow.
 const TELEMETRY_BYTES: usize = 2048;
-/// Bytes for frames that may not: epochs, replies, Hello.
-const KEPT_BYTES: usize = 2048;
+/// Bytes for frames that may not: epochs, replies, Hello, parameters.
+const KEPT_BYTES: usize = 3072;
 
 /// What waits for one link: telemetry, of which the oldest is shed when room runs out, and frames
 /// that are kept, which go first.

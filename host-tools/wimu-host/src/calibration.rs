@@ -4,16 +4,16 @@ mod reference;
 mod report;
 
 pub use reference::{AxisReport, Paired, ReferenceReport, compare_with_reference};
-pub use report::{CalibrationReport, Fit, NextPose, Source, read_parameters, write_report};
+pub use report::{
+    CalibrationReport, Fit, HELD_SCHEMA, NextPose, Source, describe, read_parameters, write_report,
+};
 
 use wimu_calib::{
     Estimate, Face, Gravity, Method, Model, Orientation, Placement, Pose, Refusal, find_poses,
     multi_position, six_position,
 };
 use wimu_link::message::parameter_id;
-use wimu_model::{
-    Alignment, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, TemperatureTerms,
-};
+use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, TemperatureTerms};
 
 use crate::dataset::{Dataset, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
@@ -59,6 +59,8 @@ pub struct CalibrateOptions {
     pub sensitivity_lsb_per_g: Option<f64>,
     /// How well known orientations were squared, degrees, 1 σ; 1 where it is not given.
     pub placement_sd_deg: Option<f64>,
+    /// When, s since 1970 UTC: for the parameter set to say.
+    pub utc_s: Option<u64>,
 }
 
 /// Static poses in the unit of their dataset.
@@ -163,16 +165,9 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         .as_ref()
         .zip(sensitivity)
         .map(|(estimate, sensitivity)| ParameterSet {
-            range_g: match data.unit {
-                OutputUnit::Counts {
-                    range_g: Some(range_g),
-                    ..
-                } => range_g,
-                _ => likely_range_g(sensitivity),
-            },
-            sensitivity,
             model: estimate.model,
-            alignment: Alignment::IDENTITY,
+            quality: estimate.quality(options.utc_s, &fitted),
+            ..ParameterSet::uncalibrated(range_g(data.unit, sensitivity), sensitivity)
         });
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
@@ -272,6 +267,16 @@ fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
         (sum + value * value, count + 1.0)
     });
     (count > 0.0).then(|| (sum / count).sqrt())
+}
+
+fn range_g(unit: OutputUnit, sensitivity: Sensitivity) -> u8 {
+    match unit {
+        OutputUnit::Counts {
+            range_g: Some(range_g),
+            ..
+        } => range_g,
+        _ => likely_range_g(sensitivity),
+    }
 }
 
 /// The usual full-scale range of 16 bits at this sensitivity: the power of two below it, a tenth

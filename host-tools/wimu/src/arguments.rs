@@ -286,17 +286,20 @@ pub enum Method {
 #[derive(Subcommand)]
 pub enum Params {
     /// What the device corrects with
-    #[command(after_help = "Example: wimu params get tcp://127.0.0.1:7100")]
+    #[command(after_help = "Example: wimu params get tcp://127.0.0.1:7100 -o CAL.json")]
     Get {
         /// A LINK
         link: String,
+        /// Write it here, for `params push`
+        #[arg(short, long, value_name = "CAL.json")]
+        output: Option<PathBuf>,
     },
     /// Send a calibration: stage, compare, commit
     #[command(after_help = "Example: wimu params push tcp://127.0.0.1:7100 CAL.json")]
     Push {
         /// A LINK; only the cable writes as long as the device has no key
         link: String,
-        /// What `wimu calibrate -o` wrote
+        /// What `wimu calibrate -o` or `wimu params get -o` wrote
         calibration: PathBuf,
     },
     /// Forget calibration and settings

@@ -346,8 +346,19 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     assert!(failure["remedy"].as_str().unwrap().contains("cable"));
     let held = wimu(&["params", "push", &board.cable, &cal]).succeeds();
     assert_eq!(held["parameter_id"], report["parameter_id"]);
-    let held = wimu(&["params", "get", &board.wireless]).succeeds();
+    let again = path("held.json");
+    let held = wimu(&["params", "get", &board.wireless, "-o", &again]).succeeds();
     assert_eq!(held["parameters"], report["parameters"]);
+    // All that the calibration says of itself is there.
+    let quality = &held["parameters"]["quality"];
+    assert_eq!(quality["method"], "multi-position");
+    assert_eq!(quality["poses"], report["poses"]);
+    has(
+        quality,
+        &["utc_s", "temperature", "dof", "loo_rms_mps2", "covariance"],
+    );
+    let held = wimu(&["params", "push", &board.cable, &again]).succeeds();
+    assert_eq!(held["parameter_id"], report["parameter_id"]);
 
     let navigated = wimu(&["navigate", &session]).succeeds();
     let replay = &navigated["starts"][0]["replay"];

@@ -5,7 +5,7 @@ use wimu_link::message::{
     WireParameters, WireTerm,
 };
 use wimu_link::{Answer, Command, LinkRole, Request};
-use wimu_model::{Alignment, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms};
+use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms};
 use wimu_node::Key;
 use wimu_tests::{ROLES, Rig, assert_replays, encoded, frame_of, reply_frames};
 
@@ -14,10 +14,8 @@ const CABLE: LinkRole = LinkRole::Cable;
 /// A valid set of these terms.
 pub fn parameters(range_g: u8, lsb_per_g: f64, terms: ErrorTerms) -> WireParameters {
     (&ParameterSet {
-        range_g,
-        sensitivity: Sensitivity::from_lsb_per_g(lsb_per_g).unwrap(),
         model: ErrorModel::new(terms).unwrap(),
-        alignment: Alignment::IDENTITY,
+        ..ParameterSet::uncalibrated(range_g, Sensitivity::from_lsb_per_g(lsb_per_g).unwrap())
     })
         .into()
 }

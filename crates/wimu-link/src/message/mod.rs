@@ -2,7 +2,7 @@
 //!
 //! Bodies are `postcard`: fields in order without names; unsigned numbers above 8 bits as varints
 //! (7 bits a byte, lowest first), signed ones folded first (0, −1, 1, −2, …); floating point in 8
-//! bytes, lowest first; an enum as the varint of its variant's place, then the variant's fields.
+//! or 4 bytes, lowest first; an enum as the varint of its variant's place, then the variant's fields.
 //!
 //! **Enums on the wire are append-only**: a variant keeps its place and its fields for ever; new
 //! ones come last. Structs never change; a new need gets a new variant. A body that goes on after
@@ -17,12 +17,16 @@ use serde::{Deserialize, Serialize};
 use crate::frame::{self, BodyWriter, EncodeError, Kind, crc_32c_digest};
 
 mod parameters;
+mod quality;
 mod request;
 mod settings;
 mod state;
 mod telemetry;
 
-pub use parameters::{ParameterFault, WireParameters, WireTerm, parameter_id};
+pub use parameters::{
+    ParameterFault, WireMagnetometerFault, WireParameters, WireQualityFault, WireTerm, parameter_id,
+};
+pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
 pub(crate) use request::RequestHead;
 pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};
 pub use settings::{Resolution, Settings, Streams};

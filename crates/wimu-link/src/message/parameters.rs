@@ -4,11 +4,13 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 use wimu_model::{
-    Alignment, AlignmentError, CompileError, ErrorModel, ErrorTerms, ModelError, ParameterId,
-    ParameterSet, Sensitivity, SensitivityError, TemperatureTerms, Term,
+    Alignment, AlignmentError, CompileError, CovarianceError, ErrorModel, ErrorTerms,
+    MagnetometerError, ModelError, ParameterId, ParameterSet, QualityError, RotationCovariance,
+    Sensitivity, SensitivityError, TemperatureTerms, Term,
 };
 
 use super::checksum;
+use super::quality::{WireMagnetometer, WireQuality};
 
 /// A [`ParameterSet`] as it travels: plain numbers, in this order, not checked yet.
 ///
@@ -48,6 +50,12 @@ pub struct WireParameters {
     pub nonlinearity: [f64; 3],
     /// Sensor axes to body axes, quaternion W, X, Y, Z.
     pub alignment_wxyz: [f64; 4],
+    /// Covariance of the alignment's error, rad², as the Cholesky factor, row by row.
+    pub alignment_factor: Option<[f32; 6]>,
+    /// How the model was estimated and how good it is.
+    pub quality: Option<WireQuality>,
+    /// The magnetometer's model.
+    pub magnetometer: Option<WireMagnetometer>,
 }
 
 impl From<&ParameterSet> for WireParameters {
@@ -64,6 +72,9 @@ impl From<&ParameterSet> for WireParameters {
             scale_per_k: terms.temperature.scale_per_k,
             nonlinearity: terms.nonlinearity,
             alignment_wxyz: set.alignment.quaternion(),
+            alignment_factor: set.alignment_covariance.map(rotation_factor),
+            quality: set.quality.as_ref().map(WireQuality::from),
+            magnetometer: set.magnetometer.as_ref().map(WireMagnetometer::from),
         }
     }
 }
@@ -88,9 +99,25 @@ impl TryFrom<&WireParameters> for ParameterSet {
                 },
                 nonlinearity: wire.nonlinearity,
             })?,
+            quality: wire.quality.as_ref().map(TryInto::try_into).transpose()?,
             alignment: Alignment::try_from(wire.alignment_wxyz)?,
+            alignment_covariance: wire.alignment_factor.map(rotation_covariance).transpose()?,
+            magnetometer: wire
+                .magnetometer
+                .as_ref()
+                .map(TryInto::try_into)
+                .transpose()?,
         })
     }
+}
+
+pub(super) fn rotation_factor(covariance: RotationCovariance) -> [f32; 6] {
+    let [factor] = covariance.factor();
+    factor
+}
+
+pub(super) fn rotation_covariance(factor: [f32; 6]) -> Result<RotationCovariance, CovarianceError> {
+    RotationCovariance::from_factor([factor])
 }
 
 /// The id of `set`: CRC-32C of its wire form, 1 in place of 0, which is the uncalibrated set's.
@@ -177,6 +204,93 @@ pub enum ParameterFault {
     Overflow,
     /// The matrix cannot be inverted at the device's temperature.
     SingularAtTemperature,
+    /// A covariance is none.
+    Covariance,
+    /// What the calibration says of itself makes no sense.
+    Quality(WireQualityFault),
+    /// The magnetometer's model makes no sense.
+    Magnetometer(WireMagnetometerFault),
+}
+
+/// [`QualityError`] as it travels. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    missing_docs,
+    reason = "the names are those of wimu_model::QualityError"
+)]
+pub enum WireQualityFault {
+    Temperature,
+    Residual,
+    Condition,
+    Deviation,
+}
+
+/// [`MagnetometerError`] as it travels. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    missing_docs,
+    reason = "the names are those of wimu_model::MagnetometerError"
+)]
+pub enum WireMagnetometerFault {
+    HardIron,
+    SoftIron,
+    Field,
+    Quality,
+    Dip,
+}
+
+impl From<QualityError> for ParameterFault {
+    fn from(error: QualityError) -> Self {
+        Self::Quality(match error {
+            QualityError::Temperature => WireQualityFault::Temperature,
+            QualityError::Residual => WireQualityFault::Residual,
+            QualityError::Condition => WireQualityFault::Condition,
+            QualityError::Deviation => WireQualityFault::Deviation,
+        })
+    }
+}
+
+impl From<WireQualityFault> for QualityError {
+    fn from(fault: WireQualityFault) -> Self {
+        match fault {
+            WireQualityFault::Temperature => Self::Temperature,
+            WireQualityFault::Residual => Self::Residual,
+            WireQualityFault::Condition => Self::Condition,
+            WireQualityFault::Deviation => Self::Deviation,
+        }
+    }
+}
+
+impl From<MagnetometerError> for ParameterFault {
+    fn from(error: MagnetometerError) -> Self {
+        Self::Magnetometer(match error {
+            MagnetometerError::HardIron => WireMagnetometerFault::HardIron,
+            MagnetometerError::SoftIron => WireMagnetometerFault::SoftIron,
+            MagnetometerError::Field => WireMagnetometerFault::Field,
+            MagnetometerError::Quality => WireMagnetometerFault::Quality,
+            MagnetometerError::Dip => WireMagnetometerFault::Dip,
+        })
+    }
+}
+
+impl From<WireMagnetometerFault> for MagnetometerError {
+    fn from(fault: WireMagnetometerFault) -> Self {
+        match fault {
+            WireMagnetometerFault::HardIron => Self::HardIron,
+            WireMagnetometerFault::SoftIron => Self::SoftIron,
+            WireMagnetometerFault::Field => Self::Field,
+            WireMagnetometerFault::Quality => Self::Quality,
+            WireMagnetometerFault::Dip => Self::Dip,
+        }
+    }
+}
+
+impl From<CovarianceError> for ParameterFault {
+    fn from(_: CovarianceError) -> Self {
+        Self::Covariance
+    }
 }
 
 impl From<ModelError> for ParameterFault {
@@ -253,6 +367,9 @@ impl fmt::Display for ParameterFault {
             Self::Alignment(norm) => AlignmentError { norm }.fmt(out),
             Self::Overflow => CompileError::Overflow.fmt(out),
             Self::SingularAtTemperature => CompileError::Singular.fmt(out),
+            Self::Covariance => CovarianceError.fmt(out),
+            Self::Quality(fault) => QualityError::from(fault).fmt(out),
+            Self::Magnetometer(fault) => MagnetometerError::from(fault).fmt(out),
         }
     }
 }

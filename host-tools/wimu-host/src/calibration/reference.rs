@@ -9,7 +9,10 @@ use wimu_calib::{
     NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer, TransferRefusal, find_poses,
 };
 use wimu_link::LinkRole;
-use wimu_model::{ErrorTerms, ParameterSet, Sensitivity};
+use wimu_model::{
+    CalibrationMethod, CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
+    Sensitivity, TermDeviations,
+};
 
 use super::{CalibrationReport, MAX_POSES, likely_range_g, median_magnitude};
 use crate::csv::{CsvReader, Filter};
@@ -283,8 +286,9 @@ impl ReferenceReport {
 
 /// Bias and scale factor of one stream against the other.
 ///
-/// Data that do not support an answer give a report that says so.
-pub fn compare_with_reference(data: &Paired) -> ReferenceReport {
+/// `utc_s`, s since 1970 UTC, is for the parameter set to say. Data that do not support an answer
+/// give a report that says so.
+pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceReport {
     let ratio = data.noise_ratio();
     let mut transfer = ReferenceTransfer::new(ratio.unwrap_or_default());
     for [reference, output] in &data.pairs {
@@ -351,6 +355,7 @@ pub fn compare_with_reference(data: &Paired) -> ReferenceReport {
     report.covariance = Some(covariance);
     report.parameters = data.sensitivity.map(|sensitivity| ParameterSet {
         model,
+        quality: quality(&found, &covariance, utc_s),
         ..ParameterSet::uncalibrated(
             data.range_g.unwrap_or_else(|| likely_range_g(sensitivity)),
             sensitivity,
@@ -366,6 +371,28 @@ pub fn compare_with_reference(data: &Paired) -> ReferenceReport {
 fn refused(mut report: ReferenceReport, refusal: &TransferRefusal) -> ReferenceReport {
     report.reason = Some(refusal.to_string());
     report
+}
+
+fn quality(
+    found: &Transfer,
+    covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
+    utc_s: Option<u64>,
+) -> Option<CalibrationQuality> {
+    let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+    let squares = found.axes.iter().map(|axis| axis.rms_mps2 * axis.rms_mps2);
+    CalibrationQuality::new(QualityTerms {
+        method: CalibrationMethod::Reference,
+        utc_s,
+        temperature: None,
+        poses: count(found.dof + 1),
+        dof: count(found.dof),
+        rms_mps2: squares.sum::<f64>().sqrt() as f32,
+        loo_rms_mps2: None,
+        condition: None,
+        covariance: ModelCovariance::from_matrix(covariance).ok()?,
+        other_sd: TermDeviations::default(),
+    })
+    .ok()
 }
 
 /// In the order of [`Parameter::ALL`].

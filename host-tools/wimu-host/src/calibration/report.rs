@@ -211,6 +211,100 @@ impl fmt::Display for CalibrationReport {
     }
 }
 
+/// Name of the JSON object of `wimu params`.
+pub const HELD_SCHEMA: &str = "wimu.params/1";
+
+/// What a parameter set says beside its error model, in lines for people.
+pub fn describe(set: &ParameterSet) -> Vec<String> {
+    let mut lines = Vec::new();
+    match &set.quality {
+        None => lines.push("nothing is said of how the model was estimated".to_owned()),
+        Some(quality) => {
+            let q = quality.terms();
+            let sd = |place: usize| q.covariance.sd(place);
+            lines.push(format!(
+                "± (1 σ) bias {:.5} {:.5} {:.5} m/s², scale factor {:.6} {:.6} {:.6}",
+                sd(0),
+                sd(1),
+                sd(2),
+                sd(3),
+                sd(7),
+                sd(11)
+            ));
+            let mut line = format!(
+                "made by {}, {} poses, {} degrees of freedom, {:.2} mm/s² rms",
+                q.method,
+                q.poses,
+                q.dof,
+                q.rms_mps2 * 1e3
+            );
+            if let Some(loo) = q.loo_rms_mps2 {
+                line += &format!(", left out {:.2}", loo * 1e3);
+            }
+            if let Some(condition) = q.condition {
+                line += &format!(", condition {condition:.1}");
+            }
+            lines.push(line);
+            if let Some(t) = q.temperature {
+                lines.push(format!(
+                    "at {:.1} °C, holds from {:.1} to {:.1} °C",
+                    t.mean_c, t.lowest_c, t.highest_c
+                ));
+            }
+            if let Some(utc_s) = q.utc_s {
+                lines.push(format!("made on {}", date(utc_s)));
+            }
+        }
+    }
+    let [w, x, y, z] = set.alignment.quaternion();
+    let known = match set.alignment_covariance {
+        Some(c) => {
+            let [x, y, z] = [0, 1, 2].map(|axis| c.sd(axis).to_degrees());
+            format!(" ± {x:.2} {y:.2} {z:.2}° about the body's axes")
+        }
+        None => " (nobody measured it)".to_owned(),
+    };
+    lines.push(format!("alignment {w:+.5} {x:+.5} {y:+.5} {z:+.5}{known}"));
+    match &set.magnetometer {
+        None => lines.push("magnetometer uncalibrated: no heading".to_owned()),
+        Some(model) => {
+            let m = model.terms();
+            let [x, y, z] = m.hard_iron_nt.map(|h| h / 1e3);
+            lines.push(format!(
+                "magnetometer: hard iron {x:+.2} {y:+.2} {z:+.2} µT, field {:.2} µT, {:.2} µT rms{}",
+                m.field_nt / 1e3,
+                m.rms_nt / 1e3,
+                if m.to_accelerometer.is_some() {
+                    ""
+                } else {
+                    "; its rotation is not known: no heading"
+                }
+            ));
+        }
+    }
+    lines
+}
+
+/// The date and time of day of a UTC time in s since 1970.
+fn date(utc_s: u64) -> String {
+    // Years from March on, in eras of 400 years, which all have as many days.
+    let days = utc_s / 86_400 + 719_468;
+    let day_of_era = days % 146_097;
+    let year_of_era =
+        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * from_march + 2) / 5 + 1;
+    let (month, next) = if from_march < 10 {
+        (from_march + 3, 0)
+    } else {
+        (from_march - 9, 1)
+    };
+    let year = 400 * (days / 146_097) + year_of_era + next;
+    let (hour, minute) = (utc_s / 3600 % 24, utc_s / 60 % 60);
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02} UTC")
+}
+
 /// Reads the parameters of a calibration file, for a board.
 ///
 /// # Errors
@@ -229,6 +323,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     let name = path.display().to_string();
     let bad =
         |message: String, remedy: &str| HostError::new(ErrorCode::BadCalibration, message, remedy);
+    let held = |file: &File| file.schema.as_deref() == Some(HELD_SCHEMA);
     let make = "make it with `wimu calibrate … -o CAL.json`";
     let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
     let file: File = serde_json::from_str(&text).map_err(|error| {
@@ -238,7 +333,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
             error.column()
         ))
     })?;
-    if file.schema.as_deref() != Some(CalibrationReport::SCHEMA) {
+    if file.schema.as_deref() != Some(CalibrationReport::SCHEMA) && !held(&file) {
         return Err(bad(
             format!(
                 "its schema is {}, not {}",
@@ -259,6 +354,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         )
         .at(name));
     }
+    let said_twice = !held(&file);
     let set = file.parameters.ok_or_else(|| {
         bad(
             "it has no parameters for a board: its data were in m/s²".to_owned(),
@@ -269,7 +365,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     // The file says everything twice; where it disagrees, nobody knows what was meant.
     let id_agrees =
         file.parameter_id.as_deref() == Some(&wimu_link::message::parameter_id(&set).to_string());
-    if !id_agrees || file.model.as_ref() != Some(set.model.terms()) {
+    if !id_agrees || (said_twice && file.model.as_ref() != Some(set.model.terms())) {
         return Err(bad(
             "it has been changed by hand: its parts disagree".to_owned(),
             "undo the change, or calibrate again",
@@ -293,4 +389,21 @@ pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
         )
     })?;
     std::fs::write(path, json + "\n").map_err(|error| HostError::file(&name, "write", &error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (utc_s, text) in [
+            (0, "1970-01-01 00:00 UTC"),
+            (951_782_400, "2000-02-29 00:00 UTC"),
+            (1_795_222_920, "2026-11-21 01:02 UTC"),
+            (4_107_542_399, "2100-02-28 23:59 UTC"),
+        ] {
+            assert_eq!(date(utc_s), text);
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use wimu_calib::{Face, Model, PoseFinder};
 use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
@@ -121,7 +121,7 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
             ));
         }
     };
-    let report = calibration::compare_with_reference(&data);
+    let report = calibration::compare_with_reference(&data, utc_s());
     output.say(report.to_string());
     if report.exit_code() == 0
         && let Some(path) = &arguments.output
@@ -130,6 +130,12 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
     output.object(&report);
     Ok(report.exit_code())
+}
+
+/// Now, s since 1970 UTC.
+fn utc_s() -> Option<u64> {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.ok().map(|since| since.as_secs())
 }
 
 fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
@@ -159,6 +165,7 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         gravity_mps2: arguments.gravity,
         sensitivity_lsb_per_g: arguments.sensitivity,
         placement_sd_deg: arguments.placement_sd,
+        utc_s: utc_s(),
     })
 }
 

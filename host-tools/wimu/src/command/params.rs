@@ -1,7 +1,9 @@
 //! `wimu params`.
 
+use std::path::Path;
+
 use serde::Serialize;
-use wimu_host::calibration::read_parameters;
+use wimu_host::calibration::{self, HELD_SCHEMA, read_parameters};
 use wimu_host::client::Client;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
@@ -26,18 +28,24 @@ struct Held {
 
 pub fn run(action: &Params, output: Output) -> Result<()> {
     match action {
-        Params::Get { link } => show(&mut connect(link)?, output),
+        Params::Get { link, output: file } => {
+            let held = show(&mut connect(link)?, output)?;
+            match file {
+                Some(path) => save(path, &held),
+                None => Ok(()),
+            }
+        }
         Params::Push { link, calibration } => {
             let set = read_parameters(calibration)?;
             let mut client = connect(link)?;
             push(&mut client, &set, output)?;
-            show(&mut client, output)
+            show(&mut client, output).map(|_| ())
         }
         Params::FactoryReset { link } => {
             let mut client = connect(link)?;
             client.factory_reset()?;
             output.say("the device has forgotten its calibration and its settings");
-            show(&mut client, output)
+            show(&mut client, output).map(|_| ())
         }
     }
 }
@@ -78,7 +86,19 @@ pub fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>
         })
 }
 
-fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
+/// Writes what a device holds as a file that `params push` reads.
+fn save(path: &Path, held: &Held) -> Result<()> {
+    if !held.calibrated {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            "the device is uncalibrated: there is nothing to write",
+            "calibrate with `wimu calibrate LINK --push`",
+        ));
+    }
+    calibration::write_report(path, held)
+}
+
+fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<Held> {
     let parameters = held(client)?;
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
     let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
@@ -97,17 +117,21 @@ fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
             for (name, row) in ["matrix", "", ""].iter().zip(terms.matrix) {
                 output.say(format!("{name:6} {}", vector(row)));
             }
+            for line in calibration::describe(set) {
+                output.say(line);
+            }
         }
     }
-    output.object(&Held {
-        schema: "wimu.params/1",
+    let held = Held {
+        schema: HELD_SCHEMA,
         status: "ok",
         calibrated: parameters.is_some(),
         parameter_id: id.to_string(),
         parameters,
         in_use,
-    });
-    Ok(())
+    };
+    output.object(&held);
+    Ok(held)
 }
 
 /// Whether a device set to `range_g` corrects with these parameters; says so if not.

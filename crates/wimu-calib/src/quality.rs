@@ -1,0 +1,41 @@
+//! What a device keeps of an estimate beside its model.
+
+use wimu_model::{
+    CalibratedTemperature, CalibrationMethod, CalibrationQuality, ModelCovariance, QualityTerms,
+    TermDeviations,
+};
+
+use crate::{Estimate, Method, Pose};
+
+impl Estimate {
+    /// What the estimate says of itself, for a parameter set: made at `utc_s`, s since 1970 UTC, from
+    /// `poses`, whose temperatures are those at which the model holds.
+    ///
+    /// `None` when a figure is beyond the bounds of [`QualityTerms`], which no sound estimate is.
+    pub fn quality(&self, utc_s: Option<u64>, poses: &[Pose]) -> Option<CalibrationQuality> {
+        let temperatures = || poses.iter().filter_map(|pose| pose.temperature_c);
+        let lowest = temperatures().fold(f64::INFINITY, f64::min);
+        let highest = temperatures().fold(f64::NEG_INFINITY, f64::max);
+        let temperature = self.temperature_c.map(|mean| CalibratedTemperature {
+            mean_c: mean as f32,
+            lowest_c: lowest.min(mean) as f32,
+            highest_c: highest.max(mean) as f32,
+        });
+        CalibrationQuality::new(QualityTerms {
+            method: match self.method {
+                Method::SixPosition { .. } => CalibrationMethod::SixPosition,
+                Method::MultiPosition(_) => CalibrationMethod::MultiPosition,
+            },
+            utc_s,
+            temperature,
+            poses: u32::try_from(self.poses).unwrap_or(u32::MAX),
+            dof: u32::try_from(self.dof).unwrap_or(u32::MAX),
+            rms_mps2: self.rms_mps2 as f32,
+            loo_rms_mps2: self.loo_rms_mps2.map(|loo| loo as f32),
+            condition: Some(self.condition.max(1.0) as f32),
+            covariance: ModelCovariance::from_matrix(self.covariance.matrix()).ok()?,
+            other_sd: TermDeviations::default(),
+        })
+        .ok()
+    }
+}

@@ -1,0 +1,246 @@
+//! What a parameter set carries beside the error model.
+
+use serde::{Deserialize, Serialize};
+use wimu_model::{
+    Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, MagnetometerModel,
+    MagnetometerRotation, MagnetometerTerms, ModelCovariance, QualityTerms, TermDeviations,
+};
+
+use super::parameters::{ParameterFault, rotation_covariance, rotation_factor};
+
+/// [`CalibrationMethod`] as it travels. Append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(
+    missing_docs,
+    reason = "the names are those of wimu_model::CalibrationMethod"
+)]
+pub enum WireMethod {
+    MultiPosition,
+    SixPosition,
+    FourAngle,
+    ThreeAngle,
+    Reference,
+    Updated,
+}
+
+/// [`CalibrationQuality`] as it travels, not checked yet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WireQuality {
+    /// How the model was estimated.
+    pub method: WireMethod,
+    /// When, s since 1970 UTC.
+    pub utc_s: Option<u64>,
+    /// Temperature, °C: mean, lowest and highest at which the model holds.
+    pub temperature_c: Option<[f32; 3]>,
+    /// Poses fitted.
+    pub poses: u32,
+    /// Degrees of freedom.
+    pub dof: u32,
+    /// |f| − g over the poses, m/s² rms.
+    pub rms_mps2: f32,
+    /// The same with each left out.
+    pub loo_rms_mps2: Option<f32>,
+    /// Condition of the fit.
+    pub condition: Option<f32>,
+    /// Covariance of the bias, then A row by row, as the Cholesky factor, row by row: 78 numbers.
+    pub covariance_factor: [[f32; 13]; 6],
+    /// Standard deviations of b₁, b₂, s₁ and q.
+    pub other_sd: [[f32; 3]; 4],
+}
+
+/// [`MagnetometerModel`] as it travels, not checked yet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WireMagnetometer {
+    /// h, nT.
+    pub hard_iron_nt: [f32; 3],
+    /// Its standard deviation, nT.
+    pub hard_iron_sd_nt: [f32; 3],
+    /// S: xx, yy, zz, xy, xz, yz.
+    pub soft_iron: [f32; 6],
+    /// Its standard deviation.
+    pub soft_iron_sd: [f32; 6],
+    /// |B| where it was calibrated, nT.
+    pub field_nt: f32,
+    /// Orientations fitted.
+    pub poses: u32,
+    /// |B| less the field, nT rms.
+    pub rms_nt: f32,
+    /// The same with each left out.
+    pub loo_rms_nt: f32,
+    /// Condition of the fit.
+    pub condition: f32,
+    /// Its mounting.
+    pub to_accelerometer: Option<WireMagnetometerRotation>,
+}
+
+/// [`MagnetometerRotation`] as it travels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct WireMagnetometerRotation {
+    /// Magnetometer axes to accelerometer axes, quaternion W, X, Y, Z.
+    pub rotation_wxyz: [f64; 4],
+    /// Covariance of its error, rad², as the Cholesky factor, row by row.
+    pub factor: [f32; 6],
+    /// Dip of the field, rad.
+    pub dip_rad: f32,
+    /// Its spread over the poses, rad rms.
+    pub dip_rms_rad: f32,
+}
+
+impl From<CalibrationMethod> for WireMethod {
+    fn from(method: CalibrationMethod) -> Self {
+        match method {
+            CalibrationMethod::MultiPosition => Self::MultiPosition,
+            CalibrationMethod::SixPosition => Self::SixPosition,
+            CalibrationMethod::FourAngle => Self::FourAngle,
+            CalibrationMethod::ThreeAngle => Self::ThreeAngle,
+            CalibrationMethod::Reference => Self::Reference,
+            CalibrationMethod::Updated => Self::Updated,
+        }
+    }
+}
+
+impl From<WireMethod> for CalibrationMethod {
+    fn from(method: WireMethod) -> Self {
+        match method {
+            WireMethod::MultiPosition => Self::MultiPosition,
+            WireMethod::SixPosition => Self::SixPosition,
+            WireMethod::FourAngle => Self::FourAngle,
+            WireMethod::ThreeAngle => Self::ThreeAngle,
+            WireMethod::Reference => Self::Reference,
+            WireMethod::Updated => Self::Updated,
+        }
+    }
+}
+
+// The patterns name every field, so that a field added to the model cannot be forgotten here.
+
+impl From<&CalibrationQuality> for WireQuality {
+    fn from(quality: &CalibrationQuality) -> Self {
+        let QualityTerms {
+            method,
+            utc_s,
+            temperature,
+            poses,
+            dof,
+            rms_mps2,
+            loo_rms_mps2,
+            condition,
+            covariance,
+            other_sd:
+                TermDeviations {
+                    bias_mps2_per_k,
+                    bias_mps2_per_k2,
+                    scale_per_k,
+                    nonlinearity,
+                },
+        } = *quality.terms();
+        Self {
+            method: method.into(),
+            utc_s,
+            temperature_c: temperature.map(|t| [t.mean_c, t.lowest_c, t.highest_c]),
+            poses,
+            dof,
+            rms_mps2,
+            loo_rms_mps2,
+            condition,
+            covariance_factor: covariance.factor(),
+            other_sd: [bias_mps2_per_k, bias_mps2_per_k2, scale_per_k, nonlinearity],
+        }
+    }
+}
+
+impl TryFrom<&WireQuality> for CalibrationQuality {
+    type Error = ParameterFault;
+
+    fn try_from(wire: &WireQuality) -> Result<Self, ParameterFault> {
+        let temperature = |[mean_c, lowest_c, highest_c]: [f32; 3]| CalibratedTemperature {
+            mean_c,
+            lowest_c,
+            highest_c,
+        };
+        let [bias_mps2_per_k, bias_mps2_per_k2, scale_per_k, nonlinearity] = wire.other_sd;
+        Ok(Self::new(QualityTerms {
+            method: wire.method.into(),
+            utc_s: wire.utc_s,
+            temperature: wire.temperature_c.map(temperature),
+            poses: wire.poses,
+            dof: wire.dof,
+            rms_mps2: wire.rms_mps2,
+            loo_rms_mps2: wire.loo_rms_mps2,
+            condition: wire.condition,
+            covariance: ModelCovariance::from_factor(wire.covariance_factor)?,
+            other_sd: TermDeviations {
+                bias_mps2_per_k,
+                bias_mps2_per_k2,
+                scale_per_k,
+                nonlinearity,
+            },
+        })?)
+    }
+}
+
+impl From<&MagnetometerModel> for WireMagnetometer {
+    fn from(model: &MagnetometerModel) -> Self {
+        let MagnetometerTerms {
+            hard_iron_nt,
+            hard_iron_sd_nt,
+            soft_iron,
+            soft_iron_sd,
+            field_nt,
+            poses,
+            rms_nt,
+            loo_rms_nt,
+            condition,
+            to_accelerometer,
+        } = *model.terms();
+        let rotation = |rotation: MagnetometerRotation| WireMagnetometerRotation {
+            rotation_wxyz: rotation.rotation.quaternion(),
+            factor: rotation_factor(rotation.covariance),
+            dip_rad: rotation.dip_rad,
+            dip_rms_rad: rotation.dip_rms_rad,
+        };
+        Self {
+            hard_iron_nt,
+            hard_iron_sd_nt,
+            soft_iron,
+            soft_iron_sd,
+            field_nt,
+            poses,
+            rms_nt,
+            loo_rms_nt,
+            condition,
+            to_accelerometer: to_accelerometer.map(rotation),
+        }
+    }
+}
+
+impl TryFrom<&WireMagnetometer> for MagnetometerModel {
+    type Error = ParameterFault;
+
+    fn try_from(wire: &WireMagnetometer) -> Result<Self, ParameterFault> {
+        let rotation = |rotation: &WireMagnetometerRotation| {
+            Ok::<_, ParameterFault>(MagnetometerRotation {
+                rotation: Alignment::try_from(rotation.rotation_wxyz)?,
+                covariance: rotation_covariance(rotation.factor)?,
+                dip_rad: rotation.dip_rad,
+                dip_rms_rad: rotation.dip_rms_rad,
+            })
+        };
+        Ok(Self::new(MagnetometerTerms {
+            hard_iron_nt: wire.hard_iron_nt,
+            hard_iron_sd_nt: wire.hard_iron_sd_nt,
+            soft_iron: wire.soft_iron,
+            soft_iron_sd: wire.soft_iron_sd,
+            field_nt: wire.field_nt,
+            poses: wire.poses,
+            rms_nt: wire.rms_nt,
+            loo_rms_nt: wire.loo_rms_nt,
+            condition: wire.condition,
+            to_accelerometer: wire.to_accelerometer.as_ref().map(rotation).transpose()?,
+        })?)
+    }
+}

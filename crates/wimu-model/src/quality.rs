@@ -1,0 +1,195 @@
+//! What a calibration says of itself.
+
+use core::fmt;
+
+use crate::ModelCovariance;
+
+/// How an error model was estimated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum CalibrationMethod {
+    /// From the magnitude of gravity in any orientations.
+    MultiPosition,
+    /// From six known orientations.
+    SixPosition,
+    /// From four orientations about a level axis.
+    FourAngle,
+    /// From three orientations about a level axis.
+    ThreeAngle,
+    /// Against a reference that moves along.
+    Reference,
+    /// An earlier calibration, brought up to date pose by pose.
+    Updated,
+}
+
+impl fmt::Display for CalibrationMethod {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::MultiPosition => "multi-position",
+            Self::SixPosition => "six-position",
+            Self::FourAngle => "four-angle",
+            Self::ThreeAngle => "three-angle",
+            Self::Reference => "reference",
+            Self::Updated => "updated",
+        })
+    }
+}
+
+/// Temperatures of a calibration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CalibratedTemperature {
+    /// Mean, °C.
+    pub mean_c: f32,
+    /// The lowest at which the model holds, °C.
+    pub lowest_c: f32,
+    /// The highest at which the model holds, °C.
+    pub highest_c: f32,
+}
+
+/// Standard deviations, 1 σ, of the terms beyond the 12 basic parameters; 0 for one that was not
+/// estimated.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TermDeviations {
+    /// Of b₁, m/s² per K.
+    pub bias_mps2_per_k: [f32; 3],
+    /// Of b₂, m/s² per K².
+    pub bias_mps2_per_k2: [f32; 3],
+    /// Of s₁, 1/K.
+    pub scale_per_k: [f32; 3],
+    /// Of q, s²/m.
+    pub nonlinearity: [f32; 3],
+}
+
+/// What a calibration says of itself, before it is checked: [`CalibrationQuality::new`] checks it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct QualityTerms {
+    /// How the model was estimated.
+    pub method: CalibrationMethod,
+    /// When, s since 1970 UTC, where it is known.
+    pub utc_s: Option<u64>,
+    /// At which temperature, where it is known: within −60..=150 °C, lowest ≤ mean ≤ highest.
+    pub temperature: Option<CalibratedTemperature>,
+    /// Poses fitted; for a reference, blocks of samples.
+    pub poses: u32,
+    /// Degrees of freedom of the covariance, for Student's intervals.
+    pub dof: u32,
+    /// |f| − g over the poses (for a reference, what is left of output less reference), m/s² rms,
+    /// 0..=100.
+    pub rms_mps2: f32,
+    /// The same of each pose under the model fitted without it; `None` where none can be spared.
+    pub loo_rms_mps2: Option<f32>,
+    /// Condition of the fit, 1..=10⁹, 1 is best; `None` for a method without one.
+    pub condition: Option<f32>,
+    /// Covariance of the 12 basic parameters, gravity's included.
+    pub covariance: ModelCovariance,
+    /// Standard deviations of the other terms: each 0..=1.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub other_sd: TermDeviations,
+}
+
+/// What a calibration says of itself: how it was made, and how good it is.
+///
+/// Always finite and within the bounds given on [`QualityTerms`]: it cannot be built otherwise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(try_from = "QualityTerms", into = "QualityTerms")
+)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CalibrationQuality(QualityTerms);
+
+impl CalibrationQuality {
+    /// Checks the terms.
+    ///
+    /// # Errors
+    /// [`QualityError`] names what is out of bounds.
+    pub fn new(terms: QualityTerms) -> Result<Self, QualityError> {
+        let within = |value: f32, low: f32, high: f32| (low..=high).contains(&value);
+        if let Some(t) = &terms.temperature {
+            let ordered = t.lowest_c <= t.mean_c && t.mean_c <= t.highest_c;
+            if !ordered || !within(t.lowest_c, -60.0, 150.0) || !within(t.highest_c, -60.0, 150.0) {
+                return Err(QualityError::Temperature);
+            }
+        }
+        if !within(terms.rms_mps2, 0.0, 100.0)
+            || terms
+                .loo_rms_mps2
+                .is_some_and(|loo| !within(loo, 0.0, 100.0))
+        {
+            return Err(QualityError::Residual);
+        }
+        if terms.condition.is_some_and(|c| !within(c, 1.0, 1e9)) {
+            return Err(QualityError::Condition);
+        }
+        let sd = &terms.other_sd;
+        let mut others = [
+            sd.bias_mps2_per_k,
+            sd.bias_mps2_per_k2,
+            sd.scale_per_k,
+            sd.nonlinearity,
+        ]
+        .into_iter()
+        .flatten();
+        if !others.all(|sd| within(sd, 0.0, 1.0)) {
+            return Err(QualityError::Deviation);
+        }
+        Ok(Self(terms))
+    }
+
+    /// What it says.
+    pub fn terms(&self) -> &QualityTerms {
+        &self.0
+    }
+}
+
+impl TryFrom<QualityTerms> for CalibrationQuality {
+    type Error = QualityError;
+
+    fn try_from(terms: QualityTerms) -> Result<Self, QualityError> {
+        Self::new(terms)
+    }
+}
+
+impl From<CalibrationQuality> for QualityTerms {
+    fn from(quality: CalibrationQuality) -> Self {
+        quality.0
+    }
+}
+
+/// Why what a calibration says of itself makes no sense.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum QualityError {
+    /// The temperatures are out of order or outside −60 to 150 °C.
+    Temperature,
+    /// A residual is outside 0 to 100 m/s².
+    Residual,
+    /// The condition is outside 1 to 10⁹.
+    Condition,
+    /// A standard deviation is outside 0 to 1.
+    Deviation,
+}
+
+impl fmt::Display for QualityError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Temperature => {
+                "the calibration's temperatures are out of order or outside -60 to 150 °C"
+            }
+            Self::Residual => "a residual of the calibration is outside 0 to 100 m/s²",
+            Self::Condition => "the calibration's condition is outside 1 to 10⁹",
+            Self::Deviation => "a standard deviation of the calibration is outside 0 to 1",
+        })
+    }
+}
+
+impl core::error::Error for QualityError {}

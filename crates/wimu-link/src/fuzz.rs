@@ -1,6 +1,8 @@
 //! What must hold for any bytes: bodies for fuzzers and for tests with seeded input. Each panics
 //! when it finds a fault.
 
+use core::num::NonZeroU8;
+
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
 use crate::batch::{self, Batch, Stream};
@@ -169,21 +171,23 @@ pub fn batch_body(data: &[u8]) {
         batch.sequence_low().into(),
         DeviceTimeUs(batch.time_low().into()),
     );
+    let every = NonZeroU8::new(batch.every()).expect("at least 1");
     let length = match batch.stream() {
         Stream::Raw => {
             let mut samples = [Counts::default(); batch::MAX_BATCH];
             let count = fill(&mut samples, batch.counts());
-            batch::encode(sequence, time, &samples[..count], &mut line)
+            batch::encode_every(every, sequence, time, &samples[..count], &mut line)
         }
         Stream::Corrected => {
             let mut samples = [SpecificForceQ16::default(); batch::MAX_BATCH];
             let count = fill(&mut samples, batch.specific_forces());
-            batch::encode(sequence, time, &samples[..count], &mut line)
+            batch::encode_every(every, sequence, time, &samples[..count], &mut line)
         }
     };
     with_body(&line[..length.expect("room")], |body| {
         let again = Batch::decode(body).expect("own batch");
         assert_eq!(again.stream(), batch.stream());
+        assert_eq!(again.every(), batch.every());
         assert_eq!(again.samples(), batch.samples());
         assert_eq!(again.sequence_low(), batch.sequence_low());
         assert_eq!(again.time_low(), batch.time_low());

@@ -73,6 +73,8 @@ pub struct Responder {
     executing: bool,
     /// The reply to the first of them.
     reply: FrameBuffer<MAX_FRAME>,
+    /// Requests that came again.
+    repeated: u32,
     /// The refusal of a stale request, which must not replace that reply.
     stale: FrameBuffer<STALE_FRAME>,
 }
@@ -107,6 +109,7 @@ impl Responder {
             latest: [None; SESSIONS],
             executing: false,
             reply: FrameBuffer::new(),
+            repeated: 0,
             stale: FrameBuffer::new(),
         }
     }
@@ -131,6 +134,7 @@ impl Responder {
             .flatten();
         if let Some(latest) = latest {
             if latest == request && known == Some(0) {
+                self.repeated = self.repeated.wrapping_add(1);
                 return if self.executing {
                     Decision::Ignore
                 } else {
@@ -185,6 +189,11 @@ impl Responder {
             (_, WriteAccess::Locked) => Some(Refusal::Locked),
             _ => Some(Refusal::KeyNeeded),
         }
+    }
+
+    /// How often the latest request of a session came again, since the start; wraps.
+    pub fn repeated(&self) -> u32 {
+        self.repeated
     }
 
     /// The frame that answers the request that was to be executed; the same bytes will answer its

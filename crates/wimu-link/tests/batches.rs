@@ -14,9 +14,12 @@ fn pack<S: batch::Sample>(samples: &[S]) -> Vec<u8> {
         &mut line,
     )
     .unwrap();
+    body(&line[..length])
+}
+
+fn body(line: &[u8]) -> Vec<u8> {
     let mut deframer = Deframer::new();
-    line[..length]
-        .iter()
+    line.iter()
         .find_map(|&byte| {
             let frame = deframer.push(byte)?.unwrap();
             assert_eq!(frame.kind, Kind::Batch);
@@ -75,6 +78,25 @@ fn around_a_course() -> impl Strategy<Value = Vec<[i32; 3]>> {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn decimated_samples_come_back(
+        samples in prop::collection::vec(any::<[i32; 3]>(), 1..=MAX_BATCH),
+        every in 1_u8..,
+    ) {
+        let every = std::num::NonZeroU8::new(every).unwrap();
+        let forces: Vec<_> = samples.iter().copied().map(SpecificForceQ16).collect();
+        let counts: Vec<_> = samples.iter().map(|axes| Counts(axes.map(|v| v as i16))).collect();
+        let mut line = [0; MAX_FRAME];
+        let length = batch::encode_every(every, 7, DeviceTimeUs(9), &forces, &mut line).unwrap();
+        let batch = Batch::decode(&body(&line[..length])).unwrap();
+        prop_assert_eq!(batch.every(), every.get());
+        prop_assert!(batch.specific_forces().eq(forces));
+        let length = batch::encode_every(every, 7, DeviceTimeUs(9), &counts, &mut line).unwrap();
+        let batch = Batch::decode(&body(&line[..length])).unwrap();
+        prop_assert_eq!((batch.every(), batch.sequence_low(), batch.time_low()), (every.get(), 7, 9));
+        prop_assert!(batch.counts().eq(counts));
+    }
 
     #[test]
     fn any_counts_come_back(samples in prop::collection::vec(any::<[i16; 3]>(), 1..=MAX_BATCH)) {
@@ -180,10 +202,16 @@ fn a_prediction_that_this_encoder_leaves_out_is_understood() {
 }
 
 #[test]
-fn a_reserved_bit_and_an_impossible_value_are_refused() {
-    let mut body = pack(&[Counts([1, 2, 3])]);
-    body[0] |= 0x80;
-    assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Reserved);
+fn impossible_values_are_refused() {
+    // Decimated by 0 and by 1.
+    for every in [0, 1] {
+        let body = [&[0x80, 0, 0, 0, 0, 0, every], &[0; 5][..]].concat();
+        assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Decimation);
+    }
+    assert_eq!(
+        Batch::decode(&[0x80, 0, 0, 0, 0, 0]).unwrap_err(),
+        BatchError::TooShort
+    );
     // Two raw samples; X: mean, k = 15, first value 0, two ones: a residual of 2·2¹⁵ or more.
     let bits = [0b0111_1100, 0b0001_1000, 0, 0, 0];
     let body = [&[1, 0, 0, 0, 0, 0], &bits[..]].concat();

@@ -5,6 +5,7 @@
 //! `WRITE_VECTORS=1 cargo test -p wimu-link --test vectors` writes them anew.
 
 use std::fmt::Write as _;
+use std::num::NonZeroU8;
 use std::path::PathBuf;
 
 use wimu_link::frame::EncodeError;
@@ -200,7 +201,19 @@ fn batches_are_as_they_were() {
         );
         corrected.push(samples);
     }
-    let bodies = vectors.check();
+    let fourth = [Counts([16, -32, 16384]), Counts([32, -16, 16400])];
+    let axes: Vec<_> = fourth.iter().map(|sample| sample.0).collect();
+    vectors.add(
+        format!("raw, every fourth, sequence 8, time 80000 µs: {axes:?}"),
+        |line| {
+            let every = NonZeroU8::new(4).unwrap();
+            batch::encode_every(every, 8, DeviceTimeUs(80_000), &fourth, line)
+        },
+    );
+    let mut bodies = vectors.check();
+    let decimated = Batch::decode(&bodies.pop().unwrap()).unwrap();
+    assert_eq!((decimated.every(), decimated.sequence_low()), (4, 8));
+    assert!(decimated.counts().eq(fourth));
     let (raw_bodies, corrected_bodies) = bodies.split_at(raw.len());
     for (body, samples) in raw_bodies.iter().zip(raw) {
         let batch = Batch::decode(body).unwrap();
@@ -209,6 +222,7 @@ fn batches_are_as_they_were() {
             (0x5678, 0xde_f012)
         );
         assert!(batch.counts().eq(samples.iter().copied()));
+        assert_eq!(batch.every(), 1);
     }
     for (body, samples) in corrected_bodies.iter().zip(corrected) {
         let batch = Batch::decode(body).unwrap();
@@ -277,6 +291,7 @@ fn settings() -> Settings {
             navigation: true,
             environment: false,
             batch: 32,
+            every: 4,
         },
     }
 }
@@ -289,6 +304,7 @@ fn status() -> Status {
             bytes_sent: 1 << 33,
             telemetry_shed: 2,
             frames_damaged: 3,
+            requests_repeated: 4,
         }),
         wireless: None,
         sensor: SensorStatus {
@@ -438,6 +454,10 @@ fn requests_are_as_they_were() {
         Command::GetSettings,
         Command::SetSettings(settings()),
         Command::GetStatus,
+        Command::SetLineRate {
+            link: LinkRole::Cable.number(),
+            baud: 230_400,
+        },
     ]
     .map(|command| Request {
         session: 0x1234_5678,
@@ -491,6 +511,9 @@ fn replies_are_as_they_were() {
                 parameters_lsb_per_g: 2048.0,
                 device_lsb_per_g: 16384.0,
             },
+            Refusal::FixedLineRate,
+            Refusal::AdapterLineRate,
+            Refusal::UnsupportedLineRate { nearest: 38_400 },
         ]
         .map(Answer::Refused),
     );

@@ -163,6 +163,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         match command {
             Command::GetParameters => Ok(self.active()),
             Command::GetSettings => Ok(Payload::Settings(plan.settings)),
+            Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
             Command::StageParameters(wire) => {
                 let set = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
@@ -431,6 +432,7 @@ fn is_calibration_or_settings(key: Key) -> bool {
 fn plan<A: Accelerometer>(wanted: &Settings) -> Result<Plan, Settings> {
     let streams = |streams: Streams| Streams {
         batch: streams.batch.clamp(1, MAX_BATCH as u8),
+        every: streams.every.max(1),
         ..streams
     };
     let possible = Settings {

@@ -1,12 +1,14 @@
 //! Samples: read, number, correct, integrate, pack.
 
+use core::num::NonZeroU8;
+
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_integrator::{Config, Integrator, Phase, Transition};
 use wimu_link::LinkRole;
 use wimu_link::batch::{self, MAX_BATCH, Sample, Stream};
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{
-    BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings, Telemetry,
+    BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings, Streams, Telemetry,
 };
 use wimu_model::{Counts, DeviceTimeUs, PeriodNs, SpecificForceQ16};
 
@@ -466,24 +468,27 @@ impl SampleClock {
     }
 }
 
-/// Batches under way for one link, or for both where they are of the same length.
+/// Batches under way for one link, or for both where they are of the same length and decimation.
 #[derive(Default)]
 struct Lane {
     roles: [bool; 2],
     raw: Batcher<Counts>,
     corrected: Batcher<SpecificForceQ16>,
     length: usize,
+    /// Samples whose number is a multiple of this are taken; 0 for a lane of no link.
+    every: u8,
 }
 
 impl Lane {
     fn of(settings: &Settings) -> [Self; 2] {
-        let lane = |roles, length: u8| Self {
+        let lane = |roles, streams: Streams| Self {
             roles,
-            length: usize::from(length).clamp(1, MAX_BATCH),
+            length: usize::from(streams.batch).clamp(1, MAX_BATCH),
+            every: streams.every.max(1),
             ..Self::default()
         };
-        let (cable, wireless) = (settings.cable.batch, settings.wireless.batch);
-        if cable == wireless {
+        let (cable, wireless) = (settings.cable, settings.wireless);
+        if (cable.batch, cable.every) == (wireless.batch, wireless.every) {
             [lane([true; 2], cable), Self::default()]
         } else {
             [lane([true, false], cable), lane([false, true], wireless)]
@@ -501,8 +506,10 @@ impl Lane {
         if self.roles == [false; 2] {
             return;
         }
-        self.raw.add(sequence, time, counts);
-        self.corrected.add(sequence, time, force);
+        if self.every == 1 || sequence.is_multiple_of(self.every.into()) {
+            self.raw.add(sequence, time, counts);
+            self.corrected.add(sequence, time, force);
+        }
         let age = time.0.saturating_sub(self.raw.first_time.0);
         if self.raw.count >= self.length || age >= OLDEST_BATCH_US {
             self.flush(shared);
@@ -510,8 +517,9 @@ impl Lane {
     }
 
     fn flush<M: RawMutex>(&mut self, shared: &Shared<M>) {
-        self.raw.flush(shared, self.roles);
-        self.corrected.flush(shared, self.roles);
+        let every = NonZeroU8::new(self.every).unwrap_or(NonZeroU8::MIN);
+        self.raw.flush(shared, self.roles, every);
+        self.corrected.flush(shared, self.roles, every);
     }
 }
 
@@ -545,12 +553,12 @@ impl<S: Sample> Batcher<S> {
         }
     }
 
-    fn flush<M: RawMutex>(&mut self, shared: &Shared<M>, roles: [bool; 2]) {
+    fn flush<M: RawMutex>(&mut self, shared: &Shared<M>, roles: [bool; 2], every: NonZeroU8) {
         let count = core::mem::take(&mut self.count);
         let samples = self.samples.get(..count).unwrap_or_default();
         let mut frame = [0; MAX_FRAME];
-        if let Ok(length) = batch::encode(self.first_sequence, self.first_time, samples, &mut frame)
-        {
+        let (sequence, time) = (self.first_sequence, self.first_time);
+        if let Ok(length) = batch::encode_every(every, sequence, time, samples, &mut frame) {
             let frame = frame.get(..length).unwrap_or_default();
             shared.stream(roles, frame, |streams| match S::STREAM {
                 Stream::Raw => streams.raw,

@@ -253,7 +253,8 @@ impl<M: RawMutex> Shared<M> {
     pub(crate) fn status(&self, now: DeviceTimeUs) -> Status {
         let published = self.published();
         let link = |role| {
-            let damaged = self.with_inbox(role, |inbox| inbox.damaged);
+            let (damaged, repeated) =
+                self.with_inbox(role, |inbox| (inbox.damaged, inbox.responder.repeated()));
             self.link(role).outbox.lock(|outbox| {
                 let outbox = outbox.borrow();
                 LinkStatus {
@@ -261,6 +262,7 @@ impl<M: RawMutex> Shared<M> {
                     bytes_sent: outbox.bytes_sent,
                     telemetry_shed: outbox.shed,
                     frames_damaged: damaged,
+                    requests_repeated: repeated,
                 }
             })
         };

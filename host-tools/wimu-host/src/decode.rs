@@ -60,7 +60,8 @@ pub enum Event {
     Unreadable(String),
 }
 
-/// Consecutive samples of one stream, never the same ones twice.
+/// Samples of one stream, of which none between the first and the last is missing, never the same
+/// ones twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Samples {
     /// Raw counts or corrected specific force.
@@ -69,8 +70,10 @@ pub struct Samples {
     pub first_sequence: u32,
     /// Device time of the first.
     pub first_time: DeviceTimeUs,
-    /// Time from one to the next.
+    /// Time from one sample that the sensor takes to the next.
     pub period: PeriodNs,
+    /// From one sample's sequence number to the next one's: 1 unless the stream is decimated.
+    pub every: u8,
     /// X, Y, Z in LSB or 2⁻¹⁶ m/s².
     pub values: Vec<[i32; 3]>,
 }
@@ -79,9 +82,10 @@ impl Samples {
     /// The samples one by one.
     pub fn iter(&self) -> impl Iterator<Item = TimedSample> + '_ {
         self.values.iter().enumerate().map(|(index, value)| {
-            let later_us = index as u64 * u64::from(self.period.0) / 1000;
+            let later = index as u32 * u32::from(self.every);
+            let later_us = u64::from(later) * u64::from(self.period.0) / 1000;
             TimedSample {
-                sequence: self.first_sequence.wrapping_add(index as u32),
+                sequence: self.first_sequence.wrapping_add(later),
                 time: DeviceTimeUs(self.first_time.0.wrapping_add(later_us)),
                 value: *value,
             }
@@ -190,8 +194,8 @@ pub struct Decoder {
     /// The latest and the one before: epochs may overtake samples.
     anchors: [Option<Anchor>; 2],
     unplaced: VecDeque<(u64, Batch)>,
-    /// The next sequence number of raw and corrected samples.
-    expected: [Option<u32>; 2],
+    /// The latest sequence number of raw and corrected samples, and the decimation.
+    latest: [Option<(u32, u8)>; 2],
     identity: Option<(u64, u32)>,
     last_epoch_time: Option<DeviceTimeUs>,
     last_epoch_number: Option<u8>,
@@ -212,7 +216,7 @@ impl Decoder {
             statistics: LinkStatistics::default(),
             anchors: [None; 2],
             unplaced: VecDeque::new(),
-            expected: [None; 2],
+            latest: [None; 2],
             identity: None,
             last_epoch_time: None,
             last_epoch_number: None,
@@ -287,7 +291,7 @@ impl Decoder {
         self.statistics.batches_unplaced += self.unplaced.len() as u64;
         self.unplaced.clear();
         self.anchors = [None; 2];
-        self.expected = [None; 2];
+        self.latest = [None; 2];
         self.last_epoch_time = None;
         self.last_epoch_number = None;
     }
@@ -353,14 +357,20 @@ impl Decoder {
             first_sequence: sequence,
             first_time: time,
             period,
+            every: batch.every(),
             values: batch.samples().to_vec(),
         };
-        if let Some(expected) = self.expected[index] {
-            let ahead = sequence.wrapping_sub(expected) as i32;
-            if ahead >= 0 {
-                statistics.missing += ahead as u64;
+        let every = u32::from(samples.every);
+        if let Some((latest, every_before)) = self.latest[index] {
+            // How many samples the sensor took from the latest to this one.
+            let ahead = sequence.wrapping_sub(latest) as i32;
+            if ahead > 0 {
+                // Where the decimation changes, fewer than its larger one are left out.
+                let every = every.max(every_before.into());
+                statistics.missing += u64::from((ahead as u32 - 1) / every);
             } else {
-                let known = (ahead.unsigned_abs() as usize).min(samples.values.len());
+                let known = ahead.unsigned_abs() / every + 1;
+                let known = (known as usize).min(samples.values.len());
                 statistics.duplicated += known as u64;
                 let first = samples.iter().nth(known);
                 samples.values.drain(..known);
@@ -374,11 +384,9 @@ impl Decoder {
             }
         }
         statistics.received += samples.values.len() as u64;
-        self.expected[index] = Some(
-            samples
-                .first_sequence
-                .wrapping_add(samples.values.len() as u32),
-        );
+        let last = (samples.values.len() as u32).saturating_sub(1) * every;
+        let last = samples.first_sequence.wrapping_add(last);
+        self.latest[index] = Some((last, samples.every));
         each(Arrival {
             host_ns,
             event: Event::Samples(samples),

@@ -319,7 +319,10 @@ pub enum Settings {
         link: String,
     },
     /// Change some settings; the others stay
-    #[command(after_help = "Example: wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off")]
+    #[command(
+        after_help = "Example: wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off
+         wimu settings set tcp://127.0.0.1:7100 --wireless raw,navigation --wireless-every 4"
+    )]
     Set {
         /// A LINK
         link: String,
@@ -355,6 +358,19 @@ pub struct Change {
     /// Samples to a batch on both links, 1 to 32
     #[arg(long, value_name = "N")]
     pub batch: Option<u8>,
+    /// Samples to a batch on the cable
+    #[arg(long, value_name = "N", conflicts_with = "batch")]
+    pub cable_batch: Option<u8>,
+    /// Samples to a batch on the wireless link
+    #[arg(long, value_name = "N", conflicts_with = "batch")]
+    pub wireless_batch: Option<u8>,
+    /// Raw and corrected samples on the cable: every n-th, 1 to 255; not filtered, so that faster
+    /// motion is aliased
+    #[arg(long, value_name = "N")]
+    pub cable_every: Option<u8>,
+    /// Those on the wireless link
+    #[arg(long, value_name = "N")]
+    pub wireless_every: Option<u8>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

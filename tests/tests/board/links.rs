@@ -3,7 +3,7 @@
 
 use wimu_host::decode::TimedSample;
 use wimu_link::frame::FrameError;
-use wimu_link::message::{Settings, Status};
+use wimu_link::message::{Refusal, Settings, Status, Streams};
 use wimu_link::{Answer, Command, Deframer, LinkRole};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::pipe::LinkConfig;
@@ -338,4 +338,84 @@ fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
         let report = wimu_host::replay::verify(boot, 0);
         assert_eq!(report.first_difference, None, "seed {seed}: {report:?}");
     }
+}
+
+#[test]
+fn each_link_has_its_own_streams_decimation_and_batches() {
+    let mut rig = rig(ROOMY, ROOMY);
+    rig.run(3.0);
+    let usual = rig.settings();
+    rig.set(Settings {
+        wireless: Streams {
+            corrected: false,
+            navigation: false,
+            batch: 5,
+            every: 4,
+            ..usual.wireless
+        },
+        ..usual
+    });
+    rig.run(8.0);
+    rig.set(usual);
+    rig.run(5.0);
+
+    rig.link(LinkRole::Cable).assert_perfect();
+    let (cable, wireless) = (rig.boot(LinkRole::Cable), rig.boot(LinkRole::Wireless));
+    assert_part_of(&wireless.raw, &cable.raw);
+    assert_part_of(&wireless.corrected, &cable.corrected);
+    let decimated: Vec<u32> = (wireless.raw.windows(2))
+        .filter(|pair| pair[1].sequence - pair[0].sequence == 4)
+        .map(|pair| pair[1].sequence)
+        .collect();
+    assert!((195..210).contains(&decimated.len()), "{decimated:?}");
+    assert!(decimated.iter().all(|sequence| sequence % 4 == 0));
+    let between = |from: u32, to: u32| move |s: &&TimedSample| (from..to).contains(&s.sequence);
+    let range = between(decimated[0], decimated[decimated.len() - 1]);
+    assert_eq!(wireless.corrected.iter().filter(range).count(), 0);
+    // No sample that was to be sent is missing, and what the device says agrees.
+    let statistics = rig.link(LinkRole::Wireless).record().statistics;
+    assert_eq!((statistics.raw.missing, statistics.raw.duplicated), (0, 0));
+    assert_replays(wireless);
+    assert_eq!(shed(&rig.status(), LinkRole::Wireless), 0);
+}
+
+#[test]
+fn a_decimation_or_batch_length_that_cannot_be_is_refused_with_the_nearest() {
+    let mut rig = rig(ROOMY, ROOMY);
+    rig.run(1.0);
+    let usual = rig.settings();
+    let wanted = Settings {
+        wireless: Streams {
+            every: 0,
+            batch: 99,
+            ..usual.wireless
+        },
+        ..usual
+    };
+    let nearest = Settings {
+        wireless: Streams {
+            every: 1,
+            batch: 32,
+            ..usual.wireless
+        },
+        ..usual
+    };
+    assert_eq!(
+        rig.ask(LinkRole::Cable, Command::SetSettings(wanted)),
+        Answer::Refused(Refusal::UnsupportedSettings { nearest })
+    );
+}
+
+#[test]
+fn requests_that_come_again_are_counted_on_their_link() {
+    let mut rig = rig(ROOMY, ROOMY);
+    rig.run(1.0);
+    let frame = rig.frame_of(Command::GetSettings);
+    for _ in 0..4 {
+        rig.send(LinkRole::Wireless, &frame);
+        rig.run(0.1);
+    }
+    let status = rig.status();
+    assert_eq!(status.wireless.expect("a link").requests_repeated, 3);
+    assert_eq!(status.cable.expect("a link").requests_repeated, 0);
 }

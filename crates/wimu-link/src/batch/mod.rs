@@ -9,10 +9,11 @@
 //!
 //! | offset | size | field |
 //! |---|---|---|
-//! | 0 | 1 | samples less one in bits 0 to 4; bit 5: [`Stream`], 0 raw, 1 corrected; bit 6: a shift follows; bit 7: 0 |
+//! | 0 | 1 | samples less one in bits 0 to 4; bit 5: [`Stream`], 0 raw, 1 corrected; bit 6: a shift follows; bit 7: only every n-th sample is there |
 //! | 1 | 2 | low 16 bits of the first sample's sequence number, low byte first |
 //! | 3 | 3 | low 24 bits of the first sample's device time, µs, low byte first |
-//! | 6 | – | bits, most significant first, zeros up to the next whole byte |
+//! | 6 | 1 | only with bit 7: n, 2 to 255 |
+//! | 6, 7 with bit 7 | – | bits, most significant first, zeros up to the next whole byte |
 //!
 //! In the bits, F stands for 4 in a raw batch and 5 in a corrected one, W for 16 and 32:
 //!
@@ -32,6 +33,7 @@ mod packing;
 mod predict;
 
 use core::fmt;
+use core::num::NonZeroU8;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
@@ -45,12 +47,12 @@ pub const MAX_BATCH: usize = 32;
 const HEADER: usize = 6;
 const CORRECTED_BIT: u8 = 1 << 5;
 const SHIFT_BIT: u8 = 1 << 6;
-const RESERVED_BIT: u8 = 1 << 7;
+const DECIMATED_BIT: u8 = 1 << 7;
 
 /// Every axis at full width, with its coding and length, in 26 bits with the shift; up to a whole
 /// number of words.
 const MAX_BATCH_BODY: usize =
-    HEADER + (26_usize.div_ceil(8) + MAX_BATCH * 3 * 4).next_multiple_of(4);
+    HEADER + 1 + (26_usize.div_ceil(8) + MAX_BATCH * 3 * 4).next_multiple_of(4);
 
 /// This many ones are an escape.
 const ESCAPE: u32 = 12;
@@ -181,27 +183,44 @@ pub fn encode<S: Sample>(
     samples: &[S],
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
+    encode_every(NonZeroU8::MIN, first_sequence, first_time, samples, frame)
+}
+
+/// Packs samples as [`encode`] does, of which `every` − 1 that the sensor took between one and the
+/// next are left out: a decimated stream. Nothing is filtered: what moves faster than half the rate
+/// that is left is folded below it (aliasing).
+///
+/// # Errors
+/// Those of [`encode`].
+pub fn encode_every<S: Sample>(
+    every: NonZeroU8,
+    first_sequence: u32,
+    first_time: DeviceTimeUs,
+    samples: &[S],
+    frame: &mut [u8],
+) -> Result<usize, EncodeError> {
     // The far end of `frame` has room for the body of all but the longest batches of corrected
     // samples; to clear a buffer of its own would take an eighth of the time of packing.
-    let body_room = HEADER + 8 + samples.len() * 3 * (S::STREAM.width() as usize / 8);
+    let body_room = HEADER + 9 + samples.len() * 3 * (S::STREAM.width() as usize / 8);
     let frame_room = frame::MAX_FRAME - frame::MAX_BODY + body_room;
     if let Some((frame, body)) = frame.split_at_mut_checked(frame.len().wrapping_sub(body_room))
         && frame.len() >= frame_room
     {
-        return pack(first_sequence, first_time, samples, body, frame);
+        return pack(every, first_sequence, first_time, samples, body, frame);
     }
     let mut body = [0; MAX_BATCH_BODY];
-    pack(first_sequence, first_time, samples, &mut body, frame)
+    pack(every, first_sequence, first_time, samples, &mut body, frame)
 }
 
 fn pack<S: Sample>(
+    every: NonZeroU8,
     first_sequence: u32,
     first_time: DeviceTimeUs,
     samples: &[S],
     body: &mut [u8],
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    let length = packing::encode_body(first_sequence, first_time, samples, body)?;
+    let length = packing::encode_body(every, first_sequence, first_time, samples, body)?;
     let body = body.get(..length).ok_or(EncodeError::NoRoom)?;
     frame::encode(Kind::Batch, body, frame)
 }
@@ -212,6 +231,7 @@ fn pack<S: Sample>(
 pub struct Batch {
     stream: Stream,
     length: usize,
+    every: u8,
     sequence_low: u16,
     time_low: u32,
     /// Those at and after `length` are zero.
@@ -228,9 +248,14 @@ impl Batch {
             .split_first_chunk::<HEADER>()
             .ok_or(BatchError::TooShort)?;
         let [first, sequence_0, sequence_1, time_0, time_1, time_2] = *header;
-        if first & RESERVED_BIT != 0 {
-            return Err(BatchError::Reserved);
-        }
+        let (every, bits) = if first & DECIMATED_BIT == 0 {
+            (1, bits)
+        } else {
+            match bits.split_first().ok_or(BatchError::TooShort)? {
+                (0 | 1, _) => return Err(BatchError::Decimation),
+                (&every, bits) => (every, bits),
+            }
+        };
         let stream = if first & CORRECTED_BIT == 0 {
             Stream::Raw
         } else {
@@ -239,6 +264,7 @@ impl Batch {
         let mut batch = Self {
             stream,
             length: usize::from(first & 31) + 1,
+            every,
             sequence_low: u16::from_le_bytes([sequence_0, sequence_1]),
             time_low: u32::from_le_bytes([time_0, time_1, time_2, 0]),
             samples: [[0; 3]; MAX_BATCH],
@@ -270,6 +296,11 @@ impl Batch {
     #[allow(clippy::len_without_is_empty, reason = "a batch is never empty")]
     pub fn len(&self) -> usize {
         self.length
+    }
+
+    /// From one sample's sequence number to the next one's, 1..=255: 1 if none is left out.
+    pub fn every(&self) -> u8 {
+        self.every
     }
 
     /// Low 16 bits of the first sample's sequence number: for [`extend_sequence`].
@@ -386,8 +417,8 @@ pub enum BatchError {
     TooShort,
     /// The body goes on after its samples.
     TooLong,
-    /// The reserved bit of the first byte is set.
-    Reserved,
+    /// It says that it is decimated, by 0 or 1.
+    Decimation,
     /// A Rice parameter or a residual that the stream cannot have.
     Value,
 }
@@ -398,7 +429,7 @@ impl fmt::Display for BatchError {
         out.write_str(match self {
             Self::TooShort => "it ends before its samples do",
             Self::TooLong => "it goes on after its samples",
-            Self::Reserved => "it uses a bit that is reserved",
+            Self::Decimation => "it says that it is decimated, but by 0 or 1",
             Self::Value => "it holds a residual out of range",
         })?;
         out.write_str("; update host and device to the same wire version")

@@ -1,9 +1,11 @@
 //! The sender's half: which way of coding, and the bits.
 
+use core::num::NonZeroU8;
+
 use wimu_model::DeviceTimeUs;
 
 use super::predict::{Coding, MEAN_GAINS, Mean, fold, unfold};
-use super::{CORRECTED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT, Sample, Stream};
+use super::{CORRECTED_BIT, DECIMATED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT, Sample, Stream};
 use crate::bits::BitWriter;
 use crate::frame::EncodeError;
 
@@ -12,6 +14,7 @@ const TRIED: usize = 8;
 
 /// Packs samples into the body of a frame; returns its length, bytes.
 pub(super) fn encode_body<S: Sample>(
+    every: NonZeroU8,
     first_sequence: u32,
     first_time: DeviceTimeUs,
     samples: &[S],
@@ -33,8 +36,16 @@ pub(super) fn encode_body<S: Sample>(
         Stream::Corrected => CORRECTED_BIT,
     };
     let shift_bit = if shift > 0 { SHIFT_BIT } else { 0 };
-    let first = (samples.len() - 1) as u8 | stream_bit | shift_bit;
+    let decimated = every > NonZeroU8::MIN;
+    let decimated_bit = if decimated { DECIMATED_BIT } else { 0 };
+    let first = (samples.len() - 1) as u8 | stream_bit | shift_bit | decimated_bit;
     *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
+    let (more, bits) = bits
+        .split_at_mut_checked(decimated.into())
+        .ok_or(EncodeError::NoRoom)?;
+    if let [more] = more {
+        *more = every.get();
+    }
 
     let mut packer = Packer {
         writer: BitWriter::new(bits),
@@ -53,7 +64,7 @@ pub(super) fn encode_body<S: Sample>(
         });
     }
     let packed = packer.writer.finish().ok_or(EncodeError::NoRoom)?;
-    Ok(HEADER + packed)
+    Ok(HEADER + usize::from(decimated) + packed)
 }
 
 /// How many low bits are zero in all samples: equation (20).

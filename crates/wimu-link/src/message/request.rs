@@ -122,6 +122,17 @@ pub enum Command {
     SetSettings(Settings),
     /// How the device is: [`Payload::Status`].
     GetStatus,
+    /// Run the line of a link at another rate: [`Payload::None`], at the old rate.
+    ///
+    /// The device changes when its answer is over the line. If this is the line that the request came
+    /// on, it goes back unless an undamaged frame of a host comes within 5 s; then it stores the rate.
+    /// Another link's rate is stored at once.
+    SetLineRate {
+        /// Number of the link's role: [`LinkRole::number`](crate::LinkRole::number).
+        link: u8,
+        /// Bits a second.
+        baud: u32,
+    },
 }
 
 impl Command {
@@ -136,7 +147,8 @@ impl Command {
             Self::StageParameters(_)
             | Self::CommitParameters { .. }
             | Self::FactoryReset
-            | Self::SetSettings(_) => true,
+            | Self::SetSettings(_)
+            | Self::SetLineRate { .. } => true,
         }
     }
 }
@@ -230,6 +242,16 @@ pub enum Refusal {
         /// The sensor's, LSB/*g*.
         device_lsb_per_g: f64,
     },
+    /// The link has no rate that could be set, or there is no such link.
+    FixedLineRate,
+    /// An adapter at the other end of the line decides its rate: who asks over the radio cannot
+    /// change both ends.
+    AdapterLineRate,
+    /// The line cannot run at this rate.
+    UnsupportedLineRate {
+        /// The nearest that it can, bits a second.
+        nearest: u32,
+    },
 }
 
 impl fmt::Display for Refusal {
@@ -279,6 +301,15 @@ impl fmt::Display for Refusal {
                 out,
                 "the parameters are for {parameters_lsb_per_g} LSB/g, the sensor has {device_lsb_per_g} LSB/g; calibrate from this board's own recording"
             ),
+            Self::FixedLineRate => {
+                out.write_str("this link's rate cannot be set on the device; use it as it is")
+            }
+            Self::AdapterLineRate => out.write_str(
+                "a radio adapter decides this line's rate; set the adapter (AT+UART=115200,0,0 or the like), the device finds its rate by itself",
+            ),
+            Self::UnsupportedLineRate { nearest } => {
+                write!(out, "the line cannot run at this rate; the nearest is {nearest} baud")
+            }
         }
     }
 }

@@ -16,10 +16,13 @@ pub struct Streams {
     pub environment: bool,
     /// Samples to a batch, 1..=32.
     pub batch: u8,
+    /// Of raw and corrected samples only those travel whose sequence number is a multiple of this,
+    /// 1..=255; as they are, not filtered.
+    pub every: u8,
 }
 
 impl Default for Streams {
-    /// Everything, in batches of 16.
+    /// Everything, every sample, in batches of 16.
     fn default() -> Self {
         Self {
             raw: true,
@@ -27,6 +30,7 @@ impl Default for Streams {
             navigation: true,
             environment: true,
             batch: 16,
+            every: 1,
         }
     }
 }

@@ -175,6 +175,8 @@ pub struct LinkStatus {
     pub telemetry_shed: u32,
     /// Damaged frames received.
     pub frames_damaged: u32,
+    /// Requests that came again: the host had not got the answer.
+    pub requests_repeated: u32,
 }
 
 /// How the accelerometer is.

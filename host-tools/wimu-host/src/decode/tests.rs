@@ -274,3 +274,35 @@ proptest! {
         Decoder::new().push(0, &bytes, |_| {});
     }
 }
+
+/// Samples first, first + every, … of that device.
+fn decimated(first: u32, count: u32, every: u8) -> Vec<u8> {
+    let counts: Vec<_> = (0..count)
+        .map(|s| Counts(value(first + s * u32::from(every)).map(|v| v as i16)))
+        .collect();
+    let every = std::num::NonZeroU8::new(every).unwrap();
+    framed(|frame| batch::encode_every(every, first, DeviceTimeUs(time(first)), &counts, frame))
+}
+
+#[test]
+fn decimated_samples_keep_number_and_time_and_only_their_losses_count() {
+    let mut decoder = Decoder::new();
+    let frames = [
+        epoch(0, time(0)),
+        samples(0, 10),
+        decimated(12, 5, 4),
+        // Two of them are lost; then one comes again with one that is new.
+        decimated(40, 2, 4),
+        decimated(44, 2, 4),
+        // And every sample again.
+        samples(50, 3),
+        samples(55, 1),
+    ];
+    let events = decode(&mut decoder, &frames);
+    let expected: Vec<u32> = (0..10)
+        .chain([12, 16, 20, 24, 28, 40, 44, 48, 50, 51, 52, 55])
+        .collect();
+    assert_eq!(sequences(&events), expected);
+    let raw = decoder.statistics().raw;
+    assert_eq!((raw.missing, raw.duplicated), (2 + 2, 1));
+}

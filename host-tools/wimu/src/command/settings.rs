@@ -20,6 +20,8 @@ struct Held {
     cable: Vec<&'static str>,
     wireless: Vec<&'static str>,
     batch: [u8; 2],
+    /// Of raw and corrected samples, every n-th.
+    every: [u8; 2],
 }
 
 pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
@@ -48,9 +50,10 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         cable: names(&settings.cable),
         wireless: names(&settings.wireless),
         batch: [settings.cable.batch, settings.wireless.batch],
+        every: [settings.cable.every, settings.wireless.every],
     };
     output.say(format!(
-        "range ±{} g, {} Hz, {} resolution\nZUPT {}, local gravity {:.6} m/s²\ncable    {} in batches of {}\nwireless {} in batches of {}",
+        "range ±{} g, {} Hz, {} resolution\nZUPT {}, local gravity {:.6} m/s²\ncable    {} in batches of {}{}\nwireless {} in batches of {}{}",
         held.range_g,
         held.rate_hz,
         held.resolution,
@@ -58,8 +61,10 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         held.gravity_m_s2,
         held.cable.join(", "),
         held.batch[0],
+        decimation(held.every[0]),
         held.wireless.join(", "),
         held.batch[1],
+        decimation(held.every[1]),
     ));
     output.object(&held);
     Ok(())
@@ -77,10 +82,15 @@ fn changed(now: Settings, change: &Change) -> Result<Settings> {
             ));
         }
     };
-    let streams = |now: Streams, wanted: &Option<Vec<Carried>>| {
-        let batch = change.batch.unwrap_or(now.batch);
+    let streams = |now: Streams, wanted: &Option<Vec<Carried>>, batch: Option<u8>, every| {
+        let batch = batch.or(change.batch).unwrap_or(now.batch);
+        let every = Option::unwrap_or(every, now.every);
         match wanted {
-            None => Streams { batch, ..now },
+            None => Streams {
+                batch,
+                every,
+                ..now
+            },
             Some(wanted) => {
                 let on = |stream| wanted.contains(&stream);
                 Streams {
@@ -89,6 +99,7 @@ fn changed(now: Settings, change: &Change) -> Result<Settings> {
                     navigation: on(Carried::Navigation),
                     environment: on(Carried::Environment),
                     batch,
+                    every,
                 }
             }
         }
@@ -104,9 +115,26 @@ fn changed(now: Settings, change: &Change) -> Result<Settings> {
         },
         zupt: change.zupt.map_or(now.zupt, |zupt| zupt == Switch::On),
         gravity_um_s2,
-        cable: streams(now.cable, &change.cable),
-        wireless: streams(now.wireless, &change.wireless),
+        cable: streams(
+            now.cable,
+            &change.cable,
+            change.cable_batch,
+            change.cable_every,
+        ),
+        wireless: streams(
+            now.wireless,
+            &change.wireless,
+            change.wireless_batch,
+            change.wireless_every,
+        ),
     })
+}
+
+fn decimation(every: u8) -> String {
+    match every {
+        0 | 1 => String::new(),
+        every => format!(", of samples every {every}."),
+    }
 }
 
 fn names(streams: &Streams) -> Vec<&'static str> {

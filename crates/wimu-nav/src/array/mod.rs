@@ -1,0 +1,13 @@
+//! Accelerometers at several places of one rigid body: angular rate, angular acceleration and
+//! specific force without a gyroscope.
+//!
+//! [`Geometry`] says where they are, [`ArraySolver`] takes one sample of all of them, and
+//! [`Array`] does so while leaving out those that are dead or saturated.
+
+mod geometry;
+mod monitor;
+mod solver;
+
+pub use geometry::{Axis, Geometry, GeometryError, Triad};
+pub use monitor::{Array, Dropped, Update};
+pub use solver::{ArraySolver, Hypothesis, Linear, Roots, Solution};

@@ -1,0 +1,632 @@
+//! One sample of an array: equations (70) to (75).
+
+use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
+
+use super::geometry::{Geometry, GeometryError};
+use crate::Real;
+
+/// Least singular value against the largest, of the linear part with arms scaled to 1, below which
+/// a direction counts as not observed.
+const LINEAR_RANK: f64 = 1e-4;
+/// The same of the quadratic part.
+const QUADRATIC_RANK: f64 = 1e-4;
+/// Unknowns of the linear part.
+const UNKNOWNS: usize = 6;
+/// Damped Gauss-Newton steps; a good start takes 2 to 4.
+const MOST_STEPS: usize = 20;
+/// Two roots closer than this many standard deviations are one.
+const SAME_ROOT_SIGMA2: f64 = 1.0;
+/// Roots whose χ² is larger than the best one's by more than this are ruled out (4.3 σ).
+const RULED_OUT: f64 = 18.0;
+/// Hypotheses kept.
+const HYPOTHESES: usize = 8;
+
+/// What a sample says about the angular rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Roots {
+    /// Nothing: only ω̇ and s are measured (Chen, Lee & DeBra's cube, two or three triads in
+    /// special places).
+    None,
+    /// Less than three independent quantities: not enough for ω without its history.
+    Partial,
+    /// ω and −ω fit equally well, and in a planar array their mirror images at its plane too: four
+    /// roots.
+    Four,
+    /// ω and −ω fit equally well.
+    Two,
+}
+
+/// What is left of a sample: what the filter works on.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Linear<R> {
+    /// Combinations of the outputs in which only ω shows, of unit variance: equation (72).
+    pub z: [R; 6],
+    /// ω̇ (rad/s²) and s (m/s²) as they would be without centripetal acceleration.
+    pub theta: [R; 6],
+}
+
+/// One angular rate that fits a sample, and what follows from it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hypothesis<R> {
+    /// ω, rad/s, body axes.
+    pub rate_rad_s: [R; 3],
+    /// ω̇, rad/s², body axes.
+    pub angular_acceleration_rad_s2: [R; 3],
+    /// s, specific force at the weighted centre of the sensors, m/s², body axes.
+    pub specific_force_mps2: [R; 3],
+    /// Information about ω, the inverse of its covariance, (rad/s)⁻²: it vanishes at rest.
+    pub information: [[R; 3]; 3],
+    /// Σ of squared residuals that ω should explain, of unit variance: [`ArraySolver::degrees`].
+    pub chi_square: R,
+}
+
+impl<R: Real> Hypothesis<R> {
+    /// Covariance of ω, (rad/s)²; `None` where the sample says nothing about a component, at rest.
+    pub fn covariance(&self) -> Option<[[R; 3]; 3]> {
+        inverse3(&self.information)
+    }
+}
+
+/// All angular rates that fit a sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solution<R> {
+    hypotheses: [Option<Hypothesis<R>>; HYPOTHESES],
+}
+
+impl<R: Real> Solution<R> {
+    /// The hypotheses, each with its opposite next to it, the best fit first.
+    pub fn hypotheses(&self) -> impl Iterator<Item = &Hypothesis<R>> {
+        self.hypotheses.iter().flatten()
+    }
+
+    /// Whether more than one angular rate fits: always, but for history (and at rest, where ω and
+    /// −ω are one).
+    pub fn is_ambiguous(&self) -> bool {
+        self.hypotheses().count() > 1
+    }
+
+    /// The hypothesis nearest to `rate_rad_s`, where it is expected from the history.
+    pub fn nearest(&self, rate_rad_s: [R; 3]) -> Option<&Hypothesis<R>> {
+        let distance = |h: &Hypothesis<R>| {
+            let d = sub(h.rate_rad_s, rate_rad_s);
+            dot(d, d)
+        };
+        self.hypotheses().min_by(|a, b| {
+            distance(a)
+                .partial_cmp(&distance(b))
+                .unwrap_or(core::cmp::Ordering::Equal)
+        })
+    }
+}
+
+/// A geometry worked out once, so that a sample costs 12 inner products and a few steps in three
+/// unknowns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArraySolver<R, const M: usize> {
+    /// Rows that make z of equation (72).
+    to_z: [[R; M]; 6],
+    /// Rows that make θ of equation (71).
+    to_theta: [[R; M]; 6],
+    /// U of equation (72), of which `rank` rows count.
+    u: [[R; 6]; 6],
+    /// What centripetal acceleration adds to θ.
+    quadratic_theta: [[R; 6]; 6],
+    /// Least-norm inverse of U: the closed form of the start, equation (74).
+    u_inverse: [[R; 6]; 6],
+    theta_covariance: [[f64; 6]; 6],
+    rank: usize,
+    centre_m: [f64; 3],
+}
+
+/// Monomials of ω that centripetal acceleration is made of.
+fn monomials<R: Real>([x, y, z]: [R; 3]) -> [R; 6] {
+    [x * x, y * y, z * z, y * z, x * z, x * y]
+}
+
+impl<R: Real, const M: usize> ArraySolver<R, M> {
+    /// Works out a geometry.
+    ///
+    /// # Errors
+    /// Too few axes, all at one place, or arranged so that a component of ω̇ or s does not show:
+    /// [`GeometryError`] says which.
+    pub fn new(geometry: &Geometry<M>) -> Result<Self, GeometryError> {
+        Self::of(geometry, |_| true)
+    }
+
+    /// The same without the sensors for which `usable` is false; the outputs keep their places.
+    ///
+    /// # Errors
+    /// As [`ArraySolver::new`], for what remains.
+    pub fn of(
+        geometry: &Geometry<M>,
+        usable: impl Fn(usize) -> bool,
+    ) -> Result<Self, GeometryError> {
+        let group = geometry.group();
+        let axes = || {
+            geometry
+                .axes()
+                .iter()
+                .enumerate()
+                .filter(|(index, _)| usable(index / group))
+        };
+        let have = axes().count();
+        if have < UNKNOWNS {
+            return Err(GeometryError::TooFew {
+                have,
+                need: UNKNOWNS,
+            });
+        }
+        let weight = |noise: f64| 1.0 / (noise * noise);
+        let total: f64 = axes().map(|(_, axis)| weight(axis.noise_mps2)).sum();
+        let centre: Vector3<f64> = axes()
+            .map(|(_, axis)| Vector3::from(axis.place_m) * (weight(axis.noise_mps2) / total))
+            .sum();
+        let arm = libm::sqrt(
+            axes()
+                .map(|(_, axis)| {
+                    (Vector3::from(axis.place_m) - centre).norm_squared()
+                        * (weight(axis.noise_mps2) / total)
+                })
+                .sum(),
+        );
+        let farthest = axes()
+            .map(|(_, axis)| Vector3::from(axis.place_m).norm())
+            .fold(0.0, f64::max);
+        if !(arm > farthest * 1e-9 && arm > 1e-9) {
+            return Err(GeometryError::Coincident);
+        }
+        // Rows weighted by 1/σ; ω̇ and ω² in units of 1/arm, so that all columns are alike.
+        let mut linear = SMatrix::<f64, M, 6>::zeros();
+        let mut quadratic = SMatrix::<f64, M, 6>::zeros();
+        for (row, axis) in axes() {
+            let r = (Vector3::from(axis.place_m) - centre) / arm;
+            let d = Vector3::from(axis.direction);
+            let turn = r.cross(&d);
+            let along = d.dot(&r);
+            let (dx, dy, dz, rx, ry, rz) = (d.x, d.y, d.z, r.x, r.y, r.z);
+            let h = [turn.x, turn.y, turn.z, dx, dy, dz];
+            let k = [
+                dx * rx - along,
+                dy * ry - along,
+                dz * rz - along,
+                dy * rz + dz * ry,
+                dx * rz + dz * rx,
+                dx * ry + dy * rx,
+            ];
+            for column in 0..6 {
+                linear[(row, column)] = h[column] / axis.noise_mps2;
+                quadratic[(row, column)] = k[column] / axis.noise_mps2;
+            }
+        }
+        let information = linear.tr_mul(&linear);
+        let inverse = checked_inverse(information, &quadratic)?;
+        let fit = inverse * linear.transpose();
+        let quadratic_theta = fit * quadratic;
+        let projected = quadratic - linear * quadratic_theta;
+        let eigen = projected.tr_mul(&projected).symmetric_eigen();
+        let mut order = [0, 1, 2, 3, 4, 5];
+        let value = |i: usize| eigen.eigenvalues.get(i).copied().unwrap_or(0.0);
+        order.sort_unstable_by(|a, b| value(*b).total_cmp(&value(*a)));
+        let size = quadratic.tr_mul(&quadratic).trace();
+        let mut solver = Self {
+            to_z: [[R::default(); M]; 6],
+            to_theta: [[R::default(); M]; 6],
+            u: [[R::default(); 6]; 6],
+            quadratic_theta: [[R::default(); 6]; 6],
+            u_inverse: [[R::default(); 6]; 6],
+            theta_covariance: [[0.0; 6]; 6],
+            rank: 0,
+            centre_m: centre.into(),
+        };
+        // ω̇ = scaled / arm, q(ω) = scaled / arm.
+        let unit = |row: usize| if row < 3 { 1.0 / arm } else { 1.0 };
+        for (row, from) in order.into_iter().enumerate() {
+            let lambda = value(from);
+            if lambda <= size * QUADRATIC_RANK * QUADRATIC_RANK {
+                break;
+            }
+            solver.rank = row + 1;
+            let root = libm::sqrt(lambda);
+            let vector: Vector6<f64> = eigen.eigenvectors.column(from).into_owned();
+            let along: SVector<f64, M> = projected * vector / root;
+            for (index, axis) in axes() {
+                solver.to_z[row][index] = R::from_f64(along[index] / axis.noise_mps2);
+            }
+            for column in 0..6 {
+                solver.u[row][column] = R::from_f64(root * vector[column] * arm);
+                solver.u_inverse[column][row] = R::from_f64(vector[column] / (root * arm));
+            }
+        }
+        for row in 0..6 {
+            for (index, axis) in axes() {
+                solver.to_theta[row][index] =
+                    R::from_f64(fit[(row, index)] * unit(row) / axis.noise_mps2);
+            }
+            for column in 0..6 {
+                solver.quadratic_theta[row][column] =
+                    R::from_f64(quadratic_theta[(row, column)] * unit(row) * arm);
+                solver.theta_covariance[row][column] =
+                    inverse[(row, column)] * unit(row) * unit(column);
+            }
+        }
+        Ok(solver)
+    }
+
+    /// How many angular rates fit a sample.
+    pub fn roots(&self) -> Roots {
+        match self.rank {
+            0 => Roots::None,
+            1..=2 => Roots::Partial,
+            3..=5 => Roots::Four,
+            _ => Roots::Two,
+        }
+    }
+
+    /// Degrees of freedom of [`Hypothesis::chi_square`].
+    pub fn degrees(&self) -> usize {
+        self.rank.saturating_sub(3)
+    }
+
+    /// How many of [`Linear::z`] count.
+    pub fn rank(&self) -> usize {
+        self.rank
+    }
+
+    /// The place that s belongs to: the centre of the sensors weighted by 1/σ², m, body axes.
+    pub fn centre_m(&self) -> [f64; 3] {
+        self.centre_m
+    }
+
+    /// Covariance of ω̇ (rad/s²) and s (m/s²) at known ω.
+    pub fn covariance(&self) -> &[[f64; 6]; 6] {
+        &self.theta_covariance
+    }
+
+    /// The linear part of the work, equations (71) and (72): all that a sample says.
+    pub fn reduce(&self, output_mps2: &[R; M]) -> Linear<R> {
+        let mut linear = Linear::default();
+        for row in 0..6 {
+            linear.theta[row] = inner(&self.to_theta[row], output_mps2);
+            if row < self.rank {
+                linear.z[row] = inner(&self.to_z[row], output_mps2);
+            }
+        }
+        linear
+    }
+
+    /// ω̇ (rad/s²) and s (m/s²) of a reduced sample at a known angular rate, equation (71).
+    pub fn theta(&self, linear: &Linear<R>, rate_rad_s: [R; 3]) -> [R; 6] {
+        let q = monomials(rate_rad_s);
+        let mut theta = linear.theta;
+        for row in 0..6 {
+            theta[row] -= inner(&self.quadratic_theta[row], &q);
+        }
+        theta
+    }
+
+    /// What z should be at `rate_rad_s`, and its derivatives.
+    pub fn expected_z(&self, rate_rad_s: [R; 3]) -> ([R; 6], [[R; 3]; 6]) {
+        let q = monomials(rate_rad_s);
+        let [x, y, z] = rate_rad_s;
+        let mut value = [R::default(); 6];
+        let mut slope = [[R::default(); 3]; 6];
+        for row in 0..self.rank.min(6) {
+            let u = &self.u[row];
+            value[row] = inner(u, &q);
+            slope[row] = [
+                (u[0] + u[0]) * x + u[4] * z + u[5] * y,
+                (u[1] + u[1]) * y + u[3] * z + u[5] * x,
+                (u[2] + u[2]) * z + u[3] * y + u[4] * x,
+            ];
+        }
+        (value, slope)
+    }
+
+    /// What centripetal acceleration at `rate_rad_s` adds to the ω̇ of [`Linear::theta`], and its
+    /// derivatives.
+    pub fn expected_turn(&self, rate_rad_s: [R; 3]) -> ([R; 3], [[R; 3]; 3]) {
+        let q = monomials(rate_rad_s);
+        let [x, y, z] = rate_rad_s;
+        let mut value = [R::default(); 3];
+        let mut slope = [[R::default(); 3]; 3];
+        for row in 0..3 {
+            let u = &self.quadratic_theta[row];
+            value[row] = inner(u, &q);
+            slope[row] = [
+                (u[0] + u[0]) * x + u[4] * z + u[5] * y,
+                (u[1] + u[1]) * y + u[3] * z + u[5] * x,
+                (u[2] + u[2]) * z + u[3] * y + u[4] * x,
+            ];
+        }
+        (value, slope)
+    }
+
+    /// All angular rates that fit a sample, by [`ArraySolver::reduce`] and [`ArraySolver::roots_of`].
+    pub fn solve(&self, output_mps2: &[R; M]) -> Solution<R> {
+        self.roots_of(&self.reduce(output_mps2))
+    }
+
+    /// All angular rates that fit a reduced sample. Empty where the geometry shows no angular rate,
+    /// or the sample is not finite.
+    pub fn roots_of(&self, linear: &Linear<R>) -> Solution<R> {
+        let mut solution = Solution {
+            hypotheses: [None; HYPOTHESES],
+        };
+        let finite = linear
+            .z
+            .iter()
+            .chain(&linear.theta)
+            .all(|v| Real::is_finite(*v));
+        if self.rank < 3 || !finite {
+            return solution;
+        }
+        let mut q = [R::default(); 6];
+        for row in 0..6 {
+            q[row] = inner(&self.u_inverse[row], &linear.z);
+        }
+        let mut found: [Option<Hypothesis<R>>; 4] = [None; 4];
+        if self.rank == 6 {
+            found[0] = self.refine(linear, closed_form(&q));
+        } else {
+            let zero = R::default();
+            let size = |v: R| if v > zero { v } else { -v }.sqrt();
+            let [x, y, z] = [size(q[0]), size(q[1]), size(q[2])];
+            // The closed form tells x y from −x y; z is mirrored. All patterns are tried, since
+            // noise may hide any sign.
+            let starts = [[x, y, z], [x, y, -z], [x, -y, z], [-x, y, z]];
+            for (slot, start) in found.iter_mut().zip(starts) {
+                *slot = self.refine(linear, start);
+            }
+        }
+        let best =
+            found
+                .iter()
+                .flatten()
+                .map(|h| h.chi_square)
+                .fold(None, |least: Option<R>, v| match least {
+                    Some(l) if l <= v => Some(l),
+                    _ => Some(v),
+                });
+        let Some(best) = best else { return solution };
+        let mut count = 0;
+        for candidate in found.into_iter().flatten() {
+            let late = candidate.chi_square > best + R::from_f64(RULED_OUT);
+            let opposite = self.complete(linear, candidate.rate_rad_s.map(|w| -w));
+            for hypothesis in [candidate, opposite] {
+                let known = solution.hypotheses().any(|other| same(other, &hypothesis));
+                if late || known {
+                    continue;
+                }
+                if let Some(slot) = solution.hypotheses.get_mut(count) {
+                    *slot = Some(hypothesis);
+                    count += 1;
+                }
+            }
+        }
+        // A handful: insertion sort, pairs stay together because their χ² are equal.
+        for i in 1..count {
+            let mut j = i;
+            while j > 0 && chi(&solution.hypotheses, j - 1) > chi(&solution.hypotheses, j) {
+                solution.hypotheses.swap(j - 1, j);
+                j -= 1;
+            }
+        }
+        solution
+    }
+
+    /// The angular rate that fits a reduced sample near `start_rad_s`: damped Gauss-Newton,
+    /// equation (73).
+    pub fn refine(&self, linear: &Linear<R>, start_rad_s: [R; 3]) -> Option<Hypothesis<R>> {
+        let mut rate = start_rad_s;
+        let mut state = self.evaluate(linear, rate);
+        let mut damping = R::default();
+        let tiny = R::from_f64(1e-3);
+        for _ in 0..MOST_STEPS {
+            let mut damped = state.information;
+            let trace = damped[0][0] + damped[1][1] + damped[2][2];
+            for (i, row) in damped.iter_mut().enumerate() {
+                row[i] += damping * trace;
+            }
+            let step = inverse3(&damped).map(|inverse| times(&inverse, state.gradient));
+            let Some(step) = step else {
+                if damping > R::from_f64(1e3) {
+                    break;
+                }
+                damping = more(damping);
+                continue;
+            };
+            let trial = [rate[0] + step[0], rate[1] + step[1], rate[2] + step[2]];
+            let next = self.evaluate(linear, trial);
+            // The predicted gain in χ², in parts of a standard deviation.
+            let gain = dot(step, state.gradient);
+            if next.cost <= state.cost {
+                rate = trial;
+                state = next;
+                damping = damping * R::from_f64(0.1);
+                if gain < tiny {
+                    break;
+                }
+            } else if gain < tiny || damping > R::from_f64(1e3) {
+                break;
+            } else {
+                damping = more(damping);
+            }
+        }
+        state.cost.is_finite().then(|| self.complete(linear, rate))
+    }
+
+    fn complete(&self, linear: &Linear<R>, rate_rad_s: [R; 3]) -> Hypothesis<R> {
+        let state = self.evaluate(linear, rate_rad_s);
+        let [ax, ay, az, sx, sy, sz] = self.theta(linear, rate_rad_s);
+        Hypothesis {
+            rate_rad_s,
+            angular_acceleration_rad_s2: [ax, ay, az],
+            specific_force_mps2: [sx, sy, sz],
+            information: state.information,
+            chi_square: state.cost,
+        }
+    }
+
+    fn evaluate(&self, linear: &Linear<R>, rate: [R; 3]) -> State<R> {
+        let (value, slope) = self.expected_z(rate);
+        let mut state = State {
+            cost: R::default(),
+            gradient: [R::default(); 3],
+            information: [[R::default(); 3]; 3],
+        };
+        for row in 0..self.rank.min(6) {
+            let residual = linear.z[row] - value[row];
+            let s = slope[row];
+            state.cost += residual * residual;
+            for i in 0..3 {
+                state.gradient[i] += s[i] * residual;
+                for j in 0..=i {
+                    state.information[i][j] += s[i] * s[j];
+                }
+            }
+        }
+        for i in 0..3 {
+            for j in 0..i {
+                state.information[j][i] = state.information[i][j];
+            }
+        }
+        state
+    }
+}
+
+struct State<R> {
+    cost: R,
+    gradient: [R; 3],
+    information: [[R; 3]; 3],
+}
+
+fn chi<R: Real>(hypotheses: &[Option<Hypothesis<R>>; HYPOTHESES], index: usize) -> R {
+    match hypotheses.get(index) {
+        Some(Some(hypothesis)) => hypothesis.chi_square,
+        _ => R::default(),
+    }
+}
+
+/// Whether two roots are one: at rest, or where two starts lead to one minimum.
+fn same<R: Real>(a: &Hypothesis<R>, b: &Hypothesis<R>) -> bool {
+    let d = sub(a.rate_rad_s, b.rate_rad_s);
+    let apart = dot(d, times(&a.information, d));
+    apart <= R::from_f64(SAME_ROOT_SIGMA2)
+}
+
+/// ω from the six monomials, up to its sign: equation (74).
+fn closed_form<R: Real>(q: &[R; 6]) -> [R; 3] {
+    let zero = R::default();
+    let [xx, yy, zz, yz, xz, xy] = *q;
+    // The largest component decides the others' signs; near rest noise must not make them larger.
+    let ratio = |product: R, largest: R| {
+        let value = product / largest;
+        if value > largest {
+            largest
+        } else if value < -largest {
+            -largest
+        } else {
+            value
+        }
+    };
+    if xx >= yy && xx >= zz && xx > zero {
+        let x = xx.sqrt();
+        [x, ratio(xy, x), ratio(xz, x)]
+    } else if yy >= zz && yy > zero {
+        let y = yy.sqrt();
+        [ratio(xy, y), y, ratio(yz, y)]
+    } else if zz > zero {
+        let z = zz.sqrt();
+        [ratio(xz, z), ratio(yz, z), z]
+    } else {
+        [zero; 3]
+    }
+}
+
+/// (HᵀQ⁻¹H)⁻¹, or which component does not show.
+fn checked_inverse<const M: usize>(
+    information: Matrix6<f64>,
+    quadratic: &SMatrix<f64, M, 6>,
+) -> Result<Matrix6<f64>, GeometryError> {
+    let eigen = information.symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    let (least, at) = eigen
+        .eigenvalues
+        .iter()
+        .zip(0..)
+        .fold(
+            (f64::INFINITY, 0),
+            |best, (v, i)| {
+                if *v < best.0 { (*v, i) } else { best }
+            },
+        );
+    if least > largest * LINEAR_RANK * LINEAR_RANK {
+        return information
+            .cholesky()
+            .map(|factor| factor.inverse())
+            .ok_or(GeometryError::Coincident);
+    }
+    let v = eigen.eigenvectors.column(at).into_owned();
+    let turn = Vector3::new(v[0], v[1], v[2]);
+    let force = Vector3::new(v[3], v[4], v[5]);
+    if turn.norm() < force.norm() {
+        return Err(GeometryError::NoForce {
+            along: force.normalize().into(),
+        });
+    }
+    let about = turn.normalize();
+    // On one line along `about`, a turn about it has no arm: its square shows nowhere.
+    let [x, y, z]: [f64; 3] = about.into();
+    let square = Vector6::new(x * x, y * y, z * z, y * z, x * z, x * y);
+    let collinear = (quadratic * square).norm() < 1e-3 * quadratic.norm();
+    Err(GeometryError::NoTurn {
+        about: about.into(),
+        collinear,
+    })
+}
+
+fn more<R: Real>(damping: R) -> R {
+    let least = R::from_f64(1e-3);
+    let ten = damping * R::from_f64(10.0);
+    if ten > least { ten } else { least }
+}
+
+fn inner<R: Real, const N: usize>(a: &[R; N], b: &[R; N]) -> R {
+    let mut sum = R::default();
+    for (x, y) in a.iter().zip(b) {
+        sum += *x * *y;
+    }
+    sum
+}
+
+fn dot<R: Real>(a: [R; 3], b: [R; 3]) -> R {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn sub<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn times<R: Real>(m: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
+    [dot(m[0], v), dot(m[1], v), dot(m[2], v)]
+}
+
+/// Inverse of a symmetric, positive definite matrix; `None` where it is singular to rounding.
+fn inverse3<R: Real>(m: &[[R; 3]; 3]) -> Option<[[R; 3]; 3]> {
+    let [[a, b, c], [_, d, e], [_, _, f]] = *m;
+    let xx = d * f - e * e;
+    let xy = c * e - b * f;
+    let xz = b * e - c * d;
+    let determinant = a * xx + b * xy + c * xz;
+    let trace = a + d + f;
+    let least = trace * trace * trace * R::from_f64(1e-6);
+    if !(determinant > least && determinant > R::default()) {
+        return None;
+    }
+    let k = R::from_f64(1.0) / determinant;
+    let yy = (a * f - c * c) * k;
+    let yz = (b * c - a * e) * k;
+    let zz = (a * d - b * b) * k;
+    let (xx, xy, xz) = (xx * k, xy * k, xz * k);
+    Some([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+}

@@ -1,0 +1,335 @@
+//! What the array solver claims.
+
+mod common;
+
+use common::{Random, dot, minus, norm, outputs};
+use proptest::prelude::*;
+use wimu_nav::array::{Array, ArraySolver, Axis, Geometry, GeometryError, Roots, Triad};
+
+const DEG: f64 = std::f64::consts::PI / 180.0;
+
+/// Six triads on the corners of an octahedron, 1 cm from its centre.
+fn octahedron() -> Geometry<18> {
+    let places = [
+        [1.0, 0.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, -1.0],
+    ];
+    let triads = places.map(|p| Triad::aligned(p.map(|c| c * 0.01), 0.01));
+    Geometry::from_triads(&triads).unwrap()
+}
+
+fn planar() -> Geometry<12> {
+    let places = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+    let triads = places.map(|[x, y]| Triad::aligned([x * 0.02, y * 0.02, 0.0], 0.01));
+    Geometry::from_triads(&triads).unwrap()
+}
+
+#[test]
+fn the_octahedron_reaches_the_cramer_rao_bound() {
+    let solver = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
+    let mut random = Random(1);
+    for (speed_deg, published_bound) in [(100.0, 14.2), (1000.0, 1.42)] {
+        let rate = [speed_deg * DEG / 3f64.sqrt(); 3];
+        let clean = outputs(&octahedron(), rate, [3.0, -2.0, 5.0], [1.0, 2.0, 9.0]);
+        let exact = solver.solve(&clean).nearest(rate).copied().unwrap();
+        assert!(norm(minus(exact.rate_rad_s, rate)) < 1e-9);
+        let covariance = exact.covariance().unwrap();
+        let bound = ((0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0).sqrt() / DEG;
+        let trials = 20_000;
+        let mut squares = 0.0;
+        for _ in 0..trials {
+            let noisy = clean.map(|y| y + 0.01 * random.normal());
+            let found = solver.solve(&noisy).nearest(rate).copied().unwrap();
+            let d = minus(found.rate_rad_s, rate);
+            squares += dot(d, d) / 3.0;
+        }
+        let rms = (squares / f64::from(trials)).sqrt() / DEG;
+        println!(
+            "{speed_deg} deg/s: {rms:.2} deg/s rms an axis, Cramér-Rao bound {bound:.2}: {:.3}",
+            rms / bound
+        );
+        assert!((bound / published_bound - 1.0).abs() < 0.01);
+        assert!(rms < 1.15 * bound);
+    }
+}
+
+#[test]
+fn in_f32_the_octahedron_loses_nothing() {
+    let fine = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
+    let coarse = ArraySolver::<f32, 18>::new(&octahedron()).unwrap();
+    let mut random = Random(2);
+    for _ in 0..1000 {
+        let rate = random.normals(10.0);
+        let clean = outputs(
+            &octahedron(),
+            rate,
+            random.normals(50.0),
+            random.normals(20.0),
+        );
+        let noisy = clean.map(|y| y + 0.01 * random.normal());
+        let fine = fine.solve(&noisy).nearest(rate).copied().unwrap();
+        let coarse = coarse
+            .solve(&noisy.map(|y| y as f32))
+            .nearest(rate.map(|w| w as f32))
+            .copied()
+            .unwrap();
+        let d = minus(fine.rate_rad_s, coarse.rate_rad_s.map(f64::from));
+        let information = fine.information;
+        let apart: f64 = dot(d, [0, 1, 2].map(|i| dot(information[i], d)));
+        assert!(apart < 0.01, "{apart} sigma² at {rate:?}");
+    }
+}
+
+#[test]
+fn both_roots_are_kept_and_continuity_chooses() {
+    let solver = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
+    assert_eq!(solver.roots(), Roots::Two);
+    let rate = [3.0, -5.0, 2.0];
+    let solution = solver.solve(&outputs(&octahedron(), rate, [0.0; 3], [0.0, 0.0, 9.8]));
+    assert!(solution.is_ambiguous());
+    assert_eq!(solution.hypotheses().count(), 2);
+    for expected in [rate, rate.map(|w| -w)] {
+        let near = expected.map(|w| w * 1.2);
+        let found = solution.nearest(near).unwrap();
+        assert!(norm(minus(found.rate_rad_s, expected)) < 1e-9);
+    }
+}
+
+#[test]
+fn a_planar_array_has_four_roots() {
+    let solver = ArraySolver::<f64, 12>::new(&planar()).unwrap();
+    assert_eq!(solver.roots(), Roots::Four);
+    let [x, y, z] = [3.0, -5.0, 2.0];
+    let solution = solver.solve(&outputs(
+        &planar(),
+        [x, y, z],
+        [1.0, 2.0, 3.0],
+        [0.0, 0.0, 9.8],
+    ));
+    assert_eq!(solution.hypotheses().count(), 4);
+    for expected in [[x, y, z], [x, y, -z], [-x, -y, z], [-x, -y, -z]] {
+        let found = solution.nearest(expected).unwrap();
+        assert!(
+            norm(minus(found.rate_rad_s, expected)) < 1e-6,
+            "{expected:?}"
+        );
+    }
+}
+
+#[test]
+fn at_rest_there_is_no_information_about_the_rate() {
+    let solver = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
+    let still = outputs(&octahedron(), [0.0; 3], [0.0; 3], [0.0, 0.0, 9.8]);
+    let found = solver.solve(&still);
+    assert!(!found.is_ambiguous(), "{found:?}");
+    let only = found.hypotheses().next().unwrap();
+    assert!(only.covariance().is_none_or(|c| c[0][0] > 1e6));
+    // The standard deviation falls as 1/|ω|.
+    let sd = |speed: f64| {
+        let clean = outputs(&octahedron(), [speed; 3], [0.0; 3], [0.0, 0.0, 9.8]);
+        let covariance = solver
+            .solve(&clean)
+            .nearest([speed; 3])
+            .unwrap()
+            .covariance();
+        covariance.unwrap()[0][0].sqrt()
+    };
+    assert!((sd(1.0) / sd(10.0) - 10.0).abs() < 1e-6);
+}
+
+#[test]
+fn chens_cube_gives_angular_acceleration_and_force_but_no_rate() {
+    let cube = Geometry::<6>::chen_cube(0.1, 0.01).unwrap();
+    let solver = ArraySolver::<f64, 6>::new(&cube).unwrap();
+    assert_eq!(solver.roots(), Roots::None);
+    let (rate, turn, force) = ([2.0, -1.0, 3.0], [4.0, 5.0, -6.0], [0.3, 0.2, 9.8]);
+    let y = outputs(&cube, rate, turn, force);
+    assert_eq!(solver.solve(&y).hypotheses().count(), 0);
+    let theta = solver.theta(&solver.reduce(&y), rate);
+    for i in 0..3 {
+        assert!((theta[i] - turn[i]).abs() < 1e-9);
+        assert!((theta[3 + i] - force[i]).abs() < 1e-9);
+    }
+    // Their closed form: neither force nor centripetal acceleration is in it.
+    let closed = [
+        y[0] - y[1] - y[4] + y[5],
+        -y[0] + y[2] + y[3] + y[5],
+        y[1] - y[2] + y[3] - y[4],
+    ];
+    let other = solver.theta(&solver.reduce(&y), [0.0; 3]);
+    for i in 0..3 {
+        let chen = closed[i] / (2f64.sqrt() * 0.1);
+        assert!((chen - turn[i]).abs() < 1e-9 && (other[i] - turn[i]).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn other_presets_have_two_roots() {
+    let four = Geometry::<12>::four_triads(0.05, 0.01).unwrap();
+    assert_eq!(
+        ArraySolver::<f32, 12>::new(&four).unwrap().roots(),
+        Roots::Two
+    );
+    let board = Geometry::<24>::eight_triads_board(0.02, 0.002, 0.01).unwrap();
+    assert_eq!(
+        ArraySolver::<f32, 24>::new(&board).unwrap().roots(),
+        Roots::Two
+    );
+}
+
+#[test]
+fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
+    let triads = |places: &[[f64; 3]]| {
+        let triads: Vec<_> = places.iter().map(|p| Triad::aligned(*p, 0.01)).collect();
+        ArraySolver::<f64, 24>::new(&Geometry::from_triads(&triads).unwrap()).unwrap_err()
+    };
+    let one = triads(&[[0.0; 3]]);
+    assert_eq!(one, GeometryError::TooFew { have: 3, need: 6 });
+    assert_eq!(triads(&[[0.3, 0.1, 0.2]; 4]), GeometryError::Coincident);
+    let line = triads(&[[0.0; 3], [0.01, 0.01, 0.0], [0.03, 0.03, 0.0]]);
+    let GeometryError::NoTurn {
+        about,
+        collinear: true,
+    } = line
+    else {
+        panic!("{line:?}");
+    };
+    assert!((about[0].abs() - 0.5f64.sqrt()).abs() < 1e-6 && about[2].abs() < 1e-6);
+    assert!(line.to_string().contains("one line; add one off it"));
+
+    let flat: Vec<_> = [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1]]
+        .iter()
+        .flat_map(|[x, y]| {
+            [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|direction| Axis {
+                place_m: [*x, *y, 0.0],
+                direction,
+                noise_mps2: 0.01,
+            })
+        })
+        .collect();
+    let flat = ArraySolver::<f64, 24>::new(&Geometry::from_axes(&flat).unwrap()).unwrap_err();
+    assert!(
+        matches!(
+            flat,
+            GeometryError::NoForce { .. }
+                | GeometryError::NoTurn {
+                    collinear: false,
+                    ..
+                }
+        ),
+        "{flat:?}"
+    );
+
+    let nan = Triad::aligned([f64::NAN, 0.0, 0.0], 0.01);
+    assert_eq!(
+        Geometry::<3>::from_triads(&[nan]),
+        Err(GeometryError::BadAxis { axis: 0 })
+    );
+    let silent = Triad::aligned([0.0; 3], 0.0);
+    assert_eq!(
+        Geometry::<3>::from_triads(&[silent]),
+        Err(GeometryError::BadNoise { axis: 0 })
+    );
+    let many = [Triad::aligned([0.0; 3], 0.1); 2];
+    assert_eq!(
+        Geometry::<3>::from_triads(&many),
+        Err(GeometryError::TooMany { have: 6, most: 3 })
+    );
+}
+
+#[test]
+fn dead_and_saturated_triads_are_dropped_and_said() {
+    let mut array = Array::<f64, 18>::new(octahedron(), 150.0).unwrap();
+    let mut random = Random(3);
+    let rate = [6.0, -4.0, 5.0];
+    let sample = |random: &mut Random| {
+        outputs(&octahedron(), rate, [1.0, 2.0, 3.0], [0.0, 0.0, 9.8])
+            .map(|y| y + 0.01 * random.normal())
+    };
+    let good = |solution: &wimu_nav::array::Solution<f64>| {
+        norm(minus(solution.nearest(rate).unwrap().rate_rad_s, rate)) < 1.0
+    };
+    let update = array.update(&sample(&mut random)).unwrap();
+    assert!(update.dropped.all() == 0 && good(&update.solution));
+
+    let mut y = sample(&mut random);
+    y[4] = 150.0;
+    y[9] = f64::NAN;
+    let update = array.update(&y).unwrap();
+    assert_eq!(
+        (update.dropped.saturated, update.dropped.dead),
+        (1 << 1, 1 << 3)
+    );
+    assert!(good(&update.solution));
+
+    // One that hangs is dead after a while, and alive again when it moves.
+    for _ in 0..70 {
+        let mut y = sample(&mut random);
+        y[0] = 1.25;
+        array.update(&y).unwrap();
+    }
+    let mut y = sample(&mut random);
+    y[0] = 1.25;
+    let update = array.update(&y).unwrap();
+    assert_eq!(update.dropped.dead, 1);
+    assert!(good(&update.solution));
+    assert_eq!(array.update(&sample(&mut random)).unwrap().dropped.all(), 0);
+
+    let nothing = [f64::NAN; 18];
+    assert_eq!(
+        array.update(&nothing).unwrap_err(),
+        GeometryError::TooFew { have: 0, need: 6 }
+    );
+    assert!(good(&array.update(&sample(&mut random)).unwrap().solution));
+}
+
+#[test]
+fn what_is_not_finite_gives_no_rate() {
+    let solver = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut y = [0.0; 18];
+        y[7] = bad;
+        assert_eq!(solver.solve(&y).hypotheses().count(), 0);
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_array_in_space_finds_the_rate_of_any_motion(
+        places in prop::collection::vec(prop::array::uniform3(-0.1f64..0.1), 5..8),
+        rate in prop::array::uniform3(-30.0f64..30.0),
+        turn in prop::array::uniform3(-500.0f64..500.0),
+        force in prop::array::uniform3(-100.0f64..100.0),
+    ) {
+        let triads: Vec<_> = places.iter().map(|p| Triad::aligned(*p, 0.01)).collect();
+        let geometry = Geometry::<24>::from_triads(&triads).unwrap();
+        let solver = ArraySolver::<f64, 24>::new(&geometry).unwrap();
+        prop_assume!(solver.roots() == Roots::Two && norm(rate) > 1.0);
+        let solution = solver.solve(&outputs(&geometry, rate, turn, force));
+        let found = solution.nearest(rate).unwrap();
+        prop_assert!(norm(minus(found.rate_rad_s, rate)) < 1e-3, "{:?}", found);
+        // What follows from it is right too, at the centre of the sensors.
+        let centre = solver.centre_m();
+        let moved = common::cross(rate, common::cross(rate, centre));
+        let turned = common::cross(turn, centre);
+        for i in 0..3 {
+            prop_assert!((found.angular_acceleration_rad_s2[i] - turn[i]).abs() < 1e-2);
+            let expected = force[i] + moved[i] + turned[i];
+            prop_assert!((found.specific_force_mps2[i] - expected).abs() < 1e-2);
+        }
+    }
+
+    #[test]
+    fn no_sample_makes_it_panic(
+        values in prop::collection::vec(prop::num::f64::ANY, 18),
+    ) {
+        let mut array = Array::<f64, 18>::new(octahedron(), 150.0).unwrap();
+        let y = <[f64; 18]>::try_from(values).unwrap();
+        let _ = array.update(&y);
+        let _ = ArraySolver::<f32, 18>::new(&octahedron()).unwrap().solve(&y.map(|v| v as f32));
+    }
+}

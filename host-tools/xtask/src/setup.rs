@@ -8,12 +8,17 @@ use crate::command_line::{CommandLine, is_ci};
 /// Cortex-M4F and Cortex-M0+.
 pub const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 
+/// The oldest Rust that users may have.
+pub const OLDEST: &str = env!("CARGO_PKG_RUST_VERSION");
+
 /// Something the tests need.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Need {
     Components,
     Targets,
     Qemu,
+    /// The oldest compiler that users may have.
+    Oldest,
 }
 
 /// Where it can come from, the better first.
@@ -38,6 +43,10 @@ pub trait Machine {
 pub fn run() -> Result<(), String> {
     for need in [Need::Components, Need::Targets, Need::Qemu] {
         provide(need, &mut ThisMachine)?;
+    }
+    // Without it a step is left out, no more.
+    if let Err(why) = provide(Need::Oldest, &mut ThisMachine) {
+        println!("{why}");
     }
     Ok(())
 }
@@ -142,12 +151,16 @@ fn install(need: Need, source: Source) -> Vec<CommandLine> {
                 vec![CommandLine::new("rustup target add").words(&TARGETS.join(" "))]
             }
             Need::Qemu => Vec::new(),
+            Need::Oldest => {
+                vec![CommandLine::new("rustup toolchain install --profile minimal").word(OLDEST)]
+            }
         },
         Source::Debian => {
             let packages = match need {
                 Need::Components => "rustfmt-web rust-web-clippy",
                 Need::Targets => "rustc-web cargo-web rust-web-src lld",
                 Need::Qemu => "qemu-system-arm",
+                Need::Oldest => return Vec::new(),
             };
             let apt = if is_root() { "apt-get" } else { "sudo apt-get" };
             vec![
@@ -166,13 +179,14 @@ impl Need {
             Self::Components => "rustfmt and clippy".into(),
             Self::Targets => TARGETS.join(" and "),
             Self::Qemu => "qemu-system-arm".into(),
+            Self::Oldest => format!("Rust {OLDEST}"),
         }
     }
 
     /// Where it was found.
     fn found(self, source: Source) -> &'static str {
         match (self, source) {
-            (Self::Qemu, _) => "installed",
+            (Self::Qemu | Self::Oldest, _) => "installed",
             (_, Source::Toolchain) => "in the active toolchain",
             (_, Source::Debian) => "from Debian's packages",
         }
@@ -181,7 +195,9 @@ impl Need {
     /// What to do where there is no installer.
     fn otherwise(self) -> &'static str {
         match self {
-            Self::Components | Self::Targets => "install Rust with rustup (https://rustup.rs)",
+            Self::Components | Self::Targets | Self::Oldest => {
+                "install Rust with rustup (https://rustup.rs)"
+            }
             Self::Qemu => "install QEMU (https://www.qemu.org/download)",
         }
     }
@@ -198,7 +214,10 @@ impl Machine for ThisMachine {
             (Need::Components, _) => {
                 succeeds("cargo fmt --version") && succeeds("cargo clippy --version")
             }
-            (Need::Qemu, Source::Toolchain) => false,
+            (Need::Oldest, Source::Toolchain) => {
+                succeeds(&format!("rustup run {OLDEST} cargo --version"))
+            }
+            (Need::Qemu, Source::Toolchain) | (Need::Oldest, Source::Debian) => false,
             (Need::Qemu, Source::Debian) => succeeds("qemu-system-arm --version"),
             (Need::Targets, Source::Toolchain) => TARGETS.iter().all(|target| {
                 CommandLine::new("rustc --print target-libdir --target")
@@ -396,6 +415,26 @@ mod tests {
         assert!(line.ends_with("qemu-system-arm"), "{line}");
         let problem = provide(Need::Qemu, &mut Imagined::default()).expect_err("no installer");
         assert!(problem.contains("https://www.qemu.org"), "{problem}");
+    }
+
+    #[test]
+    fn only_rustup_has_an_older_compiler() {
+        let mut machine = Imagined {
+            installers: BOTH.into(),
+            may_install: true,
+            ..Imagined::default()
+        };
+        assert_eq!(provide(Need::Oldest, &mut machine), Ok(Source::Toolchain));
+        assert!(machine.ran[0].ends_with(OLDEST), "{:?}", machine.ran);
+
+        let mut machine = Imagined {
+            installers: vec![Source::Debian],
+            may_install: true,
+            ..Imagined::default()
+        };
+        let problem = provide(Need::Oldest, &mut machine).expect_err("no rustup");
+        assert!(problem.contains("https://rustup.rs"), "{problem}");
+        assert!(machine.ran.is_empty());
     }
 
     #[test]

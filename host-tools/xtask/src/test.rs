@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::instructions;
-use crate::setup::{self, Need, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
+use crate::setup::{self, Need, OLDEST, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
 use crate::workspace::{Package, Workspace};
 
 /// One thing that must hold.
@@ -16,7 +16,7 @@ pub struct Step {
 }
 
 /// The cheaper first: a run stops at the first that fails.
-pub const STEPS: [Step; 10] = [
+pub const STEPS: [Step; 11] = [
     Step {
         name: "setup",
         about: "rustfmt, clippy, the microcontroller targets and QEMU are installed",
@@ -38,6 +38,21 @@ pub const STEPS: [Step; 10] = [
         name: "clippy",
         about: "no warning: every target of every package, and the libraries with all features",
         run: |workspace| all(clippy(workspace)),
+    },
+    Step {
+        name: "oldest",
+        about: concat!(
+            "everything compiles with Rust ",
+            env!("CARGO_PKG_RUST_VERSION"),
+            ", if rustup has it or can install it"
+        ),
+        run: |_| match setup::provide(Need::Oldest, &mut ThisMachine) {
+            Ok(_) => oldest().run(),
+            Err(why) => {
+                println!("skipped: {why}");
+                Ok(())
+            }
+        },
     },
     Step {
         name: "doc",
@@ -132,6 +147,12 @@ fn clippy(workspace: &Workspace) -> Vec<CommandLine> {
         cargo("clippy --workspace").words(deny),
         selecting(cargo("clippy --all-features"), featured).words(deny),
     ]
+}
+
+fn oldest() -> CommandLine {
+    CommandLine::new("rustup run")
+        .word(OLDEST)
+        .words("cargo check --workspace --locked")
 }
 
 fn doc(workspace: &Workspace) -> CommandLine {

@@ -4,8 +4,10 @@ use core::fmt;
 
 use wimu_model::{ErrorModel, Matrix3, SpecificForceMps2};
 
-use crate::least_squares::Theta;
-use crate::{Gravity, Model, Parameter, Pose};
+use crate::least_squares::Rejected;
+use crate::student;
+use crate::terms::{self, Slot, Terms, Theta};
+use crate::{Gravity, Model, Parameter, Parameters, Pose};
 
 /// An error model and how good it is.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,29 +18,48 @@ pub struct Estimate {
     pub model: ErrorModel,
     /// How it was estimated.
     pub method: Method,
-    /// Covariance of the 12 parameters, that of gravity included.
+    /// The terms fitted on top of the 12 parameters.
+    pub terms: Terms,
+    /// Which of the 12 parameters were fitted.
+    pub fitted: Parameters,
+    /// Covariance of the 12 parameters, that of gravity and of the terms included: at the last pose
+    /// where there is drift, at the reference temperature where it matters.
     pub covariance: Covariance,
+    /// Standard deviations of the terms.
+    pub term_sd: TermDeviations,
     /// The gravity it rests on.
     pub gravity: Gravity,
     /// How many poses were fitted.
     pub poses: usize,
     /// Degrees of freedom: observations beyond the parameters fitted.
     pub dof: usize,
-    /// |f| − g over all poses given, m/s² rms, unweighted.
+    /// Degrees of freedom of the standard deviations, for [`Estimate::half_width_95`]; `None` where
+    /// they rest on a declared placement error and not on residuals.
+    pub interval_dof: Option<f64>,
+    /// |f| − g over all poses given, rejected ones included, m/s² rms, unweighted.
     pub rms_mps2: f64,
     /// The largest | |f| − g |, m/s².
     pub max_mps2: f64,
     /// The pose that has it, index into those given.
     pub worst_pose: usize,
-    /// |f| − g of each pose under the model fitted without it, m/s² rms; `None` where a pose
-    /// cannot be spared (six-position with one pose a side).
+    /// |f| − g of each pose under the model fitted without it, m/s² rms over all poses; `None`
+    /// where a pose cannot be spared (six-position with one pose a side).
     pub loo_rms_mps2: Option<f64>,
+    /// Poses that the others contradict beyond chance, left out of the fit.
+    pub rejected: Rejected,
     /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g; 1 is best.
     pub condition: f64,
     /// Standard deviation of |f| − g to be expected in the worst of 26 orientations, m/s².
     pub worst_sd_mps2: f64,
+    /// Share of all directions that are within 45° of a pose's, 0..=1.
+    pub coverage: f64,
     /// Mean temperature of the poses, °C, where they have one.
     pub temperature_c: Option<f64>,
+    /// Lowest and highest temperature of the poses, °C, where all have one: temperature terms hold
+    /// between them.
+    pub temperature_range_c: Option<[f64; 2]>,
+    /// How the bias moved, where [`Term::Drift`](crate::Term::Drift) was fitted.
+    pub drift: Option<Drift>,
 }
 
 impl Estimate {
@@ -47,15 +68,46 @@ impl Estimate {
     pub fn sd(&self) -> Deviations {
         let sd = Parameter::ALL.map(|parameter| self.covariance.sd(parameter));
         Deviations {
-            bias_mps2: crate::least_squares::bias(&sd),
-            matrix: crate::least_squares::matrix(&sd),
+            bias_mps2: [sd[0], sd[1], sd[2]],
+            matrix: [
+                [sd[3], sd[4], sd[5]],
+                [sd[6], sd[7], sd[8]],
+                [sd[9], sd[10], sd[11]],
+            ],
         }
     }
 
-    /// |f| − g that this model leaves in `pose`, m/s².
-    pub fn residual_mps2(&self, pose: &Pose) -> f64 {
-        residual_mps2(&self.model, self.gravity, pose)
+    /// The 95 % interval of a parameter is its value plus and minus this, in its unit: Student's t
+    /// with [`Estimate::interval_dof`], equation (43).
+    pub fn half_width_95(&self, parameter: Parameter) -> f64 {
+        let quantile = student::two_sided(0.05, self.interval_dof.unwrap_or(f64::INFINITY));
+        quantile * self.covariance.sd(parameter)
     }
+
+    /// |f| − g that this model leaves in `pose`, m/s²; at its time and temperature where those are
+    /// in the model.
+    pub fn residual_mps2(&self, pose: &Pose) -> f64 {
+        let mut pose = *pose;
+        if let Some(drift) = self.drift {
+            let progress = (pose.time_s - drift.end_s) / drift.span_s;
+            for axis in 0..3 {
+                pose.mean_mps2[axis] -= drift.change_mps2[axis] * progress;
+            }
+        }
+        residual_mps2(&self.model, self.gravity, &pose)
+    }
+}
+
+/// How the bias moved over a session, in proportion to time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Drift {
+    /// From the first pose to the last, m/s².
+    pub change_mps2: [f64; 3],
+    /// Time of the last pose, at which the model's bias holds, s.
+    pub end_s: f64,
+    /// From the first pose to the last, s.
+    pub span_s: f64,
 }
 
 /// How an estimate was made.
@@ -71,16 +123,10 @@ pub enum Method {
     },
     /// Any orientations, from the magnitude of gravity.
     MultiPosition(Model),
-}
-
-impl Method {
-    /// How many parameters were fitted.
-    pub fn parameters(self) -> usize {
-        match self {
-            Self::SixPosition { .. } => Parameter::COUNT,
-            Self::MultiPosition(model) => model.parameters(),
-        }
-    }
+    /// Turns of four steps about a level axis, bias and scale factor of the axes in the plane.
+    FourAngle,
+    /// Turns of three steps about a level axis.
+    ThreeAngle,
 }
 
 impl fmt::Display for Method {
@@ -88,6 +134,8 @@ impl fmt::Display for Method {
         match self {
             Self::SixPosition { .. } => out.write_str("six-position"),
             Self::MultiPosition(model) => write!(out, "multi-position, {model}"),
+            Self::FourAngle => out.write_str("four-angle"),
+            Self::ThreeAngle => out.write_str("three-angle"),
         }
     }
 }
@@ -100,6 +148,34 @@ pub struct Deviations {
     pub bias_mps2: [f64; 3],
     /// Of A.
     pub matrix: Matrix3,
+}
+
+/// Standard deviations, 1 σ, of what [`Terms`] add; 0 for what was not fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TermDeviations {
+    /// Of the drift from the first pose to the last, m/s².
+    pub drift_mps2: [f64; 3],
+    /// Of b₁, m/s² per K.
+    pub bias_mps2_per_k: [f64; 3],
+    /// Of s₁, 1/K.
+    pub scale_per_k: [f64; 3],
+    /// Of q, s²/m.
+    pub nonlinearity: [f64; 3],
+}
+
+impl TermDeviations {
+    /// Sets that of one parameter, where it is a term's.
+    pub(crate) fn set(&mut self, slot: Slot, sd: f64) {
+        let Some(term) = slot.term() else { return };
+        let group = match term {
+            terms::Term::Drift => &mut self.drift_mps2,
+            terms::Term::BiasTemperature => &mut self.bias_mps2_per_k,
+            terms::Term::ScaleTemperature => &mut self.scale_per_k,
+            terms::Term::Quadratic => &mut self.nonlinearity,
+        };
+        group[slot.index() % 3] = sd;
+    }
 }
 
 /// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
@@ -131,7 +207,7 @@ impl Covariance {
 
     /// Adds that of gravity: A goes with 1/g, so its relative error is common to all of A.
     /// The last term of equation (15).
-    pub(crate) fn add_gravity(&mut self, theta: &Theta, gravity: Gravity) {
+    pub(crate) fn add_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
         let relative = gravity.sd_mps2() / gravity.mps2();
         for i in 3..Parameter::COUNT {
             for j in 3..Parameter::COUNT {
@@ -144,31 +220,25 @@ impl Covariance {
 /// |f| − g over poses.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Residuals {
-    pub rms_mps2: f64,
-    pub max_mps2: f64,
+    squares: f64,
+    count: f64,
+    pub largest_mps2: f64,
     pub worst_pose: usize,
 }
 
 impl Residuals {
-    pub fn of<'a>(
-        model: &ErrorModel,
-        gravity: Gravity,
-        poses: impl Iterator<Item = &'a Pose>,
-    ) -> Self {
-        let mut residuals = Self::default();
-        let mut squares = 0.0;
-        let mut count = 0.0;
-        for (k, pose) in poses.enumerate() {
-            let residual = residual_mps2(model, gravity, pose).abs();
-            squares += residual * residual;
-            count += 1.0;
-            if residual > residuals.max_mps2 {
-                residuals.max_mps2 = residual;
-                residuals.worst_pose = k;
-            }
+    pub fn add(&mut self, pose: usize, residual_mps2: f64) {
+        let size = residual_mps2.abs();
+        self.squares += size * size;
+        self.count += 1.0;
+        if size > self.largest_mps2 {
+            self.largest_mps2 = size;
+            self.worst_pose = pose;
         }
-        residuals.rms_mps2 = libm::sqrt(squares / count);
-        residuals
+    }
+
+    pub fn rms_mps2(&self) -> f64 {
+        libm::sqrt(self.squares / self.count)
     }
 }
 

@@ -111,7 +111,7 @@ impl Moments {
             .sum()
     }
 
-    fn pose(&self) -> Pose {
+    fn pose(&self, rate_hz: f64) -> Pose {
         let freedom = f64::from(self.samples.saturating_sub(1).max(1));
         Pose {
             mean_mps2: self.mean,
@@ -120,6 +120,7 @@ impl Moments {
             temperature_c: (self.celsius_samples > 0)
                 .then(|| self.celsius / f64::from(self.celsius_samples)),
             first_sample: self.first,
+            time_s: (self.first as f64 + 0.5 * f64::from(self.samples)) / rate_hz,
         }
     }
 }
@@ -187,6 +188,7 @@ impl Block {
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PoseFinder {
+    rate_hz: f64,
     block_samples: u32,
     next_sample: u64,
     celsius: Option<f64>,
@@ -219,6 +221,7 @@ impl PoseFinder {
     pub fn new(rate_hz: f64) -> Self {
         let samples = rate_hz * HOLD_S / BLOCKS as f64;
         Self {
+            rate_hz: if rate_hz > 0.0 { rate_hz } else { 1.0 },
             // Not a number becomes 0 here.
             block_samples: ((samples + 0.5) as u32).clamp(2, 1_000_000),
             next_sample: 0,
@@ -294,7 +297,7 @@ impl PoseFinder {
         self.filled = 0;
         self.block = Block::default();
         self.end_hold()
-            .or_else(|| self.candidate.take().map(|found| found.pose()))
+            .or_else(|| self.candidate.take().map(|found| found.pose(self.rate_hz)))
     }
 
     fn push_block(&mut self, block: Moments) -> Option<Pose> {
@@ -328,7 +331,7 @@ impl PoseFinder {
             return None;
         }
         self.away_blocks = 0;
-        self.candidate.take().map(|found| found.pose())
+        self.candidate.take().map(|found| found.pose(self.rate_hz))
     }
 
     /// Whether the last blocks are those of a sensor at rest; learns the noise from them.
@@ -390,7 +393,7 @@ impl PoseFinder {
             return None;
         }
         self.candidate = Some(found);
-        Some(before.pose())
+        Some(before.pose(self.rate_hz))
     }
 }
 

@@ -2,6 +2,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+mod design;
 mod estimate;
 mod finder;
 mod gravity;
@@ -9,20 +10,30 @@ mod input;
 mod least_squares;
 mod multi_position;
 mod orientation;
+mod outliers;
 mod parameter;
 mod pose;
 mod quality;
 mod reference;
 mod refusal;
 mod six_position;
+mod student;
+mod terms;
+mod turn;
 
-pub use estimate::{Covariance, Deviations, Estimate, Method};
+pub use design::Guide;
+pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
-pub use multi_position::{Model, multi_position};
-pub use orientation::{Face, Orientation};
+pub use least_squares::Rejected;
+pub use multi_position::{
+    Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
+};
+pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use pose::Pose;
 pub use reference::{AxisTransfer, Line, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal};
 pub use refusal::{Refusal, UnitHint};
 pub use six_position::{Placement, PlacementError, six_position, six_position_labelled};
+pub use terms::{Term, Terms};
+pub use turn::{four_angle, three_angle};

@@ -3,11 +3,17 @@
 use core::fmt;
 
 use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
-use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
-use crate::estimate::Residuals;
-use crate::least_squares::{Knowledge, Magnitude, PERFECT, Theta, bias, matrix};
-use crate::{Covariance, Estimate, Gravity, Method, Parameter, Pose, Refusal, input, pose};
+use crate::estimate::{Drift, Residuals, TermDeviations};
+use crate::least_squares::{
+    Conditions, Fit, Knowledge, Magnitude, Real, Rejected, Weighting, double, real,
+};
+use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
+use crate::{
+    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, design, input,
+    outliers, pose,
+};
 
 /// Which parameters are fitted; the others are those of a perfect sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,34 +40,36 @@ const MOST_RMS_MPS2: f64 = 0.5;
 /// A left-out error below this, m/s², is a good prediction whatever the residuals.
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
-const BIAS: [Parameter; 3] = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ];
-const BIAS_SCALE: [Parameter; 6] = [
-    Parameter::BiasX,
-    Parameter::BiasY,
-    Parameter::BiasZ,
-    Parameter::ScaleX,
-    Parameter::ScaleY,
-    Parameter::ScaleZ,
-];
-const FULL: [Parameter; 9] = [
-    Parameter::BiasX,
-    Parameter::BiasY,
-    Parameter::BiasZ,
-    Parameter::ScaleX,
-    Parameter::MisalignmentXy,
-    Parameter::ScaleY,
-    Parameter::MisalignmentXz,
-    Parameter::MisalignmentYz,
-    Parameter::ScaleZ,
-];
-
 impl Model {
+    /// All of them, the smallest first.
+    pub const ALL: [Self; 3] = [Self::Bias3, Self::BiasScale6, Self::Full9];
+
+    /// The parameters that are fitted.
+    pub fn fitted(self) -> Parameters {
+        use Parameter::{
+            BiasX, BiasY, BiasZ, MisalignmentXy, MisalignmentXz, MisalignmentYz, ScaleX, ScaleY,
+            ScaleZ,
+        };
+        let all = [
+            BiasX,
+            BiasY,
+            BiasZ,
+            ScaleX,
+            ScaleY,
+            ScaleZ,
+            MisalignmentXy,
+            MisalignmentXz,
+            MisalignmentYz,
+        ];
+        all.into_iter().take(self.parameters()).collect()
+    }
+
     /// How many parameters are fitted.
     pub fn parameters(self) -> usize {
         match self {
-            Self::Bias3 => BIAS.len(),
-            Self::BiasScale6 => BIAS_SCALE.len(),
-            Self::Full9 => FULL.len(),
+            Self::Bias3 => 3,
+            Self::BiasScale6 => 6,
+            Self::Full9 => 9,
         }
     }
 
@@ -81,124 +89,374 @@ impl fmt::Display for Model {
     }
 }
 
+/// What [`multi_position_with`] fits, and how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MultiPosition {
+    /// The parameters.
+    pub model: Model,
+    /// Terms on top of them.
+    pub terms: Terms,
+    /// Leave out poses that the others contradict beyond chance, [`Estimate::rejected`] naming
+    /// them; never more than the data can spare.
+    pub reject: bool,
+}
+
+impl MultiPosition {
+    /// How many parameters are fitted, those of the terms included.
+    pub fn parameters(self) -> usize {
+        self.model.parameters() + self.terms.parameters()
+    }
+
+    fn slots<const N: usize>(self) -> [Slot; N] {
+        let mut slots = [Slot::ALL[0]; N];
+        let basic = self.model.fitted();
+        let basic = basic.iter().map(Slot::of);
+        let terms = self
+            .terms
+            .iter()
+            .flat_map(|term| Slot::ALL.into_iter().skip(term.first_slot()).take(3));
+        for (place, slot) in slots.iter_mut().zip(basic.chain(terms)) {
+            *place = slot;
+        }
+        slots
+    }
+}
+
 /// Estimates the error model from static poses whose orientations nobody knows: |f| = g in each.
-/// Equations (11) to (17) of docs/EQUATIONS.md.
+/// Equations (11) to (17) and (40) of docs/EQUATIONS.md.
 ///
 /// `poses` are in m/s² by the nominal sensitivity, sensor axes, in any orientations; one more than
-/// the model has parameters at the least, twelve well spread ones for a good answer. All count the
-/// same. A is lower triangular in the result.
+/// the model has parameters at the least, twelve well spread ones for a good answer. Where all
+/// have a standard deviation, each counts by its noise and length against what else differs
+/// between poses; otherwise all count the same. A is lower triangular in the result.
 ///
 /// # Errors
 /// [`Refusal`] when the poses cannot support the model; each says what to do.
 pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
-    let need = model.parameters() + 1;
-    if poses.len() < need {
-        let have = poses.len();
-        return Err(Refusal::TooFewPoses { have, need, model });
-    }
-    input::check(poses.iter(), gravity)?;
-    match model {
-        Model::Bias3 => fit(poses, gravity, model, BIAS),
-        Model::BiasScale6 => fit(poses, gravity, model, BIAS_SCALE),
-        Model::Full9 => fit(poses, gravity, model, FULL),
-    }
+    basic::<f64>(poses, gravity, model)
 }
 
-fn fit<const N: usize>(
+/// [`multi_position`] computed in f32, for a processor that has no f64: on poses of condition up to
+/// 10 the model is within 10⁻⁵ m/s² and 10⁻⁶ of that in f64, far below any sensor's noise.
+///
+/// # Errors
+/// Those of [`multi_position`].
+pub fn multi_position_f32(
     poses: &[Pose],
     gravity: Gravity,
     model: Model,
-    free: [Parameter; N],
 ) -> Result<Estimate, Refusal> {
-    let problem = Magnitude {
-        poses,
-        gravity_mps2: gravity.mps2(),
-        free,
-    };
-    let first = match model {
-        Model::Full9 => ellipsoid(poses, gravity.mps2()),
-        Model::Bias3 | Model::BiasScale6 => None,
-    };
-    let found = [first, Some(PERFECT)]
-        .into_iter()
-        .flatten()
-        .find_map(|start| problem.solve(&start, None));
-    let at = found.as_ref().map_or(PERFECT, |fit| fit.theta);
-    let knowledge = problem.knowledge(&at).ok_or(Refusal::NotConverged)?;
-    if !knowledge.suffices() {
-        return Err(knowledge.refusal(model, &free));
-    }
-    let fit = found.ok_or(Refusal::NotConverged)?;
-    let terms = ErrorTerms {
-        bias_mps2: bias(&fit.theta),
-        matrix: matrix(&fit.theta),
-        ..ErrorTerms::default()
-    };
-    let error_model = ErrorModel::new(terms).map_err(Refusal::OutOfBounds)?;
+    basic::<f32>(poses, gravity, model)
+}
 
-    let dof = poses.len() - N;
-    let residuals = Residuals::of(&error_model, gravity, poses.iter());
-    if residuals.rms_mps2 > MOST_RMS_MPS2 {
-        return Err(Refusal::PoorFit {
-            rms_mps2: residuals.rms_mps2,
-            pose: residuals.worst_pose,
-        });
+fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
+    let what = MultiPosition {
+        model,
+        ..MultiPosition::default()
+    };
+    check(poses, gravity, what)?;
+    match model {
+        Model::Bias3 => fit::<R, 3>(poses, gravity, what),
+        Model::BiasScale6 => fit::<R, 6>(poses, gravity, what),
+        Model::Full9 => fit::<R, 9>(poses, gravity, what),
     }
-    let unit_variance = problem
-        .inverse_information(&fit)
-        .ok_or_else(|| knowledge.refusal(model, &free))?;
-    let mut covariance = Covariance::ZERO;
-    let variance = fit.cost / dof as f64;
-    for (r, &a) in free.iter().enumerate() {
-        for (c, &b) in free.iter().enumerate() {
-            covariance.add(a, b, variance * unit_variance[(r, c)]);
+}
+
+/// The same with terms on top, and with bad poses left out where that is asked for. Equations (41)
+/// and (42).
+///
+/// With [`Term::Drift`] the model's bias is that at the last pose: the latest that is known.
+///
+/// # Errors
+/// [`Refusal`], also [`Refusal::TermNotShown`] when the poses have no times or temperatures that a
+/// term asks for.
+pub fn multi_position_with(
+    poses: &[Pose],
+    gravity: Gravity,
+    what: MultiPosition,
+) -> Result<Estimate, Refusal> {
+    check(poses, gravity, what)?;
+    match what.parameters() {
+        3 => fit::<f64, 3>(poses, gravity, what),
+        6 => fit::<f64, 6>(poses, gravity, what),
+        9 => fit::<f64, 9>(poses, gravity, what),
+        12 => fit::<f64, 12>(poses, gravity, what),
+        15 => fit::<f64, 15>(poses, gravity, what),
+        18 => fit::<f64, 18>(poses, gravity, what),
+        _ => fit::<f64, 21>(poses, gravity, what),
+    }
+}
+
+/// The model with the least leave-one-out error of all that the poses support: 3, 6 or 9 parameters,
+/// each term with and without, `least` being fitted in any case. The smaller of two that are alike.
+///
+/// # Errors
+/// The refusal of nine parameters with the terms of `least`, when no model is supported.
+pub fn best_model(
+    poses: &[Pose],
+    gravity: Gravity,
+    least: Terms,
+    reject: bool,
+) -> Result<Estimate, Refusal> {
+    let mut best: Option<Estimate> = None;
+    for terms in Terms::every().filter(|terms| terms.include(least)) {
+        for model in Model::ALL {
+            let what = MultiPosition {
+                model,
+                terms,
+                reject,
+            };
+            let Ok(estimate) = multi_position_with(poses, gravity, what) else {
+                continue;
+            };
+            let loo = |estimate: &Estimate| estimate.loo_rms_mps2.unwrap_or(f64::INFINITY);
+            if best.as_ref().is_none_or(|best| loo(&estimate) < loo(best)) {
+                best = Some(estimate);
+            }
         }
     }
-    let worst_sd_mps2 = knowledge.amplification * libm::sqrt(variance);
-    covariance.add_gravity(&fit.theta, gravity);
+    best.map_or_else(
+        || {
+            let what = MultiPosition {
+                model: Model::Full9,
+                terms: least,
+                reject,
+            };
+            multi_position_with(poses, gravity, what)
+        },
+        Ok,
+    )
+}
 
-    let left_out = problem.leave_one_out(&fit);
-    let most = (MOST_LEFT_OUT * libm::sqrt(variance)).max(GOOD_LEFT_OUT_MPS2);
-    if left_out.rms_mps2 > most {
-        return Err(Refusal::PoorPrediction {
-            model,
-            loo_rms_mps2: left_out.rms_mps2,
-            rms_mps2: residuals.rms_mps2,
-            pose: left_out.worst_pose,
+fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
+    let need = what.parameters() + 1;
+    if poses.len() < need {
+        return Err(Refusal::TooFewPoses {
+            have: poses.len(),
+            need,
+            model: what.model,
         });
     }
+    input::check(poses.iter(), gravity)?;
+    let varies = |value: fn(&Pose) -> Option<f64>| {
+        let range = range(poses, value);
+        range.is_some_and(|[low, high]| high > low)
+    };
+    for term in what.terms.iter() {
+        let shown = match term {
+            Term::Drift => varies(|pose| Some(pose.time_s)),
+            Term::BiasTemperature | Term::ScaleTemperature => varies(|pose| pose.temperature_c),
+            Term::Quadratic => true,
+        };
+        if !shown {
+            return Err(Refusal::TermNotShown { term });
+        }
+    }
+    Ok(())
+}
+
+/// Least and largest of what every pose has; `None` if one has none or it is no number.
+fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2]> {
+    poses
+        .iter()
+        .try_fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], pose| {
+            let value = value(pose).filter(|v| v.is_finite())?;
+            Some([low.min(value), high.max(value)])
+        })
+}
+
+fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
+    let [start, end] = if terms.contains(Term::Drift) {
+        range(poses, |pose| Some(pose.time_s)).unwrap_or([0.0, 1.0])
+    } else {
+        [0.0, 1.0]
+    };
+    Conditions {
+        end_s: end,
+        span_s: end - start,
+        reference_c: pose::mean_temperature(poses.iter())
+            .unwrap_or(TemperatureTerms::default().reference_c),
+    }
+}
+
+fn fit<R: Real, const N: usize>(
+    poses: &[Pose],
+    gravity: Gravity,
+    what: MultiPosition,
+) -> Result<Estimate, Refusal> {
+    let mut problem = Magnitude::<N> {
+        poses,
+        gravity_mps2: gravity.mps2(),
+        conditions: conditions(poses, what.terms),
+        weighting: Weighting::EQUAL,
+        rejected: Rejected::default(),
+        free: what.slots(),
+    };
+    let perfect = PERFECT.map(real::<R>);
+    let ellipsoid = match what.model {
+        Model::Full9 => ellipsoid::<R>(poses, gravity.mps2()),
+        Model::Bias3 | Model::BiasScale6 => None,
+    };
+    let Some(first) = [ellipsoid, Some(perfect)]
+        .into_iter()
+        .flatten()
+        .find_map(|start| problem.solve(&start, None))
+    else {
+        let knowledge = problem.knowledge(&perfect).ok_or(Refusal::NotConverged)?;
+        return Err(if knowledge.suffices() {
+            Refusal::NotConverged
+        } else {
+            knowledge.refusal(what, &problem.free)
+        });
+    };
+    let fit = refine(&mut problem, first, what)?;
+    let knowledge = problem.knowledge(&fit.theta).ok_or(Refusal::NotConverged)?;
+    if !knowledge.suffices() {
+        return Err(knowledge.refusal(what, &problem.free));
+    }
+    result(&problem, &fit, &knowledge, gravity, what)
+}
+
+/// Weights the poses and leaves out bad ones, where that applies, and fits again.
+fn refine<R: Real, const N: usize>(
+    problem: &mut Magnitude<N>,
+    mut fit: Fit<R, N>,
+    what: MultiPosition,
+) -> Result<Fit<R, N>, Refusal> {
+    if what.reject {
+        fit = outliers::reject(problem, fit);
+    }
+    if problem.poses.iter().any(|pose| pose.mean_noise() <= 0.0) {
+        return Ok(fit);
+    }
+    // Twice: what differs between poses is estimated with weights that rest on it.
+    for _ in 0..2 {
+        problem.weighting = outliers::weighting(problem, &fit);
+        fit = problem
+            .solve(&fit.theta, None)
+            .ok_or(Refusal::NotConverged)?;
+    }
+    Ok(fit)
+}
+
+fn result<R: Real, const N: usize>(
+    problem: &Magnitude<N>,
+    fit: &Fit<R, N>,
+    knowledge: &Knowledge<R, N>,
+    gravity: Gravity,
+    what: MultiPosition,
+) -> Result<Estimate, Refusal> {
+    let poses = problem.poses;
+    let theta = fit.theta.map(double);
+    let free = &problem.free;
+    let error_terms = ErrorTerms {
+        bias_mps2: terms::bias(&theta),
+        matrix: terms::matrix(&theta),
+        temperature: if what.terms.moves_with_temperature() {
+            TemperatureTerms {
+                reference_c: problem.conditions.reference_c,
+                bias_mps2_per_k: terms::triple(&theta, 15),
+                scale_per_k: terms::triple(&theta, 18),
+                ..TemperatureTerms::default()
+            }
+        } else {
+            TemperatureTerms::default()
+        },
+        nonlinearity: terms::triple(&theta, 21),
+    };
+    let model = ErrorModel::new(error_terms).map_err(Refusal::OutOfBounds)?;
+
+    let fitted_poses = poses.len() - problem.rejected.as_slice().len();
+    let dof = fitted_poses - N;
+    let sd = fit.sd(dof);
+    let mut all = Residuals::default();
+    let mut left_out = Residuals::default();
+    let mut kept = Residuals::default();
+    let mut kept_left_out = Residuals::default();
+    problem.leave_out(fit, |k, residual, without| {
+        all.add(k, residual);
+        left_out.add(k, without);
+        if !problem.rejected.contains(k) {
+            kept.add(k, residual);
+            kept_left_out.add(k, without);
+        }
+    });
+    if kept.rms_mps2() > MOST_RMS_MPS2 {
+        return Err(Refusal::PoorFit {
+            rms_mps2: kept.rms_mps2(),
+            pose: kept.worst_pose,
+        });
+    }
+    let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
+    let predicted = kept_left_out.rms_mps2();
+    if predicted > most || predicted.is_nan() {
+        return Err(Refusal::PoorPrediction {
+            model: what.model,
+            loo_rms_mps2: predicted,
+            rms_mps2: kept.rms_mps2(),
+            pose: kept_left_out.worst_pose,
+        });
+    }
+
+    let variance = sd * sd;
+    let mut covariance = Covariance::ZERO;
+    let mut term_sd = TermDeviations::default();
+    for (r, &a) in free.iter().enumerate() {
+        term_sd.set(a, sd * libm::sqrt(double(fit.inverse[(r, r)]).max(0.0)));
+        for (c, &b) in free.iter().enumerate() {
+            if let Some((a, b)) = a.parameter().zip(b.parameter()) {
+                covariance.add(a, b, variance * double(fit.inverse[(r, c)]));
+            }
+        }
+    }
+    covariance.add_gravity(&theta, gravity);
     Ok(Estimate {
-        model: error_model,
-        method: Method::MultiPosition(model),
+        model,
+        method: Method::MultiPosition(what.model),
+        terms: what.terms,
+        fitted: what.model.fitted(),
         covariance,
+        term_sd,
         gravity,
-        poses: poses.len(),
+        poses: fitted_poses,
         dof,
-        rms_mps2: residuals.rms_mps2,
-        max_mps2: residuals.max_mps2,
-        worst_pose: residuals.worst_pose,
-        loo_rms_mps2: Some(left_out.rms_mps2),
+        interval_dof: Some(dof as f64),
+        rms_mps2: all.rms_mps2(),
+        max_mps2: all.largest_mps2,
+        worst_pose: all.worst_pose,
+        loo_rms_mps2: Some(left_out.rms_mps2()),
+        rejected: problem.rejected,
         condition: knowledge.condition,
-        worst_sd_mps2,
+        worst_sd_mps2: knowledge.amplification * sd,
+        coverage: design::coverage(poses),
         temperature_c: pose::mean_temperature(poses.iter()),
+        temperature_range_c: range(poses, |pose| pose.temperature_c),
+        drift: what.terms.contains(Term::Drift).then(|| Drift {
+            change_mps2: terms::triple(&theta, 12),
+            end_s: problem.conditions.end_s,
+            span_s: problem.conditions.span_s,
+        }),
     })
 }
 
-impl<const N: usize> Knowledge<N> {
-    fn suffices(&self) -> bool {
+impl<R: Real, const N: usize> Knowledge<R, N> {
+    pub(crate) fn suffices(&self) -> bool {
         self.amplification < MOST_AMPLIFICATION
     }
 
-    fn refusal(&self, model: Model, free: &[Parameter; N]) -> Refusal {
-        let largest = self.variance.max();
-        Refusal::NotObservable {
-            model,
-            parameters: free
-                .iter()
+    fn refusal(&self, what: MultiPosition, free: &[Slot; N]) -> Refusal {
+        let largest = double(self.variance.max());
+        let poor = || {
+            free.iter()
                 .zip(self.variance.iter())
-                .filter(|&(_, &variance)| variance >= 0.1 * largest)
-                .map(|(&parameter, _)| parameter)
-                .collect(),
+                .filter(|&(_, &variance)| double(variance) >= 0.1 * largest)
+                .map(|(&slot, _)| slot)
+        };
+        Refusal::NotObservable {
+            model: what.model,
+            parameters: poor().filter_map(Slot::parameter).collect(),
+            terms: poor().filter_map(Slot::term).collect(),
             condition: self.condition,
             amplification: self.amplification,
             add: self.poorest,
@@ -209,47 +467,45 @@ impl<const N: usize> Knowledge<N> {
 /// The start: the ellipsoid yᵀQy + 2pᵀy = 1 by linear least squares, equation (11).
 ///
 /// `None` when the points are on no ellipsoid.
-fn ellipsoid(poses: &[Pose], gravity_mps2: f64) -> Option<Theta> {
-    let mut information = SMatrix::<f64, 9, 9>::zeros();
-    let mut right = SVector::<f64, 9>::zeros();
+fn ellipsoid<R: Real>(poses: &[Pose], gravity_mps2: f64) -> Option<Theta<R>> {
+    let mut information = SMatrix::<R, 9, 9>::zeros();
+    let mut right = SVector::<R, 9>::zeros();
+    let two: R = real(2.0);
     for pose in poses {
-        let [x, y, z] = pose.mean_mps2.map(|c| c / gravity_mps2);
-        let row = SVector::from([
+        let [x, y, z] = pose.mean_mps2.map(|c| real::<R>(c / gravity_mps2));
+        let row = [
             x * x,
             y * y,
             z * z,
-            2.0 * x * y,
-            2.0 * x * z,
-            2.0 * y * z,
-            2.0 * x,
-            2.0 * y,
-            2.0 * z,
-        ]);
-        information.ger(1.0, &row, &row, 1.0);
-        right += row;
+            two * x * y,
+            two * x * z,
+            two * y * z,
+            two * x,
+            two * y,
+            two * z,
+        ];
+        for c in 0..9 {
+            right[c] += row[c];
+            for r in c..9 {
+                information[(r, c)] += row[r] * row[c];
+            }
+        }
     }
     let s = Cholesky::new(information)?.solve(&right);
     let q = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
     let p = Vector3::new(s[6], s[7], s[8]);
     let inverse = q.try_inverse()?;
     let centre = -(inverse * p);
-    let size = 1.0 - p.dot(&centre);
+    let size = R::one() - p.dot(&centre);
     // y = c + A u with |u| = 1 gives A Aᵀ = size Q⁻¹; its Cholesky factor is the triangular A.
     let a = Cholesky::new(inverse * size)?.unpack();
-    let c = centre * gravity_mps2;
-    let theta = [
-        c[0],
-        c[1],
-        c[2],
-        a[(0, 0)],
-        0.0,
-        0.0,
-        a[(1, 0)],
-        a[(1, 1)],
-        0.0,
-        a[(2, 0)],
-        a[(2, 1)],
-        a[(2, 2)],
-    ];
+    let c = centre * real::<R>(gravity_mps2);
+    let mut theta = [R::zero(); Slot::COUNT];
+    for row in 0..3 {
+        theta[row] = c[row];
+        for column in 0..=row {
+            theta[3 + 3 * row + column] = a[(row, column)];
+        }
+    }
     theta.iter().all(|t| t.is_finite()).then_some(theta)
 }

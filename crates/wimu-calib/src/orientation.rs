@@ -33,6 +33,9 @@ impl Face {
         Self::ZDown,
     ];
 
+    /// How they are called where a board has no names of its own for its sides.
+    pub const NAMES: [&'static str; 6] = ["X up", "X down", "Y up", "Y down", "Z up", "Z down"];
+
     /// cos 20°: beyond it no axis was upright, whatever the sensor's errors.
     const LEAST_COSINE: f64 = 0.94;
 
@@ -94,6 +97,47 @@ impl Orientation {
         all
     };
 
+    /// The same, the easiest to hold first: faces, then edges, then corners.
+    pub const BY_EASE: [Self; 26] = {
+        let mut all = [Self([0; 3]); 26];
+        let mut filled = 0;
+        let mut axes = 1;
+        while axes <= 3 {
+            let mut i = 0;
+            while i < 26 {
+                let Self([x, y, z]) = Self::ALL[i];
+                if x * x + y * y + z * z == axes {
+                    all[filled] = Self::ALL[i];
+                    filled += 1;
+                }
+                i += 1;
+            }
+            axes += 1;
+        }
+        all
+    };
+
+    /// Its place in [`Orientation::ALL`], 0..26.
+    pub fn index(self) -> usize {
+        let [x, y, z] = self.0.map(|sign| (sign + 1) as usize);
+        let code = x + 3 * y + 9 * z;
+        if code > 13 { code - 1 } else { code }
+    }
+
+    /// What to do, step by step, in words: "start with Z up, then tilt it 45° towards X up".
+    pub fn instruction(self) -> Instruction<'static> {
+        self.instruction_with(&Face::NAMES)
+    }
+
+    /// The same for a board whose sides have names, in the order of [`Face::ALL`]: what is up, such
+    /// as "left edge up".
+    pub fn instruction_with<'a>(self, sides: &'a [&'a str; 6]) -> Instruction<'a> {
+        Instruction {
+            orientation: self,
+            sides,
+        }
+    }
+
     /// What points up, a unit vector in sensor axes.
     pub fn up(self) -> [f64; 3] {
         let signs = self.0.map(f64::from);
@@ -133,5 +177,33 @@ impl fmt::Display for Orientation {
             3 => out.write_str(" (35° each)"),
             _ => Ok(()),
         }
+    }
+}
+
+/// How to bring a sensor into an orientation, in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Instruction<'a> {
+    orientation: Orientation,
+    sides: &'a [&'a str; 6],
+}
+
+impl fmt::Display for Instruction<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The last axis first: Z up is how most boards lie.
+        let sides = self.orientation.0.iter().enumerate().rev();
+        let sides = sides.filter_map(|(axis, &sign)| match sign {
+            0 => None,
+            1.. => self.sides.get(2 * axis),
+            _ => self.sides.get(2 * axis + 1),
+        });
+        for (step, side) in sides.enumerate() {
+            match step {
+                0 => write!(out, "start with {side}")?,
+                1 => write!(out, ", then tilt it 45° towards {side}")?,
+                _ => write!(out, ", then 35° towards {side}")?,
+            }
+        }
+        Ok(())
     }
 }

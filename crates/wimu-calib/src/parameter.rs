@@ -88,6 +88,14 @@ impl Parameters {
         self.0 >> parameter.index() & 1 == 1
     }
 
+    /// Whether there is none.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// All 12.
+    pub const ALL: Self = Self((1 << Parameter::COUNT) - 1);
+
     /// Those of them that are in the set, in the order of [`Parameter::ALL`].
     pub fn iter(self) -> impl Iterator<Item = Parameter> {
         Parameter::ALL

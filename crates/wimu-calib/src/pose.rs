@@ -14,6 +14,9 @@ pub struct Pose {
     pub temperature_c: Option<f64>,
     /// Index in the recording of the first sample that the mean is of.
     pub first_sample: u64,
+    /// When it was held (the middle of it), s from any origin that the poses share: only the
+    /// drift over a session asks for it.
+    pub time_s: f64,
 }
 
 impl Pose {
@@ -24,6 +27,12 @@ impl Pose {
             samples: 1,
             ..Self::default()
         }
+    }
+
+    /// Variance of the mean from the sensor's noise, mean of the axes, (m/s²)²; 0 where unknown.
+    pub(crate) fn mean_noise(&self) -> f64 {
+        let variance: f64 = self.sd_mps2.iter().map(|sd| sd * sd).sum();
+        variance / (3.0 * self.weight())
     }
 
     /// How much the pose counts in a mean over poses.

@@ -4,7 +4,7 @@ use core::fmt;
 
 use wimu_model::ModelError;
 
-use crate::{Face, Model, Orientation, Parameters};
+use crate::{Face, Model, Orientation, Parameters, Term, Terms};
 
 /// Why the poses do not support an answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,12 +43,26 @@ pub enum Refusal {
         model: Model,
         /// The parameters that are poorly determined.
         parameters: Parameters,
+        /// The terms that are.
+        terms: Terms,
         /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
         condition: f64,
         /// How much an error in the poses grows in the worst orientation.
         amplification: f64,
         /// A pose in this orientation would help most.
         add: Orientation,
+    },
+    /// Nothing in the poses tells of a term: they have no times or temperatures, or all the same.
+    TermNotShown {
+        /// The term asked for.
+        term: Term,
+    },
+    /// Poses are not successive steps of turns about a level axis.
+    NotATurn {
+        /// Index of the first pose of the turn.
+        pose: usize,
+        /// Steps of a turn: 3 or 4.
+        steps: usize,
     },
     /// Left-out poses are predicted far worse than the fitted ones are fitted: some pose decides
     /// alone, and nothing would show an error in it.
@@ -149,14 +163,17 @@ impl fmt::Display for Refusal {
             Self::NotObservable {
                 model,
                 parameters,
+                terms,
                 condition,
                 amplification,
                 add,
             } => {
-                write!(
-                    out,
-                    "the poses do not determine {parameters} of the {model}: "
-                )?;
+                write!(out, "the poses do not determine {parameters}")?;
+                if terms != Terms::NONE {
+                    let comma = if parameters.is_empty() { "" } else { ", " };
+                    write!(out, "{comma}{terms}")?;
+                }
+                write!(out, " of the {model}: ")?;
                 if amplification < 1e4 {
                     write!(
                         out,
@@ -172,6 +189,21 @@ impl fmt::Display for Refusal {
                 )?;
                 smaller(out, model)
             }
+            Self::TermNotShown { term } => write!(
+                out,
+                "nothing tells of {term}: {}",
+                match term {
+                    Term::Drift => "the poses have no times, or all the same",
+                    _ => "a pose has no temperature, or all have the same",
+                }
+            ),
+            Self::NotATurn { pose, steps } => write!(
+                out,
+                "poses {pose} to {} (from 0) are not {steps} steps of {}° about a level axis: turn \
+                 about one axis of the sensor, in one direction, and hold it still at each step",
+                pose + steps - 1,
+                360 / steps.max(1)
+            ),
             Self::PoorPrediction {
                 model,
                 loo_rms_mps2,

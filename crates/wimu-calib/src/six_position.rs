@@ -4,13 +4,20 @@ use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, Matrix3};
 
-use crate::estimate::{self, Residuals};
-use crate::least_squares::{self, Theta};
+use crate::estimate::{self, Residuals, TermDeviations};
+use crate::least_squares::{self, Rejected};
 use crate::pose::mean_temperature;
-use crate::{Covariance, Estimate, Face, Gravity, Method, Parameter, Pose, Refusal, input};
+use crate::terms::{PERFECT, Terms, Theta};
+use crate::{
+    Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Pose, Refusal, design,
+    input, student,
+};
 
 /// Placement error beyond which the sides were not squared at all, rad: 5°, 0.4 % of scale factor.
 const MOST_PLACEMENT_RAD: f64 = 0.0873;
+
+/// Degrees of freedom in which six sides show their placement error.
+const PLACEMENT_DOF: usize = 6;
 
 /// How well the sensor was squared when it was put down.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -233,13 +240,23 @@ fn estimate<'a>(
             placement_rad: seen,
         });
     }
-    let placement_sd_rad = seen.max(placement.sd_rad);
+    // What was declared holds unless the poses contradict it beyond chance.
+    let most = student::chi_squared_half_percent(PLACEMENT_DOF) / PLACEMENT_DOF as f64;
+    let contradicted = seen * seen > most * placement.sd_rad * placement.sd_rad;
+    let placement_sd_rad = if contradicted { seen } else { placement.sd_rad };
     let mut covariance = covariance(&sides, &terms.matrix, g, placement_sd_rad);
     let theta = theta(&terms);
     let worst_sd_mps2 = least_squares::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
 
-    let residuals = Residuals::of(&model, gravity, poses.clone().map(|(_, pose)| pose));
+    let mut residuals = Residuals::default();
+    let mut rejected = Rejected::default();
+    for (k, (face, pose)) in poses.clone().enumerate() {
+        residuals.add(k, estimate::residual_mps2(&model, gravity, pose));
+        if face.is_none() {
+            rejected = rejected.with(k);
+        }
+    }
     let fitted: usize = counts.iter().sum();
     let loo_rms_mps2 = counts.iter().all(|&count| count > 1).then(|| {
         let squares: f64 = used
@@ -258,23 +275,35 @@ fn estimate<'a>(
     Ok(Estimate {
         model,
         method: Method::SixPosition { placement_sd_rad },
+        terms: Terms::NONE,
+        fitted: Parameters::ALL,
         covariance,
+        term_sd: TermDeviations::default(),
         gravity,
         poses: fitted,
         dof: 3 * fitted - Parameter::COUNT,
-        rms_mps2: residuals.rms_mps2,
-        max_mps2: residuals.max_mps2,
+        interval_dof: contradicted.then_some(PLACEMENT_DOF as f64),
+        rms_mps2: residuals.rms_mps2(),
+        max_mps2: residuals.largest_mps2,
         worst_pose: residuals.worst_pose,
         loo_rms_mps2,
+        rejected,
         // Half sums and half differences of pairs: their design is orthogonal.
         condition: 1.0,
         worst_sd_mps2,
+        coverage: coverage(&sides),
         temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
+        temperature_range_c: None,
+        drift: None,
     })
 }
 
-fn theta(terms: &ErrorTerms) -> Theta {
-    let mut theta = least_squares::PERFECT;
+fn coverage(sides: &Sides) -> f64 {
+    design::coverage(&sides.each_ref().map(|side| Pose::from_mean(side.mean())))
+}
+
+fn theta(terms: &ErrorTerms) -> Theta<f64> {
+    let mut theta = PERFECT;
     for axis in 0..3 {
         theta[axis] = terms.bias_mps2[axis];
         for column in 0..3 {
@@ -298,7 +327,7 @@ fn placement_seen(sides: &Sides, terms: &ErrorTerms, gravity_mps2: f64) -> f64 {
             squares += tilt * tilt / share;
         }
     }
-    libm::sqrt(squares / 6.0)
+    libm::sqrt(squares / PLACEMENT_DOF as f64)
 }
 
 /// Covariance from placement and noise: equation (19).

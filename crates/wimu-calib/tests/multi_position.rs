@@ -151,9 +151,8 @@ fn the_left_out_error_is_that_of_refitting_without_each_pose() {
         let refitted = (squares / poses.len() as f64).sqrt();
         let reported = estimate.loo_rms_mps2.expect("multi-position has it");
         println!("{} poses: {reported} against {refitted} m/s²", poses.len());
-        // Above 256 poses each is left out by one step instead of a refit to the end.
-        let tolerance = if poses.len() > 256 { 1e-6 } else { 1e-9 };
-        assert!((reported - refitted).abs() < tolerance * refitted);
+        // One step from the full fit, which is the refit but for terms of second order in it.
+        assert!((reported - refitted).abs() < 1e-4 * refitted);
     }
 }
 

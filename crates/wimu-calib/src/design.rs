@@ -1,0 +1,175 @@
+//! Which orientations a set of poses lacks: equation (44).
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::{Model, Orientation, Parameters, Pose};
+
+/// Directions over which coverage is counted.
+const DIRECTIONS: usize = 200;
+/// cos 45°.
+const NEAR: f64 = core::f64::consts::FRAC_1_SQRT_2;
+/// What is known beforehand: parameters are about a hundred times as uncertain, as errors at 1 g,
+/// as one pose tells them (0.3 m/s² against 3 mm/s²).
+const PRIOR: f64 = 1e-4;
+/// A pose is worth it that lowers the expected error by this share.
+const WORTH: f64 = 0.03;
+/// More poses than anyone needs.
+const MOST_ADVISED: usize = 60;
+
+/// Share of all directions that are within 45° of a pose's mean output.
+pub(crate) fn coverage(poses: &[Pose]) -> f64 {
+    let mut covered = [false; DIRECTIONS];
+    let mut count = 0;
+    for pose in poses {
+        let Some(up) = unit(pose.mean_mps2) else {
+            continue;
+        };
+        for (k, covered) in covered.iter_mut().enumerate() {
+            if !*covered && dot(up, spiral(k)) >= NEAR {
+                *covered = true;
+                count += 1;
+            }
+        }
+        if count == DIRECTIONS {
+            break;
+        }
+    }
+    f64::from(count as u32) / DIRECTIONS as f64
+}
+
+/// Direction `k` of those that are spread evenly over the sphere.
+fn spiral(k: usize) -> [f64; 3] {
+    let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
+    let radius = libm::sqrt(1.0 - z * z);
+    // The golden angle.
+    let angle = 2.399_963_229_728_653 * k as f64;
+    [radius * libm::cos(angle), radius * libm::sin(angle), z]
+}
+
+fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
+    let norm = libm::sqrt(dot(v, v));
+    (norm > 0.0 && norm.is_finite()).then(|| v.map(|c| c / norm))
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Says which orientation to take next: the one that adds most to what is known of the
+/// parameters (D-optimal), given those taken so far, whether or not they suffice for an answer yet.
+///
+/// ```
+/// use wimu_calib::{Guide, Model, Orientation};
+///
+/// let mut guide = Guide::new(Model::Full9);
+/// let mut plan = Vec::new();
+/// while plan.len() < 12 {
+///     let next = guide.next(|_| true).expect("every orientation can be reached");
+///     println!("{}", next.instruction());
+///     guide.take(next.up());
+///     plan.push(next);
+/// }
+/// assert!(guide.amplification() < 1.5);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Guide {
+    fitted: Parameters,
+    /// Inverse of the information matrix of all twelve parameters, poses of unit variance.
+    inverse: SMatrix<f64, 12, 12>,
+}
+
+impl Guide {
+    /// One that has seen no pose yet.
+    pub fn new(model: Model) -> Self {
+        Self {
+            fitted: model.fitted(),
+            inverse: SMatrix::identity() / PRIOR,
+        }
+    }
+
+    /// One that has seen `poses`.
+    pub fn after(model: Model, poses: &[Pose]) -> Self {
+        let mut guide = Self::new(model);
+        for pose in poses {
+            guide.take(pose.mean_mps2);
+        }
+        guide
+    }
+
+    /// Counts a pose with `up` upward, of any length, sensor axes; nothing if it has no direction.
+    pub fn take(&mut self, up: [f64; 3]) {
+        let Some(up) = unit(up) else { return };
+        let row = self.row(up);
+        let along = self.inverse * row;
+        let variance = row.dot(&along);
+        self.inverse
+            .ger(-1.0 / (1.0 + variance), &along, &along, 1.0);
+    }
+
+    /// The orientation to take next, of those that `reachable` admits.
+    ///
+    /// Of orientations that are alike to 1 % the one that is easiest to hold.
+    pub fn next(&self, reachable: impl Fn(Orientation) -> bool) -> Option<Orientation> {
+        let mut best: Option<(f64, Orientation)> = None;
+        for orientation in Orientation::BY_EASE {
+            if !reachable(orientation) {
+                continue;
+            }
+            let gain = libm::log(1.0 + self.variance(orientation.up()));
+            if best.is_none_or(|(most, _)| gain > 1.01 * most) {
+                best = Some((gain, orientation));
+            }
+        }
+        best.map(|(_, orientation)| orientation)
+    }
+
+    /// How many more poses are worth it: until the next would lower the error to be expected, rms
+    /// over 26 orientations, by less than 3 %.
+    pub fn worth(&self, reachable: impl Fn(Orientation) -> bool) -> usize {
+        let mut guide = self.clone();
+        let mut expected = guide.expected_error();
+        for more in 0..MOST_ADVISED {
+            let Some(next) = guide.next(&reachable) else {
+                return more;
+            };
+            guide.take(next.up());
+            let with_it = guide.expected_error();
+            if with_it > (1.0 - WORTH) * expected {
+                return more;
+            }
+            expected = with_it;
+        }
+        MOST_ADVISED
+    }
+
+    /// How much an error in the poses grows in the worst of 26 orientations.
+    pub fn amplification(&self) -> f64 {
+        let variances = Orientation::ALL.into_iter().map(|o| self.variance(o.up()));
+        libm::sqrt(variances.fold(0.0, f64::max))
+    }
+
+    fn expected_error(&self) -> f64 {
+        let variances = Orientation::ALL.into_iter().map(|o| self.variance(o.up()));
+        libm::sqrt(variances.sum::<f64>() / Orientation::ALL.len() as f64)
+    }
+
+    /// Variance of |f| − g in direction `up`, for poses of unit variance.
+    fn variance(&self, up: [f64; 3]) -> f64 {
+        let row = self.row(up);
+        row.dot(&(self.inverse * row))
+    }
+
+    /// Equation (13) for a sensor without errors, in m/s² at 1 g.
+    fn row(&self, up: [f64; 3]) -> SVector<f64, 12> {
+        let mut row = SVector::zeros();
+        for parameter in self.fitted.iter() {
+            let i = parameter.index();
+            row[i] = if i < 3 {
+                -up[i]
+            } else {
+                -up[i / 3 - 1] * up[i % 3]
+            };
+        }
+        row
+    }
+}

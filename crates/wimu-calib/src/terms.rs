@@ -1,0 +1,184 @@
+//! What may be fitted beyond bias, scale factor and misalignment, and where each parameter is kept.
+
+use core::fmt;
+
+use crate::Parameter;
+
+/// All parameters of a fit: the 12 of [`Parameter::ALL`], then three each of the drift of the bias
+/// (m/s² from the first pose to the last), b₁, s₁ and q.
+pub(crate) type Theta<R> = [R; Slot::COUNT];
+
+/// A place in [`Theta`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Slot(usize);
+
+impl Slot {
+    pub const COUNT: usize = 24;
+
+    pub const ALL: [Self; Self::COUNT] = {
+        let mut all = [Self(0); Self::COUNT];
+        let mut i = 0;
+        while i < Self::COUNT {
+            all[i] = Self(i);
+            i += 1;
+        }
+        all
+    };
+    pub const SCALE_SLOPE: [Self; 3] = [Self(18), Self(19), Self(20)];
+
+    pub const fn of(parameter: Parameter) -> Self {
+        Self(parameter.index())
+    }
+
+    pub fn index(self) -> usize {
+        self.0
+    }
+
+    /// The parameter among the first twelve.
+    pub fn parameter(self) -> Option<Parameter> {
+        Parameter::ALL.get(self.0).copied()
+    }
+
+    /// The term that it belongs to beyond those.
+    pub fn term(self) -> Option<Term> {
+        Term::ALL.get(self.0.checked_sub(12)? / 3).copied()
+    }
+
+    /// How much of it makes an error of 1 m/s² at 1 g, over 10 K where it goes with temperature.
+    pub fn per_mps2(self, gravity_mps2: f64) -> f64 {
+        match self.0 {
+            0..3 | 12..15 => 1.0,
+            3..12 => 1.0 / gravity_mps2,
+            15..18 => 0.1,
+            18..21 => 0.1 / gravity_mps2,
+            _ => 1.0 / (gravity_mps2 * gravity_mps2),
+        }
+    }
+}
+
+/// A perfect sensor.
+pub(crate) const PERFECT: Theta<f64> = {
+    let mut theta = [0.0; Slot::COUNT];
+    theta[3] = 1.0;
+    theta[7] = 1.0;
+    theta[11] = 1.0;
+    theta
+};
+
+pub(crate) fn bias(theta: &Theta<f64>) -> [f64; 3] {
+    triple(theta, 0)
+}
+
+pub(crate) fn matrix(theta: &Theta<f64>) -> [[f64; 3]; 3] {
+    [triple(theta, 3), triple(theta, 6), triple(theta, 9)]
+}
+
+/// Three of them, from `first` on.
+pub(crate) fn triple(theta: &Theta<f64>, first: usize) -> [f64; 3] {
+    [theta[first], theta[first + 1], theta[first + 2]]
+}
+
+/// What can be fitted with [`multi_position_with`](crate::multi_position_with) on top of a
+/// [`Model`](crate::Model); three parameters each, one an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Term {
+    /// The bias moves in proportion to time over the session.
+    Drift,
+    /// The bias moves in proportion to temperature: b₁.
+    BiasTemperature,
+    /// The scale factors move in proportion to temperature: s₁.
+    ScaleTemperature,
+    /// The output bends with the force: q.
+    Quadratic,
+}
+
+impl Term {
+    /// All of them.
+    pub const ALL: [Self; 4] = [
+        Self::Drift,
+        Self::BiasTemperature,
+        Self::ScaleTemperature,
+        Self::Quadratic,
+    ];
+
+    pub(crate) fn first_slot(self) -> usize {
+        12 + 3 * self as usize
+    }
+}
+
+impl fmt::Display for Term {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Drift => "drift",
+            Self::BiasTemperature => "bias against temperature",
+            Self::ScaleTemperature => "scale factor against temperature",
+            Self::Quadratic => "quadratic",
+        })
+    }
+}
+
+/// Some of the terms.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Terms(u8);
+
+impl Terms {
+    /// None of them.
+    pub const NONE: Self = Self(0);
+
+    /// With one more.
+    #[must_use]
+    pub const fn with(self, term: Term) -> Self {
+        Self(self.0 | 1 << term as u8)
+    }
+
+    /// Whether `term` is one of them.
+    pub const fn contains(self, term: Term) -> bool {
+        self.0 >> term as u8 & 1 == 1
+    }
+
+    /// Whether all of `others` are among them.
+    pub const fn include(self, others: Self) -> bool {
+        self.0 & others.0 == others.0
+    }
+
+    pub(crate) const fn moves_with_temperature(self) -> bool {
+        self.contains(Term::BiasTemperature) || self.contains(Term::ScaleTemperature)
+    }
+
+    /// Those of them that are in the set, in the order of [`Term::ALL`].
+    pub fn iter(self) -> impl Iterator<Item = Term> {
+        Term::ALL
+            .into_iter()
+            .filter(move |&term| self.contains(term))
+    }
+
+    /// How many parameters they are.
+    pub fn parameters(self) -> usize {
+        3 * self.0.count_ones() as usize
+    }
+
+    /// Every set of terms.
+    pub(crate) fn every() -> impl Iterator<Item = Self> {
+        (0..1 << Term::ALL.len()).map(Self)
+    }
+}
+
+impl FromIterator<Term> for Terms {
+    fn from_iter<I: IntoIterator<Item = Term>>(terms: I) -> Self {
+        terms.into_iter().fold(Self::NONE, Self::with)
+    }
+}
+
+impl fmt::Display for Terms {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, term) in self.iter().enumerate() {
+            if place > 0 {
+                out.write_str(", ")?;
+            }
+            term.fmt(out)?;
+        }
+        Ok(())
+    }
+}

@@ -40,6 +40,7 @@ fn essence(report: &CalibrationReport) -> Value {
     for key in ["source", "rate_source", "parameter_id"] {
         object.remove(key).unwrap();
     }
+    object.remove("units");
     if let Some(parameters) = object["parameters"].as_object_mut() {
         parameters.remove("range_g").unwrap();
     }

@@ -190,6 +190,7 @@ pub struct Instruction<'a> {
 
 impl fmt::Display for Instruction<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let axes = self.orientation.0.iter().filter(|sign| **sign != 0).count();
         // The last axis first: Z up is how most boards lie.
         let sides = self.orientation.0.iter().enumerate().rev();
         let sides = sides.filter_map(|(axis, &sign)| match sign {
@@ -199,6 +200,7 @@ impl fmt::Display for Instruction<'_> {
         });
         for (step, side) in sides.enumerate() {
             match step {
+                0 if axes == 1 => write!(out, "hold it with {side}")?,
                 0 => write!(out, "start with {side}")?,
                 1 => write!(out, ", then tilt it 45° towards {side}")?,
                 _ => write!(out, ", then 35° towards {side}")?,

@@ -1,16 +1,19 @@
 //! From data to an error model, its report, and the file that goes to a board.
 
+mod page;
 mod reference;
 mod report;
 
 pub use reference::{AxisReport, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
-    CalibrationReport, Fit, HELD_SCHEMA, NextPose, Source, describe, read_parameters, write_report,
+    CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
+    describe, read_parameters, write_report,
 };
 
 use wimu_calib::{
-    Estimate, Face, Gravity, Method, Model, Orientation, Placement, Pose, Refusal, find_poses,
-    multi_position, six_position,
+    Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation, Parameter,
+    Placement, Pose, Refusal, Term, Terms, best_model, find_poses, four_angle, multi_position_with,
+    six_position, six_position_labelled, three_angle,
 };
 use wimu_link::message::parameter_id;
 use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, TemperatureTerms};
@@ -20,6 +23,8 @@ use crate::error::{ErrorCode, HostError, Result};
 
 /// More poses than anyone holds still for.
 const MAX_POSES: usize = 1000;
+/// Most orientations that are advised at once.
+const MOST_ADVISED: usize = 6;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -29,6 +34,22 @@ pub enum MethodChoice {
     MultiPosition,
     /// From six known orientations.
     SixPosition,
+    /// From turns of four steps about level axes.
+    FourAngle,
+    /// From turns of three steps about level axes.
+    ThreeAngle,
+}
+
+impl MethodChoice {
+    /// As the command line has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MultiPosition => "multi-position",
+            Self::SixPosition => "six-position",
+            Self::FourAngle => "four-angle",
+            Self::ThreeAngle => "three-angle",
+        }
+    }
 }
 
 /// Which parameters to fit with [`MethodChoice::MultiPosition`].
@@ -47,12 +68,17 @@ impl Default for ModelChoice {
 }
 
 /// What a calibration is asked for.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct CalibrateOptions {
     /// How to estimate.
     pub method: MethodChoice,
     /// What to fit.
     pub model: ModelChoice,
+    /// What to fit in any case on top of the model, with [`MethodChoice::MultiPosition`].
+    pub terms: Terms,
+    /// Which side was up in each pose, in order, with [`MethodChoice::SixPosition`]; told by what
+    /// the poses read where it is not given.
+    pub sides: Option<Vec<Face>>,
     /// Local gravity, m/s², taken as exact; 9.80665 ± 0.015 where it is not given.
     pub gravity_mps2: Option<f64>,
     /// Nominal sensitivity, LSB/g; else the board's, else the fit's mean.
@@ -126,12 +152,40 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         (OutputUnit::Counts { .. }, None) => gravity.mps2() / median_magnitude(data),
     };
     let found = poses(data, scale);
-    let fit = |poses: &[Pose]| match options.method {
-        MethodChoice::SixPosition => six_position(poses, gravity, placement),
-        MethodChoice::MultiPosition => match options.model {
-            ModelChoice::Fixed(model) => multi_position(poses, gravity, model),
-            ModelChoice::Auto => best_model(poses, gravity),
+    if let Some(sides) = &options.sides
+        && sides.len() != found.poses.len()
+    {
+        return Err(usage(
+            format!(
+                "--sides names {} poses, the data have {}",
+                sides.len(),
+                found.poses.len()
+            ),
+            "--sides: one for each static pose, in order",
+        ));
+    }
+    let fit = |poses: &[Pose]| match (options.method, options.model) {
+        (MethodChoice::SixPosition, _) => match &options.sides {
+            Some(sides) => {
+                let labelled: Vec<(Face, Pose)> =
+                    sides.iter().copied().zip(poses.iter().copied()).collect();
+                six_position_labelled(&labelled, gravity, placement)
+            }
+            None => six_position(poses, gravity, placement),
         },
+        (MethodChoice::FourAngle, _) => four_angle(poses, gravity, placement),
+        (MethodChoice::ThreeAngle, _) => three_angle(poses, gravity, placement),
+        (MethodChoice::MultiPosition, ModelChoice::Fixed(model)) => {
+            let what = MultiPosition {
+                model,
+                terms: options.terms,
+                reject: true,
+            };
+            multi_position_with(poses, gravity, what)
+        }
+        (MethodChoice::MultiPosition, ModelChoice::Auto) => {
+            best_model(poses, gravity, options.terms, true)
+        }
     };
     let mut fitted = found.poses.clone();
     let mut outcome = fit(&fitted);
@@ -174,11 +228,8 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         status: if estimate.is_some() { "ok" } else { "refused" },
         reason,
         source: data.name.clone(),
-        method: match options.method {
-            MethodChoice::MultiPosition => "multi-position",
-            MethodChoice::SixPosition => "six-position",
-        },
-        terms: terms(estimate.as_ref().map(|e| e.method), options),
+        method: options.method.name(),
+        terms: terms(estimate.as_ref(), options),
         poses: fitted.len(),
         rate_hz: (!data.poses).then_some(data.rate_hz),
         rate_source: (!data.poses).then_some(data.rate_source),
@@ -191,33 +242,27 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .iter()
             .map(|pose| magnitude(pose.mean_mps2) - gravity.mps2()))
         .map(|rms| rms * 1e3),
-        fit: estimate.map(|estimate| numbers(&estimate)),
         rejected_poses: match options.method {
-            MethodChoice::MultiPosition => Vec::new(),
             MethodChoice::SixPosition => (0..fitted.len())
                 .filter(|index| Face::of(&fitted[*index]).is_none())
                 .collect(),
+            _ => estimate
+                .as_ref()
+                .map_or(Vec::new(), |e| e.rejected.as_slice().to_vec()),
         },
-        next_poses: refusal.map_or(Vec::new(), |refusal| next_poses(&refusal, &fitted)),
+        next_poses: match &refusal {
+            Some(refusal) => next_poses(refusal, &fitted, options),
+            None => advice(&fitted, options, 0),
+        },
+        poses_worth_adding: match options.method {
+            MethodChoice::MultiPosition => Guide::after(wanted(options), &fitted).worth(|_| true),
+            _ => 0,
+        },
+        static_poses: static_poses(&fitted, estimate.as_ref()),
+        fit: estimate.map(|estimate| numbers(&estimate, data.unit)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,
     })
-}
-
-/// The model with the least leave-one-out error of those that the poses support.
-fn best_model(poses: &[Pose], gravity: Gravity) -> Result<Estimate, Refusal> {
-    let loo = |estimate: &Estimate| estimate.loo_rms_mps2.unwrap_or(f64::INFINITY);
-    [Model::BiasScale6, Model::Bias3]
-        .into_iter()
-        .map(|model| multi_position(poses, gravity, model))
-        .fold(
-            multi_position(poses, gravity, Model::Full9),
-            |best, other| match (&best, &other) {
-                (Ok(a), Ok(b)) if loo(b) < loo(a) => other,
-                (Err(_), Ok(_)) => other,
-                _ => best,
-            },
-        )
 }
 
 fn poses(data: &Dataset, scale: f64) -> Poses {
@@ -226,6 +271,8 @@ fn poses(data: &Dataset, scale: f64) -> Poses {
             samples: output.samples,
             temperature_c: output.temperature_c,
             first_sample: index as u64,
+            // Without times the order stands for them.
+            time_s: output.time_s.unwrap_or(index as f64),
             ..Pose::from_mean(output.value.map(|axis| axis * scale))
         };
         data.outputs.iter().enumerate().map(pose).collect()
@@ -237,7 +284,11 @@ fn poses(data: &Dataset, scale: f64) -> Poses {
             gap.into_iter().chain([sample])
         });
         let mut poses = vec![Pose::default(); MAX_POSES];
-        let found = find_poses(samples, data.rate_hz, &mut poses);
+        let found = find_poses(samples.clone(), data.rate_hz, &mut poses);
+        if found > poses.len() {
+            poses.resize(found, Pose::default());
+            find_poses(samples, data.rate_hz, &mut poses);
+        }
         poses.truncate(found);
         poses
     };
@@ -286,37 +337,103 @@ fn likely_range_g(sensitivity: Sensitivity) -> u8 {
     2_u8.pow((full_scale_g.log2().floor() as u32).min(7))
 }
 
-fn terms(method: Option<Method>, options: &CalibrateOptions) -> &'static [&'static str] {
-    let model = match (method, options.method, options.model) {
-        (Some(Method::MultiPosition(model)), _, _) => model,
-        (_, MethodChoice::SixPosition, _) => return &["bias", "scale", "misalignment_6"],
-        (_, _, ModelChoice::Fixed(model)) => model,
-        (_, _, ModelChoice::Auto) => Model::Full9,
+/// What was fitted, or was to be.
+fn terms(estimate: Option<&Estimate>, options: &CalibrateOptions) -> Vec<&'static str> {
+    let model = match (estimate.map(|e| e.method), options.method) {
+        (Some(Method::MultiPosition(model)), _) => model,
+        (_, MethodChoice::SixPosition) => return vec!["bias", "scale", "misalignment_6"],
+        (_, MethodChoice::FourAngle | MethodChoice::ThreeAngle) => Model::BiasScale6,
+        (_, MethodChoice::MultiPosition) => wanted(options),
     };
-    match model {
+    let basic: &[_] = match model {
         Model::Bias3 => &["bias"],
         Model::BiasScale6 => &["bias", "scale"],
         Model::Full9 => &["bias", "scale", "misalignment_3"],
+    };
+    let terms = estimate.map_or(options.terms, |estimate| estimate.terms);
+    let more = terms.iter().map(|term| match term {
+        Term::Drift => "drift",
+        Term::BiasTemperature => "bias_temperature",
+        Term::ScaleTemperature => "scale_temperature",
+        Term::Quadratic => "quadratic",
+    });
+    basic.iter().copied().chain(more).collect()
+}
+
+fn wanted(options: &CalibrateOptions) -> Model {
+    match options.model {
+        ModelChoice::Fixed(model) => model,
+        ModelChoice::Auto => Model::Full9,
     }
 }
 
-fn numbers(estimate: &Estimate) -> Fit {
+fn numbers(estimate: &Estimate, unit: OutputUnit) -> Fit {
+    let range_g = match unit {
+        OutputUnit::Counts { range_g, .. } => range_g,
+        OutputUnit::Mps2 => None,
+    };
     let sd = estimate.sd();
+    let bias = estimate.model.terms().bias_mps2;
+    let matrix = estimate.model.terms().matrix;
     Fit {
+        fitted: estimate.fitted.iter().map(|p| p.to_string()).collect(),
         dof: estimate.dof,
         rms_mm_s2: estimate.rms_mps2 * 1e3,
         max_mm_s2: estimate.max_mps2 * 1e3,
         loo_rms_mm_s2: estimate.loo_rms_mps2.map(|loo| loo * 1e3),
         condition: estimate.condition,
+        worst_sd_mm_s2: estimate.worst_sd_mps2 * 1e3,
+        coverage: estimate.coverage,
         temperature_c: estimate.temperature_c,
+        temperature_range_c: estimate.temperature_range_c,
+        drift: estimate.drift.map(|drift| DriftReport {
+            change_m_s2: drift.change_mps2,
+            sd_m_s2: estimate.term_sd.drift_mps2,
+            span_s: drift.span_s,
+        }),
+        placement_sd_deg: match estimate.method {
+            Method::SixPosition { placement_sd_rad } => Some(placement_sd_rad.to_degrees()),
+            _ => None,
+        },
         model: *estimate.model.terms(),
         sd: ErrorTerms {
             bias_mps2: sd.bias_mps2,
             matrix: sd.matrix,
-            ..no_terms()
+            temperature: TemperatureTerms {
+                reference_c: 0.0,
+                bias_mps2_per_k: estimate.term_sd.bias_mps2_per_k,
+                bias_mps2_per_k2: [0.0; 3],
+                scale_per_k: estimate.term_sd.scale_per_k,
+            },
+            nonlinearity: estimate.term_sd.nonlinearity,
+        },
+        half_width_95: Parameter::ALL.map(|parameter| estimate.half_width_95(parameter)),
+        units: OtherUnits {
+            bias_mg: bias.map(|b| b * 1e3 / STANDARD_GRAVITY_MPS2),
+            bias_percent_of_full_scale: range_g.map(|range_g| {
+                bias.map(|b| b * 100.0 / (STANDARD_GRAVITY_MPS2 * f64::from(range_g)))
+            }),
+            scale_error_ppm: [0, 1, 2].map(|axis| (matrix[axis][axis] - 1.0) * 1e6),
         },
         covariance: *estimate.covariance.matrix(),
     }
+}
+
+/// What is listed of each pose.
+fn static_poses(poses: &[Pose], estimate: Option<&Estimate>) -> Vec<StaticPose> {
+    if poses.len() > MAX_POSES {
+        return Vec::new();
+    }
+    let one = |pose: &Pose| StaticPose {
+        mean_m_s2: pose.mean_mps2,
+        sd_m_s2: pose.sd_mps2,
+        samples: pose.samples,
+        first_sample: pose.first_sample,
+        time_s: pose.time_s,
+        temperature_c: pose.temperature_c,
+        residual_mm_s2: estimate.map(|estimate| estimate.residual_mps2(pose) * 1e3),
+    };
+    poses.iter().map(one).collect()
 }
 
 /// Standard deviations of nothing.
@@ -332,33 +449,37 @@ fn no_terms() -> ErrorTerms {
 }
 
 /// Poses that would help against this refusal.
-fn next_poses(refusal: &Refusal, poses: &[Pose]) -> Vec<NextPose> {
+fn next_poses(refusal: &Refusal, poses: &[Pose], options: &CalibrateOptions) -> Vec<NextPose> {
     match *refusal {
-        Refusal::NotObservable { add, .. } => vec![add.into()],
+        Refusal::NotObservable { .. } => advice(poses, options, 1),
         // One more like the pose that decides alone.
-        Refusal::PoorPrediction { pose, .. } => poses
-            .get(pose)
-            .map(nearest)
-            .into_iter()
-            .map(NextPose::from)
-            .collect(),
+        Refusal::PoorPrediction { pose, .. } => {
+            let again = poses.get(pose).map(nearest).map(NextPose::from);
+            again.into_iter().chain(advice(poses, options, 1)).collect()
+        }
         Refusal::PoseMissing { .. } => Face::ALL
             .into_iter()
             .filter(|face| poses.iter().all(|pose| Face::of(pose) != Some(*face)))
             .map(|face| Orientation::from(face).into())
             .collect(),
-        Refusal::TooFewPoses { have, need, .. } => {
-            let mut taken: Vec<[f64; 3]> = poses
-                .iter()
-                .map(|pose| {
-                    let norm = magnitude(pose.mean_mps2);
-                    pose.mean_mps2.map(|axis| axis / norm)
-                })
-                .collect();
-            (have..need).map(|_| farthest(&mut taken).into()).collect()
-        }
+        Refusal::TooFewPoses { have, need, .. } => advice(poses, options, need - have),
         _ => Vec::new(),
     }
+}
+
+/// The orientations that add most to these poses, as many as are worth it, `least` in any case.
+fn advice(poses: &[Pose], options: &CalibrateOptions, least: usize) -> Vec<NextPose> {
+    if options.method != MethodChoice::MultiPosition {
+        return Vec::new();
+    }
+    let mut guide = Guide::after(wanted(options), poses);
+    let count = guide.worth(|_| true).min(MOST_ADVISED).max(least);
+    let next = std::iter::from_fn(|| {
+        let next = guide.next(|_| true)?;
+        guide.take(next.up());
+        Some(next.into())
+    });
+    next.take(count).collect()
 }
 
 /// The orientation that a pose is nearest to.
@@ -375,28 +496,6 @@ fn nearest(pose: &Pose) -> Orientation {
         .into_iter()
         .max_by(|a, b| along(a).total_cmp(&along(b)))
         .unwrap_or(Face::ZUp.into())
-}
-
-/// The orientation farthest from all that are taken; takes it.
-fn farthest(taken: &mut Vec<[f64; 3]>) -> Orientation {
-    let nearness = |orientation: &Orientation| {
-        let up = orientation.up();
-        taken
-            .iter()
-            .map(|other| up.iter().zip(other).map(|(a, b)| a * b).sum())
-            .fold(-1.0, f64::max)
-    };
-    // Faces before edges and corners where they are as far: they are easier to hold.
-    let faces = Face::ALL.into_iter().map(Orientation::from);
-    let mut best = (f64::INFINITY, Orientation::from(Face::ZUp));
-    for orientation in faces.chain(Orientation::ALL) {
-        let near = nearness(&orientation);
-        if near < best.0 - 1e-9 {
-            best = (near, orientation);
-        }
-    }
-    taken.push(best.1.up());
-    best.1
 }
 
 #[cfg(test)]

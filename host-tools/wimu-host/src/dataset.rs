@@ -66,6 +66,8 @@ pub struct Output {
     pub samples: u32,
     /// Whether samples are missing before this one.
     pub after_gap: bool,
+    /// Time of the row of a CSV file, s, where it has one.
+    pub time_s: Option<f64>,
 }
 
 /// One accelerometer's output.
@@ -117,6 +119,7 @@ impl Dataset {
                 temperature_c: row.temperature_c,
                 samples: weight.unwrap_or(1),
                 after_gap: false,
+                time_s: row.time_ns.map(|ns| ns as f64 * 1e-9),
             });
         }
         if outputs.is_empty() {
@@ -243,6 +246,7 @@ impl Dataset {
                     temperature_c: temperatures.at(sample.time),
                     samples: 1,
                     after_gap: next != Some(sample.sequence) && !outputs.is_empty(),
+                    time_s: None,
                 });
                 next = Some(sample.sequence.wrapping_add(1));
             }

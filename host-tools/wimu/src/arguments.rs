@@ -227,6 +227,8 @@ impl From<Role> for wimu_link::LinkRole {
 #[command(after_help = "\
 Example: wimu calibrate session.mcap -o CAL.json
          wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
+         wimu calibrate session.csv --model auto+drift --report report.html
+         wimu calibrate turns.csv --method four-angle --placement-sd 0.5
          wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
          wimu calibrate session.mcap --method reference           (wireless against cable)
          wimu calibrate two.csv --method reference --reference 0 --accelerometer 1")]
@@ -236,13 +238,15 @@ pub struct Calibrate {
     /// Write the calibration here
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
-    /// How: from gravity's magnitude in any poses, from six known ones, or against a reference
-    /// that moves along: the cable's samples, or another accelerometer of a CSV file
+    /// How: from gravity's magnitude in any poses, from six known ones, from turns about level axes
+    /// in steps of 90° or 120°, or against a reference that moves along: the cable's samples, or
+    /// another accelerometer of a CSV file
     #[arg(long, value_enum, default_value_t = Method::MultiPosition)]
     pub method: Method,
     /// How many parameters: 9 = bias, scale and misalignment (default), 6 without misalignment,
-    /// 3 bias only, auto = the least error on poses left out; six-position has 12
-    #[arg(long, value_name = "3|6|9|12|auto")]
+    /// 3 bias only, auto = the least error on poses left out; six-position has 12, the turns 6.
+    /// On top: +drift (of the bias over the session), +temperature, +quadratic, as in 9+drift
+    #[arg(long, value_name = "3|6|9|12|auto[+TERM…]")]
     pub model: Option<String>,
     /// Local gravity; without it 9.80665 ± 0.015
     #[arg(long, value_name = "M_S2")]
@@ -262,9 +266,16 @@ pub struct Calibrate {
     /// Which accelerometer of a CSV file is the reference; without it the first (method reference)
     #[arg(long, value_name = "N")]
     pub reference: Option<u32>,
-    /// How exactly the six positions were placed, 1 σ; without it 1
+    /// How exactly six positions or steps of a turn were placed, 1 σ; without it 1
     #[arg(long, value_name = "DEG")]
     pub placement_sd: Option<f64>,
+    /// Which side was up in each pose, in order, such as "x,-x,y,-y,z,-z" (six-position): finds
+    /// axes that are swapped or mirrored, which gravity alone does not show
+    #[arg(long, value_name = "SIDES", allow_hyphen_values = true)]
+    pub sides: Option<String>,
+    /// Write the report with its pictures here
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
     /// Of which link of a recording; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
@@ -280,6 +291,8 @@ pub struct Calibrate {
 pub enum Method {
     MultiPosition,
     SixPosition,
+    FourAngle,
+    ThreeAngle,
     Reference,
 }
 

@@ -531,7 +531,13 @@ fn a_replayed_file_calibrates_as_the_file_itself() {
         assert_eq!(info["links"][0]["raw_samples"], rows);
         let strip = |mut report: Value| {
             let object = report.as_object_mut().unwrap();
-            for key in ["source", "rate_source", "parameters", "parameter_id"] {
+            for key in [
+                "source",
+                "rate_source",
+                "parameters",
+                "parameter_id",
+                "units",
+            ] {
                 object.remove(key);
             }
             report.to_string()

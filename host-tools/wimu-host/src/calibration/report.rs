@@ -31,6 +31,8 @@ pub struct NextPose {
     pub up: [f64; 3],
     /// The same in words.
     pub text: String,
+    /// How to get there, step by step.
+    pub instruction: String,
 }
 
 impl From<Orientation> for NextPose {
@@ -38,6 +40,7 @@ impl From<Orientation> for NextPose {
         Self {
             up: orientation.up(),
             text: orientation.to_string(),
+            instruction: orientation.instruction().to_string(),
         }
     }
 }
@@ -45,6 +48,8 @@ impl From<Orientation> for NextPose {
 /// The numbers of an estimate.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fit {
+    /// The parameters of A and b that were fitted, by name.
+    pub fitted: Vec<String>,
     /// Degrees of freedom.
     pub dof: usize,
     /// |f| − g over all poses, mm/s² rms.
@@ -56,14 +61,69 @@ pub struct Fit {
     pub loo_rms_mm_s2: Option<f64>,
     /// Condition of the fit, 1 is best.
     pub condition: f64,
+    /// Standard deviation of |f| − g to be expected in the worst orientation, mm/s².
+    pub worst_sd_mm_s2: f64,
+    /// Share of all directions within 45° of a pose's, 0 to 1.
+    pub coverage: f64,
     /// Mean temperature of the poses, °C.
     pub temperature_c: Option<f64>,
+    /// Lowest and highest of them, °C: temperature terms hold between them.
+    pub temperature_range_c: Option<[f64; 2]>,
+    /// How the bias moved over the session, where that was fitted: the model's is that at its end.
+    pub drift: Option<DriftReport>,
+    /// Placement error that the standard deviations include, 1 σ, where orientations were known.
+    pub placement_sd_deg: Option<f64>,
     /// The error model.
     pub model: ErrorTerms,
     /// Standard deviations, 1 σ, in the model's shape; 0 for what was not fitted.
     pub sd: ErrorTerms,
+    /// Half the 95 % interval of each, the bias, then A row by row; Student's.
+    pub half_width_95: [f64; Parameter::COUNT],
+    /// Bias and scale error in other units.
+    pub units: OtherUnits,
     /// Covariance of the bias, then A row by row.
     pub covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
+}
+
+/// How the bias moved over a session, in proportion to time.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct DriftReport {
+    /// From the first pose to the last, m/s².
+    pub change_m_s2: [f64; 3],
+    /// Its standard deviation, m/s².
+    pub sd_m_s2: [f64; 3],
+    /// From the first pose to the last, s (poses, where they have no times).
+    pub span_s: f64,
+}
+
+/// A model's numbers as datasheets have them.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct OtherUnits {
+    /// Bias, mg.
+    pub bias_mg: [f64; 3],
+    /// Bias, % of full scale, where the range is known.
+    pub bias_percent_of_full_scale: Option<[f64; 3]>,
+    /// S − 1, ppm.
+    pub scale_error_ppm: [f64; 3],
+}
+
+/// One static pose.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StaticPose {
+    /// Mean output by the nominal sensitivity, m/s².
+    pub mean_m_s2: [f64; 3],
+    /// Standard deviation of a sample, m/s²; 0 where it is not known.
+    pub sd_m_s2: [f64; 3],
+    /// Samples that the mean is of.
+    pub samples: u32,
+    /// Row or sample with which it begins, from 0.
+    pub first_sample: u64,
+    /// Middle of it, s.
+    pub time_s: f64,
+    /// Mean temperature, °C.
+    pub temperature_c: Option<f64>,
+    /// |f| − g after correction, mm/s².
+    pub residual_mm_s2: Option<f64>,
 }
 
 /// What came of a calibration: the JSON of `wimu calibrate`, and the file that `wimu params push`
@@ -78,10 +138,10 @@ pub struct CalibrationReport {
     pub reason: Option<String>,
     /// The data.
     pub source: String,
-    /// `multi-position` or `six-position`.
+    /// `multi-position`, `six-position`, `four-angle` or `three-angle`.
     pub method: &'static str,
     /// What was fitted.
-    pub terms: &'static [&'static str],
+    pub terms: Vec<&'static str>,
     /// How many static poses were found or given.
     pub poses: usize,
     /// Sample rate at which poses were looked for, Hz, and where it comes from; `None` for pose
@@ -106,8 +166,12 @@ pub struct CalibrationReport {
     pub fit: Option<Fit>,
     /// Poses left out of the fit, by their place from 0.
     pub rejected_poses: Vec<usize>,
-    /// Poses that would help.
+    /// Poses that would help most, in this order: against a refusal, or to make an answer better.
     pub next_poses: Vec<NextPose>,
+    /// How many more poses are worth taking: each lowers the error to be expected by 3 % or more.
+    pub poses_worth_adding: usize,
+    /// The poses that were found or given; none listed beyond 1000.
+    pub static_poses: Vec<StaticPose>,
     /// What a board takes; `None` when the data's sensitivity is not known.
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
@@ -162,7 +226,7 @@ impl fmt::Display for CalibrationReport {
                 self.reason.as_deref().unwrap_or("no reason")
             )?;
             for pose in &self.next_poses {
-                write!(out, "\nadd a pose with {}", pose.text)?;
+                write!(out, "\nadd a pose with {}: {}", pose.text, pose.instruction)?;
             }
             return Ok(());
         };
@@ -203,11 +267,62 @@ impl fmt::Display for CalibrationReport {
                 "no pose can be left out: nothing tells the error elsewhere"
             )?,
         }
-        write!(
+        writeln!(
             out,
-            "; condition {:.1}, {} degrees of freedom",
-            fit.condition, fit.dof
-        )
+            "; condition {:.1}, {} degrees of freedom, {:.0} % of the sphere covered; ± is 1 σ",
+            fit.condition,
+            fit.dof,
+            fit.coverage * 100.0
+        )?;
+        if let Some(drift) = &fit.drift {
+            let [x, y, z] = drift.change_m_s2.map(|axis| axis * 1e3);
+            writeln!(
+                out,
+                "drift over {:.0} s: {x:+.1} {y:+.1} {z:+.1} mm/s²; the bias is that at the end",
+                drift.span_s
+            )?;
+        }
+        if let Some([low, high]) = fit.temperature_range_c {
+            let terms = &fit.model.temperature;
+            if terms.bias_mps2_per_k != [0.0; 3] || terms.scale_per_k != [0.0; 3] {
+                let [x, y, z] = terms.bias_mps2_per_k.map(|slope| slope * 1e3);
+                writeln!(
+                    out,
+                    "with temperature: bias {x:+.2} {y:+.2} {z:+.2} mm/s²/K; holds from {low:.1} to \
+                     {high:.1} °C"
+                )?;
+            }
+        }
+        let mut worst: Vec<_> = self
+            .static_poses
+            .iter()
+            .enumerate()
+            .filter_map(|(k, pose)| Some((k, pose.residual_mm_s2?)))
+            .collect();
+        worst.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+        let listed: Vec<String> = worst
+            .iter()
+            .take(3)
+            .map(|(k, residual)| format!("{k} ({residual:+.2})"))
+            .collect();
+        if !listed.is_empty() {
+            writeln!(out, "worst poses (from 0), mm/s²: {}", listed.join(", "))?;
+        }
+        if !self.rejected_poses.is_empty() {
+            writeln!(
+                out,
+                "left out of the fit, the others contradict them: poses {:?}",
+                self.rejected_poses
+            )?;
+        }
+        match (self.poses_worth_adding, self.next_poses.first()) {
+            (0, _) | (_, None) => write!(out, "more poses would change little"),
+            (more, Some(next)) => write!(
+                out,
+                "{more} more poses are worth it; the next: {}",
+                next.instruction
+            ),
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use wimu_calib::{Face, Model, PoseFinder};
+use wimu_calib::{Face, Model, PoseFinder, Term, Terms};
 use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
 use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
@@ -63,6 +63,9 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     {
         calibration::write_report(path, &report)?;
     }
+    if let Some(path) = &arguments.report {
+        report.page()?.write(path)?;
+    }
     if report.exit_code() == 0
         && arguments.push
         && let Some(client) = &mut client
@@ -81,6 +84,8 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--gravity", arguments.gravity.is_some()),
         ("--poses", arguments.poses),
         ("--placement-sd", arguments.placement_sd.is_some()),
+        ("--sides", arguments.sides.is_some()),
+        ("--report", arguments.report.is_some()),
         ("--link", arguments.link.is_some()),
         ("--push", arguments.push),
     ];
@@ -139,34 +144,93 @@ fn utc_s() -> Option<u64> {
 }
 
 fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
-    let six = arguments.method == Method::SixPosition;
-    let model = match arguments.model.as_deref() {
-        None => ModelChoice::default(),
-        Some("9") if !six => ModelChoice::Fixed(Model::Full9),
-        Some("6") if !six => ModelChoice::Fixed(Model::BiasScale6),
-        Some("3") if !six => ModelChoice::Fixed(Model::Bias3),
-        Some("auto") if !six => ModelChoice::Auto,
-        Some("12") if six => ModelChoice::default(),
-        Some(other) => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                format!("--model {other} does not go with this method"),
-                "multi-position has 3, 6, 9 or auto, six-position has 12",
+    let method = match arguments.method {
+        Method::SixPosition => MethodChoice::SixPosition,
+        Method::FourAngle => MethodChoice::FourAngle,
+        Method::ThreeAngle => MethodChoice::ThreeAngle,
+        Method::MultiPosition | Method::Reference => MethodChoice::MultiPosition,
+    };
+    let usage = |message: String, remedy: &str| HostError::new(ErrorCode::Usage, message, remedy);
+    let text = arguments.model.as_deref().unwrap_or_default();
+    let mut parts = text.split('+');
+    let base = parts.next().unwrap_or_default();
+    let mut terms = Terms::NONE;
+    for part in parts {
+        terms = match part {
+            "drift" => terms.with(Term::Drift),
+            "temperature" => terms
+                .with(Term::BiasTemperature)
+                .with(Term::ScaleTemperature),
+            "quadratic" => terms.with(Term::Quadratic),
+            other => {
+                return Err(usage(
+                    format!("--model {text}: there is no term {other:?}"),
+                    "the terms are drift, temperature and quadratic, as in 9+drift",
+                ));
+            }
+        };
+    }
+    let multi = method == MethodChoice::MultiPosition;
+    let model = match (base, method) {
+        ("", _) => ModelChoice::default(),
+        ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
+        ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
+        ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
+        ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
+        ("12", MethodChoice::SixPosition)
+        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
+        _ => {
+            return Err(usage(
+                format!("--model {text} does not go with --method {}", method.name()),
+                "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
             ));
         }
     };
+    if terms != Terms::NONE && !multi {
+        return Err(usage(
+            format!("--model {text}: only multi-position has terms"),
+            "leave the term out, or use --method multi-position",
+        ));
+    }
+    let sides = match &arguments.sides {
+        Some(_) if method != MethodChoice::SixPosition => {
+            return Err(usage(
+                "--sides goes with --method six-position only".to_owned(),
+                "leave it out",
+            ));
+        }
+        Some(text) => Some(text.split(',').map(side).collect::<Result<Vec<_>>>()?),
+        None => None,
+    };
     Ok(CalibrateOptions {
-        method: if six {
-            MethodChoice::SixPosition
-        } else {
-            MethodChoice::MultiPosition
-        },
+        method,
         model,
+        terms,
+        sides,
         gravity_mps2: arguments.gravity,
         sensitivity_lsb_per_g: arguments.sensitivity,
         placement_sd_deg: arguments.placement_sd,
         utc_s: utc_s(),
     })
+}
+
+fn side(text: &str) -> Result<Face> {
+    let text = text.trim().to_ascii_lowercase();
+    let (sign, axis) = match text.strip_prefix('-') {
+        Some(axis) => (1, axis),
+        None => (0, text.strip_prefix('+').unwrap_or(&text)),
+    };
+    ["x", "y", "z"]
+        .iter()
+        .position(|name| *name == axis)
+        .map(|axis| Face::ALL[2 * axis + sign])
+        .ok_or_else(|| {
+            HostError::new(
+                ErrorCode::Usage,
+                format!("--sides: {text:?} is no side"),
+                "the sides that are up are x, -x, y, -y, z and -z, separated by commas",
+            )
+        })
 }
 
 /// Collects a live board's samples until enough poses were held, or Ctrl-C.

@@ -1,0 +1,81 @@
+//! A calibration's report with its pictures.
+
+use super::CalibrationReport;
+use crate::error::Result;
+use crate::html::{Chart, Report, Series};
+
+impl CalibrationReport {
+    /// The report as one HTML page: what was printed, |f| − g of each pose before and after, and a
+    /// table of the poses.
+    ///
+    /// # Errors
+    /// `file_failed` when a picture cannot be drawn.
+    pub fn page(&self) -> Result<Report> {
+        let mut page = Report::new(format!("Calibration of {}", self.source));
+        page.printed(&self.to_string());
+        let magnitude = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+        let before =
+            |k: usize| (magnitude(self.static_poses[k].mean_m_s2) - self.gravity_m_s2) * 1e3;
+        let numbered = |value: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
+            (0..self.static_poses.len())
+                .filter_map(|k| Some((k as f64, value(k)?)))
+                .collect()
+        };
+        let dots = |name: &str, points: Vec<(f64, f64)>| Series {
+            name: name.to_owned(),
+            points,
+            dots: true,
+        };
+        let after = numbered(&|k| self.static_poses[k].residual_mm_s2);
+        let uncorrected = numbered(&|k| Some(before(k)));
+        for (title, series) in [
+            ("|f| − g before correction", dots("before", uncorrected)),
+            ("|f| − g after correction", dots("after", after)),
+        ] {
+            if series.points.is_empty() {
+                continue;
+            }
+            page.chart(&Chart {
+                title: title.to_owned(),
+                x: "pose".to_owned(),
+                y: "mm/s²".to_owned(),
+                log: false,
+                y_range: None,
+                series: vec![series],
+            })?;
+        }
+        let rows: Vec<Vec<String>> = self
+            .static_poses
+            .iter()
+            .enumerate()
+            .map(|(k, pose)| {
+                let [x, y, z] = pose.mean_m_s2;
+                let left_out = self.rejected_poses.contains(&k);
+                vec![
+                    k.to_string(),
+                    format!("{x:+.4} {y:+.4} {z:+.4}"),
+                    pose.samples.to_string(),
+                    format!("{:.2}", magnitude(pose.sd_m_s2) * 1e3),
+                    pose.temperature_c
+                        .map_or(String::new(), |celsius| format!("{celsius:.1}")),
+                    pose.residual_mm_s2
+                        .map_or(String::new(), |residual| format!("{residual:+.3}")),
+                    if left_out { "left out" } else { "" }.to_owned(),
+                ]
+            })
+            .collect();
+        page.table(
+            &[
+                "pose",
+                "mean output, m/s²",
+                "samples",
+                "noise, mm/s²",
+                "°C",
+                "|f| − g, mm/s²",
+                "",
+            ],
+            &rows,
+        );
+        Ok(page)
+    }
+}

@@ -25,6 +25,8 @@ impl Estimate {
             method: match self.method {
                 Method::SixPosition { .. } => CalibrationMethod::SixPosition,
                 Method::MultiPosition(_) => CalibrationMethod::MultiPosition,
+                Method::FourAngle => CalibrationMethod::FourAngle,
+                Method::ThreeAngle => CalibrationMethod::ThreeAngle,
             },
             utc_s,
             temperature,
@@ -34,7 +36,12 @@ impl Estimate {
             loo_rms_mps2: self.loo_rms_mps2.map(|loo| loo as f32),
             condition: Some(self.condition.max(1.0) as f32),
             covariance: ModelCovariance::from_matrix(self.covariance.matrix()).ok()?,
-            other_sd: TermDeviations::default(),
+            other_sd: TermDeviations {
+                bias_mps2_per_k: self.term_sd.bias_mps2_per_k.map(|sd| sd as f32),
+                bias_mps2_per_k2: [0.0; 3],
+                scale_per_k: self.term_sd.scale_per_k.map(|sd| sd as f32),
+                nonlinearity: self.term_sd.nonlinearity.map(|sd| sd as f32),
+            },
         })
         .ok()
     }

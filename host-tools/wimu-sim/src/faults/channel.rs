@@ -35,6 +35,8 @@ pub struct Channel {
     splices: Events,
     duplicates: Events,
     delays: Random,
+    /// The packet that a byte is in, and its jitter, ns.
+    packet: (u64, u64),
     /// Bytes that came in so far.
     place: u64,
     /// The latest time at which a byte reaches the receiver.
@@ -73,6 +75,7 @@ impl Channel {
             splices: Events::new(faults.splice_rate, Random::new(seed, SPLICES)),
             duplicates: Events::new(faults.duplicate_rate, Random::new(seed, DUPLICATES)),
             delays: Random::new(seed, DELAYS),
+            packet: (u64::MAX, 0),
             place: 0,
             latest_ns: 0,
             under_way: VecDeque::new(),
@@ -233,7 +236,8 @@ impl Channel {
             self.counts.bytes_overflowed += 1;
             return None;
         }
-        let delayed = now_ns + nanoseconds(self.faults.latency) + self.jitter_ns();
+        let jitter_ns = self.jitter_ns();
+        let delayed = now_ns + nanoseconds(self.faults.latency) + jitter_ns;
         let mut due_ns = delayed.max(self.latest_ns);
         // One stall may end in another; ones without end between them are given up.
         for _ in 0..1000 {
@@ -256,15 +260,25 @@ impl Channel {
         self.under_way.push_back((due_ns, byte));
         self.counts.bytes_delivered += 1;
         self.at_end_of_frame = byte == 0;
-        if self.history.len() == HISTORY {
-            self.history.pop_front();
+        if self.faults.splice_rate > 0.0 || self.faults.duplicate_rate > 0.0 {
+            if self.history.len() == HISTORY {
+                self.history.pop_front();
+            }
+            self.history.push_back(byte);
         }
-        self.history.push_back(byte);
         Some(due_ns)
     }
 
-    fn jitter_ns(&self) -> u64 {
-        let draw = || self.delays.unit(self.place.saturating_sub(1) / PACKET);
+    fn jitter_ns(&mut self) -> u64 {
+        let packet = self.place.saturating_sub(1) / PACKET;
+        if self.packet.0 != packet {
+            self.packet = (packet, self.draw_jitter_ns(packet));
+        }
+        self.packet.1
+    }
+
+    fn draw_jitter_ns(&self, packet: u64) -> u64 {
+        let draw = || self.delays.unit(packet);
         match self.faults.jitter {
             None => 0,
             Some(Jitter::Uniform(most)) => (draw() * nanoseconds(most) as f64) as u64,

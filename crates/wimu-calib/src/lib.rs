@@ -9,6 +9,7 @@ mod gravity;
 mod input;
 mod least_squares;
 mod multi_position;
+mod noise;
 mod orientation;
 mod outliers;
 mod parameter;
@@ -29,6 +30,7 @@ pub use least_squares::Rejected;
 pub use multi_position::{
     Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
 };
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use pose::Pose;

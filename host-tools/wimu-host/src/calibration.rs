@@ -295,6 +295,23 @@ fn poses(data: &Dataset, scale: f64) -> Poses {
     Poses { poses, scale }
 }
 
+/// m/s² per unit of a dataset's values: by the sensitivity given, else the board's, else so that the
+/// median output is `gravity_mps2`.
+pub(crate) fn mps2_per_unit(data: &Dataset, given: Option<Sensitivity>, gravity_mps2: f64) -> f64 {
+    match (data.unit, given) {
+        (OutputUnit::Mps2, _) => 1.0,
+        (_, Some(known))
+        | (
+            OutputUnit::Counts {
+                nominal: Some(known),
+                ..
+            },
+            None,
+        ) => known.mps2_per_lsb(),
+        _ => gravity_mps2 / median_magnitude(data),
+    }
+}
+
 fn median_magnitude(data: &Dataset) -> f64 {
     let mut magnitudes: Vec<f64> = data
         .outputs

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod allan;
 pub mod calibration;
 pub mod client;
 pub mod csv;

@@ -43,6 +43,8 @@ pub enum Command {
     Export(Export),
     /// Estimate the error model of an accelerometer
     Calibrate(Calibrate),
+    /// Noise density and bias instability of an accelerometer at rest
+    Allan(Allan),
     /// The calibration on a device
     Params {
         #[command(subcommand)]
@@ -285,6 +287,30 @@ pub struct Calibrate {
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu allan rest.mcap --report noise.html
+Ten minutes at rest tell the noise density, an hour or more the bias instability.")]
+pub struct Allan {
+    /// A recording or a CSV file of a sensor that lies still
+    pub input: String,
+    /// Write a report with the curve here
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Nominal sensitivity; without it the board's, or for a CSV file so that gravity is 1 g
+    #[arg(long, value_name = "LSB_PER_G")]
+    pub sensitivity: Option<f64>,
+    /// Only the rows of the CSV file with these values
+    #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
+    pub filter: Option<String>,
+    /// Which accelerometer of a CSV file that has several
+    #[arg(long, value_name = "N")]
+    pub accelerometer: Option<u32>,
+    /// Of which link of a recording; without it, the cable if it was recorded
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]

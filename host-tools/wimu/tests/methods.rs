@@ -99,3 +99,54 @@ fn a_stream_against_a_reference_has_bias_and_scale_where_it_moves() {
             .contains("different motions")
     );
 }
+
+/// A sensor at rest, g, 100 Hz, with noise of uniform distribution, ±`peak`.
+fn at_rest(seconds: u32, peak: f64) -> String {
+    let mut text =
+        String::from("Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n");
+    let mut state = 1_u64;
+    let mut noise = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 - 1.0) * peak
+    };
+    for k in 0..seconds * 100 {
+        let t = f64::from(k) / 100.0;
+        writeln!(text, "{t},{},{},{}", noise(), noise(), 1.0 + noise()).unwrap();
+    }
+    text
+}
+
+#[test]
+fn the_noise_of_a_sensor_at_rest_is_told_and_motion_is_refused() {
+    let (csv, folder) = in_folder("rest.csv");
+    fs::write(&csv, at_rest(120, 0.003)).unwrap();
+    let page = folder.path().join("noise.html").display().to_string();
+    let report = wimu(&["allan", &csv, "--report", &page]).succeeds();
+    assert_eq!(report["schema"], "wimu.noise/1");
+    // The peak over √3 is the standard deviation; density is that over √(rate / 2).
+    let expected = 0.003 * 9.80665 / 3.0_f64.sqrt() / 50.0_f64.sqrt();
+    for axis in 0..3 {
+        let density = &report["axes"][axis]["noise_density_m_s2_rthz"];
+        let (value, sd) = (&density["value"], &density["sd"]);
+        let off = (value.as_f64().unwrap() - expected).abs();
+        assert!(
+            off < 4.0 * sd.as_f64().unwrap() && off < 0.05 * expected,
+            "{density}"
+        );
+    }
+    assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
+
+    fs::write(&csv, two_accelerometers()).unwrap();
+    let moving = wimu(&["allan", &csv, "--accelerometer", "0"]);
+    assert_eq!(moving.code, 3, "{moving:?}");
+    assert!(
+        moving.object()["reason"]
+            .as_str()
+            .unwrap()
+            .contains("not at rest")
+    );
+    wimu(&["allan", &csv, "--sensitivity", "0"]).fails(2, "usage");
+    wimu(&["allan", "tcp://127.0.0.1:1"]).fails(2, "usage");
+}

@@ -1,5 +1,6 @@
 //! One module a command.
 
+pub mod allan;
 pub mod calibrate;
 pub mod demo;
 pub mod export;

@@ -1,0 +1,245 @@
+//! Noise of a recording at rest: the Allan deviation and what it says.
+
+use std::fmt;
+
+use serde::Serialize;
+use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
+
+use crate::Result;
+use crate::calibration::mps2_per_unit;
+use crate::dataset::{Dataset, RateSource};
+use crate::html::{Chart, Report, Series};
+
+/// A number and its standard deviation, 1 σ.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Figure {
+    /// The number.
+    pub value: f64,
+    /// Its standard deviation.
+    pub sd: f64,
+}
+
+impl From<Measured> for Figure {
+    fn from(measured: Measured) -> Self {
+        Self {
+            value: measured.value,
+            sd: measured.sd,
+        }
+    }
+}
+
+/// The noise of an axis.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AxisReport {
+    /// Noise density, one-sided as datasheets give it, m/s²/√Hz.
+    pub noise_density_m_s2_rthz: Figure,
+    /// Velocity random walk, the noise density / √2, m/s/√s.
+    pub velocity_random_walk_m_s_rts: Figure,
+    /// Bias instability, m/s²; `None` where the recording is too short to see it.
+    pub bias_instability_m_s2: Option<Figure>,
+    /// Acceleration random walk, m/s²/√s, where it is seen.
+    pub acceleration_random_walk_m_s2_rts: Option<Figure>,
+    /// Quantisation, m/s, where it is seen.
+    pub quantisation_m_s: Option<Figure>,
+    /// Least deviation, m/s².
+    pub floor_m_s2: f64,
+    /// The averaging time that it is at, s.
+    pub floor_tau_s: f64,
+}
+
+impl From<AxisNoise> for AxisReport {
+    fn from(noise: AxisNoise) -> Self {
+        Self {
+            noise_density_m_s2_rthz: noise.noise_density().into(),
+            velocity_random_walk_m_s_rts: noise.velocity_random_walk.into(),
+            bias_instability_m_s2: noise.bias_instability_mps2.map(Figure::from),
+            acceleration_random_walk_m_s2_rts: noise.acceleration_random_walk.map(Figure::from),
+            quantisation_m_s: noise.quantisation_mps.map(Figure::from),
+            floor_m_s2: noise.floor_mps2,
+            floor_tau_s: noise.floor_tau_s,
+        }
+    }
+}
+
+/// One averaging time.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct PointReport {
+    /// τ, s.
+    pub tau_s: f64,
+    /// Allan deviation of X, Y, Z, m/s².
+    pub deviation_m_s2: [f64; 3],
+    /// Standard deviation of each, as a share of it.
+    pub relative_sd: f64,
+}
+
+impl From<AllanPoint> for PointReport {
+    fn from(point: AllanPoint) -> Self {
+        Self {
+            tau_s: point.tau_s,
+            deviation_m_s2: point.deviation_mps2,
+            relative_sd: point.relative_sd(),
+        }
+    }
+}
+
+/// The JSON of `wimu allan`.
+#[derive(Clone, Debug, Serialize)]
+pub struct NoiseReport {
+    /// [`NoiseReport::SCHEMA`].
+    pub schema: &'static str,
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// The data.
+    pub source: String,
+    /// Samples at rest.
+    pub samples: u64,
+    /// Sample rate, Hz.
+    pub rate_hz: f64,
+    /// Where the rate comes from.
+    pub rate_source: RateSource,
+    /// X, Y, Z.
+    pub axes: Option<[AxisReport; 3]>,
+    /// The curve.
+    pub points: Vec<PointReport>,
+}
+
+/// The noise of a dataset at rest. `sensitivity` is for counts; where neither it nor the board's is
+/// known, the median output stands for 1 g.
+///
+/// Data that do not support an answer give a report that says so.
+pub fn noise(data: &Dataset, sensitivity: Option<Sensitivity>) -> NoiseReport {
+    let scale = mps2_per_unit(data, sensitivity, STANDARD_GRAVITY_MPS2);
+    let mut allan = Box::new(AllanVariance::new(data.rate_hz));
+    for output in &data.outputs {
+        if output.after_gap {
+            allan.gap();
+        }
+        allan.push(output.value.map(|axis| axis * scale));
+    }
+    let found = allan.result();
+    NoiseReport {
+        schema: NoiseReport::SCHEMA,
+        status: if found.is_ok() { "ok" } else { "refused" },
+        reason: found.as_ref().err().map(ToString::to_string),
+        source: data.name.clone(),
+        samples: allan.samples(),
+        rate_hz: data.rate_hz,
+        rate_source: data.rate_source,
+        points: if found.is_ok() {
+            allan.points().map(PointReport::from).collect()
+        } else {
+            Vec::new()
+        },
+        axes: found.ok().map(|axes| axes.map(AxisReport::from)),
+    }
+}
+
+impl NoiseReport {
+    /// Name of the JSON object.
+    pub const SCHEMA: &'static str = "wimu.noise/1";
+
+    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    pub fn exit_code(&self) -> u8 {
+        if self.axes.is_some() { 0 } else { 3 }
+    }
+
+    /// The report as a page with its picture.
+    ///
+    /// # Errors
+    /// `file_failed` when the picture cannot be drawn.
+    pub fn page(&self) -> Result<Report> {
+        let mut page = Report::new(format!("Noise of {}", self.source));
+        page.printed(&self.to_string());
+        let series = ["X", "Y", "Z"]
+            .into_iter()
+            .enumerate()
+            .map(|(axis, name)| Series {
+                name: name.to_owned(),
+                points: self
+                    .points
+                    .iter()
+                    .map(|point| (point.tau_s.log10(), point.deviation_m_s2[axis]))
+                    .collect(),
+                dots: false,
+            });
+        page.chart(&Chart {
+            title: "Allan deviation".to_owned(),
+            x: "averaging time τ, log₁₀ of s".to_owned(),
+            y: "σ(τ), m/s²".to_owned(),
+            log: true,
+            y_range: None,
+            series: series.collect(),
+        })?;
+        let rows: Vec<Vec<String>> = self
+            .points
+            .iter()
+            .map(|point| {
+                let [x, y, z] = point.deviation_m_s2.map(|d| format!("{:.4}", d * 1e3));
+                let share = format!("{:.1}", point.relative_sd * 100.0);
+                vec![format!("{:.3}", point.tau_s), x, y, z, share]
+            })
+            .collect();
+        page.table(&["τ, s", "X, mm/s²", "Y, mm/s²", "Z, mm/s²", "± %"], &rows);
+        Ok(page)
+    }
+}
+
+impl fmt::Display for NoiseReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "{}: {} samples, {:.0} s at {:.2} Hz",
+            self.source,
+            self.samples,
+            self.samples as f64 / self.rate_hz,
+            self.rate_hz
+        )?;
+        if self.rate_source == RateSource::Assumed {
+            write!(out, " (assumed: the data have no times)")?;
+        }
+        let Some(axes) = &self.axes else {
+            return write!(
+                out,
+                "\nrefused: {}",
+                self.reason.as_deref().unwrap_or("no reason")
+            );
+        };
+        let ug = 1e6 / STANDARD_GRAVITY_MPS2;
+        for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes) {
+            let density = axis.noise_density_m_s2_rthz;
+            write!(
+                out,
+                "\n{name}: noise density {:.1} ± {:.1} µg/√Hz, velocity random walk {:.3} mm/s/√s, ",
+                density.value * ug,
+                density.sd * ug,
+                axis.velocity_random_walk_m_s_rts.value * 1e3
+            )?;
+            match axis.bias_instability_m_s2 {
+                Some(b) => write!(
+                    out,
+                    "bias instability {:.1} ± {:.1} µg",
+                    b.value * ug,
+                    b.sd * ug
+                )?,
+                None => write!(
+                    out,
+                    "bias instability not seen; σ falls to {:.1} µg at {:.0} s",
+                    axis.floor_m_s2 * ug,
+                    axis.floor_tau_s
+                )?,
+            }
+            if let Some(k) = axis.acceleration_random_walk_m_s2_rts {
+                write!(
+                    out,
+                    ", acceleration random walk {:.2} ± {:.2} µg/√s",
+                    k.value * ug,
+                    k.sd * ug
+                )?;
+            }
+        }
+        Ok(())
+    }
+}

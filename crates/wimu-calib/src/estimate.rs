@@ -205,13 +205,32 @@ impl Covariance {
         self.0[a.index()][b.index()] += covariance;
     }
 
+    pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
+        Self(*matrix)
+    }
+
     /// Adds that of gravity: A goes with 1/g, so its relative error is common to all of A.
     /// The last term of equation (15).
     pub(crate) fn add_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
         let relative = gravity.sd_mps2() / gravity.mps2();
+        self.add_common_scale(theta, relative * relative);
+    }
+
+    /// Takes it out again, as far as it is in.
+    pub(crate) fn remove_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
+        let relative = gravity.sd_mps2() / gravity.mps2();
+        let held = |axis: usize| {
+            let scale = theta[3 + 4 * axis];
+            self.0[3 + 4 * axis][3 + 4 * axis] / (scale * scale)
+        };
+        let most = (0..3).map(held).fold(f64::INFINITY, f64::min);
+        self.add_common_scale(theta, -(relative * relative).min(most));
+    }
+
+    fn add_common_scale(&mut self, theta: &Theta<f64>, variance: f64) {
         for i in 3..Parameter::COUNT {
             for j in 3..Parameter::COUNT {
-                self.0[i][j] += theta[i] * theta[j] * relative * relative;
+                self.0[i][j] += theta[i] * theta[j] * variance;
             }
         }
     }

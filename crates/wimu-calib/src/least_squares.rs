@@ -607,6 +607,20 @@ fn eigen<R: Real, const N: usize>(mut m: SMatrix<R, N, N>) -> (SVector<R, N>, SM
     (m.diagonal(), vectors)
 }
 
+/// |f| that `output` means at `warmer` K above T₀, m/s², and its derivatives with respect to the
+/// first twelve parameters: equation (13).
+pub(crate) fn magnitude(
+    theta: &Theta<f64>,
+    output: [f64; 3],
+    warmer: f64,
+) -> Option<(f64, [f64; 12])> {
+    let at = Evaluated::new(theta)?;
+    let applied = at.apply(output, 0.0, warmer);
+    let (w, n) = at.directions(&applied);
+    let row = core::array::from_fn(|i| at.derivative(Slot::ALL[i], &applied, &w, &n));
+    Some((applied.force.norm(), row))
+}
+
 /// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the
 /// first twelve parameters: equation (17).
 pub(crate) fn worst_sd(

@@ -52,6 +52,8 @@ impl Parameter {
         Self::ScaleZ,
     ];
 
+    pub(crate) const BIAS: [Self; 3] = [Self::BiasX, Self::BiasY, Self::BiasZ];
+
     /// Its place in [`Parameter::ALL`], 0..12.
     pub const fn index(self) -> usize {
         self as usize

@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use wimu_model::ErrorModel;
+
 use crate::Parameter;
 
 /// All parameters of a fit: the 12 of [`Parameter::ALL`], then three each of the drift of the bias
@@ -64,6 +66,19 @@ pub(crate) const PERFECT: Theta<f64> = {
     theta[11] = 1.0;
     theta
 };
+
+pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
+    let terms = model.terms();
+    let mut theta = PERFECT;
+    for axis in 0..3 {
+        theta[axis] = terms.bias_mps2[axis];
+        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&terms.matrix[axis]);
+        theta[15 + axis] = terms.temperature.bias_mps2_per_k[axis];
+        theta[18 + axis] = terms.temperature.scale_per_k[axis];
+        theta[21 + axis] = terms.nonlinearity[axis];
+    }
+    theta
+}
 
 pub(crate) fn bias(theta: &Theta<f64>) -> [f64; 3] {
     triple(theta, 0)

@@ -1,0 +1,194 @@
+//! Does a stored calibration still hold? The recursive form: equation (48).
+
+use wimu_model::{ErrorModel, ModelError, ParameterSet};
+
+use crate::least_squares;
+use crate::terms::{self, Theta};
+use crate::{Covariance, Gravity, Parameter, Pose};
+
+/// What makes a calibration age, as standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Ageing {
+    /// By how much the bias differs from one run to the next, m/s² an axis.
+    pub turn_on_mps2: f64,
+    /// By how much the bias moves with temperature beyond what the model says, m/s² per K an axis.
+    pub per_kelvin_mps2: f64,
+    /// What differs from pose to pose and is no noise, m/s².
+    pub pose_mps2: f64,
+}
+
+impl Default for Ageing {
+    /// 15 mm/s² from run to run (ten to twenty were seen on MPU-9150), 5 mm/s² per K (½ mg, as
+    /// datasheets have it), 3 mm/s² from pose to pose.
+    fn default() -> Self {
+        Self {
+            turn_on_mps2: 0.015,
+            per_kelvin_mps2: 0.005,
+            pose_mps2: 0.003,
+        }
+    }
+}
+
+/// What a pose says about a calibration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Check {
+    /// |f| − g before the pose was taken into account, m/s².
+    pub residual_mps2: f64,
+    /// Its standard deviation if the calibration holds, m/s².
+    pub expected_sd_mps2: f64,
+    /// Whether it holds as far as this pose tells: a good calibration fails once in a thousand
+    /// poses. A pose that contradicts changes nothing.
+    pub holds: bool,
+}
+
+/// Normal deviate of that chance.
+const MOST_DEVIATIONS: f64 = 3.2905;
+
+/// A stored calibration that is checked, and brought up to date, by every rest.
+///
+/// ```
+/// use wimu_calib::{Ageing, Covariance, Gravity, Pose, SelfCheck};
+/// use wimu_model::ErrorModel;
+///
+/// let stored = ErrorModel::default();
+/// let known = [[0.0; 12]; 12]; // as of an estimate: `estimate.covariance.matrix()`
+/// let mut check = SelfCheck::new(&stored, &known, Gravity::UNKNOWN_PLACE, Ageing::default());
+/// let at_rest = Pose::from_mean([0.0, 0.010, 9.810]);
+/// assert!(check.push(&at_rest).is_some_and(|check| check.holds));
+/// let knocked = Pose::from_mean([0.0, 0.010, 9.950]);
+/// assert!(check.push(&knocked).is_some_and(|check| !check.holds));
+/// // What the rest told is in the model from now on.
+/// assert!(check.model()?.terms().bias_mps2[2] > 0.0);
+/// # Ok::<(), wimu_model::ModelError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SelfCheck {
+    stored: ErrorModel,
+    theta: Theta<f64>,
+    covariance: Covariance,
+    gravity: Gravity,
+    ageing: Ageing,
+    celsius: Option<f64>,
+    poses: u32,
+    contradictions: u32,
+}
+
+impl SelfCheck {
+    /// A check of `stored`, whose 12 parameters have `covariance` (in the order of
+    /// [`Parameter::ALL`]), made at `gravity` and used there: what is not known of gravity is in
+    /// the covariance and is taken out of it again, because it changes no |f| − g.
+    pub fn new(
+        stored: &ErrorModel,
+        covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
+        gravity: Gravity,
+        ageing: Ageing,
+    ) -> Self {
+        let theta = terms::theta_of(stored);
+        let mut covariance = Covariance::from_matrix(covariance);
+        covariance.remove_gravity(&theta, gravity);
+        let turn_on = ageing.turn_on_mps2 * ageing.turn_on_mps2;
+        for bias in Parameter::BIAS {
+            covariance.add(bias, bias, turn_on);
+        }
+        Self {
+            stored: *stored,
+            theta,
+            covariance,
+            gravity,
+            ageing,
+            celsius: None,
+            poses: 0,
+            contradictions: 0,
+        }
+    }
+
+    /// A check of what a device holds; `None` where the set does not say how good it is.
+    pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
+        let quality = set.quality.as_ref()?.terms();
+        let mut check = Self::new(&set.model, &quality.covariance.matrix(), gravity, ageing);
+        check.celsius = quality.temperature.map(|t| f64::from(t.mean_c));
+        Some(check)
+    }
+
+    /// Takes a rest into account. `None` where it is no pose: not finite, or nowhere near gravity.
+    pub fn push(&mut self, pose: &Pose) -> Option<Check> {
+        let terms = self.stored.terms().temperature;
+        let celsius = pose.temperature_c.filter(|celsius| celsius.is_finite());
+        let warmer = celsius.map_or(0.0, |celsius| celsius - terms.reference_c);
+        let mut output = pose.mean_mps2;
+        for axis in 0..3 {
+            output[axis] -= terms.bias_mps2_per_k2[axis] * warmer * warmer;
+        }
+        let g = self.gravity.mps2();
+        let (force, row) = least_squares::magnitude(&self.theta, output, warmer)
+            .filter(|(force, _)| (0.5 * g..1.5 * g).contains(force))?;
+
+        if let (Some(before), Some(now)) = (self.celsius, celsius) {
+            let moved = self.ageing.per_kelvin_mps2 * (now - before);
+            for bias in Parameter::BIAS {
+                self.covariance.add(bias, bias, moved * moved);
+            }
+        }
+        self.celsius = celsius.or(self.celsius);
+
+        let residual = force - g;
+        let along: [f64; Parameter::COUNT] = core::array::from_fn(|i| {
+            let covariances = self.covariance.matrix()[i];
+            covariances.iter().zip(row).map(|(c, d)| c * d).sum()
+        });
+        let known: f64 = along.iter().zip(row).map(|(a, d)| a * d).sum();
+        let apart = self.ageing.pose_mps2 * self.ageing.pose_mps2 + pose.mean_noise();
+        let variance = known + apart;
+        let expected = libm::sqrt(variance);
+        let holds = residual.abs() <= MOST_DEVIATIONS * expected;
+        self.poses = self.poses.saturating_add(1);
+        if holds && variance > 0.0 {
+            for (theta, along) in self.theta.iter_mut().zip(along) {
+                *theta -= along * residual / variance;
+            }
+            for (i, &a) in Parameter::ALL.iter().enumerate() {
+                for (j, &b) in Parameter::ALL.iter().enumerate() {
+                    self.covariance.add(a, b, -along[i] * along[j] / variance);
+                }
+            }
+        } else {
+            self.contradictions = self.contradictions.saturating_add(1);
+        }
+        Some(Check {
+            residual_mps2: residual,
+            expected_sd_mps2: expected,
+            holds,
+        })
+    }
+
+    /// How many poses were taken.
+    pub fn poses(&self) -> u32 {
+        self.poses
+    }
+
+    /// How many of them contradicted the calibration.
+    pub fn contradictions(&self) -> u32 {
+        self.contradictions
+    }
+
+    /// The model brought up to date.
+    ///
+    /// # Errors
+    /// [`ModelError`] when that is no accelerometer's any more.
+    pub fn model(&self) -> Result<ErrorModel, ModelError> {
+        let mut updated = *self.stored.terms();
+        updated.bias_mps2 = terms::bias(&self.theta);
+        updated.matrix = terms::matrix(&self.theta);
+        ErrorModel::new(updated)
+    }
+
+    /// Covariance of its 12 parameters, that of gravity included.
+    pub fn covariance(&self) -> Covariance {
+        let mut covariance = self.covariance;
+        covariance.add_gravity(&self.theta, self.gravity);
+        covariance
+    }
+}

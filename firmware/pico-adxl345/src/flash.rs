@@ -1,0 +1,151 @@
+//! The last 8 KiB of the flash.
+//!
+//! While the flash is erased or written, nothing can be read from it, code neither: interrupts are
+//! off and the routine runs from RAM. The functions that do it are in the chip's ROM.
+
+use embassy_rp::Peri;
+use embassy_rp::flash::{ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
+use embassy_rp::peripherals::FLASH;
+use embassy_rp::rom_data;
+use embedded_storage_async::nor_flash::{
+    ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
+};
+
+/// Bytes of a Pico's flash.
+const CHIP: usize = 2 << 20;
+/// Bytes that are for the store: memory.x leaves them out.
+const SIZE: usize = 2 * ERASE_SIZE;
+const START: usize = CHIP - SIZE;
+/// The second stage of the bootloader, which makes the flash readable.
+const BOOT2_WORDS: usize = 64;
+
+/// That part of the flash, by offsets from its start.
+pub struct StoreFlash(());
+
+impl StoreFlash {
+    /// The only one.
+    pub fn new(_chip: Peri<'static, FLASH>) -> Self {
+        Self(())
+    }
+
+    fn range(offset: u32, length: usize, unit: usize) -> Result<usize, NorFlashErrorKind> {
+        let offset = offset as usize;
+        if offset.checked_add(length).is_none_or(|end| end > SIZE) {
+            Err(NorFlashErrorKind::OutOfBounds)
+        } else if offset % unit != 0 || length % unit != 0 {
+            Err(NorFlashErrorKind::NotAligned)
+        } else {
+            Ok(START + offset)
+        }
+    }
+}
+
+impl ErrorType for StoreFlash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for StoreFlash {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        let from = Self::range(offset, bytes.len(), 1)?;
+        let flash = FLASH_BASE.cast::<u8>();
+        for (index, byte) in bytes.iter_mut().enumerate() {
+            // SAFETY: the address is in the flash, which is mapped into memory.
+            *byte = unsafe { flash.add(from + index).read_volatile() };
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        SIZE
+    }
+}
+
+impl NorFlash for StoreFlash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = ERASE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
+        let at = Self::range(from, length, ERASE_SIZE)?;
+        change(Change::Erase { at, length });
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        let mut at = Self::range(offset, bytes.len(), Self::WRITE_SIZE)?;
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            // The chip writes whole pages; ones leave what is there.
+            let mut page = [0xFF; PAGE_SIZE];
+            let skipped = at % PAGE_SIZE;
+            let room = page.iter_mut().skip(skipped);
+            let count = room.zip(rest).map(|(place, byte)| *place = *byte).count();
+            change(Change::Write {
+                at: at - skipped,
+                page: &page,
+            });
+            at += count;
+            rest = rest.get(count..).unwrap_or_default();
+        }
+        Ok(())
+    }
+}
+
+impl MultiwriteNorFlash for StoreFlash {}
+
+#[derive(Clone, Copy)]
+enum Change<'a> {
+    Erase { at: usize, length: usize },
+    Write { at: usize, page: &'a [u8; PAGE_SIZE] },
+}
+
+/// What the routine needs, all of it in RAM.
+struct Rom {
+    connect: unsafe extern "C" fn(),
+    exit_xip: unsafe extern "C" fn(),
+    erase: unsafe extern "C" fn(u32, usize, u32, u8),
+    program: unsafe extern "C" fn(u32, *const u8, usize),
+    flush_cache: unsafe extern "C" fn(),
+    boot2: [u32; BOOT2_WORDS],
+}
+
+fn change(change: Change<'_>) {
+    let mut rom = Rom {
+        connect: rom_data::connect_internal_flash::ptr(),
+        exit_xip: rom_data::flash_exit_xip::ptr(),
+        erase: rom_data::flash_range_erase::ptr(),
+        program: rom_data::flash_range_program::ptr(),
+        flush_cache: rom_data::flash_flush_cache::ptr(),
+        boot2: [0; BOOT2_WORDS],
+    };
+    for (index, word) in rom.boot2.iter_mut().enumerate() {
+        // SAFETY: the second stage is at the start of the flash.
+        *word = unsafe { FLASH_BASE.add(index).read_volatile() };
+    }
+    critical_section::with(|_| {
+        // SAFETY: interrupts are off, the other core has never been started and no DMA is used, so
+        // nobody reads the flash; the range is that of the store.
+        unsafe { in_ram(&rom, change) }
+    });
+}
+
+/// # Safety
+/// Nothing else may read the flash meanwhile, and the change must be within the store.
+#[inline(never)]
+#[unsafe(link_section = ".data.in_ram")]
+unsafe fn in_ram(rom: &Rom, change: Change<'_>) {
+    // SAFETY: the caller's; a sector is erased by command 0x20.
+    unsafe {
+        (rom.connect)();
+        (rom.exit_xip)();
+        match change {
+            Change::Erase { at, length } => (rom.erase)(at as u32, length, 1 << 31, 0),
+            Change::Write { at, page } => (rom.program)(at as u32, page.as_ptr(), PAGE_SIZE),
+        }
+        (rom.flush_cache)();
+        let boot2 = rom.boot2.as_ptr().cast::<u8>().add(1);
+        core::mem::transmute::<*const u8, unsafe extern "C" fn()>(boot2)();
+    }
+}

@@ -1,0 +1,46 @@
+// Runs an image for a while. Usage: node run.mjs IMAGE.uf2 SECONDS FOLDER [SCRIPT.json]
+//
+// FOLDER gets wireless.bin and cable.bin, what came out of UART0 and UART1, and report.json. SCRIPT
+// is a list of {"at_ms", "uart", "hex"} to send and {"at_ms", "do"}.
+
+import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
+import { Adxl345 } from './adxl345.mjs';
+import { Pico } from './machine.mjs';
+
+const [image, seconds, folder, script] = process.argv.slice(2);
+const pico = new Pico();
+const INT1 = pico.chip.gpio[6];
+const noise = (number, axis) => Math.sin(number * (1.7 + axis)) * 0.004;
+const sensor = new Adxl345(
+  pico.clock,
+  (level) => INT1.setInputValue(level),
+  (number) => [0.05 + noise(number, 0), -0.04 + noise(number, 1), 0.98 + noise(number, 2)],
+  0.021,
+);
+pico.connect(0x53, sensor);
+pico.load(readFileSync(image));
+
+const actions = script ? JSON.parse(readFileSync(script)) : [];
+actions.sort((a, b) => a.at_ms - b.at_ms);
+for (const action of actions) {
+  pico.run(action.at_ms * 1e6);
+  if (action.hex) {
+    pico.send(action.uart, Buffer.from(action.hex, 'hex'));
+  }
+}
+pico.run(Number(seconds) * 1e9);
+
+mkdirSync(folder, { recursive: true });
+writeFileSync(`${folder}/wireless.bin`, Buffer.from(pico.received[0]));
+writeFileSync(`${folder}/cable.bin`, Buffer.from(pico.received[1]));
+writeFileSync(
+  `${folder}/report.json`,
+  JSON.stringify({
+    samples: sensor.takenAt.length,
+    taken_at_ns: sensor.takenAt,
+    overruns: sensor.overruns,
+    resets: pico.resets,
+    complaints: pico.complaints.slice(0, 20),
+    led: pico.chip.gpio[25].value,
+  }),
+);

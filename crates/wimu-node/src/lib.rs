@@ -30,6 +30,6 @@ pub use link::{LinkReader, LinkWriter};
 pub use lsm303agr::Lsm303agr;
 pub use node::{Board, Node};
 pub use sampler::Sampler;
-pub use shared::Shared;
+pub use shared::{Health, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;

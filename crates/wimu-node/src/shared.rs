@@ -77,6 +77,20 @@ impl Trouble {
     const COUNT: usize = 4;
 }
 
+/// How a device is, in short.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Health {
+    /// Samples read since the start, modulo 2³²: they grow while the sensor works.
+    pub samples: u32,
+    /// The sensor has failed and is tried again.
+    pub sensor_lost: bool,
+    /// Parameters are in use.
+    pub calibrated: bool,
+    /// Frames that slow links made the device drop, modulo 2³²: they grow while a link is poor.
+    pub shed: u32,
+}
+
 /// A corrector and what it was compiled from.
 #[derive(Clone, Copy)]
 pub(crate) struct Correction {
@@ -273,6 +287,32 @@ impl<M: RawMutex> Shared<M> {
             sensor: published.sensor,
             measured_period_ns: published.measured_period_ns,
         }
+    }
+
+    /// How the device is, in short: for its lamps.
+    pub fn health(&self) -> Health {
+        self.published.lock(|published| {
+            let published = published.borrow();
+            let shed = ROLES.map(|role| {
+                let outbox = &self.link(role).outbox;
+                outbox.lock(|outbox| outbox.borrow().shed)
+            });
+            let [cable, wireless] = shed;
+            Health {
+                samples: published.sensor.samples,
+                sensor_lost: matches!(
+                    published.troubles.get(Trouble::Sensor as usize),
+                    Some(Some(_))
+                ),
+                calibrated: published.parameters.is_some(),
+                shed: cable.wrapping_add(wireless),
+            }
+        })
+    }
+
+    /// Tells both links that the button at the device was pressed, for the time `count`.
+    pub fn mark(&self, now: DeviceTimeUs, count: u16) {
+        self.report(now, Event::Marked { count });
     }
 
     /// Waits for the next frame to send on a link and takes it.

@@ -4,12 +4,11 @@
 //! off and the routine runs from RAM. The functions that do it are in the chip's ROM.
 
 use embassy_rp::Peri;
-use embassy_rp::flash::{ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
+use embassy_rp::flash::{Blocking, ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
 use embassy_rp::peripherals::FLASH;
 use embassy_rp::rom_data;
-use embedded_storage_async::nor_flash::{
-    ErrorType, MultiwriteNorFlash, NorFlash, NorFlashErrorKind, ReadNorFlash,
-};
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use wimu_node::FlashLayout;
 
 /// Bytes of a Pico's flash.
 const CHIP: usize = 2 << 20;
@@ -93,12 +92,32 @@ impl NorFlash for StoreFlash {
     }
 }
 
-impl MultiwriteNorFlash for StoreFlash {}
+/// The number of the flash chip, which tells Picos apart.
+pub fn chip_number(chip: Peri<'_, FLASH>) -> u64 {
+    let mut number = [0; 8];
+    // The driver waits for a background read to end; without one under way there is none to end.
+    let idle = embassy_rp::pac::XIP_CTRL.stream_ctr().read().0 == 0;
+    let mut flash = embassy_rp::flash::Flash::<_, Blocking, CHIP>::new_blocking(chip);
+    if idle && flash.blocking_unique_id(&mut number).is_ok() {
+        u64::from_be_bytes(number)
+    } else {
+        0
+    }
+}
+
+/// The pages of the store: all of them.
+pub const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0..SIZE as u32);
 
 #[derive(Clone, Copy)]
 enum Change<'a> {
-    Erase { at: usize, length: usize },
-    Write { at: usize, page: &'a [u8; PAGE_SIZE] },
+    Erase {
+        at: usize,
+        length: usize,
+    },
+    Write {
+        at: usize,
+        page: &'a [u8; PAGE_SIZE],
+    },
 }
 
 /// What the routine needs, all of it in RAM.

@@ -7,26 +7,28 @@
 mod clock;
 mod data_ready;
 mod flash;
-mod store;
+#[path = "../../shared/last_words.rs"]
+mod last_words;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor};
-use embassy_rp::gpio::{Input, Pull};
+use embassy_rp::bind_interrupts;
+use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
 use embassy_rp::interrupt::{self, InterruptExt, Priority};
-use embassy_rp::peripherals::{I2C0, UART0, UART1};
+use embassy_rp::peripherals::{I2C0, UART0, UART1, WATCHDOG};
 use embassy_rp::uart::{self, BufferedUart, BufferedUartRx, BufferedUartTx};
-use embassy_rp::bind_interrupts;
+use embassy_rp::watchdog::{ResetReason as WatchdogReason, Watchdog};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex as M;
+use embassy_time::Duration;
 use static_cell::StaticCell;
-use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
+use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
 use wimu_link::{Hello, LinkRole};
-use wimu_node::{Adxl345, Board, Control, LinkReader, LinkWriter, Sampler, Shared};
+use wimu_node::{Adxl345, Board, Control, FlashStore, LinkReader, LinkWriter, Sampler, Shared};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::flash::StoreFlash;
-use crate::store::FlashStore;
 
 bind_interrupts!(struct Interrupts {
     I2C0_IRQ => i2c::InterruptHandler<I2C0>;
@@ -42,7 +44,7 @@ async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
 }
 
 #[embassy_executor::task]
-async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore, M>) -> ! {
+async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore<StoreFlash>, M>) -> ! {
     control.run().await
 }
 
@@ -56,6 +58,11 @@ async fn talk(writer: LinkWriter<'static, BufferedUartTx, M>) -> ! {
     writer.run().await
 }
 
+/// How long nobody may feed the watchdog: longer than the flash takes to erase.
+const WATCHDOG_TIME: Duration = Duration::from_secs(2);
+/// The flash's longest erase of a sector, ms.
+const PAUSE_MS: u16 = 400;
+
 /// Above all tasks but below the interrupts of the bus and of the data-ready line.
 static SAMPLING: InterruptExecutor = InterruptExecutor::new();
 
@@ -65,8 +72,6 @@ unsafe fn SWI_IRQ_1() {
     unsafe { SAMPLING.on_interrupt() };
 }
 
-
-
 #[entry]
 fn main() -> ! {
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
@@ -74,6 +79,9 @@ fn main() -> ! {
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
 
     let chip = embassy_rp::init(Default::default());
+    let mut watchdog = Watchdog::new(chip.WATCHDOG);
+    let mut flash = chip.FLASH;
+    let device_id = flash::chip_number(flash.reborrow());
     let mut bus = i2c::Config::default();
     bus.frequency = 400_000;
     let i2c = I2c::new_async(chip.I2C0, chip.PIN_5, chip.PIN_4, Interrupts, bus);
@@ -86,14 +94,16 @@ fn main() -> ! {
     let (wireless_tx, wireless_rx) = wireless.split();
     let (cable_tx, cable_rx) = cable.split();
     let board = Board {
-        hello: hello(),
+        hello: hello(device_id, reason(&watchdog)),
         accelerometer: Sensor::new(i2c, line, BoardTimer),
         timer: BoardTimer,
-        store: FlashStore::new(StoreFlash::new(chip.FLASH)),
+        store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         cable: (cable_rx, cable_tx),
         wireless: (wireless_rx, wireless_tx),
     };
-    let node = board.split(SHARED.init(Shared::new()));
+    let shared = &*SHARED.init(Shared::new());
+    let node = board.split(shared);
+    watchdog.start(WATCHDOG_TIME);
 
     interrupt::IO_IRQ_BANK0.set_priority(Priority::P0);
     interrupt::I2C0_IRQ.set_priority(Priority::P1);
@@ -103,6 +113,7 @@ fn main() -> ! {
     interrupt::UART1_IRQ.set_priority(Priority::P2);
     let sampling = SAMPLING.start(interrupt::SWI_IRQ_1);
     sampling.spawn(sample(node.sampler).unwrap());
+    let lamp = Output::new(chip.PIN_25, Level::Low);
     EXECUTOR.init(Executor::new()).run(|spawner| {
         // Each is spawned once: there is room.
         spawner.spawn(control(node.control).unwrap());
@@ -110,19 +121,73 @@ fn main() -> ! {
         spawner.spawn(talk(node.cable_writer).unwrap());
         spawner.spawn(listen(node.wireless_reader).unwrap());
         spawner.spawn(talk(node.wireless_writer).unwrap());
+        spawner.spawn(show(shared, lamp, watchdog).unwrap());
     })
 }
 
-fn hello() -> Hello {
+/// Says how the device is, and that it runs: two seconds without it and the watchdog restarts it.
+#[embassy_executor::task]
+async fn show(shared: &'static Shared<M>, mut lamp: Output<'static>, mut watchdog: Watchdog) -> ! {
+    let mut before = shared.health();
+    let mut step = 0_u32;
+    loop {
+        watchdog.feed(WATCHDOG_TIME);
+        let now = shared.health();
+        // Of eight steps of 125 ms, those with light.
+        let pattern: u8 = if now.sensor_lost {
+            0b0101_0101
+        } else if now.shed != before.shed {
+            0b0000_0101
+        } else if now.calibrated {
+            0b1111_1110
+        } else {
+            0b0000_1111
+        };
+        lamp.set_level((pattern >> (step % 8) & 1 != 0).into());
+        step = step.wrapping_add(1);
+        if step % 8 == 0 {
+            before = now;
+        }
+        embassy_time::Timer::after_millis(125).await;
+    }
+}
+
+/// Starts the chip anew.
+fn restart() -> ! {
+    // SAFETY: whoever calls has given up everything else.
+    Watchdog::new(unsafe { WATCHDOG::steal() }).trigger_reset();
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+/// Why the chip has started, and where the firmware stopped if it did.
+fn reason(watchdog: &Watchdog) -> (ResetReason, Option<Fault>) {
+    let fault = last_words::take();
+    let chip = embassy_rp::pac::VREG_AND_CHIP_RESET.chip_reset().read();
+    let reason = match watchdog.reset_reason() {
+        _ if fault.is_some() => ResetReason::Fault,
+        Some(WatchdogReason::TimedOut) => ResetReason::Watchdog,
+        Some(WatchdogReason::Forced) => ResetReason::Software,
+        None if chip.had_run() => ResetReason::Pin,
+        // The chip's brown-out detector and its power-on reset are one.
+        None if chip.had_por() => ResetReason::PowerOn,
+        None => ResetReason::Unknown,
+    };
+    (reason, fault)
+}
+
+fn hello(device_id: u64, (reset_reason, fault): (ResetReason, Option<Fault>)) -> Hello {
     let part = |text: &str| text.parse().unwrap_or(0);
     Hello {
-        device_id: 0,
+        device_id,
         firmware: [
             part(env!("CARGO_PKG_VERSION_MAJOR")),
             part(env!("CARGO_PKG_VERSION_MINOR")),
             part(env!("CARGO_PKG_VERSION_PATCH")),
         ],
-        reset_reason: ResetReason::PowerOn,
+        reset_reason,
+        fault,
         capabilities: Capabilities::ACCELEROMETER
             .with(Capabilities::DATA_READY)
             .with(Capabilities::STORE),
@@ -132,6 +197,3 @@ fn hello() -> Hello {
         ..Hello::new(LinkRole::Cable)
     }
 }
-
-#[panic_handler]
-fn panic(_: &core::panic::PanicInfo<'_>) -> ! { loop {} }

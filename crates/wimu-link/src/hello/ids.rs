@@ -270,6 +270,46 @@ impl defmt::Format for Name {
     }
 }
 
+/// Where a firmware stopped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Fault {
+    /// Line of the source file; the address of the instruction where `file` names none.
+    pub line: u32,
+    /// The end of the source file's path, or the kind of the processor's fault.
+    pub file: Name,
+}
+
+impl Fault {
+    /// A panic in `line` of `file`, of which the end is kept.
+    pub fn panic(file: &str, line: u32) -> Self {
+        let surplus = file.len().saturating_sub(NAME_LENGTH);
+        let end = file.as_bytes().get(surplus..).unwrap_or_default();
+        Self {
+            line,
+            file: Name::from_bytes(end),
+        }
+    }
+
+    /// A fault of the processor at the instruction at `address`.
+    pub const fn processor(kind: &str, address: u32) -> Self {
+        Self {
+            line: address,
+            file: Name::new(kind),
+        }
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.file.as_str().ends_with(".rs") {
+            write!(out, "panic at …{}:{}", self.file, self.line)
+        } else {
+            write!(out, "{} at {:#010x}", self.file, self.line)
+        }
+    }
+}
+
 /// A part of a device: its number and its name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

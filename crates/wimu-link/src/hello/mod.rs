@@ -24,7 +24,11 @@
 //! | 46 | 2 | sensor, a number of [`sensor`] |
 //! | 48 | 1, 15 | length of the board's name, the name in ASCII |
 //! | 64 | 1, 15 | length of the sensor's name, the name in ASCII |
-//! | 80 | – | (at the length of the fixed part) extensions: number (1), length (1), content; none are defined yet |
+//! | 80 | – | (at the length of the fixed part) extensions: number (1), length (1), content |
+//!
+//! | extension | size | content |
+//! |---|---|---|
+//! | 1 | 4, 0–15 | where the firmware stopped before this start, [`Fault`]: line or address, file in ASCII |
 //!
 //! | offset | size | field of `WhoAreYou` (frame kind 2) |
 //! |---|---|---|
@@ -41,12 +45,13 @@ use crate::frame::{self, EncodeError, Kind, WIRE_VERSION};
 mod ids;
 
 use ids::NAME_LENGTH;
-pub use ids::{Capabilities, LinkRole, Name, Part, ResetReason, WriteAccess, board, sensor};
+pub use ids::{Capabilities, Fault, LinkRole, Name, Part, ResetReason, WriteAccess, board, sensor};
 
 const MAGIC: [u8; 4] = *b"WIMU";
 const HELLO_LENGTH: usize = 80;
 const WHO_LENGTH: usize = 6;
 const SENSITIVITY_KNOWN: u8 = 1;
+const FAULT: u8 = 1;
 
 /// Who a device is, what it has and how it is. Sent at start and when asked.
 ///
@@ -94,6 +99,8 @@ pub struct Hello {
     pub firmware: [u16; 3],
     /// Why it last started.
     pub reset_reason: ResetReason,
+    /// Where its firmware stopped before that, if it did and the device kept it.
+    pub fault: Option<Fault>,
     /// Whether the sensor's nominal sensitivity is known; it is not for a replayed recording.
     pub sensitivity_known: bool,
     /// Its board.
@@ -116,6 +123,7 @@ impl Hello {
             uptime_us: 0,
             firmware: [0; 3],
             reset_reason: ResetReason::Unknown,
+            fault: None,
             sensitivity_known: false,
             board: Part::new(0, ""),
             sensor: Part::new(0, ""),
@@ -156,6 +164,12 @@ impl Hello {
             for part in [&self.board, &self.sensor] {
                 body.push(&[part.name.length])?;
                 body.push(&part.name.bytes)?;
+            }
+            if let Some(Fault { line, file }) = &self.fault {
+                let name = file.as_str().as_bytes();
+                body.push(&[FAULT, 4 + name.len() as u8])?;
+                body.push(&line.to_le_bytes())?;
+                body.push(name)?;
             }
             Ok(())
         })
@@ -205,6 +219,13 @@ impl Hello {
             uptime_us,
             firmware,
             reset_reason: ResetReason::from_number(reset_reason),
+            fault: extensions(body).find_map(|(number, content)| {
+                let (line, file) = content.split_first_chunk()?;
+                (number == FAULT).then(|| Fault {
+                    line: u32::from_le_bytes(*line),
+                    file: Name::from_bytes(file),
+                })
+            }),
             sensitivity_known: flags & SENSITIVITY_KNOWN != 0,
             board,
             sensor,
@@ -212,8 +233,8 @@ impl Hello {
     }
 }
 
-/// The extensions of a [`Hello`]'s body, number and content, in their order; ends at the first one
-/// that is cut off. This version defines none.
+/// The extensions of a [`Hello`]'s body, number and content, in their order, those that this
+/// version does not know included; ends at the first one that is cut off.
 pub fn extensions(body: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let fixed = fixed_part(body, HELLO_LENGTH).map_or(body.len(), <[u8]>::len);
     let mut rest = body.get(fixed..).unwrap_or_default();

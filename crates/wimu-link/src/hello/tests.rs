@@ -1,3 +1,7 @@
+extern crate std;
+
+use std::string::ToString;
+
 use super::*;
 use crate::frame::{Deframer, MAX_FRAME};
 
@@ -113,4 +117,28 @@ fn who_are_you_is_read_in_every_version() {
         WhoAreYou::decode(b"WIMU\x05\x03"),
         Err(HelloError::TooShort)
     );
+}
+
+#[test]
+fn where_the_firmware_stopped_is_an_extension() {
+    let fault = Fault::panic("crates/wimu-node/src/sampler.rs", 321);
+    let stopped = Hello {
+        reset_reason: ResetReason::Fault,
+        fault: Some(fault),
+        ..example()
+    };
+    let (body, length) = body(&stopped);
+    assert_eq!(
+        &body[80..length],
+        b"\x01\x13\x41\x01\x00\x00/src/sampler.rs"
+    );
+    assert_eq!(Hello::decode(&body[..length]), Ok(stopped));
+    assert_eq!(fault.to_string(), "panic at …/src/sampler.rs:321");
+    let processor = Fault::processor("hard fault", 0x1000_0231);
+    assert_eq!(processor.to_string(), "hard fault at 0x10000231");
+    // One that is cut off is none.
+    for cut in 80..length {
+        let hello = Hello::decode(&body[..cut]).unwrap();
+        assert_eq!(hello.fault, None, "{cut}");
+    }
 }

@@ -231,6 +231,11 @@ pub enum Event {
         /// For how long at most, ms.
         longest_ms: u16,
     },
+    /// The button at the device was pressed: a position is taken, the next one follows.
+    Marked {
+        /// How often since the device's start, this time included.
+        count: u16,
+    },
 }
 
 impl fmt::Display for Event {
@@ -260,6 +265,7 @@ impl fmt::Display for Event {
             Self::SettingsAdjusted => out.write_str(
                 "the stored settings do not fit the sensor, the nearest that do are used; see `wimu settings get`",
             ),
+            Self::Marked { count } => write!(out, "the button was pressed: mark {count}"),
             Self::Pause { longest_ms } => {
                 write!(out, "the device writes its flash for up to {longest_ms} ms")
             }

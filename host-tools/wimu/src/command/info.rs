@@ -45,6 +45,8 @@ struct Device {
     sensor: String,
     firmware: String,
     boot_count: u32,
+    reset_reason: String,
+    fault: Option<String>,
     write_access: String,
     parameter_id: String,
 }
@@ -58,6 +60,8 @@ impl From<&Hello> for Device {
             sensor: hello.sensor.name.to_string(),
             firmware: format!("{major}.{minor}.{patch}"),
             boot_count: hello.boot_count,
+            reset_reason: hello.reset_reason.to_string(),
+            fault: hello.fault.map(|fault| fault.to_string()),
             write_access: hello.access.to_string(),
             parameter_id: hello.parameter_id.to_string(),
         }
@@ -67,12 +71,16 @@ impl From<&Hello> for Device {
 impl Device {
     fn text(&self) -> String {
         format!(
-            "{} with {}, device {}, firmware {}, start {}, parameters {}, writing {}",
+            "{} with {}, device {}, firmware {}, start {} ({}{}), parameters {}, writing {}",
             self.board,
             self.sensor,
             self.device_id,
             self.firmware,
             self.boot_count,
+            self.reset_reason,
+            self.fault
+                .as_ref()
+                .map_or(String::new(), |fault| format!(": {fault}")),
             self.parameter_id,
             self.write_access
         )

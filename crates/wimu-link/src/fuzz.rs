@@ -5,9 +5,10 @@ use core::num::NonZeroU8;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
+use crate::auth::{DeviceKey, KeyState, Lock, Session};
 use crate::batch::{self, Batch, Stream};
 use crate::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
-use crate::hello::{self, Hello, LinkRole, WhoAreYou, WriteAccess};
+use crate::hello::{self, Hello, LinkRole, WhoAreYou};
 use crate::message::{Answer, Command, Payload, Reply, Request, Settings, Signature, Telemetry};
 use crate::responder::{Decision, Responder};
 
@@ -19,6 +20,7 @@ pub fn all(data: &[u8]) {
     batch_samples(data);
     bodies(data);
     requests(data);
+    signed_requests(data);
 }
 
 /// Bytes on a line: nothing panics, and the next whole frame is found.
@@ -240,6 +242,13 @@ pub fn batch_samples(data: &[u8]) {
     });
 }
 
+const NO_KEY: Lock = Lock {
+    key: KeyState::None,
+    device_id: 1,
+    boot_count: Some(1),
+    entropy: [0; 16],
+};
+
 /// Requests of a few sessions, repeated and reordered, between bytes that are none: each is carried
 /// out at most once, its repeats get the same bytes, and no write passes a radio.
 pub fn requests(data: &[u8]) {
@@ -266,7 +275,7 @@ pub fn requests(data: &[u8]) {
             let garbage = source.slice();
             if Request::decode(garbage).is_err() {
                 assert!(!matches!(
-                    responder.accept(garbage, WriteAccess::Open),
+                    responder.accept(garbage, &NO_KEY),
                     Decision::Execute(_)
                 ));
             }
@@ -287,7 +296,7 @@ pub fn requests(data: &[u8]) {
         let mut line = [0; MAX_FRAME];
         let length = request.encode(&mut line).expect("room");
         with_body(&line[..length], |body| {
-            match responder.accept(body, WriteAccess::Open) {
+            match responder.accept(body, &NO_KEY) {
                 Decision::Execute(command) => {
                     assert!(!executed[session][id], "a request had two effects");
                     assert!(role == LinkRole::Cable || !command.is_write());
@@ -311,6 +320,106 @@ pub fn requests(data: &[u8]) {
                 Decision::Ignore => assert!(pending.is_some()),
             }
         });
+    }
+}
+
+/// What the owner signed, damaged, repeated and out of order, between bytes that are nothing: what
+/// is carried out is what the owner signed, once.
+pub fn signed_requests(data: &[u8]) {
+    const SENT: usize = 6;
+    let mut source = Source(data);
+    let key = DeviceKey::new([source.byte(); 32]);
+    let lock = Lock {
+        key: KeyState::Set(key),
+        ..NO_KEY
+    };
+    let mut responder = Responder::new(LinkRole::Wireless);
+    let mut sessions: [Option<Session>; 2] = [None; 2];
+    let mut ids = [u32::MAX - 1; 2];
+    let mut sent = [[0; MAX_FRAME]; SENT];
+    let mut lengths = [0; SENT];
+    let mut executed = [false; SENT];
+    let mut count = 0;
+    while !source.0.is_empty() {
+        let which = source.below(2);
+        let choice = source.byte() % 4;
+        if choice == 0 {
+            // Anyone can.
+            let number = source.word();
+            let request = Request {
+                session: number,
+                id: 1,
+                signature: Signature::NONE,
+                command: Command::OpenSession,
+            };
+            let mut line = [0; MAX_FRAME];
+            let length = request.encode(&mut line).expect("room");
+            with_body(&line[..length], |body| {
+                if let Decision::Send(frame) = responder.accept(body, &lock) {
+                    with_body(frame, |body| {
+                        let reply = Reply::decode(body).expect("own reply");
+                        if let Answer::Accepted(Payload::Session { number, nonce }) = reply.answer {
+                            sessions[which] = Some(Session {
+                                key,
+                                role: LinkRole::Wireless,
+                                device_id: lock.device_id,
+                                number,
+                                nonce,
+                            });
+                        }
+                    });
+                }
+            });
+        } else if choice == 1
+            && count < SENT
+            && let Some(session) = sessions[which]
+        {
+            ids[which] = ids[which].wrapping_add(1);
+            let command = Command::CommitParameters { hash: count as u32 };
+            let request = Request {
+                session: session.number,
+                id: ids[which],
+                signature: session.sign(ids[which], &command),
+                command,
+            };
+            lengths[count] = request.encode(&mut sent[count]).expect("room");
+            count += 1;
+        } else if count > 0 {
+            let chosen = source.below(count);
+            let mut body_of = [0; MAX_BODY];
+            let mut length = 0;
+            with_body(&sent[chosen][..lengths[chosen]], |body| {
+                length = body.len();
+                body_of[..length].copy_from_slice(body);
+            });
+            let mut whole = true;
+            if choice == 2 {
+                let at = source.below(length);
+                let flip = source.byte();
+                body_of[at] ^= flip;
+                whole = flip == 0;
+            }
+            if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
+                if command.is_write() {
+                    assert!(whole, "what nobody signed was carried out");
+                    assert_eq!(
+                        command,
+                        Command::CommitParameters {
+                            hash: chosen as u32
+                        }
+                    );
+                    assert!(!executed[chosen], "a request had two effects");
+                    executed[chosen] = true;
+                }
+                assert!(!responder.reply(&Answer::Unknown).is_empty());
+            }
+        } else {
+            let garbage = source.slice();
+            if let Decision::Execute(command) = responder.accept(garbage, &lock) {
+                assert!(!command.is_write(), "what nobody signed was carried out");
+                responder.reply(&Answer::Unknown);
+            }
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod auth;
 pub mod batch;
 mod bits;
 pub mod frame;

@@ -2,8 +2,9 @@
 
 use core::time::Duration;
 
+use crate::auth::Session;
 use crate::frame::{FrameBuffer, MAX_FRAME};
-use crate::message::{Answer, Command, Reply, Request, Signature};
+use crate::message::{Answer, Command, Refusal, Reply, Request, Signature};
 
 /// Asked once and again every half second, a device has three seconds to answer: enough for it to
 /// erase its flash, during which it hears nothing.
@@ -39,8 +40,10 @@ const ATTEMPTS: u32 = 6;
 #[derive(Debug)]
 pub struct Requester {
     session: u32,
-    /// Of the latest request; 0 before the first.
+    /// Of the latest unsigned request; 0 before the first.
     id: u32,
+    /// What requests are signed in, and the latest id there.
+    signing: Option<(Session, u32)>,
     frame: FrameBuffer<MAX_FRAME>,
     interval: Duration,
     attempts: u32,
@@ -52,6 +55,10 @@ pub struct Requester {
 struct Waiting {
     until: Duration,
     attempts_left: u32,
+    session: u32,
+    id: u32,
+    /// In what it was signed, and how.
+    signed: Option<(Session, Signature)>,
 }
 
 /// What to do next.
@@ -84,6 +91,7 @@ impl Requester {
         Self {
             session,
             id: 0,
+            signing: None,
             frame: FrameBuffer::new(),
             interval,
             attempts,
@@ -91,20 +99,56 @@ impl Requester {
         }
     }
 
+    /// Signs the requests from now on: in this session, from the id `first` on, which should be
+    /// random.
+    pub fn sign(&mut self, session: Session, first: u32) {
+        self.signing = Some((session, first.wrapping_sub(1)));
+    }
+
+    /// Signs no more.
+    pub fn sign_nothing(&mut self) {
+        self.signing = None;
+    }
+
+    /// Whether requests are signed.
+    pub fn signs(&self) -> bool {
+        self.signing.is_some()
+    }
+
     /// Begins a request at the time `now`; returns the frame to send. A request before it that
-    /// still waits is given up.
+    /// still waits is given up. What opens a session is not signed.
     pub fn start(&mut self, command: Command, now: Duration) -> &[u8] {
-        self.id = self.id.wrapping_add(1);
-        let request = Request {
-            session: self.session,
-            id: self.id,
-            signature: Signature::NONE,
-            command,
+        let signing = match &mut self.signing {
+            Some((session, id)) if command != Command::OpenSession => {
+                *id = id.wrapping_add(1);
+                Some((*session, *id))
+            }
+            _ => None,
+        };
+        let request = match signing {
+            Some((session, id)) => Request {
+                session: session.number,
+                id,
+                signature: session.sign(id, &command),
+                command,
+            },
+            None => {
+                self.id = self.id.wrapping_add(1);
+                Request {
+                    session: self.session,
+                    id: self.id,
+                    signature: Signature::NONE,
+                    command,
+                }
+            }
         };
         self.frame.fill(|frame| request.encode(frame));
         self.waiting = Some(Waiting {
             until: now.saturating_add(self.interval),
             attempts_left: self.attempts.saturating_sub(1),
+            session: request.session,
+            id: request.id,
+            signed: signing.map(|(session, _)| (session, request.signature)),
         });
         self.frame.frame()
     }
@@ -132,13 +176,40 @@ impl Requester {
     }
 
     /// Takes a reply; returns its answer if it belongs to the request that is waiting.
+    ///
+    /// The answer to a signed request is signed. The only unsigned ones that are taken are refusals
+    /// of a device that cannot sign: [`Refusal::WrongSignature`], [`Refusal::SessionEnded`],
+    /// [`Refusal::KeyNeeded`] and [`Refusal::Locked`]. Anyone can forge those: they say that the
+    /// request may not have been obeyed, nothing about the device's state.
     pub fn on_reply(&mut self, reply: &Reply) -> Option<Answer> {
-        let ours = reply.session == self.session && reply.id == self.id;
-        self.waiting.take_if(|_| ours).map(|_| reply.answer)
+        let answers = |waiting: &mut Waiting| {
+            let ours = reply.session == waiting.session && reply.id == waiting.id;
+            ours && match &waiting.signed {
+                None => true,
+                Some((session, request)) => {
+                    cannot_sign(reply)
+                        || session.has_answered(reply.id, *request, &reply.answer, reply.signature)
+                }
+            }
+        };
+        self.waiting.take_if(answers).map(|_| reply.answer)
     }
 
-    /// The session's number.
+    /// The number of the unsigned session.
     pub fn session(&self) -> u32 {
         self.session
     }
+}
+
+fn cannot_sign(reply: &Reply) -> bool {
+    reply.signature == Signature::NONE
+        && matches!(
+            reply.answer,
+            Answer::Refused(
+                Refusal::WrongSignature
+                    | Refusal::SessionEnded
+                    | Refusal::KeyNeeded
+                    | Refusal::Locked
+            )
+        )
 }

@@ -1,10 +1,11 @@
 //! The device's side of requests: every request has one effect, however often it is repeated.
 
+use crate::auth::{KeyState, Lock, Session, Sessions, Standing};
 use crate::frame::{FrameBuffer, MAX_FRAME, crc_32c};
-use crate::hello::{LinkRole, WriteAccess};
-use crate::message::{Answer, Command, Refusal, Reply, RequestHead, Signature};
+use crate::hello::LinkRole;
+use crate::message::{Answer, Command, Payload, Refusal, Reply, RequestHead, Signature};
 
-/// Sessions whose latest request is remembered.
+/// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
 
 /// What a device does about a request.
@@ -25,11 +26,12 @@ pub enum Decision<'a> {
 ///
 /// Requests are known by session and id. The latest one is answered again with the same bytes when
 /// it is repeated; one that is older, of this session or of the three before, is refused as stale.
-/// Writes pass on a cable as long as its access is open; elsewhere they take the device's key,
-/// which this version cannot check yet, so they are refused.
+/// Who may write, the [`Lock`] says; signatures are checked here ([`auth`](crate::auth)). Unsigned
+/// requests and wrong signatures have no effect on signed ones, however many they are.
 ///
 /// ```
-/// use wimu_link::hello::{LinkRole, WriteAccess};
+/// use wimu_link::auth::{KeyState, Lock};
+/// use wimu_link::hello::LinkRole;
 /// use wimu_link::message::{Answer, Command, Payload, Settings};
 /// use wimu_link::responder::{Decision, Responder};
 /// use wimu_link::{Deframer, Kind};
@@ -39,7 +41,9 @@ pub enum Decision<'a> {
 ///     if frame.kind != Kind::Request {
 ///         return;
 ///     }
-///     match responder.accept(frame.body, WriteAccess::Open) {
+///     // No key yet: the cable writes.
+///     let lock = Lock { key: KeyState::None, boot_count: Some(1), ..Lock::default() };
+///     match responder.accept(frame.body, &lock) {
 ///         Decision::Execute(Command::SetSettings(new)) => {
 ///             *settings = new;
 ///             let answer = Answer::Accepted(Payload::Settings(*settings));
@@ -67,20 +71,22 @@ pub enum Decision<'a> {
 #[derive(Debug)]
 pub struct Responder {
     role: LinkRole,
-    /// The latest request of each session, the latest session first.
+    /// The latest unsigned request of each session, the latest session first.
     latest: [Option<Known>; SESSIONS],
-    /// Whether the first of them is being carried out.
-    executing: bool,
     /// The reply to the first of them.
     reply: FrameBuffer<MAX_FRAME>,
-    /// Requests that came again.
-    repeated: u32,
-    /// The refusal of a stale request, which must not replace that reply.
-    stale: FrameBuffer<STALE_FRAME>,
+    sessions: Sessions,
+    /// The latest signed request.
+    latest_signed: Option<Known>,
+    /// The reply to it.
+    signed_reply: FrameBuffer<MAX_FRAME>,
+    executing: Option<Executing>,
+    /// A refusal that must replace neither reply.
+    refusal: FrameBuffer<REFUSAL_FRAME>,
 }
 
 /// Session and id at their longest, signature, answer, refusal, kind, CRC, stuffing, zero.
-const STALE_FRAME: usize = 5 + 5 + 1 + 2 + 1 + 4 + 1 + 1;
+const REFUSAL_FRAME: usize = 5 + 5 + 9 + 2 + 1 + 4 + 1 + 1;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Known {
@@ -88,6 +94,14 @@ struct Known {
     id: u32,
     /// CRC-32C of the request: tells it from another that took its id.
     content: u32,
+}
+
+/// What is being carried out.
+#[derive(Clone, Copy, Debug)]
+enum Executing {
+    Unsigned(Known),
+    /// With what its answer is signed.
+    Signed(Known, Session, Signature),
 }
 
 impl Known {
@@ -99,6 +113,13 @@ impl Known {
             answer: *answer,
         }
     }
+
+    fn signed_answer(&self, session: &Session, request: Signature, answer: &Answer) -> Reply {
+        Reply {
+            signature: session.sign_answer(self.id, request, answer),
+            ..self.answer(answer)
+        }
+    }
 }
 
 impl Responder {
@@ -107,16 +128,18 @@ impl Responder {
         Self {
             role,
             latest: [None; SESSIONS],
-            executing: false,
             reply: FrameBuffer::new(),
-            repeated: 0,
-            stale: FrameBuffer::new(),
+            sessions: Sessions::new(),
+            latest_signed: None,
+            signed_reply: FrameBuffer::new(),
+            executing: None,
+            refusal: FrameBuffer::new(),
         }
     }
 
-    /// Takes the body of a frame of kind [`Request`](crate::Kind::Request), and the link's write
-    /// access at the moment.
-    pub fn accept(&mut self, body: &[u8], access: WriteAccess) -> Decision<'_> {
+    /// Takes the body of a frame of kind [`Request`](crate::Kind::Request), and who may write at
+    /// the moment.
+    pub fn accept(&mut self, body: &[u8], lock: &Lock) -> Decision<'_> {
         let Ok((head, command)) = RequestHead::split(body) else {
             return Decision::Ignore;
         };
@@ -125,6 +148,14 @@ impl Responder {
             id: head.id,
             content: crc_32c(body),
         };
+        if head.signature == Signature::NONE {
+            self.accept_unsigned(request, command, lock)
+        } else {
+            self.accept_signed(request, head.signature, command, lock)
+        }
+    }
+
+    fn accept_unsigned(&mut self, request: Known, command: &[u8], lock: &Lock) -> Decision<'_> {
         let known = self
             .latest
             .iter()
@@ -134,21 +165,17 @@ impl Responder {
             .flatten();
         if let Some(latest) = latest {
             if latest == request && known == Some(0) {
-                self.repeated = self.repeated.wrapping_add(1);
-                return if self.executing {
-                    Decision::Ignore
-                } else {
-                    Decision::Send(self.reply.frame())
+                return match self.executing {
+                    Some(Executing::Unsigned(_)) => Decision::Ignore,
+                    _ => Decision::Send(self.reply.frame()),
                 };
             }
             // Ids wrap: the nearer half of them is later.
             if (request.id.wrapping_sub(latest.id) as i32) <= 0 {
-                let stale = request.answer(&Answer::Refused(Refusal::Stale));
-                self.stale.fill(|frame| stale.encode(frame));
-                return Decision::Send(self.stale.frame());
+                return self.refuse(request.answer(&Answer::Refused(Refusal::Stale)));
             }
         }
-        if self.executing {
+        if self.executing.is_some() {
             return Decision::Ignore;
         }
 
@@ -161,16 +188,18 @@ impl Responder {
             *front = Some(request);
         }
 
-        let outcome = match Command::decode(command) {
+        let decoded = Command::decode(command);
+        let outcome = match decoded {
             Err(_) => Err(Answer::Unknown),
-            Ok(command) => match self.refusal(&command, access) {
+            Ok(command) => match lock.refusal(&command, self.role) {
                 Some(refusal) => Err(Answer::Refused(refusal)),
+                None if command == Command::OpenSession => Err(self.open_session(lock)),
                 None => Ok(command),
             },
         };
         match outcome {
             Ok(command) => {
-                self.executing = true;
+                self.executing = Some(Executing::Unsigned(request));
                 Decision::Execute(command)
             }
             Err(answer) => {
@@ -181,32 +210,96 @@ impl Responder {
         }
     }
 
-    /// Why `command` is refused on this link, if it is.
-    fn refusal(&self, command: &Command, access: WriteAccess) -> Option<Refusal> {
-        match (self.role, access) {
-            _ if !command.is_write() => None,
-            (LinkRole::Cable, WriteAccess::Open) => None,
-            (_, WriteAccess::Locked) => Some(Refusal::Locked),
-            _ => Some(Refusal::KeyNeeded),
+    fn accept_signed(
+        &mut self,
+        request: Known,
+        signature: Signature,
+        command: &[u8],
+        lock: &Lock,
+    ) -> Decision<'_> {
+        // A repeat gets what was sent before: nobody learns anything from it.
+        if self.latest_signed == Some(request) {
+            return match self.executing {
+                Some(Executing::Signed(..)) => Decision::Ignore,
+                _ => Decision::Send(self.signed_reply.frame()),
+            };
+        }
+        let refused = |refusal| request.answer(&Answer::Refused(refusal));
+        let Some(session) = lock.session(self.role, request.session) else {
+            let refusal = match lock.key {
+                KeyState::None => Refusal::KeyNeeded,
+                _ => Refusal::Locked,
+            };
+            return self.refuse(refused(refusal));
+        };
+        let standing = self.sessions.standing(request.session, request.id);
+        if let Standing::Ended = standing {
+            return self.refuse(refused(Refusal::SessionEnded));
+        }
+        if !session.has_signed(request.id, command, signature) {
+            return self.refuse(refused(Refusal::WrongSignature));
+        }
+        let signed = |answer: &Answer| request.signed_answer(&session, signature, answer);
+        if let Standing::Used = standing {
+            return self.refuse(signed(&Answer::Refused(Refusal::Stale)));
+        }
+        if self.executing.is_some() {
+            return Decision::Ignore;
+        }
+        self.sessions.note(request.session, request.id);
+        self.latest_signed = Some(request);
+        let outcome = match Command::decode(command) {
+            Err(_) => Err(Answer::Unknown),
+            Ok(command) if command.is_key_change() && self.role != LinkRole::Cable => {
+                Err(Answer::Refused(Refusal::CableOnly))
+            }
+            Ok(Command::OpenSession) => Err(self.open_session(lock)),
+            Ok(command) => Ok(command),
+        };
+        match outcome {
+            Ok(command) => {
+                self.executing = Some(Executing::Signed(request, session, signature));
+                Decision::Execute(command)
+            }
+            Err(answer) => {
+                self.signed_reply
+                    .fill(|frame| signed(&answer).encode(frame));
+                Decision::Send(self.signed_reply.frame())
+            }
         }
     }
 
-    /// How often the latest request of a session came again, since the start; wraps.
-    pub fn repeated(&self) -> u32 {
-        self.repeated
+    fn refuse(&mut self, reply: Reply) -> Decision<'_> {
+        self.refusal.fill(|frame| reply.encode(frame));
+        Decision::Send(self.refusal.frame())
+    }
+
+    fn open_session(&mut self, lock: &Lock) -> Answer {
+        let number = self.sessions.open();
+        match number.and_then(|number| lock.session(self.role, number)) {
+            Some(session) => Answer::Accepted(Payload::Session {
+                number: session.number,
+                nonce: session.nonce,
+            }),
+            None => Answer::Refused(Refusal::Locked),
+        }
     }
 
     /// The frame that answers the request that was to be executed; the same bytes will answer its
     /// repeats. Empty when none was.
     pub fn reply(&mut self, answer: &Answer) -> &[u8] {
-        match self.latest.first() {
-            Some(Some(request)) if self.executing => {
-                self.executing = false;
+        match self.executing.take() {
+            Some(Executing::Unsigned(request)) => {
                 self.reply
                     .fill(|frame| request.answer(answer).encode(frame));
                 self.reply.frame()
             }
-            _ => &[],
+            Some(Executing::Signed(request, session, signature)) => {
+                let reply = request.signed_answer(&session, signature, answer);
+                self.signed_reply.fill(|frame| reply.encode(frame));
+                self.signed_reply.frame()
+            }
+            None => &[],
         }
     }
 }

@@ -358,7 +358,7 @@ fn unknown_missing_and_left_over_bytes_are_told_apart() {
 fn refusals_say_what_to_do() {
     let nearest = Settings::default();
     for (refusal, word) in [
-        (Refusal::KeyNeeded, "write over the cable"),
+        (Refusal::KeyNeeded, "run `wimu key set` once over the cable"),
         (Refusal::Locked, "cable"),
         (Refusal::NothingStaged, "push"),
         (Refusal::UnsupportedSettings { nearest }, "±2 g at 100 Hz"),

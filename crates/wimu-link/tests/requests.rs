@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use proptest::prelude::*;
-use wimu_link::hello::{LinkRole, WriteAccess};
+use wimu_link::auth::{DeviceKey, KeyState, Lock};
+use wimu_link::hello::LinkRole;
 use wimu_link::message::{
     Answer, Command, Payload, Refusal, Reply, Request, Settings, Signature, WireParameters,
 };
@@ -55,6 +56,15 @@ fn writes() -> [Command; 4] {
     ]
 }
 
+/// A device without a key.
+fn open() -> Lock {
+    Lock {
+        key: KeyState::None,
+        boot_count: Some(1),
+        ..Lock::default()
+    }
+}
+
 /// A device that remembers what it carried out.
 struct Device {
     responder: Responder,
@@ -72,7 +82,7 @@ impl Device {
     }
 
     fn hear(&mut self, body: &[u8]) -> Vec<u8> {
-        let command = match self.responder.accept(body, WriteAccess::Open) {
+        let command = match self.responder.accept(body, &open()) {
             Decision::Execute(command) => command,
             Decision::Send(frame) => return frame.to_vec(),
             Decision::Ignore => return Vec::new(),
@@ -110,55 +120,86 @@ fn a_repeat_while_it_is_carried_out_is_ignored() {
     let reset = request(1, 1, Command::FactoryReset);
     let other = request(2, 1, Command::GetStatus);
     assert!(matches!(
-        responder.accept(&reset, WriteAccess::Open),
+        responder.accept(&reset, &open()),
         Decision::Execute(Command::FactoryReset)
     ));
     for body in [&reset, &other] {
-        assert_eq!(responder.accept(body, WriteAccess::Open), Decision::Ignore);
+        assert_eq!(responder.accept(body, &open()), Decision::Ignore);
     }
     let reply = responder
         .reply(&Answer::Refused(Refusal::StoreFailed))
         .to_vec();
     assert_eq!(answer(&reply), Answer::Refused(Refusal::StoreFailed));
-    assert_eq!(
-        responder.accept(&reset, WriteAccess::Open),
-        Decision::Send(&reply)
-    );
+    assert_eq!(responder.accept(&reset, &open()), Decision::Send(&reply));
     // What was ignored was not taken as heard.
     assert!(matches!(
-        responder.accept(&other, WriteAccess::Open),
+        responder.accept(&other, &open()),
         Decision::Execute(Command::GetStatus)
     ));
 }
 
 #[test]
-fn a_write_passes_only_on_an_open_cable() {
-    let key = Answer::Refused(Refusal::KeyNeeded);
-    let locked = Answer::Refused(Refusal::Locked);
-    let cases = [
-        (LinkRole::Cable, WriteAccess::Open, None),
-        (LinkRole::Cable, WriteAccess::Key, Some(key)),
-        (LinkRole::Cable, WriteAccess::Locked, Some(locked)),
-        (LinkRole::Wireless, WriteAccess::Open, Some(key)),
-        (LinkRole::Wireless, WriteAccess::Key, Some(key)),
-        (LinkRole::Wireless, WriteAccess::Locked, Some(locked)),
-        (LinkRole::Other(9), WriteAccess::Open, Some(key)),
-        (LinkRole::Cable, WriteAccess::Other(9), Some(key)),
-    ];
-    for (role, access, expected) in cases {
+fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
+    let has = |key, boot_count| Lock {
+        key,
+        boot_count,
+        ..Lock::default()
+    };
+    let key = KeyState::Set(DeviceKey::new([1; 32]));
+    let (cable, radio, other) = (LinkRole::Cable, LinkRole::Wireless, LinkRole::Other(9));
+    for (role, lock, expected) in [
+        (cable, has(KeyState::None, Some(1)), None),
+        (cable, has(KeyState::None, None), None),
+        (cable, has(key, Some(1)), Some(Refusal::SignatureNeeded)),
+        (cable, has(key, None), Some(Refusal::SignatureNeeded)),
+        (
+            cable,
+            has(KeyState::Unreadable, Some(1)),
+            Some(Refusal::Locked),
+        ),
+        (
+            radio,
+            has(KeyState::None, Some(1)),
+            Some(Refusal::KeyNeeded),
+        ),
+        (radio, has(KeyState::None, None), Some(Refusal::Locked)),
+        (radio, has(key, Some(1)), Some(Refusal::SignatureNeeded)),
+        (radio, has(key, None), Some(Refusal::Locked)),
+        (
+            radio,
+            has(KeyState::Unreadable, Some(1)),
+            Some(Refusal::Locked),
+        ),
+        (
+            other,
+            has(KeyState::None, Some(1)),
+            Some(Refusal::KeyNeeded),
+        ),
+    ] {
         for command in writes() {
             let mut responder = Responder::new(role);
-            match (responder.accept(&request(1, 1, command), access), expected) {
+            match (responder.accept(&request(1, 1, command), &lock), expected) {
                 (Decision::Execute(executed), None) => assert_eq!(executed, command),
-                (Decision::Send(frame), Some(refusal)) => assert_eq!(answer(frame), refusal),
-                (decision, _) => panic!("{role} {access}: {decision:?}"),
+                (Decision::Send(frame), Some(refusal)) => {
+                    assert_eq!(answer(frame), Answer::Refused(refusal));
+                }
+                (decision, _) => panic!("{role} {lock:?}: {decision:?}"),
             }
         }
         let mut responder = Responder::new(role);
         assert!(matches!(
-            responder.accept(&request(1, 1, Command::GetStatus), access),
+            responder.accept(&request(1, 1, Command::GetStatus), &lock),
             Decision::Execute(Command::GetStatus)
         ));
+        if role != cable {
+            for command in [Command::SetKey(DeviceKey::new([2; 32])), Command::ForgetKey] {
+                let mut responder = Responder::new(role);
+                let Decision::Send(frame) = responder.accept(&request(2, 1, command), &lock) else {
+                    panic!("{role} {lock:?}");
+                };
+                assert_eq!(answer(frame), Answer::Refused(Refusal::CableOnly));
+            }
+        }
     }
 }
 
@@ -167,21 +208,21 @@ fn an_unknown_command_is_answered_as_unknown() {
     let mut responder = Responder::new(LinkRole::Cable);
     let mut body = request(300, 5, Command::GetStatus);
     *body.last_mut().unwrap() = 99;
-    let Decision::Send(frame) = responder.accept(&body, WriteAccess::Open) else {
+    let Decision::Send(frame) = responder.accept(&body, &open()) else {
         panic!("not answered");
     };
     assert_eq!(answer(frame), Answer::Unknown);
     // A known command that goes on is not the command we know.
     let mut body = request(300, 6, Command::GetStatus);
     body.push(0);
-    let Decision::Send(frame) = responder.accept(&body, WriteAccess::Open) else {
+    let Decision::Send(frame) = responder.accept(&body, &open()) else {
         panic!("not answered");
     };
     assert_eq!(answer(frame), Answer::Unknown);
     // Bytes without a session and an id cannot be answered.
     for cut in 0..3 {
         let body = &request(1, 1, Command::GetStatus)[..cut];
-        assert_eq!(responder.accept(body, WriteAccess::Open), Decision::Ignore);
+        assert_eq!(responder.accept(body, &open()), Decision::Ignore);
     }
 }
 

@@ -8,6 +8,7 @@ use std::fmt::Write as _;
 use std::num::NonZeroU8;
 use std::path::PathBuf;
 
+use wimu_link::auth::{DeviceKey, KeyId};
 use wimu_link::frame::EncodeError;
 use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
 use wimu_link::message::{
@@ -458,6 +459,10 @@ fn requests_are_as_they_were() {
             link: LinkRole::Cable.number(),
             baud: 230_400,
         },
+        Command::OpenSession,
+        Command::GetKeyStatus,
+        Command::SetKey(DeviceKey::new(core::array::from_fn(|at| at as u8))),
+        Command::ForgetKey,
     ]
     .map(|command| Request {
         session: 0x1234_5678,
@@ -486,6 +491,14 @@ fn replies_are_as_they_were() {
         Payload::Staged { hash: 0xdead_beef },
         Payload::Settings(settings()),
         Payload::Status(status()),
+        Payload::Session {
+            number: 300,
+            nonce: core::array::from_fn(|at| at as u8),
+        },
+        Payload::KeyStatus { key: None },
+        Payload::KeyStatus {
+            key: Some(KeyId([0xde, 0xad, 0xbe, 0xef])),
+        },
     ]
     .map(Answer::Accepted)
     .into();
@@ -514,6 +527,10 @@ fn replies_are_as_they_were() {
             Refusal::FixedLineRate,
             Refusal::AdapterLineRate,
             Refusal::UnsupportedLineRate { nearest: 38_400 },
+            Refusal::SignatureNeeded,
+            Refusal::WrongSignature,
+            Refusal::SessionEnded,
+            Refusal::CableOnly,
         ]
         .map(Answer::Refused),
     );

@@ -11,6 +11,7 @@
 use core::fmt;
 
 use crc::Digest;
+use hmac::digest::Update;
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
@@ -89,6 +90,31 @@ fn decode<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
 pub(crate) fn checksum<T: Serialize>(message: &T) -> u32 {
     // Neither the sink nor plain numbers can fail.
     postcard::serialize_with_flavor(message, ChecksumSink(crc_32c_digest())).unwrap_or_default()
+}
+
+/// Gives `message`'s wire form to `mac`.
+pub(crate) fn feed<T: Serialize>(message: &T, mac: &mut impl Update) {
+    // Neither the sink nor plain numbers can fail.
+    let _ = postcard::serialize_with_flavor(message, UpdateSink(mac));
+}
+
+struct UpdateSink<'a, M>(&'a mut M);
+
+impl<M: Update> Flavor for UpdateSink<'_, M> {
+    type Output = ();
+
+    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
+        self.0.update(data);
+        Ok(())
+    }
+
+    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
+        self.try_extend(&[data])
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
+    }
 }
 
 struct FrameSink<'s, 'b> {

@@ -9,8 +9,9 @@ use super::MessageError;
 use super::parameters::{ParameterFault, WireParameters};
 use super::settings::Settings;
 use super::telemetry::{ActiveParameters, Status};
+use crate::auth::{DeviceKey, KeyId, Nonce};
 
-/// Up to 8 bytes that prove who wrote a request or reply; none in this version.
+/// 8 bytes that prove who wrote a request or reply ([`auth`](crate::auth)), or none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Signature {
@@ -36,6 +37,14 @@ impl Signature {
             length: signature.len() as u8,
             bytes,
         })
+    }
+
+    /// One of 8 bytes.
+    pub(crate) const fn whole(bytes: [u8; Self::MAX]) -> Self {
+        Self {
+            length: Self::MAX as u8,
+            bytes,
+        }
     }
 
     /// Its bytes.
@@ -75,11 +84,12 @@ impl<'de> Deserialize<'de> for Signature {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Request {
-    /// Chosen by the host at random when it connects.
+    /// Unsigned: chosen by the host at random when it connects. Signed: the number that the device
+    /// gave the session.
     pub session: u32,
     /// One more with each request of a session; the same when one is repeated.
     pub id: u32,
-    /// None in this version.
+    /// Proves a session ([`auth`](crate::auth)).
     pub signature: Signature,
     /// What it asks for.
     pub command: Command,
@@ -90,7 +100,7 @@ pub struct Request {
 pub(crate) struct RequestHead {
     pub(crate) session: u32,
     pub(crate) id: u32,
-    signature: Signature,
+    pub(crate) signature: Signature,
 }
 
 impl RequestHead {
@@ -133,6 +143,14 @@ pub enum Command {
         /// Bits a second.
         baud: u32,
     },
+    /// Begin a session whose requests are signed: [`Payload::Session`]. Unsigned itself.
+    OpenSession,
+    /// Which key the device has: [`Payload::KeyStatus`].
+    GetKeyStatus,
+    /// Take this key in place of the one before, on the cable only: [`Payload::KeyStatus`].
+    SetKey(DeviceKey),
+    /// Forget the key, on the cable only: [`Payload::KeyStatus`].
+    ForgetKey,
 }
 
 impl Command {
@@ -143,13 +161,23 @@ impl Command {
     /// Whether it changes what the device keeps.
     pub fn is_write(&self) -> bool {
         match self {
-            Self::GetParameters | Self::GetSettings | Self::GetStatus => false,
+            Self::GetParameters
+            | Self::GetSettings
+            | Self::GetStatus
+            | Self::OpenSession
+            | Self::GetKeyStatus => false,
             Self::StageParameters(_)
             | Self::CommitParameters { .. }
             | Self::FactoryReset
             | Self::SetSettings(_)
-            | Self::SetLineRate { .. } => true,
+            | Self::SetLineRate { .. }
+            | Self::SetKey(_)
+            | Self::ForgetKey => true,
         }
+    }
+
+    pub(crate) fn is_key_change(&self) -> bool {
+        matches!(self, Self::SetKey(_) | Self::ForgetKey)
     }
 }
 
@@ -161,7 +189,7 @@ pub struct Reply {
     pub session: u32,
     /// The request's.
     pub id: u32,
-    /// None in this version.
+    /// Proves the device, if the request was signed with the right key.
     pub signature: Signature,
     /// The answer.
     pub answer: Answer,
@@ -198,6 +226,18 @@ pub enum Payload {
     Settings(Settings),
     /// How the device is.
     Status(Status),
+    /// A session, for requests to be signed in.
+    Session {
+        /// Its number, the session of signed requests.
+        number: u32,
+        /// What their signatures are made with.
+        nonce: Nonce,
+    },
+    /// Which key the device has.
+    KeyStatus {
+        /// Its name; `None` if the device has no key.
+        key: Option<KeyId>,
+    },
 }
 
 /// Why a request was refused. Append only.
@@ -252,15 +292,25 @@ pub enum Refusal {
         /// The nearest that it can, bits a second.
         nearest: u32,
     },
+    /// The device has a key, and the request is not signed.
+    SignatureNeeded,
+    /// The signature is not of the device's key, or was damaged.
+    WrongSignature,
+    /// There is no such session: the device has started anew, or others took its place.
+    SessionEnded,
+    /// Keys are set and forgotten over the cable only.
+    CableOnly,
 }
 
 impl fmt::Display for Refusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::KeyNeeded => out.write_str(
-                "writing on this link takes a key, and the device has none; write over the cable",
+                "writing on this link takes a key, and the device has none; run `wimu key set` once over the cable",
             ),
-            Self::Locked => out.write_str("nobody may write on this link; use the cable"),
+            Self::Locked => out.write_str(
+                "nobody may write on this link: the device cannot read its key or how often it has started; run `wimu key rotate` over the cable, or erase the key at the board",
+            ),
             Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
             Self::WrongRange {
                 parameters_g,
@@ -294,6 +344,18 @@ impl fmt::Display for Refusal {
             Self::Stale => out.write_str(
                 "the request is older than one already answered; ask again in a new session",
             ),
+            Self::SignatureNeeded => out.write_str(
+                "the device takes only what is signed with its key; use the computer that has the key, or erase it at the board",
+            ),
+            Self::WrongSignature => out.write_str(
+                "the key is not the device's; use the computer that has its key, or erase it at the board",
+            ),
+            Self::SessionEnded => {
+                out.write_str("the device has begun anew, or others have; ask again")
+            }
+            Self::CableOnly => {
+                out.write_str("keys are changed over the cable only; connect it there")
+            }
             Self::WrongSensitivity {
                 parameters_lsb_per_g,
                 device_lsb_per_g,

@@ -1,0 +1,331 @@
+//! Who may write: keys, sessions, signatures.
+//!
+//! A device that has a key takes writes only if they are signed with it. The key never travels after
+//! it was set; what proves it is HMAC-SHA-256 (RFC 2104, FIPS 180-4), truncated:
+//!
+//! | what | over, in this order | bytes |
+//! |---|---|---|
+//! | key id | `i` | 4 |
+//! | nonce | `n`, link role (1), boot count (4), session (4), entropy of this start (16) | 16 |
+//! | signature of a request | `q`, link role (1), device id (8), session (4), nonce (16), id (4), command | 8 |
+//! | signature of a reply | `a`, the same, the request's signature (8), answer | 8 |
+//!
+//! Numbers are little-endian; command and answer are as they stand in the frame. A host opens a
+//! session, unsigned, and is given its number and nonce; every request that it signs has the next
+//! id. The first id should be random: then no reply of an earlier session passes for an answer.
+//!
+//! The device keeps nothing of a session before a signature has proved it: opening sessions
+//! without the key ends nobody's, however many they are. The boot count makes the nonces of two
+//! starts differ, also where there is no entropy.
+
+use core::fmt;
+
+use hmac::{Hmac, KeyInit, Mac};
+use serde::{Deserialize, Serialize};
+use sha2::Sha256;
+
+use crate::hello::{LinkRole, WriteAccess};
+use crate::message::{self, Answer, Command, Refusal, Signature};
+
+/// A device's key: 256 bits that nobody else has. It is never shown, not even by `Debug`.
+#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct DeviceKey([u8; Self::LENGTH]);
+
+impl DeviceKey {
+    /// Its length, bytes.
+    pub const LENGTH: usize = 32;
+
+    /// A key of these bytes, which come from a cryptographic source.
+    pub const fn new(bytes: [u8; Self::LENGTH]) -> Self {
+        Self(bytes)
+    }
+
+    /// The bytes, to be stored.
+    pub const fn expose(&self) -> &[u8; Self::LENGTH] {
+        &self.0
+    }
+
+    /// Names the key without telling it.
+    pub fn id(&self) -> KeyId {
+        KeyId(truncated(self.mac(b"i")))
+    }
+
+    fn mac(&self, label: &[u8; 1]) -> Hmac<Sha256> {
+        // A key shorter than a block of SHA-256 is filled up with zeros.
+        let mut block = [0; 64];
+        if let Some(start) = block.first_chunk_mut() {
+            *start = self.0;
+        }
+        Hmac::new(&block.into()).chain_update(label)
+    }
+}
+
+/// The first `N` bytes of a HMAC.
+fn truncated<const N: usize>(mac: Hmac<Sha256>) -> [u8; N] {
+    let bytes: [u8; 32] = mac.finalize().into_bytes().into();
+    bytes.first_chunk().copied().unwrap_or([0; N])
+}
+
+impl fmt::Debug for DeviceKey {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("DeviceKey(…)")
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for DeviceKey {
+    fn format(&self, out: defmt::Formatter<'_>) {
+        defmt::write!(out, "DeviceKey(…)");
+    }
+}
+
+/// Names a [`DeviceKey`]: two keys have the same one once in 2³² pairs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct KeyId(pub [u8; 4]);
+
+impl fmt::Display for KeyId {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{:08x}", u32::from_be_bytes(self.0))
+    }
+}
+
+/// What a device knows of its key.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum KeyState {
+    /// None has been set.
+    None,
+    /// It has this one.
+    Set(DeviceKey),
+    /// One may have been set, and cannot be read: nobody may write.
+    #[default]
+    Unreadable,
+}
+
+/// What decides who may write to a device, the same on all its links.
+#[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Lock {
+    /// Its key.
+    pub key: KeyState,
+    /// Its id, as in [`Hello`](crate::Hello).
+    pub device_id: u64,
+    /// How often it has started; `None` if that cannot be read, and nobody may write over a radio.
+    pub boot_count: Option<u32>,
+    /// Bits that nobody can foresee, other ones at each start; zeros without a source of them.
+    pub entropy: [u8; 16],
+}
+
+impl Lock {
+    /// Who may write on a link.
+    pub fn access(&self, role: LinkRole) -> WriteAccess {
+        match (self.key, role) {
+            (KeyState::Unreadable, _) => WriteAccess::Locked,
+            (KeyState::None, LinkRole::Cable) => WriteAccess::Open,
+            (KeyState::Set(_), LinkRole::Cable) => WriteAccess::Key,
+            _ if self.boot_count.is_none() => WriteAccess::Locked,
+            _ => WriteAccess::Key,
+        }
+    }
+
+    /// Why an unsigned `command` is refused on a link, if it is.
+    pub(crate) fn refusal(&self, command: &Command, role: LinkRole) -> Option<Refusal> {
+        let access = self.access(role);
+        match (command, access) {
+            _ if command.is_key_change() && role != LinkRole::Cable => Some(Refusal::CableOnly),
+            (Command::OpenSession, WriteAccess::Open) => Some(Refusal::KeyNeeded),
+            _ if !command.is_write() && *command != Command::OpenSession => None,
+            (_, WriteAccess::Open) => None,
+            (_, WriteAccess::Locked | WriteAccess::Other(_)) => Some(Refusal::Locked),
+            (_, WriteAccess::Key) => match (self.key, command) {
+                (KeyState::Set(_), Command::OpenSession) => None,
+                (KeyState::Set(_), _) => Some(Refusal::SignatureNeeded),
+                _ => Some(Refusal::KeyNeeded),
+            },
+        }
+    }
+
+    /// The session of this number, on a link where signed writes pass.
+    pub(crate) fn session(&self, role: LinkRole, number: u32) -> Option<Session> {
+        let KeyState::Set(key) = self.key else {
+            return None;
+        };
+        if self.access(role) != WriteAccess::Key {
+            return None;
+        }
+        let nonce = key
+            .mac(b"n")
+            .chain_update([role.number()])
+            .chain_update(self.boot_count.unwrap_or(0).to_le_bytes())
+            .chain_update(number.to_le_bytes())
+            .chain_update(self.entropy);
+        let nonce = truncated(nonce);
+        Some(Session {
+            key,
+            role,
+            device_id: self.device_id,
+            number,
+            nonce,
+        })
+    }
+}
+
+/// A session between a host and a device, as both ends know it: it signs and checks.
+///
+/// ```
+/// use wimu_link::auth::{DeviceKey, Session};
+/// use wimu_link::{Answer, Command, LinkRole, Requester};
+///
+/// // On the host, when the device has answered `OpenSession` with this number and nonce:
+/// let session = Session {
+///     key: DeviceKey::new([7; 32]),
+///     role: LinkRole::Wireless,
+///     device_id: 0x1234,
+///     number: 3,
+///     nonce: [9; 16],
+/// };
+/// let mut requester = Requester::new(0x5eed);
+/// requester.sign(session, 0x4d2); // the first id: random
+/// let frame = requester.start(Command::FactoryReset, Default::default());
+/// assert!(!frame.is_empty());
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Session {
+    /// The device's key.
+    pub key: DeviceKey,
+    /// The link that it is on.
+    pub role: LinkRole,
+    /// The device.
+    pub device_id: u64,
+    /// Its number.
+    pub number: u32,
+    /// What the device has given for it.
+    pub nonce: Nonce,
+}
+
+/// What makes the signatures of one session differ from those of all others.
+pub type Nonce = [u8; 16];
+
+impl Session {
+    fn mac(&self, label: &[u8; 1], id: u32) -> Hmac<Sha256> {
+        self.key
+            .mac(label)
+            .chain_update([self.role.number()])
+            .chain_update(self.device_id.to_le_bytes())
+            .chain_update(self.number.to_le_bytes())
+            .chain_update(self.nonce)
+            .chain_update(id.to_le_bytes())
+    }
+
+    fn of_answer(&self, id: u32, request: Signature, answer: &Answer) -> Hmac<Sha256> {
+        let mut mac = self.mac(b"a", id).chain_update(request.as_bytes());
+        message::feed(answer, &mut mac);
+        mac
+    }
+
+    /// Signs a request.
+    pub fn sign(&self, id: u32, command: &Command) -> Signature {
+        let mut mac = self.mac(b"q", id);
+        message::feed(command, &mut mac);
+        Signature::whole(truncated(mac))
+    }
+
+    /// Whether the bytes of a command are signed, in constant time.
+    pub(crate) fn has_signed(&self, id: u32, command: &[u8], signature: Signature) -> bool {
+        is_right(self.mac(b"q", id).chain_update(command), signature)
+    }
+
+    /// Signs the answer to a request that was signed with `request`.
+    pub(crate) fn sign_answer(&self, id: u32, request: Signature, answer: &Answer) -> Signature {
+        Signature::whole(truncated(self.of_answer(id, request, answer)))
+    }
+
+    /// Whether an answer to a request that was signed with `request` is signed, in constant time.
+    pub(crate) fn has_answered(
+        &self,
+        id: u32,
+        request: Signature,
+        answer: &Answer,
+        signature: Signature,
+    ) -> bool {
+        is_right(self.of_answer(id, request, answer), signature)
+    }
+}
+
+/// Whether a signature is whole and that of `mac`.
+fn is_right(mac: Hmac<Sha256>, signature: Signature) -> bool {
+    let bytes = signature.as_bytes();
+    bytes.len() == Signature::MAX && mac.verify_truncated_left(bytes).is_ok()
+}
+
+/// Authenticated sessions of which the latest request is remembered.
+const SESSIONS: usize = 4;
+
+/// The sessions of one link, as the device keeps them.
+#[derive(Debug)]
+pub(crate) struct Sessions {
+    /// How many have been opened since the device started.
+    opened: u32,
+    /// Those up to this one have ended, but for the ones below.
+    ended: u32,
+    /// Number and latest id of those that have proved the key, the latest first.
+    proved: [Option<(u32, u32)>; SESSIONS],
+}
+
+/// What is known of a request's session.
+pub(crate) enum Standing {
+    /// The id is the next one.
+    New,
+    /// The id has been used.
+    Used,
+    /// There is no such session.
+    Ended,
+}
+
+impl Sessions {
+    pub(crate) const fn new() -> Self {
+        Self {
+            opened: 0,
+            ended: 0,
+            proved: [None; SESSIONS],
+        }
+    }
+
+    /// The number of a new session; `None` when there are none left before the device's next start.
+    pub(crate) fn open(&mut self) -> Option<u32> {
+        self.opened = self.opened.checked_add(1)?;
+        Some(self.opened)
+    }
+
+    pub(crate) fn standing(&self, number: u32, id: u32) -> Standing {
+        match self
+            .proved
+            .iter()
+            .flatten()
+            .find(|(known, _)| *known == number)
+        {
+            // Ids wrap: the nearer half of them is later.
+            Some((_, latest)) if (id.wrapping_sub(*latest) as i32) > 0 => Standing::New,
+            Some(_) => Standing::Used,
+            None if number > self.ended && number <= self.opened => Standing::New,
+            None => Standing::Ended,
+        }
+    }
+
+    /// Takes note of a request whose signature was right: its session goes to the front. Sessions
+    /// opened before it that have not been used end, and so does the one not used for longest.
+    pub(crate) fn note(&mut self, number: u32, id: u32) {
+        let known = |proved: &Option<(u32, u32)>| proved.is_some_and(|(known, _)| known == number);
+        let place = self.proved.iter().position(known);
+        let place = place.unwrap_or(SESSIONS - 1);
+        if let Some(moving) = self.proved.get_mut(..=place) {
+            moving.rotate_right(1);
+        }
+        if let Some(front) = self.proved.first_mut() {
+            *front = Some((number, id));
+        }
+        self.ended = self.ended.max(number);
+    }
+}

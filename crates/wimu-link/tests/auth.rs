@@ -1,0 +1,617 @@
+//! Writes that nobody signed, and the owner's that pass among them.
+//!
+//! The whole campaign, which prints its counts:
+//! `cargo test --release -p wimu-link --test auth -- --ignored --nocapture`.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
+use wimu_link::hello::{LinkRole, WriteAccess};
+use wimu_link::message::{Answer, Command, Payload, Refusal, Reply, Request, Settings, Signature};
+use wimu_link::requester::Requester;
+use wimu_link::responder::{Decision, Responder};
+use wimu_link::{Deframer, MAX_FRAME};
+
+const NOW: Duration = Duration::from_secs(1);
+
+fn body(line: &[u8]) -> Vec<u8> {
+    let mut deframer = Deframer::new();
+    line.iter()
+        .find_map(|&byte| Some(deframer.push(byte)?.expect("own frame").body.to_vec()))
+        .expect("a frame")
+}
+
+fn encoded(request: &Request) -> Vec<u8> {
+    let mut line = [0; MAX_FRAME];
+    let length = request.encode(&mut line).expect("room");
+    body(&line[..length])
+}
+
+/// A device with both its links, which remembers the writes that it carried out.
+struct Device {
+    lock: Lock,
+    links: [Responder; 2],
+    writes: Vec<Command>,
+}
+
+const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+impl Device {
+    fn new(lock: Lock) -> Self {
+        Self {
+            lock,
+            links: ROLES.map(Responder::new),
+            writes: Vec::new(),
+        }
+    }
+
+    /// It starts anew: what is in RAM is gone.
+    fn restart(&mut self) {
+        self.links = ROLES.map(Responder::new);
+        self.lock.boot_count = self.lock.boot_count.map(|count| count + 1);
+    }
+
+    fn hear(&mut self, role: LinkRole, request: &[u8]) -> Option<Reply> {
+        let link = &mut self.links[usize::from(role != LinkRole::Cable)];
+        let frame = match link.accept(request, &self.lock) {
+            Decision::Ignore => return None,
+            Decision::Send(frame) => frame,
+            Decision::Execute(command) => {
+                if command.is_write() {
+                    self.writes.push(command);
+                }
+                link.reply(&Answer::Accepted(Payload::None))
+            }
+        };
+        Some(Reply::decode(&body(frame)).expect("own reply"))
+    }
+}
+
+/// The owner's host on one link.
+struct Owner {
+    role: LinkRole,
+    key: DeviceKey,
+    requester: Requester,
+    ids: u32,
+}
+
+impl Owner {
+    fn new(role: LinkRole, key: DeviceKey, session: u32) -> Self {
+        Self {
+            role,
+            key,
+            requester: Requester::new(session),
+            ids: session,
+        }
+    }
+
+    fn open(&mut self, device: &mut Device) {
+        let question = body(self.requester.start(Command::OpenSession, NOW));
+        let reply = device.hear(self.role, &question).expect("an answer");
+        match self.requester.on_reply(&reply) {
+            Some(Answer::Accepted(Payload::Session { number, nonce })) => {
+                let session = Session {
+                    key: self.key,
+                    role: self.role,
+                    device_id: device.lock.device_id,
+                    number,
+                    nonce,
+                };
+                self.ids = self.ids.wrapping_mul(0x9e37_79b9).wrapping_add(1);
+                self.requester.sign(session, self.ids);
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// The body of a signed request.
+    fn request(&mut self, command: Command) -> Vec<u8> {
+        body(self.requester.start(command, NOW))
+    }
+
+    /// Asks for a write, in a new session if there is none any more.
+    fn write(&mut self, device: &mut Device, command: Command) -> Answer {
+        for _ in 0..3 {
+            let request = self.request(command);
+            let reply = device.hear(self.role, &request).expect("an answer");
+            match self.requester.on_reply(&reply).expect("its answer") {
+                Answer::Refused(Refusal::SessionEnded | Refusal::WrongSignature) => {
+                    self.open(device);
+                }
+                answer => return answer,
+            }
+        }
+        panic!("no session lasts");
+    }
+}
+
+fn locked_by(key: DeviceKey) -> Lock {
+    Lock {
+        key: KeyState::Set(key),
+        device_id: 0x1234,
+        boot_count: Some(7),
+        entropy: [3; 16],
+    }
+}
+
+fn rate(rate_hz: u16) -> Command {
+    Command::SetSettings(Settings {
+        rate_hz,
+        ..Settings::default()
+    })
+}
+
+/// SplitMix64.
+struct Seeded(u64);
+
+impl Seeded {
+    fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, limit: usize) -> usize {
+        (self.bits() % limit as u64) as usize
+    }
+
+    fn key(&mut self) -> DeviceKey {
+        let mut bytes = [0; 32];
+        for byte in &mut bytes {
+            *byte = self.bits() as u8;
+        }
+        DeviceKey::new(bytes)
+    }
+}
+
+/// Attacks on one device while its owner writes on both links; what was tried, by kind. Panics when
+/// a write passes that the owner did not ask for, when one passes twice, or when the owner's do not.
+fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
+    const HOSTILE_PER_ROUND: usize = 60;
+    let mut source = Seeded(seed);
+    let (key, others_key) = (source.key(), source.key());
+    let mut device = Device::new(locked_by(key));
+    // Same key, another device; and one that has another key.
+    let twin = Lock {
+        device_id: 0x9999,
+        ..locked_by(key)
+    };
+    let mut owners = ROLES.map(|role| Owner::new(role, key, source.bits() as u32));
+    let mut second = Owner::new(LinkRole::Wireless, key, source.bits() as u32);
+    let mut tried: BTreeMap<&'static str, u64> = BTreeMap::new();
+    // What the attacker has overheard on each link, in this start and before.
+    let mut heard: Vec<(LinkRole, Vec<u8>)> = Vec::new();
+    let mut wanted = Vec::new();
+    let mut value = 0;
+    for owner in owners.iter_mut().chain([&mut second]) {
+        owner.open(&mut device);
+    }
+    for round in 0..rounds {
+        let before = device.writes.len();
+        for _ in 0..HOSTILE_PER_ROUND {
+            let role = ROLES[source.below(2)];
+            let overheard = (!heard.is_empty()).then(|| heard[source.below(heard.len())].clone());
+            let (kind, body) = match (source.below(9), overheard) {
+                (0, Some((_, body))) => ("replayed", body),
+                (1, Some((_, mut body))) => {
+                    let bit = source.below(8 * body.len());
+                    body[bit / 8] ^= 1 << (bit % 8);
+                    ("with a bit flipped", body)
+                }
+                (2, Some((_, body))) => {
+                    let keep = source.below(body.len());
+                    ("truncated", body[..keep].to_vec())
+                }
+                (3, Some((of, body))) => {
+                    let other = ROLES[usize::from(of == LinkRole::Cable)];
+                    assert!(
+                        device
+                            .hear(other, &body)
+                            .is_none_or(|reply| refused(&reply))
+                    );
+                    ("cross-link", body)
+                }
+                (4, _) => {
+                    // Signed by the owner for another of his devices.
+                    let mut other = Device::new(twin);
+                    let mut owner = Owner::new(role, key, source.bits() as u32);
+                    owner.open(&mut other);
+                    ("cross-device", owner.request(rate(60_000)))
+                }
+                (5, _) => {
+                    let session = Session {
+                        key: others_key,
+                        role,
+                        device_id: device.lock.device_id,
+                        number: source.below(8) as u32,
+                        nonce: [source.bits() as u8; 16],
+                    };
+                    let id = source.bits() as u32;
+                    let command = rate(60_000);
+                    let request = Request {
+                        session: session.number,
+                        id,
+                        signature: session.sign(id, &command),
+                        command,
+                    };
+                    ("of another key", encoded(&request))
+                }
+                (6, Some((_, body))) => {
+                    // Another command or id under a signature that is right for what it was with.
+                    let mut request = Request::decode(&body).expect("overheard whole");
+                    if source.below(2) == 0 {
+                        request.command = rate(60_000);
+                    } else {
+                        request.id = request.id.wrapping_add(1 + source.below(9) as u32);
+                    }
+                    ("with content exchanged", encoded(&request))
+                }
+                (7, _) => {
+                    let request = Request {
+                        session: source.bits() as u32,
+                        id: 1,
+                        signature: Signature::NONE,
+                        command: Command::OpenSession,
+                    };
+                    ("sessions opened without a key", encoded(&request))
+                }
+                _ => {
+                    let request = Request {
+                        session: source.below(12) as u32,
+                        id: source.bits() as u32,
+                        signature: match source.below(3) {
+                            0 => Signature::NONE,
+                            1 => Signature::new(&source.bits().to_le_bytes()[..4]).expect("short"),
+                            _ => Signature::new(&source.bits().to_le_bytes()).expect("whole"),
+                        },
+                        command: match source.below(4) {
+                            0 => Command::FactoryReset,
+                            1 => Command::SetKey(others_key),
+                            2 => Command::ForgetKey,
+                            _ => rate(60_000),
+                        },
+                    };
+                    ("forged", encoded(&request))
+                }
+            };
+            device.hear(role, &body);
+            *tried.entry(kind).or_default() += 1;
+        }
+        assert_eq!(
+            device.writes.len(),
+            before,
+            "a write passed in round {round}"
+        );
+
+        // The owner gets through, from two hosts on one link and one on the other.
+        value = value % 50_000 + 1;
+        let owner = match source.below(3) {
+            2 => &mut second,
+            link => &mut owners[link],
+        };
+        let command = rate(value);
+        let answer = owner.write(&mut device, command);
+        assert_eq!(answer, Answer::Accepted(Payload::None), "round {round}");
+        wanted.push(command);
+        assert_eq!(device.writes, wanted);
+        // Overheard: this one, with its number and signature.
+        let role = owner.role;
+        let next = owner.request(rate(60_001));
+        if source.below(4) == 0 {
+            // Held back by the attacker, and let through when later ones have passed.
+            let answer = owner.write(&mut device, rate(value));
+            assert_eq!(answer, Answer::Accepted(Payload::None));
+            wanted.push(rate(value));
+            device.hear(role, &next);
+            *tried.entry("reordered").or_default() += 1;
+            assert_eq!(device.writes, wanted);
+            heard.push((role, next));
+        } else {
+            device.hear(role, &next);
+            wanted.push(rate(60_001));
+            assert_eq!(device.writes, wanted);
+            heard.push((role, next));
+        }
+        if heard.len() > 400 {
+            heard.swap_remove(source.below(400));
+        }
+        if round % 50 == 49 {
+            // Everything overheard is of an old start now, and of sessions that have ended.
+            device.restart();
+            for (role, body) in &heard {
+                device.hear(*role, body);
+                *tried.entry("cross-boot").or_default() += 1;
+            }
+            for owner in owners.iter_mut().chain([&mut second]) {
+                owner.open(&mut device);
+            }
+            for (role, body) in &heard {
+                device.hear(*role, body);
+                *tried.entry("old-session").or_default() += 1;
+            }
+            assert_eq!(device.writes, wanted, "a write of an old session passed");
+        }
+        if wanted.len() > 1000 {
+            wanted.clear();
+            device.writes.clear();
+        }
+    }
+    tried
+}
+
+fn refused(reply: &Reply) -> bool {
+    matches!(reply.answer, Answer::Refused(_) | Answer::Unknown)
+}
+
+#[test]
+fn nothing_passes_that_the_owner_did_not_sign_and_everything_that_he_did() {
+    let tried = attack(1, 400);
+    assert!(tried.len() >= 11, "{tried:?}");
+    assert!(tried.values().all(|&count| count > 50), "{tried:?}");
+}
+
+#[test]
+#[ignore = "takes a minute; run it with --release"]
+fn a_million_attacks_and_none_passes() {
+    let mut all: BTreeMap<&'static str, u64> = BTreeMap::new();
+    for seed in 0..8 {
+        for (kind, count) in attack(100 + seed, 2_500) {
+            *all.entry(kind).or_default() += count;
+        }
+    }
+    let total: u64 = all.values().sum();
+    println!("{total} attacks, 0 accepted, the owner got through after each round");
+    for (kind, count) in &all {
+        println!("{count:>9} {kind}");
+    }
+    assert!(total >= 1_000_000);
+}
+
+#[test]
+fn opening_sessions_without_the_key_ends_nobodys() {
+    let key = DeviceKey::new([5; 32]);
+    let mut device = Device::new(locked_by(key));
+    let mut owner = Owner::new(LinkRole::Wireless, key, 1);
+    owner.open(&mut device);
+    let open = |device: &mut Device, from: u32| {
+        for session in from..from + 10_000 {
+            let request = Request {
+                session,
+                id: 1,
+                signature: Signature::NONE,
+                command: Command::OpenSession,
+            };
+            let reply = device.hear(LinkRole::Wireless, &encoded(&request));
+            assert!(matches!(
+                reply.map(|reply| reply.answer),
+                Some(Answer::Accepted(Payload::Session { .. }))
+            ));
+        }
+    };
+    // Between opening and the first signed request, and between two of those.
+    for from in [1_000_000, 2_000_000] {
+        open(&mut device, from);
+        let request = owner.request(rate(200));
+        let reply = device
+            .hear(LinkRole::Wireless, &request)
+            .expect("an answer");
+        let answer = owner.requester.on_reply(&reply);
+        assert_eq!(answer, Some(Answer::Accepted(Payload::None)));
+    }
+}
+
+#[test]
+fn a_session_is_another_one_in_every_respect() {
+    let lock = locked_by(DeviceKey::new([5; 32]));
+    let nonces = |lock: Lock, role: LinkRole, opened: usize| {
+        let mut device = Device::new(lock);
+        let mut last = None;
+        for session in 0..opened {
+            let request = Request {
+                session: session as u32,
+                id: 1,
+                signature: Signature::NONE,
+                command: Command::OpenSession,
+            };
+            last = device
+                .hear(role, &encoded(&request))
+                .map(|reply| reply.answer);
+        }
+        match last {
+            Some(Answer::Accepted(Payload::Session { nonce, .. })) => nonce,
+            other => panic!("{other:?}"),
+        }
+    };
+    let all = [
+        nonces(lock, LinkRole::Wireless, 1),
+        nonces(lock, LinkRole::Wireless, 2),
+        nonces(lock, LinkRole::Cable, 1),
+        nonces(
+            Lock {
+                boot_count: Some(8),
+                ..lock
+            },
+            LinkRole::Wireless,
+            1,
+        ),
+        nonces(
+            Lock {
+                entropy: [4; 16],
+                ..lock
+            },
+            LinkRole::Wireless,
+            1,
+        ),
+        nonces(locked_by(DeviceKey::new([6; 32])), LinkRole::Wireless, 1),
+    ];
+    for (place, nonce) in all.iter().enumerate() {
+        assert!(all[..place].iter().all(|other| other != nonce));
+    }
+}
+
+#[test]
+fn an_answer_that_the_device_did_not_sign_is_none() {
+    let key = DeviceKey::new([5; 32]);
+    let mut device = Device::new(locked_by(key));
+    let mut owner = Owner::new(LinkRole::Wireless, key, 1);
+    owner.open(&mut device);
+    let first = owner.request(rate(100));
+    let old = device.hear(LinkRole::Wireless, &first).expect("an answer");
+    assert!(owner.requester.on_reply(&old).is_some());
+    let second = owner.request(rate(200));
+    let right = device.hear(LinkRole::Wireless, &second).expect("an answer");
+    for wrong in [
+        old,
+        Reply {
+            id: right.id,
+            ..old
+        },
+        Reply {
+            signature: Signature::NONE,
+            ..right
+        },
+        Reply {
+            answer: Answer::Unknown,
+            ..right
+        },
+        Reply {
+            signature: Signature::new(&[0; 8]).expect("whole"),
+            ..right
+        },
+        Reply {
+            signature: Signature::NONE,
+            answer: Answer::Refused(Refusal::StoreFailed),
+            ..right
+        },
+    ] {
+        assert_eq!(owner.requester.on_reply(&wrong), None, "{wrong:?}");
+    }
+    assert!(owner.requester.on_reply(&right).is_some());
+}
+
+#[test]
+fn keys_are_changed_over_the_cable_only_and_by_who_has_the_one_before() {
+    let (key, new) = (DeviceKey::new([5; 32]), DeviceKey::new([6; 32]));
+    let mut device = Device::new(locked_by(key));
+    for role in ROLES {
+        let mut owner = Owner::new(role, key, 1);
+        owner.open(&mut device);
+        for command in [Command::SetKey(new), Command::ForgetKey] {
+            let answer = owner.write(&mut device, command);
+            let expected = match role {
+                LinkRole::Cable => Answer::Accepted(Payload::None),
+                _ => Answer::Refused(Refusal::CableOnly),
+            };
+            assert_eq!(answer, expected, "{role} {command:?}");
+        }
+    }
+    // What was signed with the old key is worth nothing under the new one.
+    let mut owner = Owner::new(LinkRole::Cable, key, 9);
+    owner.open(&mut device);
+    let old = owner.request(Command::FactoryReset);
+    device.lock.key = KeyState::Set(new);
+    let reply = device.hear(LinkRole::Cable, &old).expect("an answer");
+    assert_eq!(reply.answer, Answer::Refused(Refusal::WrongSignature));
+}
+
+#[test]
+fn the_key_is_never_shown() {
+    let key = DeviceKey::new([0xAB; 32]);
+    let shown = format!(
+        "{key:?} {:?} {:?}",
+        Command::SetKey(key),
+        KeyState::Set(key)
+    );
+    assert!(
+        !shown.contains("171") && !shown.to_lowercase().contains("ab, "),
+        "{shown}"
+    );
+    assert_eq!(key.id().to_string().len(), 8);
+}
+
+#[test]
+fn a_key_of_another_length_is_no_command() {
+    let mut device = Device::new(Lock {
+        key: KeyState::None,
+        ..locked_by(DeviceKey::new([0; 32]))
+    });
+    let whole = encoded(&Request {
+        session: 1,
+        id: 1,
+        signature: Signature::NONE,
+        command: Command::SetKey(DeviceKey::new([1; 32])),
+    });
+    for (id, length) in (2..).zip([0, 1, 31, 33]) {
+        let mut body = whole[..whole.len() - 32].to_vec();
+        body[1] = id;
+        body.extend(vec![1; length]);
+        let reply = device.hear(LinkRole::Cable, &body).expect("an answer");
+        assert_eq!(reply.answer, Answer::Unknown, "{length}");
+    }
+    assert_eq!(device.writes, []);
+}
+
+#[test]
+fn a_device_that_cannot_read_its_boot_count_takes_no_write_over_the_radio() {
+    let key = DeviceKey::new([5; 32]);
+    let lock = Lock {
+        boot_count: None,
+        ..locked_by(key)
+    };
+    assert_eq!(lock.access(LinkRole::Wireless), WriteAccess::Locked);
+    let mut device = Device::new(lock);
+    for command in [Command::OpenSession, rate(100)] {
+        let request = Request {
+            session: 1,
+            id: 1,
+            signature: Signature::NONE,
+            command,
+        };
+        let mut device = Device::new(lock);
+        let reply = device
+            .hear(LinkRole::Wireless, &encoded(&request))
+            .expect("an answer");
+        assert_eq!(reply.answer, Answer::Refused(Refusal::Locked));
+    }
+    // Over the cable the owner can, and mend it.
+    let mut owner = Owner::new(LinkRole::Cable, key, 1);
+    owner.open(&mut device);
+    let answer = owner.write(&mut device, Command::SetKey(key));
+    assert_eq!(answer, Answer::Accepted(Payload::None));
+}
+
+/// Against Python's `hmac` and `hashlib`.
+#[test]
+fn signatures_are_those_of_an_independent_implementation() {
+    let key = DeviceKey::new(core::array::from_fn(|at| at as u8));
+    assert_eq!(key.id().to_string(), "2661c013");
+    let mut device = Device::new(locked_by(key));
+    let role = LinkRole::Wireless;
+    let open = Request {
+        session: 9,
+        id: 1,
+        signature: Signature::NONE,
+        command: Command::OpenSession,
+    };
+    let reply = device.hear(role, &encoded(&open)).expect("an answer");
+    let nonce = [
+        0x6a, 0xd5, 0xa7, 0xeb, 0x3e, 0x45, 0x6f, 0x43, 0xa7, 0x29, 0x8c, 0xda, 0x0e, 0xae, 0x66,
+        0x3b,
+    ];
+    let session = Payload::Session { number: 1, nonce };
+    assert_eq!(reply.answer, Answer::Accepted(session));
+    let request = Request {
+        session: 1,
+        id: 0xffff_fffe,
+        signature: Signature::new(&[0x48, 0xee, 0xda, 0x29, 0x27, 0xc9, 0xe6, 0xfd])
+            .expect("whole"),
+        command: Command::CommitParameters { hash: 0xdead_beef },
+    };
+    let reply = device.hear(role, &encoded(&request)).expect("an answer");
+    assert_eq!(reply.answer, Answer::Accepted(Payload::None));
+    let signature = [0xe8, 0xa8, 0x07, 0x87, 0x77, 0xe4, 0xf1, 0x8c];
+    assert_eq!(reply.signature.as_bytes(), signature);
+}

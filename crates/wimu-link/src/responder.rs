@@ -81,6 +81,8 @@ pub struct Responder {
     /// The reply to it.
     signed_reply: FrameBuffer<MAX_FRAME>,
     executing: Option<Executing>,
+    /// Requests that came again.
+    repeated: u32,
     /// A refusal that must replace neither reply.
     refusal: FrameBuffer<REFUSAL_FRAME>,
 }
@@ -133,6 +135,7 @@ impl Responder {
             latest_signed: None,
             signed_reply: FrameBuffer::new(),
             executing: None,
+            repeated: 0,
             refusal: FrameBuffer::new(),
         }
     }
@@ -165,6 +168,7 @@ impl Responder {
             .flatten();
         if let Some(latest) = latest {
             if latest == request && known == Some(0) {
+                self.repeated = self.repeated.wrapping_add(1);
                 return match self.executing {
                     Some(Executing::Unsigned(_)) => Decision::Ignore,
                     _ => Decision::Send(self.reply.frame()),
@@ -219,6 +223,7 @@ impl Responder {
     ) -> Decision<'_> {
         // A repeat gets what was sent before: nobody learns anything from it.
         if self.latest_signed == Some(request) {
+            self.repeated = self.repeated.wrapping_add(1);
             return match self.executing {
                 Some(Executing::Signed(..)) => Decision::Ignore,
                 _ => Decision::Send(self.signed_reply.frame()),
@@ -283,6 +288,11 @@ impl Responder {
             }),
             None => Answer::Refused(Refusal::Locked),
         }
+    }
+
+    /// How often the latest request of a session came again, since the start; wraps.
+    pub fn repeated(&self) -> u32 {
+        self.repeated
     }
 
     /// The frame that answers the request that was to be executed; the same bytes will answer its

@@ -2,8 +2,9 @@
 
 use core::marker::PhantomData;
 
-use embassy_futures::select::{Either3, select3};
+use embassy_futures::select::{Either4, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::batch::MAX_BATCH;
 use wimu_link::frame::{self, MAX_FRAME};
 use wimu_link::message::{
@@ -23,6 +24,8 @@ const TEMPERATURE_STEP: i16 = 50;
 /// Sensitivity of a parameter set against the sensor's own: what a user may have measured, no
 /// other range and no other sensor.
 const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
+/// A link is given so long to carry the announcement of a pause.
+const DRAIN_US: u64 = 100_000;
 /// How the device is, is told this often.
 const STATUS_US: u64 = 5_000_000;
 
@@ -42,14 +45,15 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let mut plan = self.start().await;
         let mut next_status = self.timer.now();
         loop {
-            let event = select3(
+            let event = select4(
                 self.shared.requests.receive(),
                 self.shared.temperature.wait(),
                 self.timer.until(next_status),
+                self.shared.key_lost.wait(),
             )
             .await;
             match event {
-                Either3::First((role, command)) => {
+                Either4::First((role, command)) => {
                     let answer = match self.obey(&mut plan, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
@@ -66,8 +70,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                     self.shared
                         .keep(role, frame.get(..length).unwrap_or_default());
                 }
-                Either3::Second(temperature) => self.follow(&plan, temperature).await,
-                Either3::Third(()) => {
+                Either4::Second(temperature) => self.follow(&plan, temperature).await,
+                Either4::Third(()) => {
                     let now = self.timer.now();
                     next_status = DeviceTimeUs(now.0.saturating_add(STATUS_US));
                     let mut frame = [0; MAX_FRAME];
@@ -77,6 +81,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         self.shared.stream([true; 2], frame, |_| true);
                     }
                 }
+                Either4::Fourth(()) => self.lose_key(&mut plan).await,
             }
         }
     }
@@ -85,16 +90,19 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     /// the device runs without it.
     async fn start(&mut self) -> Plan {
         let boot_count = match self.load_boot_count().await {
-            Ok(before) => {
-                let count = before.wrapping_add(1).max(1);
-                if self.save_boot_count(count).await.is_err() {
-                    self.trouble(Trouble::BootCount, Event::StoreUnreadable);
-                }
-                count
-            }
+            // A count that is not kept would come again.
+            Ok(before) => self.count_start(before).await,
+            Err(StoreFault) => None,
+        };
+        if boot_count.is_none() {
+            self.trouble(Trouble::BootCount, Event::StoreUnreadable);
+        }
+        let key = match self.load_raw(Key::DeviceKey).await {
+            Ok(None) => KeyState::None,
+            Ok(Some(bytes)) => KeyState::Set(DeviceKey::new(bytes)),
             Err(StoreFault) => {
-                self.trouble(Trouble::BootCount, Event::StoreUnreadable);
-                0
+                self.trouble(Trouble::DeviceKey, Event::StoreUnreadable);
+                KeyState::Unreadable
             }
         };
         let wanted = match self.load(Key::Settings).await {
@@ -119,7 +127,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         };
         let parameters = self.load_parameters(plan.settings.range_g).await;
         self.shared.publish(|published| {
-            published.hello.boot_count = boot_count;
+            published.hello.boot_count = boot_count.unwrap_or(0);
+            published.lock.boot_count = boot_count;
+            published.lock.key = key;
             published.settings = plan.settings;
             published.parameters = parameters;
             published.ready = true;
@@ -164,6 +174,17 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Command::GetParameters => Ok(self.active()),
             Command::GetSettings => Ok(Payload::Settings(plan.settings)),
             Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
+            Command::GetKeyStatus => Ok(self.key_status()),
+            // Answered before it comes here.
+            Command::OpenSession => Err(Refusal::KeyNeeded),
+            Command::SetKey(key) => self.set_key(key).await,
+            Command::ForgetKey => {
+                self.announce_pause().await;
+                let removed = self.store.remove(|key| key == Key::DeviceKey).await;
+                removed.map_err(|StoreFault| Refusal::StoreFailed)?;
+                self.take_key(KeyState::None);
+                Ok(self.key_status())
+            }
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
             Command::StageParameters(wire) => {
                 let set = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
@@ -197,6 +218,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Command::FactoryReset => {
                 let new = plan_nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
                 self.configure(&new, None).await?;
+                self.announce_pause().await;
                 if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
                     let committed = self.shared.published().parameters;
                     self.configure(plan, committed.as_ref()).await?;
@@ -215,6 +237,87 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 self.announce_parameters();
                 Ok(Payload::None)
             }
+        }
+    }
+
+    /// Takes the owner's word that the key is lost: no more key, and settings as from the factory.
+    async fn lose_key(&mut self, plan: &mut Plan) {
+        self.announce_pause().await;
+        let removed = self
+            .store
+            .remove(|key| matches!(key, Key::DeviceKey | Key::Settings))
+            .await;
+        if removed.is_err() {
+            self.shared.report(self.timer.now(), Event::StoreUnreadable);
+            return;
+        }
+        if let Some(new) = plan_nearest::<A>(&Settings::default()) {
+            let parameters = self.load_parameters(new.settings.range_g).await;
+            // A sensor that is away is started with these settings when it is back.
+            let _ = self.configure(&new, parameters.as_ref()).await;
+            *plan = new;
+            self.shared.publish(|published| {
+                published.settings = new.settings;
+                published.parameters = parameters;
+            });
+            self.mended(Trouble::Settings);
+        }
+        self.take_key(KeyState::None);
+    }
+
+    /// Stores a key and takes it. With another key, the starts are counted anew if they could not
+    /// be read: no session of before is one of now.
+    async fn set_key(&mut self, key: DeviceKey) -> Result<Payload, Refusal> {
+        self.announce_pause().await;
+        self.save_raw(Key::DeviceKey, key.expose())
+            .await
+            .map_err(|StoreFault| Refusal::StoreFailed)?;
+        let lock = self.shared.lock();
+        if lock.boot_count.is_none() && lock.key != KeyState::Set(key) {
+            let boot_count = self.count_start(0).await;
+            self.shared.publish(|published| {
+                published.hello.boot_count = boot_count.unwrap_or(0);
+                published.lock.boot_count = boot_count;
+            });
+            if boot_count.is_some() {
+                self.mended(Trouble::BootCount);
+            }
+        }
+        self.take_key(KeyState::Set(key));
+        Ok(self.key_status())
+    }
+
+    /// From now on writes are signed with this key, and hosts are told.
+    fn take_key(&mut self, key: KeyState) {
+        self.shared.publish(|published| published.lock.key = key);
+        self.mended(Trouble::DeviceKey);
+        for role in ROLES {
+            self.shared.introduce(role, self.timer.now());
+        }
+    }
+
+    fn key_status(&self) -> Payload {
+        Payload::KeyStatus {
+            key: match self.shared.lock().key {
+                KeyState::Set(key) => Some(key.id()),
+                _ => None,
+            },
+        }
+    }
+
+    /// Tells the hosts that nothing is heard for a while, and waits until they know: at most a
+    /// tenth of a second, for a link may have stalled.
+    async fn announce_pause(&self) {
+        let longest_ms = self.store.pause_ms();
+        if longest_ms == 0 {
+            return;
+        }
+        let now = self.timer.now();
+        self.shared.report(now, Event::Pause { longest_ms });
+        let until = now.0.saturating_add(DRAIN_US);
+        while !ROLES.iter().all(|role| self.shared.is_drained(*role)) && self.timer.now().0 < until
+        {
+            self.timer.after_us(500).await;
         }
     }
 
@@ -392,6 +495,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let length = record
             .encode(&mut bytes)
             .map_err(|_| Refusal::StoreFailed)?;
+        self.announce_pause().await;
         self.store
             .save(key, bytes.get(..length).unwrap_or_default())
             .await
@@ -399,27 +503,36 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     }
 
     async fn load_boot_count(&mut self) -> Result<u32, StoreFault> {
+        let count = self.load_raw(Key::BootCount).await?;
+        Ok(count.map_or(0, u32::from_le_bytes))
+    }
+
+    /// Counts one more start; `None` if it cannot be kept.
+    async fn count_start(&mut self, before: u32) -> Option<u32> {
+        let count = before.wrapping_add(1).max(1);
+        let saved = self.save_raw(Key::BootCount, &count.to_le_bytes()).await;
+        saved.is_ok().then_some(count)
+    }
+
+    /// Reads a record of bytes.
+    async fn load_raw<const N: usize>(&mut self, key: Key) -> Result<Option<[u8; N]>, StoreFault> {
         let mut record = [0; MAX_RECORD];
-        let Some(length) = self.store.load(Key::BootCount, &mut record).await? else {
-            return Ok(0);
+        let Some(length) = self.store.load(key, &mut record).await? else {
+            return Ok(None);
         };
         let mut deframer = Deframer::new();
         let record = record.get(..length).unwrap_or_default();
-        record
+        let bytes = record
             .iter()
-            .find_map(|&byte| {
-                let frame = deframer.push(byte)?.ok()?;
-                Some(u32::from_le_bytes(frame.body.try_into().ok()?))
-            })
-            .ok_or(StoreFault)
+            .find_map(|&byte| <[u8; N]>::try_from(deframer.push(byte)?.ok()?.body).ok());
+        bytes.map(Some).ok_or(StoreFault)
     }
 
-    async fn save_boot_count(&mut self, count: u32) -> Result<(), StoreFault> {
+    async fn save_raw(&mut self, key: Key, content: &[u8]) -> Result<(), StoreFault> {
         let mut bytes = [0; MAX_RECORD];
-        let length = frame::encode(Kind::Telemetry, &count.to_le_bytes(), &mut bytes)
-            .map_err(|_| StoreFault)?;
+        let length = frame::encode(Kind::Telemetry, content, &mut bytes).map_err(|_| StoreFault)?;
         self.store
-            .save(Key::BootCount, bytes.get(..length).unwrap_or_default())
+            .save(key, bytes.get(..length).unwrap_or_default())
             .await
     }
 }

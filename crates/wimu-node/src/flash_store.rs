@@ -25,8 +25,9 @@ const ATTEMPTS: usize = 3;
 /// The pages of a flash that hold the store: two or more whole ones. Made at compile time, where a
 /// layout that cannot work is an error.
 ///
-/// Two pages of 4 KiB hold what a node keeps: parameters for four ranges, settings, key, boot
-/// count. With more pages each is erased less often.
+/// Four pages of 4 KiB hold what a node keeps: parameters for four ranges with everything that can
+/// be in them, settings, key, boot count. Two hold those for two ranges, or for four with less in
+/// them. With more pages each is erased less often.
 #[derive(Clone, Debug)]
 pub struct FlashLayout<F> {
     range: Range<u32>,
@@ -82,14 +83,14 @@ impl<F: NorFlash> FlashLayout<F> {
 /// use embedded_storage_async::nor_flash::NorFlash;
 /// use wimu_node::{FlashLayout, FlashStore};
 ///
-/// /// The last two pages of 4 KiB of a flash of 512 KiB, as on an nRF52833; erasing one takes up
+/// /// The last four pages of 4 KiB of a flash of 512 KiB, as on an nRF52833; erasing one takes up
 /// /// to 90 ms.
 /// fn store<F: NorFlash>(flash: F) -> FlashStore<F> {
-///     FlashStore::new(flash, const { FlashLayout::new(0x7E000..0x80000) }, 90)
+///     FlashStore::new(flash, const { FlashLayout::new(0x7C000..0x80000) }, 90)
 /// }
 /// ```
 ///
-/// 2 KB of RAM.
+/// 3 KB of RAM.
 pub struct FlashStore<F: NorFlash> {
     map: MapStorage<u8, Checked<F>, Cache<Uncached, Uncached, Uncached, u8>>,
     buffer: Buffer,
@@ -114,9 +115,9 @@ impl<F: NorFlash> FlashStore<F> {
         let usable = F::ERASE_SIZE - 2 * F::WRITE_SIZE;
         let pages = (range.end - range.start) as usize / F::ERASE_SIZE;
         Self {
-            // One page is always open, and at the end of each of the others there may be too
-            // little room.
-            capacity: (pages - 1) * (usable - Self::footprint(MAX_RECORD)),
+            // One page is always open, and at the end of each but one of the others there may be
+            // too little room.
+            capacity: (pages - 1) * usable - (pages - 2) * Self::footprint(MAX_RECORD),
             map: MapStorage::new(Checked(flash), MapConfig::new(range), Cache::new_uncached()),
             buffer: Buffer([0; _]),
             directory: None,
@@ -242,10 +243,10 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(directory)
     }
 
-    /// Bytes that all records but the one of `key` take.
-    async fn used_by_others(&mut self, directory: &Directory, key: u8) -> usize {
-        let mut used = Self::footprint(Directory::LENGTH);
-        for entry in directory.entries.iter().filter(|entry| entry.key != key) {
+    /// Bytes that all records take, and the directory twice, for it is saved with each of them.
+    async fn used(&mut self, directory: &Directory) -> usize {
+        let mut used = 2 * Self::footprint(Directory::LENGTH);
+        for entry in &directory.entries {
             if entry.key != DIRECTORY
                 && let Ok(Some((_, length))) = self.newest(entry.key).await
             {
@@ -300,7 +301,8 @@ impl<F: NorFlash> Store for FlashStore<F> {
         {
             return Ok(());
         }
-        let used = self.used_by_others(&directory, key).await;
+        // The old record may have to be moved before the new one stands.
+        let used = self.used(&directory).await;
         if used + Self::footprint(record.len()) > self.capacity {
             return Err(StoreFault);
         }

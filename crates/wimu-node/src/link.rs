@@ -8,7 +8,7 @@ use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
-use crate::shared::{Shared, access};
+use crate::shared::Shared;
 use crate::timer::Timer;
 
 /// A host that asks who is there more often has been answered.
@@ -35,6 +35,7 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
             } else {
                 embassy_futures::yield_now().await;
             }
+            self.shared.frame_sent(self.role);
         }
     }
 }
@@ -93,8 +94,9 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     /// A command to carry out; anything else is answered here.
     fn accept(&self, request: &[u8]) -> Option<Command> {
         let mut frame = [0; MAX_FRAME];
+        let lock = self.shared.lock();
         let (command, length) = self.shared.with_inbox(self.role, |inbox| {
-            match inbox.responder.accept(request, access(self.role)) {
+            match inbox.responder.accept(request, &lock) {
                 Decision::Execute(command) => (Some(command), 0),
                 Decision::Send(answer) => {
                     let length = answer.len().min(frame.len());

@@ -24,6 +24,10 @@ pub struct Board<A, T, S, CR, CW, WR, WW> {
     pub timer: T,
     /// Non-volatile memory.
     pub store: S,
+    /// Bits that nobody can foresee, other ones at each start, from a source made for
+    /// cryptography; zeros without one: then the count of starts alone keeps the sessions of one
+    /// start from being those of another.
+    pub entropy: [u8; 16],
     /// The cable, as its receiving and its sending half. `read` must be cancel-safe.
     pub cable: (CR, CW),
     /// The wireless link, likewise.
@@ -59,7 +63,11 @@ where
 {
     /// Makes the board a node: its tasks, which share `shared`.
     pub fn split<M: RawMutex>(self, shared: &Shared<M>) -> Node<'_, A, T, S, CR, CW, WR, WW, M> {
-        shared.publish(|published| published.hello = self.hello);
+        shared.publish(|published| {
+            published.hello = self.hello;
+            published.lock.device_id = self.hello.device_id;
+            published.lock.entropy = self.entropy;
+        });
         Node {
             cable_reader: LinkReader {
                 role: LinkRole::Cable,

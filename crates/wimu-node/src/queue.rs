@@ -19,6 +19,8 @@ pub(crate) struct FrameQueue {
     pub(crate) bytes_sent: u64,
     /// Kept frames that had no room since the link last drained: it has stalled.
     pub(crate) overflowed: bool,
+    /// A frame has been taken and is not over the line yet.
+    pub(crate) sending: bool,
 }
 
 impl FrameQueue {
@@ -45,6 +47,11 @@ impl FrameQueue {
         self.kept.push(frame);
     }
 
+    /// Whether no kept frame waits or is being sent.
+    pub(crate) fn is_drained(&self) -> bool {
+        self.kept.oldest() == 0 && !self.sending
+    }
+
     /// Takes the next frame to send; 0 if none waits.
     pub(crate) fn pop(&mut self, frame: &mut [u8; MAX_FRAME]) -> usize {
         let length = match self.kept.pop(frame) {
@@ -52,6 +59,7 @@ impl FrameQueue {
             length => length,
         };
         if length > 0 {
+            self.sending = true;
             self.frames_sent = self.frames_sent.wrapping_add(1);
             self.bytes_sent = self.bytes_sent.wrapping_add(length as u64);
         }

@@ -6,12 +6,13 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
+use wimu_link::auth::Lock;
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{
     ActiveParameters, Command, Event, LinkStatus, SensorStatus, Settings, Status, Streams,
     Telemetry,
 };
-use wimu_link::{Hello, LinkRole, Responder, WriteAccess};
+use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
 
 use crate::accelerometer::{Plan, SensorFault};
@@ -19,14 +20,6 @@ use crate::queue::FrameQueue;
 
 /// Both links.
 pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
-
-/// Who may write on a link: as long as there are no keys, only the cable is open.
-pub(crate) fn access(role: LinkRole) -> WriteAccess {
-    match role {
-        LinkRole::Cable => WriteAccess::Open,
-        _ => WriteAccess::Key,
-    }
-}
 
 /// Memory that a node's tasks share: put it in a `static`, or where it outlives them.
 ///
@@ -38,6 +31,7 @@ pub struct Shared<M: RawMutex> {
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
     pub(crate) requests: Channel<M, (LinkRole, Command), 1>,
+    pub(crate) key_lost: Signal<M, ()>,
     published: Mutex<M, RefCell<Published>>,
 }
 
@@ -71,10 +65,11 @@ pub(crate) enum Trouble {
     BootCount,
     Settings,
     Parameters,
+    DeviceKey,
 }
 
 impl Trouble {
-    const COUNT: usize = 4;
+    const COUNT: usize = 5;
 }
 
 /// How a device is, in short.
@@ -103,6 +98,8 @@ pub(crate) struct Correction {
 #[derive(Clone, Copy)]
 pub(crate) struct Published {
     pub(crate) hello: Hello,
+    /// Who may write.
+    pub(crate) lock: Lock,
     pub(crate) settings: Settings,
     pub(crate) parameters: Option<ParameterSet>,
     pub(crate) sensor: SensorStatus,
@@ -131,8 +128,10 @@ impl<M: RawMutex> Shared<M> {
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
+            key_lost: Signal::new(),
             published: Mutex::new(RefCell::new(Published {
                 hello: Hello::new(LinkRole::Cable),
+                lock: Lock::default(),
                 settings: Settings::default(),
                 parameters: None,
                 sensor: SensorStatus::default(),
@@ -149,6 +148,17 @@ impl<M: RawMutex> Shared<M> {
             LinkRole::Cable => cable,
             _ => wireless,
         }
+    }
+
+    /// Has the device forget its key and its settings, never its calibration. A board calls it
+    /// when its owner, who has lost the key, makes a gesture that takes hands on the board: a
+    /// button held down for seconds, or a pin connected to ground when power comes.
+    pub fn forget_key(&self) {
+        self.key_lost.signal(());
+    }
+
+    pub(crate) fn lock(&self) -> Lock {
+        self.published.lock(|published| published.borrow().lock)
     }
 
     pub(crate) fn published(&self) -> Published {
@@ -235,7 +245,7 @@ impl<M: RawMutex> Shared<M> {
         }
         let hello = Hello {
             role,
-            access: access(role),
+            access: published.lock.access(role),
             uptime_us: now.0,
             parameter_id: published.parameter_id(),
             ..published.hello
@@ -313,6 +323,20 @@ impl<M: RawMutex> Shared<M> {
     /// Tells both links that the button at the device was pressed, for the time `count`.
     pub fn mark(&self, now: DeviceTimeUs, count: u16) {
         self.report(now, Event::Marked { count });
+    }
+
+    /// Whether all that must not be shed has left a link.
+    pub(crate) fn is_drained(&self, role: LinkRole) -> bool {
+        self.link(role)
+            .outbox
+            .lock(|outbox| outbox.borrow().is_drained())
+    }
+
+    /// The frame that was taken is over the line.
+    pub(crate) fn frame_sent(&self, role: LinkRole) {
+        self.link(role)
+            .outbox
+            .lock(|outbox| outbox.borrow_mut().sending = false);
     }
 
     /// Waits for the next frame to send on a link and takes it.

@@ -86,6 +86,8 @@ fn main() -> ! {
         timer: BoardTimer,
         // SAFETY: nothing else uses the memory there.
         store: FlashStore::new(unsafe { Flash::new() }, store::LAYOUT, 0),
+        // The machine has no source of randomness: the count of its starts must do.
+        entropy: [0; 16],
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
     };

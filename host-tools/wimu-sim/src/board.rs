@@ -287,11 +287,14 @@ fn node(
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
 ) -> Pin<Box<dyn Future<Output = ()>>> {
+    // Other bits at each start, and the same in every run: what is simulated has no secrets.
+    let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
     let board = wimu_node::Board {
         hello,
         accelerometer,
         timer,
         store: storage.store(),
+        entropy: entropy.to_le_bytes(),
         cable,
         wireless,
     };

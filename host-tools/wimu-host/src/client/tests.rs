@@ -287,7 +287,7 @@ fn refusals_come_with_the_boards_reason_and_exit_code_4() {
     let mut client = line.connect().unwrap();
     let error = client.push_parameters(&calibration()).unwrap_err();
     assert_eq!((error.code(), error.exit_code()), (ErrorCode::KeyNeeded, 4));
-    assert!(error.remedy().contains("write over the cable"), "{error}");
+    assert!(error.remedy().contains("wimu key set"), "{error}");
 
     let line = Line::new(LinkRole::Cable);
     let mut client = line.connect().unwrap();

@@ -13,6 +13,7 @@ mod last_words;
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor};
 use embassy_rp::bind_interrupts;
+use embassy_rp::clocks::RoscRng;
 use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
 use embassy_rp::interrupt::{self, InterruptExt, Priority};
@@ -98,6 +99,7 @@ fn main() -> ! {
         accelerometer: Sensor::new(i2c, line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
+        entropy: entropy(),
         cable: (cable_rx, cable_tx),
         wireless: (wireless_rx, wireless_tx),
     };
@@ -175,6 +177,14 @@ fn reason(watchdog: &Watchdog) -> (ResetReason, Option<Fault>) {
         None => ResetReason::Unknown,
     };
     (reason, fault)
+}
+
+/// From the ring oscillator, which nobody has shown to be fit for cryptography: the count of starts
+/// keeps sessions apart where it fails.
+fn entropy() -> [u8; 16] {
+    let mut bits = [0; 16];
+    RoscRng.fill_bytes(&mut bits);
+    bits
 }
 
 fn hello(device_id: u64, (reset_reason, fault): (ResetReason, Option<Fault>)) -> Hello {

@@ -1,6 +1,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
+use wimu_link::auth::{KeyState, Lock};
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{Environment, ParameterFault};
 use wimu_link::responder::Decision;
@@ -27,6 +28,7 @@ struct Board {
     lose_sent: u32,
     /// Device time at which it sends what it measures.
     next_environment: Duration,
+    lock: Lock,
     silent: bool,
     deaf_until: Duration,
     /// Says this much longer pause before a commit.
@@ -58,6 +60,12 @@ impl Line {
             lose_sent: 0,
             next_environment: Duration::ZERO,
             silent: false,
+            lock: Lock {
+                key: KeyState::None,
+                device_id: 0,
+                boot_count: Some(1),
+                entropy: [0; 16],
+            },
             deaf_until: Duration::ZERO,
             pause: None,
             forgetful: false,
@@ -107,7 +115,7 @@ impl Board {
             let length = self.hello.encode(&mut frame).unwrap();
             return self.send(&frame[..length]);
         }
-        let command = match self.responder.accept(body, self.hello.access) {
+        let command = match self.responder.accept(body, &self.lock) {
             Decision::Execute(command) => command,
             Decision::Send(frame) => {
                 let frame = frame.to_vec();

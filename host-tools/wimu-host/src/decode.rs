@@ -109,6 +109,8 @@ pub struct TimedSample {
 pub struct Arrival {
     /// ns on the host's monotonic clock.
     pub host_ns: u64,
+    /// The same for the first byte of its frame: independent of the frame's length.
+    pub began_ns: u64,
     /// What arrived.
     pub event: Event,
 }
@@ -165,6 +167,23 @@ impl Anchor {
     }
 }
 
+/// When a frame's last and first bytes arrived.
+#[derive(Clone, Copy, Debug)]
+struct Received {
+    host_ns: u64,
+    began_ns: u64,
+}
+
+impl Received {
+    fn with(self, event: Event) -> Arrival {
+        Arrival {
+            host_ns: self.host_ns,
+            began_ns: self.began_ns,
+            event,
+        }
+    }
+}
+
 /// Turns the bytes of one link into events.
 ///
 /// Sample numbers and times are short on the wire; epochs complete them. Batches before the first
@@ -193,7 +212,9 @@ pub struct Decoder {
     statistics: LinkStatistics,
     /// The latest and the one before: epochs may overtake samples.
     anchors: [Option<Anchor>; 2],
-    unplaced: VecDeque<(u64, Batch)>,
+    unplaced: VecDeque<(Received, Batch)>,
+    /// When the frame under way began to arrive.
+    began_ns: Option<u64>,
     /// The latest sequence number of raw and corrected samples, and the decimation.
     latest: [Option<(u32, u8)>; 2],
     identity: Option<(u64, u32)>,
@@ -216,6 +237,7 @@ impl Decoder {
             statistics: LinkStatistics::default(),
             anchors: [None; 2],
             unplaced: VecDeque::new(),
+            began_ns: None,
             latest: [None; 2],
             identity: None,
             last_epoch_time: None,
@@ -229,6 +251,13 @@ impl Decoder {
     pub fn push(&mut self, host_ns: u64, bytes: &[u8], mut each: impl FnMut(Arrival)) {
         self.statistics.bytes += bytes.len() as u64;
         for &byte in bytes {
+            let received = Received {
+                host_ns,
+                began_ns: *self.began_ns.get_or_insert(host_ns),
+            };
+            if byte == 0 {
+                self.began_ns = None;
+            }
             let event = match self.deframer.push(byte) {
                 None => continue,
                 Some(Ok(frame)) => {
@@ -253,9 +282,9 @@ impl Decoder {
                     Message::Event(Event::Damaged(error))
                 }
             };
-            let mut emit = |event| each(Arrival { host_ns, event });
+            let mut emit = |event| each(received.with(event));
             match event {
-                Message::Batch(batch) => self.take_batch(host_ns, batch, &mut each),
+                Message::Batch(batch) => self.take_batch(received, batch, &mut each),
                 Message::Hello(hello) => {
                     let identity = (hello.device_id, hello.boot_count);
                     if self
@@ -268,7 +297,7 @@ impl Decoder {
                     }
                     emit(Event::Hello(hello));
                 }
-                Message::Epoch(epoch) => self.take_epoch(host_ns, epoch, &mut each),
+                Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
                 Message::Event(event) => emit(event),
             }
         }
@@ -296,15 +325,12 @@ impl Decoder {
         self.last_epoch_number = None;
     }
 
-    fn take_epoch(&mut self, host_ns: u64, epoch: Epoch, each: &mut impl FnMut(Arrival)) {
+    fn take_epoch(&mut self, received: Received, epoch: Epoch, each: &mut impl FnMut(Arrival)) {
         let time = DeviceTimeUs(epoch.time_us);
         // A device that starts anew without its greeting having arrived.
         if self.last_epoch_time.is_some_and(|last| time < last) {
             self.restart();
-            each(Arrival {
-                host_ns,
-                event: Event::Restart,
-            });
+            each(received.with(Event::Restart));
         }
         self.last_epoch_time = Some(time);
         self.anchor(Anchor {
@@ -312,29 +338,26 @@ impl Decoder {
             time,
             period: PeriodNs(epoch.period_ns),
         });
-        for (arrived_ns, batch) in std::mem::take(&mut self.unplaced) {
-            self.take_batch(arrived_ns, batch, each);
+        for (received, batch) in std::mem::take(&mut self.unplaced) {
+            self.take_batch(received, batch, each);
         }
         // One that was sent for a new listener has the number of the one before.
         let last = self.last_epoch_number.replace(epoch.number);
         let after_loss = last.is_some_and(|last| epoch.number.wrapping_sub(last) > 1);
-        each(Arrival {
-            host_ns,
-            event: Event::Epoch { epoch, after_loss },
-        });
+        each(received.with(Event::Epoch { epoch, after_loss }));
     }
 
     fn anchor(&mut self, anchor: Anchor) {
         self.anchors = [Some(anchor), self.anchors[0]];
     }
 
-    fn take_batch(&mut self, host_ns: u64, batch: Batch, each: &mut impl FnMut(Arrival)) {
+    fn take_batch(&mut self, received: Received, batch: Batch, each: &mut impl FnMut(Arrival)) {
         let found = self.anchors.iter().flatten().find_map(|anchor| {
             let (sequence, time) = anchor.place(&batch)?;
             Some((sequence, time, anchor.period))
         });
         let Some((sequence, time, period)) = found else {
-            self.unplaced.push_back((host_ns, batch));
+            self.unplaced.push_back((received, batch));
             if self.unplaced.len() > MAX_UNPLACED {
                 self.unplaced.pop_front();
                 self.statistics.batches_unplaced += 1;
@@ -387,10 +410,7 @@ impl Decoder {
         let last = (samples.values.len() as u32).saturating_sub(1) * every;
         let last = samples.first_sequence.wrapping_add(last);
         self.latest[index] = Some((last, samples.every));
-        each(Arrival {
-            host_ns,
-            event: Event::Samples(samples),
-        });
+        each(received.with(Event::Samples(samples)));
     }
 }
 

@@ -4,6 +4,7 @@
 pub mod allan;
 pub mod calibration;
 pub mod client;
+pub mod clock;
 pub mod csv;
 pub mod dataset;
 pub mod decode;

@@ -1,0 +1,381 @@
+//! A device's clock by the host's: equations (60) to (63).
+//!
+//! A transfer arrives late, never early. So the least delays, not the mean ones, show how the two
+//! clocks differ: a line under them gives the rate. What it leaves open is how long the fastest
+//! transfer took. Questions that the device answers with its own time bound that from both sides;
+//! the middle is right if both directions take equally long, and no measurement over the link
+//! alone can tell whether they do. So a [`ClockModel`] gives three things: the middle, the
+//! standard deviation that delays leave it, and the bounds that hold whatever the directions take.
+
+use std::collections::{HashMap, VecDeque};
+
+use serde::Serialize;
+use wimu_link::batch::Stream;
+use wimu_link::message::{Answer, Payload, Request};
+use wimu_link::{Deframer, Kind, LinkRole};
+use wimu_model::DeviceTimeUs;
+
+use crate::decode::{Arrival, Event};
+
+mod envelope;
+
+use envelope::{Class, Folded, PARTS, Transfer};
+
+/// Device time of a block of transfers, s.
+const BLOCK_S: f64 = 64.0;
+/// Transfers of a block at most; a busier link has shorter blocks.
+const BLOCK_TRANSFERS: usize = 8192;
+/// Blocks on either side of the one for which a line is fitted: oscillators wander.
+const REACH: usize = 4;
+/// Lines kept: three days of blocks. Beyond, every second is left out.
+const MAX_LINES: usize = 4096;
+/// Questions that may wait for their answer.
+const MAX_ASKED: usize = 64;
+/// Below this span the rate is not estimated, s.
+const MIN_SPAN_S: f64 = 5.0;
+/// How far a clock may be off whose rate was not estimated, ppm.
+const UNKNOWN_RATE_PPM: f64 = 10_000.0;
+/// From the scatter of the parts' estimates to the standard deviation of the whole's: the error
+/// of a least value falls at best as one over the number of transfers (1/4), at worst as one over
+/// its root.
+const SD_PER_SCATTER: f64 = 2.0 / PARTS as f64;
+
+/// What links tell about a device's clock between one start of the device and the next: give it
+/// one link for that link's own view, or both for the best. Memory does not grow with time.
+#[derive(Clone, Debug, Default)]
+pub struct ClockEstimator {
+    /// Device time, µs, and host time, ns, of the first transfer.
+    origin: Option<(u64, u64)>,
+    open: Vec<Transfer>,
+    closed: VecDeque<Folded>,
+    lines: Vec<Line>,
+    /// Index of the first block that has no line yet, among the closed ones.
+    next_line: usize,
+    asked: HashMap<(u32, u32), u64>,
+    transfers: u64,
+    exchanges: u64,
+}
+
+/// Host time − device time around a moment.
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    /// The moment: device time since the origin, s.
+    x: f64,
+    /// Difference at the moment, ns.
+    y: f64,
+    y_sd: f64,
+    /// ns/s.
+    rate: f64,
+    rate_sd: f64,
+    lower: Option<f64>,
+    upper: f64,
+}
+
+impl Line {
+    fn at(&self, x: f64) -> f64 {
+        self.y + self.rate * (x - self.x)
+    }
+}
+
+impl ClockEstimator {
+    /// Knows nothing yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes what has arrived on the link of `role`: batches of samples, and answers to questions that
+    /// [`asked`](Self::asked) knows.
+    pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) {
+        let link = usize::from(role != LinkRole::Cable);
+        match &arrival.event {
+            Event::Samples(samples) => {
+                if let Some(last) = samples.iter().last() {
+                    let class = match samples.stream {
+                        Stream::Raw => Class::Raw,
+                        Stream::Corrected => Class::Corrected,
+                    };
+                    self.transfer(link, class, last.time, arrival.began_ns);
+                }
+            }
+            Event::Reply(reply) => {
+                let Answer::Accepted(Payload::Status(status)) = &reply.answer else {
+                    return;
+                };
+                let Some(asked_ns) = self.asked.remove(&(reply.session, reply.id)) else {
+                    return;
+                };
+                let time = DeviceTimeUs(status.uptime_us);
+                self.exchanges += 1;
+                self.transfer(link, Class::Question, time, asked_ns);
+                self.transfer(link, Class::Answer, time, arrival.host_ns);
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes what the host sent at `host_ns`, whole frames, on any link. Questions as long as their
+    /// answers, filled up with zeros, take as long on the line. Only the first of equal questions counts:
+    /// the device heard none before it.
+    pub fn asked(&mut self, host_ns: u64, bytes: &[u8]) {
+        for question in requests(bytes) {
+            if self.asked.len() >= MAX_ASKED {
+                self.asked.clear();
+            }
+            self.asked.entry(question).or_insert(host_ns);
+        }
+    }
+
+    /// One transfer: what the device timed at `time` arrived, or for a question was sent, at
+    /// `host_ns`.
+    fn transfer(&mut self, link: usize, class: Class, time: DeviceTimeUs, host_ns: u64) {
+        let (origin_us, origin_ns) = *self.origin.get_or_insert((time.0, host_ns));
+        let device_us = time.0.wrapping_sub(origin_us) as i64;
+        let host_ns = host_ns.wrapping_sub(origin_ns) as i64;
+        let difference = host_ns.wrapping_sub(device_us.wrapping_mul(1000)) as f64;
+        let transfer = Transfer {
+            link,
+            class,
+            x: device_us as f64 * 1e-6,
+            v: if class == Class::Question {
+                -difference
+            } else {
+                difference
+            },
+        };
+        let full = self
+            .open
+            .first()
+            .is_some_and(|first| transfer.x - first.x >= BLOCK_S);
+        if full || self.open.len() >= BLOCK_TRANSFERS {
+            self.close();
+        }
+        self.transfers += 1;
+        self.open.push(transfer);
+    }
+
+    fn close(&mut self) {
+        self.closed.extend(Folded::new(&self.open));
+        self.open.clear();
+        while self.closed.len() > self.next_line + REACH {
+            let blocks: Vec<_> = self.closed.iter().collect();
+            let line = line(&blocks, self.next_line);
+            self.lines.extend(line);
+            self.next_line += 1;
+            if self.next_line > REACH {
+                self.closed.pop_front();
+                self.next_line -= 1;
+            }
+        }
+        if self.lines.len() > MAX_LINES {
+            let mut even = false;
+            self.lines.retain(|_| {
+                even = !even;
+                even
+            });
+        }
+    }
+
+    /// The clock as far as it is known; `None` before anything has arrived.
+    pub fn model(&self) -> Option<ClockModel> {
+        let origin = self.origin?;
+        let open = Folded::new(&self.open);
+        let blocks: Vec<_> = self.closed.iter().chain(&open).collect();
+        let mut lines = self.lines.clone();
+        // A few blocks are one line.
+        let rest = if blocks.len() <= REACH + 1 && lines.is_empty() {
+            0..1
+        } else {
+            self.next_line..blocks.len()
+        };
+        lines.extend(rest.filter_map(|index| line(&blocks, index)));
+        if lines.is_empty() {
+            return None;
+        }
+        Some(ClockModel {
+            origin,
+            lines,
+            transfers: self.transfers,
+            exchanges: self.exchanges,
+        })
+    }
+}
+
+/// The line for block `index`, from it and its neighbours.
+fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
+    let near = &blocks[index.saturating_sub(REACH)..blocks.len().min(index + REACH + 1)];
+    let (start, end) = if near.len() == blocks.len() {
+        (blocks.first()?.span.0, blocks.last()?.span.1)
+    } else {
+        blocks[index].span
+    };
+    let x = 0.5 * (start + end);
+    let span = near.last()?.span.1 - near.first()?.span.0;
+    let whole = envelope::fit(near, None, x)?;
+    let parts: Vec<_> = (0..PARTS)
+        .filter_map(|part| envelope::fit(near, Some(part), x))
+        .collect();
+    let scatter = |of: &dyn Fn(&envelope::Fit) -> Option<f64>, whole: f64| {
+        let (count, squares) = parts
+            .iter()
+            .filter_map(of)
+            .fold((0, 0.0), |(n, sum), part| {
+                (n + 1, sum + (part - whole).powi(2))
+            });
+        (count > 0).then(|| SD_PER_SCATTER * (squares / f64::from(count)).sqrt())
+    };
+    let known = span >= MIN_SPAN_S;
+    let rate = if known { whole.rate } else { 0.0 };
+    let (lower, upper) = whole.bounds();
+    let upper = upper?;
+    // Without exchanges the fastest transfer is taken to have taken no time.
+    let link = whole.best_link();
+    let centre = |fit: &envelope::Fit| fit.centre(link?);
+    let (y, y_sd) = match centre(&whole) {
+        Some(y) => (y, scatter(&centre, y)),
+        None => (upper, scatter(&|fit| fit.bounds().1, upper)),
+    };
+    Some(Line {
+        x,
+        y,
+        y_sd: y_sd.unwrap_or(f64::INFINITY),
+        rate,
+        rate_sd: scatter(&|fit| Some(fit.rate), whole.rate)
+            .filter(|_| known)
+            .unwrap_or(UNKNOWN_RATE_PPM * 1e3),
+        lower,
+        upper,
+    })
+}
+
+/// The requests in what a host sends: session and number.
+fn requests(bytes: &[u8]) -> Vec<(u32, u32)> {
+    let mut deframer = Deframer::new();
+    let mut found = Vec::new();
+    for &byte in bytes {
+        if let Some(Ok(frame)) = deframer.push(byte)
+            && frame.kind == Kind::Request
+            && let Ok(request) = Request::decode(frame.body)
+        {
+            found.push((request.session, request.id));
+        }
+    }
+    found
+}
+
+/// Device time to host time, between one start of a device and the next.
+#[derive(Clone, Debug)]
+pub struct ClockModel {
+    origin: (u64, u64),
+    /// By time, at least one; between two, both count by nearness.
+    lines: Vec<Line>,
+    transfers: u64,
+    exchanges: u64,
+}
+
+/// A clock in numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ClockSummary {
+    /// How many ppm more host time passes than device time: positive for a slow device.
+    pub rate_ppm: f64,
+    /// Its standard deviation.
+    pub rate_sd_ppm: f64,
+    /// Standard deviation of device time in host time, if both directions take equally long, ms.
+    pub offset_sd_ms: f64,
+    /// Whatever the directions take, the offset is wrong by no more than this, ms. Absent where
+    /// no question was answered: then times are late by what the fastest transfer took.
+    pub offset_bound_ms: Option<f64>,
+    /// Transfers used.
+    pub transfers: u64,
+    /// Questions answered.
+    pub exchanges: u64,
+}
+
+impl ClockModel {
+    /// Host time of a device time, ns on the host's monotonic clock. Wraps for a device that ran
+    /// before the host's clock began; [`ClockAnchor::to_utc_ns`](crate::mcap_file::ClockAnchor::to_utc_ns)
+    /// undoes that.
+    pub fn host_ns(&self, time: DeviceTimeUs) -> u64 {
+        let (origin_us, origin_ns) = self.origin;
+        let passed_us = time.0.wrapping_sub(origin_us) as i64;
+        let difference = self.blend(time, Line::at).round() as i64;
+        origin_ns
+            .wrapping_add_signed(passed_us.wrapping_mul(1000))
+            .wrapping_add_signed(difference)
+    }
+
+    /// How long after `time` something was at `host_ns`, ns; negative only by the model's error.
+    pub fn delay_ns(&self, time: DeviceTimeUs, host_ns: u64) -> i64 {
+        host_ns.wrapping_sub(self.host_ns(time)) as i64
+    }
+
+    /// Standard deviation of [`host_ns`](Self::host_ns), ns, if both directions take equally long.
+    pub fn sd_ns(&self, time: DeviceTimeUs) -> f64 {
+        self.blend(time, |line, x| line.y_sd.hypot(line.rate_sd * (x - line.x)))
+    }
+
+    /// How far the true host time may lie before and behind [`host_ns`](Self::host_ns), ns,
+    /// whatever the directions take; `None` before, where no question was answered.
+    pub fn bounds_ns(&self, time: DeviceTimeUs) -> (Option<f64>, f64) {
+        let line = self.lines[self.place(time).0];
+        (line.lower.map(|lower| line.y - lower), line.upper - line.y)
+    }
+
+    /// How many ppm more host time passes than device time, over all, and its standard deviation.
+    pub fn rate_ppm(&self) -> (f64, f64) {
+        match self.lines.as_slice() {
+            [first, .., last] => {
+                let span = last.x - first.x;
+                let sd = first.y_sd.hypot(last.y_sd) / span;
+                (
+                    (last.y - first.y) / span * 1e-3,
+                    sd.min(first.rate_sd) * 1e-3,
+                )
+            }
+            [only] => (only.rate * 1e-3, only.rate_sd * 1e-3),
+            [] => (0.0, UNKNOWN_RATE_PPM),
+        }
+    }
+
+    /// The clock in numbers, uncertainties at its middle.
+    pub fn summary(&self) -> ClockSummary {
+        let (rate_ppm, rate_sd_ppm) = self.rate_ppm();
+        let middle = self.lines[self.lines.len() / 2];
+        ClockSummary {
+            rate_ppm,
+            rate_sd_ppm,
+            offset_sd_ms: middle.y_sd * 1e-6,
+            offset_bound_ms: middle
+                .lower
+                .map(|lower| (middle.y - lower).max(middle.upper - middle.y) * 1e-6),
+            transfers: self.transfers,
+            exchanges: self.exchanges,
+        }
+    }
+
+    /// Index of the line before a time, and how much the next one counts.
+    fn place(&self, time: DeviceTimeUs) -> (usize, f64) {
+        let x = time.0.wrapping_sub(self.origin.0) as i64 as f64 * 1e-6;
+        let next = self.lines.partition_point(|line| line.x <= x);
+        match (next.checked_sub(1), self.lines.get(next)) {
+            (Some(before), Some(line)) => {
+                let from = self.lines[before].x;
+                (before, (x - from) / (line.x - from))
+            }
+            (Some(last), None) => (last, 0.0),
+            (None, _) => (0, 0.0),
+        }
+    }
+
+    fn blend(&self, time: DeviceTimeUs, of: impl Fn(&Line, f64) -> f64) -> f64 {
+        let x = time.0.wrapping_sub(self.origin.0) as i64 as f64 * 1e-6;
+        let (before, share) = self.place(time);
+        let value = of(&self.lines[before], x);
+        match self.lines.get(before + 1) {
+            Some(next) if share > 0.0 => (1.0 - share) * value + share * of(next, x),
+            _ => value,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

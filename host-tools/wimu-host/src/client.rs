@@ -13,6 +13,7 @@ use wimu_link::requester::Next;
 use wimu_link::{Command, Hello, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou};
 use wimu_model::{ParameterId, ParameterSet};
 
+use crate::clock::wire_length;
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::link_url::LinkUrl;
@@ -93,6 +94,8 @@ pub struct Client<T> {
     answer: Option<Answer>,
     /// The device writes its flash until then and hears nothing.
     deaf_until: Duration,
+    /// Length of the latest status on the wire.
+    status_bytes: usize,
 }
 
 impl<T: Transport> Client<T> {
@@ -112,9 +115,39 @@ impl<T: Transport> Client<T> {
             arrivals: VecDeque::new(),
             answer: None,
             deaf_until: Duration::ZERO,
+            status_bytes: 0,
         };
         client.greet(options.patience)?;
         Ok(client)
+    }
+
+    /// Goes on with a new transport to the same board after the old one was lost: with what is
+    /// known, counted and numbered so far.
+    ///
+    /// # Errors
+    /// Those of [`Client::connect`]; `link_lost` when another board, or its other link, answers.
+    pub fn resume(&mut self, transport: T) -> Result<()> {
+        self.transport = transport;
+        self.decoder.interrupt();
+        self.answer = None;
+        self.deaf_until = Duration::ZERO;
+        let (known, role) = (self.hello.device_id, self.hello.role);
+        let greeted = self.greet(ConnectOptions::default().patience);
+        let hello = self.hello;
+        if greeted.is_ok() && (hello.device_id, hello.role) != (known, role) {
+            self.hello.device_id = known;
+            self.hello.role = role;
+            return Err(HostError::new(
+                ErrorCode::LinkLost,
+                format!(
+                    "now the {} link of device {:016x} answers",
+                    hello.role, hello.device_id
+                ),
+                "put the first board back, or make another recording",
+            )
+            .at(&self.name));
+        }
+        greeted
     }
 
     fn greet(&mut self, patience: Duration) -> Result<()> {
@@ -370,6 +403,23 @@ impl<T: Transport> Client<T> {
         }
     }
 
+    /// Asks how the board is and does not wait: the answer is an event, and shows the board's
+    /// clock. The question is filled up with zeros to the length of its answer, so that both take
+    /// equally long on the line.
+    ///
+    /// # Errors
+    /// `link_lost`.
+    pub fn ask_status(&mut self) -> Result<()> {
+        let now = self.transport.now();
+        if now < self.deaf_until {
+            return Ok(());
+        }
+        let frame = self.requester.start(Command::GetStatus, now);
+        let mut question = vec![0; self.status_bytes.saturating_sub(frame.len())];
+        question.extend_from_slice(frame);
+        self.transport.write_all(&question)
+    }
+
     /// Has the board forget parameters and settings.
     ///
     /// # Errors
@@ -442,6 +492,7 @@ impl<T: Transport> Client<T> {
             arrivals,
             answer,
             deaf_until,
+            status_bytes,
             ..
         } = self;
         let host_ns = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
@@ -449,6 +500,9 @@ impl<T: Transport> Client<T> {
             match &arrival.event {
                 Event::Hello(new) => *hello = *new,
                 Event::Reply(reply) => {
+                    if let Answer::Accepted(Payload::Status(_)) = reply.answer {
+                        *status_bytes = wire_length(reply);
+                    }
                     if let Some(ours) = requester.on_reply(reply) {
                         *answer = Some(ours);
                     }

@@ -12,7 +12,7 @@ use std::collections::{HashMap, VecDeque};
 use serde::Serialize;
 use wimu_link::batch::Stream;
 use wimu_link::message::{Answer, Payload, Request};
-use wimu_link::{Deframer, Kind, LinkRole};
+use wimu_link::{Deframer, Kind, LinkRole, MAX_FRAME, Reply};
 use wimu_model::DeviceTimeUs;
 
 use crate::decode::{Arrival, Event};
@@ -31,6 +31,8 @@ const REACH: usize = 4;
 const MAX_LINES: usize = 4096;
 /// Questions that may wait for their answer.
 const MAX_ASKED: usize = 64;
+/// How much longer than its answer a question may be, or shorter.
+const MAX_UNEQUAL_BYTES: usize = 6;
 /// Below this span the rate is not estimated, s.
 const MIN_SPAN_S: f64 = 5.0;
 /// How far a clock may be off whose rate was not estimated, ppm.
@@ -51,7 +53,8 @@ pub struct ClockEstimator {
     lines: Vec<Line>,
     /// Index of the first block that has no line yet, among the closed ones.
     next_line: usize,
-    asked: HashMap<(u32, u32), u64>,
+    /// When each question was sent, and its length.
+    asked: HashMap<(u32, u32), (u64, usize)>,
     transfers: u64,
     exchanges: u64,
 }
@@ -101,9 +104,14 @@ impl ClockEstimator {
                 let Answer::Accepted(Payload::Status(status)) = &reply.answer else {
                     return;
                 };
-                let Some(asked_ns) = self.asked.remove(&(reply.session, reply.id)) else {
+                let asked = self.asked.remove(&(reply.session, reply.id));
+                let Some((asked_ns, length)) = asked else {
                     return;
                 };
+                // Of unequal lengths, the directions take unequally long.
+                if length.abs_diff(wire_length(reply)) > MAX_UNEQUAL_BYTES {
+                    return;
+                }
                 let time = DeviceTimeUs(status.uptime_us);
                 self.exchanges += 1;
                 self.transfer(link, Class::Question, time, asked_ns);
@@ -113,15 +121,15 @@ impl ClockEstimator {
         }
     }
 
-    /// Takes what the host sent at `host_ns`, whole frames, on any link. Questions as long as their
-    /// answers, filled up with zeros, take as long on the line. Only the first of equal questions counts:
+    /// Takes what the host sent at `host_ns`, whole frames, on any link. Questions count that are as
+    /// long as their answers, filled up with zeros: they take as long on the line. Only the first of equal questions counts:
     /// the device heard none before it.
     pub fn asked(&mut self, host_ns: u64, bytes: &[u8]) {
         for question in requests(bytes) {
             if self.asked.len() >= MAX_ASKED {
                 self.asked.clear();
             }
-            self.asked.entry(question).or_insert(host_ns);
+            self.asked.entry(question).or_insert((host_ns, bytes.len()));
         }
     }
 
@@ -245,6 +253,12 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
         lower,
         upper,
     })
+}
+
+/// Length of a reply on the wire.
+pub(crate) fn wire_length(reply: &Reply) -> usize {
+    let mut frame = [0; MAX_FRAME];
+    reply.encode(&mut frame).unwrap_or_default()
 }
 
 /// The requests in what a host sends: session and number.

@@ -122,7 +122,8 @@ pub struct LinkStatistics {
     pub bytes: u64,
     /// Undamaged frames.
     pub frames: u64,
-    /// Damaged frames. The first is not counted: listening may have begun within it.
+    /// Damaged frames, but for those before the first whole one: listening may have begun within
+    /// one.
     pub frames_damaged: u64,
     /// Undamaged frames of an unknown version or kind, or with a body that makes no sense.
     pub frames_unreadable: u64,
@@ -132,6 +133,8 @@ pub struct LinkStatistics {
     pub corrected: StreamStatistics,
     /// Batches that no epoch has told the place of.
     pub batches_unplaced: u64,
+    /// How often the link was lost and had to be opened again.
+    pub interruptions: u64,
 }
 
 /// What of a stream of samples arrived.
@@ -213,6 +216,8 @@ pub struct Decoder {
     /// The latest and the one before: epochs may overtake samples.
     anchors: [Option<Anchor>; 2],
     unplaced: VecDeque<(Received, Batch)>,
+    /// Whether a frame has been read since listening began.
+    listening: bool,
     /// When the frame under way began to arrive.
     began_ns: Option<u64>,
     /// The latest sequence number of raw and corrected samples, and the decimation.
@@ -237,6 +242,7 @@ impl Decoder {
             statistics: LinkStatistics::default(),
             anchors: [None; 2],
             unplaced: VecDeque::new(),
+            listening: false,
             began_ns: None,
             latest: [None; 2],
             identity: None,
@@ -262,6 +268,7 @@ impl Decoder {
                 None => continue,
                 Some(Ok(frame)) => {
                     self.statistics.frames += 1;
+                    self.listening = true;
                     match read(frame.kind, frame.body) {
                         Ok(message) => message,
                         Err(why) => {
@@ -276,7 +283,7 @@ impl Decoder {
                     }
                     if !error.is_damage() {
                         self.statistics.frames_unreadable += 1;
-                    } else if self.statistics.frames > 0 {
+                    } else if self.listening {
                         self.statistics.frames_damaged += 1;
                     }
                     Message::Event(Event::Damaged(error))
@@ -301,6 +308,15 @@ impl Decoder {
                 Message::Event(event) => emit(event),
             }
         }
+    }
+
+    /// The link was lost: what comes next does not follow what came before.
+    pub fn interrupt(&mut self) {
+        self.deframer = Deframer::new();
+        self.listening = false;
+        self.began_ns = None;
+        self.damage_since_epoch = true;
+        self.statistics.interruptions += 1;
     }
 
     /// What the link carried and lost so far.

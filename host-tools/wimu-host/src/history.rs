@@ -10,9 +10,10 @@ use wimu_link::message::{
 use wimu_link::{Hello, LinkRole, Settings, WIRE_VERSION};
 use wimu_model::{DeviceTimeUs, ParameterSet, Sensitivity};
 
+use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics, TimedSample};
 use crate::error::{ErrorCode, HostError, Result};
-use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
+use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 
 /// An epoch as it arrived.
 #[derive(Clone, Debug)]
@@ -46,17 +47,17 @@ pub struct Boot {
     pub status: Option<Status>,
     /// What happened.
     pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
-    /// Least of host time − device time, ns: the transfer of least delay.
-    clock_offset_ns: Option<i128>,
+    /// What the link told about the device's clock.
+    pub clock: ClockEstimator,
+    /// The clock by all of that, once it has been read.
+    model: Option<ClockModel>,
 }
 
 impl Boot {
-    /// Host time of a device time, ns: by the transfer that took least. `None` without one.
-    ///
-    /// Wraps for a device that ran before the host's clock began;
-    /// [`ClockAnchor::to_utc_ns`] undoes that.
+    /// Host time of a device time, ns, for a history that has been read to its end; `None` where
+    /// nothing tells. See [`ClockModel::host_ns`].
     pub fn host_ns(&self, time: DeviceTimeUs) -> Option<u64> {
-        Some((self.clock_offset_ns? + i128::from(time.0) * 1000) as u64)
+        self.model.as_ref().map(|model| model.host_ns(time))
     }
 
     /// When a sample was taken, if it has arrived raw or corrected.
@@ -114,12 +115,6 @@ impl Boot {
         self.hello.is_none() && self.raw.is_empty() && self.epochs.is_empty()
     }
 
-    fn met(&mut self, host_ns: u64, time: DeviceTimeUs) {
-        let offset = i128::from(host_ns) - i128::from(time.0) * 1000;
-        let least = self.clock_offset_ns.get_or_insert(offset);
-        *least = offset.min(*least);
-    }
-
     fn use_settings(&mut self, settings: Settings) {
         if self.settings.last() != Some(&settings) {
             self.settings.push(settings);
@@ -168,8 +163,9 @@ impl LinkHistory {
 
     /// Adds what has arrived.
     pub fn take(&mut self, arrival: &Arrival) {
-        let host_ns = arrival.host_ns;
+        let role = self.role;
         let boot = self.latest();
+        boot.clock.heard(role, arrival);
         match &arrival.event {
             Event::Restart => {
                 if !boot.is_empty() {
@@ -177,15 +173,10 @@ impl LinkHistory {
                 }
             }
             Event::Hello(hello) => boot.hello = Some(*hello),
-            Event::Samples(samples) => {
-                if let Some(last) = samples.iter().last() {
-                    boot.met(host_ns, last.time);
-                }
-                match samples.stream {
-                    Stream::Raw => boot.raw.extend(samples.iter()),
-                    Stream::Corrected => boot.corrected.extend(samples.iter()),
-                }
-            }
+            Event::Samples(samples) => match samples.stream {
+                Stream::Raw => boot.raw.extend(samples.iter()),
+                Stream::Corrected => boot.corrected.extend(samples.iter()),
+            },
             Event::Epoch { epoch, after_loss } => boot.epochs.push(EpochMark {
                 epoch: *epoch,
                 after_loss: *after_loss,
@@ -252,15 +243,24 @@ impl Recording {
         let anchor = reader.anchor()?;
         let mut links: BTreeMap<u8, (LinkHistory, Decoder)> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
-        while let Some(received) = reader.next_received()? {
+        while let Some(entry) = reader.next_entry()? {
             let (record, decoder) = links
-                .entry(received.role.number())
-                .or_insert_with(|| (LinkHistory::new(received.role), Decoder::new()));
-            decoder.push(received.host_ns, &received.bytes, |arrival| {
-                record.take(&arrival)
-            });
-            let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
-            span = Some((first.min(received.host_ns), last.max(received.host_ns)));
+                .entry(entry.role().number())
+                .or_insert_with(|| (LinkHistory::new(entry.role()), Decoder::new()));
+            match entry {
+                Recorded::Received(received) => {
+                    decoder.push(received.host_ns, &received.bytes, |arrival| {
+                        record.take(&arrival)
+                    });
+                    let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
+                    span = Some((first.min(received.host_ns), last.max(received.host_ns)));
+                }
+                Recorded::Sent { host_ns, bytes, .. } => {
+                    record.latest().clock.asked(host_ns, &bytes);
+                }
+                Recorded::Lost { .. } => decoder.interrupt(),
+                Recorded::Connected { .. } => {}
+            }
         }
         let foreign = |(record, decoder): &(LinkHistory, Decoder)| {
             let readable = record.boots.iter().any(|boot| !boot.epochs.is_empty());
@@ -283,6 +283,9 @@ impl Recording {
             .into_values()
             .map(|(mut record, decoder)| {
                 record.statistics = decoder.statistics();
+                for boot in &mut record.boots {
+                    boot.model = boot.clock.model();
+                }
                 record
             })
             .collect();

@@ -1,7 +1,9 @@
 //! Recordings: what each link received, byte for byte, with the host's time.
 //!
 //! An MCAP file of profile `ros2` with the topics `/wireless/bytes` and `/cable/bytes`
-//! (`std_msgs/msg/UInt8MultiArray`, `cdr`). Messages are logged in UTC; a metadata record `wimu`
+//! (`std_msgs/msg/UInt8MultiArray`, `cdr`); beside them `/wireless/sent` and `/cable/sent`, what the
+//! host sent, by which clocks are told, and `/wireless/link` and `/cable/link`
+//! (`std_msgs/msg/String`), where a link was lost and came back. Messages are logged in UTC; a metadata record `wimu`
 //! holds the one anchor between UTC and the host's monotonic clock, so that the reader gives the
 //! monotonic times back exactly. Whole chunks with a CRC are appended and flushed every second: a
 //! file cut off at any byte reads up to the last whole chunk.
@@ -18,10 +20,58 @@ use wimu_link::LinkRole;
 
 use crate::error::{ErrorCode, HostError, Result};
 
-const TOPICS: [(LinkRole, &str); 2] = [
-    (LinkRole::Wireless, "/wireless/bytes"),
-    (LinkRole::Cable, "/cable/bytes"),
+/// What a topic carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Content {
+    Received,
+    Sent,
+    /// Whether the link is there.
+    State,
+}
+
+/// Topics, and the metadata keys of their channels' ids.
+const TOPICS: [(LinkRole, Content, &str, &str); 6] = [
+    (
+        LinkRole::Wireless,
+        Content::Received,
+        "/wireless/bytes",
+        "channel_wireless",
+    ),
+    (
+        LinkRole::Cable,
+        Content::Received,
+        "/cable/bytes",
+        "channel_cable",
+    ),
+    (
+        LinkRole::Wireless,
+        Content::Sent,
+        "/wireless/sent",
+        "channel_wireless_sent",
+    ),
+    (
+        LinkRole::Cable,
+        Content::Sent,
+        "/cable/sent",
+        "channel_cable_sent",
+    ),
+    (
+        LinkRole::Wireless,
+        Content::State,
+        "/wireless/link",
+        "channel_wireless_link",
+    ),
+    (
+        LinkRole::Cable,
+        Content::State,
+        "/cable/link",
+        "channel_cable_link",
+    ),
 ];
+const CONNECTED: &str = "connected";
+const LOST: &str = "lost: ";
+const TEXT_SCHEMA_NAME: &str = "std_msgs/msg/String";
+const TEXT_SCHEMA: &str = "string data\n";
 const SCHEMA_NAME: &str = "std_msgs/msg/UInt8MultiArray";
 const SCHEMA: &str = "\
 # Bytes as received; the layout is empty.
@@ -92,6 +142,60 @@ pub struct Received {
     pub bytes: Vec<u8>,
 }
 
+/// One entry of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Recorded {
+    /// Bytes from the board.
+    Received(Received),
+    /// Bytes to the board.
+    Sent {
+        /// Over which link.
+        role: LinkRole,
+        /// Before they were written, ns on the host's monotonic clock.
+        host_ns: u64,
+        /// As sent.
+        bytes: Vec<u8>,
+    },
+    /// A link was lost: what it brings next does not follow what it brought before.
+    Lost {
+        /// Which link.
+        role: LinkRole,
+        /// When, ns on the host's monotonic clock.
+        host_ns: u64,
+        /// Why.
+        reason: String,
+    },
+    /// A lost link is back.
+    Connected {
+        /// Which link.
+        role: LinkRole,
+        /// When, ns on the host's monotonic clock.
+        host_ns: u64,
+    },
+}
+
+impl Recorded {
+    /// When, ns on the host's monotonic clock.
+    pub fn host_ns(&self) -> u64 {
+        match self {
+            Self::Received(received) => received.host_ns,
+            Self::Sent { host_ns, .. }
+            | Self::Lost { host_ns, .. }
+            | Self::Connected { host_ns, .. } => *host_ns,
+        }
+    }
+
+    /// Of which link.
+    pub fn role(&self) -> LinkRole {
+        match self {
+            Self::Received(received) => received.role,
+            Self::Sent { role, .. } | Self::Lost { role, .. } | Self::Connected { role, .. } => {
+                *role
+            }
+        }
+    }
+}
+
 /// Writes a recording while it happens.
 ///
 /// Dropping it closes the file as well; [`RecordingWriter::finish`] also tells whether that worked.
@@ -100,7 +204,7 @@ pub struct RecordingWriter<W: Write + Seek> {
     writer: mcap::Writer<W>,
     anchor: ClockAnchor,
     /// Channel and messages so far, in the order of [`TOPICS`].
-    channels: [(u16, u32); 2],
+    channels: [(u16, u32); TOPICS.len()],
     last_flush_ns: Option<u64>,
     message: Vec<u8>,
 }
@@ -136,24 +240,33 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let schema = writer
             .add_schema(SCHEMA_NAME, "ros2msg", SCHEMA.as_bytes())
             .map_err(failed)?;
-        let mut channels = [(0, 0); 2];
-        for (channel, (_, topic)) in channels.iter_mut().zip(TOPICS) {
-            channel.0 = writer
-                .add_channel(schema, topic, "cdr", &BTreeMap::new())
-                .map_err(failed)?;
-        }
-        let metadata = [
+        let text = writer
+            .add_schema(TEXT_SCHEMA_NAME, "ros2msg", TEXT_SCHEMA.as_bytes())
+            .map_err(failed)?;
+        let mut metadata = vec![
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("anchor_monotonic_ns", anchor.monotonic_ns.to_string()),
             ("anchor_utc_ns", anchor.utc_ns.to_string()),
-            // The channels stand in the first chunk alone: damage there must not lose the rest.
-            (CHANNEL_KEYS[0], channels[0].0.to_string()),
-            (CHANNEL_KEYS[1], channels[1].0.to_string()),
         ];
+        let mut channels = [(0, 0); TOPICS.len()];
+        for (channel, (_, content, topic, key)) in channels.iter_mut().zip(TOPICS) {
+            let schema = match content {
+                Content::Received | Content::Sent => schema,
+                Content::State => text,
+            };
+            channel.0 = writer
+                .add_channel(schema, topic, "cdr", &BTreeMap::new())
+                .map_err(failed)?;
+            // The channels stand in the first chunk alone: damage there must not lose the rest.
+            metadata.push((key, channel.0.to_string()));
+        }
         writer
             .write_metadata(&Metadata {
                 name: METADATA.to_owned(),
-                metadata: metadata.map(|(k, v)| (k.to_owned(), v)).into(),
+                metadata: metadata
+                    .into_iter()
+                    .map(|(key, value)| (key.to_owned(), value))
+                    .collect(),
             })
             .map_err(failed)?;
         writer.flush().map_err(failed)?;
@@ -173,7 +286,56 @@ impl<W: Write + Seek> RecordingWriter<W> {
     /// # Errors
     /// `file_failed`.
     pub fn append(&mut self, role: LinkRole, host_ns: u64, bytes: &[u8]) -> Result<()> {
-        let index = TOPICS.iter().position(|(r, _)| *r == role).unwrap_or(0);
+        let mut message = std::mem::take(&mut self.message);
+        encode(bytes, &mut message);
+        let written = self.write(role, Content::Received, host_ns, &message);
+        self.message = message;
+        written
+    }
+
+    /// Appends an entry, as [`append`](Self::append) does.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn record(&mut self, entry: &Recorded) -> Result<()> {
+        let mut message = Vec::new();
+        match entry {
+            Recorded::Received(received) => {
+                self.append(received.role, received.host_ns, &received.bytes)
+            }
+            Recorded::Sent {
+                role,
+                host_ns,
+                bytes,
+            } => {
+                encode(bytes, &mut message);
+                self.write(*role, Content::Sent, *host_ns, &message)
+            }
+            Recorded::Lost {
+                role,
+                host_ns,
+                reason,
+            } => {
+                encode_text(&format!("{LOST}{reason}"), &mut message);
+                self.write(*role, Content::State, *host_ns, &message)
+            }
+            Recorded::Connected { role, host_ns } => {
+                encode_text(CONNECTED, &mut message);
+                self.write(*role, Content::State, *host_ns, &message)
+            }
+        }
+    }
+
+    fn write(
+        &mut self,
+        role: LinkRole,
+        content: Content,
+        host_ns: u64,
+        message: &[u8],
+    ) -> Result<()> {
+        let wanted =
+            |topic: &(LinkRole, Content, &str, &str)| (topic.0, topic.1) == (role, content);
+        let index = TOPICS.iter().position(wanted).unwrap_or(0);
         let (channel_id, sequence) = self.channels[index];
         self.channels[index].1 = sequence.wrapping_add(1);
         let log_time = self.anchor.to_utc_ns(host_ns);
@@ -183,9 +345,8 @@ impl<W: Write + Seek> RecordingWriter<W> {
             log_time,
             publish_time: log_time,
         };
-        encode(bytes, &mut self.message);
         self.writer
-            .write_to_known_channel(&header, &self.message)
+            .write_to_known_channel(&header, message)
             .map_err(|error| write_error(&self.name, error))?;
         self.tick(host_ns)
     }
@@ -254,10 +415,20 @@ fn decode(message: &[u8]) -> Option<&[u8]> {
     bytes.get(..u32::from_le_bytes(*length) as usize)
 }
 
-const PREFIX: [u8; 12] = [0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+/// `std_msgs/msg/String`.
+fn encode_text(text: &str, message: &mut Vec<u8>) {
+    message.extend_from_slice(&[0, 1, 0, 0]);
+    message.extend_from_slice(&(text.len() as u32 + 1).to_le_bytes());
+    message.extend_from_slice(text.as_bytes());
+    message.push(0);
+}
 
-/// Metadata keys of the channels' ids, in the order of [`TOPICS`].
-const CHANNEL_KEYS: [&str; 2] = ["channel_wireless", "channel_cable"];
+fn decode_text(message: &[u8]) -> Option<String> {
+    let text = message.get(8..)?.strip_suffix(&[0])?;
+    Some(String::from_utf8_lossy(text).into_owned())
+}
+
+const PREFIX: [u8; 12] = [0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
 
 /// How whole a recording is, known once it has been read to its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -276,9 +447,9 @@ pub struct RecordingReader<R> {
     records: LinearReader,
     anchor: Option<ClockAnchor>,
     /// Channels of the topics above.
-    channels: BTreeMap<u16, LinkRole>,
+    channels: BTreeMap<u16, (LinkRole, Content)>,
     /// Messages of the chunk being read, last first.
-    pending: Vec<Received>,
+    pending: Vec<Recorded>,
     wholeness: Wholeness,
     /// Whether the start is that of an MCAP file.
     started: bool,
@@ -335,15 +506,29 @@ impl<R: Read> RecordingReader<R> {
         Ok(self.anchor)
     }
 
-    /// The next bytes, in the order in which they were recorded; `None` at the end or where the
-    /// file is cut off.
+    /// The next bytes received, in the order in which they were recorded; `None` at the end or
+    /// where the file is cut off.
+    ///
+    /// # Errors
+    /// Those of [`next_entry`](Self::next_entry).
+    pub fn next_received(&mut self) -> Result<Option<Received>> {
+        loop {
+            match self.next_entry()? {
+                Some(Recorded::Received(received)) => return Ok(Some(received)),
+                Some(_) => {}
+                None => return Ok(None),
+            }
+        }
+    }
+
+    /// The next entry of any kind; `None` at the end or where the file is cut off.
     ///
     /// # Errors
     /// `bad_recording`, `no_wimu_topics` at the end of a file without them, `file_failed`.
-    pub fn next_received(&mut self) -> Result<Option<Received>> {
+    pub fn next_entry(&mut self) -> Result<Option<Recorded>> {
         loop {
-            if let Some(received) = self.pending.pop() {
-                return Ok(Some(received));
+            if let Some(entry) = self.pending.pop() {
+                return Ok(Some(entry));
             }
             if self.done {
                 if self.channels.is_empty() {
@@ -415,10 +600,10 @@ impl<R: Read> RecordingReader<R> {
     fn take(&mut self, record: Record<'static>) -> Result<()> {
         match record {
             Record::Metadata(metadata) if metadata.name == METADATA && self.anchor.is_none() => {
-                for (key, (role, _)) in CHANNEL_KEYS.iter().zip(TOPICS) {
-                    let id = metadata.metadata.get(*key).and_then(|id| id.parse().ok());
+                for (role, content, _, key) in TOPICS {
+                    let id = metadata.metadata.get(key).and_then(|id| id.parse().ok());
                     if let Some(id) = id {
-                        self.channels.entry(id).or_insert(role);
+                        self.channels.entry(id).or_insert((role, content));
                     }
                 }
                 let number = |key| metadata.metadata.get(key)?.parse().ok();
@@ -467,27 +652,49 @@ impl<R: Read> RecordingReader<R> {
     fn take_message(&mut self, record: Record<'_>) -> Result<()> {
         match record {
             Record::Channel(channel) => {
-                if let Some((role, _)) = TOPICS.iter().find(|(_, topic)| *topic == channel.topic) {
-                    self.channels.insert(channel.id, *role);
+                let known = TOPICS.iter().find(|topic| topic.2 == channel.topic);
+                if let Some((role, content, ..)) = known {
+                    self.channels.insert(channel.id, (*role, *content));
                 }
             }
             Record::Message { header, data } => {
-                let Some(role) = self.channels.get(&header.channel_id) else {
+                let Some(&(role, content)) = self.channels.get(&header.channel_id) else {
                     return Ok(());
                 };
-                let bytes = decode(&data).ok_or_else(|| {
-                    bad_recording("a message on its topic is no byte array").at(format!(
+                let bad = || {
+                    bad_recording("a message on its topic is not of the topic's type").at(format!(
                         "{}, message {} of {role:?}",
                         self.name, header.sequence
                     ))
-                })?;
-                self.pending.push(Received {
-                    role: *role,
-                    host_ns: self.anchor.map_or(header.log_time, |anchor| {
-                        anchor.to_monotonic_ns(header.log_time)
-                    }),
-                    bytes: bytes.to_vec(),
+                };
+                let host_ns = self.anchor.map_or(header.log_time, |anchor| {
+                    anchor.to_monotonic_ns(header.log_time)
                 });
+                let bytes = || Ok(decode(&data).ok_or_else(bad)?.to_vec());
+                let entry = match content {
+                    Content::Received => Recorded::Received(Received {
+                        role,
+                        host_ns,
+                        bytes: bytes()?,
+                    }),
+                    Content::Sent => Recorded::Sent {
+                        role,
+                        host_ns,
+                        bytes: bytes()?,
+                    },
+                    Content::State => {
+                        let text = decode_text(&data).ok_or_else(bad)?;
+                        match text.strip_prefix(LOST) {
+                            Some(reason) => Recorded::Lost {
+                                role,
+                                host_ns,
+                                reason: reason.to_owned(),
+                            },
+                            None => Recorded::Connected { role, host_ns },
+                        }
+                    }
+                };
+                self.pending.push(entry);
             }
             _ => {}
         }

@@ -4,31 +4,54 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use wimu_link::{Hello, LinkRole};
 
 use crate::client::{Client, ConnectOptions};
-use crate::decode::LinkStatistics;
-use crate::mcap_file::{ClockAnchor, RecordingWriter};
+use crate::clock::{ClockEstimator, ClockSummary};
+use crate::decode::{Event, LinkStatistics};
+use crate::mcap_file::{ClockAnchor, Received, Recorded, RecordingWriter};
 use crate::transport::{self, Transport};
 use crate::{ErrorCode, HostError, LinkUrl, Result};
 
 /// How long a link may be silent before somebody looks whether to stop.
-const GLANCE: Duration = Duration::from_millis(100);
+const GLANCE: Duration = Duration::from_millis(20);
+/// How often a lost link is tried.
+const TRY_EVERY: Duration = Duration::from_millis(500);
+/// How often the board is asked for its time at first, at most, and from when on in the long run.
+const ASK_EVERY: Duration = Duration::from_millis(100);
+const SETTLED: Duration = Duration::from_secs(60);
+const ASK_EVERY_SETTLED: Duration = Duration::from_secs(1);
 
 /// What has been recorded so far, or in all.
 #[derive(Clone, Debug, Default)]
 pub struct Progress {
-    /// Each link: its role and what it carried.
-    pub links: Vec<(LinkRole, LinkStatistics)>,
-    /// Links that failed while recording, and why.
-    pub failures: Vec<(LinkRole, HostError)>,
+    /// The links.
+    pub links: Vec<LinkProgress>,
+    /// Why the recording ended by itself: every link was lost and did not come back in time.
+    pub ended: Option<HostError>,
 }
+
+/// What one link has brought.
+#[derive(Clone, Debug)]
+pub struct LinkProgress {
+    /// Which link.
+    pub role: LinkRole,
+    /// What it carried and lost.
+    pub statistics: LinkStatistics,
+    /// The board's clock by this link, since the board's last start.
+    pub clock: Option<ClockSummary>,
+    /// Why it is lost at the moment.
+    pub lost: Option<HostError>,
+}
+
+type LiveClient = Client<Tap<Box<dyn Transport + Send>>>;
 
 /// A recorder whose links are open and whose file is not yet made.
 pub struct Recorder {
-    links: Vec<Client<Tap<Box<dyn Transport + Send>>>>,
+    links: Vec<(LinkUrl, LiveClient)>,
+    patience: Duration,
 }
 
 impl Recorder {
@@ -38,17 +61,14 @@ impl Recorder {
     /// Those of [`transport::open`] and [`Client::connect`]; `usage` when the links are of
     /// different boards, or two have the same role.
     pub fn connect(links: &[LinkUrl]) -> Result<Self> {
-        let mut clients = Vec::new();
+        let mut clients: Vec<(LinkUrl, LiveClient)> = Vec::new();
         for link in links {
             let tap = Tap::on(transport::open(link)?);
-            clients.push(Client::connect(
-                tap,
-                &link.to_string(),
-                ConnectOptions::default(),
-            )?);
+            let client = Client::connect(tap, &link.to_string(), ConnectOptions::default())?;
+            clients.push((link.clone(), client));
         }
-        for (index, client) in clients.iter().enumerate() {
-            for other in &clients[..index] {
+        for (index, (_, client)) in clients.iter().enumerate() {
+            for (_, other) in &clients[..index] {
                 let trouble = if other.hello().device_id != client.hello().device_id {
                     "are links of different boards"
                 } else if other.hello().role == client.hello().role {
@@ -63,19 +83,30 @@ impl Recorder {
                 ));
             }
         }
-        Ok(Self { links: clients })
+        Ok(Self {
+            links: clients,
+            patience: Duration::from_secs(30),
+        })
+    }
+
+    /// Ends by itself when every link has been lost for this long; 30 s if nothing is said.
+    #[must_use]
+    pub fn with_patience(mut self, patience: Duration) -> Self {
+        self.patience = patience;
+        self
     }
 
     /// Who answered on each link.
     pub fn hellos(&self) -> impl Iterator<Item = &Hello> {
-        self.links.iter().map(Client::hello)
+        self.links.iter().map(|(_, client)| client.hello())
     }
 
-    /// Records into a new file at `path` until `stop` is set or every link has failed; `report`
-    /// sees the progress a few times a second.
+    /// Records into a new file at `path` until `stop` is set or every link is lost for good;
+    /// `report` sees the progress a few times a second. A link that is lost is opened again, with
+    /// its gap in the file.
     ///
     /// # Errors
-    /// `file_exists`, `file_failed`; a link that fails ends only itself and is in the result.
+    /// `file_exists`, `file_failed`; that a link was lost is none.
     pub fn run(
         mut self,
         path: &Path,
@@ -85,42 +116,62 @@ impl Recorder {
         let now = self
             .links
             .first_mut()
-            .map_or(Duration::ZERO, |link| link.transport().now());
+            .map_or(Duration::ZERO, |(_, link)| link.transport().now());
         let mut writer = RecordingWriter::create(path, ClockAnchor::now(now))?;
         let mut progress = Progress {
             links: self
                 .links
                 .iter()
-                .map(|link| (link.hello().role, LinkStatistics::default()))
+                .map(|(_, link)| LinkProgress {
+                    role: link.hello().role,
+                    statistics: LinkStatistics::default(),
+                    clock: None,
+                    lost: None,
+                })
                 .collect(),
-            failures: Vec::new(),
+            ended: None,
         };
         let finished = AtomicBool::new(false);
         let (sender, receiver) = mpsc::channel();
         thread::scope(|scope| {
-            for link in self.links {
+            for (index, (url, client)) in self.links.into_iter().enumerate() {
                 let sender = sender.clone();
                 let finished = &finished;
-                scope.spawn(move || listen(link, &sender, finished));
+                scope.spawn(move || {
+                    let listener = Listener {
+                        role: client.hello().role,
+                        url,
+                        client,
+                        clock: ClockEstimator::new(),
+                        pace: Pace::default(),
+                    };
+                    listener.run(|heard| sender.send((index, heard)).is_ok(), finished);
+                });
             }
             drop(sender);
             let mut outcome = Ok(());
+            let mut lost_since: Option<Instant> = None;
             loop {
                 match receiver.recv_timeout(GLANCE) {
-                    Ok(Heard::Bytes(role, arrived, statistics)) => {
-                        for (host_ns, bytes) in arrived {
-                            outcome = outcome.and_then(|()| writer.append(role, host_ns, &bytes));
+                    Ok((index, heard)) => {
+                        for entry in heard.entries {
+                            outcome = outcome.and_then(|()| writer.record(&entry));
                         }
-                        for (known, slot) in &mut progress.links {
-                            if *known == role {
-                                *slot = statistics;
-                            }
+                        if let Some(link) = progress.links.get_mut(index) {
+                            link.statistics = heard.statistics;
+                            link.clock = heard.clock.or(link.clock);
+                            link.lost = heard.lost;
                         }
                         report(&progress);
                     }
-                    Ok(Heard::Failed(role, error)) => progress.failures.push((role, error)),
                     Err(RecvTimeoutError::Timeout) => {}
                     Err(RecvTimeoutError::Disconnected) => break,
+                }
+                if progress.links.iter().any(|link| link.lost.is_none()) {
+                    lost_since = None;
+                } else if lost_since.get_or_insert_with(Instant::now).elapsed() >= self.patience {
+                    progress.ended = progress.links.iter().find_map(|link| link.lost.clone());
+                    finished.store(true, Ordering::Relaxed);
                 }
                 if stop.load(Ordering::Relaxed) || outcome.is_err() {
                     finished.store(true, Ordering::Relaxed);
@@ -133,41 +184,239 @@ impl Recorder {
     }
 }
 
-enum Heard {
-    Bytes(LinkRole, Vec<(u64, Vec<u8>)>, LinkStatistics),
-    Failed(LinkRole, HostError),
+/// What a listener tells.
+struct Heard {
+    entries: Vec<Recorded>,
+    statistics: LinkStatistics,
+    clock: Option<ClockSummary>,
+    lost: Option<HostError>,
 }
 
-fn listen<T: Transport>(
-    mut client: Client<Tap<T>>,
-    to: &mpsc::Sender<Heard>,
-    finished: &AtomicBool,
-) {
-    let role = client.hello().role;
-    loop {
-        let heard = client.next_event(GLANCE);
-        let arrived = client.transport().take();
-        if !arrived.is_empty()
-            && to
-                .send(Heard::Bytes(role, arrived, client.statistics()))
-                .is_err()
-        {
-            return;
+/// Listens on one link and asks the board for its time.
+struct Listener {
+    role: LinkRole,
+    url: LinkUrl,
+    client: LiveClient,
+    clock: ClockEstimator,
+    pace: Pace,
+}
+
+impl Listener {
+    fn run(mut self, tell: impl Fn(Heard) -> bool, finished: &AtomicBool) {
+        let mut told_clock = Instant::now();
+        while !finished.load(Ordering::Relaxed) {
+            let outcome = self.listen();
+            let mut entries = self.heard();
+            let lost = outcome.err();
+            if let Some(error) = &lost {
+                let host_ns = nanoseconds(self.client.transport().now());
+                entries.push(Recorded::Lost {
+                    role: self.role,
+                    host_ns,
+                    reason: error.message().to_owned(),
+                });
+            }
+            // The estimate costs more than a look.
+            let clock = (told_clock.elapsed() >= Duration::from_secs(2) || lost.is_some())
+                .then(|| {
+                    told_clock = Instant::now();
+                    Some(self.clock.model()?.summary())
+                })
+                .flatten();
+            let told = entries.is_empty()
+                || tell(Heard {
+                    entries,
+                    statistics: self.client.statistics(),
+                    clock,
+                    lost: lost.clone(),
+                });
+            if !told {
+                return;
+            }
+            if let Some(error) = lost {
+                self.reconnect(error, &tell, finished);
+            }
         }
-        if let Err(error) = heard {
-            let _ = to.send(Heard::Failed(role, error));
-            return;
+        let clock = self.clock.model().map(|model| model.summary());
+        let _ = tell(Heard {
+            entries: self.heard(),
+            statistics: self.client.statistics(),
+            clock,
+            lost: None,
+        });
+    }
+
+    fn listen(&mut self) -> Result<()> {
+        let now = self.client.transport().now();
+        if self.pace.is_due(now) {
+            self.pace.asked(now);
+            self.client.ask_status()?;
+            self.note_sent();
         }
-        if finished.load(Ordering::Relaxed) {
-            return;
+        let look_up = now + 5 * GLANCE;
+        while let Some(arrival) = self.client.next_event(GLANCE)? {
+            match &arrival.event {
+                Event::Restart => self.clock = ClockEstimator::new(),
+                Event::Reply(_) => self.pace.answered(arrival.host_ns),
+                _ => {}
+            }
+            self.clock.heard(self.role, &arrival);
+            let now = self.client.transport().now();
+            if now >= look_up || self.pace.is_due(now) {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Tells the clock what was asked, before its answer is looked at.
+    fn note_sent(&mut self) {
+        if let Some(Tapped::Sent { host_ns, bytes }) = self.client.transport().last() {
+            let (host_ns, bytes) = (*host_ns, bytes.clone());
+            self.clock.asked(host_ns, &bytes);
+        }
+    }
+
+    fn heard(&mut self) -> Vec<Recorded> {
+        let role = self.role;
+        let tapped = self.client.transport().take();
+        tapped.into_iter().map(|entry| entry.of(role)).collect()
+    }
+
+    /// Tries until the link is back.
+    fn reconnect(
+        &mut self,
+        mut error: HostError,
+        tell: &impl Fn(Heard) -> bool,
+        finished: &AtomicBool,
+    ) {
+        loop {
+            let wait = Instant::now();
+            while wait.elapsed() < TRY_EVERY {
+                if finished.load(Ordering::Relaxed) {
+                    return;
+                }
+                thread::sleep(GLANCE);
+            }
+            let resumed = match transport::open(&self.url) {
+                Ok(transport) => self.client.resume(Tap::on(transport)),
+                Err(absent) => Err(absent),
+            };
+            let back = resumed.is_ok();
+            if let Err(still) = resumed {
+                error = still;
+            }
+            let mut entries = Vec::new();
+            if back {
+                let host_ns = nanoseconds(self.client.transport().now());
+                entries.push(Recorded::Connected {
+                    role: self.role,
+                    host_ns,
+                });
+                entries.extend(self.heard());
+                self.pace = Pace::default();
+            } else {
+                // What another board has said is none of this recording's.
+                self.heard();
+            }
+            let told = tell(Heard {
+                entries,
+                statistics: self.client.statistics(),
+                clock: None,
+                lost: (!back).then(|| error.clone()),
+            });
+            if back || !told {
+                return;
+            }
         }
     }
 }
 
-/// A link that keeps a copy of all that is read from it, with the time.
+/// When to ask for the time: often at first, on a slow link less, and seldom in the long run.
+#[derive(Default)]
+struct Pace {
+    first: Option<Duration>,
+    latest: Option<Duration>,
+    answered: bool,
+    least_trip: Option<Duration>,
+}
+
+impl Pace {
+    fn is_due(&self, now: Duration) -> bool {
+        let (Some(first), Some(latest)) = (self.first, self.latest) else {
+            return true;
+        };
+        let trip = self.least_trip.unwrap_or_default();
+        let every = if now.saturating_sub(first) < SETTLED {
+            (2 * trip).clamp(ASK_EVERY, ASK_EVERY_SETTLED)
+        } else {
+            ASK_EVERY_SETTLED
+        };
+        let every = if self.answered {
+            every
+        } else {
+            ASK_EVERY_SETTLED
+        };
+        now.saturating_sub(latest) >= every
+    }
+
+    fn asked(&mut self, now: Duration) {
+        self.first.get_or_insert(now);
+        self.latest = Some(now);
+        self.answered = false;
+    }
+
+    fn answered(&mut self, host_ns: u64) {
+        let Some(asked) = self.latest.filter(|_| !self.answered) else {
+            return;
+        };
+        let trip = Duration::from_nanos(host_ns).saturating_sub(asked);
+        self.least_trip = Some(self.least_trip.map_or(trip, |least| least.min(trip)));
+        self.answered = true;
+    }
+}
+
+/// One thing that went over a link.
+#[derive(Clone, Debug)]
+pub enum Tapped {
+    /// Bytes from the board, with when they were read, ns on the link's clock.
+    Received {
+        /// When.
+        host_ns: u64,
+        /// What.
+        bytes: Vec<u8>,
+    },
+    /// Bytes to the board, with when they began to be written, ns on the link's clock.
+    Sent {
+        /// When.
+        host_ns: u64,
+        /// What.
+        bytes: Vec<u8>,
+    },
+}
+
+impl Tapped {
+    /// As an entry of a recording.
+    pub fn of(self, role: LinkRole) -> Recorded {
+        match self {
+            Self::Received { host_ns, bytes } => Recorded::Received(Received {
+                role,
+                host_ns,
+                bytes,
+            }),
+            Self::Sent { host_ns, bytes } => Recorded::Sent {
+                role,
+                host_ns,
+                bytes,
+            },
+        }
+    }
+}
+
+/// A link that keeps a copy of all that goes over it, with the time.
 pub struct Tap<T> {
     inner: T,
-    heard: Vec<(u64, Vec<u8>)>,
+    heard: Vec<Tapped>,
 }
 
 impl<T: Transport> Tap<T> {
@@ -179,9 +428,14 @@ impl<T: Transport> Tap<T> {
         }
     }
 
-    /// What was read since the last time, with when, ns on the link's clock.
-    pub fn take(&mut self) -> Vec<(u64, Vec<u8>)> {
+    /// What went over it since the last time.
+    pub fn take(&mut self) -> Vec<Tapped> {
         std::mem::take(&mut self.heard)
+    }
+
+    /// The latest of it.
+    fn last(&self) -> Option<&Tapped> {
+        self.heard.last()
     }
 }
 
@@ -189,17 +443,29 @@ impl<T: Transport> Transport for Tap<T> {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
         let count = self.inner.read(buffer, timeout)?;
         if count > 0 {
-            let host_ns = self.inner.now().as_nanos() as u64;
-            self.heard.push((host_ns, buffer[..count].to_vec()));
+            self.heard.push(Tapped::Received {
+                host_ns: nanoseconds(self.inner.now()),
+                bytes: buffer[..count].to_vec(),
+            });
         }
         Ok(count)
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
-        self.inner.write_all(bytes)
+        let host_ns = nanoseconds(self.inner.now());
+        self.inner.write_all(bytes)?;
+        self.heard.push(Tapped::Sent {
+            host_ns,
+            bytes: bytes.to_vec(),
+        });
+        Ok(())
     }
 
     fn now(&self) -> Duration {
         self.inner.now()
     }
+}
+
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }

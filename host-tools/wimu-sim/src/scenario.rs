@@ -11,7 +11,7 @@ use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::dataset::Dataset;
 use wimu_host::decode::TimedSample;
 use wimu_host::history::{Boot, Recording};
-use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
+use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::navigation::{self, Point};
 use wimu_host::recorder::Tap;
 use wimu_host::replay::{self, ReplayReport};
@@ -238,7 +238,7 @@ pub struct Host<'a, R> {
     pub wireless: Client<Tap<SimLink<'a, R>>>,
     board: &'a RefCell<R>,
     scene: Scene,
-    received: Vec<Received>,
+    heard: Vec<Recorded>,
 }
 
 impl<'a, R: VirtualBoard> Host<'a, R> {
@@ -252,7 +252,7 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
             scene,
             cable: client(board, LinkRole::Cable)?,
             wireless: client(board, LinkRole::Wireless)?,
-            received: Vec::new(),
+            heard: Vec::new(),
         })
     }
 
@@ -292,28 +292,24 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
             (LinkRole::Cable, &mut self.cable),
             (LinkRole::Wireless, &mut self.wireless),
         ] {
-            let heard = client.transport().take();
-            self.received
-                .extend(heard.into_iter().map(|(host_ns, bytes)| Received {
-                    role,
-                    host_ns,
-                    bytes,
-                }));
+            let tapped = client.transport().take();
+            self.heard
+                .extend(tapped.into_iter().map(|entry| entry.of(role)));
         }
     }
 
     /// Everything received so far as a recording's bytes.
     fn file(&mut self) -> Result<Vec<u8>> {
         self.keep();
-        self.received.sort_by_key(|received| received.host_ns);
+        self.heard.sort_by_key(Recorded::host_ns);
         let anchor = ClockAnchor {
             monotonic_ns: 0,
             utc_ns: 0,
         };
         let sink = Cursor::new(Vec::new());
         let mut writer = RecordingWriter::new(sink, "the recording", anchor)?;
-        for received in &self.received {
-            writer.append(received.role, received.host_ns, &received.bytes)?;
+        for entry in &self.heard {
+            writer.record(entry)?;
         }
         Ok(writer.finish()?.into_inner())
     }

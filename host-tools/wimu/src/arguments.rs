@@ -165,6 +165,9 @@ pub struct Record {
     /// The recording
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: PathBuf,
+    /// A lost link is opened again; end when every link has been lost for this long
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
+    pub reconnect: f64,
     /// Stop after this many seconds
     #[arg(long = "for", value_name = "SECONDS")]
     pub seconds: Option<f64>,

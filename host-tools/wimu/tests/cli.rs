@@ -4,8 +4,8 @@
 mod kit;
 
 use std::fs;
-use std::io::Write;
-use std::net::TcpListener;
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
@@ -479,14 +479,86 @@ fn a_link_that_ends_while_recording_keeps_what_it_brought() {
     let path = folder.path().join("lost.mcap");
     let file = path.to_str().unwrap();
     let board = Simulator::start(&["--motion", "rest"]);
-    let record = Background::start(&["record", &board.wireless, "-o", file]);
+    let record = Background::start(&["record", &board.wireless, "-o", file, "--reconnect", "1"]);
     let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 6000);
     kit::wait_until("the recording grows", enough);
     drop(board);
-    record.finish().fails(1, "link_lost");
+    let recorded = record.finish().succeeds();
+    assert_eq!(recorded["ended"]["code"], "link_refused", "{recorded}");
     let info = wimu(&["info", file]).succeeds();
     assert_eq!(info["truncated"], false);
     assert!(info["links"][0]["raw_samples"].as_u64().unwrap() > 100);
+}
+
+/// A relay to a board's link that hangs up once, after so many bytes; its LINK.
+fn hangs_up_once(link: &str, after: usize) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let relay = format!("tcp://{}", listener.local_addr().unwrap());
+    let target = link.trim_start_matches("tcp://").to_owned();
+    std::thread::spawn(move || {
+        for (number, client) in listener.incoming().enumerate() {
+            let client = client.unwrap();
+            let Ok(board) = TcpStream::connect(&target) else {
+                return;
+            };
+            let (mut up_in, mut up_out) = (client.try_clone().unwrap(), board.try_clone().unwrap());
+            let up = std::thread::spawn(move || std::io::copy(&mut up_in, &mut up_out));
+            let (mut from, mut to) = (board.try_clone().unwrap(), client.try_clone().unwrap());
+            let (mut buffer, mut carried) = ([0; 512], 0);
+            while let Ok(count @ 1..) = from.read(&mut buffer) {
+                carried += count;
+                if to.write_all(&buffer[..count]).is_err() || (number == 0 && carried > after) {
+                    break;
+                }
+            }
+            let _ = client.shutdown(Shutdown::Both);
+            let _ = board.shutdown(Shutdown::Both);
+            let _ = up.join();
+        }
+    });
+    relay
+}
+
+#[test]
+fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
+    let folder = folder();
+    let path = folder.path().join("gap.mcap");
+    let file = path.to_str().unwrap();
+    let board = Simulator::start(&["--motion", "hand"]);
+    let relay = hangs_up_once(&board.wireless, 4000);
+    let arguments = ["record", &relay, "--cable", &board.cable, "-o", file];
+    let recorded = wimu(&[&arguments[..], &["--for", "7"]].concat()).succeeds();
+    let info = wimu(&["info", file]).succeeds();
+    for links in [&recorded["links"], &info["links"]] {
+        for link in links.as_array().unwrap() {
+            let statistics = link.get("statistics").unwrap_or(link);
+            let (missing, damaged) = match link["role"].as_str() {
+                Some("wireless") => (10..200, 1),
+                _ => (0..1, 0),
+            };
+            let lost = u64::from(link["role"] == "wireless");
+            assert_eq!(statistics["interruptions"], lost, "{statistics}");
+            let count = |value: &Value| value.as_u64().unwrap();
+            assert!(
+                missing.contains(&count(&statistics["raw"]["missing"])),
+                "{statistics}"
+            );
+            assert!(
+                count(&statistics["frames_damaged"]) <= damaged,
+                "{statistics}"
+            );
+            // It brought more afterwards than before.
+            assert!(count(&statistics["raw"]["received"]) > 400, "{statistics}");
+        }
+    }
+    for link in recorded["links"].as_array().unwrap() {
+        // Simulated time is host time.
+        let clock = &link["clock"];
+        assert!(clock["exchanges"].as_u64().unwrap() > 10, "{clock}");
+        let rate = clock["rate_ppm"].as_f64().unwrap();
+        let sd = clock["rate_sd_ppm"].as_f64().unwrap();
+        assert!(rate.abs() < 5.0 * sd + 100.0, "{clock}");
+    }
 }
 
 /// Six static positions of a sensor of about 2048 LSB/g, with a little of everything wrong.
@@ -523,9 +595,10 @@ fn a_replayed_file_calibrates_as_the_file_itself() {
     for (number, file) in files.iter().enumerate() {
         let session = path(&format!("{number}.mcap"));
         let board = Simulator::start(&["--replay", file, "--speed", "50", "--exit-when-done"]);
-        let record = Background::start(&["record", &board.wireless, "-o", &session]);
+        let wireless = board.wireless.as_str();
+        let record = Background::start(&["record", wireless, "-o", &session, "--reconnect", "0.5"]);
         // The board goes when it is done; what came is in the file.
-        record.finish().fails(1, "link_lost");
+        record.finish().succeeds();
         let rows = fs::read_to_string(file).unwrap().lines().count() - 1;
         let info = wimu(&["info", &session]).succeeds();
         assert_eq!(info["links"][0]["raw_samples"], rows);

@@ -165,3 +165,33 @@ fn a_file_that_exists_is_not_overwritten() {
     assert_eq!(received[0].as_ref().unwrap().host_ns, 3_000_000_007);
     std::fs::remove_file(&path).unwrap();
 }
+
+#[test]
+fn what_was_sent_and_where_a_link_was_lost_reads_back_too() {
+    let (role, host_ns) = (LinkRole::Wireless, 9_000);
+    let entries = [
+        Recorded::Sent {
+            role,
+            host_ns,
+            bytes: vec![0, 7, 0],
+        },
+        Recorded::Received(entry(5)),
+        Recorded::Lost {
+            role: LinkRole::Cable,
+            host_ns,
+            reason: "pulled out, µ".to_owned(),
+        },
+        Recorded::Connected { role, host_ns },
+    ];
+    let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+    for entry in &entries {
+        writer.record(entry).unwrap();
+    }
+    let bytes = writer.finish().unwrap().into_inner();
+    let mut reader = RecordingReader::new(&bytes[..], "a.mcap").unwrap();
+    let mut read = Vec::new();
+    while let Some(entry) = reader.next_entry().unwrap() {
+        read.push(entry);
+    }
+    assert_eq!(read, entries);
+}

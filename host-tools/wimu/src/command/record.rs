@@ -4,9 +4,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use wimu_host::clock::ClockSummary;
 use wimu_host::decode::LinkStatistics;
 use wimu_host::recorder::{Progress, Recorder};
-use wimu_host::{LinkUrl, Result};
+use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
 use crate::arguments::Record;
 use crate::command::{deadline, interrupted, is_over};
@@ -17,6 +18,8 @@ struct Recorded {
     schema: &'static str,
     status: &'static str,
     file: String,
+    /// Why it ended by itself.
+    ended: Option<HostError>,
     links: Vec<Link>,
 }
 
@@ -25,6 +28,7 @@ struct Link {
     role: String,
     #[serde(flatten)]
     statistics: LinkStatistics,
+    clock: Option<ClockSummary>,
 }
 
 pub fn run(arguments: &Record, output: Output) -> Result<()> {
@@ -35,7 +39,14 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         .flatten()
         .map(|link| link.parse::<LinkUrl>())
         .collect::<Result<Vec<_>>>()?;
-    let recorder = Recorder::connect(&links)?;
+    let patience = Duration::try_from_secs_f64(arguments.reconnect).map_err(|_| {
+        HostError::new(
+            ErrorCode::Usage,
+            format!("--reconnect {} is no time", arguments.reconnect),
+            "give seconds, 0 or more",
+        )
+    })?;
+    let recorder = Recorder::connect(&links)?.with_patience(patience);
     for hello in recorder.hellos() {
         output.say(format!(
             "recording the {} link of {} with {}, device {:016x}; Ctrl-C ends it",
@@ -68,11 +79,16 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         arguments.output.display(),
         summary(&progress)
     ));
-    if let Some((role, error)) = progress.failures.into_iter().next() {
+    for link in &progress.links {
+        if let Some(clock) = &link.clock {
+            output.say(format!("{:8} {}", link.role, clock_text(clock)));
+        }
+    }
+    if let Some(error) = &progress.ended {
         output.say(format!(
-            "the {role} link failed; what it brought is in the file"
+            "ended: no link has come back ({}); what they brought is in the file",
+            error.message()
         ));
-        return Err(error);
     }
     output.object(&Recorded {
         schema: "wimu.record/1",
@@ -81,11 +97,13 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         links: progress
             .links
             .iter()
-            .map(|(role, statistics)| Link {
-                role: role.to_string(),
-                statistics: *statistics,
+            .map(|link| Link {
+                role: link.role.to_string(),
+                statistics: link.statistics,
+                clock: link.clock,
             })
             .collect(),
+        ended: progress.ended,
     });
     Ok(())
 }
@@ -94,15 +112,38 @@ fn summary(progress: &Progress) -> String {
     let links: Vec<String> = progress
         .links
         .iter()
-        .map(|(role, statistics)| {
+        .map(|link| {
+            let statistics = &link.statistics;
             format!(
-                "{role} {} samples, {} bytes, {} missing, {} damaged frames",
+                "{} {} samples, {} bytes, {} missing, {} damaged frames{}",
+                link.role,
                 statistics.raw.received,
                 statistics.bytes,
                 statistics.raw.missing,
-                statistics.frames_damaged
+                statistics.frames_damaged,
+                if link.lost.is_some() {
+                    ", LOST: trying again"
+                } else {
+                    ""
+                }
             )
         })
         .collect();
     links.join("; ")
+}
+
+/// A clock in a line, two standard deviations.
+pub fn clock_text(clock: &ClockSummary) -> String {
+    let rate = format!(
+        "device clock {:+.1} ± {:.1} ppm",
+        clock.rate_ppm,
+        2.0 * clock.rate_sd_ppm
+    );
+    match clock.offset_bound_ms {
+        Some(bound) => format!(
+            "{rate}; its times in host time to {:.2} ms if both directions take equally long, to {bound:.1} ms in any case",
+            2.0 * clock.offset_sd_ms
+        ),
+        None => format!("{rate}; its times are late by what the fastest transfer took"),
+    }
 }

@@ -29,6 +29,8 @@ const BLOCK_TRANSFERS: usize = 8192;
 const REACH: usize = 4;
 /// Lines kept: three days of blocks. Beyond, every second is left out.
 const MAX_LINES: usize = 4096;
+/// No host tells when bytes came better than this, ns.
+const HOST_SD_NS: f64 = 50_000.0;
 /// Questions that may wait for their answer.
 const MAX_ASKED: usize = 64;
 /// How much longer than its answer a question may be, or shorter.
@@ -115,6 +117,7 @@ impl ClockEstimator {
                 let time = DeviceTimeUs(status.uptime_us);
                 self.exchanges += 1;
                 self.transfer(link, Class::Question, time, asked_ns);
+                self.transfer(link, Class::AnswerBegins, time, arrival.began_ns);
                 self.transfer(link, Class::Answer, time, arrival.host_ns);
             }
             _ => {}
@@ -131,6 +134,11 @@ impl ClockEstimator {
             }
             self.asked.entry(question).or_insert((host_ns, bytes.len()));
         }
+    }
+
+    /// Transfers taken so far.
+    pub fn transfers(&self) -> u64 {
+        self.transfers
     }
 
     /// One transfer: what the device timed at `time` arrived, or for a question was sent, at
@@ -218,9 +226,13 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
     };
     let x = 0.5 * (start + end);
     let span = near.last()?.span.1 - near.first()?.span.0;
-    let whole = envelope::fit(near, None, x)?;
+    let free = envelope::fit(near, None, x, None)?;
+    // No oscillator runs off so far: the device's time is simulated, or there is too little of it.
+    let known = span >= MIN_SPAN_S && free.rate.abs() < 0.99 * envelope::MAX_RATE;
+    let given = (!known).then_some(0.0);
+    let whole = envelope::fit(near, None, x, given)?;
     let parts: Vec<_> = (0..PARTS)
-        .filter_map(|part| envelope::fit(near, Some(part), x))
+        .filter_map(|part| envelope::fit(near, Some(part), x, given))
         .collect();
     let scatter = |of: &dyn Fn(&envelope::Fit) -> Option<f64>, whole: f64| {
         let (count, squares) = parts
@@ -231,8 +243,6 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
             });
         (count > 0).then(|| SD_PER_SCATTER * (squares / f64::from(count)).sqrt())
     };
-    let known = span >= MIN_SPAN_S;
-    let rate = if known { whole.rate } else { 0.0 };
     let (lower, upper) = whole.bounds();
     let upper = upper?;
     // Without exchanges the fastest transfer is taken to have taken no time.
@@ -245,8 +255,8 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
     Some(Line {
         x,
         y,
-        y_sd: y_sd.unwrap_or(f64::INFINITY),
-        rate,
+        y_sd: y_sd.unwrap_or(f64::INFINITY).hypot(HOST_SD_NS),
+        rate: whole.rate,
         rate_sd: scatter(&|fit| Some(fit.rate), whole.rate)
             .filter(|_| known)
             .unwrap_or(UNKNOWN_RATE_PPM * 1e3),
@@ -360,7 +370,7 @@ impl ClockModel {
             offset_sd_ms: middle.y_sd * 1e-6,
             offset_bound_ms: middle
                 .lower
-                .map(|lower| (middle.y - lower).max(middle.upper - middle.y) * 1e-6),
+                .map(|lower| (middle.y - lower).max(middle.upper - middle.y).max(0.0) * 1e-6),
             transfers: self.transfers,
             exchanges: self.exchanges,
         }

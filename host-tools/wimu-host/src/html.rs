@@ -53,6 +53,15 @@ pub struct Chart {
     pub series: Vec<Series>,
 }
 
+/// Where a series of a [`Chart`] may lie.
+#[derive(Clone, Debug)]
+pub struct Band {
+    /// Index of the series.
+    pub series: usize,
+    /// x, lowest y and highest.
+    pub points: Vec<(f64, f64, f64)>,
+}
+
 impl Report {
     /// An empty page.
     pub fn new(title: impl Into<String>) -> Self {
@@ -101,6 +110,16 @@ impl Report {
         Ok(self)
     }
 
+    /// A picture with bands behind its series.
+    ///
+    /// # Errors
+    /// `file_failed` when it cannot be drawn.
+    pub fn chart_with_bands(&mut self, chart: &Chart, bands: &[Band]) -> Result<&mut Self> {
+        let svg = chart.svg_with_bands(bands)?;
+        let _ = writeln!(self.body, "<figure>{svg}</figure>");
+        Ok(self)
+    }
+
     /// Writes the page, in place of one that is there.
     ///
     /// # Errors
@@ -134,14 +153,18 @@ impl Chart {
     /// # Errors
     /// `file_failed` when it cannot be drawn.
     pub fn svg(&self) -> Result<String> {
+        self.svg_with_bands(&[])
+    }
+
+    fn svg_with_bands(&self, bands: &[Band]) -> Result<String> {
         let mut svg = String::new();
         {
             let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
             let (x, y) = self.ranges();
             let drawn = if self.log {
-                self.draw(&area, x, (y.start.max(1e-9)..y.end).log_scale())
+                self.draw(&area, x, (y.start.max(1e-9)..y.end).log_scale(), bands)
             } else {
-                self.draw(&area, x, y)
+                self.draw(&area, x, y, bands)
             };
             drawn.map_err(|reason| {
                 HostError::new(
@@ -188,6 +211,7 @@ impl Chart {
         area: &DrawingArea<SVGBackend, Shift>,
         x: std::ops::Range<f64>,
         y: Y,
+        bands: &[Band],
     ) -> std::result::Result<(), String>
     where
         Y: plotters::coord::ranged1d::AsRangedCoord<Value = f64>,
@@ -210,6 +234,21 @@ impl Chart {
             .label_style(("sans-serif", 13))
             .draw()
             .map_err(|e| say(&e))?;
+        for band in bands {
+            let colour = COLOURS[band.series % COLOURS.len()].mix(0.15);
+            let finite = || {
+                band.points
+                    .iter()
+                    .filter(|(_, low, high)| low.is_finite() && high.is_finite())
+            };
+            let outline: Vec<_> = finite()
+                .map(|&(x, low, _)| (x, low))
+                .chain(finite().rev().map(|&(x, _, high)| (x, high)))
+                .collect();
+            chart
+                .draw_series([Polygon::new(outline, colour.filled())])
+                .map_err(|e| say(&e))?;
+        }
         for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
             let style = colour.stroke_width(2);
             let annotation = if series.dots {

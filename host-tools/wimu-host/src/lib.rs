@@ -5,6 +5,7 @@ pub mod allan;
 pub mod calibration;
 pub mod client;
 pub mod clock;
+pub mod compare;
 pub mod csv;
 pub mod dataset;
 pub mod decode;
@@ -19,6 +20,7 @@ pub mod navigation;
 pub mod recorder;
 pub mod replay;
 pub mod transport;
+pub mod walk;
 
 pub use error::{ErrorCode, HostError, Result};
 pub use link_url::{DEFAULT_BAUD, Input, LinkUrl};

@@ -96,7 +96,7 @@ impl Server {
         for port in [&mut self.cable, &mut self.wireless] {
             // First, so that a client that has gone makes room for the next.
             port.follow_connection(&mut self.board);
-            port.deliver(&mut self.board);
+            port.listen();
             port.accept();
         }
         let connected = self.cable.client.is_some() || self.wireless.client.is_some();
@@ -114,6 +114,9 @@ impl Server {
                 }
             }
         }
+        for port in [&mut self.cable, &mut self.wireless] {
+            port.deliver(&mut self.board);
+        }
     }
 }
 
@@ -123,6 +126,7 @@ struct Port {
     client: Option<TcpStream>,
     /// The board's connection that the client has.
     connection: Option<u64>,
+    incoming: Vec<u8>,
     outgoing: VecDeque<u8>,
 }
 
@@ -135,6 +139,7 @@ impl Port {
             listener,
             client: None,
             connection: Some(0),
+            incoming: Vec::new(),
             outgoing: VecDeque::new(),
         })
     }
@@ -166,7 +171,8 @@ impl Port {
         }
     }
 
-    fn deliver(&mut self, board: &mut Board) {
+    /// Takes what the client has sent.
+    fn listen(&mut self) {
         let mut bytes = [0; 1024];
         loop {
             let Some(client) = &mut self.client else {
@@ -174,11 +180,19 @@ impl Port {
             };
             match client.read(&mut bytes) {
                 Ok(0) => self.client = None,
-                Ok(count) => board.link(self.role).push(&bytes[..count]),
+                Ok(count) => self.incoming.extend_from_slice(&bytes[..count]),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(_) => self.client = None,
             }
+        }
+    }
+
+    /// Gives it to the board, whose time has caught up by now: it must not hear before it is asked.
+    fn deliver(&mut self, board: &mut Board) {
+        if !self.incoming.is_empty() {
+            board.link(self.role).push(&self.incoming);
+            self.incoming.clear();
         }
     }
 

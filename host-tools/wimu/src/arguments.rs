@@ -55,6 +55,8 @@ pub enum Command {
         #[command(subcommand)]
         action: Settings,
     },
+    /// Wireless against cable: loss, latency, clock, values
+    Compare(Compare),
     /// Velocity and position: the device's own, and recomputed from its raw samples
     Navigate(Navigate),
 }
@@ -178,6 +180,23 @@ pub struct Record {
 pub struct Info {
     /// A recording, or a LINK
     pub input: String,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu compare session.mcap --report compare.html -o LINK.json
+         wimu compare reference.csv other.csv")]
+pub struct Compare {
+    /// A recording of both links, or the CSV file of the reference
+    pub input: String,
+    /// The CSV file of another device in the same motion
+    pub other: Option<String>,
+    /// Write the wireless link's error model here; `wimu export --link-model` takes it off
+    #[arg(short, long, value_name = "LINK.json")]
+    pub output: Option<PathBuf>,
+    /// Write a page with pictures here
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
 }
 
 #[derive(Args)]

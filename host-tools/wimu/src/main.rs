@@ -39,6 +39,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Monitor(arguments) => command::monitor::run(&arguments, output),
         Command::Record(arguments) => command::record::run(&arguments, output),
         Command::Info(arguments) => command::info::run(&arguments, output),
+        Command::Compare(arguments) => command::compare::run(&arguments, output),
         Command::Export(arguments) => command::export::run(&arguments, output),
         Command::Params { action } => command::params::run(&action, output),
         Command::Settings { action } => command::settings::run(&action, output),

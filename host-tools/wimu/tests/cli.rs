@@ -441,7 +441,7 @@ fn ctrl_c_closes_a_recording_and_a_kill_loses_a_second_at_most() {
         let path = folder.path().join(name);
         let file = path.to_str().unwrap();
         let record = Background::start(&["record", &board.wireless, "-o", file]);
-        let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 6000);
+        let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 20_000);
         kit::wait_until("the recording grows", enough);
         let ran = record.signal(signal);
         if !truncated {
@@ -480,7 +480,7 @@ fn a_link_that_ends_while_recording_keeps_what_it_brought() {
     let file = path.to_str().unwrap();
     let board = Simulator::start(&["--motion", "rest"]);
     let record = Background::start(&["record", &board.wireless, "-o", file, "--reconnect", "1"]);
-    let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 6000);
+    let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 20_000);
     kit::wait_until("the recording grows", enough);
     drop(board);
     let recorded = record.finish().succeeds();

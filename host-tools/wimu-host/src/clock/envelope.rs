@@ -8,21 +8,25 @@ pub(super) const PARTS: usize = 4;
 const PART_S: f64 = 1.0;
 /// Links that one clock is seen through.
 pub(super) const LINKS: usize = 2;
-/// Links times classes.
-const KINDS: usize = 4 * LINKS;
+const CLASSES: usize = 5;
+const KINDS: usize = CLASSES * LINKS;
+/// Mean delays below this are taken as this, ns.
+const LEAST_MEAN_NS: f64 = 1000.0;
 /// No oscillator is worse, ns/s.
-const MAX_RATE: f64 = 5e7;
+pub(super) const MAX_RATE: f64 = 5e7;
 
 /// What is delayed. Transfers of a class take the same least time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Class {
-    /// A batch of raw samples.
+    /// The first byte of a batch of raw samples.
     Raw,
-    /// A batch of corrected samples: often waits for the raw batch before it.
+    /// That of a batch of corrected samples: often waits for the raw batch before it.
     Corrected,
-    /// A device's answer to a question.
+    /// That of an answer to a question.
+    AnswerBegins,
+    /// A whole answer.
     Answer,
-    /// A host's question.
+    /// A host's whole question.
     Question,
 }
 
@@ -30,6 +34,12 @@ impl Class {
     /// −1 towards the device: there the clocks' difference shortens what it lengthens here.
     fn sign(self) -> f64 {
         if self == Self::Question { -1.0 } else { 1.0 }
+    }
+
+    /// Whether it takes equally long whatever its length: questions and answers grow by a byte now
+    /// and then, which would look like a rate.
+    fn shows_rate(self) -> bool {
+        !matches!(self, Self::Answer | Self::Question)
     }
 }
 
@@ -48,7 +58,7 @@ pub(super) struct Transfer {
 
 impl Transfer {
     fn kind(&self) -> usize {
-        4 * self.link + self.class as usize
+        CLASSES * self.link + self.class as usize
     }
 }
 
@@ -58,6 +68,7 @@ impl Transfer {
 struct Cell {
     count: f64,
     sum_x: f64,
+    sum_v: f64,
     hull: Vec<Transfer>,
 }
 
@@ -100,7 +111,7 @@ impl Fit {
     /// The clocks' difference at `x` by exchanges over `link`, ns, if both directions take
     /// equally long: equation (62).
     pub fn centre(&self, link: usize) -> Option<f64> {
-        let floor = |class: Class| self.floor[4 * link + class as usize];
+        let floor = |class: Class| self.floor[CLASSES * link + class as usize];
         Some((floor(Class::Answer)? - floor(Class::Question)?) / 2.0)
     }
 }
@@ -119,6 +130,7 @@ impl Folded {
             let cell = &mut cells[transfer.kind()][part];
             cell.count += 1.0;
             cell.sum_x += transfer.x;
+            cell.sum_v += transfer.v;
             cell.hull.push(*transfer);
         }
         for cell in cells.iter_mut().flatten() {
@@ -140,9 +152,14 @@ impl Folded {
     }
 }
 
-/// The best line about `x` under the transfers of `blocks`, of one part or of all. `None` without
-/// any.
-pub(super) fn fit(blocks: &[&Folded], part: Option<usize>, x: f64) -> Option<Fit> {
+/// The best line about `x` under the transfers of `blocks`, of one part or of all; with the slope
+/// `given`, if there is one. `None` without transfers.
+pub(super) fn fit(
+    blocks: &[&Folded],
+    part: Option<usize>,
+    x: f64,
+    given: Option<f64>,
+) -> Option<Fit> {
     let mut lines = Vec::new();
     for kind in 0..KINDS {
         let cells = || {
@@ -165,6 +182,8 @@ pub(super) fn fit(blocks: &[&Folded], part: Option<usize>, x: f64) -> Option<Fit
             lines.push(Line {
                 count: cells().map(|cell| cell.count).sum(),
                 sum_x: cells().map(|cell| cell.sum_x - cell.count * x).sum(),
+                sum_v: cells().map(|cell| cell.sum_v).sum(),
+                weight: 1.0,
                 points,
             });
         }
@@ -172,17 +191,28 @@ pub(super) fn fit(blocks: &[&Folded], part: Option<usize>, x: f64) -> Option<Fit
     if lines.is_empty() {
         return None;
     }
-    let rate = best_rate(&lines);
+    let (mut steady, rest): (Vec<_>, Vec<_>) = lines
+        .into_iter()
+        .partition(|line| line.points[0].class.shows_rate());
+    let mut rate = given.unwrap_or_else(|| best_rate(&steady));
+    for line in &mut steady {
+        let above =
+            (line.sum_v - line.sign() * rate * line.sum_x) / line.count - line.floor(rate).0;
+        line.weight = 1.0 / above.max(LEAST_MEAN_NS);
+    }
+    if steady.len() > 1 && given.is_none() {
+        rate = best_rate(&steady);
+    }
     let mut fit = Fit {
         rate,
         floor: [None; KINDS],
         lower: [None; LINKS],
         upper: [None; LINKS],
     };
-    for line in &lines {
+    for line in steady.iter().chain(&rest) {
         let Transfer { link, class, .. } = line.points[0];
         let bound = line.floor(rate).0;
-        fit.floor[4 * link + class as usize] = Some(bound);
+        fit.floor[CLASSES * link + class as usize] = Some(bound);
         if class == Class::Question {
             fit.lower[link] = Some(-bound);
         } else {
@@ -196,6 +226,9 @@ pub(super) fn fit(blocks: &[&Folded], part: Option<usize>, x: f64) -> Option<Fit
 struct Line {
     count: f64,
     sum_x: f64,
+    sum_v: f64,
+    /// One over the mean delay above the floor, 1/ns.
+    weight: f64,
     points: Vec<Transfer>,
 }
 
@@ -224,7 +257,7 @@ fn gradient(lines: &[Line], rate: f64) -> f64 {
         .iter()
         .map(|line| {
             let touched = line.floor(rate).1.x;
-            line.sign() * (line.sum_x - line.count * touched)
+            line.weight * line.sign() * (line.sum_x - line.count * touched)
         })
         .sum()
 }

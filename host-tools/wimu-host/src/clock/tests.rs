@@ -122,6 +122,8 @@ impl Link {
             }
             let time = DeviceTimeUs((ready_s * 1e6).round() as u64);
             if class == Class::Answer {
+                let began = arrived - self.byte * bytes;
+                clock.transfer(number, Class::AnswerBegins, time, began as u64);
                 clock.transfer(number, Class::Question, time, asked as u64);
             }
             clock.transfer(

@@ -2,6 +2,7 @@
 
 pub mod allan;
 pub mod calibrate;
+pub mod compare;
 pub mod demo;
 pub mod export;
 pub mod info;

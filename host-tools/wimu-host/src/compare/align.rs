@@ -1,0 +1,381 @@
+//! Two tables of any two devices: no numbers, no common clock, so the motion itself aligns them.
+
+use std::path::Path;
+
+use serde::Serialize;
+use wimu_calib::{NoiseRatio, ReferenceTransfer};
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+use super::{Axis, refused};
+use crate::csv::{AccelerationUnit, CsvReader};
+use crate::{ErrorCode, HostError, Result};
+
+/// Both are brought to the slower one's rate, at most this, Hz.
+const MAX_RATE_HZ: f64 = 200.0;
+/// Taken where a table has no times, Hz.
+const ASSUMED_RATE_HZ: f64 = 100.0;
+/// Points of the search over all lags.
+const COARSE_POINTS: usize = 4000;
+/// Least that must overlap, s, and as a share of the shorter table.
+const MIN_OVERLAP_S: f64 = 2.0;
+const MIN_OVERLAP: f64 = 0.2;
+/// Streams of one motion are correlated at least this much when aligned.
+const MIN_CORRELATION: f64 = 0.6;
+/// Another place that fits within this makes the answer ambiguous.
+const MIN_LEAD: f64 = 0.03;
+
+/// What the alignment of two tables found.
+#[derive(Clone, Debug, Serialize)]
+pub struct Alignment {
+    /// The reference, and the other.
+    pub sources: [String; 2],
+    /// Add to the other's time to get the reference's at the middle of the overlap, s.
+    pub offset_s: f64,
+    /// By how many ppm the other's clock is slow against the reference's; `None` where the
+    /// overlap is too short to tell.
+    pub rate_ppm: Option<f64>,
+    /// Correlation of the magnitudes when aligned.
+    pub correlation: f64,
+    /// Length of the overlap, s.
+    pub overlap_s: f64,
+    /// Rate at which the two were compared, Hz.
+    pub rate_hz: f64,
+    /// Values compared.
+    pub pairs: u64,
+    /// The other against the reference, X, Y, Z; `None` where they say nothing about each other.
+    pub axes: Option<[Axis; 3]>,
+    /// Why not.
+    pub axes_reason: Option<String>,
+}
+
+/// A table as a signal.
+struct Signal {
+    /// s.
+    times: Vec<f64>,
+    /// m/s².
+    values: Vec<[f64; 3]>,
+}
+
+/// Evenly sampled magnitudes, less their mean.
+struct Grid {
+    start: f64,
+    step: f64,
+    values: Vec<f64>,
+}
+
+/// Aligns two tables by the magnitude of their specific force, which no mounting changes, and
+/// compares their values. In LSB, the median magnitude is taken for 1 g.
+///
+/// # Errors
+/// Those of [`CsvReader`]; `no_rows`, `csv_missing_column`; `data_refused` when no place, or more
+/// than one, fits.
+pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
+    let names = [reference, other].map(|path| path.display().to_string());
+    let [a, b] = [read(reference)?, read(other)?];
+    let both = format!("{} and {}", names[0], names[1]);
+    let rate_hz = a.rate_hz().min(b.rate_hz()).min(MAX_RATE_HZ);
+    let step = 1.0 / rate_hz;
+    let [fine_a, fine_b] = [a.grid(step), b.grid(step)];
+    let shorter = fine_a.values.len().min(fine_b.values.len()) as f64 * step;
+    let overlap = MIN_OVERLAP_S.max(MIN_OVERLAP * shorter);
+    let none = || {
+        refused(
+            &both,
+            "no part of the one fits the other",
+            "record one motion with both at the same time: shake them together at the beginning",
+        )
+    };
+    let longest = fine_a.values.len().max(fine_b.values.len());
+    let fold = longest.div_ceil(COARSE_POINTS).max(1);
+    let [coarse_a, coarse_b] = [fine_a.folded(fold), fine_b.folded(fold)];
+    let least = (overlap / coarse_a.step).ceil() as usize;
+    let scores = scores(&coarse_a.values, &coarse_b.values, least);
+    let (best, lag) = scores
+        .iter()
+        .copied()
+        .max_by(|x, y| x.0.total_cmp(&y.0))
+        .ok_or_else(none)?;
+    // Within a second of the best, neighbours fit too.
+    let near = (1.0 / coarse_a.step).ceil() as i64 + 1;
+    let second = scores
+        .iter()
+        .filter(|(_, other)| (other - lag).abs() > near)
+        .fold(f64::MIN, |most, (score, _)| most.max(*score));
+    let around = lag * fold as i64;
+    let fine = refine(&fine_a.values, &fine_b.values, around, fold as i64 + 1).ok_or_else(none)?;
+    if fine.score < MIN_CORRELATION {
+        return Err(none());
+    }
+    if second > best - MIN_LEAD {
+        return Err(refused(
+            &both,
+            "they fit each other at more than one place: the motion repeats itself",
+            "record a motion that does not: shake them together once at the beginning",
+        ));
+    }
+    // b[k] is at a[k + lag].
+    let shift = |lag: f64| fine_a.start - fine_b.start + lag * step;
+    let overlap_of = |lag: f64| {
+        let start = fine_a.start.max(fine_b.start + shift(lag));
+        let end = fine_a.end().min(fine_b.end() + shift(lag));
+        (start, end)
+    };
+    let (start, end) = overlap_of(fine.lag);
+    let rate = drift(&fine_a, &fine_b, fine.lag, (start, end), shift(fine.lag));
+    let middle = 0.5 * (start + end);
+    let rate_ppm = rate.map(|rate| rate * 1e6);
+    let offset_s = shift(fine.lag);
+    // Reference time of the other's time.
+    let slope = rate.unwrap_or(0.0);
+    let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    let mut squares = [0.0; 3];
+    let count = ((end - start) / step).max(0.0) as usize;
+    for k in 0..count {
+        let time = start + k as f64 * step;
+        let theirs = time - offset_s - slope * (time - middle);
+        if let (Some(x), Some(y)) = (a.at(time), b.at(theirs)) {
+            transfer.push(x, y);
+            for axis in 0..3 {
+                squares[axis] += (y[axis] - x[axis]).powi(2);
+            }
+        }
+    }
+    let found = transfer.result();
+    let pairs = found.as_ref().map_or(count as u64, |found| found.samples);
+    let axes = found.as_ref().ok().map(|found| {
+        [0, 1, 2].map(|axis| Axis {
+            rms_before_mps2: (squares[axis] / found.samples.max(1) as f64).sqrt(),
+            ..Axis::new(found, axis, 0.0)
+        })
+    });
+    Ok(Alignment {
+        sources: names,
+        offset_s,
+        rate_ppm,
+        correlation: fine.score,
+        overlap_s: end - start,
+        rate_hz,
+        pairs,
+        axes,
+        axes_reason: found.err().map(|refusal| refusal.to_string()),
+    })
+}
+
+fn read(path: &Path) -> Result<Signal> {
+    let reader = CsvReader::open(path)?;
+    let name = reader.name().to_owned();
+    let unit = reader.header().acceleration_unit;
+    if reader.header().accelerometers.len() != 1 {
+        return Err(HostError::new(
+            ErrorCode::CsvMissingColumn,
+            format!(
+                "it has {} accelerometers",
+                reader.header().accelerometers.len()
+            ),
+            "give tables with one each: `Accelerometer X (g)`, `Accelerometer Y (g)`, `Accelerometer Z (g)`",
+        )
+        .at(name));
+    }
+    let mut signal = Signal {
+        times: Vec::new(),
+        values: Vec::new(),
+    };
+    for row in reader {
+        let row = row?;
+        let time = row
+            .time_ns
+            .map_or(signal.times.len() as f64 / ASSUMED_RATE_HZ, |time_ns| {
+                time_ns as f64 * 1e-9
+            });
+        // Of equal times, the first counts.
+        if signal.times.last().is_none_or(|last| time > *last) {
+            signal.times.push(time);
+            signal.values.push(row.accelerations[0]);
+        }
+    }
+    if signal.times.len() < 2 {
+        return Err(HostError::new(
+            ErrorCode::NoRows,
+            "there are fewer than two rows",
+            "give a recording",
+        )
+        .at(name));
+    }
+    let factor = match unit {
+        AccelerationUnit::Lsb => {
+            let mut norms: Vec<_> = signal.values.iter().map(norm).collect();
+            norms.sort_by(f64::total_cmp);
+            STANDARD_GRAVITY_MPS2 / norms[norms.len() / 2].max(1e-9)
+        }
+        other => other.mps2().unwrap_or(1.0),
+    };
+    for value in &mut signal.values {
+        *value = value.map(|v| v * factor);
+    }
+    Ok(signal)
+}
+
+fn norm(v: &[f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+impl Signal {
+    /// The median rate, Hz.
+    fn rate_hz(&self) -> f64 {
+        let mut steps: Vec<_> = self
+            .times
+            .windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect();
+        steps.sort_by(f64::total_cmp);
+        1.0 / steps[steps.len() / 2].max(1e-6)
+    }
+
+    /// The value at a time, between two samples; `None` outside, or in a gap of a second.
+    fn at(&self, time: f64) -> Option<[f64; 3]> {
+        let next = self.times.partition_point(|t| *t <= time);
+        let before = next.checked_sub(1)?;
+        let (t0, v0) = (self.times[before], self.values[before]);
+        let Some(&t1) = self.times.get(next) else {
+            return (time == t0).then_some(v0);
+        };
+        let v1 = self.values[next];
+        let share = (time - t0) / (t1 - t0);
+        (t1 - t0 < 1.0).then(|| [0, 1, 2].map(|axis| v0[axis] + share * (v1[axis] - v0[axis])))
+    }
+
+    fn grid(&self, step: f64) -> Grid {
+        let start = self.times[0];
+        let length = self.times[self.times.len() - 1] - start;
+        let mut last = norm(&self.values[0]);
+        let mut values: Vec<f64> = (0..=(length / step) as usize)
+            .map(|k| {
+                if let Some(value) = self.at(start + k as f64 * step) {
+                    last = norm(&value);
+                }
+                last
+            })
+            .collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        for value in &mut values {
+            *value -= mean;
+        }
+        Grid {
+            start,
+            step,
+            values,
+        }
+    }
+}
+
+impl Grid {
+    fn end(&self) -> f64 {
+        self.start + (self.values.len() as f64 - 1.0) * self.step
+    }
+
+    /// How much it moves within each `fold` points; itself for 1.
+    fn folded(&self, fold: usize) -> Self {
+        let values = if fold == 1 {
+            self.values.clone()
+        } else {
+            let spread = |part: &[f64]| {
+                let mean = part.iter().sum::<f64>() / part.len() as f64;
+                let square = part.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+                (square / part.len() as f64).sqrt()
+            };
+            self.values.chunks_exact(fold).map(spread).collect()
+        };
+        Self {
+            start: self.start,
+            step: self.step * fold as f64,
+            values,
+        }
+    }
+}
+
+/// Correlation of what overlaps when b is moved by `lag`; `None` below `least` points.
+fn correlation(a: &[f64], b: &[f64], lag: i64, least: usize) -> Option<f64> {
+    let (a, b) = if lag >= 0 {
+        (a.get(lag as usize..)?, b)
+    } else {
+        (a, b.get(lag.unsigned_abs() as usize..)?)
+    };
+    let n = a.len().min(b.len());
+    if n < least.max(2) {
+        return None;
+    }
+    let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (p, q) in a.iter().zip(b) {
+        x += p;
+        y += q;
+        xx += p * p;
+        xy += p * q;
+        yy += q * q;
+    }
+    let n = n as f64;
+    let (xx, xy, yy) = (xx - x * x / n, xy - x * y / n, yy - y * y / n);
+    (xx > 0.0 && yy > 0.0).then(|| xy / (xx * yy).sqrt())
+}
+
+/// The correlation at every lag.
+fn scores(a: &[f64], b: &[f64], least: usize) -> Vec<(f64, i64)> {
+    (-(b.len() as i64)..=a.len() as i64)
+        .filter_map(|lag| Some((correlation(a, b, lag, least)?, lag)))
+        .collect()
+}
+
+struct Best {
+    score: f64,
+    lag: f64,
+}
+
+/// The best lag within `reach` of `around`, between points too.
+fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Best> {
+    let score = |lag: i64| correlation(a, b, lag, 8);
+    let (peak, lag) = (around - reach..=around + reach)
+        .filter_map(|lag| Some((score(lag)?, lag)))
+        .max_by(|x, y| x.0.total_cmp(&y.0))?;
+    let shift = match (score(lag - 1), score(lag + 1)) {
+        (Some(before), Some(behind)) => {
+            let bend = before - 2.0 * peak + behind;
+            if bend < 0.0 {
+                (0.5 * (before - behind) / bend).clamp(-0.5, 0.5)
+            } else {
+                0.0
+            }
+        }
+        _ => 0.0,
+    };
+    Some(Best {
+        score: peak,
+        lag: lag as f64 + shift,
+    })
+}
+
+/// How much the lag grows from the first third of the overlap to the last, per second of the
+/// reference; `None` where a third does not fit on its own.
+fn drift(a: &Grid, b: &Grid, lag: f64, (start, end): (f64, f64), shift: f64) -> Option<f64> {
+    let third = (end - start) / 3.0;
+    if third < 3.0 {
+        return None;
+    }
+    let lag_of = |from: f64| {
+        let cut = |grid: &Grid, from: f64| {
+            let first = ((from - grid.start) / grid.step).round().max(0.0) as usize;
+            let count = (third / grid.step) as usize;
+            let last = (first + count).min(grid.values.len());
+            (
+                first,
+                grid.values.get(first..last).unwrap_or_default().to_vec(),
+            )
+        };
+        let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
+        let expected = lag - (first_a as f64 - first_b as f64);
+        // 1 % of clock error is the most.
+        let reach = (0.01 * (end - start) / a.step).ceil() as i64 + 1;
+        let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
+        (best.score >= MIN_CORRELATION)
+            .then(|| (best.lag + first_a as f64 - first_b as f64) * a.step)
+    };
+    Some((lag_of(end - third)? - lag_of(start)?) / (2.0 * third))
+}

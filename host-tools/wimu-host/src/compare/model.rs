@@ -1,0 +1,101 @@
+//! A link's own error, as a file: what wireless values are against the cable's.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use wimu_calib::Transfer;
+use wimu_link::LinkRole;
+
+use crate::{ErrorCode, HostError, Result};
+
+/// Bias and scale factor of a link's values against the reference link's, equation (65). It
+/// corrects what the link brought, on the host; it is no sensor's error and is never pushed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkModel {
+    schema: String,
+    /// The link that it corrects.
+    pub link: String,
+    /// The device whose link it is, 16 hex digits.
+    pub device_id: String,
+    /// m/s², X, Y, Z.
+    pub bias_mps2: [f64; 3],
+    /// X, Y, Z.
+    pub scale: [f64; 3],
+    /// Standard deviations of the bias, m/s².
+    pub bias_sd_mps2: [f64; 3],
+    /// Standard deviations of the scale; absent for an axis that did not move, whose bias is the
+    /// whole offset at its one value.
+    pub scale_sd: [Option<f64>; 3],
+    /// Pairs of samples that it is from.
+    pub pairs: u64,
+}
+
+const SCHEMA: &str = "wimu.link_model/1";
+
+impl LinkModel {
+    /// From what the comparison found.
+    pub fn new(role: LinkRole, device_id: &str, found: &Transfer) -> Self {
+        let axes = &found.axes;
+        Self {
+            schema: SCHEMA.to_owned(),
+            link: role.to_string(),
+            device_id: device_id.to_owned(),
+            bias_mps2: axes.map(|a| a.line.map_or(a.offset_mps2, |line| line.bias_mps2)),
+            scale: axes.map(|a| a.line.map_or(1.0, |line| line.scale)),
+            bias_sd_mps2: axes.map(|a| {
+                a.line
+                    .map_or(a.offset_sd_mps2, |line| line.covariance[0][0].sqrt())
+            }),
+            scale_sd: axes.map(|a| a.line.map(|line| line.covariance[1][1].sqrt())),
+            pairs: found.samples,
+        }
+    }
+
+    /// What the reference link would have brought for `value`, m/s².
+    pub fn correct(&self, value_mps2: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| (value_mps2[axis] - self.bias_mps2[axis]) / self.scale[axis])
+    }
+
+    /// The same for whole LSB of so many m/s² each.
+    pub fn correct_lsb(&self, value: [i32; 3], mps2_per_lsb: f64) -> [i32; 3] {
+        self.correct(value.map(|v| f64::from(v) * mps2_per_lsb))
+            .map(|v| (v / mps2_per_lsb).round() as i32)
+    }
+
+    /// Writes it to a file, in place of one that is there.
+    ///
+    /// # Errors
+    /// `file_failed`, `file_unreadable`.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
+        std::fs::write(path, text)
+            .map_err(|error| HostError::file(&path.display().to_string(), "write", &error))
+    }
+
+    /// Reads it from a file.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `bad_calibration`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let bad = |message: String| {
+            HostError::new(
+                ErrorCode::BadCalibration,
+                message,
+                "give a file written by `wimu compare -o`",
+            )
+            .at(&name)
+        };
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| HostError::file(&name, "read", &error))?;
+        let model: Self = serde_json::from_str(&text)
+            .map_err(|error| bad(format!("this is no link error model: {error}")))?;
+        let finite = model.bias_mps2.iter().all(|b| b.is_finite());
+        let scales = model.scale.iter().all(|s| (0.1..10.0).contains(s));
+        match (model.schema.as_str(), finite && scales) {
+            (SCHEMA, true) => Ok(model),
+            (SCHEMA, false) => Err(bad("its numbers are out of range".to_owned())),
+            (other, _) => Err(bad(format!("it is a `{other}`, no link error model"))),
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Quantiles of durations in fixed memory.
+
+use serde::Serialize;
+
+/// Bins for each factor of e: a quantile is right to 1 %.
+const BINS_PER_E: f64 = 50.0;
+/// Shortest duration told apart, ns.
+const LEAST_NS: f64 = 1_000.0;
+/// Up to 11 days.
+const BINS: usize = 1385;
+
+/// How often durations of which length occurred.
+#[derive(Clone, Debug)]
+pub(super) struct Durations {
+    bins: Vec<u64>,
+    count: u64,
+    max_ns: i64,
+}
+
+/// Durations in numbers, ms.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Half are shorter.
+    pub median_ms: f64,
+    /// 95 % are shorter.
+    pub p95_ms: f64,
+    /// 99 % are shorter.
+    pub p99_ms: f64,
+    /// The longest.
+    pub max_ms: f64,
+}
+
+impl Default for Durations {
+    fn default() -> Self {
+        Self {
+            bins: vec![0; BINS],
+            count: 0,
+            max_ns: 0,
+        }
+    }
+}
+
+impl Durations {
+    /// One more; one below 0, which only a clock's error makes, counts as the shortest.
+    pub fn push(&mut self, ns: i64) {
+        let place = (ns.max(1) as f64 / LEAST_NS).ln().max(0.0) * BINS_PER_E;
+        self.bins[(place as usize).min(BINS - 1)] += 1;
+        self.count += 1;
+        self.max_ns = self.max_ns.max(ns);
+    }
+
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// The duration below which `share` of all are, ns.
+    pub fn quantile_ns(&self, share: f64) -> f64 {
+        let wanted = (share * self.count as f64).ceil().max(1.0) as u64;
+        let mut below = 0;
+        for (bin, count) in self.bins.iter().enumerate() {
+            below += count;
+            if below >= wanted {
+                let middle = LEAST_NS * ((bin as f64 + 0.5) / BINS_PER_E).exp();
+                return middle.min(self.max_ns as f64);
+            }
+        }
+        0.0
+    }
+
+    pub fn summary(&self) -> Quantiles {
+        Quantiles {
+            median_ms: self.quantile_ns(0.5) * 1e-6,
+            p95_ms: self.quantile_ns(0.95) * 1e-6,
+            p99_ms: self.quantile_ns(0.99) * 1e-6,
+            max_ms: self.max_ns as f64 * 1e-6,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_right_to_one_percent() {
+        let mut durations = Durations::default();
+        for k in 1..=10_000 {
+            durations.push(k * 10_000);
+        }
+        let found = durations.summary();
+        for (found, true_ms) in [
+            (found.median_ms, 50.0),
+            (found.p95_ms, 95.0),
+            (found.p99_ms, 99.0),
+        ] {
+            assert!((found / true_ms - 1.0).abs() < 0.011, "{found} {true_ms}");
+        }
+        assert_eq!(found.max_ms, 100.0);
+        let mut strange = Durations::default();
+        assert_eq!(strange.summary(), Quantiles::default());
+        strange.push(i64::MIN);
+        strange.push(i64::MAX);
+        assert!(strange.quantile_ns(0.1) <= 1_100.0 && strange.count() == 2);
+    }
+}

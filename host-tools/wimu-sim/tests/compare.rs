@@ -1,0 +1,342 @@
+//! Both links of a simulated board recorded at once, in virtual time, with faults on the wireless
+//! one: what the comparison says against what the simulator knows.
+
+use std::cell::RefCell;
+use std::io::Cursor;
+use std::time::Duration;
+
+use wimu_host::client::{Client, ConnectOptions};
+use wimu_host::clock::ClockModel;
+use wimu_host::compare::{Comparison, compare};
+use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
+use wimu_host::recorder::Tap;
+use wimu_host::walk::{Clocks, walk};
+use wimu_host::{ErrorCode, HostError, Result};
+use wimu_link::LinkRole;
+use wimu_model::DeviceTimeUs;
+use wimu_sim::board::{Board, BoardConfig, SimLink};
+use wimu_sim::faults::LinkFaults;
+use wimu_sim::motion;
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::source::Physics;
+use wimu_sim::truth::{Gauge, SensorTruth};
+
+/// 2 % of the bytes lost in runs, 10⁻⁴ of the bits flipped, 50 ms of jitter, a stall of 3 s.
+const BAD: &str = "baud=115200,loss=2%,burst=20,bits=1e-4,latency=15ms,jitter=50ms,stall=3s@30s";
+const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+/// How often the host looks.
+const LOOK: Duration = Duration::from_micros(100);
+
+struct Session {
+    wireless: &'static str,
+    clock_ppm: f64,
+    seconds: f64,
+    seed: u64,
+    restart_at: Option<f64>,
+    links: &'static [LinkRole],
+    device_id: u64,
+}
+
+impl Default for Session {
+    fn default() -> Self {
+        Self {
+            wireless: BAD,
+            clock_ppm: 35.0,
+            seconds: 60.0,
+            seed: 1,
+            restart_at: None,
+            links: &ROLES,
+            device_id: 0x5157_0001,
+        }
+    }
+}
+
+type LinkClient<'a> = Client<Tap<SimLink<'a>>>;
+
+fn client(board: &RefCell<Board>, role: LinkRole) -> LinkClient<'_> {
+    let options = ConnectOptions {
+        session: Some(7),
+        patience: Duration::from_secs(20),
+    };
+    Client::connect(Tap::on(SimLink::new(board, role)), "the link", options).unwrap()
+}
+
+impl Session {
+    /// A hand moves the board, `wimu record` listens; the file.
+    fn record(&self) -> Vec<u8> {
+        let scene = Scene::new(World::default());
+        scene.play(0.0, motion::named("hand", self.seed).unwrap());
+        let truth = SensorTruth::random(self.seed, Gauge::LowerTriangular);
+        let config = BoardConfig {
+            wireless_faults: self.wireless.parse().unwrap(),
+            fault_seed: self.seed,
+            device_id: self.device_id,
+            clock_error_ppb: (self.clock_ppm * 1e3) as i32,
+            ..BoardConfig::default()
+        };
+        let board = RefCell::new(Board::start(config, Physics::new(truth, scene, self.seed)));
+        let mut entries = Vec::new();
+        let restart_us = self.restart_at.map(|s| (s * 1e6) as u64);
+        let end_us = (self.seconds * 1e6) as u64;
+        for until_us in restart_us.into_iter().chain([end_us]) {
+            if board.borrow().now_us() > 0 {
+                board.borrow_mut().restart();
+            }
+            let mut clients: Vec<_> = self
+                .links
+                .iter()
+                .map(|role| client(&board, *role))
+                .collect();
+            let mut ask_at = 0;
+            while board.borrow().now_us() < until_us {
+                if board.borrow().now_us() >= ask_at {
+                    // Not in step with the board.
+                    let now_us = board.borrow().now_us();
+                    ask_at = now_us + 107_000 + now_us % 6_007;
+                    for client in &mut clients {
+                        client.ask_status().unwrap();
+                    }
+                }
+                clients[0].next_event(LOOK).unwrap();
+                for (client, role) in clients.iter_mut().zip(self.links) {
+                    while client.next_event(Duration::ZERO).unwrap().is_some() {}
+                    let tapped = client.transport().take();
+                    entries.extend(tapped.into_iter().map(|entry| entry.of(*role)));
+                }
+            }
+        }
+        entries.sort_by_key(Recorded::host_ns);
+        file(&entries)
+    }
+
+    /// Host time of a device time since the last start, ns.
+    fn truth_ns(&self, device_us: f64) -> f64 {
+        device_us * 1e3 / (1.0 + self.clock_ppm * 1e-6)
+    }
+}
+
+fn file(entries: &[Recorded]) -> Vec<u8> {
+    let anchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_795_222_920_000_000_000,
+    };
+    let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", anchor).unwrap();
+    for entry in entries {
+        writer.record(entry).unwrap();
+    }
+    writer.finish().unwrap().into_inner()
+}
+
+fn entries(file: &[u8]) -> Vec<Recorded> {
+    let mut reader = RecordingReader::new(file, "a.mcap").unwrap();
+    std::iter::from_fn(|| reader.next_entry().unwrap()).collect()
+}
+
+fn compared(file: &[u8]) -> Result<Comparison, HostError> {
+    compare(|| RecordingReader::new(file, "a.mcap"), "a.mcap")
+}
+
+/// By both links, and by the wireless one alone.
+fn clocks(file: &[u8]) -> [ClockModel; 2] {
+    let mut clocks = Clocks::default();
+    let mut reader = RecordingReader::new(file, "a.mcap").unwrap();
+    walk(&mut reader, |role, start, step| {
+        clocks.see(role, start, &step);
+        Ok(())
+    })
+    .unwrap();
+    let (_, joint) = clocks.models().pop_last().unwrap();
+    [joint, clocks.of_link(LinkRole::Wireless).unwrap()]
+}
+
+#[test]
+fn after_a_minute_on_a_bad_link_the_clock_is_known() {
+    let mut inside = [0; 2];
+    for seed in 1..=5 {
+        let session = Session {
+            seed,
+            ..Session::default()
+        };
+        let file = session.record();
+        for (which, model) in clocks(&file).into_iter().enumerate() {
+            let (rate, rate_sd) = model.rate_ppm();
+            // Host time per device time.
+            let rate_error = rate - (1.0 / (1.0 + session.clock_ppm * 1e-6) - 1.0) * 1e6;
+            let mut worst = 0.0_f64;
+            for second in [1.0, 15.0, 30.0, 45.0, 59.0] {
+                let time = DeviceTimeUs((second * 1e6) as u64);
+                let error = model.host_ns(time) as f64 - session.truth_ns(second * 1e6);
+                // A link alone knows the rate, and with it the ends, less well than the middle.
+                if which == 0 || second == 30.0 {
+                    worst = worst.max(error.abs());
+                }
+                inside[which] += u32::from(error.abs() <= 2.0 * model.sd_ns(time));
+            }
+            let name = ["both links", "wireless alone"][which];
+            println!(
+                "seed {seed}, {name}: offset wrong by {:.3} ms at most, rate by {rate_error:+.2} ± {:.2} ppm",
+                worst * 1e-6,
+                2.0 * rate_sd
+            );
+
+            assert!(worst < 1e6, "{name} {seed}: {worst} ns");
+            let known = if which == 0 { 2.0 } else { 2.0 * rate_sd + 2.0 };
+            assert!(rate_error.abs() < known, "{name} {seed}: {rate_error} ppm");
+        }
+    }
+    println!("within two standard deviations: {inside:?} of 25");
+    assert!(inside.iter().all(|inside| *inside >= 22), "{inside:?}");
+}
+
+#[test]
+fn every_sample_that_a_bad_link_lost_is_counted_and_none_is_wrong() {
+    let session = Session::default();
+    let found = compared(&session.record()).unwrap();
+    let [cable, wireless] = &found.links;
+
+    assert_eq!(found.identical, found.pairs);
+    assert_eq!(
+        (cable.lost, cable.missing_on_both, cable.damaged),
+        (0, 0, 0)
+    );
+    assert!(wireless.lost > 300 && wireless.damaged > 50);
+    assert_eq!(wireless.missing_on_both, 0);
+    // Its own numbers say the same as the cable's.
+    let between = wireless.delivered + wireless.lost;
+    assert!((cable.delivered as i64 - between as i64).abs() < 100);
+    assert_eq!(wireless.delivered, found.pairs);
+    assert!(
+        (15.0..120.0).contains(&wireless.latency.median_ms),
+        "{wireless:?}"
+    );
+    assert!(wireless.latency.max_ms > 2500.0 && cable.latency.max_ms < 30.0);
+    let user = wireless.by_arrival.unwrap();
+    assert!(user.rms_mps2 > 0.05, "{user:?}");
+}
+
+#[test]
+fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
+    for (seed, faults) in [
+        (1, "bias=12/-8/5mg,scale=0.4/-0.3/0.2%"),
+        (2, "bias=-60/80/-31mg,scale=-3/2.5/4%"),
+    ] {
+        let session = Session {
+            seed,
+            wireless: faults,
+            seconds: 40.0,
+            ..Session::default()
+        };
+        let truth = faults.parse::<LinkFaults>().unwrap().values.unwrap();
+        let found = compared(&session.record()).unwrap();
+        let values = found.values.unwrap();
+        for (axis, found) in values.axes.iter().enumerate() {
+            let line = found.line.expect("a hand moves every axis");
+            let bias = line.bias_mps2 - truth.bias_mps2[axis];
+            let scale = line.scale - 1.0 - truth.scale[axis];
+            println!(
+                "axis {axis}: bias wrong by {bias:+.6} (2 sd {:.6}) m/s², scale by {scale:+.7} (2 sd {:.7}), apart {:?} LSB, then {:?}",
+                2.0 * line.bias_sd_mps2,
+                2.0 * line.scale_sd,
+                found.max_before_lsb,
+                found.max_after_lsb
+            );
+            assert!(
+                bias.abs() <= 3.0 * line.bias_sd_mps2,
+                "{axis}: {bias} {line:?}"
+            );
+            assert!(
+                scale.abs() <= 3.0 * line.scale_sd,
+                "{axis}: {scale} {line:?}"
+            );
+            assert!(found.max_before_lsb > Some(10));
+            assert!(found.max_after_lsb <= Some(1), "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn a_missing_link_is_named_and_so_are_other_boards_and_no_overlap() {
+    let session = Session {
+        wireless: "none",
+        seconds: 8.0,
+        ..Session::default()
+    };
+    let both = session.record();
+    let all = entries(&both);
+    let refusal = |entries: &[Recorded]| {
+        let error = compared(&file(entries)).unwrap_err();
+        assert_eq!(
+            (error.code(), error.exit_code()),
+            (ErrorCode::DataRefused, 3)
+        );
+        error.message().to_owned()
+    };
+    for (kept, missing) in [(LinkRole::Cable, "wireless"), (LinkRole::Wireless, "cable")] {
+        let only: Vec<_> = all.iter().filter(|e| e.role() == kept).cloned().collect();
+        assert!(refusal(&only).contains(&format!("the {missing} link is missing")));
+    }
+    // The cable of the first seconds, the wireless link of the last.
+    let apart = |entry: &&Recorded| {
+        (entry.host_ns() < 3_000_000_000) == (entry.role() == LinkRole::Cable)
+            || entry.host_ns() < 300_000_000
+    };
+    let early = |entry: &Recorded| entry.host_ns() < 300_000_000;
+    let apart: Vec<_> = all.iter().filter(apart).cloned().collect();
+    let apart: Vec<_> = apart
+        .into_iter()
+        .filter(|entry| !(early(entry) && entry.role() == LinkRole::Wireless))
+        .collect();
+    assert!(refusal(&apart).contains("no sample in common"));
+    let other = Session {
+        device_id: 0xabcd,
+        ..session
+    };
+    let cable = all.iter().filter(|e| e.role() == LinkRole::Cable).cloned();
+    let stranger = entries(&other.record());
+    let wireless = stranger
+        .into_iter()
+        .filter(|e| e.role() == LinkRole::Wireless);
+    let mut mixed: Vec<_> = cable.chain(wireless).collect();
+    mixed.sort_by_key(Recorded::host_ns);
+    assert!(refusal(&mixed).contains("000000000000abcd"));
+}
+
+#[test]
+fn a_restart_in_the_middle_and_entries_out_of_order_are_taken_as_they_are() {
+    let session = Session {
+        seconds: 24.0,
+        restart_at: Some(12.0),
+        wireless: "baud=115200,loss=1%,latency=15ms,jitter=20ms",
+        ..Session::default()
+    };
+    let recording = session.record();
+    let found = compared(&recording).unwrap();
+    assert_eq!((found.starts, found.identical), (2, found.pairs));
+    assert_eq!(found.links[0].lost, 0, "{:?}", found.links[0]);
+    assert!(
+        found.pairs > 1900 && found.links[1].lost > 30,
+        "{:?}",
+        found.links
+    );
+    // The links' entries changed places by up to half a second; each link keeps its own order.
+    let mut mixed = entries(&recording);
+    mixed.sort_by_key(|entry| {
+        entry.host_ns() + u64::from(entry.role() == LinkRole::Cable) * 500_000_000
+    });
+    let again = compared(&file(&mixed)).unwrap();
+    assert_eq!(
+        (again.pairs, again.identical),
+        (found.pairs, found.identical)
+    );
+    let lost = |found: &Comparison| found.links.clone().map(|link| link.lost);
+    assert_eq!(lost(&again), lost(&found));
+    // One link's entries out of order: never a wrong pair, and no panic.
+    let mut shuffled = entries(&recording);
+    for pair in shuffled.chunks_exact_mut(7) {
+        pair.swap(1, 5);
+    }
+    if let Ok(found) = compared(&file(&shuffled)) {
+        assert_eq!(found.identical, found.pairs);
+    }
+}

@@ -410,8 +410,15 @@ struct Waiting {
 }
 
 impl Pairing {
-    /// Takes a link's next sample; the other's value, if it has brought it already.
-    fn take(&mut self, link: usize, start: Start, sample: &TimedSample) -> Option<[i32; 3]> {
+    /// Takes a link's next sample, of which it carries every `every`th; the other's value, if it has
+    /// brought it already.
+    fn take(
+        &mut self,
+        link: usize,
+        start: Start,
+        sample: &TimedSample,
+        every: u8,
+    ) -> Option<[i32; 3]> {
         let links = self.starts.entry(start).or_default();
         let [cable, wireless] = links;
         let (own, other) = if link == 0 {
@@ -430,7 +437,8 @@ impl Pairing {
                 own.begun = true;
                 return Some(value);
             }
-            self.lost[link] += u64::from(own.begun);
+            let carried = sample.sequence.wrapping_sub(sequence) % u32::from(every.max(1)) == 0;
+            self.lost[link] += u64::from(own.begun && carried);
         }
         own.begun = true;
         own.samples.push_back((sample.sequence, sample.value));
@@ -537,7 +545,7 @@ impl Counted {
             };
             counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
             for sample in samples.iter() {
-                let Some(twin) = pairing.take(link, start, &sample) else {
+                let Some(twin) = pairing.take(link, start, &sample, samples.every) else {
                     continue;
                 };
                 let (cable, wireless) = if link == 0 {
@@ -624,7 +632,8 @@ impl Residual {
                 }
                 for (index, sample) in samples.iter().enumerate() {
                     // A batch arrives at once; its samples are spread out behind its end.
-                    let before_ns = (count - 1 - index) as u64 * u64::from(samples.period.0);
+                    let apart_ns = u64::from(samples.period.0) * u64::from(samples.every);
+                    let before_ns = (count - 1 - index) as u64 * apart_ns;
                     let arrived_ns = arrival.host_ns.wrapping_sub(before_ns);
                     let value = unit.mps2(sample.value);
                     user.take(clock.host_ns(sample.time), arrived_ns, value);
@@ -634,7 +643,7 @@ impl Residual {
                 return Ok(());
             };
             for sample in samples.iter() {
-                if let Some(twin) = pairing.take(link, start, &sample) {
+                if let Some(twin) = pairing.take(link, start, &sample, samples.every) {
                     let (cable, wireless) = if link == 0 {
                         (sample.value, twin)
                     } else {

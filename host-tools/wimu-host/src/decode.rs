@@ -315,7 +315,6 @@ impl Decoder {
         self.deframer = Deframer::new();
         self.listening = false;
         self.began_ns = None;
-        self.damage_since_epoch = true;
         self.statistics.interruptions += 1;
     }
 

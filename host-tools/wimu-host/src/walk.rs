@@ -12,6 +12,10 @@ use crate::mcap_file::{Recorded, RecordingReader};
 
 /// Something at its place in a recording.
 #[derive(Debug)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "steps are handed on one at a time"
+)]
 pub enum Step {
     /// A link brought something.
     Arrival(Arrival),

@@ -375,7 +375,7 @@ fn drift(a: &Grid, b: &Grid, lag: f64, (start, end): (f64, f64), shift: f64) -> 
         let reach = (0.01 * (end - start) / a.step).ceil() as i64 + 1;
         let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
         (best.score >= MIN_CORRELATION)
-            .then(|| (best.lag + first_a as f64 - first_b as f64) * a.step)
+            .then_some((best.lag + first_a as f64 - first_b as f64) * a.step)
     };
     Some((lag_of(end - third)? - lag_of(start)?) / (2.0 * third))
 }

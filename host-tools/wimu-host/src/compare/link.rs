@@ -91,7 +91,7 @@ pub(super) struct LinkMeter {
     last_latency: Option<i64>,
     jitter_sum_ns: f64,
     jitter_count: u64,
-    expected: Option<u32>,
+    latest: Option<u32>,
     shed: Option<(u32, u32)>,
     shed_before: u64,
     span: Option<(u64, u64)>,
@@ -108,7 +108,7 @@ impl LinkMeter {
 
     /// The device has started anew.
     pub fn restart(&mut self) {
-        self.expected = None;
+        self.latest = None;
         self.last_latency = None;
         if let Some((first, last)) = self.shed.take() {
             self.shed_before += u64::from(last.wrapping_sub(first));
@@ -124,14 +124,13 @@ impl LinkMeter {
         let mut missing = 0;
         let mut last = None;
         for sample in samples.iter() {
-            let gap = self
-                .expected
-                .map_or(0, |expected| sample.sequence.wrapping_sub(expected));
-            if gap > 0 && gap < u32::MAX / 2 {
+            let latest = self.latest.replace(sample.sequence);
+            let ahead = latest.map_or(0, |latest| sample.sequence.wrapping_sub(latest));
+            let gap = ahead.saturating_sub(1) / u32::from(samples.every.max(1));
+            if gap > 0 && ahead < u32::MAX / 2 {
                 missing += u64::from(gap);
                 *self.bursts.entry(gap.ilog2()).or_default() += 1;
             }
-            self.expected = Some(sample.sequence.wrapping_add(1));
             self.age.push(clock.delay_ns(sample.time, host_ns));
             last = Some(sample);
         }

@@ -423,9 +423,11 @@ fn a_calibration_is_kept_in_the_store_file_over_a_restart() {
     assert_eq!(settings["range_g"], 8);
     assert_eq!(wimu(&["info", &board.cable]).succeeds()["boot_count"], 2);
     drop(board);
-    // The count of starts is last in the file: cut off, it is lost alone.
-    let bytes = fs::read(&store).unwrap();
-    fs::write(&store, &bytes[..bytes.len() - 4]).unwrap();
+    // The count of starts is the latest record in the flash, before the directory of 112 bytes.
+    let mut bytes = fs::read(&store).unwrap();
+    let end = bytes.iter().rposition(|&byte| byte != 0xFF).unwrap();
+    bytes[end - 112 - 4] ^= 0x10;
+    fs::write(&store, &bytes).unwrap();
     let board = Simulator::start(&arguments);
     let settings = wimu(&["settings", "get", &board.wireless]).succeeds();
     assert_eq!(settings["range_g"], 8);

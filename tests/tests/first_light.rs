@@ -20,8 +20,17 @@ fn holds_for_one_board(outcome: &Outcome) {
     assert_ne!(outcome.pushed.0, 0);
     assert_eq!(outcome.pushed, outcome.after_restart);
     assert_eq!(outcome.boot_counts, [1, 2]);
-    let refusal = outcome.wireless_refusal.as_ref().map(|error| error.code());
-    assert_eq!(refusal, Some(ErrorCode::KeyNeeded));
+    // Nobody pushes over the radio without the key, before the board has one and after.
+    assert_eq!(outcome.refusals.len(), 3);
+    for refusal in &outcome.refusals {
+        let code = refusal.as_ref().map(|error| error.code());
+        assert_eq!(code, Some(ErrorCode::KeyNeeded), "{refusal:?}");
+    }
+    println!(
+        "a push over 115,200 baud took {:.0} ms",
+        outcome.push_s * 1e3
+    );
+    assert!(outcome.push_s < 0.2, "{}", outcome.push_s);
     for replay in &outcome.replays {
         assert!(replay.is_exact(), "{replay:?}");
         // A restart may cut off samples whose epoch had gone ahead.

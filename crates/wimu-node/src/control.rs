@@ -35,6 +35,8 @@ pub struct Control<'a, A, T, S, M: RawMutex> {
     pub(crate) timer: T,
     pub(crate) shared: &'a Shared<M>,
     pub(crate) staged: Option<ParameterSet>,
+    /// The hosts are to be told.
+    pub(crate) parameters_changed: bool,
     pub(crate) latched: Option<CentiCelsius>,
     pub(crate) sensor: PhantomData<A>,
 }
@@ -69,6 +71,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                     });
                     self.shared
                         .keep(role, frame.get(..length).unwrap_or_default());
+                    // Behind the answer: they are long, and somebody waits for it.
+                    if core::mem::take(&mut self.parameters_changed) {
+                        self.announce_parameters();
+                    }
                 }
                 Either4::Second(temperature) => self.follow(&plan, temperature).await,
                 Either4::Third(()) => {
@@ -325,7 +331,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let Some(staged) = self.staged else {
             // Whoever commits again what is in use has lost our answer.
             return if self.shared.published().parameter_id() == named {
-                Ok(self.active())
+                Ok(Payload::None)
             } else {
                 Err(Refusal::NothingStaged)
             };
@@ -350,8 +356,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .publish(|published| published.parameters = Some(staged));
         self.mended(Trouble::Parameters);
         self.shared.orders.send(Order::Correct(correction)).await;
-        self.announce_parameters();
-        Ok(self.active())
+        self.parameters_changed = true;
+        Ok(Payload::None)
     }
 
     /// Runs the sensor under new settings and stores them; on failure it runs as before.

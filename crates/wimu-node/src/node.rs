@@ -97,6 +97,7 @@ where
                 timer: self.timer,
                 shared,
                 staged: None,
+                parameters_changed: false,
                 latched: None,
                 sensor: PhantomData,
             },

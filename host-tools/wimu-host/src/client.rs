@@ -5,22 +5,28 @@ use std::collections::VecDeque;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
+use wimu_link::auth::{DeviceKey, KeyId, Session};
 use wimu_link::message::{
     ActiveParameters, Answer, Event as DeviceEvent, Payload, Refusal, Status, WireParameters,
     parameter_id,
 };
 use wimu_link::requester::Next;
-use wimu_link::{Command, Hello, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou};
+use wimu_link::{
+    Command, Hello, LinkRole, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou,
+};
 use wimu_model::{ParameterId, ParameterSet};
 
 use crate::clock::wire_length;
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
 use crate::error::{ErrorCode, HostError, Result};
+use crate::keys;
 use crate::link_url::LinkUrl;
 use crate::transport::{self, Transport};
 
 /// A board is asked who it is this often.
 const ASK_EVERY: Duration = Duration::from_millis(400);
+/// A request is repeated in so many sessions when they end under it.
+const SESSIONS: usize = 4;
 /// No longer than this between looks at the clock.
 const GLANCE: Duration = Duration::from_millis(50);
 
@@ -92,6 +98,10 @@ pub struct Client<T> {
     arrivals: VecDeque<Arrival>,
     /// The answer to the request under way, when it has arrived.
     answer: Option<Answer>,
+    /// What the board's writes are signed with.
+    key: Option<DeviceKey>,
+    /// The seed of sessions that are to be the same in every run.
+    seed: Option<u32>,
     /// The device writes its flash until then and hears nothing.
     deaf_until: Duration,
     /// Length of the latest status on the wire.
@@ -114,6 +124,8 @@ impl<T: Transport> Client<T> {
             hello: Hello::new(wimu_link::LinkRole::Other(0)),
             arrivals: VecDeque::new(),
             answer: None,
+            key: None,
+            seed: options.session,
             deaf_until: Duration::ZERO,
             status_bytes: 0,
         };
@@ -290,19 +302,96 @@ impl<T: Transport> Client<T> {
         }
     }
 
+    /// Signs with this key from the next write on, if the board asks for it.
+    pub fn use_key(&mut self, key: Option<DeviceKey>) {
+        self.key = key;
+        self.requester.sign_nothing();
+    }
+
+    /// Signs with the key of those that the board has; returns whether there is one.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`].
+    pub fn use_key_among(&mut self, keys: &[DeviceKey]) -> Result<bool> {
+        if !keys.is_empty() {
+            let held = self.key_status()?;
+            let ours = keys.iter().find(|key| Some(key.id()) == held);
+            self.use_key(ours.copied());
+        }
+        Ok(self.key.is_some())
+    }
+
     /// Asks for something and waits for the answer, repeating the question as often as it takes.
+    /// Writes to a board that has a key are signed, and so is everything from then on.
     ///
     /// # Errors
     /// `device_refused` or `key_needed` with the board's reason; `no_answer`, after which the
     /// request may have had its effect all the same; `link_lost`.
     pub fn request(&mut self, command: Command) -> Result<Payload> {
+        let signs = self.requester.signs();
+        if command.is_write() && self.key.is_some() && !signs {
+            self.open_session()?;
+        }
+        for _ in 1..SESSIONS {
+            match self.ask(command)? {
+                // The board has started anew, or this is another one's doing. What is asked for
+                // twice is done once, or is the same.
+                Answer::Refused(Refusal::SessionEnded | Refusal::WrongSignature)
+                    if self.requester.signs() =>
+                {
+                    self.open_session()?;
+                }
+                // It has forgotten its key.
+                Answer::Refused(Refusal::KeyNeeded)
+                    if self.requester.signs() && !command.is_write() =>
+                {
+                    self.requester.sign_nothing();
+                }
+                answer => return self.accepted(answer),
+            }
+        }
+        let answer = self.ask(command)?;
+        self.accepted(answer)
+    }
+
+    /// Has the board open a session, in which requests are signed from now on.
+    fn open_session(&mut self) -> Result<()> {
+        let Some(key) = self.key else {
+            return Ok(());
+        };
+        let answer = self.ask(Command::OpenSession)?;
+        let (number, nonce) = match self.accepted(answer)? {
+            Payload::Session { number, nonce } => (number, nonce),
+            _ => return Err(self.unexpected()),
+        };
+        let session = Session {
+            key,
+            role: self.hello.role,
+            device_id: self.hello.device_id,
+            number,
+            nonce,
+        };
+        let first = match self.seed {
+            Some(seed) => seed,
+            None => {
+                let mut bytes = [0; 4];
+                keys::random(&mut bytes)?;
+                u32::from_le_bytes(bytes)
+            }
+        };
+        self.requester.sign(session, first);
+        Ok(())
+    }
+
+    /// Asks once and waits for the answer.
+    fn ask(&mut self, command: Command) -> Result<Answer> {
         self.wait_while_deaf()?;
         self.answer = None;
         let frame = self.requester.start(command, self.transport.now());
         self.transport.write_all(frame)?;
         loop {
             if let Some(answer) = self.answer.take() {
-                return self.accepted(answer);
+                return Ok(answer);
             }
             let now = self.transport.now();
             let wait = match self.requester.poll(now) {
@@ -331,7 +420,9 @@ impl<T: Transport> Client<T> {
             Answer::Accepted(payload) => Ok(payload),
             Answer::Refused(refusal) => {
                 let code = match refusal {
-                    Refusal::KeyNeeded => ErrorCode::KeyNeeded,
+                    Refusal::KeyNeeded | Refusal::SignatureNeeded | Refusal::WrongSignature => {
+                        ErrorCode::KeyNeeded
+                    }
                     _ => ErrorCode::DeviceRefused,
                 };
                 // A refusal says what is wrong; what to do.
@@ -357,6 +448,78 @@ impl<T: Transport> Client<T> {
             "update the older of firmware and wimu",
         )
         .at(&self.name)
+    }
+
+    /// Which key the board has; `None` if it has none.
+    ///
+    /// # Errors
+    /// Those of [`Client::request`].
+    pub fn key_status(&mut self) -> Result<Option<KeyId>> {
+        match self.request(Command::GetKeyStatus)? {
+            Payload::KeyStatus { key } => Ok(key),
+            _ => Err(self.unexpected()),
+        }
+    }
+
+    /// Gives the board a key, in place of the one before if it has one and this client signs with
+    /// it; signs with the new one from then on, and makes sure that the board takes that. A key is
+    /// never sent over a radio.
+    ///
+    /// # Errors
+    /// `key_needed` on any link but a cable. Those of [`Client::request`]; after `verify_failed` or
+    /// `no_answer` the board may have either key.
+    pub fn set_key(&mut self, key: DeviceKey) -> Result<()> {
+        self.only_by_cable()?;
+        let outcome = self.request(Command::SetKey(key));
+        // The answer may be lost and the key set: what the board holds tells.
+        if let Err(error) = outcome {
+            self.requester.sign_nothing();
+            if self.key_status()? != Some(key.id()) {
+                return Err(error);
+            }
+        }
+        self.use_key(Some(key));
+        self.open_session()?;
+        if self.key_status()? == Some(key.id()) {
+            Ok(())
+        } else {
+            Err(HostError::new(
+                ErrorCode::VerifyFailed,
+                "the board has another key than it was given",
+                "set the key again; another computer may be setting one too",
+            )
+            .at(&self.name))
+        }
+    }
+
+    /// Has the board forget its key: the cable writes from then on, and nobody else.
+    ///
+    /// # Errors
+    /// As [`Client::set_key`].
+    pub fn forget_key(&mut self) -> Result<()> {
+        self.only_by_cable()?;
+        let outcome = self.request(Command::ForgetKey);
+        self.use_key(None);
+        if self.key_status()?.is_none() {
+            Ok(())
+        } else {
+            outcome.map(drop)
+        }
+    }
+
+    fn only_by_cable(&self) -> Result<()> {
+        if self.hello.role == LinkRole::Cable {
+            return Ok(());
+        }
+        Err(HostError::new(
+            ErrorCode::KeyNeeded,
+            format!(
+                "this is the {} link, and keys travel over the cable only",
+                self.hello.role
+            ),
+            "connect the cable and name its port",
+        )
+        .at(&self.name))
     }
 
     /// The parameters in use.
@@ -429,7 +592,8 @@ impl<T: Transport> Client<T> {
     }
 
     /// Stores a calibration on the board and has it used: stages it, compares what the board
-    /// staged, commits that, and reads it back.
+    /// staged, and commits that. A commit that is not answered, or refused, is resolved by asking
+    /// what the board holds.
     ///
     /// # Errors
     /// Those of [`Client::request`]; `verify_failed` when the board holds anything else: before
@@ -451,21 +615,20 @@ impl<T: Transport> Client<T> {
             }
             _ => return Err(self.unexpected()),
         }
-        let committed = self.request(Command::CommitParameters { hash: id.0 });
-        match &committed {
-            // The answer may be lost and the commit done: what the board holds tells.
-            Err(error) if error.code() != ErrorCode::NoAnswer => {
-                return Err(error.clone());
-            }
-            _ => {}
-        }
+        // The board has read the set back from its flash when it accepts, and it knows it by what
+        // it is: the commit names it.
+        let error = match self.request(Command::CommitParameters { hash: id.0 }) {
+            Ok(_) => return Ok(id),
+            Err(error) => error,
+        };
+        // The answer may be lost and the commit done, or somebody else has said that it failed:
+        // what the board holds tells.
         let active = self.parameters()?;
         // Compared as numbers: −0 and 0 are one calibration, and neither is ever not-a-number.
         if active.id == id.0 && active.active == Some(wire) {
             Ok(id)
         } else {
-            committed?;
-            Err(differs("the board uses parameters", active.id).at(&self.name))
+            Err(error)
         }
     }
 
@@ -505,6 +668,8 @@ impl<T: Transport> Client<T> {
                     }
                     if let Some(ours) = requester.on_reply(reply) {
                         *answer = Some(ours);
+                        // It has written, and hears again.
+                        *deaf_until = Duration::ZERO;
                     }
                 }
                 Event::Device {

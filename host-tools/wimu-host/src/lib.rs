@@ -13,6 +13,7 @@ mod error;
 pub mod export;
 pub mod history;
 pub mod html;
+pub mod keys;
 mod link_url;
 pub mod mcap_file;
 pub mod monitor;

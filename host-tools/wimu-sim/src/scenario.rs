@@ -16,6 +16,7 @@ use wimu_host::navigation::{self, Point};
 use wimu_host::recorder::Tap;
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
+use wimu_link::auth::DeviceKey;
 use wimu_link::message::Settings;
 use wimu_link::{Hello, LinkRole};
 use wimu_model::{ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
@@ -76,10 +77,13 @@ pub struct Outcome {
     pub samples: usize,
     /// What `calibrate` made of them.
     pub report: CalibrationReport,
-    /// How the wireless link answered a push.
-    pub wireless_refusal: Option<HostError>,
-    /// What the device holds after the push over the cable.
+    /// How the device answered a push over the wireless link: before it had a key, without the key
+    /// when it had one, and with a wrong one.
+    pub refusals: Vec<Option<HostError>>,
+    /// What the device holds after the push over the wireless link with its key.
     pub pushed: ParameterId,
+    /// How long that took, session and read-back included, s.
+    pub push_s: f64,
     /// What it holds after a restart.
     pub after_restart: ParameterId,
     /// Boot counts before and after the restart.
@@ -147,8 +151,22 @@ impl FirstLight {
             .sum();
         let (report, set) = self.calibrate(&recording)?;
 
-        let wireless_refusal = host.wireless.push_parameters(&set).err();
-        let pushed = host.cable.push_parameters(&set)?;
+        let mut refusals = vec![host.wireless.push_parameters(&set).err()];
+        // What is simulated has no secrets: the same key in every run.
+        let mut key = [0; DeviceKey::LENGTH];
+        for (byte, seed) in key.iter_mut().zip(self.seed.to_le_bytes()) {
+            *byte = seed;
+        }
+        let key = DeviceKey::new(key);
+        host.set_key(key)?;
+        for stranger in [None, Some(DeviceKey::new([0xFF; DeviceKey::LENGTH]))] {
+            host.wireless.use_key(stranger);
+            refusals.push(host.wireless.push_parameters(&set).err());
+        }
+        host.wireless.use_key(Some(key));
+        let began_s = host.now_s();
+        let pushed = host.wireless.push_parameters(&set)?;
+        let push_s = host.now_s() - began_s;
         let boot_count = host.cable.hello().boot_count;
         host.restart()?;
         let boot_counts = [boot_count, host.cable.hello().boot_count];
@@ -171,8 +189,9 @@ impl FirstLight {
             truth,
             samples,
             report,
-            wireless_refusal,
+            refusals,
             pushed,
+            push_s,
             after_restart,
             boot_counts,
             tilts,
@@ -238,6 +257,7 @@ pub struct Host<'a, R> {
     pub wireless: Client<Tap<SimLink<'a, R>>>,
     board: &'a RefCell<R>,
     scene: Scene,
+    key: Option<DeviceKey>,
     heard: Vec<Recorded>,
 }
 
@@ -252,8 +272,20 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
             scene,
             cable: client(board, LinkRole::Cable)?,
             wireless: client(board, LinkRole::Wireless)?,
+            key: None,
             heard: Vec::new(),
         })
+    }
+
+    /// Gives the board a key over the cable; both clients sign with it.
+    ///
+    /// # Errors
+    /// Those of [`Client::set_key`].
+    pub fn set_key(&mut self, key: DeviceKey) -> Result<()> {
+        self.cable.set_key(key)?;
+        self.wireless.use_key(Some(key));
+        self.key = Some(key);
+        Ok(())
     }
 
     /// Restarts the board and connects anew.
@@ -265,6 +297,8 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         self.board.borrow_mut().restart()?;
         self.cable = client(self.board, LinkRole::Cable)?;
         self.wireless = client(self.board, LinkRole::Wireless)?;
+        self.cable.use_key(self.key);
+        self.wireless.use_key(self.key);
         Ok(())
     }
 

@@ -55,6 +55,11 @@ pub enum Command {
         #[command(subcommand)]
         action: Settings,
     },
+    /// The key that writes to a device are signed with
+    Key {
+        #[command(subcommand)]
+        action: Key,
+    },
     /// Wireless against cable: loss, latency, clock, values
     Compare(Compare),
     /// Velocity and position: the device's own, and recomputed from its raw samples
@@ -362,11 +367,42 @@ pub enum Params {
         link: String,
         /// What `wimu calibrate -o` or `wimu params get -o` wrote
         calibration: PathBuf,
+        /// Say what would change, and change nothing
+        #[arg(long)]
+        dry_run: bool,
     },
     /// Forget calibration and settings
     #[command(after_help = "Example: wimu params factory-reset tcp://127.0.0.1:7100")]
     FactoryReset {
         /// A LINK
+        link: String,
+    },
+}
+
+#[derive(Subcommand)]
+pub enum Key {
+    /// Make a key and give it to a device that has none, over the cable
+    #[command(after_help = "Example: wimu key set /dev/ttyACM0")]
+    Set {
+        /// A LINK to the cable
+        link: String,
+    },
+    /// Whether a device has a key, and whether this computer has it
+    #[command(after_help = "Example: wimu key status tcp://127.0.0.1:7100")]
+    Status {
+        /// A LINK
+        link: String,
+    },
+    /// Give a device a new key in place of this computer's, over the cable
+    #[command(after_help = "Example: wimu key rotate /dev/ttyACM0")]
+    Rotate {
+        /// A LINK to the cable
+        link: String,
+    },
+    /// Have a device and this computer forget the key, over the cable
+    #[command(after_help = "Example: wimu key forget /dev/ttyACM0")]
+    Forget {
+        /// A LINK to the cable
         link: String,
     },
 }

@@ -42,6 +42,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Compare(arguments) => command::compare::run(&arguments, output),
         Command::Export(arguments) => command::export::run(&arguments, output),
         Command::Params { action } => command::params::run(&action, output),
+        Command::Key { action } => command::key::run(&action, output),
         Command::Settings { action } => command::settings::run(&action, output),
         Command::Navigate(arguments) => command::navigate::run(&arguments, output),
     }

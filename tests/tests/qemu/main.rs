@@ -89,8 +89,10 @@ fn first_light_on_a_cortex_m() {
         assert_ne!(outcome.pushed, ParameterId::UNCALIBRATED);
         assert_eq!(outcome.pushed, outcome.after_restart);
         assert_eq!(outcome.boot_counts, [1, 2]);
-        let refusal = outcome.wireless_refusal.as_ref().map(|error| error.code());
-        assert_eq!(refusal, Some(ErrorCode::KeyNeeded));
+        for refusal in &outcome.refusals {
+            let code = refusal.as_ref().map(|error| error.code());
+            assert_eq!(code, Some(ErrorCode::KeyNeeded), "{refusal:?}");
+        }
         assert!(outcome.slide.uncalibrated_m > 1.0, "{:?}", outcome.slide);
         assert!(outcome.slide.calibrated_m < 0.1, "{:?}", outcome.slide);
         assert!(outcome.slide.zupt_m < 0.02, "{:?}", outcome.slide);

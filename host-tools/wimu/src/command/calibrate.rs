@@ -16,7 +16,7 @@ use wimu_link::batch::Stream;
 use wimu_model::{Counts, Sensitivity};
 
 use crate::arguments::{Calibrate, Method};
-use crate::command::{connect, interrupted, not_over_input, params};
+use crate::command::{connect, connect_to_write, interrupted, not_over_input, params};
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 when the data do not support an answer.
@@ -52,7 +52,12 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         Input::Csv(path) => Dataset::from_csv(&path, &load)?,
         Input::Recording(path) => Dataset::from_recording(&path, &load)?,
         Input::Link(_) => {
-            let client = client.insert(connect(&arguments.input)?);
+            let connected = if arguments.push {
+                connect_to_write(&arguments.input)
+            } else {
+                connect(&arguments.input)
+            };
+            let client = client.insert(connected?);
             collect(client, arguments, &options, output)?
         }
     };

@@ -67,7 +67,8 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         report: arguments.report.display().to_string(),
         recording: recording.display().to_string(),
     });
-    if exact && outcome.pushed == outcome.after_restart {
+    let locked = outcome.refusals.iter().all(Option::is_some);
+    if exact && locked && outcome.pushed == outcome.after_restart {
         Ok(())
     } else {
         Err(HostError::new(
@@ -117,13 +118,13 @@ fn story(outcome: &Outcome, seed: u64) -> Vec<String> {
             outcome.report.terms.join(", ")
         ),
         format!(
-            "5 push       over the wireless link: {}",
-            outcome
-                .wireless_refusal
-                .as_ref()
-                .map_or("accepted".to_owned(), |_| {
-                    "refused, it is open to anyone; over the cable: done".to_owned()
-                })
+            "5 push       over the wireless link: {}; signed with the board's key: done in {:.0} ms",
+            if outcome.refusals.iter().all(Option::is_some) {
+                "refused without the key"
+            } else {
+                "accepted without the key"
+            },
+            outcome.push_s * 1e3
         ),
         format!(
             "6 restart    the board still holds parameters {}",

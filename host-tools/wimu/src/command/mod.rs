@@ -6,6 +6,7 @@ pub mod compare;
 pub mod demo;
 pub mod export;
 pub mod info;
+pub mod key;
 pub mod monitor;
 pub mod navigate;
 pub mod params;
@@ -20,12 +21,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use wimu_host::client::{self, Client};
+use wimu_host::keys::KeyFolder;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
 /// Connects to the board behind LINK.
 fn connect(link: &str) -> Result<Client<Box<dyn Transport + Send>>> {
     client::connect(&link.parse::<LinkUrl>()?)
+}
+
+/// Connects to the board behind LINK, to write: with its key, if this computer has it.
+fn connect_to_write(link: &str) -> Result<Client<Box<dyn Transport + Send>>> {
+    let mut client = connect(link)?;
+    let known = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
+    client.use_key_among(&known)?;
+    Ok(client)
 }
 
 /// Refuses to write over what is being read.

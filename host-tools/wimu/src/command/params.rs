@@ -11,7 +11,7 @@ use wimu_link::message::ActiveParameters;
 use wimu_model::{ParameterId, ParameterSet};
 
 use crate::arguments::Params;
-use crate::command::connect;
+use crate::command::{connect, connect_to_write};
 use crate::output::Output;
 
 /// What a device corrects with.
@@ -35,14 +35,24 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
                 None => Ok(()),
             }
         }
-        Params::Push { link, calibration } => {
+        Params::Push {
+            link,
+            calibration,
+            dry_run,
+        } => {
             let set = read_parameters(calibration)?;
-            let mut client = connect(link)?;
-            push(&mut client, &set, output)?;
+            let mut client = connect_to_write(link)?;
+            if *dry_run {
+                let before = held(&mut client)?;
+                say_difference(before.as_ref(), &set, output);
+                output.say("nothing was written");
+            } else {
+                push(&mut client, &set, output)?;
+            }
             show(&mut client, output).map(|_| ())
         }
         Params::FactoryReset { link } => {
-            let mut client = connect(link)?;
+            let mut client = connect_to_write(link)?;
             client.factory_reset()?;
             output.say("the device has forgotten its calibration and its settings");
             show(&mut client, output).map(|_| ())
@@ -50,24 +60,89 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
     }
 }
 
-/// Pushes a calibration and says what changes.
+/// Says what changes, pushes a calibration, and makes sure that the device holds it.
 pub fn push<T: Transport>(
     client: &mut Client<T>,
     set: &ParameterSet,
     output: Output,
 ) -> Result<()> {
     let before = held(client)?;
+    say_difference(before.as_ref(), set, output);
     let id = client.push_parameters(set)?;
-    output.say(match before.filter(|before| before != set) {
-        Some(before) => format!(
-            "pushed {id} in place of {}: bias {} → {} m/s²",
-            wimu_link::message::parameter_id(&before),
-            vector(before.model.terms().bias_mps2),
-            vector(set.model.terms().bias_mps2)
-        ),
-        None => format!("pushed {id}"),
-    });
+    let found = client.parameters()?.id;
+    if found != id.0 {
+        return Err(HostError::new(
+            ErrorCode::VerifyFailed,
+            format!("the device holds parameters {found:08x}, pushed were {id}"),
+            "push again; another computer may be pushing too",
+        ));
+    }
+    output.say(format!("pushed {id}"));
     Ok(())
+}
+
+/// What a push changes: only the terms that do.
+fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
+    let Some(before) = before else {
+        output.say("the device is uncalibrated");
+        return;
+    };
+    let name = |set| wimu_link::message::parameter_id(set);
+    if name(before) == name(after) {
+        output.say(format!("the device holds {} already", name(after)));
+        return;
+    }
+    output.say(format!("{} → {}", name(before), name(after)));
+    let (old, new) = (before.model.terms(), after.model.terms());
+    let mut vectors = vec![("bias, m/s²", old.bias_mps2, new.bias_mps2)];
+    let rows = ["matrix, row X", "matrix, row Y", "matrix, row Z"];
+    for (row, (old, new)) in rows.into_iter().zip(old.matrix.into_iter().zip(new.matrix)) {
+        vectors.push((row, old, new));
+    }
+    let (warm, warmer) = (old.temperature, new.temperature);
+    vectors.extend([
+        (
+            "bias slope, m/s²/K",
+            warm.bias_mps2_per_k,
+            warmer.bias_mps2_per_k,
+        ),
+        (
+            "bias curvature, m/s²/K²",
+            warm.bias_mps2_per_k2,
+            warmer.bias_mps2_per_k2,
+        ),
+        ("scale slope, 1/K", warm.scale_per_k, warmer.scale_per_k),
+        ("nonlinearity, s²/m", old.nonlinearity, new.nonlinearity),
+    ]);
+    for (name, old, new) in vectors {
+        if old != new {
+            output.say(format!("{name:24} {} → {}", vector(old), vector(new)));
+        }
+    }
+    let numbers = [
+        (
+            "sensitivity, LSB/g",
+            before.sensitivity.lsb_per_g(),
+            after.sensitivity.lsb_per_g(),
+        ),
+        ("range, ± g", before.range_g.into(), after.range_g.into()),
+        ("reference, °C", warm.reference_c, warmer.reference_c),
+    ];
+    for (name, old, new) in numbers {
+        if old != new {
+            output.say(format!("{name:24} {old} → {new}"));
+        }
+    }
+    let others = [
+        ("alignment", before.alignment != after.alignment),
+        ("magnetometer", before.magnetometer != after.magnetometer),
+        ("quality", before.quality != after.quality),
+    ];
+    for (name, changes) in others {
+        if changes {
+            output.say(format!("{name:24} changes"));
+        }
+    }
 }
 
 /// The parameters that a device holds.

@@ -5,7 +5,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::{Resolution, Settings, Streams};
 
 use crate::arguments::{self, Carried, Change, Switch};
-use crate::command::{connect, params};
+use crate::command::{connect, connect_to_write, params};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -28,7 +28,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
     let settings = match action {
         arguments::Settings::Get { link } => connect(link)?.settings()?,
         arguments::Settings::Set { link, change } => {
-            let mut client = connect(link)?;
+            let mut client = connect_to_write(link)?;
             let wanted = changed(client.settings()?, change)?;
             let now = client.set_settings(wanted)?;
             params::applies(params::held(&mut client)?.as_ref(), now.range_g, output);

@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "each test file uses its own part of it")]
 
 use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -77,8 +78,15 @@ pub struct Background {
 }
 
 impl Background {
+    /// As a user who has no keys.
     pub fn start(arguments: &[&str]) -> Self {
+        Self::start_as(Path::new("/nonexistent"), arguments)
+    }
+
+    /// As a user whose configuration is in `config`.
+    pub fn start_as(config: &Path, arguments: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_wimu"))
+            .env("XDG_CONFIG_HOME", config)
             .args(arguments)
             .arg("--json")
             .stdin(Stdio::null())

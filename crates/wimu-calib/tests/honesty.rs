@@ -1,0 +1,360 @@
+//! What every method says of its uncertainty, on a thousand simulated sensors whose truth is known:
+//! lower triangular, put down by hand to 1°.
+
+mod common;
+
+use common::{Random, misplaced, parameters, twelve};
+use wimu_calib::{
+    Estimate, Face, Gravity, Model, MultiPosition, Orientation, Parameter, Placement, Pose, Term,
+    Terms, four_angle, multi_position_with, six_position, three_angle,
+};
+use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
+
+const G: f64 = 9.80665;
+const SEEDS: u64 = 1000;
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+/// Of a sample, m/s², and how many make a pose.
+const NOISE: f64 = 0.03;
+const SAMPLES: u32 = 100;
+
+fn exact() -> Gravity {
+    Gravity::new(G, 0.0).expect("gravity")
+}
+
+/// A pose put down by hand with `up` upward, at `time` −1..=0 of a session that drifts.
+struct Sensor {
+    model: ErrorModel,
+    drift: [f64; 3],
+    random: Random,
+}
+
+impl Sensor {
+    fn hold(&mut self, up: [f64; 3], time: f64, celsius: f64) -> Pose {
+        let up = misplaced(&mut self.random, up, DEGREE);
+        let temperature = CentiCelsius((celsius * 100.0) as i16);
+        let force = SpecificForceMps2(up.map(|c| c * G));
+        let mut mean = self.model.distort(force, Some(temperature)).0;
+        for axis in 0..3 {
+            let noise = NOISE / f64::from(SAMPLES).sqrt();
+            mean[axis] += self.drift[axis] * time + self.random.normal() * noise;
+        }
+        Pose {
+            sd_mps2: [NOISE; 3],
+            samples: SAMPLES,
+            temperature_c: Some(f64::from(temperature.0) / 100.0),
+            time_s: 600.0 * (1.0 + time),
+            ..Pose::from_mean(mean)
+        }
+    }
+
+    /// Twelve well spread poses and eight more anywhere.
+    fn session(&mut self) -> Vec<Pose> {
+        let mut ups = twelve().to_vec();
+        ups.extend((0..8).map(|_| self.random.direction()));
+        let last = (ups.len() - 1) as f64;
+        // Time and temperature in different orders.
+        (0..ups.len())
+            .map(|k| {
+                let celsius = 25.0 + ((k * 7) % 20) as f64;
+                self.hold(ups[k], k as f64 / last - 1.0, celsius)
+            })
+            .collect()
+    }
+}
+
+/// How often 95 % intervals cover the truth.
+#[derive(Default)]
+struct Coverage {
+    covered: f64,
+    all: f64,
+}
+
+impl Coverage {
+    fn add(&mut self, error: f64, half_width: f64) {
+        assert!(half_width > 0.0, "what was fitted has an uncertainty");
+        self.all += 1.0;
+        self.covered += if error.abs() <= half_width { 1.0 } else { 0.0 };
+    }
+
+    fn percent(&self) -> f64 {
+        100.0 * self.covered / self.all
+    }
+
+    fn assert_honest(&self, what: &str) {
+        println!("{what}: {:.1} % of {}", self.percent(), self.all);
+        assert!(
+            (93.0..=97.0).contains(&self.percent()),
+            "{what}: {}",
+            self.percent()
+        );
+    }
+}
+
+fn sensor(seed: u64, mut shape: impl FnMut(&mut Random, &mut ErrorTerms)) -> Sensor {
+    let mut random = Random(seed);
+    let mut terms: ErrorTerms = random.model(true).into();
+    shape(&mut random, &mut terms);
+    Sensor {
+        model: ErrorModel::new(terms).expect("within bounds"),
+        drift: [0.0; 3],
+        random,
+    }
+}
+
+fn count(coverage: &mut Coverage, estimate: &Estimate, truth: &ErrorModel) {
+    let (found, truth) = (parameters(&estimate.model), parameters(truth));
+    for parameter in estimate.fitted.iter() {
+        let i = parameter.index();
+        coverage.add(found[i] - truth[i], estimate.half_width_95(parameter));
+    }
+}
+
+#[test]
+fn intervals_of_multi_position_cover_the_truth_for_every_model() {
+    for model in Model::ALL {
+        for reject in [false, true] {
+            let mut coverage = Coverage::default();
+            for seed in 0..SEEDS {
+                let mut sensor = sensor(seed, |_, terms| {
+                    for (r, row) in terms.matrix.iter_mut().enumerate() {
+                        for (c, value) in row.iter_mut().enumerate() {
+                            match model {
+                                Model::Full9 => {}
+                                Model::BiasScale6 if r == c => {}
+                                _ => *value = if r == c { 1.0 } else { 0.0 },
+                            }
+                        }
+                    }
+                });
+                let what = MultiPosition {
+                    model,
+                    reject,
+                    ..MultiPosition::default()
+                };
+                let poses = sensor.session();
+                let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
+                count(&mut coverage, &estimate, &sensor.model);
+            }
+            let bad = if reject { ", bad poses left out" } else { "" };
+            coverage.assert_honest(&format!("multi-position, {model}{bad}"));
+        }
+    }
+}
+
+#[test]
+fn intervals_of_the_terms_cover_the_truth() {
+    for term in Term::ALL {
+        let (mut basic, mut own) = (Coverage::default(), Coverage::default());
+        for seed in 0..SEEDS {
+            let mut drift = [0.0; 3];
+            let mut sensor = sensor(seed, |random, terms| {
+                terms.temperature.reference_c = 34.5;
+                for axis in 0..3 {
+                    match term {
+                        Term::Drift => drift[axis] = 0.05,
+                        Term::BiasTemperature => {
+                            terms.temperature.bias_mps2_per_k[axis] = random.within(0.01);
+                        }
+                        Term::ScaleTemperature => {
+                            terms.temperature.scale_per_k[axis] = random.within(5e-4);
+                        }
+                        Term::Quadratic => terms.nonlinearity[axis] = random.within(1e-4),
+                    }
+                }
+            });
+            sensor.drift = drift;
+            let what = MultiPosition {
+                terms: Terms::NONE.with(term),
+                ..MultiPosition::default()
+            };
+            let poses = sensor.session();
+            let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
+            // The model is about the mean temperature of the poses.
+            let truth = about(
+                &sensor.model,
+                estimate.model.terms().temperature.reference_c,
+                term,
+            );
+            count(&mut basic, &estimate, &truth);
+            let (found, truth, sd) = own_values(&estimate, &truth, term, sensor.drift);
+            for axis in 0..3 {
+                let half_width = student(estimate.dof) * sd[axis];
+                own.add(found[axis] - truth[axis], half_width);
+            }
+        }
+        basic.assert_honest(&format!("nine parameters beside {term}"));
+        own.assert_honest(&format!("{term}"));
+    }
+}
+
+/// The same model about another reference temperature.
+fn about(model: &ErrorModel, reference_c: f64, term: Term) -> ErrorModel {
+    let mut terms: ErrorTerms = (*model).into();
+    if matches!(term, Term::BiasTemperature | Term::ScaleTemperature) {
+        let warmer = reference_c - terms.temperature.reference_c;
+        for axis in 0..3 {
+            terms.bias_mps2[axis] += terms.temperature.bias_mps2_per_k[axis] * warmer;
+            let grown = 1.0 + terms.temperature.scale_per_k[axis] * warmer;
+            terms.matrix[axis][axis] *= grown;
+            terms.temperature.scale_per_k[axis] /= grown;
+        }
+        terms.temperature.reference_c = reference_c;
+    }
+    ErrorModel::new(terms).expect("within bounds")
+}
+
+fn own_values(
+    estimate: &Estimate,
+    truth: &ErrorModel,
+    term: Term,
+    drift: [f64; 3],
+) -> ([f64; 3], [f64; 3], [f64; 3]) {
+    let (found, truth, sd) = (estimate.model.terms(), truth.terms(), estimate.term_sd);
+    match term {
+        Term::Drift => (
+            estimate.drift.expect("it was fitted").change_mps2,
+            drift,
+            sd.drift_mps2,
+        ),
+        Term::BiasTemperature => (
+            found.temperature.bias_mps2_per_k,
+            truth.temperature.bias_mps2_per_k,
+            sd.bias_mps2_per_k,
+        ),
+        Term::ScaleTemperature => (
+            found.temperature.scale_per_k,
+            truth.temperature.scale_per_k,
+            sd.scale_per_k,
+        ),
+        Term::Quadratic => (found.nonlinearity, truth.nonlinearity, sd.nonlinearity),
+    }
+}
+
+/// 97.5 % point of Student's t for the 8 degrees of freedom of twelve parameters and twenty poses.
+fn student(dof: usize) -> f64 {
+    assert_eq!(dof, 8);
+    2.306
+}
+
+#[test]
+fn intervals_of_six_positions_cover_the_truth() {
+    let (mut bias, mut scale, mut misalignment) = Default::default();
+    for seed in 0..SEEDS {
+        let mut sensor = sensor(seed, |_, _| {});
+        let poses: Vec<Pose> = Face::ALL
+            .into_iter()
+            .map(|face| sensor.hold(Orientation::from(face).up(), 0.0, 25.0))
+            .collect();
+        let estimate = six_position(&poses, exact(), Placement::BY_HAND).expect("an answer");
+        let (found, truth) = (parameters(&estimate.model), parameters(&sensor.model));
+        for parameter in Parameter::ALL {
+            let i = parameter.index();
+            let coverage: &mut Coverage = match i {
+                0..3 => &mut bias,
+                3 | 7 | 11 => &mut scale,
+                _ => &mut misalignment,
+            };
+            coverage.add(found[i] - truth[i], estimate.half_width_95(parameter));
+        }
+    }
+    bias.assert_honest("six-position, bias");
+    scale.assert_honest("six-position, scale factor");
+    misalignment.assert_honest("six-position, misalignment");
+}
+
+/// Poses of one turn about `axis` in `steps`, begun at `begin` rad.
+fn turn(sensor: &mut Sensor, axis: usize, steps: usize, begin: f64) -> Vec<Pose> {
+    let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
+    (0..steps)
+        .map(|k| {
+            let angle = begin + std::f64::consts::TAU * k as f64 / steps as f64;
+            let mut up = [0.0; 3];
+            (up[a], up[b]) = (angle.cos(), angle.sin());
+            sensor.hold(up, 0.0, 25.0)
+        })
+        .collect()
+}
+
+#[test]
+fn intervals_of_four_and_three_angles_cover_the_truth() {
+    for (name, steps) in [("four-angle", 4), ("three-angle", 3)] {
+        // From a side that is up, where step errors enter the scale factor in second order only,
+        // and from anywhere.
+        for anywhere in [false, true] {
+            let (mut bias, mut scale) = (Coverage::default(), Coverage::default());
+            for seed in 0..SEEDS {
+                let mut sensor = sensor(seed, |_, _| {});
+                let begin = if anywhere {
+                    sensor.random.within(std::f64::consts::PI)
+                } else {
+                    0.0
+                };
+                let axis = (seed % 3) as usize;
+                let poses = turn(&mut sensor, axis, steps, begin);
+                let method = if steps == 4 { four_angle } else { three_angle };
+                let estimate = method(&poses, exact(), Placement::BY_HAND).expect("an answer");
+                let terms = *sensor.model.terms();
+                for in_plane in (0..3).filter(|&other| other != axis) {
+                    let found = estimate.model.terms();
+                    let row = terms.matrix[in_plane];
+                    let norm = (0..3)
+                        .filter(|&c| c != axis)
+                        .map(|c| row[c] * row[c])
+                        .sum::<f64>()
+                        .sqrt();
+                    bias.add(
+                        found.bias_mps2[in_plane] - terms.bias_mps2[in_plane],
+                        estimate.half_width_95(Parameter::ALL[in_plane]),
+                    );
+                    scale.add(
+                        found.matrix[in_plane][in_plane] - norm,
+                        estimate.half_width_95(Parameter::ALL[3 + 4 * in_plane]),
+                    );
+                }
+            }
+            let from = if anywhere { "anywhere" } else { "a side up" };
+            bias.assert_honest(&format!("{name} from {from}, bias"));
+            scale.assert_honest(&format!("{name} from {from}, scale factor"));
+        }
+    }
+}
+
+#[test]
+fn the_methods_agree_within_their_uncertainties() {
+    let mut agreement = Coverage::default();
+    for seed in 0..SEEDS {
+        let mut sensor = sensor(seed, |_, _| {});
+        let poses = sensor.session();
+        let multi = multi_position_with(&poses, exact(), MultiPosition::default()).expect("multi");
+        let poses: Vec<Pose> = Face::ALL
+            .into_iter()
+            .map(|face| sensor.hold(Orientation::from(face).up(), 0.0, 25.0))
+            .collect();
+        let six = six_position(&poses, exact(), Placement::BY_HAND).expect("six");
+        let mut turns = |steps| -> Vec<Pose> {
+            (0..3)
+                .flat_map(|axis| turn(&mut sensor, axis, steps, 0.0))
+                .collect()
+        };
+        let four = four_angle(&turns(4), exact(), Placement::BY_HAND).expect("four");
+        let three = three_angle(&turns(3), exact(), Placement::BY_HAND).expect("three");
+        let all = [&multi, &six, &four, &three];
+        for (k, one) in all.into_iter().enumerate() {
+            for other in all.into_iter().skip(k + 1) {
+                for parameter in one.fitted.iter().filter(|p| other.fitted.contains(*p)) {
+                    let i = parameter.index();
+                    // A turn gives the norm of a row of A, not its diagonal.
+                    let turned = |e: &Estimate| e.fitted.iter().count() == 6;
+                    if i >= 3 && turned(one) != turned(other) {
+                        continue;
+                    }
+                    let apart = parameters(&one.model)[i] - parameters(&other.model)[i];
+                    let a = one.half_width_95(parameter);
+                    let b = other.half_width_95(parameter);
+                    agreement.add(apart, (a * a + b * b).sqrt());
+                }
+            }
+        }
+    }
+    agreement.assert_honest("two methods agree");
+}

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use wimu_model::{ErrorModel, Matrix3, SpecificForceMps2};
+use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
 
 use crate::least_squares::Rejected;
 use crate::student;
@@ -51,7 +51,7 @@ pub struct Estimate {
     pub condition: f64,
     /// Standard deviation of |f| − g to be expected in the worst of 26 orientations, m/s².
     pub worst_sd_mps2: f64,
-    /// Share of all directions that are within 45° of a pose's, 0..=1.
+    /// Share of the 26 orientations that are within 40° of a pose's, 0..=1.
     pub coverage: f64,
     /// Mean temperature of the poses, °C, where they have one.
     pub temperature_c: Option<f64>,
@@ -262,6 +262,7 @@ impl Residuals {
 }
 
 pub(crate) fn residual_mps2(model: &ErrorModel, gravity: Gravity, pose: &Pose) -> f64 {
-    let force = model.correct(SpecificForceMps2(pose.mean_mps2), None);
+    let temperature = pose.temperature_c.map(CentiCelsius::from_celsius);
+    let force = model.correct(SpecificForceMps2(pose.mean_mps2), temperature);
     force.norm() - gravity.mps2()
 }

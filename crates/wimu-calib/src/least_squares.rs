@@ -13,8 +13,9 @@ impl Real for f64 {}
 
 /// Iterations after which a fit counts as not converged; a good one takes 3 to 6.
 const MOST_ITERATIONS: usize = 100;
-/// A step that changes the residuals by less than this, m/s² rms, is the last.
-const LAST_STEP_MPS2: f64 = 1e-9;
+/// A step that changes the residuals by less than this, m/s² rms, is the last: what a Gauss-Newton
+/// step leaves is smaller than it by a factor of the residuals per gravity, 10⁻³ or less.
+const LAST_STEP_MPS2: f64 = 1e-6;
 /// Of an information matrix with unit diagonal: below, the step counts as undamped.
 const LEAST_DAMPING: f64 = 1e-6;
 /// Beyond, no step descends.
@@ -55,9 +56,12 @@ impl Rejected {
         self.as_slice().contains(&pose)
     }
 
-    /// The first `count` of them.
-    pub(crate) fn first(mut self, count: usize) -> Self {
-        self.count = self.count.min(count);
+    /// Without the one at `place`.
+    pub(crate) fn without(mut self, place: usize) -> Self {
+        if place < self.count {
+            self.poses.copy_within(place + 1..self.count, place);
+            self.count -= 1;
+        }
         self
     }
 
@@ -90,6 +94,10 @@ impl Weighting {
         Self { common, mean_noise }
     }
 
+    pub fn is_equal(&self) -> bool {
+        self.mean_noise <= 0.0
+    }
+
     pub fn of(&self, pose: &Pose) -> f64 {
         if self.mean_noise > 0.0 {
             (self.common + self.mean_noise) / (self.common + pose.mean_noise())
@@ -104,8 +112,8 @@ impl Weighting {
 pub(crate) struct Conditions {
     /// Time of the last pose, s.
     pub end_s: f64,
-    /// From the first to it, s; not 0.
-    pub span_s: f64,
+    /// 1 / the time from the first to it, 1/s; 0 where that does not matter.
+    pub per_span: f64,
     /// T₀, °C.
     pub reference_c: f64,
 }
@@ -113,7 +121,7 @@ pub(crate) struct Conditions {
 impl Conditions {
     /// −1 at the first pose, 0 at the last.
     fn progress(&self, pose: &Pose) -> f64 {
-        (pose.time_s - self.end_s) / self.span_s
+        (pose.time_s - self.end_s) * self.per_span
     }
 
     fn warmer(&self, pose: &Pose) -> f64 {
@@ -129,6 +137,24 @@ struct Evaluated<'a, R: Real> {
     inverse: Matrix3<R>,
     /// Whether A moves with temperature.
     warms: bool,
+    /// Whether more than the first twelve parameters are asked for, or are not 0.
+    terms: bool,
+}
+
+/// A⁻¹ of a matrix that is not mirrored: a mirrored A gives the same magnitudes, and a step that
+/// leads to one was too long.
+#[inline(always)]
+fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
+    let minor = |r: usize, c: usize| {
+        let (i, j) = ((r + 1) % 3, (r + 2) % 3);
+        let (k, l) = ((c + 1) % 3, (c + 2) % 3);
+        a[(i, k)] * a[(j, l)] - a[(i, l)] * a[(j, k)]
+    };
+    let minors = Matrix3::from_fn(|r, c| minor(c, r));
+    let determinant =
+        a[(0, 0)] * minors[(0, 0)] + a[(0, 1)] * minors[(1, 0)] + a[(0, 2)] * minors[(2, 0)];
+    let factor = R::one() / determinant;
+    (determinant > R::zero() && factor.is_finite()).then(|| minors * factor)
 }
 
 /// One pose under a model.
@@ -141,42 +167,51 @@ struct Applied<R: Real> {
 }
 
 impl<'a, R: Real> Evaluated<'a, R> {
-    fn new(theta: &'a Theta<R>) -> Option<Self> {
-        let a = Self::matrix(theta, R::zero());
-        // A mirrored A gives the same magnitudes: the step that led there was too long.
-        (a.determinant() > R::zero()).then_some(())?;
+    #[inline(always)]
+    fn new(theta: &'a Theta<R>, terms: bool) -> Option<Self> {
         Some(Self {
             theta,
-            inverse: a.try_inverse()?,
-            warms: Slot::SCALE_SLOPE
-                .iter()
-                .any(|slot| !theta[slot.index()].is_zero()),
+            inverse: inverse(&Self::matrix(theta, R::zero()))?,
+            warms: terms
+                && Slot::SCALE_SLOPE
+                    .iter()
+                    .any(|slot| !theta[slot.index()].is_zero()),
+            terms,
         })
     }
 
     fn matrix(theta: &Theta<R>, warmer: R) -> Matrix3<R> {
         let mut a = Matrix3::from_fn(|r, c| theta[3 + 3 * r + c]);
-        for axis in 0..3 {
-            a[(axis, axis)] *= R::one() + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
+        if !warmer.is_zero() {
+            for axis in 0..3 {
+                a[(axis, axis)] *= R::one() + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
+            }
         }
         a
     }
 
     /// The specific force that `output` means: equation (41).
+    #[inline(always)]
     fn apply(&self, output: [R; 3], progress: R, warmer: R) -> Applied<R> {
         let theta = self.theta;
         let inverse = if self.warms && !warmer.is_zero() {
-            Self::matrix(theta, warmer)
-                .try_inverse()
-                .unwrap_or(self.inverse)
+            inverse(&Self::matrix(theta, warmer)).unwrap_or(self.inverse)
         } else {
             self.inverse
         };
-        let offset = Vector3::from_fn(|i, _| {
-            output[i] - theta[i] - theta[12 + i] * progress - theta[15 + i] * warmer
-        });
+        let mut offset = Vector3::from_fn(|i, _| output[i] - theta[i]);
+        if self.terms {
+            for i in 0..3 {
+                offset[i] -= theta[12 + i] * progress + theta[15 + i] * warmer;
+            }
+        }
         let z = inverse * offset;
-        let force = Vector3::from_fn(|i, _| z[i] - theta[21 + i] * z[i] * z[i]);
+        let mut force = z;
+        if self.terms {
+            for i in 0..3 {
+                force[i] -= theta[21 + i] * z[i] * z[i];
+            }
+        }
         Applied {
             inverse,
             z,
@@ -199,6 +234,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 
     /// What every derivative of |f| is made of: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
+    #[inline(always)]
     fn directions(&self, at: &Applied<R>) -> (Vector3<R>, Vector3<R>) {
         let norm = at.force.norm();
         let n = if norm > R::zero() {
@@ -206,31 +242,39 @@ impl<'a, R: Real> Evaluated<'a, R> {
         } else {
             at.force
         };
-        let two: R = real(2.0);
-        let m = Vector3::from_fn(|i, _| n[i] * (R::one() - two * self.theta[21 + i] * at.z[i]));
+        let mut m = n;
+        if self.terms {
+            let two: R = real(2.0);
+            for i in 0..3 {
+                m[i] *= R::one() - two * self.theta[21 + i] * at.z[i];
+            }
+        }
         (at.inverse.tr_mul(&m), n)
     }
 
-    /// ∂|f|/∂θ of one parameter: equations (13) and (41).
-    fn derivative(&self, slot: Slot, at: &Applied<R>, w: &Vector3<R>, n: &Vector3<R>) -> R {
-        let index = slot.index();
-        let axis = index % 3;
-        match index {
-            0..3 => -w[axis],
-            3..12 => {
-                let (row, column) = (index / 3 - 1, index % 3);
-                let d = -w[row] * at.z[column];
-                if row == column && self.warms {
-                    d * (R::one() + self.theta[18 + row] * at.warmer)
-                } else {
-                    d
-                }
+    /// ∂|f|/∂θ of all parameters: equations (13) and (41).
+    #[inline(always)]
+    fn derivatives(&self, at: &Applied<R>) -> Theta<R> {
+        let (w, n) = self.directions(at);
+        let z = &at.z;
+        let mut d = [R::zero(); Slot::COUNT];
+        for row in 0..3 {
+            d[row] = -w[row];
+            for column in 0..3 {
+                d[3 + 3 * row + column] = -w[row] * z[column];
             }
-            12..15 => -w[axis] * at.progress,
-            15..18 => -w[axis] * at.warmer,
-            18..21 => -w[axis] * self.theta[3 + 4 * axis] * at.warmer * at.z[axis],
-            _ => -n[axis] * at.z[axis] * at.z[axis],
         }
+        if !self.terms {
+            return d;
+        }
+        for row in 0..3 {
+            d[12 + row] = -w[row] * at.progress;
+            d[15 + row] = -w[row] * at.warmer;
+            d[18 + row] = d[3 + 4 * row] * self.theta[3 + 4 * row] * at.warmer;
+            d[3 + 4 * row] *= R::one() + self.theta[18 + row] * at.warmer;
+            d[21 + row] = -n[row] * z[row] * z[row];
+        }
+        d
     }
 }
 
@@ -255,17 +299,56 @@ impl<R: Real, const N: usize> Normal<R, N> {
         SMatrix::from_fn(|r, c| self.information[(r.max(c), r.min(c))] * scale[r] * scale[c])
     }
 
-    /// The damped Gauss-Newton step, equation (14), and the change of residual it means, m/s² rms.
-    fn step(&self, damping: f64) -> Option<(SVector<R, N>, f64)> {
+    /// The damped Gauss-Newton step: equation (14).
+    fn step(&self, damping: f64) -> Option<Step<R, N>> {
         let scale = self.scale()?;
         let mut information = self.scaled(&scale);
         for i in 0..N {
             information[(i, i)] += real(damping);
         }
-        let step = -factor(information)?.solve(&self.gradient.component_mul(&scale));
-        let change = libm::sqrt(double(step.norm_squared()) / self.poses as f64);
-        Some((step.component_mul(&scale), change))
+        let factor = factor(information)?;
+        let step = -factor.solve(&self.gradient.component_mul(&scale));
+        Some(Step {
+            change_mps2: libm::sqrt(double(step.norm_squared()) / self.poses as f64),
+            by: step.component_mul(&scale),
+            scale,
+            factor,
+        })
     }
+
+    fn inverse(&self) -> Option<SMatrix<R, N, N>> {
+        let scale = self.scale()?;
+        Some(unscaled(&factor(self.scaled(&scale))?, &scale))
+    }
+}
+
+/// A step, and what it was computed with.
+struct Step<R: Real, const N: usize> {
+    by: SVector<R, N>,
+    /// The change of residual that it means, m/s² rms.
+    change_mps2: f64,
+    scale: SVector<R, N>,
+    factor: Cholesky<R, Const<N>>,
+}
+
+fn unscaled<R: Real, const N: usize>(
+    factor: &Cholesky<R, Const<N>>,
+    scale: &SVector<R, N>,
+) -> SMatrix<R, N, N> {
+    let inverse = factor.inverse();
+    SMatrix::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c])
+}
+
+/// A product, column by column, which compilers turn into vector instructions.
+#[inline(always)]
+fn times<R: Real, const N: usize>(m: &SMatrix<R, N, N>, v: &SVector<R, N>) -> SVector<R, N> {
+    let mut product = [R::zero(); N];
+    for c in 0..N {
+        for r in 0..N {
+            product[r] += m[(r, c)] * v[c];
+        }
+    }
+    SVector::from(product)
 }
 
 /// The Cholesky factor, where the matrix is positive definite to rounding.
@@ -294,6 +377,7 @@ pub(crate) struct Fit<R: Real, const N: usize> {
     pub inverse: SMatrix<R, N, N>,
     /// Σ w r², (m/s²)².
     pub cost: f64,
+    normal: Normal<R, N>,
 }
 
 impl<R: Real, const N: usize> Fit<R, N> {
@@ -304,6 +388,11 @@ impl<R: Real, const N: usize> Fit<R, N> {
 }
 
 impl<const N: usize> Magnitude<'_, N> {
+    fn has_terms(&self) -> bool {
+        self.free.iter().any(|slot| slot.term().is_some())
+    }
+
+    #[inline(always)]
     fn applied<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> Applied<R> {
         at.apply(
             pose.mean_mps2.map(real),
@@ -313,28 +402,32 @@ impl<const N: usize> Magnitude<'_, N> {
     }
 
     /// |f| − g of one pose, m/s², and its derivatives.
+    #[inline(always)]
     fn row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
         let applied = self.applied(at, pose);
         let residual = applied.force.norm() - real(self.gravity_mps2);
         (residual, self.derivatives(at, &applied))
     }
 
+    #[inline(always)]
     fn derivatives<R: Real>(&self, at: &Evaluated<R>, applied: &Applied<R>) -> SVector<R, N> {
-        let (w, n) = at.directions(applied);
-        SVector::from_fn(|i, _| at.derivative(self.free[i], applied, &w, &n))
+        let all = at.derivatives(applied);
+        SVector::from_fn(|i, _| all[self.free[i].index()])
     }
 
     fn normal<R: Real>(&self, theta: &Theta<R>, skip: Option<usize>) -> Option<Normal<R, N>> {
-        self.weighted_normal(theta, skip, &self.weighting)
+        self.weighted_normal(theta, skip, &self.weighting, None)
     }
 
+    /// With `cauchy`, m/s², each residual counts as cauchy² ln(1 + (r/cauchy)²) instead of r².
     fn weighted_normal<R: Real>(
         &self,
         theta: &Theta<R>,
         skip: Option<usize>,
         weighting: &Weighting,
+        cauchy: Option<f64>,
     ) -> Option<Normal<R, N>> {
-        let at = Evaluated::new(theta)?;
+        let at = Evaluated::new(theta, self.has_terms())?;
         let mut normal = Normal::<R, N> {
             information: SMatrix::zeros(),
             gradient: SVector::zeros(),
@@ -346,7 +439,14 @@ impl<const N: usize> Magnitude<'_, N> {
                 continue;
             }
             let (residual, row) = self.row(&at, pose);
-            let weight: R = real(weighting.of(pose));
+            let mut weight: R = real(weighting.of(pose));
+            let mut cost = weight * residual * residual;
+            if let Some(cauchy) = cauchy {
+                let square: R = real(cauchy * cauchy);
+                let grown = R::one() + residual * residual / square;
+                cost = square * grown.ln();
+                weight = R::one() / grown;
+            }
             for c in 0..N {
                 let weighted = row[c] * weight;
                 normal.gradient[c] += weighted * residual;
@@ -354,7 +454,7 @@ impl<const N: usize> Magnitude<'_, N> {
                     normal.information[(r, c)] += weighted * row[r];
                 }
             }
-            normal.cost += weight * residual * residual;
+            normal.cost += cost;
             normal.poses += 1;
         }
         normal.cost.is_finite().then_some(normal)
@@ -363,13 +463,28 @@ impl<const N: usize> Magnitude<'_, N> {
     /// Damped Gauss-Newton from `start`, leaving out pose `skip`. `None` when it does not converge
     /// or a parameter is not determined at all.
     pub fn solve<R: Real>(&self, start: &Theta<R>, skip: Option<usize>) -> Option<Fit<R, N>> {
+        self.minimise(start, |theta| self.normal(theta, skip))
+    }
+
+    /// The fit that large residuals pull on ever less, beyond `cauchy`, m/s².
+    pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R, N>> {
+        let normal =
+            |theta: &Theta<R>| self.weighted_normal(theta, None, &Weighting::EQUAL, Some(cauchy));
+        self.minimise(start, normal)
+    }
+
+    fn minimise<R: Real>(
+        &self,
+        start: &Theta<R>,
+        normal_at: impl Fn(&Theta<R>) -> Option<Normal<R, N>>,
+    ) -> Option<Fit<R, N>> {
         let epsilon = double(R::default_epsilon());
         let last_step = LAST_STEP_MPS2.max(4.0 * epsilon * self.gravity_mps2);
         let mut theta = *start;
-        let mut normal = self.normal(&theta, skip)?;
+        let mut normal = normal_at(&theta)?;
         let mut damping = 0.0;
         for _ in 0..MOST_ITERATIONS {
-            let Some((step, change)) = normal.step(damping) else {
+            let Some(step) = normal.step(damping) else {
                 if damping > 1.0 {
                     return None;
                 }
@@ -377,15 +492,28 @@ impl<const N: usize> Magnitude<'_, N> {
                 continue;
             };
             let mut trial = theta;
-            for (slot, by) in self.free.iter().zip(step.iter()) {
+            for (slot, by) in self.free.iter().zip(step.by.iter()) {
                 trial[slot.index()] += *by;
             }
-            let last = damping < LEAST_DAMPING && change <= last_step;
+            if damping < LEAST_DAMPING && step.change_mps2 <= last_step {
+                // The step lowers the cost by its own square.
+                let gained = step.change_mps2 * step.change_mps2 * normal.poses as f64;
+                return Some(Fit {
+                    theta: trial,
+                    inverse: if damping > 0.0 {
+                        normal.inverse()?
+                    } else {
+                        unscaled(&step.factor, &step.scale)
+                    },
+                    cost: (double(normal.cost) - gained).max(0.0),
+                    normal,
+                });
+            }
             let cost = double(normal.cost);
             // That of a sum of squares.
             let rounding =
                 20.0 * epsilon * self.gravity_mps2 * libm::sqrt(cost * normal.poses as f64);
-            match self.normal(&trial, skip) {
+            match normal_at(&trial) {
                 Some(next) if double(next.cost) <= cost + rounding => {
                     theta = trial;
                     normal = next;
@@ -395,22 +523,8 @@ impl<const N: usize> Magnitude<'_, N> {
                         0.0
                     };
                 }
-                // At the minimum itself rounding decides.
-                _ if last => {}
                 _ if damping > MOST_DAMPING => return None,
-                _ => {
-                    damping = more(damping);
-                    continue;
-                }
-            }
-            if last {
-                let scale = normal.scale()?;
-                let inverse = factor(normal.scaled(&scale))?.inverse();
-                return Some(Fit {
-                    theta,
-                    inverse: SMatrix::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c]),
-                    cost: double(normal.cost),
-                });
+                _ => damping = more(damping),
             }
         }
         None
@@ -418,76 +532,141 @@ impl<const N: usize> Magnitude<'_, N> {
 
     /// |f| − g of `pose` under `theta`, m/s².
     pub fn residual<R: Real>(&self, theta: &Theta<R>, pose: &Pose) -> Option<f64> {
-        let at = Evaluated::new(theta)?;
+        let at = Evaluated::new(theta, self.has_terms())?;
         Some(double(
             self.applied(&at, pose).force.norm() - real(self.gravity_mps2),
         ))
     }
 
-    /// What the poses' orientations tell of the parameters at `theta`, converged or not.
-    pub fn knowledge<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
-        let at = Evaluated::new(theta)?;
-        let normal = self.weighted_normal(theta, None, &Weighting::EQUAL)?;
-        // Every parameter as the error that it makes at 1 g, m/s².
-        let unit = |slot: Slot| real(slot.per_mps2(self.gravity_mps2));
-        let scale = SVector::from_fn(|i, _| unit(self.free[i]));
-        let (values, vectors) = eigen(normal.scaled(&scale));
-        let largest = values.max();
-        // Rounding leaves a zero eigenvalue at about this.
-        let values = values.map(|v| v.max(largest * R::default_epsilon() * real(0.5)));
-        let condition = (largest / values.min()).sqrt();
-        let variance = SVector::from_fn(|i, _| {
-            (0..N).fold(R::zero(), |sum, k| {
-                sum + vectors[(i, k)] * vectors[(i, k)] / values[k]
-            })
-        });
-        let mut amplification = R::zero();
-        let mut poorest = Orientation::ALL[0];
-        for orientation in Orientation::ALL {
-            let force = Vector3::from(orientation.up().map(|c| real(c * self.gravity_mps2)));
-            let row = self.derivatives(&at, &at.at(force)).component_mul(&scale);
-            let along = vectors.tr_mul(&row);
-            let square = (0..N).fold(R::zero(), |sum, k| sum + along[k] * along[k] / values[k]);
-            if square > amplification {
-                amplification = square;
-                poorest = orientation;
-            }
+    /// What the poses' orientations tell of the parameters that were fitted.
+    pub fn knowledge<R: Real>(&self, fit: &Fit<R, N>) -> Option<Knowledge<R, N>> {
+        if self.weighting.is_equal() {
+            let at = Evaluated::new(&fit.theta, self.has_terms())?;
+            self.told(&at, &fit.normal, &fit.inverse)
+        } else {
+            self.knowledge_at(&fit.theta)
         }
-        Some(Knowledge {
-            condition: double(condition),
-            amplification: double(amplification.sqrt()),
-            poorest,
-            variance,
-        })
     }
 
-    /// Goes over the poses that were fitted with each one's residual and leverage.
-    pub fn scrutinise<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, Scrutiny)) {
-        let Some(at) = Evaluated::new(&fit.theta) else {
+    /// The same at `theta`, converged or not.
+    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
+        let at = Evaluated::new(theta, self.has_terms())?;
+        let normal = self.weighted_normal(theta, None, &Weighting::EQUAL, None)?;
+        if let Some(inverse) = normal.inverse() {
+            return self.told(&at, &normal, &inverse);
+        }
+        // Rounding leaves a zero eigenvalue at about this.
+        let units = self.units();
+        let (values, vectors) = eigen(normal.scaled(&units));
+        let largest = values.max();
+        let least = largest * R::default_epsilon() * real(0.5);
+        let inverse = SMatrix::from_fn(|r, c| {
+            (0..N).fold(R::zero(), |sum, k| {
+                sum + vectors[(r, k)] * vectors[(c, k)] / values[k].max(least)
+            }) * units[r]
+                * units[c]
+        });
+        let condition = (largest / values.min().max(least)).sqrt();
+        Some(self.with_condition(&at, condition, &inverse))
+    }
+
+    /// Every parameter as the error that it makes at 1 g, m/s².
+    fn units<R: Real>(&self) -> SVector<R, N> {
+        SVector::from_fn(|i, _| real(self.free[i].per_mps2(self.gravity_mps2)))
+    }
+
+    fn told<R: Real>(
+        &self,
+        at: &Evaluated<R>,
+        normal: &Normal<R, N>,
+        inverse: &SMatrix<R, N, N>,
+    ) -> Option<Knowledge<R, N>> {
+        let (least, largest) = eigenvalue_range(normal.scaled(&self.units()))?;
+        let floor = largest * R::default_epsilon() * real(0.5);
+        let condition = (largest / least.max(floor)).sqrt();
+        Some(self.with_condition(at, condition, inverse))
+    }
+
+    fn with_condition<R: Real>(
+        &self,
+        at: &Evaluated<R>,
+        condition: R,
+        inverse: &SMatrix<R, N, N>,
+    ) -> Knowledge<R, N> {
+        let units = self.units::<R>();
+        let mut worst = R::zero();
+        let mut poorest = Orientation::ALL[0];
+        let mut see = |variance: R, orientation: Orientation| {
+            if variance > worst {
+                worst = variance;
+                poorest = orientation;
+            }
+        };
+        let row = |orientation: Orientation| {
+            let force = Vector3::from(orientation.up().map(|c| real(c * self.gravity_mps2)));
+            self.derivatives(at, &at.at(force))
+        };
+        if at.terms {
+            for orientation in Orientation::ALL {
+                let row = row(orientation);
+                see(row.dot(&times(inverse, &row)), orientation);
+            }
+        } else {
+            // Opposite orientations differ in the sign of the bias's derivatives, the first three.
+            let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
+            for (&one, &other) in opposites.take(Orientation::ALL.len() / 2) {
+                let mut rest = row(one);
+                let mut bias = SVector::<R, N>::zeros();
+                for i in 0..3.min(N) {
+                    bias[i] = rest[i];
+                    rest[i] = R::zero();
+                }
+                let along = times(inverse, &rest);
+                let mut own = R::zero();
+                for r in 0..3.min(N) {
+                    for c in 0..3.min(N) {
+                        own += bias[r] * inverse[(r, c)] * bias[c];
+                    }
+                }
+                let (square, cross) = (rest.dot(&along) + own, bias.dot(&along));
+                see(square + cross + cross, one);
+                see(square - cross - cross, other);
+            }
+        }
+        Knowledge {
+            condition: double(condition),
+            amplification: double(worst.sqrt()),
+            poorest,
+            variance: SVector::from_fn(|i, _| inverse[(i, i)] / (units[i] * units[i])),
+        }
+    }
+
+    /// Goes over the poses with the residual of each under `theta`, m/s².
+    pub fn residuals<R: Real>(&self, theta: &Theta<R>, mut take: impl FnMut(usize, f64)) {
+        let Some(at) = Evaluated::new(theta, self.has_terms()) else {
             return;
         };
         for (k, pose) in self.poses.iter().enumerate() {
-            if self.rejected.contains(k) {
-                continue;
-            }
-            let (residual, row) = self.row(&at, pose);
-            let weight = self.weighting.of(pose);
-            take(
-                k,
-                Scrutiny {
-                    residual_mps2: double(residual),
-                    noise: pose.mean_noise(),
-                    weight,
-                    leverage: weight * double(row.dot(&(fit.inverse * row))),
-                },
-            );
+            let norm = self.applied(&at, pose).force.norm();
+            take(k, double(norm - real(self.gravity_mps2)));
         }
+    }
+
+    /// Residual of a pose that was left out, m/s², and the variance of its prediction per that of a
+    /// residual.
+    pub fn predicted<R: Real>(&self, fit: &Fit<R, N>, pose: usize) -> Option<(f64, f64)> {
+        let at = Evaluated::new(&fit.theta, self.has_terms())?;
+        let (residual, row) = self.row(&at, self.poses.get(pose)?);
+        Some((
+            double(residual),
+            double(row.dot(&times(&fit.inverse, &row))),
+        ))
     }
 
     /// Goes over all poses with the residual of each and the one under the fit to all others:
     /// equation (16); infinite for a pose that cannot be spared.
     pub fn leave_out<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, f64, f64)) {
-        let Some(at) = Evaluated::new(&fit.theta) else {
+        let Some(at) = Evaluated::new(&fit.theta, self.has_terms()) else {
             return;
         };
         let few = self.poses.len() <= MOST_REFITS;
@@ -498,7 +677,7 @@ impl<const N: usize> Magnitude<'_, N> {
                 continue;
             }
             let weight: R = real(self.weighting.of(pose));
-            let step = fit.inverse * row;
+            let step = times(&fit.inverse, &row);
             let leverage = weight * row.dot(&step);
             let left_out = if few && double(leverage) > MOST_LEVERAGE {
                 self.solve(&fit.theta, Some(k))
@@ -513,32 +692,6 @@ impl<const N: usize> Magnitude<'_, N> {
             };
             let left_out = left_out.filter(|r| r.is_finite());
             take(k, double(residual), left_out.unwrap_or(f64::INFINITY));
-        }
-    }
-}
-
-/// What a fit says about one pose.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Scrutiny {
-    pub residual_mps2: f64,
-    /// Variance of the pose's mean from the sensor's noise, (m/s²)².
-    pub noise: f64,
-    pub weight: f64,
-    /// How much the fit follows this pose, 0 to 1.
-    pub leverage: f64,
-}
-
-impl Scrutiny {
-    /// The residual in standard deviations that the other poses give it, `dof` being those of all:
-    /// Student's t with dof − 1. Equation (42).
-    pub fn studentized(&self, cost: f64, dof: usize) -> f64 {
-        let square =
-            self.weight * self.residual_mps2 * self.residual_mps2 / (1.0 - self.leverage).max(1e-9);
-        let others = (cost - square) / (dof as f64 - 1.0);
-        if others > 0.0 {
-            libm::sqrt(square / others)
-        } else {
-            f64::INFINITY
         }
     }
 }
@@ -560,22 +713,109 @@ pub(crate) struct Knowledge<R: Real, const N: usize> {
     pub variance: SVector<R, N>,
 }
 
-/// Eigenvalues and eigenvectors (columns) of a symmetric matrix by Jacobi rotations, which keep
-/// small eigenvalues of a positive definite matrix accurate.
+/// The least and the largest eigenvalue of a positive definite matrix (its lower triangle), to four
+/// digits: Householder's tridiagonal form, then QL steps with implicit shifts [GL].
+fn eigenvalue_range<R: Real, const N: usize>(mut m: SMatrix<R, N, N>) -> Option<(R, R)> {
+    let two: R = real(2.0);
+    let mut beside = [R::zero(); N];
+    for k in 0..N.saturating_sub(1) {
+        let first = m[(k + 1, k)];
+        let rest = (k + 2..N).fold(R::zero(), |sum, i| sum + m[(i, k)] * m[(i, k)]);
+        if rest.is_zero() {
+            beside[k] = first;
+            continue;
+        }
+        let norm = (first * first + rest).sqrt();
+        let alpha = if first > R::zero() { -norm } else { norm };
+        let mut v = [R::zero(); N];
+        for i in k + 1..N {
+            v[i] = m[(i, k)];
+        }
+        v[k + 1] -= alpha;
+        let beta = R::one() / (norm * (norm + first.abs()));
+        let mut p = [R::zero(); N];
+        for c in k + 1..N {
+            for r in k + 1..N {
+                p[r] += m[(r.max(c), r.min(c))] * v[c] * beta;
+            }
+        }
+        let half = (k + 1..N).fold(R::zero(), |sum, i| sum + v[i] * p[i]) * beta / two;
+        for c in k + 1..N {
+            let (vc, wc) = (v[c], p[c] - half * v[c]);
+            for r in c..N {
+                m[(r, c)] -= v[r] * wc + (p[r] - half * v[r]) * vc;
+            }
+        }
+        beside[k] = alpha;
+    }
+    let mut values: [R; N] = core::array::from_fn(|i| m[(i, i)]);
+    let negligible = R::default_epsilon().max(real(1e-10));
+    for l in 0..N {
+        for round in 0.. {
+            let split = (l..N - 1).find(|&i| {
+                let size = values[i].abs() + values[i + 1].abs();
+                beside[i].abs() <= negligible * size
+            });
+            let end = split.unwrap_or(N - 1);
+            if end == l {
+                break;
+            }
+            if round > 30 {
+                return None;
+            }
+            let hypotenuse = |a: R, b: R| (a * a + b * b).sqrt();
+            let mut g = (values[l + 1] - values[l]) / (two * beside[l]);
+            let root = hypotenuse(g, R::one());
+            let shift = if g < R::zero() { g - root } else { g + root };
+            g = values[end] - values[l] + beside[l] / shift;
+            let (mut s, mut c, mut p) = (R::one(), R::one(), R::zero());
+            let mut recovered = false;
+            for i in (l..end).rev() {
+                let (f, b) = (s * beside[i], c * beside[i]);
+                let r = hypotenuse(f, g);
+                beside[i + 1] = r;
+                if r.is_zero() {
+                    values[i + 1] -= p;
+                    recovered = true;
+                    break;
+                }
+                let inverse = R::one() / r;
+                s = f * inverse;
+                c = g * inverse;
+                g = values[i + 1] - p;
+                let t = (values[i] - g) * s + two * c * b;
+                p = s * t;
+                values[i + 1] = g + p;
+                g = c * t - b;
+            }
+            if !recovered {
+                values[l] -= p;
+                beside[l] = g;
+            }
+            beside[end] = R::zero();
+        }
+    }
+    let least = values.iter().fold(values[0], |a, b| a.min(*b));
+    let largest = values.iter().fold(values[0], |a, b| a.max(*b));
+    Some((least, largest))
+}
+
+/// Eigenvalues and eigenvectors (columns) of a symmetric matrix (its lower triangle) by Jacobi
+/// rotations, which keep small eigenvalues of a positive definite matrix accurate.
 fn eigen<R: Real, const N: usize>(mut m: SMatrix<R, N, N>) -> (SVector<R, N>, SMatrix<R, N, N>) {
-    let mut vectors = SMatrix::identity();
+    let mut vectors = SMatrix::<R, N, N>::identity();
     let tiny = m.diagonal().amax() * R::default_epsilon() * real(0.05);
-    let ten: R = real(10.0);
     for _ in 0..30 {
-        let mut off = R::zero();
-        for p in 0..N {
-            for q in p + 1..N {
-                let size = m[(p, q)].abs();
-                if size <= tiny {
+        let mut done = true;
+        for q in 1..N {
+            for p in 0..q {
+                let off = m[(q, p)];
+                if off.abs() <= tiny {
                     continue;
                 }
-                off = off.max(size);
-                let half = (m[(q, q)] - m[(p, p)]) / (real::<R>(2.0) * m[(p, q)]);
+                done = false;
+                let (app, aqq) = (m[(p, p)], m[(q, q)]);
+                let half = (aqq - app) / (off + off);
                 let root = (R::one() + half * half).sqrt();
                 let sign = if half < R::zero() {
                     -R::one()
@@ -586,21 +826,22 @@ fn eigen<R: Real, const N: usize>(mut m: SMatrix<R, N, N>) -> (SVector<R, N>, SM
                 let cos = R::one() / (R::one() + t * t).sqrt();
                 let sin = t * cos;
                 for k in 0..N {
-                    let (a, b) = (m[(k, p)], m[(k, q)]);
-                    m[(k, p)] = cos * a - sin * b;
-                    m[(k, q)] = sin * a + cos * b;
+                    if k != p && k != q {
+                        let (i, j) = ((k.max(p), k.min(p)), (k.max(q), k.min(q)));
+                        let (a, b) = (m[i], m[j]);
+                        m[i] = cos * a - sin * b;
+                        m[j] = sin * a + cos * b;
+                    }
                     let (a, b) = (vectors[(k, p)], vectors[(k, q)]);
                     vectors[(k, p)] = cos * a - sin * b;
                     vectors[(k, q)] = sin * a + cos * b;
                 }
-                for k in 0..N {
-                    let (a, b) = (m[(p, k)], m[(q, k)]);
-                    m[(p, k)] = cos * a - sin * b;
-                    m[(q, k)] = sin * a + cos * b;
-                }
+                m[(p, p)] = app - t * off;
+                m[(q, q)] = aqq + t * off;
+                m[(q, p)] = R::zero();
             }
         }
-        if off <= ten * tiny {
+        if done {
             break;
         }
     }
@@ -614,11 +855,10 @@ pub(crate) fn magnitude(
     output: [f64; 3],
     warmer: f64,
 ) -> Option<(f64, [f64; 12])> {
-    let at = Evaluated::new(theta)?;
+    let at = Evaluated::new(theta, true)?;
     let applied = at.apply(output, 0.0, warmer);
-    let (w, n) = at.directions(&applied);
-    let row = core::array::from_fn(|i| at.derivative(Slot::ALL[i], &applied, &w, &n));
-    Some((applied.force.norm(), row))
+    let all = at.derivatives(&applied);
+    Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
 }
 
 /// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the
@@ -628,14 +868,13 @@ pub(crate) fn worst_sd(
     covariance: &crate::Covariance,
     gravity_mps2: f64,
 ) -> f64 {
-    let Some(at) = Evaluated::new(theta) else {
+    let Some(at) = Evaluated::new(theta, true) else {
         return f64::INFINITY;
     };
     let variance = |orientation: Orientation| {
         let applied = at.at(Vector3::from(orientation.up()) * gravity_mps2);
-        let (w, n) = at.directions(&applied);
-        let row: [f64; 12] =
-            core::array::from_fn(|i| at.derivative(Slot::ALL[i], &applied, &w, &n));
+        let all = at.derivatives(&applied);
+        let row: [f64; 12] = core::array::from_fn(|i| all[i]);
         let along = covariance.matrix().iter().zip(row).map(|(covariances, d)| {
             let sum: f64 = covariances.iter().zip(row).map(|(c, e)| c * e).sum();
             d * sum
@@ -648,4 +887,41 @@ pub(crate) fn worst_sd(
             .map(variance)
             .fold(0.0, f64::max),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_two_ways_to_eigenvalues_agree() {
+        let mut state = 1_u32;
+        for round in 0..200 {
+            let j = SMatrix::<f64, 9, 9>::from_fn(|_, c| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                // Down to a condition of 10⁻⁴ in some rounds.
+                let size = if c == round % 9 { 1e-4 } else { 1.0 };
+                (f64::from(state >> 8) / f64::from(1 << 23) - 1.0) * size
+            });
+            let m = j.tr_mul(&j) + SMatrix::identity() * 1e-10;
+            let (values, vectors) = eigen(m);
+            let again = vectors * SMatrix::from_diagonal(&values) * vectors.transpose();
+            assert!((again - m).norm() < 1e-12 * m.norm());
+            let (least, largest) = eigenvalue_range(m).expect("it converges");
+            assert!(
+                (largest / values.max() - 1.0).abs() < 1e-5,
+                "{largest} {}",
+                values.max()
+            );
+            assert!(
+                (least / values.min() - 1.0).abs() < 1e-3,
+                "{least} {}",
+                values.min()
+            );
+        }
+        // Diagonal already, and of equal values.
+        let (least, largest) =
+            eigenvalue_range(SMatrix::<f64, 3, 3>::from_diagonal_element(2.0)).expect("a range");
+        assert_eq!((least, largest), (2.0, 2.0));
+    }
 }

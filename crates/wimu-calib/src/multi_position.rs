@@ -267,14 +267,11 @@ fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2
 }
 
 fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
-    let [start, end] = if terms.contains(Term::Drift) {
-        range(poses, |pose| Some(pose.time_s)).unwrap_or([0.0, 1.0])
-    } else {
-        [0.0, 1.0]
-    };
+    let session = range(poses, |pose| Some(pose.time_s)).filter(|_| terms.contains(Term::Drift));
+    let (end_s, per_span) = session.map_or((0.0, 0.0), |[start, end]| (end, 1.0 / (end - start)));
     Conditions {
-        end_s: end,
-        span_s: end - start,
+        end_s,
+        per_span,
         reference_c: pose::mean_temperature(poses.iter())
             .unwrap_or(TemperatureTerms::default().reference_c),
     }
@@ -303,7 +300,9 @@ fn fit<R: Real, const N: usize>(
         .flatten()
         .find_map(|start| problem.solve(&start, None))
     else {
-        let knowledge = problem.knowledge(&perfect).ok_or(Refusal::NotConverged)?;
+        let knowledge = problem
+            .knowledge_at(&perfect)
+            .ok_or(Refusal::NotConverged)?;
         return Err(if knowledge.suffices() {
             Refusal::NotConverged
         } else {
@@ -311,7 +310,7 @@ fn fit<R: Real, const N: usize>(
         });
     };
     let fit = refine(&mut problem, first, what)?;
-    let knowledge = problem.knowledge(&fit.theta).ok_or(Refusal::NotConverged)?;
+    let knowledge = problem.knowledge(&fit).ok_or(Refusal::NotConverged)?;
     if !knowledge.suffices() {
         return Err(knowledge.refusal(what, &problem.free));
     }
@@ -435,7 +434,7 @@ fn result<R: Real, const N: usize>(
         drift: what.terms.contains(Term::Drift).then(|| Drift {
             change_mps2: terms::triple(&theta, 12),
             end_s: problem.conditions.end_s,
-            span_s: problem.conditions.span_s,
+            span_s: 1.0 / problem.conditions.per_span,
         }),
     })
 }

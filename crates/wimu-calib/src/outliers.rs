@@ -2,75 +2,142 @@
 
 use crate::least_squares::{Fit, Magnitude, Real, Rejected, Weighting};
 use crate::student;
+use crate::terms::Theta;
 
 /// Chance that a good set of poses loses one.
 const SIGNIFICANCE: f64 = 1e-3;
+/// Of more poses the few that may be left out would change nothing.
+const MANY: usize = 10_000;
 /// Degrees of freedom that must be left for the others to outvote a pose.
 const LEAST_DOF: usize = 3;
+/// At most every fifth pose is doubted.
+const DOUBTED: usize = 5;
+/// Residuals beyond so many standard deviations pull ever less on a Cauchy fit, 95 % as good as least
+/// squares where there is no bad pose.
+const CAUCHY: f64 = 2.385;
+/// Standard deviations per median of absolute normal deviates.
+const PER_MEDIAN: f64 = 1.4826;
+/// Fits with ever better scales; the last hardly differ.
+const ROBUST_FITS: usize = 4;
 
-/// Leaves out poses by the generalised extreme Studentised deviate test: equation (42). Returns the
-/// fit to the rest; what it left out is in `problem.rejected`.
+/// Leaves out poses by a forward search: equation (42). A fit that bad poses cannot pull far says
+/// which are farthest off; without them the rest is fitted, and one by one they are let in again,
+/// the nearest first, until the next would contradict those that are in. Returns the fit; what it
+/// did without is in `problem.rejected`.
 pub(crate) fn reject<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     fit: Fit<R, N>,
 ) -> Fit<R, N> {
     let count = problem.poses.len();
-    let spare = count.saturating_sub(N + LEAST_DOF).min(count / 5);
-    let most = spare.min(Rejected::MOST);
-    let mut candidates = Rejected::default();
-    let mut bad = 0;
-    let mut current: Option<Fit<R, N>> = None;
-    for number in 1..=most {
-        let now = current.as_ref().unwrap_or(&fit);
-        let dof = count - (number - 1) - N;
-        let Some((pose, deviate)) = most_extreme(problem, now, dof) else {
-            break;
-        };
-        candidates = candidates.with(pose);
-        problem.rejected = candidates;
-        let chance = SIGNIFICANCE / (count - number + 1) as f64;
-        if deviate > student::two_sided(chance, dof as f64 - 1.0) {
-            bad = number;
-        } else if count > MANY {
-            break;
-        }
-        current = problem.solve(&now.theta, None);
-        if current.is_none() {
-            break;
-        }
+    let most = count
+        .saturating_sub(N + LEAST_DOF)
+        .min(count / DOUBTED)
+        .min(Rejected::MOST);
+    if most == 0 || count > MANY {
+        return fit;
     }
-    // Not one that the rest needs.
-    while bad > 0 {
-        problem.rejected = candidates.first(bad);
-        if let Some(without) = problem.solve(&fit.theta, None)
-            && problem
-                .knowledge(&without.theta)
-                .is_some_and(|knowledge| knowledge.suffices())
-        {
-            return without;
+    problem.rejected = farthest(problem, &robust(problem, &fit), most);
+    let Some(mut inner) = problem.solve(&fit.theta, None) else {
+        problem.rejected = Rejected::default();
+        return fit;
+    };
+    while let Some((place, deviate)) = nearest(problem, &inner) {
+        let inside = count - problem.rejected.as_slice().len();
+        let limit = student::two_sided(SIGNIFICANCE / count as f64, (inside - N) as f64);
+        let known = problem
+            .knowledge(&inner)
+            .is_some_and(|knowledge| knowledge.suffices());
+        if known && deviate > limit {
+            return inner;
         }
-        bad -= 1;
+        problem.rejected = problem.rejected.without(place);
+        match problem.solve(&inner.theta, None) {
+            Some(wider) => inner = wider,
+            None => break,
+        }
     }
     problem.rejected = Rejected::default();
     fit
 }
 
-/// Beyond so many poses a few bad ones hide no other.
-const MANY: usize = 1000;
+/// A Cauchy fit from the least-squares one.
+fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> Theta<R> {
+    let mut theta = fit.theta;
+    let count = problem.poses.len();
+    for _ in 0..ROBUST_FITS {
+        let median = median_residual(problem, &theta);
+        let small_sample = libm::sqrt(count as f64 / (count - N) as f64);
+        let scale = CAUCHY * PER_MEDIAN * median * small_sample;
+        match problem.solve_robust(&theta, scale) {
+            Some(better) => theta = better.theta,
+            None => break,
+        }
+    }
+    theta
+}
 
-fn most_extreme<R: Real, const N: usize>(
+/// Median of |r| to 1 %, by halving an interval: there is no room to sort.
+fn median_residual<R: Real, const N: usize>(problem: &Magnitude<N>, theta: &Theta<R>) -> f64 {
+    let mut largest = 0.0_f64;
+    problem.residuals(theta, |_, residual| largest = largest.max(residual.abs()));
+    let (mut low, mut high) = (0.0, largest);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        let mut below = 0;
+        problem.residuals(theta, |_, residual| {
+            below += usize::from(residual.abs() <= middle)
+        });
+        if 2 * below > problem.poses.len() {
+            high = middle;
+        } else {
+            low = middle;
+        }
+        if high - low <= 0.01 * high {
+            break;
+        }
+    }
+    high
+}
+
+/// The `most` poses with the largest residuals.
+fn farthest<R: Real, const N: usize>(
     problem: &Magnitude<N>,
-    fit: &Fit<R, N>,
-    dof: usize,
-) -> Option<(usize, f64)> {
-    let mut most: Option<(usize, f64)> = None;
-    problem.scrutinise(fit, |k, pose| {
-        let deviate = pose.studentized(fit.cost, dof);
-        if most.is_none_or(|(_, largest)| deviate > largest) {
-            most = Some((k, deviate));
+    theta: &Theta<R>,
+    most: usize,
+) -> Rejected {
+    let mut worst = [(0.0, 0); Rejected::MOST];
+    problem.residuals(theta, |k, residual| {
+        let mut candidate = (residual.abs(), k);
+        for place in worst.iter_mut().take(most) {
+            if candidate.0 > place.0 {
+                core::mem::swap(place, &mut candidate);
+            }
         }
     });
-    most
+    worst
+        .iter()
+        .take(most)
+        .filter(|(size, _)| *size > 0.0)
+        .fold(Rejected::default(), |all, &(_, pose)| all.with(pose))
+}
+
+/// Of the poses left out the one that the fit predicts best: its place among them, and its
+/// residual in standard deviations of that prediction.
+fn nearest<R: Real, const N: usize>(
+    problem: &Magnitude<N>,
+    fit: &Fit<R, N>,
+) -> Option<(usize, f64)> {
+    let inside = problem.poses.len() - problem.rejected.as_slice().len();
+    let sd = fit.sd(inside - N);
+    let mut nearest: Option<(usize, f64)> = None;
+    for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
+        let (residual, growth) = problem.predicted(fit, pose)?;
+        let deviate = residual.abs() / (sd * libm::sqrt(1.0 + growth));
+        if nearest.is_none_or(|(_, least)| deviate < least) {
+            nearest = Some((place, deviate));
+        }
+    }
+    nearest
 }
 
 /// How much each pose should count, from what the fit leaves: σ₀² such that the residuals are as
@@ -79,22 +146,25 @@ pub(crate) fn weighting<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
 ) -> Weighting {
+    let kept = |k: usize| !problem.rejected.contains(k);
     let (mut count, mut mean_noise) = (0.0, 0.0);
-    problem.scrutinise(fit, |_, pose| {
+    for (_, pose) in problem.poses.iter().enumerate().filter(|(k, _)| kept(*k)) {
         count += 1.0;
-        mean_noise += pose.noise;
-    });
+        mean_noise += pose.mean_noise();
+    }
     mean_noise /= count;
     let dof = count - N as f64;
     let mut common = 0.0;
     // Newton's rule from below on a convex falling function: it never overshoots.
     for _ in 0..30 {
         let (mut excess, mut slope) = (-dof, 0.0);
-        problem.scrutinise(fit, |_, pose| {
-            let variance = common + pose.noise;
-            let share = pose.residual_mps2 * pose.residual_mps2 / variance;
-            excess += share;
-            slope += share / variance;
+        problem.residuals(&fit.theta, |k, residual| {
+            if kept(k) {
+                let variance = common + problem.poses[k].mean_noise();
+                let share = residual * residual / variance;
+                excess += share;
+                slope += share / variance;
+            }
         });
         if excess <= 1e-6 * dof || slope <= 0.0 {
             break;

@@ -63,7 +63,7 @@ pub struct Fit {
     pub condition: f64,
     /// Standard deviation of |f| − g to be expected in the worst orientation, mm/s².
     pub worst_sd_mm_s2: f64,
-    /// Share of all directions within 45° of a pose's, 0 to 1.
+    /// Share of the 26 orientations (sides, edges, corners) within 40° of a pose's, 0 to 1.
     pub coverage: f64,
     /// Mean temperature of the poses, °C.
     pub temperature_c: Option<f64>,
@@ -269,7 +269,7 @@ impl fmt::Display for CalibrationReport {
         }
         writeln!(
             out,
-            "; condition {:.1}, {} degrees of freedom, {:.0} % of the sphere covered; ± is 1 σ",
+            "; condition {:.1}, {} degrees of freedom, {:.0} % of the orientations covered; ± is 1 σ",
             fit.condition,
             fit.dof,
             fit.coverage * 100.0

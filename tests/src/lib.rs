@@ -395,6 +395,38 @@ impl Seeded {
     }
 }
 
+/// One execution of all fuzz bodies, and of the host's decoder, on bytes of any length: random ones,
+/// and frames that were damaged.
+///
+/// # Panics
+/// When a body finds a fault.
+pub fn fuzz_once(seeded: &mut Seeded) {
+    let length = seeded.below(700);
+    let mut data = seeded.bytes(length);
+    // Small numbers look more like messages than even ones do.
+    let mask = [0xff, 0x7f, 0x0f, 0x03][seeded.below(4)];
+    data.iter_mut().for_each(|byte| *byte &= mask);
+    wimu_link::fuzz::all(&data);
+
+    let mut line = Vec::new();
+    let mut rest = data.as_slice();
+    while let [kind, most, after @ ..] = rest {
+        let (body, after) = after.split_at(usize::from(*most).min(after.len()));
+        line.extend(frame_of(0, kind % 8, body));
+        rest = after;
+    }
+    for _ in 0..seeded.below(3) {
+        seeded.damage(&mut line);
+    }
+    let mut decoder = Decoder::new();
+    let piece = 1 + seeded.below(100);
+    for piece in line.chunks(piece) {
+        decoder.push(0, piece, |_| {});
+    }
+    let statistics = decoder.statistics();
+    assert_eq!(statistics.bytes, line.len() as u64);
+}
+
 /// A file of the recordings that tests use but the project does not hold; `None`, saying so, where
 /// they are absent.
 pub fn data(file: &str) -> Option<PathBuf> {

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use wimu_link::{Answer, Command, fuzz};
+use wimu_link::{Answer, Command};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::scene::World;
-use wimu_tests::{ROLES, Rig, Seeded, assert_replays, frame_of, sensor, who_are_you};
+use wimu_tests::{ROLES, Rig, Seeded, assert_replays, frame_of, fuzz_once, sensor, who_are_you};
 
 /// At least so many inputs, and as many more as fit.
 const LEAST: u64 = 2_000;
@@ -17,12 +17,7 @@ fn no_bytes_break_the_wire() {
     let mut seeded = Seeded(0xf022);
     let mut inputs = 0;
     while inputs < LEAST || start.elapsed() < TIME {
-        let length = seeded.below(700);
-        let mut data = seeded.bytes(length);
-        // Small numbers look more like messages than even ones do.
-        let mask = [0xff, 0x7f, 0x0f, 0x03][seeded.below(4)];
-        data.iter_mut().for_each(|byte| *byte &= mask);
-        fuzz::all(&data);
+        fuzz_once(&mut seeded);
         inputs += 1;
     }
     println!("{inputs} inputs");

@@ -114,11 +114,13 @@ impl Place {
 fn seldom() {}
 
 /// Reads bits; past the end it reads zeros, and [`BitReader::finish`] then fails.
+#[derive(Clone, Copy)]
 pub(crate) struct BitReader<'a> {
     bytes: &'a [u8],
     /// Bytes taken in, those of zeros past the end included.
     taken: usize,
-    /// The next `available` bits, at the top.
+    /// The next `available` bits and perhaps some more, at the top, inverted: a run of ones is then
+    /// counted as zeros.
     held: u64,
     available: u32,
 }
@@ -133,44 +135,62 @@ impl<'a> BitReader<'a> {
         }
     }
 
-    /// Takes in bytes until at least 32 bits are held.
-    #[inline]
-    fn refill(&mut self) {
-        while self.available <= 32 {
+    /// Takes in bytes until at least 57 bits are held.
+    #[inline(always)]
+    pub(crate) fn refill(&mut self) {
+        let rest = self.bytes.get(self.taken..).unwrap_or_default();
+        if let Some(word) = rest.first_chunk::<8>() {
+            // What does not fill a byte comes in again with the next word: the same bits.
+            self.held |= !u64::from_be_bytes(*word) >> self.available;
+            let whole = (63 - self.available) / 8;
+            self.taken += whole as usize;
+            self.available += 8 * whole;
+            return;
+        }
+        while self.available <= 56 {
             let byte = self.bytes.get(self.taken).copied().unwrap_or(0);
             self.taken += 1;
-            self.held |= u64::from(byte) << (56 - self.available);
+            self.held |= u64::from(!byte) << (56 - self.available);
             self.available += 8;
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn skip(&mut self, count: u32) {
         self.held <<= count;
         self.available -= count;
     }
 
     /// The next `count` (0..=32) bits.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn pull(&mut self, count: u32) -> u32 {
         self.refill();
         // In two steps, because a shift by 64 is none.
-        let value = (self.held >> 1 >> (63 - count)) as u32;
+        let value = (!self.held >> 1 >> (63 - count)) as u32;
         self.skip(count);
         value
     }
 
-    /// How many ones come next, at most `limit` (0..=31); takes the zero after fewer than `limit`.
-    #[inline]
-    pub(crate) fn pull_ones(&mut self, limit: u32) -> u32 {
-        self.refill();
-        let ones = self.held.leading_ones();
-        if ones < limit {
-            self.skip(ones + 1);
-            ones
+    /// A number as [`BitWriter::push_rice`] writes it; one of more than `width` bits if there is such
+    /// a quotient. k is below `width`, and the reader was [filled](Self::refill): that is enough for
+    /// as many numbers as have 57 bits at most.
+    #[inline(always)]
+    pub(crate) fn pull_rice(&mut self, k: u32, escape: u32, width: u32) -> u64 {
+        let held = self.held;
+        if held >> (64 - escape) != 0 {
+            // What the next number waits for comes first: as few steps as there are.
+            let length = k + 64 - held.ilog2();
+            self.held = held << length;
+            self.available -= length;
+            let ones = length - k - 1;
+            // The zero that ends the ones and the k bits after it, from the top down.
+            let parted = u128::from(held << ones) * u128::from(2_u64 << k);
+            let low = u64::MAX >> (63 - k) ^ (parted >> 64) as u64;
+            (u64::from(ones) << k) + low
         } else {
-            self.skip(limit);
-            limit
+            seldom();
+            self.skip(escape);
+            self.pull(width).into()
         }
     }
 
@@ -182,7 +202,7 @@ impl<'a> BitReader<'a> {
         if used_bytes > length {
             Err(Remainder::Missing)
         } else if used_bytes < length
-            || self.held >> 1 >> (63 - (used_bits.wrapping_neg() & 7)) != 0
+            || !self.held >> 1 >> (63 - (used_bits.wrapping_neg() & 7)) != 0
         {
             Err(Remainder::Left)
         } else {
@@ -227,10 +247,10 @@ mod tests {
     fn ones_are_counted_up_to_the_limit() {
         let bytes = [0b1101_1111, 0b1111_1110, 0b1000_0000];
         let mut reader = BitReader::new(&bytes);
-        assert_eq!(reader.pull_ones(12), 2);
-        assert_eq!(reader.pull_ones(12), 12);
-        assert_eq!(reader.pull_ones(12), 0);
-        assert_eq!(reader.pull(2), 0b10);
+        reader.refill();
+        assert_eq!(reader.pull_rice(0, 12, 0), 2);
+        assert_eq!(reader.pull_rice(0, 12, 1), 0);
+        assert_eq!(reader.pull_rice(1, 12, 1), 0b10);
         assert!(reader.finish().is_ok());
     }
 
@@ -262,11 +282,8 @@ mod tests {
             let mut reader = BitReader::new(&bytes[..length]);
             reader.pull(before);
             for number in numbers {
-                let read = match reader.pull_ones(12) {
-                    12 => reader.pull(32),
-                    ones => (ones << k) | reader.pull(k),
-                };
-                prop_assert_eq!(read, number);
+                reader.refill();
+                prop_assert_eq!(reader.pull_rice(k, 12, 32), number.into());
             }
             prop_assert!(reader.finish().is_ok());
         }

@@ -26,7 +26,7 @@
 use core::fmt;
 
 use cobs::{CobsEncoder, DecodeResult, DecoderState};
-use crc::{CRC_32_ISCSI, Crc, Digest};
+use crc::{CRC_32_ISCSI, Crc, Table};
 
 /// The version of the wire that this crate speaks. Version 0 may change until writes are
 /// authenticated; the crate's own version is another matter.
@@ -42,7 +42,16 @@ pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;
 const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
 const CRC_BYTES: usize = 4;
 
-static CRC_32C: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
+/// A host has room for 16 KiB of tables, a microcontroller has not.
+#[cfg(target_pointer_width = "64")]
+type Tables = Table<16>;
+#[cfg(not(target_pointer_width = "64"))]
+type Tables = Table<1>;
+
+/// A running CRC-32C.
+pub(crate) type Digest = crc::Digest<'static, u32, Tables>;
+
+static CRC_32C: Crc<u32, Tables> = Crc::<u32, Tables>::new(&CRC_32_ISCSI);
 
 /// CRC-32C of `bytes`.
 pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
@@ -50,7 +59,7 @@ pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
 }
 
 /// A running CRC-32C.
-pub(crate) fn crc_32c_digest() -> Digest<'static, u32> {
+pub(crate) fn crc_32c_digest() -> Digest {
     CRC_32C.digest()
 }
 
@@ -128,7 +137,7 @@ pub(crate) fn build(
 /// Takes the body of a frame being built.
 pub(crate) struct BodyWriter<'a> {
     cobs: CobsEncoder<'a>,
-    digest: Digest<'static, u32>,
+    digest: Digest,
     body: usize,
 }
 
@@ -218,6 +227,88 @@ impl Deframer {
     /// [`FrameError`], once per damaged or unreadable frame, at its closing zero.
     #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, FrameError>> {
+        let received = self.feed(byte)?;
+        Some(self.checked(received))
+    }
+
+    /// Takes bytes off the front of `bytes` up to the end of a frame; returns the frame, or why there
+    /// is none, or `None` when all bytes were taken and no frame has ended. The same as
+    /// [`push`](Self::push) of each, several times as fast.
+    ///
+    /// ```
+    /// use wimu_link::frame::{self, Deframer, Kind};
+    ///
+    /// let mut line = [0; 2 * frame::MAX_FRAME];
+    /// let first = frame::encode(Kind::Telemetry, b"one", &mut line)?;
+    /// let second = frame::encode(Kind::Telemetry, b"two", &mut line[first..])?;
+    ///
+    /// let mut rest = &line[..first + second];
+    /// let mut deframer = Deframer::new();
+    /// let mut bodies = Vec::new();
+    /// while let Some(frame) = deframer.next(&mut rest) {
+    ///     bodies.push(frame?.body.to_vec());
+    /// }
+    /// assert_eq!(bodies, [b"one", b"two"]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`push`](Self::push).
+    pub fn next(&mut self, bytes: &mut &[u8]) -> Option<Result<Frame<'_>, FrameError>> {
+        if matches!(self.cobs, DecoderState::Idle) {
+            while let [0, rest @ ..] = bytes {
+                *bytes = rest;
+            }
+            // A frame that is here in whole need not go through byte by byte.
+            if let Some((coded, [_, rest @ ..])) = find_zero(bytes).map(|end| bytes.split_at(end)) {
+                *bytes = rest;
+                let received = self.decode(coded);
+                return Some(self.checked(received));
+            }
+        }
+        while let Some((&byte, rest)) = bytes.split_first() {
+            *bytes = rest;
+            if let Some(received) = self.feed(byte) {
+                return Some(self.checked(received));
+            }
+        }
+        None
+    }
+
+    fn checked(&self, received: Result<usize, FrameError>) -> Result<Frame<'_>, FrameError> {
+        check(self.plain.get(..received?).ok_or(FrameError::TooLong)?)
+    }
+
+    /// Undoes the stuffing of all that stands between two zeros; its length.
+    fn decode(&mut self, mut coded: &[u8]) -> Result<usize, FrameError> {
+        let mut length = 0;
+        while let Some((&code, rest)) = coded.split_first() {
+            let run = usize::from(code).saturating_sub(1);
+            let Some((run, rest)) = rest.split_at_checked(run) else {
+                return Err(if length + rest.len() > MAX_PLAIN {
+                    FrameError::TooLong
+                } else {
+                    FrameError::Cobs
+                });
+            };
+            if let Some(place) = self.plain.get_mut(length..length + run.len()) {
+                place.copy_from_slice(run);
+            }
+            length += run.len();
+            if code < u8::MAX && !rest.is_empty() {
+                if let Some(place) = self.plain.get_mut(length) {
+                    *place = 0;
+                }
+                length += 1;
+            }
+            coded = rest;
+        }
+        Ok(length)
+    }
+
+    /// Takes the next byte; what has come when it ended a frame.
+    #[inline]
+    fn feed(&mut self, byte: u8) -> Option<Result<usize, FrameError>> {
         match self.cobs.feed(byte) {
             Ok(DecodeResult::NoData) => None,
             Ok(DecodeResult::DataStart) => {
@@ -232,10 +323,7 @@ impl Deframer {
                 self.length = (self.length + 1).min(MAX_PLAIN + 1);
                 None
             }
-            Ok(DecodeResult::DataComplete) => Some(match self.plain.get(..self.length) {
-                Some(plain) => check(plain),
-                None => Err(FrameError::TooLong),
-            }),
+            Ok(DecodeResult::DataComplete) => Some(Ok(self.length)),
             Err(_) => Some(Err(if self.length > MAX_PLAIN {
                 FrameError::TooLong
             } else {
@@ -249,6 +337,22 @@ impl Default for Deframer {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// Where the first zero is.
+fn find_zero(bytes: &[u8]) -> Option<usize> {
+    const ONES: u64 = u64::from_ne_bytes([1; 8]);
+    let (words, rest) = bytes.as_chunks::<8>();
+    for (index, word) in words.iter().enumerate() {
+        let word = u64::from_le_bytes(*word);
+        // The lowest bit that is set stands at the top of the first byte that is zero.
+        let zeros = word.wrapping_sub(ONES) & !word & (ONES << 7);
+        if zeros != 0 {
+            return Some(8 * index + zeros.trailing_zeros() as usize / 8);
+        }
+    }
+    let in_rest = rest.iter().position(|&byte| byte == 0)?;
+    Some(8 * words.len() + in_rest)
 }
 
 fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {

@@ -24,13 +24,26 @@ pub fn all(data: &[u8]) {
 }
 
 /// Bytes on a line: nothing panics, and the next whole frame is found.
+///
+/// Byte by byte and piece by piece come to the same.
 pub fn deframe(data: &[u8]) {
     let mut deframer = Deframer::new();
-    for &byte in data {
-        if let Some(Ok(frame)) = deframer.push(byte) {
-            body(&frame);
+    let mut in_pieces = Deframer::new();
+    let (first, second) = data.split_at(data.len() / 3);
+    let mut rest = first;
+    for (index, &byte) in data.iter().enumerate() {
+        if index == first.len() {
+            assert_eq!(in_pieces.next(&mut rest), None);
+            rest = second;
+        }
+        if let Some(received) = deframer.push(byte) {
+            assert_eq!(in_pieces.next(&mut rest), Some(received));
+            if let Ok(frame) = received {
+                body(&frame);
+            }
         }
     }
+    assert_eq!(in_pieces.next(&mut rest), None);
     deframer.push(0);
     let mut line = [0; MAX_FRAME];
     let length = Hello::new(LinkRole::Cable).encode(&mut line).expect("room");

@@ -256,17 +256,29 @@ impl Decoder {
     /// every event that they complete. No bytes make it panic.
     pub fn push(&mut self, host_ns: u64, bytes: &[u8], mut each: impl FnMut(Arrival)) {
         self.statistics.bytes += bytes.len() as u64;
-        for &byte in bytes {
+        let mut rest = bytes;
+        while let Some(result) = self.deframer.next(&mut rest) {
             let received = Received {
                 host_ns,
-                began_ns: *self.began_ns.get_or_insert(host_ns),
+                began_ns: self.began_ns.take().unwrap_or(host_ns),
             };
-            if byte == 0 {
-                self.began_ns = None;
-            }
-            let event = match self.deframer.push(byte) {
-                None => continue,
-                Some(Ok(frame)) => {
+            let event = match result {
+                // By far the most frequent: not moved about as a message.
+                Ok(frame) if frame.kind == Kind::Batch => {
+                    self.statistics.frames += 1;
+                    self.listening = true;
+                    match Batch::decode(frame.body) {
+                        Ok(batch) => {
+                            self.take_batch(received, &batch, &mut each);
+                            continue;
+                        }
+                        Err(why) => {
+                            self.statistics.frames_unreadable += 1;
+                            Message::Event(Event::Unreadable(why.to_string()))
+                        }
+                    }
+                }
+                Ok(frame) => {
                     self.statistics.frames += 1;
                     self.listening = true;
                     match read(frame.kind, frame.body) {
@@ -277,7 +289,7 @@ impl Decoder {
                         }
                     }
                 }
-                Some(Err(error)) => {
+                Err(error) => {
                     if let FrameError::UnknownVersion { version, .. } = error {
                         self.foreign_version = Some(version);
                     }
@@ -291,7 +303,6 @@ impl Decoder {
             };
             let mut emit = |event| each(received.with(event));
             match event {
-                Message::Batch(batch) => self.take_batch(received, batch, &mut each),
                 Message::Hello(hello) => {
                     let identity = (hello.device_id, hello.boot_count);
                     if self
@@ -307,6 +318,9 @@ impl Decoder {
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
                 Message::Event(event) => emit(event),
             }
+        }
+        if bytes.last().is_some_and(|&byte| byte != 0) {
+            self.began_ns.get_or_insert(host_ns);
         }
     }
 
@@ -354,7 +368,7 @@ impl Decoder {
             period: PeriodNs(epoch.period_ns),
         });
         for (received, batch) in std::mem::take(&mut self.unplaced) {
-            self.take_batch(received, batch, each);
+            self.take_batch(received, &batch, each);
         }
         // One that was sent for a new listener has the number of the one before.
         let last = self.last_epoch_number.replace(epoch.number);
@@ -366,13 +380,13 @@ impl Decoder {
         self.anchors = [Some(anchor), self.anchors[0]];
     }
 
-    fn take_batch(&mut self, received: Received, batch: Batch, each: &mut impl FnMut(Arrival)) {
+    fn take_batch(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
         let found = self.anchors.iter().flatten().find_map(|anchor| {
-            let (sequence, time) = anchor.place(&batch)?;
+            let (sequence, time) = anchor.place(batch)?;
             Some((sequence, time, anchor.period))
         });
         let Some((sequence, time, period)) = found else {
-            self.unplaced.push_back((received, batch));
+            self.unplaced.push_back((received, *batch));
             if self.unplaced.len() > MAX_UNPLACED {
                 self.unplaced.pop_front();
                 self.statistics.batches_unplaced += 1;
@@ -432,7 +446,6 @@ impl Decoder {
 /// A frame's content, before the decoder has made an event of it.
 #[allow(clippy::large_enum_variant, reason = "lives for one frame")]
 enum Message {
-    Batch(Batch),
     Hello(Hello),
     Epoch(Epoch),
     Event(Event),
@@ -444,11 +457,6 @@ fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
         Kind::Hello => {
             return Hello::decode(body)
                 .map(Message::Hello)
-                .map_err(|e| text(&e));
-        }
-        Kind::Batch => {
-            return Batch::decode(body)
-                .map(Message::Batch)
                 .map_err(|e| text(&e));
         }
         Kind::Reply => Event::Reply(Reply::decode(body).map_err(|e| text(&e))?),

@@ -37,7 +37,7 @@ use core::num::NonZeroU8;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
-use self::predict::{Coding, Past, unfold};
+use self::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Past, Previous, unfold};
 use crate::bits::{BitReader, Remainder};
 use crate::frame::{self, EncodeError, Kind};
 
@@ -275,10 +275,11 @@ impl Batch {
         } else {
             reader.pull(stream.field())
         };
-        let mut latest_k = None;
         let samples = batch.samples.get_mut(..batch.length).unwrap_or_default();
-        for axis in 0..3 {
-            decode_axis(stream, samples, axis, shift, &mut latest_k, &mut reader)?;
+        // Each with the stream's numbers in it.
+        match stream {
+            Stream::Raw => decode_axes::<Counts>(samples, shift, &mut reader)?,
+            Stream::Corrected => decode_axes::<SpecificForceQ16>(samples, shift, &mut reader)?,
         }
         reader.finish().map_err(|remainder| match remainder {
             Remainder::Missing => BatchError::TooShort,
@@ -341,14 +342,26 @@ impl Batch {
     }
 }
 
-fn decode_axis(
-    stream: Stream,
+fn decode_axes<S: Sample>(
+    samples: &mut [[i32; 3]],
+    shift: u32,
+    reader: &mut BitReader<'_>,
+) -> Result<(), BatchError> {
+    let mut latest_k = None;
+    for axis in 0..3 {
+        decode_axis::<S>(samples, axis, shift, &mut latest_k, reader)?;
+    }
+    Ok(())
+}
+
+fn decode_axis<S: Sample>(
     samples: &mut [[i32; 3]],
     axis: usize,
     shift: u32,
     latest_k: &mut Option<u32>,
     reader: &mut BitReader<'_>,
 ) -> Result<(), BatchError> {
+    let stream = S::STREAM;
     let field = stream.field();
     let coding = Coding::from_bits(reader.pull(2));
     let shifted = |value: i32| stream.wrap(value << shift);
@@ -387,26 +400,62 @@ fn decode_axis(
         None => 0,
     };
     let first = if negative { !magnitude } else { magnitude } as i32;
-    let mut past = Past::new(first);
-    let mut samples = samples.iter_mut();
-    if let Some(sample) = samples.next() {
-        sample[axis] = shifted(first);
+    let axis = Axis { axis, shift, k };
+    match coding {
+        Coding::Linear => axis.decode::<S, _>(Linear::of(first), first, samples, reader),
+        Coding::Previous => axis.decode::<S, _>(Previous::of(first), first, samples, reader),
+        _ => axis.decode::<S, _>(<Mean as Past>::of(first), first, samples, reader),
     }
-    let largest_quotient = (u32::MAX >> (32 - stream.width())) >> k;
-    for sample in samples {
-        let quotient = reader.pull_ones(ESCAPE);
-        let folded = if quotient == ESCAPE {
-            reader.pull(stream.width())
-        } else if quotient <= largest_quotient {
-            (quotient << k) | reader.pull(k)
-        } else {
-            return Err(BatchError::Value);
+}
+
+/// An axis that is predicted.
+struct Axis {
+    axis: usize,
+    shift: u32,
+    k: u32,
+}
+
+impl Axis {
+    // Not inlined, so that each loop has all registers for itself.
+    #[inline(never)]
+    fn decode<S: Sample, P: Past>(
+        self,
+        mut past: P,
+        first: i32,
+        samples: &mut [[i32; 3]],
+        reader: &mut BitReader<'_>,
+    ) -> Result<(), BatchError> {
+        let Self { axis, shift, k } = self;
+        let (stream, axis) = (S::STREAM, axis.min(2));
+        let width = stream.width();
+        let Some((first_sample, rest)) = samples.split_first_mut() else {
+            return Ok(());
         };
-        let value = stream.wrap(past.predict(coding).wrapping_add(unfold(folded)));
-        sample[axis] = shifted(value);
-        past.add(value);
+        first_sample[axis] = stream.wrap(first << shift);
+        let mut all = 0;
+        let mut bits = *reader;
+        for (index, (sample, &weight)) in rest.iter_mut().zip(&MEAN_WEIGHTS).enumerate() {
+            // A raw residual has 28 bits at most, a corrected one 44.
+            if stream == Stream::Corrected || index % 2 == 0 {
+                bits.refill();
+            }
+            let folded = bits.pull_rice(k, ESCAPE, width);
+            all |= folded;
+            let value = stream.wrap(past.predict().wrapping_add(unfold(folded as u32)));
+            sample[axis] = value;
+            past.add(value, weight);
+        }
+        *reader = bits;
+        if all >> width != 0 {
+            return Err(BatchError::Value);
+        }
+        if shift > 0 {
+            for sample in rest {
+                sample[axis] = stream.wrap(sample[axis] << shift);
+            }
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Why a body is no batch. The frame's CRC has passed, so this is a fault of the sender.

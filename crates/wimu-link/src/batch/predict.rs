@@ -26,48 +26,77 @@ impl Coding {
 }
 
 /// The past of an axis, and what it foretells: equation (21).
-pub(super) struct Past {
-    previous: i32,
-    before: i32,
-    mean: Mean,
-    /// Samples in the mean.
-    count: u32,
+pub(super) trait Past {
+    fn of(first: i32) -> Self;
+
+    fn predict(&self) -> i32;
+
+    /// Takes the next value; `weight` is one of [`MEAN_WEIGHTS`].
+    fn add(&mut self, value: i32, weight: i32);
 }
 
-impl Past {
+impl Past for Mean {
     #[inline]
-    pub(super) fn new(first: i32) -> Self {
+    fn of(first: i32) -> Self {
+        Mean::of(first)
+    }
+
+    #[inline]
+    fn predict(&self) -> i32 {
+        self.rounded()
+    }
+
+    #[inline]
+    fn add(&mut self, value: i32, weight: i32) {
+        let missed = value.wrapping_sub(self.rounded());
+        self.0 = self.0.wrapping_add(missed.wrapping_mul(weight));
+    }
+}
+
+/// The value before.
+pub(super) struct Previous(i32);
+
+impl Past for Previous {
+    #[inline]
+    fn of(first: i32) -> Self {
+        Self(first)
+    }
+
+    #[inline]
+    fn predict(&self) -> i32 {
+        self.0
+    }
+
+    #[inline]
+    fn add(&mut self, value: i32, _weight: i32) {
+        self.0 = value;
+    }
+}
+
+/// The line through the two values before.
+pub(super) struct Linear {
+    previous: i32,
+    slope: i32,
+}
+
+impl Past for Linear {
+    #[inline]
+    fn of(first: i32) -> Self {
         Self {
             previous: first,
-            before: first,
-            mean: Mean::of(first),
-            count: 1,
+            slope: 0,
         }
     }
 
     #[inline]
-    fn linear(&self) -> i32 {
-        self.previous
-            .wrapping_add(self.previous.wrapping_sub(self.before))
+    fn predict(&self) -> i32 {
+        self.previous.wrapping_add(self.slope)
     }
 
     #[inline]
-    pub(super) fn predict(&self, coding: Coding) -> i32 {
-        match coding {
-            Coding::Fixed => 0,
-            Coding::Mean => self.mean.rounded(),
-            Coding::Previous => self.previous,
-            Coding::Linear => self.linear(),
-        }
-    }
-
-    #[inline]
-    pub(super) fn add(&mut self, value: i32) {
-        self.before = self.previous;
+    fn add(&mut self, value: i32, _weight: i32) {
+        self.slope = value.wrapping_sub(self.previous);
         self.previous = value;
-        self.count += 1;
-        let missed = value.wrapping_sub(self.mean.rounded());
-        self.mean.improve(missed, mean_gain(self.count));
     }
 }
 
@@ -120,4 +149,15 @@ pub(super) const MEAN_GAINS: [u8; MAX_BATCH - 1] = {
         index += 1;
     }
     gains
+};
+
+/// What a reader multiplies by, to the same effect: 2 to the power of the gain.
+pub(super) static MEAN_WEIGHTS: [i32; MAX_BATCH - 1] = {
+    let mut weights = [0; MAX_BATCH - 1];
+    let mut index = 0;
+    while index < weights.len() {
+        weights[index] = 1 << MEAN_GAINS[index];
+        index += 1;
+    }
+    weights
 };

@@ -10,12 +10,11 @@
 
 use core::fmt;
 
-use crc::Digest;
 use hmac::digest::Update;
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
-use crate::frame::{self, BodyWriter, EncodeError, Kind, crc_32c_digest};
+use crate::frame::{self, BodyWriter, Digest, EncodeError, Kind, crc_32c_digest};
 
 mod parameters;
 mod quality;
@@ -141,7 +140,7 @@ impl Flavor for FrameSink<'_, '_> {
     }
 }
 
-struct ChecksumSink(Digest<'static, u32>);
+struct ChecksumSink(Digest);
 
 impl Flavor for ChecksumSink {
     type Output = u32;

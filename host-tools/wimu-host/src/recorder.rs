@@ -6,7 +6,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use wimu_link::{Hello, LinkRole};
+use wimu_link::{Command, Deframer, Hello, Kind, LinkRole, Request};
 
 use crate::client::{Client, ConnectOptions};
 use crate::clock::{ClockEstimator, ClockSummary};
@@ -413,7 +413,8 @@ impl Tapped {
     }
 }
 
-/// A link that keeps a copy of all that goes over it, with the time.
+/// A link that keeps a copy of all that goes over it, with the time. Only a device's key is left
+/// out: it has no place in a recording.
 pub struct Tap<T> {
     inner: T,
     heard: Vec<Tapped>,
@@ -454,16 +455,32 @@ impl<T: Transport> Transport for Tap<T> {
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
         let host_ns = nanoseconds(self.inner.now());
         self.inner.write_all(bytes)?;
-        self.heard.push(Tapped::Sent {
-            host_ns,
-            bytes: bytes.to_vec(),
-        });
+        if !carries_key(bytes) {
+            self.heard.push(Tapped::Sent {
+                host_ns,
+                bytes: bytes.to_vec(),
+            });
+        }
         Ok(())
     }
 
     fn now(&self) -> Duration {
         self.inner.now()
     }
+}
+
+fn carries_key(bytes: &[u8]) -> bool {
+    let mut deframer = Deframer::new();
+    bytes.iter().any(|&byte| match deframer.push(byte) {
+        Some(Ok(frame)) if frame.kind == Kind::Request => {
+            let request = Request::decode(frame.body);
+            matches!(
+                request.map(|request| request.command),
+                Ok(Command::SetKey(_))
+            )
+        }
+        _ => false,
+    })
 }
 
 fn nanoseconds(time: Duration) -> u64 {

@@ -98,6 +98,7 @@ pub struct Board {
     wireless: HostEnd,
     /// Their faults, the cable's first.
     channels: [Option<Channels>; 2],
+    shared: SharedMemory,
     node: Pin<Box<dyn Future<Output = ()>>>,
     woken: Arc<Woken>,
 }
@@ -115,7 +116,9 @@ impl Board {
             (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
         ]
         .map(|(faults, seed)| (!faults.is_none()).then(|| Channels::new(faults, seed)));
-        let (node, bus_faults, cable, wireless) = boot(&clock, &config, &sensor, &channels);
+        let shared = SharedMemory::default();
+        let (node, bus_faults, cable, wireless) =
+            boot(&clock, &config, &sensor, &channels, &shared);
         Self {
             clock,
             started_us: 0,
@@ -125,6 +128,7 @@ impl Board {
             cable,
             wireless,
             channels,
+            shared,
             node,
             woken: Arc::new(Woken(AtomicBool::new(true))),
         }
@@ -138,8 +142,14 @@ impl Board {
         for channels in self.channels.iter().flatten() {
             channels.clear();
         }
-        (self.node, self.bus_faults, self.cable, self.wireless) =
-            boot(&self.clock, &self.config, &self.sensor, &self.channels);
+        self.shared = SharedMemory::default();
+        (self.node, self.bus_faults, self.cable, self.wireless) = boot(
+            &self.clock,
+            &self.config,
+            &self.sensor,
+            &self.channels,
+            &self.shared,
+        );
         self.woken = Arc::new(Woken(AtomicBool::new(true)));
     }
 
@@ -176,6 +186,11 @@ impl Board {
         &self.bus_faults
     }
 
+    /// The gesture of an owner who has lost the key.
+    pub fn forget_key(&self) {
+        self.shared.forget_key();
+    }
+
     /// The board's memory.
     pub fn storage(&self) -> &Storage {
         &self.config.storage
@@ -208,6 +223,9 @@ impl Board {
     }
 }
 
+/// Of the node's tasks.
+type SharedMemory = Rc<Shared<NoopRawMutex>>;
+
 type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
 
 fn boot(
@@ -215,7 +233,9 @@ fn boot(
     config: &BoardConfig,
     device: &Sensor,
     channels: &[Option<Channels>; 2],
+    shared: &SharedMemory,
 ) -> Boot {
+    let shared = shared.clone();
     let i2c = SimI2c::new(clock, [Rc::new(device.clone()) as Rc<dyn Target>]);
     let faults = i2c.faults();
     let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
@@ -270,11 +290,11 @@ fn boot(
     let node = match config.sensor {
         SensorPart::Lsm303agr => {
             let accelerometer = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links)
+            node(hello, accelerometer, timer, storage, links, shared)
         }
         SensorPart::Adxl345 => {
             let accelerometer = wimu_node::Adxl345::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links)
+            node(hello, accelerometer, timer, storage, links, shared)
         }
     };
     (node, faults, cable, wireless)
@@ -286,6 +306,7 @@ fn node(
     timer: BoardTimer,
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
+    shared: SharedMemory,
 ) -> Pin<Box<dyn Future<Output = ()>>> {
     // Other bits at each start, and the same in every run: what is simulated has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
@@ -299,7 +320,6 @@ fn node(
         wireless,
     };
     Box::pin(async move {
-        let shared = Shared::<NoopRawMutex>::new();
         board.split(&shared).run().await;
     })
 }

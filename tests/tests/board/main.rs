@@ -2,6 +2,7 @@
 
 mod adxl345;
 mod epochs;
+mod keys;
 mod links;
 mod requests;
 mod sensor;

@@ -1,0 +1,166 @@
+//! Pushes over a bad wireless link: each is applied once or reported failed, and nobody is mistaken
+//! about which set is active.
+//!
+//! Ten thousand of them: `cargo test --release -p wimu-tests --test pushes -- --ignored --nocapture`.
+
+use std::cell::RefCell;
+use std::time::Duration;
+
+use wimu_host::ErrorCode;
+use wimu_host::client::{Client, ConnectOptions};
+use wimu_host::decode::Event;
+use wimu_link::LinkRole;
+use wimu_link::auth::DeviceKey;
+use wimu_link::message::{EpochReason, Settings, Streams, parameter_id};
+use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
+use wimu_sim::board::{Board, BoardConfig, SimLink};
+use wimu_sim::scene::World;
+use wimu_tests::sensor;
+
+/// 2 % of the bytes lost in runs, 10⁻⁴ of the bits flipped, pieces repeated, stalls of a second.
+const FAULTS: &str = "loss=2%,burst=20,bits=1e-4,duplicate=1e-5,stall=1s@10s/60s";
+
+const KEY: DeviceKey = DeviceKey::new([0x33; 32]);
+
+#[derive(Debug, Default)]
+struct Counts {
+    pushes: u32,
+    applied: u32,
+    /// Reported failed, and not applied.
+    failed: u32,
+    /// Reported as unanswered, and applied: the host said that it does not know.
+    unknown: u32,
+    longest_s: f64,
+}
+
+fn options(session: u32) -> ConnectOptions {
+    ConnectOptions {
+        session: Some(session),
+        patience: Duration::from_secs(60),
+    }
+}
+
+fn push_over(faults: &str, seed: u64, pushes: u32) -> Counts {
+    let config = BoardConfig {
+        wireless_faults: faults.parse().expect("faults"),
+        fault_seed: seed,
+        ..BoardConfig::default()
+    };
+    let board = RefCell::new(Board::start(config, sensor("rest", World::default(), seed)));
+    let cable = SimLink::new(&board, LinkRole::Cable);
+    let mut cable = Client::connect(cable, "cable", options(1)).expect("a board");
+    cable.set_key(KEY).expect("set");
+    // What is said on the cable is of no matter here, and takes time.
+    let quiet = Streams {
+        raw: false,
+        corrected: false,
+        navigation: false,
+        environment: false,
+        ..Settings::default().cable
+    };
+    let settings = Settings {
+        cable: quiet,
+        rate_hz: 50,
+        ..Settings::default()
+    };
+    cable.set_settings(settings).expect("set");
+    let wireless = SimLink::new(&board, LinkRole::Wireless);
+    let mut wireless = Client::connect(wireless, "wireless", options(2)).expect("a board");
+    wireless.use_key(Some(KEY));
+
+    let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("the sensor's");
+    let mut counts = Counts::default();
+    let mut held = cable.parameters().expect("answered").id;
+    for push in 0..pushes {
+        let terms = ErrorTerms {
+            bias_mps2: [f64::from(push + 1) * 1e-5, 0.0, 0.0],
+            ..ErrorTerms::default()
+        };
+        let set = ParameterSet {
+            model: ErrorModel::new(terms).expect("a model"),
+            ..ParameterSet::uncalibrated(2, sensitivity)
+        };
+        let id = parameter_id(&set).0;
+        let began = board.borrow().now_us();
+        let outcome = wireless.push_parameters(&set);
+        let took_s = (board.borrow().now_us() - began) as f64 * 1e-6;
+        counts.longest_s = counts.longest_s.max(took_s);
+        // What the wireless link brought besides is of no matter.
+        while wireless
+            .next_event(Duration::ZERO)
+            .expect("a link")
+            .is_some()
+        {}
+        // The truth, by the cable, when what is still under way has arrived.
+        let wait_us = if outcome.is_err() { 4_000_000 } else { 100_000 };
+        let later = board.borrow().now_us() + wait_us;
+        board.borrow_mut().run_until(later);
+        let found = cable.parameters().expect("answered").id;
+        let mut times_applied = 0;
+        while let Some(arrival) = cable.next_event(Duration::ZERO).expect("a link") {
+            let is_new = matches!(
+                &arrival.event,
+                Event::Epoch { epoch, .. } if epoch.reason == EpochReason::Parameters && epoch.parameters == id
+            );
+            times_applied += u32::from(is_new);
+        }
+        assert_eq!(
+            times_applied,
+            u32::from(found == id),
+            "push {push}: {outcome:?}"
+        );
+        counts.pushes += 1;
+        match outcome {
+            Ok(said) => {
+                assert_eq!((said.0, found), (id, id), "push {push}");
+                counts.applied += 1;
+            }
+            Err(error) => {
+                assert_eq!(error.code(), ErrorCode::NoAnswer, "push {push}: {error}");
+                if found == id {
+                    counts.unknown += 1;
+                } else {
+                    assert_eq!(found, held, "push {push}");
+                    counts.failed += 1;
+                }
+            }
+        }
+        held = found;
+    }
+    counts
+}
+
+#[test]
+fn a_push_over_a_bad_link_is_applied_once_or_reported_failed() {
+    let counts = push_over(FAULTS, 1, 120);
+    println!("{counts:?}");
+    assert!(counts.applied > 60, "{counts:?}");
+}
+
+#[test]
+fn a_push_over_a_hopeless_link_is_reported_failed_and_nobody_is_mistaken() {
+    let counts = push_over("loss=12%,burst=30,bits=4e-4,duplicate=1e-4", 2, 60);
+    println!("{counts:?}");
+    assert!(counts.failed + counts.unknown > 2, "{counts:?}");
+}
+
+#[test]
+#[ignore = "takes minutes; run it with --release"]
+fn ten_thousand_pushes_over_a_bad_link() {
+    let mut all = Counts::default();
+    for seed in 0..10 {
+        let counts = push_over(FAULTS, 10 + seed, 1000);
+        println!("seed {seed}: {counts:?}");
+        all.pushes += counts.pushes;
+        all.applied += counts.applied;
+        all.failed += counts.failed;
+        all.unknown += counts.unknown;
+        all.longest_s = all.longest_s.max(counts.longest_s);
+    }
+    println!(
+        "{} pushes: {} applied exactly once, {} reported failed and not applied, {} reported as \
+         unanswered and applied; host and device disagreed 0 times; the longest took {:.1} s",
+        all.pushes, all.applied, all.failed, all.unknown, all.longest_s
+    );
+    assert!(all.pushes == 10_000);
+}

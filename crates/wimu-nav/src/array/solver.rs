@@ -114,8 +114,13 @@ pub struct ArraySolver<R, const M: usize> {
     /// Least-norm inverse of U: the closed form of the start, equation (74).
     u_inverse: [[R; 6]; 6],
     theta_covariance: [[f64; 6]; 6],
+    /// Rows of H, and 1/σ; 0 for axes that are left out.
+    rows: [[R; 6]; M],
+    weights: [R; M],
+    used: usize,
     rank: usize,
     centre_m: [f64; 3],
+    arm_m: f64,
 }
 
 /// Monomials of ω that centripetal acceleration is made of.
@@ -215,9 +220,21 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             quadratic_theta: [[R::default(); 6]; 6],
             u_inverse: [[R::default(); 6]; 6],
             theta_covariance: [[0.0; 6]; 6],
+            rows: [[R::default(); 6]; M],
+            weights: [R::default(); M],
+            used: have,
             rank: 0,
+            arm_m: arm,
             centre_m: centre.into(),
         };
+        for (index, axis) in axes() {
+            solver.weights[index] = R::from_f64(1.0 / axis.noise_mps2);
+            for column in 0..6 {
+                let unit = if column < 3 { arm } else { 1.0 };
+                let value = linear[(index, column)] * unit * axis.noise_mps2;
+                solver.rows[index][column] = R::from_f64(value);
+            }
+        }
         // ω̇ = scaled / arm, q(ω) = scaled / arm.
         let unit = |row: usize| if row < 3 { 1.0 / arm } else { 1.0 };
         for (row, from) in order.into_iter().enumerate() {
@@ -280,6 +297,32 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     /// Covariance of ω̇ (rad/s²) and s (m/s²) at known ω.
     pub fn covariance(&self) -> &[[f64; 6]; 6] {
         &self.theta_covariance
+    }
+
+    /// Root mean square distance of the sensors from their centre, m.
+    pub fn arm_m(&self) -> f64 {
+        self.arm_m
+    }
+
+    /// Variance that the outputs show among themselves, in units of what was declared: what no
+    /// motion of a rigid body explains, per degree of freedom, equation (76). `None` where motion
+    /// can explain everything.
+    pub fn excess(&self, output_mps2: &[R; M], linear: &Linear<R>) -> Option<R> {
+        let free = self.used.checked_sub(6 + self.rank).filter(|n| *n > 0)?;
+        let mut sum = R::default();
+        for index in 0..M {
+            let weight = self.weights[index];
+            let force = inner(&self.rows[index], &linear.theta);
+            let mut rest = (output_mps2[index] - force) * weight;
+            for row in 0..self.rank.min(6) {
+                // The columns of V are the rows of `to_z` without their weight.
+                if weight > R::default() {
+                    rest -= self.to_z[row][index] / weight * linear.z[row];
+                }
+            }
+            sum += rest * rest;
+        }
+        Some(sum / R::from_f64(free as f64))
     }
 
     /// The linear part of the work, equations (71) and (72): all that a sample says.

@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod allan;
+pub mod array;
 pub mod calibration;
 pub mod client;
 pub mod clock;

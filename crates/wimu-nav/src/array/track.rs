@@ -42,7 +42,7 @@ pub struct Observation {
 /// of what was predicted one step ahead.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// Random walk of the slow angular acceleration, rad/s² per √s.
+    /// Random walk of the slow angular acceleration, rad/s² per √s and m/s² of vibration.
     pub acceleration_walk: f64,
     /// Fast angular acceleration, rad/s² per m/s² of vibration.
     pub fast_acceleration: f64,
@@ -129,7 +129,7 @@ pub fn track<const M: usize>(
     }
     weigh(variance_mps2, observations, steps);
     let mut spread = Spread {
-        acceleration_walk: 1000.0,
+        acceleration_walk: 25.0 / solver.arm_m(),
         fast_acceleration: 4.0 / solver.arm_m(),
         fast_rate: 0.02 / solver.arm_m(),
     };
@@ -222,8 +222,7 @@ fn choose_roots<const M: usize>(
         for hypothesis in solver.roots_of(&linear).hypotheses().take(ROOTS) {
             step.roots[count] = hypothesis.rate_rad_s;
             step.turns[count] = hypothesis.angular_acceleration_rad_s2;
-            step.costs[count] =
-                0.5 * (hypothesis.chi_square / step.noise).min(MOST_CHI_SQUARE);
+            step.costs[count] = 0.5 * (hypothesis.chi_square / step.noise).min(MOST_CHI_SQUARE);
             count += 1;
         }
         step.count = count as u8;
@@ -325,7 +324,7 @@ impl<const M: usize> Filter<'_, M> {
             let f = transition(dt);
             mean = f * mean;
             cov = f * cov * f.transpose();
-            let walk = spread.acceleration_walk * spread.acceleration_walk;
+            let walk = spread.acceleration_walk * spread.acceleration_walk * step.vibration;
             let fast = spread.fast_rate * spread.fast_rate * step.vibration;
             for i in 0..3 {
                 cov[(i, i)] += walk * dt * dt * dt / 3.0;
@@ -339,8 +338,7 @@ impl<const M: usize> Filter<'_, M> {
             if let Some(linear) = &observation.linear {
                 let (h, expected, noise) = self.measurement(step);
                 let at = Vector3::from(step.at);
-                let away: Vector3<f64> =
-                    mean.fixed_rows::<3>(0) + mean.fixed_rows::<3>(6) - at;
+                let away: Vector3<f64> = mean.fixed_rows::<3>(0) + mean.fixed_rows::<3>(6) - at;
                 let mut innovation = SVector::<f64, MEASURED>::zeros();
                 for row in 0..MEASURED {
                     let measured = if row < 6 {
@@ -357,8 +355,9 @@ impl<const M: usize> Filter<'_, M> {
                 let gain = factor.solve(&(h * cov)).transpose();
                 let weighted = factor.solve(&innovation);
                 let square = innovation.dot(&weighted);
-                let log_determinant: f64 =
-                    (0..MEASURED).map(|i| 2.0 * libm::log(factor.l_dirty()[(i, i)])).sum();
+                let log_determinant: f64 = (0..MEASURED)
+                    .map(|i| 2.0 * libm::log(factor.l_dirty()[(i, i)]))
+                    .sum();
                 // A sample far out says little about the spread.
                 log_likelihood -= 0.5 * (log_determinant + square.min(100.0 * degrees as f64));
                 nis += square;
@@ -392,7 +391,11 @@ impl<const M: usize> Filter<'_, M> {
         let (z, z_slope) = self.solver.expected_z(step.at);
         let (turn, turn_slope) = self.solver.expected_turn(step.at);
         for row in 0..MEASURED {
-            let slope = if row < 6 { z_slope[row] } else { turn_slope[row - 6] };
+            let slope = if row < 6 {
+                z_slope[row]
+            } else {
+                turn_slope[row - 6]
+            };
             expected[row] = if row < 6 { z[row] } else { turn[row - 6] };
             for i in 0..3 {
                 h[(row, i)] = slope[i];
@@ -439,8 +442,7 @@ fn backward(observations: &[Observation], steps: &mut [Step]) {
         let covariance = both(&cov);
         step.at = rate.into();
         step.rate_rad_s = rate.into();
-        step.covariance =
-            core::array::from_fn(|i| core::array::from_fn(|j| covariance[(i, j)]));
+        step.covariance = core::array::from_fn(|i| core::array::from_fn(|j| covariance[(i, j)]));
         step.angular_acceleration_rad_s2 = [mean[3], mean[4], mean[5]];
         later = Some((
             mean,

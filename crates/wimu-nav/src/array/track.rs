@@ -202,6 +202,9 @@ fn weigh(variance: f64, observations: &[Observation], steps: &mut [Step]) {
     }
 }
 
+/// The roots of the sample before, ω̇ at each, and how many.
+type Before = ([[f64; 3]; ROOTS], [[f64; 3]; ROOTS], usize);
+
 /// The likeliest chain of roots: equation (78).
 fn choose_roots<const M: usize>(
     solver: &ArraySolver<f64, M>,
@@ -210,7 +213,7 @@ fn choose_roots<const M: usize>(
     steps: &mut [Step],
 ) {
     let mut scores = [0.0; ROOTS];
-    let mut last: Option<([[f64; 3]; ROOTS], [[f64; 3]; ROOTS], usize)> = None;
+    let mut last: Option<Before> = None;
     let mut elapsed = 0.0;
     for (observation, step) in observations.iter().zip(steps.iter_mut()) {
         elapsed += observation.step_s;

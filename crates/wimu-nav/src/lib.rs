@@ -4,5 +4,6 @@
 
 pub mod array;
 mod real;
+pub mod unit;
 
 pub use real::Real;

@@ -3,6 +3,8 @@
 
 #[path = "bench_nav/array.rs"]
 mod array;
+#[path = "bench_nav/unit.rs"]
+mod unit;
 
 use std::path::PathBuf;
 
@@ -13,5 +15,8 @@ fn main() {
     let wanted = |name: &str| only.as_deref().is_none_or(|o| o == name);
     if wanted("array") {
         array::bench(&data);
+    }
+    if wanted("unit") {
+        unit::bench(&data);
     }
 }

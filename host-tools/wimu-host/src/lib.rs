@@ -18,6 +18,7 @@ pub mod keys;
 mod link_url;
 pub mod mcap_file;
 pub mod monitor;
+pub mod motion;
 pub mod navigation;
 pub mod recorder;
 pub mod replay;

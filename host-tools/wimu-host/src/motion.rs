@@ -1,0 +1,193 @@
+//! One unit's recording: accelerometer, and magnetometer, angular rate and true path where the file
+//! has them.
+
+use std::path::Path;
+
+use wimu_nav::unit::UnitSample;
+
+use crate::csv::CsvReader;
+use crate::{ErrorCode, HostError, Result};
+
+/// Where the unit truly was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Position, m, east-north-up.
+    pub position_m: [f64; 3],
+    /// Body to navigation axes, W X Y Z.
+    pub quaternion: [f64; 4],
+}
+
+impl Truth {
+    /// Direction of body x from east to north, rad.
+    pub fn heading_rad(&self) -> f64 {
+        let [w, x, y, z] = self.quaternion;
+        (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
+    }
+}
+
+/// Samples of one unit, corrected, in SI.
+#[derive(Clone, Debug, Default)]
+pub struct MotionRecording {
+    /// What errors call it.
+    pub name: String,
+    /// Time of each sample, s.
+    pub times_s: Vec<f64>,
+    /// The samples.
+    pub samples: Vec<UnitSample>,
+    /// `Truth …` columns, where they are filled in.
+    pub truth: Vec<Option<Truth>>,
+    other: Vec<(String, Vec<f64>)>,
+}
+
+impl MotionRecording {
+    /// Reads a CSV file with times and one accelerometer in g or m/s²; `Gyroscope X (rad/s)` or
+    /// `(deg/s)`, the magnetometer and `Truth Position E (m)`, `Truth Quaternion W`, … if there are.
+    ///
+    /// # Errors
+    /// Those of [`CsvReader`]; `csv_missing_column` without times or with other than one
+    /// accelerometer; `unknown_format` for raw counts.
+    pub fn from_csv(path: &Path) -> Result<Self> {
+        let reader = CsvReader::open(path)?;
+        let header = reader.header().clone();
+        let name = reader.name().to_owned();
+        if !header.time || header.accelerometers.len() != 1 {
+            return Err(HostError::new(
+                ErrorCode::CsvMissingColumn,
+                "navigation needs times and one accelerometer",
+                "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …; for several accelerometers \
+                 on one body give --geometry",
+            )
+            .at(format!("{name} line 1")));
+        }
+        let Some(factor) = header.acceleration_unit.mps2() else {
+            return Err(HostError::new(
+                ErrorCode::UnknownFormat,
+                "its accelerations are raw counts",
+                "give corrected samples in m/s² or g: `wimu export --stream corrected`",
+            )
+            .at(format!("{name} line 1")));
+        };
+        let mut recording = Self {
+            name,
+            other: header
+                .other
+                .iter()
+                .map(|n| (n.clone(), Vec::new()))
+                .collect(),
+            ..Self::default()
+        };
+        let rate = ["X", "Y", "Z"].map(|axis| {
+            header
+                .other
+                .iter()
+                .position(|n| n.starts_with(&format!("Gyroscope {axis} (")))
+        });
+        let degrees = rate[0]
+            .is_some_and(|k| header.other[k].contains("deg/s") || header.other[k].contains("dps"));
+        let unit = if degrees {
+            std::f64::consts::PI / 180.0
+        } else {
+            1.0
+        };
+        let find = |start: &str| header.other.iter().position(|n| n.starts_with(start));
+        let position = ["E", "N", "U"].map(|a| find(&format!("Truth Position {a}")));
+        let quaternion = ["W", "X", "Y", "Z"].map(|a| find(&format!("Truth Quaternion {a}")));
+        let mut last = None;
+        for row in reader {
+            let row = row?;
+            let value = |at: Option<usize>| {
+                row.other
+                    .get(at?)?
+                    .parse::<f64>()
+                    .ok()
+                    .filter(|v| v.is_finite())
+            };
+            let all = |at: [Option<usize>; 3]| Some([value(at[0])?, value(at[1])?, value(at[2])?]);
+            let time = row.time_ns.unwrap_or_default() as f64 * 1e-9;
+            recording.samples.push(UnitSample {
+                step_s: time - last.unwrap_or(time),
+                force_mps2: row
+                    .accelerations
+                    .first()
+                    .copied()
+                    .unwrap_or_default()
+                    .map(|a| a * factor),
+                field_ut: row.magnetic_field_ut,
+                rate_rad_s: all(rate).map(|r| r.map(|w| w * unit)),
+            });
+            recording.times_s.push(time);
+            last = Some(time);
+            recording.truth.push(all(position).map(|position_m| Truth {
+                position_m,
+                quaternion: quaternion.map(|q| value(q)).map(|q| q.unwrap_or(f64::NAN)),
+            }));
+            for ((_, values), text) in recording.other.iter_mut().zip(&row.other) {
+                values.push(text.parse().unwrap_or(f64::NAN));
+            }
+        }
+        if recording.samples.len() < 2 {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "there are fewer than two samples",
+                "check the file",
+            )
+            .at(&recording.name));
+        }
+        Ok(recording)
+    }
+
+    /// Another column of the file.
+    pub fn column(&self, name: &str) -> Option<&[f64]> {
+        self.other
+            .iter()
+            .find(|(n, _)| n == name)
+            .map(|(_, values)| values.as_slice())
+    }
+
+    /// Mean |f| of the first second at rest, m/s²; standard gravity where there is no rest in the
+    /// first minute, or it is not within 2 % of gravity.
+    pub fn gravity_at_first_rest(&self) -> f64 {
+        let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+        let mut from = 0;
+        while from < self.samples.len() && self.times_s[from] < self.times_s[0] + 60.0 {
+            let to = self
+                .times_s
+                .partition_point(|t| *t < self.times_s[from] + 1.0);
+            let window = &self.samples[from..to];
+            if window.len() < 10 {
+                break;
+            }
+            let norm = |s: &UnitSample| s.force_mps2.iter().map(|f| f * f).sum::<f64>().sqrt();
+            let mean = window.iter().map(norm).sum::<f64>() / window.len() as f64;
+            let spread =
+                window.iter().map(|s| (norm(s) - mean).powi(2)).sum::<f64>() / window.len() as f64;
+            if spread < 0.15 * 0.15 && (mean / standard - 1.0).abs() < 0.02 {
+                return mean;
+            }
+            from = to;
+        }
+        standard
+    }
+}
+
+/// eᵀ P⁻¹ e of a position error, m, with covariance P, m².
+pub fn nees(error: [f64; 3], p: [[f64; 3]; 3]) -> f64 {
+    let det = |m: [[f64; 3]; 3]| {
+        m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
+            - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+            + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+    };
+    let whole = det(p);
+    if whole <= 0.0 {
+        return f64::INFINITY;
+    }
+    (0..3)
+        .map(|column| {
+            let mut changed = p;
+            for (row, e) in changed.iter_mut().zip(error) {
+                row[column] = e;
+            }
+            det(changed) / whole * error[column]
+        })
+        .sum()
+}

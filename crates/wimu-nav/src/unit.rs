@@ -30,20 +30,20 @@ const GAP_S: f64 = 0.25;
 /// How long |f| − g is remembered as a measure of the motion, s.
 const MOTION_S: f64 = 3.0;
 /// A body's acceleration along all axes against what |f| − g shows of it.
-const MOTION_SHARE: f64 = 1.6;
+const MOTION_SHARE: f64 = 1.8;
 /// Angular rate of a body that is accelerated, rad/s per m/s².
-const TURN_PER_ACCELERATION: f64 = 0.2;
+const TURN_PER_ACCELERATION: f64 = 0.3;
 /// A hand's motion comes back at about this frequency, 0.6 Hz, rad/s squared, ...
 const SWING_RAD2_S2: f64 = 14.0;
 /// ... and is forgotten in this time, s.
 const ACCELERATION_TIME_S: f64 = 0.5;
 /// As long does an angular rate last, s.
-const TURN_TIME_S: f64 = 0.3;
+const TURN_TIME_S: f64 = 0.2;
 /// Magnetic disturbances indoors, µT, and how long they last for a body carried about, s.
 const DISTURBANCE_UT: f64 = 4.0;
 const DISTURBANCE_TIME_S: f64 = 30.0;
 /// A magnetometer's noise after averaging, µT.
-const FIELD_NOISE_UT: f64 = 0.5;
+const FIELD_NOISE_UT: f64 = 1.0;
 /// An innovation of the field beyond this many variances is a disturbance of another kind.
 const FIELD_GATE: f64 = 25.0;
 /// Bias of a calibrated accelerometer, m/s², and its random walk, m/s² per √s.
@@ -123,7 +123,7 @@ impl Drift {
                 }
             }
             let determinant = n * xx - x * x;
-            if n < 10.0 || !(determinant > 1e-9 * n * n) {
+            if n < 10.0 || determinant.is_nan() || determinant <= 1e-9 * n * n {
                 continue;
             }
             let rise: [f64; 3] = core::array::from_fn(|i| (n * xy[i] - x * y[i]) / determinant);
@@ -532,22 +532,17 @@ impl UnitFilter {
                 self.disturbed = self.disturbed.saturating_add(1);
             }
         }
-        if resting {
-            if self.config.zupt {
-                let blocks = [
-                    (VELOCITY, identity),
-                    (VELOCITY, Matrix3::zeros()),
-                    (VELOCITY, Matrix3::zeros()),
-                ];
-                self.measure(
-                    &blocks,
-                    -self.part(VELOCITY),
-                    ZUPT_MPS * ZUPT_MPS,
-                    f64::INFINITY,
-                );
-                self.since_rest_s = 0.0;
-                self.valid = true;
-            }
+        if resting && self.config.zupt {
+            let nothing = Matrix3::zeros();
+            let blocks = [
+                (VELOCITY, identity),
+                (VELOCITY, nothing),
+                (VELOCITY, nothing),
+            ];
+            let innovation = -self.part(VELOCITY);
+            self.measure(&blocks, innovation, ZUPT_MPS * ZUPT_MPS, f64::INFINITY);
+            self.since_rest_s = 0.0;
+            self.valid = true;
         }
         self.fold();
     }

@@ -4,6 +4,7 @@
 
 pub mod array;
 mod real;
+pub mod slide;
 pub mod unit;
 
 pub use real::Real;

@@ -3,6 +3,8 @@
 
 #[path = "bench_nav/array.rs"]
 mod array;
+#[path = "bench_nav/slide.rs"]
+mod slide;
 #[path = "bench_nav/unit.rs"]
 mod unit;
 
@@ -18,5 +20,8 @@ fn main() {
     }
     if wanted("unit") {
         unit::bench(&data);
+    }
+    if wanted("slide") {
+        slide::bench(&data);
     }
 }

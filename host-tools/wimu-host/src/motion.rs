@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 use wimu_nav::unit::UnitSample;
 
 use crate::csv::CsvReader;
@@ -119,7 +120,7 @@ impl MotionRecording {
             last = Some(time);
             recording.truth.push(all(position).map(|position_m| Truth {
                 position_m,
-                quaternion: quaternion.map(|q| value(q)).map(|q| q.unwrap_or(f64::NAN)),
+                quaternion: quaternion.map(|q| value(q).unwrap_or(f64::NAN)),
             }));
             for ((_, values), text) in recording.other.iter_mut().zip(&row.other) {
                 values.push(text.parse().unwrap_or(f64::NAN));
@@ -190,4 +191,117 @@ pub fn nees(error: [f64; 3], p: [[f64; 3]; 3]) -> f64 {
             det(changed) / whole * error[column]
         })
         .sum()
+}
+
+/// A rest in a recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RestSpan {
+    /// First sample.
+    pub first: usize,
+    /// One past the last sample.
+    pub end: usize,
+    /// Mean force and its uncertainty.
+    pub rest: Rest,
+}
+
+/// Blocks that rests are made of, s.
+const BLOCK_S: f64 = 0.1;
+/// Blocks of the shortest rest.
+const REST_BLOCKS: usize = 3;
+/// What a rest may differ by from block to block, m/s², an axis.
+const REST_STEP_MPS2: f64 = 0.12;
+
+/// The rests of a recording, 0.3 s and longer: runs of blocks of 0.1 s that are as quiet as the quietest
+/// tenth (up to 3 times) and agree with each other.
+pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
+    struct Block {
+        first: usize,
+        end: usize,
+        mean: [f64; 3],
+        sd: f64,
+    }
+    let mut blocks = Vec::new();
+    let mut first = 0;
+    while first < samples.len() {
+        let end = times_s
+            .partition_point(|t| *t < times_s[first] + BLOCK_S)
+            .max(first + 1);
+        let part = &samples[first..end.min(samples.len())];
+        let n = part.len() as f64;
+        let mean: [f64; 3] =
+            std::array::from_fn(|i| part.iter().map(|s| s.force_mps2[i]).sum::<f64>() / n);
+        let square = part
+            .iter()
+            .flat_map(|s| (0..3).map(|i| (s.force_mps2[i] - mean[i]).powi(2)))
+            .sum::<f64>();
+        if part.len() >= 4 {
+            let sd = (square / (3.0 * (n - 1.0))).sqrt();
+            blocks.push(Block {
+                first,
+                end,
+                mean,
+                sd,
+            });
+        }
+        first = end;
+    }
+    let mut levels: Vec<f64> = blocks.iter().map(|b| b.sd).collect();
+    levels.sort_by(f64::total_cmp);
+    let Some(level) = levels.get(levels.len() / 10).copied() else {
+        return Vec::new();
+    };
+    let mut found = Vec::new();
+    let mut run: Vec<&Block> = Vec::new();
+    let mut close = |run: &mut Vec<&Block>| {
+        if run.len() >= REST_BLOCKS {
+            let (first, end) = (run[0].first, run[run.len() - 1].end);
+            let part = &samples[first..end];
+            let n = part.len() as f64;
+            let force_mps2 =
+                std::array::from_fn(|i| part.iter().map(|s| s.force_mps2[i]).sum::<f64>() / n);
+            // Blocks' means say how slow the noise is.
+            let scatter = run
+                .iter()
+                .flat_map(|b| (0..3).map(move |i| (b.mean[i] - force_mps2[i]).powi(2)))
+                .sum::<f64>();
+            let sd_mps2 = (scatter / 3.0 / (run.len() * (run.len() - 1)) as f64).sqrt();
+            found.push(RestSpan {
+                first,
+                end,
+                rest: Rest {
+                    force_mps2,
+                    sd_mps2,
+                },
+            });
+        }
+        run.clear();
+    };
+    for block in &blocks {
+        let quiet = block.sd < 3.0 * level + 0.02;
+        let agrees = run.last().is_none_or(|last| {
+            (0..3).all(|i| (last.mean[i] - block.mean[i]).abs() < REST_STEP_MPS2)
+        });
+        if !quiet || !agrees {
+            close(&mut run);
+        }
+        if quiet {
+            run.push(block);
+        }
+    }
+    close(&mut run);
+    found
+}
+
+/// The moves between the rests of a recording, each with the sample at which it ends.
+pub fn moves(times_s: &[f64], samples: &[UnitSample], config: SlideConfig) -> Vec<(usize, Move)> {
+    rests(times_s, samples)
+        .windows(2)
+        .map(|pair| {
+            let mut slide = Slide::new(config, pair[0].rest);
+            for k in pair[0].end..pair[1].first.max(pair[0].end) {
+                slide.push(times_s[k] - times_s[k - 1], samples[k].force_mps2);
+            }
+            (pair[1].first, slide.finish(pair[1].rest))
+        })
+        .collect()
 }

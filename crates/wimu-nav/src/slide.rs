@@ -63,7 +63,7 @@ pub struct Slide {
 }
 
 /// Degrees of freedom that what is known beforehand counts for.
-const PRIOR_DEGREES: f64 = 3.0;
+const PRIOR_DEGREES: f64 = 1.0;
 
 impl Slide {
     /// Begins at the end of a rest.
@@ -108,13 +108,14 @@ impl Slide {
         }
         let square = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>();
         let length = libm::sqrt(square(displacement));
-        // White acceleration error of density q: what was left shows it, with what was known.
+        // White acceleration error of density q along the move: what was left shows it (one degree of
+        // freedom: errors of a move are mostly along it), with what was known.
         let config = &self.config;
         let tilt = config.wobble_rad * config.gravity_mps2;
         let known = tilt * tilt * config.wobble_s
             + (self.before.sd_mps2 * self.before.sd_mps2 + after.sd_mps2 * after.sd_mps2) * t;
         let shown = if t > 0.0 { square(left) / t } else { 0.0 };
-        let density = (PRIOR_DEGREES * known + shown) / (PRIOR_DEGREES + 3.0);
+        let density = (PRIOR_DEGREES * known + shown) / (PRIOR_DEGREES + 1.0);
         let scale = config.scale_sd * length;
         let variance = density * t * t * t / 12.0 + scale * scale;
         let dot: f64 = (0..3)

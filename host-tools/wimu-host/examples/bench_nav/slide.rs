@@ -83,7 +83,7 @@ fn robot_run(seed: u64, peak: f64) -> (Vec<f64>, Vec<UnitSample>) {
             filtered[i] += share * (force[i] - filtered[i]);
         }
         clock += 1;
-        if clock % 10 == 0 {
+        if clock.is_multiple_of(10) {
             times.push(clock as f64 / fine);
             samples.push(UnitSample {
                 step_s: 0.005,
@@ -146,33 +146,41 @@ fn robot_arm(data: &Path) {
         "{:>6}{:>9}{:>12}{:>12}{:>11}{:>10}{:>10}",
         "from", "to, s", "true, m", "found, m", "error, m", "sd, m", "error/sd"
     );
+    let mut spans = Vec::new();
     let mut from = None;
     for k in 1..count {
         match (moving[k - 1], moving[k], from) {
             (false, true, _) => from = Some(k),
-            (true, false, Some(start)) => {
-                let truth = apart(place(start), place(k));
-                if truth > 0.1 {
-                    row(&recording, &found, start, k, truth);
-                }
+            (true, false, Some(start)) if apart(place(start), place(k)) > 0.1 => {
+                spans.push((start, k));
                 from = None;
             }
             _ => {}
         }
+    }
+    for (index, (start, end)) in spans.iter().enumerate() {
+        let truth = apart(place(*start), place(*end));
+        // From the middle of the stop before to the middle of the stop after, 0.2 s at the most.
+        let before = index.checked_sub(1).map_or(0.0, |i| times[spans[i].1]);
+        let after = spans
+            .get(index + 1)
+            .map_or(times[count - 1], |s| times[s.0]);
+        let begin = times[*start] - (0.5 * (times[*start] - before)).min(0.2);
+        let finish = times[*end] + (0.5 * (after - times[*end])).min(0.2);
+        row(&recording, &found, begin, finish, truth);
     }
 }
 
 fn row(
     recording: &MotionRecording,
     rests: &[wimu_host::motion::RestSpan],
-    from: usize,
-    to: usize,
+    from: f64,
+    to: f64,
     truth: f64,
 ) {
-    // The truth is 0.09 s late.
     let times = &recording.times_s;
-    let early = |k: usize| times.partition_point(|t| *t < times[k] - 0.09);
-    let (from, to) = (early(from), early(to));
+    let [from, to] =
+        [from, to].map(|at| times.partition_point(|t| *t < at).clamp(1, times.len() - 1));
     let nearest = |at: usize| {
         rests.iter().min_by(|a, b| {
             let gap = |r: &wimu_host::motion::RestSpan| {
@@ -199,8 +207,10 @@ fn row(
     let close = |r: &wimu_host::motion::RestSpan, at: usize| {
         times[r.first] - times[at] < 0.3 && times[at] - times[r.end.min(times.len()) - 1] < 0.3
     };
-    let config = SlideConfig::default();
-    let mut slide = Slide::new(config, stale(before.rest, close(before, from)));
+    let mut slide = Slide::new(
+        SlideConfig::default(),
+        stale(before.rest, close(before, from)),
+    );
     for k in from..to {
         slide.push(times[k] - times[k - 1], recording.samples[k].force_mps2);
     }

@@ -95,6 +95,27 @@ impl Slide {
         true
     }
 
+    /// How long the move has lasted, s.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// Position (m) and velocity (m/s), body axes at the start, as they were here, corrected backwards
+    /// by what is known now that the move is `done`. `change_mps2` is the rest's force after less
+    /// before.
+    pub fn corrected(&self, done: &Move, change_mps2: [f64; 3]) -> ([f64; 3], [f64; 3]) {
+        let (t, whole) = (self.time_s, done.duration_s.max(1e-9));
+        let position = core::array::from_fn(|i| {
+            self.position[i]
+                - change_mps2[i] * t * t * t / (6.0 * whole)
+                - 0.5 * done.left_mps[i] * t * t / whole
+        });
+        let velocity = core::array::from_fn(|i| {
+            self.velocity[i] - 0.5 * change_mps2[i] * t * t / whole - done.left_mps[i] * t / whole
+        });
+        (position, velocity)
+    }
+
     /// Ends the move at a rest.
     pub fn finish(&self, after: Rest) -> Move {
         let t = self.time_s;

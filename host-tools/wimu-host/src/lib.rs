@@ -14,6 +14,7 @@ mod error;
 pub mod export;
 pub mod history;
 pub mod html;
+pub mod inertial;
 pub mod keys;
 mod link_url;
 pub mod mcap_file;

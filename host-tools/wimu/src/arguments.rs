@@ -493,10 +493,28 @@ pub enum Carried {
 }
 
 #[derive(Args)]
-#[command(after_help = "Example: wimu navigate session.mcap -o path.csv")]
+#[command(after_help = "\
+Example: wimu navigate session.mcap -o path.csv
+         wimu navigate walk.csv --method tilt --zupt off --report path.html
+         wimu navigate board.csv --geometry places.csv -o path.csv")]
 pub struct Navigate {
-    /// A recording
+    /// A recording, or a CSV file of corrected samples
     pub input: PathBuf,
+    /// How a CSV file is navigated
+    #[arg(long, value_enum, default_value_t = NavigateMethod::Auto)]
+    pub method: NavigateMethod,
+    /// Places of an array's accelerometers: a line `X (m),Y (m),Z (m)`, then one for each
+    #[arg(long, value_name = "FILE")]
+    pub geometry: Option<PathBuf>,
+    /// Sensitivity of an array's counts
+    #[arg(long, value_name = "LSB_PER_G", default_value_t = 2048.0)]
+    pub sensitivity: f64,
+    /// Position counts as usable while its standard deviation is below this, m
+    #[arg(long, value_name = "M", default_value_t = 1.0)]
+    pub limit: f64,
+    /// Write a report with pictures here
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
     /// Write velocity and position here, as a CSV file
     #[arg(short, long, value_name = "PATH.csv")]
     pub output: Option<PathBuf>,
@@ -509,4 +527,19 @@ pub struct Navigate {
     /// Of which link; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
+}
+
+/// How `wimu navigate` finds the path in a CSV file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum NavigateMethod {
+    /// `array` with --geometry, `strapdown` where there is a gyroscope, `tilt` otherwise
+    Auto,
+    /// With the gyroscope's angular rate
+    Strapdown,
+    /// Accelerometer and magnetometer alone
+    Tilt,
+    /// With the angular rate of several accelerometers
+    Array,
+    /// Straight moves between rests
+    Slide,
 }

@@ -1,5 +1,7 @@
 //! `wimu navigate`.
 
+mod inertial;
+
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::export::{self, ExportStream};
@@ -9,7 +11,7 @@ use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_integrator::Phase;
 
-use crate::arguments::{Navigate, Switch};
+use crate::arguments::{Navigate, NavigateMethod, Switch};
 use crate::command::not_over_input;
 use crate::output::Output;
 
@@ -78,6 +80,23 @@ impl Track {
 
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     not_over_input(&arguments.input, arguments.output.as_deref())?;
+    let extension = arguments.input.extension();
+    if extension.is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
+        return inertial::run(arguments, output);
+    }
+    for (given, flag) in [
+        (arguments.geometry.is_some(), "--geometry"),
+        (arguments.report.is_some(), "--report"),
+        (arguments.method != NavigateMethod::Auto, "--method"),
+    ] {
+        if given {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!("{flag} is for a CSV file; a recording is navigated as the device did"),
+                "export it first: `wimu export FILE --stream corrected -o samples.csv`",
+            ));
+        }
+    }
     let recording = Recording::load(&arguments.input)?;
     let link = recording.link(arguments.link.map(Into::into))?;
     let mut starts = Vec::new();

@@ -1,0 +1,561 @@
+//! The path of a recorded unit or array, sample by sample, with what is known about it: gyro-free
+//! inertial navigation of a file.
+//!
+//! ```
+//! use wimu_host::inertial::{Choice, Method, navigate};
+//! use wimu_host::motion::MotionRecording;
+//! use wimu_nav::unit::UnitSample;
+//!
+//! // Two seconds at rest.
+//! let mut recording = MotionRecording::default();
+//! for k in 0..200 {
+//!     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
+//!     recording.times_s.push(f64::from(k) * 0.01);
+//!     recording.samples.push(UnitSample { step_s: 0.01, force_mps2, ..UnitSample::default() });
+//!     recording.truth.push(None);
+//! }
+//! let path = navigate(&recording, &Choice { method: Method::Tilt, ..Choice::default() })?;
+//! assert!(path.distance_m() < 0.01 && path.points[199].valid);
+//! assert!(path.horizon_s(1.0).is_none(), "at rest, with ZUPT, it never gets lost");
+//! # Ok::<(), wimu_host::HostError>(())
+//! ```
+
+use std::io::Write as _;
+use std::path::Path as FilePath;
+
+use wimu_calib::Gravity;
+use wimu_nav::slide::{Move, Slide, SlideConfig};
+use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
+
+use crate::array::{ArrayCalibration, ArrayRecording, angular_rate};
+use crate::html::{Chart, Report, Series};
+use crate::motion::{MotionRecording, nees, rests};
+use crate::{ErrorCode, HostError, Result};
+
+/// How the path is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// With the angular rate, from a gyroscope.
+    Strapdown,
+    /// From accelerometer and magnetometer alone.
+    #[default]
+    Tilt,
+    /// With the angular rate of an array of accelerometers.
+    Array,
+    /// Straight moves between rests.
+    Slide,
+}
+
+/// How to navigate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// The method.
+    pub method: Method,
+    /// Whether rests are taken for zero velocity.
+    pub zupt: bool,
+    /// Position is of use as long as its standard deviation is below this, m.
+    pub limit_m: f64,
+}
+
+impl Default for Choice {
+    fn default() -> Self {
+        Self {
+            method: Method::Tilt,
+            zupt: true,
+            limit_m: 1.0,
+        }
+    }
+}
+
+/// Where the unit was at a sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathPoint {
+    /// Time, s, as in the file.
+    pub time_s: f64,
+    /// Position, m, east-north-up.
+    pub position_m: [f64; 3],
+    /// Velocity, m/s.
+    pub velocity_mps: [f64; 3],
+    /// Body to navigation axes, W X Y Z.
+    pub quaternion: [f64; 4],
+    /// Angular rate, rad/s, body axes.
+    pub rate_rad_s: [f64; 3],
+    /// Covariance of the position, m².
+    pub covariance_m2: [[f64; 3]; 3],
+    /// Whether the position is of use: known to the limit, no gap since the last rest.
+    pub valid: bool,
+}
+
+impl PathPoint {
+    /// Standard deviation of each component, m.
+    pub fn sigma_m(&self) -> [f64; 3] {
+        std::array::from_fn(|i| self.covariance_m2[i][i].max(0.0).sqrt())
+    }
+
+    /// That of the position in space, m.
+    pub fn sd_m(&self) -> f64 {
+        self.sigma_m().iter().map(|s| s * s).sum::<f64>().sqrt()
+    }
+}
+
+/// A path.
+#[derive(Clone, Debug)]
+pub struct InertialPath {
+    /// How it was found.
+    pub method: Method,
+    /// One point a sample.
+    pub points: Vec<PathPoint>,
+    /// The moves, with [`Method::Slide`].
+    pub moves: Vec<Move>,
+    /// What was noticed on the way.
+    pub remarks: Vec<String>,
+    /// NEES of the position at each valid sample that has truth; both begin at the same place and
+    /// heading.
+    pub nees: Vec<f64>,
+}
+
+impl InertialPath {
+    /// Length of the path over its valid points, m.
+    pub fn distance_m(&self) -> f64 {
+        self.points
+            .windows(2)
+            .filter(|w| w[0].valid && w[1].valid)
+            .map(|w| {
+                (0..3)
+                    .map(|i| (w[1].position_m[i] - w[0].position_m[i]).powi(2))
+                    .sum::<f64>()
+                    .sqrt()
+            })
+            .sum()
+    }
+
+    /// After how many seconds the standard deviation of the position first passes `limit_m`; `None`
+    /// when it never does.
+    pub fn horizon_s(&self, limit_m: f64) -> Option<f64> {
+        let first = self.points.first()?.time_s;
+        // Not a number counts as passed.
+        let beyond = |p: &&PathPoint| p.sd_m().is_nan() || p.sd_m() > limit_m;
+        Some(self.points.iter().find(beyond)?.time_s - first)
+    }
+
+    /// Share of the points that are valid.
+    pub fn valid_share(&self) -> f64 {
+        self.points.iter().filter(|p| p.valid).count() as f64 / self.points.len().max(1) as f64
+    }
+
+    /// Median NEES and the share below 7.81 (95 % of a right covariance), where there is truth.
+    pub fn consistency(&self) -> Option<(f64, f64)> {
+        let mut all = self.nees.clone();
+        all.sort_by(f64::total_cmp);
+        let below = all.iter().filter(|n| **n < 7.81).count();
+        Some((*all.get(all.len() / 2)?, below as f64 / all.len() as f64))
+    }
+
+    /// Writes the points as CSV.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`.
+    pub fn write_csv(&self, file: &FilePath) -> Result<()> {
+        let name = file.display().to_string();
+        let failed = |error: std::io::Error| HostError::file(&name, "write", &error);
+        let sink = std::fs::File::create(file).map_err(failed)?;
+        let mut sink = std::io::BufWriter::new(sink);
+        let mut header = vec!["Time (s)".to_owned()];
+        header.extend(["E", "N", "U"].map(|a| format!("Position {a} (m)")));
+        header.extend(["E", "N", "U"].map(|a| format!("Velocity {a} (m/s)")));
+        header.extend(["W", "X", "Y", "Z"].map(|a| format!("Quaternion {a}")));
+        header.extend(["X", "Y", "Z"].map(|a| format!("Angular Rate {a} (rad/s)")));
+        header.extend(["E", "N", "U"].map(|a| format!("Sigma {a} (m)")));
+        header.push("Valid".to_owned());
+        writeln!(sink, "{}", header.join(",")).map_err(failed)?;
+        for point in &self.points {
+            write!(sink, "{}", point.time_s).map_err(failed)?;
+            let sigma = point.sigma_m();
+            let values = point
+                .position_m
+                .iter()
+                .chain(&point.velocity_mps)
+                .chain(&point.quaternion)
+                .chain(&point.rate_rad_s)
+                .chain(&sigma);
+            for value in values {
+                write!(sink, ",{value:.6}").map_err(failed)?;
+            }
+            writeln!(sink, ",{}", u8::from(point.valid)).map_err(failed)?;
+        }
+        sink.flush().map_err(failed)
+    }
+
+    /// Pictures of the path: position with its standard deviation, and the plan.
+    ///
+    /// # Errors
+    /// Those of [`Report`].
+    pub fn report(&self, source: &str, text: &str, file: &FilePath) -> Result<()> {
+        let thin = (self.points.len() / 2000).max(1);
+        let shown: Vec<&PathPoint> = self.points.iter().step_by(thin).collect();
+        let over_time = |name: &str, value: &dyn Fn(&PathPoint) -> f64| Series {
+            name: name.to_owned(),
+            points: shown.iter().map(|p| (p.time_s, value(p))).collect(),
+            dots: false,
+        };
+        let chart = |title: &str, y: &str, log: bool, series: Vec<Series>| Chart {
+            title: title.to_owned(),
+            x: "time, s".to_owned(),
+            y: y.to_owned(),
+            log,
+            y_range: None,
+            series,
+        };
+        let mut report = Report::new(format!("Path of {source}"));
+        report.printed(text);
+        report.chart(&chart(
+            "Position",
+            "m",
+            false,
+            vec![
+                over_time("east", &|p| p.position_m[0]),
+                over_time("north", &|p| p.position_m[1]),
+                over_time("up", &|p| p.position_m[2]),
+            ],
+        ))?;
+        report.chart(&chart(
+            "How well it is known (1 σ in space)",
+            "m",
+            true,
+            vec![over_time("1 σ", &|p| p.sd_m().clamp(1e-6, 1e9))],
+        ))?;
+        let mut plan = chart("Plan, as far as it is valid", "north, m", false, Vec::new());
+        plan.x = "east, m".to_owned();
+        plan.series.push(Series {
+            name: "path".to_owned(),
+            points: shown
+                .iter()
+                .filter(|p| p.valid)
+                .map(|p| (p.position_m[0], p.position_m[1]))
+                .collect(),
+            dots: false,
+        });
+        if plan.series[0].points.len() > 1 {
+            report.chart(&plan)?;
+        }
+        report.write(file)
+    }
+}
+
+/// Navigates one unit's recording.
+///
+/// # Errors
+/// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
+/// [`Method::Slide`], nothing to align with; `usage` for [`Method::Array`], which needs
+/// [`navigate_array`].
+pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
+    let refused = |message: &str, remedy: &str| {
+        Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name))
+    };
+    let mut path = match choice.method {
+        Method::Array => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "the method array needs several accelerometers and their places",
+                "give --geometry FILE",
+            ));
+        }
+        Method::Slide => slide(recording, choice)?,
+        Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
+            return refused(
+                "there is no angular rate in it",
+                "name the columns `Gyroscope X (rad/s)`, …, or use --method tilt",
+            );
+        }
+        method => {
+            let strip = |sample: &UnitSample| UnitSample {
+                rate_rad_s: sample.rate_rad_s.filter(|_| method == Method::Strapdown),
+                ..*sample
+            };
+            let samples: Vec<UnitSample> = recording.samples.iter().map(strip).collect();
+            let config = UnitConfig {
+                gravity_mps2: recording.gravity_at_first_rest(),
+                zupt: choice.zupt,
+                ..UnitConfig::default()
+            };
+            filter(&recording.times_s, &samples, config, choice, method)
+        }
+    };
+    if path.points.iter().all(|p| !p.valid) && path.moves.is_empty() {
+        return refused(
+            "no position could be found to the limit",
+            "hold the unit still for a second first, and see that its times go on",
+        );
+    }
+    compare(&mut path, recording);
+    Ok(path)
+}
+
+/// Navigates an array with the angular rate that it shows.
+///
+/// # Errors
+/// Those of [`ArrayCalibration::of`] and [`angular_rate`].
+pub fn navigate_array(
+    recording: &ArrayRecording,
+    places_m: &[[f64; 3]],
+    choice: &Choice,
+) -> Result<InertialPath> {
+    let calibration = ArrayCalibration::of(recording, Gravity::UNKNOWN_PLACE)?;
+    let motion = angular_rate(recording, places_m, &calibration)?;
+    let period = recording.period_s();
+    let mut last = recording.times_s[0];
+    let samples: Vec<UnitSample> = (0..recording.times_s.len())
+        .map(|k| {
+            let step_s = recording.times_s[k] - last;
+            last = recording.times_s[k];
+            UnitSample {
+                step_s,
+                force_mps2: motion.force_mps2[k],
+                field_ut: None,
+                rate_rad_s: Some(motion.rate_rad_s[k]),
+            }
+        })
+        .collect();
+    let variance = motion
+        .rate_sd_rad_s
+        .iter()
+        .flatten()
+        .map(|s| s * s)
+        .sum::<f64>()
+        / (3 * motion.rate_sd_rad_s.len()) as f64;
+    let config = UnitConfig {
+        zupt: choice.zupt,
+        // An error of the rate lasts about as long as the smoother looks.
+        angle_walk: (variance * 10.0 * period).sqrt().max(0.005),
+        ..UnitConfig::default()
+    };
+    let mut path = filter(&recording.times_s, &samples, config, choice, Method::Array);
+    if motion.saturated > 0 {
+        path.remarks.push(format!(
+            "{} samples with a sensor at its limit: the angular rate is carried over them",
+            motion.saturated
+        ));
+    }
+    if let Some(why) = &calibration.uncalibrated {
+        path.remarks
+            .push(format!("the array is not calibrated: {why}"));
+    }
+    Ok(path)
+}
+
+fn filter(
+    times_s: &[f64],
+    samples: &[UnitSample],
+    config: UnitConfig,
+    choice: &Choice,
+    method: Method,
+) -> InertialPath {
+    let mut filter = UnitFilter::new(config);
+    let (mut gaps, mut bad, mut backwards) = (0, 0, 0);
+    let mut points = Vec::with_capacity(samples.len());
+    for (sample, time_s) in samples.iter().zip(times_s) {
+        match filter.push(sample) {
+            Ok(()) => {}
+            Err(UnitFault::Gap) => gaps += 1,
+            Err(UnitFault::NoTime) => backwards += 1,
+            Err(_) => bad += 1,
+        }
+        let state = filter.state();
+        let known = state.position_sd_m() <= choice.limit_m;
+        points.push(PathPoint {
+            time_s: *time_s,
+            position_m: state.position_m,
+            velocity_mps: state.velocity_mps,
+            quaternion: state.quaternion,
+            rate_rad_s: state.rate_rad_s,
+            covariance_m2: state.position_covariance,
+            valid: state.valid && known,
+        });
+    }
+    let mut remarks = Vec::new();
+    let mut remark = |count: u32, what: &str| {
+        if count > 0 {
+            remarks.push(format!("{count} {what}"));
+        }
+    };
+    remark(
+        gaps,
+        "gaps longer than 0.25 s: position is not valid after one until the next rest",
+    );
+    remark(backwards, "samples whose time stood still: left out");
+    remark(bad, "samples that were no numbers: left out");
+    remark(
+        filter.state().disturbed,
+        "times the magnetic field was disturbed: left out",
+    );
+    if samples.iter().all(|s| s.field_ut.is_none()) {
+        remarks.push("no magnetometer: heading is that of the body at the start".to_owned());
+    }
+    InertialPath {
+        method,
+        points,
+        moves: Vec::new(),
+        remarks,
+        nees: Vec::new(),
+    }
+}
+
+/// Moves between rests, corrected backwards from the rest at the end of each.
+fn slide(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
+    let (times, samples) = (&recording.times_s, &recording.samples);
+    let found = rests(times, samples);
+    let Some(first) = found.first().filter(|_| found.len() > 1) else {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            "a slide lies between two rests of 0.3 s and more, and there are fewer",
+            "hold the unit still before and after each move",
+        )
+        .at(&recording.name));
+    };
+    let config = SlideConfig {
+        gravity_mps2: recording.gravity_at_first_rest(),
+        ..SlideConfig::default()
+    };
+    // Axes: up from the first rest, body x as east.
+    let norm = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let up = first
+        .rest
+        .force_mps2
+        .map(|f| f / norm(first.rest.force_mps2));
+    let pick = if up[0].abs() < 0.9 { 0 } else { 1 };
+    let mut east: [f64; 3] =
+        std::array::from_fn(|i| f64::from(u8::from(i == pick)) - up[pick] * up[i]);
+    east = east.map(|e| e / norm(east));
+    let north = [
+        up[1] * east[2] - up[2] * east[1],
+        up[2] * east[0] - up[0] * east[2],
+        up[0] * east[1] - up[1] * east[0],
+    ];
+    let turned =
+        |v: [f64; 3]| [east, north, up].map(|axis| (0..3).map(|i| axis[i] * v[i]).sum::<f64>());
+    let quaternion = quaternion([east, north, up]);
+    let mut points: Vec<PathPoint> = Vec::with_capacity(times.len());
+    let mut moves = Vec::new();
+    let mut remarks = Vec::new();
+    let (mut at, mut variance, mut sound) = ([0.0; 3], 0.0, true);
+    let put =
+        |k: usize, position: [f64; 3], velocity: [f64; 3], variance: f64, sound: bool| PathPoint {
+            time_s: times[k],
+            position_m: position,
+            velocity_mps: velocity,
+            quaternion,
+            rate_rad_s: [0.0; 3],
+            covariance_m2: std::array::from_fn(|i| {
+                std::array::from_fn(|j| if i == j { variance } else { 0.0 })
+            }),
+            valid: sound && (3.0 * variance).sqrt() <= choice.limit_m,
+        };
+    for k in 0..first.end {
+        points.push(put(k, at, [0.0; 3], variance, k >= first.first));
+    }
+    for pair in found.windows(2) {
+        let (from, to) = (pair[0].end, pair[1].first.max(pair[0].end));
+        let mut slide = Slide::new(config, pair[0].rest);
+        let mut raw = Vec::with_capacity(to - from);
+        for k in from..to {
+            slide.push(times[k] - times[k - 1], samples[k].force_mps2);
+            raw.push(slide);
+        }
+        let done = slide.finish(pair[1].rest);
+        if done.turned_rad > 0.02 {
+            sound = false;
+            remarks.push(format!(
+                "the unit turned by {:.1}° in the move that ends at {:.2} s: no slide, position is not valid from there on",
+                done.turned_rad.to_degrees(),
+                times[to.min(times.len() - 1)]
+            ));
+        }
+        let change: [f64; 3] =
+            std::array::from_fn(|i| pair[1].rest.force_mps2[i] - pair[0].rest.force_mps2[i]);
+        for (offset, state) in raw.iter().enumerate() {
+            let (position, velocity) = state.corrected(&done, change);
+            let share = state.time_s() / done.duration_s.max(1e-9);
+            let grown = variance + share * done.length_sd_m * done.length_sd_m / 3.0;
+            let place = turned(position);
+            points.push(put(
+                from + offset,
+                std::array::from_fn(|i| at[i] + place[i]),
+                turned(velocity),
+                grown,
+                sound,
+            ));
+        }
+        let moved = turned(done.displacement_m);
+        at = std::array::from_fn(|i| at[i] + moved[i]);
+        variance += done.length_sd_m * done.length_sd_m / 3.0;
+        for k in to..pair[1].end {
+            points.push(put(k, at, [0.0; 3], variance, sound));
+        }
+        moves.push(done);
+    }
+    for k in points.len()..times.len() {
+        points.push(put(k, at, [0.0; 3], variance, false));
+    }
+    Ok(InertialPath {
+        method: Method::Slide,
+        points,
+        moves,
+        remarks,
+        nees: Vec::new(),
+    })
+}
+
+/// Of the rotation whose rows are given, W X Y Z.
+fn quaternion([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64; 4] {
+    let size = |v: f64| (v.max(0.0)).sqrt() / 2.0;
+    let w = size(1.0 + xx + yy + zz);
+    [
+        w,
+        size(1.0 + xx - yy - zz).copysign(zy - yz),
+        size(1.0 - xx + yy - zz).copysign(xz - zx),
+        size(1.0 - xx - yy + zz).copysign(yx - xy),
+    ]
+}
+
+/// NEES where there is truth: both paths begin at the first valid point, at the same heading.
+fn compare(path: &mut InertialPath, recording: &MotionRecording) {
+    let usable =
+        |k: &usize| path.points[*k].valid && recording.truth.get(*k).is_some_and(Option::is_some);
+    let Some(first) = (0..path.points.len()).find(usable) else {
+        return;
+    };
+    let Some(start) = recording.truth[first] else {
+        return;
+    };
+    let [w, x, y, z] = path.points[first].quaternion;
+    let heading = (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z));
+    let by = start.heading_rad() - heading;
+    let (sin, cos) = if by.is_finite() {
+        by.sin_cos()
+    } else {
+        (0.0, 1.0)
+    };
+    let origin = path.points[first].position_m;
+    let mut all = Vec::new();
+    for k in (first..path.points.len()).filter(usable) {
+        let (point, Some(truth)) = (&path.points[k], recording.truth[k]) else {
+            continue;
+        };
+        let true_move: [f64; 3] =
+            std::array::from_fn(|i| truth.position_m[i] - start.position_m[i]);
+        // The truth in the path's axes.
+        let expected = [
+            cos * true_move[0] + sin * true_move[1],
+            cos * true_move[1] - sin * true_move[0],
+            true_move[2],
+        ];
+        let error: [f64; 3] =
+            std::array::from_fn(|i| point.position_m[i] - origin[i] - expected[i]);
+        let value = nees(error, point.covariance_m2);
+        if value.is_finite() {
+            all.push(value);
+        }
+    }
+    path.nees = all;
+}

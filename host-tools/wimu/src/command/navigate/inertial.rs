@@ -1,0 +1,220 @@
+//! `wimu navigate` over a CSV file: gyro-free inertial navigation.
+
+use std::fmt::Write as _;
+
+use serde::Serialize;
+use wimu_host::array::{ArrayRecording, read_places};
+use wimu_host::inertial::{Choice, InertialPath, Method, navigate, navigate_array};
+use wimu_host::motion::MotionRecording;
+use wimu_host::{ErrorCode, HostError, Result};
+
+use crate::arguments::{Navigate, NavigateMethod, Switch};
+use crate::command::not_over_input;
+use crate::output::Output;
+
+#[derive(Serialize)]
+struct Found {
+    schema: &'static str,
+    status: &'static str,
+    source: String,
+    method: Method,
+    zupt: bool,
+    duration_s: f64,
+    distance_m: f64,
+    final_position_m: [f64; 3],
+    final_sigma_m: [f64; 3],
+    valid_share: f64,
+    horizon: Horizon,
+    nees: Option<Nees>,
+    moves: Vec<MoveFound>,
+    remarks: Vec<String>,
+}
+
+/// Seconds after which the position's standard deviation passes a limit; null when it never does.
+#[derive(Serialize)]
+struct Horizon {
+    to_0_1_m_s: Option<f64>,
+    to_1_m_s: Option<f64>,
+    limit_m: f64,
+    to_limit_s: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct Nees {
+    samples: usize,
+    median: f64,
+    share_below_7_81: f64,
+}
+
+#[derive(Serialize)]
+struct MoveFound {
+    length_m: f64,
+    length_sd_m: f64,
+    duration_s: f64,
+    turned_deg: f64,
+}
+
+pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+    not_over_input(&arguments.input, arguments.report.as_deref())?;
+    if !(arguments.limit > 0.0 && arguments.limit.is_finite() && arguments.sensitivity > 0.0) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "the limit and the sensitivity must be positive numbers",
+            "for example --limit 0.5",
+        ));
+    }
+    if arguments.calibration.is_some() || arguments.link.is_some() {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "--calibration and --link are for recordings: a CSV file holds corrected samples",
+            "leave them out",
+        ));
+    }
+    let mut choice = Choice {
+        method: Method::Tilt,
+        zupt: arguments.zupt != Some(Switch::Off),
+        limit_m: arguments.limit,
+    };
+    let as_array = arguments.geometry.is_some();
+    let path = match (arguments.method, &arguments.geometry) {
+        (NavigateMethod::Auto | NavigateMethod::Array, Some(geometry)) => {
+            choice.method = Method::Array;
+            let places = read_places(geometry)?;
+            let recording = ArrayRecording::from_csv(&arguments.input, arguments.sensitivity)?;
+            navigate_array(&recording, &places, &choice)?
+        }
+        (NavigateMethod::Array, None) | (_, Some(_)) => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "the method array and --geometry go together",
+                "give --geometry FILE with --method array, and neither otherwise",
+            ));
+        }
+        (method, None) => {
+            let recording = MotionRecording::from_csv(&arguments.input)?;
+            let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
+            choice.method = match method {
+                NavigateMethod::Strapdown => Method::Strapdown,
+                NavigateMethod::Slide => Method::Slide,
+                NavigateMethod::Auto if rated => Method::Strapdown,
+                _ => Method::Tilt,
+            };
+            navigate(&recording, &choice)?
+        }
+    };
+    let source = arguments.input.display().to_string();
+    let text = text(&path, &choice);
+    output.say(text.trim_end());
+    if as_array {
+        output.say("the angular rate is from all samples, later ones too; position is causal");
+    }
+    if let Some(file) = &arguments.output {
+        path.write_csv(file)?;
+        output.say(format!("{}: {} rows", file.display(), path.points.len()));
+    }
+    if let Some(file) = &arguments.report {
+        path.report(&source, &text, file)?;
+        output.say(format!("{}: written", file.display()));
+    }
+    output.object(&found(&path, &choice, source));
+    Ok(())
+}
+
+fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
+    let last = path.points.last();
+    Found {
+        schema: "wimu.path/1",
+        status: "ok",
+        source,
+        method: path.method,
+        zupt: choice.zupt,
+        duration_s: duration(path),
+        distance_m: path.distance_m(),
+        final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
+        final_sigma_m: last.map(|p| p.sigma_m()).unwrap_or_default(),
+        valid_share: path.valid_share(),
+        horizon: Horizon {
+            to_0_1_m_s: path.horizon_s(0.1),
+            to_1_m_s: path.horizon_s(1.0),
+            limit_m: choice.limit_m,
+            to_limit_s: path.horizon_s(choice.limit_m),
+        },
+        nees: path.consistency().map(|(median, share)| Nees {
+            samples: path.nees.len(),
+            median,
+            share_below_7_81: share,
+        }),
+        moves: path
+            .moves
+            .iter()
+            .map(|m| MoveFound {
+                length_m: m.length_m,
+                length_sd_m: m.length_sd_m,
+                duration_s: m.duration_s,
+                turned_deg: m.turned_rad.to_degrees(),
+            })
+            .collect(),
+        remarks: path.remarks.clone(),
+    }
+}
+
+fn duration(path: &InertialPath) -> f64 {
+    match (path.points.first(), path.points.last()) {
+        (Some(first), Some(last)) => last.time_s - first.time_s,
+        _ => 0.0,
+    }
+}
+
+fn text(path: &InertialPath, choice: &Choice) -> String {
+    let mut text = String::new();
+    let Some(last) = path.points.last() else {
+        return text;
+    };
+    let [e, n, u] = last.position_m;
+    let _ = writeln!(
+        text,
+        "{:?}: {:.1} s, path {:.3} m, ends at E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m{}",
+        path.method,
+        duration(path),
+        path.distance_m(),
+        last.sd_m(),
+        if last.valid { "" } else { " (not valid)" }
+    );
+    let mut limits = vec![0.1, 1.0];
+    if !limits.contains(&choice.limit_m) {
+        limits.push(choice.limit_m);
+    }
+    for limit in limits {
+        let _ = match path.horizon_s(limit) {
+            Some(after) => writeln!(text, "horizon: 1 σ passes {limit} m after {after:.1} s"),
+            None => writeln!(text, "horizon: 1 σ stays below {limit} m"),
+        };
+    }
+    let _ = writeln!(
+        text,
+        "{:.0} % of the samples are valid: known to {} m, no gap since the last rest",
+        100.0 * path.valid_share(),
+        choice.limit_m
+    );
+    for (index, one) in path.moves.iter().enumerate() {
+        let _ = writeln!(
+            text,
+            "move {}: {:.3} ± {:.3} m in {:.2} s",
+            index + 1,
+            one.length_m,
+            one.length_sd_m,
+            one.duration_s
+        );
+    }
+    if let Some((median, share)) = path.consistency() {
+        let _ = writeln!(
+            text,
+            "against the truth: NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is right)",
+            100.0 * share
+        );
+    }
+    for remark in &path.remarks {
+        let _ = writeln!(text, "note: {remark}");
+    }
+    text
+}

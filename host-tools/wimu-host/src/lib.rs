@@ -18,11 +18,13 @@ pub mod inertial;
 pub mod keys;
 mod link_url;
 pub mod mcap_file;
+pub mod mimu4444;
 pub mod monitor;
 pub mod motion;
 pub mod navigation;
 pub mod recorder;
 pub mod replay;
+pub mod ros;
 pub mod transport;
 pub mod walk;
 

@@ -196,6 +196,10 @@ impl Recorded {
     }
 }
 
+/// A further topic of a [`RecordingWriter`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Topic(u16);
+
 /// Writes a recording while it happens.
 ///
 /// Dropping it closes the file as well; [`RecordingWriter::finish`] also tells whether that worked.
@@ -349,6 +353,51 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .write_to_known_channel(&header, message)
             .map_err(|error| write_error(&self.name, error))?;
         self.tick(host_ns)
+    }
+
+    /// A further topic, of ROS messages in CDR.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn topic(&mut self, name: &str, schema_name: &str, schema: &str) -> Result<Topic> {
+        let failed = |error| write_error(&self.name, error);
+        let schema = self
+            .writer
+            .add_schema(schema_name, "ros2msg", schema.as_bytes())
+            .map_err(failed)?;
+        let channel = self
+            .writer
+            .add_channel(schema, name, "cdr", &BTreeMap::new())
+            .map_err(|error| write_error(&self.name, error))?;
+        Ok(Topic(channel))
+    }
+
+    /// Appends a message on a further topic that arrived at `host_ns`, on the anchored monotonic
+    /// clock, and tells of `stamp_utc_ns`.
+    ///
+    /// # Errors
+    /// `file_failed`.
+    pub fn publish(
+        &mut self,
+        topic: Topic,
+        host_ns: u64,
+        stamp_utc_ns: u64,
+        message: &[u8],
+    ) -> Result<()> {
+        let header = mcap::records::MessageHeader {
+            channel_id: topic.0,
+            sequence: 0,
+            log_time: self.anchor.to_utc_ns(host_ns),
+            publish_time: stamp_utc_ns,
+        };
+        self.writer
+            .write_to_known_channel(&header, message)
+            .map_err(|error| write_error(&self.name, error))
+    }
+
+    /// Host's monotonic clock to UTC.
+    pub fn anchor(&self) -> ClockAnchor {
+        self.anchor
     }
 
     /// Flushes if a second has passed: for the times when nothing is received.

@@ -45,10 +45,36 @@ pub fn walk<R: Read>(
     reader: &mut RecordingReader<R>,
     mut each: impl FnMut(LinkRole, Start, Step) -> Result<()>,
 ) -> Result<Vec<(LinkRole, LinkStatistics)>> {
-    let mut links: BTreeMap<u8, Link> = BTreeMap::new();
+    let mut walker = Walker::new();
     while let Some(entry) = reader.next_entry()? {
+        walker.push(entry, &mut each)?;
+    }
+    walker.finish(&mut each)
+}
+
+/// Makes steps of a recording's entries.
+#[derive(Debug, Default)]
+pub struct Walker {
+    links: BTreeMap<u8, Link>,
+}
+
+impl Walker {
+    /// At the start of a recording.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes the next entry; `each` gets the steps that it completes.
+    ///
+    /// # Errors
+    /// Those of `each`.
+    pub fn push(
+        &mut self,
+        entry: Recorded,
+        each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
+    ) -> Result<()> {
         let role = entry.role();
-        let link = links.entry(role.number()).or_insert_with(|| Link {
+        let link = self.links.entry(role.number()).or_insert_with(|| Link {
             role,
             decoder: Decoder::new(),
             start: None,
@@ -76,35 +102,44 @@ pub fn walk<R: Read>(
                         outcome = held.drain(..).try_for_each(|step| each(role, start, step));
                     }
                 });
-                outcome?;
+                outcome
             }
-            Recorded::Sent { host_ns, bytes, .. } => {
-                link.step(Step::Sent { host_ns, bytes }, &mut each)?;
-            }
+            Recorded::Sent { host_ns, bytes, .. } => link.step(Step::Sent { host_ns, bytes }, each),
             Recorded::Lost { host_ns, .. } => {
                 link.decoder.interrupt();
-                link.step(Step::Lost { host_ns }, &mut each)?;
+                link.step(Step::Lost { host_ns }, each)
             }
-            Recorded::Connected { .. } => {}
+            Recorded::Connected { .. } => Ok(()),
         }
     }
-    let known = links.values().find_map(|link| link.start);
-    links
-        .into_values()
-        .map(|link| {
-            // Nobody said which start this was: the other link's, if there is one.
-            let start = link.start.or(known).unwrap_or(0);
-            for step in link.held {
-                each(link.role, start, step)?;
-            }
-            Ok((link.role, link.decoder.statistics()))
-        })
-        .collect()
+
+    /// The recording is over: what each link carried and lost.
+    ///
+    /// # Errors
+    /// Those of `each`.
+    pub fn finish(
+        self,
+        each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
+    ) -> Result<Vec<(LinkRole, LinkStatistics)>> {
+        let known = self.links.values().find_map(|link| link.start);
+        self.links
+            .into_values()
+            .map(|link| {
+                // Nobody said which start this was: the other link's, if there is one.
+                let start = link.start.or(known).unwrap_or(0);
+                for step in link.held {
+                    each(link.role, start, step)?;
+                }
+                Ok((link.role, link.decoder.statistics()))
+            })
+            .collect()
+    }
 }
 
 /// Steps before the board has said who it is: more than arrive until it does.
 const MAX_HELD: usize = 4096;
 
+#[derive(Debug)]
 struct Link {
     role: LinkRole,
     decoder: Decoder,

@@ -307,7 +307,7 @@ fn a_restart_in_the_middle_and_entries_out_of_order_are_taken_as_they_are() {
     let session = Session {
         seconds: 24.0,
         restart_at: Some(12.0),
-        wireless: "baud=115200,loss=1%,latency=15ms,jitter=20ms",
+        wireless: "baud=115200,loss=3%,latency=15ms,jitter=20ms",
         ..Session::default()
     };
     let recording = session.record();

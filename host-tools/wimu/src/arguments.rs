@@ -172,6 +172,9 @@ pub struct Record {
     /// The recording
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: PathBuf,
+    /// Add the decoded ROS 2 topics when the recording is over
+    #[arg(long)]
+    pub decoded: bool,
     /// A lost link is opened again; end when every link has been lost for this long
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
     pub reconnect: f64,
@@ -185,6 +188,9 @@ pub struct Record {
 pub struct Info {
     /// A recording, or a LINK
     pub input: String,
+    /// The input is another maker's file
+    #[arg(long, value_enum)]
+    pub format: Option<Foreign>,
 }
 
 #[derive(Args)]
@@ -215,6 +221,9 @@ pub struct Export {
     /// How it is written
     #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
     pub format: ExportFormat,
+    /// Take this error model off its link, as `wimu compare -o` wrote it
+    #[arg(long, value_name = "LINK.json")]
+    pub link_model: Option<PathBuf>,
     /// What is written
     #[arg(long, value_enum, default_value_t = Stream::Raw)]
     pub stream: Stream,
@@ -225,7 +234,19 @@ pub struct Export {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum ExportFormat {
+    /// A table
     Csv,
+    /// A recording with decoded ROS 2 topics beside the bytes
+    Mcap,
+    /// A table, from a capture of a MIMU4444's Bluetooth stream
+    Mimu4444,
+}
+
+/// A file of another maker.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Foreign {
+    /// A capture of a MIMU4444's Bluetooth stream
+    Mimu4444,
 }
 
 /// A stream of a recording.
@@ -311,6 +332,9 @@ pub struct Calibrate {
     /// How many poses to capture from a live board
     #[arg(long, value_name = "N", default_value_t = 12)]
     pub count: usize,
+    /// The input is another maker's file; choose with --accelerometer
+    #[arg(long, value_enum)]
+    pub format: Option<Foreign>,
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,

@@ -710,3 +710,129 @@ fn a_replayed_file_calibrates_as_the_file_itself() {
         assert_eq!(ours, theirs);
     }
 }
+
+/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason said, without one.
+fn python_with_rosbags() -> Option<std::path::PathBuf> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
+    let python = folder.join("bin/python");
+    let works = |command: &mut std::process::Command| {
+        let ran = command.output();
+        ran.is_ok_and(|ran| ran.status.success())
+    };
+    let mut import = std::process::Command::new(&python);
+    if works(import.args(["-c", "import rosbags"])) {
+        return Some(python);
+    }
+    let mut make = std::process::Command::new("python3");
+    let mut install = std::process::Command::new(&python);
+    let made = works(make.args(["-m", "venv"]).arg(&folder))
+        && works(install.args(["-m", "pip", "install", "--quiet", "rosbags"]));
+    if !made {
+        println!("skipped: python3 with venv, pip and a network is needed for `rosbags`");
+    }
+    made.then_some(python)
+}
+
+/// Reads every message with `rosbags`, which knows ROS's message types by itself, and prints a line
+/// a topic.
+const READ_WITH_ROSBAGS: &str = r#"
+import sys, math
+from pathlib import Path
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+with AnyReader([Path(sys.argv[1])], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+    topics = {}
+    for connection, received, raw in reader.messages():
+        message = reader.deserialize(raw, connection.msgtype)
+        count, first, last, norm = topics.get(connection.topic, (0, None, 0, 0.0))
+        if "/imu/" in connection.topic:
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            assert message.header.frame_id == "imu_link"
+            assert -2_000_000 < received - stamp < 2_000_000_000, (received, stamp)
+            assert stamp > last, (connection.topic, stamp, last)
+            first, last = first or stamp, stamp
+        if connection.msgtype == "sensor_msgs/msg/Imu":
+            assert message.orientation_covariance[0] == -1
+            assert message.angular_velocity_covariance[0] == -1
+            assert message.linear_acceleration_covariance[0] == 0
+            a = message.linear_acceleration
+            norm += math.sqrt(a.x * a.x + a.y * a.y + a.z * a.z)
+        if connection.msgtype == "sensor_msgs/msg/MagneticField":
+            b = message.magnetic_field
+            field = math.sqrt(b.x * b.x + b.y * b.y + b.z * b.z)
+            # The simulated magnetometer is read once before its first conversion.
+            assert count == 0 or 1e-6 < field < 1e-3, field
+        if connection.msgtype == "sensor_msgs/msg/Temperature":
+            assert -40 < message.temperature < 85
+        topics[connection.topic] = (count + 1, first, last, norm)
+    for topic, (count, first, last, norm) in sorted(topics.items()):
+        print(topic, count, (last - (first or last)) / 1e9, norm / count)
+"#;
+
+#[test]
+fn rosbags_reads_the_decoded_topics_of_both_links() {
+    let folder = folder();
+    let path = folder.path().join("decoded.mcap");
+    let file = path.to_str().unwrap();
+    let board = Simulator::start(&["--motion", "rest"]);
+    let arguments = [
+        "record",
+        &board.wireless,
+        "--cable",
+        &board.cable,
+        "-o",
+        file,
+    ];
+    wimu(&[&arguments[..], &["--for", "6", "--decoded"]].concat()).succeeds();
+    // It is still a recording, and decodes again to the same.
+    let info = wimu(&["info", file]).succeeds();
+    let raw = info["links"][0]["raw_samples"].as_u64().unwrap();
+    let again = folder.path().join("again.mcap");
+    let arguments = [
+        "export",
+        file,
+        "--format",
+        "mcap",
+        "-o",
+        again.to_str().unwrap(),
+    ];
+    let exported = wimu(&arguments).succeeds();
+    assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
+
+    let Some(python) = python_with_rosbags() else {
+        return;
+    };
+    let read = std::process::Command::new(python)
+        .args(["-c", READ_WITH_ROSBAGS, file])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&read.stdout).into_owned();
+    assert!(
+        read.status.success(),
+        "{}",
+        String::from_utf8_lossy(&read.stderr)
+    );
+    for topic in ["data_raw", "data", "mag", "temperature"] {
+        for role in ["cable", "wireless"] {
+            let topic = format!("/{role}/imu/{topic} ");
+            let line = text.lines().find(|line| line.starts_with(&topic));
+            let line = line.unwrap_or_else(|| panic!("{topic}: {text}"));
+            let numbers: Vec<f64> = line[topic.len()..]
+                .split(' ')
+                .map(|number| number.parse().unwrap())
+                .collect();
+            let [count, seconds, norm] = numbers[..] else {
+                panic!("{line}");
+            };
+            assert!(count >= 4.0 && (3.0..8.0).contains(&seconds), "{line}");
+            if topic.contains("data") {
+                assert!((norm - 9.8).abs() < 1.0, "{line}");
+            }
+        }
+    }
+    assert!(
+        text.contains(&format!("/cable/imu/data_raw {raw} ")),
+        "{text}"
+    );
+}

@@ -5,14 +5,16 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use wimu_calib::Transfer;
 use wimu_link::LinkRole;
+use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
+use crate::history::LinkHistory;
 use crate::{ErrorCode, HostError, Result};
 
 /// Bias and scale factor of a link's values against the reference link's, equation (65). It
 /// corrects what the link brought, on the host; it is no sensor's error and is never pushed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LinkModel {
-    schema: String,
+    pub(super) schema: String,
     /// The link that it corrects.
     pub link: String,
     /// The device whose link it is, 16 hex digits.
@@ -49,6 +51,66 @@ impl LinkModel {
             scale_sd: axes.map(|a| a.line.map(|line| line.covariance[1][1].sqrt())),
             pairs: found.samples,
         }
+    }
+
+    /// Whether it is this link's.
+    pub fn is_of(&self, role: LinkRole) -> bool {
+        self.link == role.to_string()
+    }
+
+    /// That it is this device's.
+    ///
+    /// # Errors
+    /// `data_refused` when it is another's.
+    pub fn check_device(&self, device_id: u64) -> Result<()> {
+        let id = format!("{device_id:016x}");
+        if id == self.device_id {
+            return Ok(());
+        }
+        Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!(
+                "the link model is of device {}, this is {id}",
+                self.device_id
+            ),
+            "compare the links of this device: `wimu compare FILE -o LINK.json`",
+        ))
+    }
+
+    /// Takes it off everything that its link brought.
+    ///
+    /// # Errors
+    /// `data_refused` when it is another device's or link's.
+    pub fn take_off(&self, link: &mut LinkHistory) -> Result<()> {
+        if !self.is_of(link.role) {
+            return Err(HostError::new(
+                ErrorCode::DataRefused,
+                format!("the link model is of the {} link", self.link),
+                format!("choose it with --link {}", self.link),
+            ));
+        }
+        for boot in &mut link.boots {
+            if let Some(hello) = &boot.hello {
+                self.check_device(hello.device_id)?;
+            }
+            let mut epochs = boot.epochs.iter().peekable();
+            let mut unit = None;
+            for sample in &mut boot.raw {
+                while let Some(mark) =
+                    epochs.next_if(|mark| unit.is_none() || mark.epoch.sequence <= sample.sequence)
+                {
+                    unit = Some(STANDARD_GRAVITY_MPS2 / mark.epoch.sensitivity_lsb_per_g);
+                }
+                if let Some(unit) = unit {
+                    sample.value = self.correct_lsb(sample.value, unit);
+                }
+            }
+            let unit = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
+            for sample in &mut boot.corrected {
+                sample.value = self.correct_lsb(sample.value, unit);
+            }
+        }
+        Ok(())
     }
 
     /// What the reference link would have brought for `value`, m/s².

@@ -5,6 +5,8 @@ use crate::Result;
 use crate::html::{Band, Chart, Report, Series};
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
+/// The clock is not known better than this, ms: what is faster is shown as this.
+const LEAST_SHOWN_MS: f64 = 0.1;
 /// Points of a line: more are not seen.
 const MAX_POINTS: usize = 1000;
 
@@ -157,7 +159,10 @@ fn over_time(report: &mut Report, history: &History) -> Result<()> {
                     .iter()
                     .enumerate()
                     .filter(|(_, slice)| slice.latency.count() > 0)
-                    .map(|(k, slice)| (time(k), slice.latency.quantile_ns(share) * 1e-6))
+                    .map(|(k, slice)| {
+                        let latency_ms = slice.latency.quantile_ns(share) * 1e-6;
+                        (time(k), latency_ms.max(LEAST_SHOWN_MS))
+                    })
                     .collect(),
                 dots: false,
             });

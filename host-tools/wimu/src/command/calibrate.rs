@@ -10,12 +10,13 @@ use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::{LinkHistory, Recording};
+use wimu_host::mimu4444::Capture;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
 use wimu_model::{Counts, Sensitivity};
 
-use crate::arguments::{Calibrate, Method};
+use crate::arguments::{Calibrate, Foreign, Method};
 use crate::command::{connect, connect_to_write, interrupted, not_over_input, params};
 use crate::output::Output;
 
@@ -38,7 +39,10 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         poses: arguments.poses,
         role: arguments.link.map(Into::into),
     };
-    let input = Input::parse(&arguments.input)?;
+    let input = match arguments.format {
+        Some(Foreign::Mimu4444) => Input::Csv(arguments.input.clone().into()),
+        None => Input::parse(&arguments.input)?,
+    };
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
     if arguments.push && !matches!(input, Input::Link(_)) {
         return Err(HostError::new(
@@ -49,6 +53,9 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
     let mut client = None;
     let data = match input {
+        Input::Csv(path) if arguments.format.is_some() => {
+            Capture::read(&path)?.dataset(arguments.accelerometer)?
+        }
         Input::Csv(path) => Dataset::from_csv(&path, &load)?,
         Input::Recording(path) => Dataset::from_recording(&path, &load)?,
         Input::Link(_) => {

@@ -1,9 +1,12 @@
 //! `wimu export`.
 
 use serde::Serialize;
-use wimu_host::Result;
+use wimu_host::compare::LinkModel;
 use wimu_host::export::{self, ExportStream};
 use wimu_host::history::Recording;
+use wimu_host::mimu4444::Capture;
+use wimu_host::ros::{self, Decoded};
+use wimu_host::{ErrorCode, HostError, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
 use crate::command::not_over_input;
@@ -14,28 +17,76 @@ struct Exported {
     schema: &'static str,
     status: &'static str,
     file: String,
-    link: String,
+    link: Option<String>,
     rows: usize,
 }
 
+#[derive(Serialize)]
+struct ExportedTopics {
+    schema: &'static str,
+    status: &'static str,
+    file: String,
+    #[serde(flatten)]
+    decoded: Decoded,
+}
+
 pub fn run(arguments: &Export, output: Output) -> Result<()> {
-    let ExportFormat::Csv = arguments.format;
     not_over_input(&arguments.input, Some(&arguments.output))?;
-    let recording = Recording::load(&arguments.input)?;
-    let link = recording.link(arguments.link.map(Into::into))?;
-    let stream = match arguments.stream {
-        Stream::Raw => ExportStream::Raw,
-        Stream::Corrected => ExportStream::Corrected,
-        Stream::Navigation => ExportStream::Navigation,
-    };
-    let rows = export::to_csv(link, recording.anchor, stream, &arguments.output)?;
     let file = arguments.output.display().to_string();
-    output.say(format!("{file}: {rows} rows of the {} link", link.role));
+    let model = arguments
+        .link_model
+        .as_deref()
+        .map(LinkModel::read)
+        .transpose()?;
+    let (rows, link) = match arguments.format {
+        ExportFormat::Mcap => {
+            let decoded = ros::decode(&arguments.input, &arguments.output, model.as_ref())?;
+            for (topic, count) in &decoded.messages {
+                output.say(format!("{file}: {count} messages on {topic}"));
+            }
+            output.object(&ExportedTopics {
+                schema: "wimu.export_topics/1",
+                status: "ok",
+                file,
+                decoded,
+            });
+            return Ok(());
+        }
+        ExportFormat::Mimu4444 => {
+            if model.is_some() {
+                return Err(HostError::new(
+                    ErrorCode::Usage,
+                    "a link model is of a wimu board's link",
+                    "leave --link-model out",
+                ));
+            }
+            let capture = Capture::read(&arguments.input)?;
+            (capture.write_csv(&arguments.output)?, None)
+        }
+        ExportFormat::Csv => {
+            let recording = Recording::load(&arguments.input)?;
+            let mut link = recording.link(arguments.link.map(Into::into))?.clone();
+            if let Some(model) = &model {
+                model.take_off(&mut link)?;
+            }
+            let stream = match arguments.stream {
+                Stream::Raw => ExportStream::Raw,
+                Stream::Corrected => ExportStream::Corrected,
+                Stream::Navigation => ExportStream::Navigation,
+            };
+            let rows = export::to_csv(&link, recording.anchor, stream, &arguments.output)?;
+            (rows, Some(link.role.to_string()))
+        }
+    };
+    let of = link
+        .as_ref()
+        .map_or(String::new(), |link| format!(" of the {link} link"));
+    output.say(format!("{file}: {rows} rows{of}"));
     output.object(&Exported {
         schema: "wimu.export/1",
         status: "ok",
         file,
-        link: link.role.to_string(),
+        link,
         rows,
     });
     Ok(())

@@ -1,5 +1,6 @@
 //! `wimu record`.
 
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -7,6 +8,7 @@ use serde::Serialize;
 use wimu_host::clock::ClockSummary;
 use wimu_host::decode::LinkStatistics;
 use wimu_host::recorder::{Progress, Recorder};
+use wimu_host::ros::{self, Decoded};
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
 use crate::arguments::Record;
@@ -84,6 +86,14 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
             output.say(format!("{:8} {}", link.role, clock_text(clock)));
         }
     }
+    if arguments.decoded {
+        let decoded = add_topics(&arguments.output)?;
+        let count: u64 = decoded.messages.values().sum();
+        output.say(format!(
+            "decoded: {count} messages on {} topics",
+            decoded.messages.len()
+        ));
+    }
     if let Some(error) = &progress.ended {
         output.say(format!(
             "ended: no link has come back ({}); what they brought is in the file",
@@ -106,6 +116,17 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         ended: progress.ended,
     });
     Ok(())
+}
+
+/// Puts the recording with its decoded topics in the place of the one without.
+fn add_topics(path: &Path) -> Result<Decoded> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".part");
+    let part = PathBuf::from(name);
+    let decoded = ros::decode(path, &part, None)?;
+    std::fs::rename(&part, path)
+        .map_err(|error| HostError::file(&part.display().to_string(), "rename", &error))?;
+    Ok(decoded)
 }
 
 fn summary(progress: &Progress) -> String {

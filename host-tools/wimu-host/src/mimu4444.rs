@@ -1,0 +1,340 @@
+//! Captures of the MIMU4444's Bluetooth stream: eight accelerometers and gyroscopes of another
+//! maker, whose packets carry a number and a time as wimu's do.
+//!
+//! After a 4-byte acknowledgement, packets of 106 bytes, high byte first: 0xAA, number u16, length
+//! of the payload (100), time u32 in ticks of 64 MHz, 8 × (accelerometer X Y Z, gyroscope X Y Z)
+//! i16, and the sum of the 104 bytes before it, u16. Both counters wrap.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
+use crate::dataset::{Dataset, Output, OutputUnit, RateSource};
+use crate::{ErrorCode, HostError, Result};
+
+/// Bytes of a packet, and of it before the sum.
+const PACKET: usize = 106;
+const SUMMED: usize = PACKET - 2;
+const START: u8 = 0xAA;
+const PAYLOAD: u8 = 100;
+const UNITS: usize = 8;
+/// The clock's nominal rate.
+const TICKS_PER_S: f64 = 64e6;
+/// The sensors' nominal rate: 1 kHz divided by 16, Hz.
+const NOMINAL_RATE_HZ: f64 = 62.5;
+
+/// One packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Packet {
+    /// Its number, continued over the wraps.
+    pub number: u64,
+    /// Ticks of 64 MHz, continued over the wraps.
+    pub ticks: u64,
+    /// Accelerometers, 2048 LSB/g, then gyroscopes, 16.4 LSB/(deg/s), of each unit, all in the axes
+    /// of the array: 32768 is a −32768 that is turned over.
+    pub units: [[[i32; 3]; 2]; UNITS],
+}
+
+impl Packet {
+    /// Seconds of the unit's clock.
+    pub fn time_s(&self) -> f64 {
+        self.ticks as f64 / TICKS_PER_S
+    }
+}
+
+/// A capture.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// What errors call it.
+    pub name: String,
+    /// The packets, in order.
+    pub packets: Vec<Packet>,
+    /// What was lost.
+    pub summary: Summary,
+}
+
+/// A capture in numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Summary {
+    /// Whole packets.
+    pub packets: u64,
+    /// Packets whose numbers are missing.
+    pub lost: u64,
+    /// Packets that arrived again.
+    pub duplicated: u64,
+    /// Places that begin as a packet and whose sum is wrong.
+    pub damaged: u64,
+    /// Bytes that belong to no packet, the acknowledgement and a packet cut off at the end included.
+    pub other_bytes: u64,
+    /// By the unit's clock, s.
+    pub duration_s: f64,
+    /// Mean rate by the unit's clock, Hz.
+    pub rate_hz: f64,
+    /// How much faster than the nominal 62.5 Hz that is, ppm: the difference of the sensors' clock and
+    /// the unit's. Against a host's clock nothing can be said: the capture has no times of arrival.
+    pub rate_ppm: f64,
+    /// Standard deviation of the time from one packet to the next, µs.
+    pub jitter_us: f64,
+}
+
+impl Capture {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`; `no_rows` when no packet is in it.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let bytes = std::fs::read(path).map_err(|error| HostError::file(&name, "read", &error))?;
+        Self::parse(&bytes, &name)
+    }
+
+    /// Finds the packets in `bytes`, which errors call `name`.
+    ///
+    /// # Errors
+    /// `no_rows` when there is none.
+    pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
+        let mut summary = Summary::default();
+        let mut packets: Vec<Packet> = Vec::new();
+        let mut at = 0;
+        while let Some(rest) = bytes.get(at..).filter(|rest| !rest.is_empty()) {
+            let begins = rest[0] == START && rest.get(3) == Some(&PAYLOAD);
+            let Some(packet) = rest.first_chunk::<PACKET>().filter(|_| begins) else {
+                summary.other_bytes += 1;
+                at += 1;
+                continue;
+            };
+            let sum = packet[..SUMMED]
+                .iter()
+                .fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+            if sum != u16::from_be_bytes([packet[SUMMED], packet[SUMMED + 1]]) {
+                summary.damaged += 1;
+                summary.other_bytes += 1;
+                at += 1;
+                continue;
+            }
+            at += PACKET;
+            let packet = decode(packet, packets.last());
+            match packets.last() {
+                Some(last) if packet.number <= last.number => {
+                    summary.duplicated += 1;
+                    continue;
+                }
+                Some(last) => summary.lost += packet.number - last.number - 1,
+                None => {}
+            }
+            packets.push(packet);
+        }
+        let [first, .., last] = packets.as_slice() else {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "there are fewer than two packets in it",
+                "give a capture of a MIMU4444's Bluetooth stream",
+            )
+            .at(name));
+        };
+        summary.packets = packets.len() as u64;
+        summary.duration_s = last.time_s() - first.time_s();
+        summary.rate_hz = (last.number - first.number) as f64 / summary.duration_s;
+        summary.rate_ppm = (summary.rate_hz / NOMINAL_RATE_HZ - 1.0) * 1e6;
+        let squares: f64 = packets
+            .windows(2)
+            .map(|pair| {
+                let steps = (pair[1].number - pair[0].number) as f64;
+                let step = (pair[1].time_s() - pair[0].time_s()) / steps;
+                (step - 1.0 / summary.rate_hz).powi(2)
+            })
+            .sum();
+        summary.jitter_us = (squares / (packets.len() - 1) as f64).sqrt() * 1e6;
+        Ok(Self {
+            name: name.to_owned(),
+            packets,
+            summary,
+        })
+    }
+
+    /// One accelerometer, 0 to 7, as a calibration reads it.
+    ///
+    /// # Errors
+    /// `usage` when none or another was chosen.
+    pub fn dataset(&self, accelerometer: Option<u32>) -> Result<Dataset> {
+        let chosen = accelerometer.filter(|chosen| *chosen < UNITS as u32);
+        let Some(chosen) = chosen else {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "it has 8 accelerometers",
+                "choose one with --accelerometer: 0 to 7",
+            )
+            .at(&self.name));
+        };
+        let mut next = None;
+        let outputs = self.packets.iter().map(|packet| {
+            let after_gap = next
+                .replace(packet.number + 1)
+                .is_some_and(|n| n != packet.number);
+            Output {
+                value: packet.units[chosen as usize][0].map(f64::from),
+                temperature_c: None,
+                samples: 1,
+                after_gap,
+                time_s: Some(packet.time_s()),
+            }
+        });
+        Ok(Dataset {
+            name: self.name.clone(),
+            unit: OutputUnit::Counts {
+                nominal: None,
+                range_g: None,
+            },
+            poses: false,
+            rate_hz: self.summary.rate_hz,
+            rate_source: RateSource::Times,
+            outputs: outputs.collect(),
+        })
+    }
+
+    /// Writes all accelerometers and gyroscopes as a CSV file, LSB, by the unit's clock from the first
+    /// packet on; returns the number of rows.
+    ///
+    /// # Errors
+    /// `file_failed`, `file_unreadable`.
+    pub fn write_csv(&self, path: &Path) -> Result<usize> {
+        let name = path.display().to_string();
+        let file = std::fs::File::create(path).map_err(|e| HostError::file(&name, "create", &e))?;
+        let header = Header {
+            time: true,
+            accelerometers: (0..UNITS as u32).map(Some).collect(),
+            acceleration_unit: AccelerationUnit::Lsb,
+            magnetometer: false,
+            temperature: false,
+            other: (0..UNITS)
+                .flat_map(|unit| {
+                    ["X", "Y", "Z"].map(|axis| format!("Gyroscope {unit} {axis} (LSB)"))
+                })
+                .collect(),
+        };
+        let mut writer = CsvWriter::new(std::io::BufWriter::new(file), &name, header)?;
+        let start = self.packets.first().map_or(0, |packet| packet.ticks);
+        for packet in &self.packets {
+            let gyroscopes = packet.units.iter().flat_map(|[_, gyroscope]| gyroscope);
+            writer.write(&Row {
+                // 64 ticks are 1000 ns.
+                time_ns: Some(((packet.ticks - start) * 125 / 8) as i64),
+                accelerations: packet.units.map(|[a, _]| a.map(f64::from)).to_vec(),
+                other: gyroscopes.map(i32::to_string).collect(),
+                ..Row::default()
+            })?;
+        }
+        writer.finish()?;
+        Ok(self.packets.len())
+    }
+}
+
+fn decode(packet: &[u8; PACKET], last: Option<&Packet>) -> Packet {
+    let word = |at: usize| u16::from_be_bytes([packet[at], packet[at + 1]]);
+    let short_number = word(1);
+    let short_ticks = u32::from_be_bytes([packet[4], packet[5], packet[6], packet[7]]);
+    let (number, ticks) = match last {
+        None => (short_number.into(), short_ticks.into()),
+        Some(last) => {
+            // Back by less than half of what 16 bits count is back; anything else is ahead.
+            let ahead = i64::from(short_number.wrapping_sub(last.number as u16) as i16);
+            let passed = short_ticks.wrapping_sub(last.ticks as u32);
+            (
+                last.number.saturating_add_signed(ahead),
+                last.ticks + u64::from(passed),
+            )
+        }
+    };
+    let mut units = [[[0; 3]; 2]; UNITS];
+    for (index, value) in units.iter_mut().flatten().flatten().enumerate() {
+        *value = i32::from(word(8 + 2 * index) as i16);
+    }
+    // Every second unit is mounted turned over.
+    for unit in units.iter_mut().skip(1).step_by(2).flatten() {
+        let [x, y, z] = *unit;
+        *unit = [-y, -x, -z];
+    }
+    Packet {
+        number,
+        ticks,
+        units,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packet(number: u16, ticks: u32) -> Vec<u8> {
+        let mut bytes = vec![START];
+        bytes.extend(number.to_be_bytes());
+        bytes.push(PAYLOAD);
+        bytes.extend(ticks.to_be_bytes());
+        for value in 0..48_i16 {
+            bytes.extend((value * 100 - 2000).to_be_bytes());
+        }
+        let sum = bytes.iter().fold(0_u16, |s, b| s.wrapping_add((*b).into()));
+        bytes.extend(sum.to_be_bytes());
+        bytes
+    }
+
+    #[test]
+    fn counters_wrap_and_losses_are_counted() {
+        let mut bytes = vec![0xA0, 0x28, 0x00, 0xC8];
+        for k in 0..10_u32 {
+            if k == 4 {
+                continue;
+            }
+            let ticks = (u32::MAX - 3_000_000).wrapping_add(k * 1_024_000);
+            bytes.extend(packet((0xFFFC + k) as u16, ticks));
+            if k == 6 {
+                // Again, and one with a bit flipped.
+                bytes.extend(packet((0xFFFC + k) as u16, ticks));
+                let mut damaged = packet(0, 0);
+                damaged[50] ^= 4;
+                bytes.extend(damaged);
+            }
+        }
+        bytes.extend(&packet(6, 0)[..40]);
+        let capture = Capture::parse(&bytes, "a.bin").unwrap();
+        let found = capture.summary;
+        assert_eq!((found.packets, found.lost, found.duplicated), (9, 1, 1));
+        assert_eq!((found.damaged, found.other_bytes), (1, 4 + 106 + 40));
+        assert!(found.rate_ppm.abs() < 1e-6 && (found.duration_s - 0.144).abs() < 1e-12);
+        assert_eq!(capture.packets[0].units[0][0], [-2000, -1900, -1800]);
+        // The second is turned over.
+        assert_eq!(capture.packets[0].units[1][0], [1300, 1400, 1200]);
+        assert!(Capture::parse(b"nothing of the kind", "b.bin").is_err());
+        assert!(Capture::parse(&[], "c.bin").is_err());
+    }
+
+    #[test]
+    fn the_real_capture_has_lost_nothing_and_says_what_its_table_says() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/array/");
+        let path = format!("{folder}mimu4444_run1_bluetooth.bin");
+        if !Path::new(&path).exists() {
+            println!("skipped: {path} is absent");
+            return;
+        }
+        let capture = Capture::read(Path::new(&path)).unwrap();
+        let found = capture.summary;
+        println!("{found:?}");
+        assert_eq!((found.lost, found.duplicated, found.damaged), (0, 0, 0));
+        let table = std::fs::File::open(format!("{folder}mimu4444_run1.csv")).unwrap();
+        let reader =
+            crate::csv::CsvReader::new(std::io::BufReader::new(table), "the table").unwrap();
+        let mut rows = 0;
+        for (row, packet) in reader.zip(&capture.packets) {
+            let row = row.unwrap();
+            for (unit, [accelerometer, gyroscope]) in packet.units.iter().enumerate() {
+                assert_eq!(row.accelerations[unit], accelerometer.map(f64::from));
+                for axis in 0..3 {
+                    assert_eq!(row.other[3 * unit + axis], gyroscope[axis].to_string());
+                }
+            }
+            rows += 1;
+        }
+        assert_eq!(rows, capture.packets.len());
+    }
+}

@@ -1,0 +1,252 @@
+//! What links brought as ROS 2 messages beside the bytes, in a recording that any MCAP tool reads.
+//!
+//! Under `/cable` and `/wireless`: `imu/data_raw` (counts at nominal sensitivity, sensor axes) and
+//! `imu/data` (corrected, body axes), both `sensor_msgs/msg/Imu` in m/s²; `imu/mag`
+//! (`sensor_msgs/msg/MagneticField`, tesla); `imu/temperature` (`sensor_msgs/msg/Temperature`, °C).
+//! Stamps are device times through the clock model, in UTC. What there is none of has −1 as the first
+//! element of its covariance; a covariance of zeros is unknown.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Serialize;
+use wimu_link::LinkRole;
+use wimu_link::batch::Stream;
+use wimu_model::{DeviceTimeUs, STANDARD_GRAVITY_MPS2, SpecificForceQ16};
+
+use crate::compare::LinkModel;
+use crate::decode::Event;
+use crate::mcap_file::{RecordingReader, RecordingWriter, Topic};
+use crate::walk::{Clocks, Start, Step, Walker, walk};
+use crate::{ErrorCode, HostError, Result};
+
+const FRAME_ID: &str = "imu_link";
+/// ROS's separator between a message's definition and those of its parts.
+const NEXT: &str =
+    "================================================================================\nMSG: ";
+
+/// How many messages of each topic were written.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Decoded {
+    /// By topic.
+    pub messages: BTreeMap<String, u64>,
+    /// Messages left out because no clock tells when they were.
+    pub without_time: u64,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    Raw,
+    Corrected,
+    Magnetic,
+    Temperature,
+}
+
+impl Kind {
+    fn topic(self) -> &'static str {
+        match self {
+            Self::Raw => "imu/data_raw",
+            Self::Corrected => "imu/data",
+            Self::Magnetic => "imu/mag",
+            Self::Temperature => "imu/temperature",
+        }
+    }
+
+    fn schema_name(self) -> &'static str {
+        match self {
+            Self::Raw | Self::Corrected => "sensor_msgs/msg/Imu",
+            Self::Magnetic => "sensor_msgs/msg/MagneticField",
+            Self::Temperature => "sensor_msgs/msg/Temperature",
+        }
+    }
+
+    fn schema(self) -> String {
+        let header = format!(
+            "{NEXT}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n\
+             {NEXT}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+        );
+        let vector = format!("{NEXT}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n");
+        match self {
+            Self::Raw | Self::Corrected => format!(
+                "std_msgs/Header header\n\
+                 geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\
+                 geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\
+                 geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n\
+                 {header}{NEXT}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{vector}"
+            ),
+            Self::Magnetic => format!(
+                "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\n\
+                 float64[9] magnetic_field_covariance\n{header}{vector}"
+            ),
+            Self::Temperature => {
+                format!("std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{header}")
+            }
+        }
+    }
+}
+
+/// Copies the recording at `from` to a new file at `to`, with the decoded topics added. A link model
+/// is taken off the link that it names. Memory does not grow with the recording.
+///
+/// # Errors
+/// Those of reading a recording and of [`RecordingWriter::create`]; `data_refused` when the link
+/// model is another device's.
+pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
+    let mut clocks = Clocks::default();
+    walk(&mut RecordingReader::open(from)?, |role, start, step| {
+        if let (Step::Arrival(arrival), Some(model)) = (&step, link_model)
+            && let Event::Hello(hello) = &arrival.event
+        {
+            model.check_device(hello.device_id)?;
+        }
+        clocks.see(role, start, &step);
+        Ok(())
+    })?;
+    let clocks = clocks.models();
+    let mut reader = RecordingReader::open(from)?;
+    let Some(anchor) = reader.anchor()? else {
+        return Err(HostError::new(
+            ErrorCode::BadRecording,
+            "it has no anchor from the host's clock to UTC",
+            "give a file written by `wimu record`",
+        )
+        .at(from.display().to_string()));
+    };
+    let mut decoder = Writer {
+        out: RecordingWriter::create(to, anchor)?,
+        topics: BTreeMap::new(),
+        units: BTreeMap::new(),
+        link_model,
+        decoded: Decoded::default(),
+        message: Vec::new(),
+    };
+    let mut walker = Walker::new();
+    while let Some(entry) = reader.next_entry()? {
+        decoder.out.record(&entry)?;
+        walker.push(entry, &mut |role, start, step| {
+            decoder.take(role, start, &step, clocks.get(&start))
+        })?;
+    }
+    walker.finish(&mut |role, start, step| decoder.take(role, start, &step, clocks.get(&start)))?;
+    decoder.out.finish()?;
+    Ok(decoder.decoded)
+}
+
+struct Writer<'a> {
+    out: RecordingWriter<std::io::BufWriter<std::fs::File>>,
+    topics: BTreeMap<(u8, Kind), Topic>,
+    /// m/s² per LSB of raw samples.
+    units: BTreeMap<(u8, Start), f64>,
+    link_model: Option<&'a LinkModel>,
+    decoded: Decoded,
+    message: Vec<u8>,
+}
+
+impl Writer<'_> {
+    fn take(
+        &mut self,
+        role: LinkRole,
+        start: Start,
+        step: &Step,
+        clock: Option<&crate::clock::ClockModel>,
+    ) -> Result<()> {
+        let Step::Arrival(arrival) = step else {
+            return Ok(());
+        };
+        let arrived_ns = arrival.host_ns;
+        let write = |writer: &mut Self, kind: Kind, time: DeviceTimeUs, fields: &[f64]| {
+            let Some(clock) = clock else {
+                writer.decoded.without_time += 1;
+                return Ok(());
+            };
+            writer.write(role, kind, arrived_ns, clock.host_ns(time), fields)
+        };
+        match &arrival.event {
+            Event::Epoch { epoch, .. } => {
+                let unit = STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g;
+                self.units.insert((role.number(), start), unit);
+            }
+            Event::Samples(samples) => {
+                let (kind, unit) = match samples.stream {
+                    Stream::Raw => {
+                        let Some(unit) = self.units.get(&(role.number(), start)) else {
+                            return Ok(());
+                        };
+                        (Kind::Raw, *unit)
+                    }
+                    Stream::Corrected => (Kind::Corrected, 1.0 / SpecificForceQ16::LSB_PER_MPS2),
+                };
+                let model = self.link_model.filter(|model| model.is_of(role));
+                for sample in samples.iter() {
+                    let force = sample.value.map(|v| f64::from(v) * unit);
+                    let force = model.map_or(force, |model| model.correct(force));
+                    let mut fields = [0.0; 37];
+                    // Neither orientation nor angular velocity.
+                    fields[3] = 1.0;
+                    fields[4] = -1.0;
+                    fields[16] = -1.0;
+                    fields[25..28].copy_from_slice(&force);
+                    write(self, kind, sample.time, &fields)?;
+                }
+            }
+            Event::Environment(environment) => {
+                let time = DeviceTimeUs(environment.time_us);
+                if let Some(field) = environment.magnetic_field_nt {
+                    let mut fields = [0.0; 12];
+                    for axis in 0..3 {
+                        fields[axis] = f64::from(field[axis]) * 1e-9;
+                    }
+                    write(self, Kind::Magnetic, time, &fields)?;
+                }
+                if let Some(centi) = environment.temperature_centi_c {
+                    write(
+                        self,
+                        Kind::Temperature,
+                        time,
+                        &[f64::from(centi) / 100.0, 0.0],
+                    )?;
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// One message: a header and numbers, in little-endian CDR.
+    fn write(
+        &mut self,
+        role: LinkRole,
+        kind: Kind,
+        arrived_ns: u64,
+        taken_ns: u64,
+        fields: &[f64],
+    ) -> Result<()> {
+        let name = format!("/{role}/{}", kind.topic());
+        let topic = match self.topics.get(&(role.number(), kind)) {
+            Some(topic) => *topic,
+            None => {
+                let topic = self.out.topic(&name, kind.schema_name(), &kind.schema())?;
+                self.topics.insert((role.number(), kind), topic);
+                topic
+            }
+        };
+        let stamp_ns = self.out.anchor().to_utc_ns(taken_ns);
+        let message = &mut self.message;
+        message.clear();
+        message.extend([0, 1, 0, 0]);
+        message.extend(((stamp_ns / 1_000_000_000) as i32).to_le_bytes());
+        message.extend(((stamp_ns % 1_000_000_000) as u32).to_le_bytes());
+        message.extend((FRAME_ID.len() as u32 + 1).to_le_bytes());
+        message.extend(FRAME_ID.as_bytes());
+        message.push(0);
+        // Numbers of eight bytes are aligned to the body, which begins behind the four first.
+        message.resize((message.len() - 4).next_multiple_of(8) + 4, 0);
+        for field in fields {
+            message.extend(field.to_le_bytes());
+        }
+        self.out
+            .publish(topic, arrived_ns, stamp_ns, &self.message)?;
+        *self.decoded.messages.entry(name).or_default() += 1;
+        Ok(())
+    }
+}

@@ -802,7 +802,9 @@ fn eigenvalue_range<R: Real, const N: usize>(mut m: SMatrix<R, N, N>) -> Option<
 
 /// Eigenvalues and eigenvectors (columns) of a symmetric matrix (its lower triangle) by Jacobi
 /// rotations, which keep small eigenvalues of a positive definite matrix accurate.
-fn eigen<R: Real, const N: usize>(mut m: SMatrix<R, N, N>) -> (SVector<R, N>, SMatrix<R, N, N>) {
+pub(crate) fn eigen<R: Real, const N: usize>(
+    mut m: SMatrix<R, N, N>,
+) -> (SVector<R, N>, SMatrix<R, N, N>) {
     let mut vectors = SMatrix::<R, N, N>::identity();
     let tiny = m.diagonal().amax() * R::default_epsilon() * real(0.05);
     for _ in 0..30 {

@@ -2,6 +2,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+mod alignment;
 mod design;
 mod estimate;
 mod finder;
@@ -23,6 +24,7 @@ mod student;
 mod terms;
 mod turn;
 
+pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
 pub use design::Guide;
 pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};

@@ -1,0 +1,306 @@
+//! How the sensor sits in the body that it is mounted on.
+
+use core::fmt;
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use wimu_model::{Alignment, RotationCovariance};
+
+use crate::least_squares::eigen;
+
+/// Directions nearer to one line than this tell no rotation about it, rad: 10°.
+const LEAST_ANGLE_RAD: f64 = 0.175;
+/// Standard deviations by which directions may disagree.
+const MOST_DISAGREEMENT: f64 = 5.0;
+/// A move is at least this long, m.
+const SHORTEST_MOVE_M: f64 = 0.05;
+/// A move accelerates at least this much, m/s² rms.
+const LEAST_PUSH_MPS2: f64 = 0.1;
+/// Acceleration across a straight move per that along it, at most.
+const MOST_CROOKED: f64 = 0.35;
+
+/// A direction that is known in the body and was seen by the sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct KnownDirection {
+    /// In sensor axes, of any length: the corrected specific force at rest, which points up, or a
+    /// [`straight_move`].
+    pub sensor: [f64; 3],
+    /// The same direction in body axes, of any length.
+    pub body: [f64; 3],
+    /// How well the two agree, rad, 1 σ about each axis across.
+    pub sd_rad: f64,
+}
+
+/// The rotation from the sensor's axes to those of the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct AlignmentEstimate {
+    /// The rotation.
+    pub alignment: Alignment,
+    /// Covariance of its error about body axes, rad².
+    pub covariance: RotationCovariance,
+    /// Largest angle by which a direction misses after the rotation, rad.
+    pub residual_rad: f64,
+}
+
+/// Why there is no alignment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum AlignmentRefusal {
+    /// One direction, or none, leaves a rotation about it open.
+    TooFewDirections {
+        /// How many there are.
+        have: usize,
+    },
+    /// A direction or its standard deviation is zero or not finite.
+    NoDirection {
+        /// Which, from 0.
+        direction: usize,
+    },
+    /// All directions are along one line: a rotation about it is open.
+    Collinear {
+        /// The largest angle between that line and any of them, rad.
+        angle_rad: f64,
+    },
+    /// The angles between the directions are not those in the body.
+    Disagree {
+        /// The direction that misses most, from 0.
+        direction: usize,
+        /// By how much, rad.
+        residual_rad: f64,
+    },
+    /// Between the rests nothing moved.
+    NotMoved {
+        /// How far it went, m.
+        distance_m: f64,
+    },
+    /// The move was not straight, or the sensor turned.
+    NotStraight {
+        /// Acceleration across per that along.
+        crookedness: f64,
+    },
+}
+
+impl fmt::Display for AlignmentRefusal {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooFewDirections { have } => write!(
+                out,
+                "{have} known direction, 2 are needed: a level rest and another one, or a straight \
+                 move"
+            ),
+            Self::NoDirection { direction } => write!(
+                out,
+                "direction {direction} (from 0) is none: zero, not finite, or without a standard \
+                 deviation"
+            ),
+            Self::Collinear { angle_rad } => write!(
+                out,
+                "the directions are {:.1}° from one line: the rotation about it stays open; rest the \
+                 body on another side, or move it straight ahead",
+                angle_rad.to_degrees()
+            ),
+            Self::Disagree {
+                direction,
+                residual_rad,
+            } => write!(
+                out,
+                "direction {direction} (from 0) misses by {:.1}°: the body was not as was said, or \
+                 the sensor is uncalibrated; check the sides and calibrate first",
+                residual_rad.to_degrees()
+            ),
+            Self::NotMoved { distance_m } => write!(
+                out,
+                "it moved {distance_m:.2} m only: push it at least half a metre ahead, briskly"
+            ),
+            Self::NotStraight { crookedness } => write!(
+                out,
+                "the move was not straight: {:.0} % of the acceleration was across; push it along a \
+                 straight edge, without turning or tilting it",
+                crookedness * 100.0
+            ),
+        }
+    }
+}
+
+impl core::error::Error for AlignmentRefusal {}
+
+/// The rotation from the sensor's axes to those of the body that best agrees with two or more known
+/// directions. Equation (54) of docs/EQUATIONS.md.
+///
+/// ```
+/// use wimu_calib::{KnownDirection, align};
+///
+/// let sd_rad = 0.5_f64.to_radians();
+/// // Level, the sensor's y points down; pushed ahead, it accelerates along its z.
+/// let level = KnownDirection { sensor: [0.0, -9.81, 0.0], body: [0.0, 0.0, 1.0], sd_rad };
+/// let ahead = KnownDirection { sensor: [0.0, 0.0, 0.8], body: [1.0, 0.0, 0.0], sd_rad };
+/// let found = align(&[level, ahead])?;
+/// let [x, y, z] = found.alignment.rotate([0.0, 0.0, 1.0]);
+/// assert!((x - 1.0).abs() < 1e-9 && y.abs() < 1e-9 && z.abs() < 1e-9);
+/// // Heading is known from `ahead` alone, roll from `level` alone, pitch from both.
+/// let sd = [0, 1, 2].map(|axis| found.covariance.sd(axis));
+/// assert!((sd[0] - sd_rad).abs() < 1e-6 && (sd[2] - sd_rad).abs() < 1e-6 && sd[1] < 0.8 * sd_rad);
+///
+/// assert!(align(&[level, level]).is_err());
+/// # Ok::<(), wimu_calib::AlignmentRefusal>(())
+/// ```
+///
+/// # Errors
+/// [`AlignmentRefusal`].
+pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, AlignmentRefusal> {
+    if directions.len() < 2 {
+        return Err(AlignmentRefusal::TooFewDirections {
+            have: directions.len(),
+        });
+    }
+    let unit = |v: [f64; 3]| {
+        Vector3::from(v)
+            .try_normalize(1e-9)
+            .filter(|u| u.norm() > 0.5)
+    };
+    let mut attitude = Matrix3::zeros();
+    let mut information = Matrix3::zeros();
+    let mut scatter = [Matrix3::zeros(); 2];
+    let mut weights = 0.0;
+    for (direction, known) in directions.iter().enumerate() {
+        let weight = 1.0 / (known.sd_rad * known.sd_rad);
+        let (Some(v), Some(u), true) = (
+            unit(known.sensor),
+            unit(known.body),
+            weight.is_finite() && weight > 0.0,
+        ) else {
+            return Err(AlignmentRefusal::NoDirection { direction });
+        };
+        attitude += u * v.transpose() * weight;
+        information += (Matrix3::identity() - u * u.transpose()) * weight;
+        scatter[0] += u * u.transpose();
+        scatter[1] += v * v.transpose();
+        weights += weight;
+    }
+    // The line nearest to all directions is the eigenvector of the largest eigenvalue.
+    for (which, scatter) in scatter.into_iter().enumerate() {
+        let line = main_axis(scatter);
+        let angle_rad = directions
+            .iter()
+            .filter_map(|known| unit(if which == 0 { known.body } else { known.sensor }))
+            .map(|u| libm::acos(u.dot(&line).abs().min(1.0)))
+            .fold(0.0, f64::max);
+        if angle_rad < LEAST_ANGLE_RAD / 2.0 {
+            return Err(AlignmentRefusal::Collinear { angle_rad });
+        }
+    }
+    // Davenport's matrix, moved up so that no eigenvalue is negative.
+    let b = attitude / weights;
+    let symmetric = b + b.transpose();
+    let z = [
+        b[(2, 1)] - b[(1, 2)],
+        b[(0, 2)] - b[(2, 0)],
+        b[(1, 0)] - b[(0, 1)],
+    ];
+    let davenport = SMatrix::<f64, 4, 4>::from_fn(|r, c| {
+        let shift = if r == c { 2.0 } else { 0.0 };
+        shift
+            + match (r, c) {
+                (0, 0) => b.trace(),
+                (0, k) | (k, 0) => z[k - 1],
+                (r, c) => symmetric[(r - 1, c - 1)] - if r == c { b.trace() } else { 0.0 },
+            }
+    });
+    let best = main_axis(davenport);
+    let sign = if best[0] < 0.0 { -1.0 } else { 1.0 };
+    let quaternion = [0, 1, 2, 3].map(|k| sign * best[k]);
+    let none = AlignmentRefusal::NoDirection { direction: 0 };
+    let alignment = Alignment::from_quaternion(quaternion).map_err(|_| none)?;
+    let inverse = information.try_inverse().ok_or(none)?;
+    let covariance: [[f64; 3]; 3] =
+        core::array::from_fn(|r| core::array::from_fn(|c| inverse[(r, c)]));
+    let covariance = RotationCovariance::from_matrix(&covariance).map_err(|_| none)?;
+    let mut worst = (0, 0.0, 0.0);
+    for (direction, known) in directions.iter().enumerate() {
+        let (Some(v), Some(u)) = (unit(known.sensor), unit(known.body)) else {
+            continue;
+        };
+        let turned = Vector3::from(alignment.rotate([v.x, v.y, v.z]));
+        let off = libm::atan2(turned.cross(&u).norm(), turned.dot(&u));
+        if off / known.sd_rad > worst.2 {
+            worst = (direction, off, off / known.sd_rad);
+        }
+    }
+    let (direction, residual_rad, deviations) = worst;
+    if deviations > MOST_DISAGREEMENT {
+        return Err(AlignmentRefusal::Disagree {
+            direction,
+            residual_rad,
+        });
+    }
+    Ok(AlignmentEstimate {
+        alignment,
+        covariance,
+        residual_rad,
+    })
+}
+
+/// The eigenvector of the largest eigenvalue of a symmetric matrix.
+fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N> {
+    let (values, vectors) = eigen(matrix);
+    vectors.column(values.imax()).into_owned()
+}
+
+/// The direction of a straight move from rest to rest, in sensor axes, and its standard deviation,
+/// rad, that of the floor and the hand left out. Equation (54).
+///
+/// `before` and `after` are the mean specific force of the rests, m/s²; `samples` the specific force
+/// between them at `rate_hz`.
+///
+/// # Errors
+/// [`AlignmentRefusal::NotMoved`] and [`AlignmentRefusal::NotStraight`].
+pub fn straight_move(
+    before: [f64; 3],
+    after: [f64; 3],
+    samples: impl Iterator<Item = [f64; 3]>,
+    rate_hz: f64,
+) -> Result<([f64; 3], f64), AlignmentRefusal> {
+    let rest = (Vector3::from(before) + Vector3::from(after)) / 2.0;
+    let step = 1.0 / rate_hz;
+    let (mut velocity, mut position) = (Vector3::zeros(), Vector3::zeros());
+    let mut scatter = Matrix3::zeros();
+    let mut count = 0.0;
+    for sample in samples {
+        let push = Vector3::from(sample) - rest;
+        scatter += push * push.transpose();
+        position += (velocity + push * (step / 2.0)) * step;
+        velocity += push * step;
+        count += 1.0;
+    }
+    // It stood still at the end: what velocity is left grew evenly, to the least variance.
+    let distance = position - velocity * (count * step / 2.0);
+    let distance_m = distance.norm();
+    let rms = libm::sqrt(scatter.trace() / count);
+    let moved = distance_m >= SHORTEST_MOVE_M && rms >= LEAST_PUSH_MPS2;
+    if !moved {
+        return Err(AlignmentRefusal::NotMoved {
+            distance_m: if distance_m.is_finite() {
+                distance_m
+            } else {
+                0.0
+            },
+        });
+    }
+    let ahead = distance / distance_m;
+    let along = ahead.dot(&(scatter * ahead));
+    let crookedness = libm::sqrt((scatter.trace() / along - 1.0).max(0.0));
+    if crookedness > MOST_CROOKED || crookedness.is_nan() {
+        return Err(AlignmentRefusal::NotStraight { crookedness });
+    }
+    // The line of the acceleration is a second opinion, with other errors: noise and shaking leave
+    // it where they are, and turn the distance.
+    let line = main_axis(scatter);
+    let apart = libm::acos(line.dot(&ahead).abs().min(1.0));
+    let shaken = crookedness / libm::sqrt((count / 8.0).max(1.0));
+    Ok((
+        [ahead.x, ahead.y, ahead.z],
+        libm::sqrt(apart * apart + shaken * shaken),
+    ))
+}

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod alignment;
 pub mod allan;
 pub mod array;
 pub mod calibration;

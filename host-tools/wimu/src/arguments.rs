@@ -43,6 +43,8 @@ pub enum Command {
     Export(Export),
     /// Estimate the error model of an accelerometer
     Calibrate(Calibrate),
+    /// How the sensor sits in the body that it is mounted on
+    Align(Align),
     /// Noise density and bias instability of an accelerometer at rest
     Allan(Allan),
     /// The calibration on a device
@@ -338,6 +340,42 @@ pub struct Calibrate {
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu align rests.mcap --up z,x -o CAL.json
+           it stood level (the body's z up), then on its tail (the body's x up)
+         wimu align push.mcap --forward --calibration CAL.json -o ALIGNED.json
+           it stood level, was pushed straight ahead, and stood still again
+Push the result with `wimu params push LINK CAL.json`.")]
+pub struct Align {
+    /// A recording, or a CSV file
+    pub input: String,
+    /// The body axis that points up at each rest, in order: z is level, -x on its nose
+    #[arg(
+        long,
+        value_name = "AXES",
+        value_delimiter = ',',
+        default_value = "z",
+        allow_hyphen_values = true
+    )]
+    pub up: Vec<String>,
+    /// After the first rest it was moved straight ahead, along the body's x
+    #[arg(long)]
+    pub forward: bool,
+    /// How the sensor is calibrated; without it, as the recording says
+    #[arg(long, value_name = "CAL.json")]
+    pub calibration: Option<PathBuf>,
+    /// How well the body was placed and pushed, 1 σ
+    #[arg(long, value_name = "DEG", default_value_t = 1.0)]
+    pub placement_sd: f64,
+    /// Write the calibration with the alignment here
+    #[arg(short, long, value_name = "CAL.json")]
+    pub output: Option<PathBuf>,
+    /// Of which link of a recording; without it, the cable if it was recorded
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
 }
 
 #[derive(Args)]

@@ -31,6 +31,7 @@ fn main() -> ExitCode {
 /// Returns the exit code of a command that has done what it could.
 fn run(command: Command, output: Output) -> Result<u8> {
     match command {
+        Command::Align(arguments) => return command::align::run(&arguments, output),
         Command::Allan(arguments) => return command::allan::run(&arguments, output),
         Command::Calibrate(arguments) => return command::calibrate::run(&arguments, output),
         Command::Demo(arguments) => command::demo::run(&arguments, output),

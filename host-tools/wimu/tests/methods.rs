@@ -150,3 +150,102 @@ fn the_noise_of_a_sensor_at_rest_is_told_and_motion_is_refused() {
     wimu(&["allan", &csv, "--sensitivity", "0"]).fails(2, "usage");
     wimu(&["allan", "tcp://127.0.0.1:1"]).fails(2, "usage");
 }
+
+/// The calibration file of a perfect sensor of 1000 LSB per m/s².
+fn perfect(folder: &std::path::Path) -> String {
+    let csv = folder.join("perfect.csv").display().to_string();
+    let mut text = String::from("Time (s)");
+    for sensor in [0, 1] {
+        for axis in ["X", "Y", "Z"] {
+            write!(text, ",Accelerometer {sensor} {axis} (LSB)").unwrap();
+        }
+    }
+    text.push('\n');
+    for k in 0..500 {
+        let t = f64::from(k) * 0.01;
+        let [x, y] = [2.0 * t, 3.1 * t].map(|phase| (3000.0 * phase.sin()).round());
+        writeln!(text, "{t},{x},{y},{y},{x},{y},{y}").unwrap();
+    }
+    fs::write(&csv, text).unwrap();
+    let cal = folder.join("CAL.json").display().to_string();
+    wimu(&[
+        "calibrate",
+        &csv,
+        "--method",
+        "reference",
+        "--sensitivity",
+        "9806.65",
+        "-o",
+        &cal,
+    ])
+    .succeeds();
+    cal
+}
+
+#[test]
+fn two_rests_or_a_push_align_the_sensor_with_its_body() {
+    let (csv, folder) = in_folder("rests.csv");
+    let cal = perfect(folder.path());
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let table = |force: &dyn Fn(f64) -> [f64; 3], seconds: u32| {
+        let mut text = String::from(
+            "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)\n",
+        );
+        for k in 0..seconds * 100 {
+            let t = f64::from(k) / 100.0;
+            let [x, y, z] = force(t);
+            let noise = 0.01 * (f64::from(k) * 2.4).sin();
+            writeln!(text, "{t},{},{},{}", x + noise, y - noise, z + noise).unwrap();
+        }
+        text
+    };
+    // Level, a turn of a second, then the sensor's y up.
+    let rests = table(
+        &|t| {
+            let angle = (t - 5.0).clamp(0.0, 1.0) * std::f64::consts::FRAC_PI_2;
+            [0.0, 9.81 * angle.sin(), 9.81 * angle.cos()]
+        },
+        11,
+    );
+    fs::write(&csv, rests).unwrap();
+    let aligned = path("ALIGNED.json");
+    let of = |arguments: &[&str]| {
+        let ran = wimu(&[&["align", &csv, "--calibration", &cal][..], arguments].concat());
+        let object = ran.succeeds();
+        [0, 1, 2, 3].map(|k| object["alignment_wxyz"][k].as_f64().unwrap())
+    };
+    // The sensor's y is the body's x: a turn of −90° about z.
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    for (found, expected) in of(&["--up", "z,x", "-o", &aligned])
+        .iter()
+        .zip([half, 0.0, 0.0, -half])
+    {
+        assert!((found - expected).abs() < 0.01, "{found} {expected}");
+    }
+    let text = fs::read_to_string(&aligned).unwrap();
+    assert!(text.contains("alignment_covariance"));
+    // What it wrote is a calibration again.
+    let again = wimu(&["align", &csv, "--calibration", &aligned, "--up", "z,x"]).succeeds();
+    assert_eq!(again["rests"], 2);
+
+    // The same by a push of 1 m along the sensor's y.
+    let push = table(
+        &|t| {
+            let u = ((t - 5.0) / 3.0).clamp(0.0, 1.0);
+            [0.0, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / 9.0, 9.81]
+        },
+        13,
+    );
+    fs::write(&csv, push).unwrap();
+    for (found, expected) in of(&["--forward"]).iter().zip([half, 0.0, 0.0, -half]) {
+        assert!((found - expected).abs() < 0.02, "{found} {expected}");
+    }
+
+    // One direction, a rest that is not there, no axis.
+    wimu(&["align", &csv, "--calibration", &cal]).fails(2, "usage");
+    wimu(&["align", &csv, "--calibration", &cal, "--up", "z,w"]).fails(2, "usage");
+    wimu(&["align", &csv, "--up", "z,x"]).fails(2, "usage");
+    let same = wimu(&["align", &csv, "--calibration", &cal, "--up", "z,z"]);
+    assert_eq!(same.code, 3, "{same:?}");
+    assert_eq!(same.object()["status"], "refused");
+}

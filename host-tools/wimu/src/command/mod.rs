@@ -1,5 +1,6 @@
 //! One module a command.
 
+pub mod align;
 pub mod allan;
 pub mod calibrate;
 pub mod compare;

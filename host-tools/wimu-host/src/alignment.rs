@@ -1,0 +1,250 @@
+//! From rests and a straight move to the rotation from the sensor's axes to the body's.
+
+use std::fmt;
+
+use serde::Serialize;
+use wimu_calib::{KnownDirection, Pose, align, find_poses, straight_move};
+use wimu_link::message::parameter_id;
+use wimu_model::{ParameterSet, SpecificForceMps2};
+
+use crate::calibration::{HELD_SCHEMA, describe};
+use crate::dataset::{Dataset, OutputUnit};
+use crate::error::{ErrorCode, HostError, Result};
+
+/// More rests than anyone names.
+const MAX_RESTS: usize = 64;
+/// An eighth of a second this far from rest is a push, m/s².
+const LEAST_PUSH_MPS2: f64 = 0.15;
+
+/// A body axis that points up at a rest: `z`, `-x`, ….
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyAxis([f64; 3]);
+
+impl std::str::FromStr for BodyAxis {
+    type Err = HostError;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let (sign, axis) = match text.trim().strip_prefix('-') {
+            Some(rest) => (-1.0, rest),
+            None => (1.0, text.trim().trim_start_matches('+')),
+        };
+        let place = ["x", "y", "z"]
+            .iter()
+            .position(|name| name.eq_ignore_ascii_case(axis))
+            .ok_or_else(|| {
+                HostError::new(
+                    ErrorCode::Usage,
+                    format!("`{text}` is no axis of the body"),
+                    "name the body axis that points up at each rest: x, -x, y, -y, z or -z",
+                )
+            })?;
+        let mut up = [0.0; 3];
+        up[place] = sign;
+        Ok(Self(up))
+    }
+}
+
+/// How to align.
+#[derive(Clone, Debug)]
+pub struct AlignOptions {
+    /// The body axis that points up at each rest, in order.
+    pub up: Vec<BodyAxis>,
+    /// After the first rest it was moved straight along the body's x.
+    pub forward: bool,
+    /// How well the body was placed and pushed, rad, 1 σ.
+    pub placement_sd_rad: f64,
+}
+
+/// What `wimu align` says, and a file that `wimu params push` reads.
+#[derive(Clone, Debug, Serialize)]
+pub struct AlignmentReport {
+    /// [`HELD_SCHEMA`].
+    pub schema: &'static str,
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// The data.
+    pub source: String,
+    /// Rests found.
+    pub rests: usize,
+    /// Sensor axes to body axes, quaternion W, X, Y, Z.
+    pub alignment_wxyz: Option<[f64; 4]>,
+    /// Standard deviation of its error about the body's axes, degrees.
+    pub sd_deg: Option<[f64; 3]>,
+    /// Largest angle by which a direction misses, degrees.
+    pub residual_deg: Option<f64>,
+    /// The set with the alignment.
+    pub parameters: Option<ParameterSet>,
+    /// Its id.
+    pub parameter_id: Option<String>,
+}
+
+impl AlignmentReport {
+    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    pub fn exit_code(&self) -> u8 {
+        if self.parameters.is_some() { 0 } else { 3 }
+    }
+}
+
+/// Aligns a sensor that is corrected by `set` with its body; the alignment takes the place of the
+/// one in `set`.
+///
+/// Data that do not support an answer give a report that says so.
+pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
+    let scale = match data.unit {
+        OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
+        OutputUnit::Mps2 => 1.0,
+    };
+    let mut forces = Vec::with_capacity(data.outputs.len());
+    for output in &data.outputs {
+        if output.after_gap {
+            forces.push([f64::NAN; 3]);
+        }
+        let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
+        forces.push(set.model.correct(sensed, None).0);
+    }
+    let mut rests = vec![Pose::default(); MAX_RESTS];
+    let found = find_poses(forces.iter().map(|f| (*f, None)), data.rate_hz, &mut rests);
+    rests.truncate(found);
+    let outcome = directions(&forces, &rests, data.rate_hz, options)
+        .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
+    let mut report = AlignmentReport {
+        schema: HELD_SCHEMA,
+        status: "refused",
+        reason: None,
+        source: data.name.clone(),
+        rests: found,
+        alignment_wxyz: None,
+        sd_deg: None,
+        residual_deg: None,
+        parameters: None,
+        parameter_id: None,
+    };
+    match outcome {
+        Err(reason) => report.reason = Some(reason),
+        Ok(found) => {
+            let aligned = ParameterSet {
+                alignment: found.alignment,
+                alignment_covariance: Some(found.covariance),
+                ..*set
+            };
+            report.status = "ok";
+            report.alignment_wxyz = Some(found.alignment.quaternion());
+            report.sd_deg = Some([0, 1, 2].map(|axis| found.covariance.sd(axis).to_degrees()));
+            report.residual_deg = Some(found.residual_rad.to_degrees());
+            report.parameter_id = Some(parameter_id(&aligned).to_string());
+            report.parameters = Some(aligned);
+        }
+    }
+    report
+}
+
+/// What is known of the body at the rests and between them.
+fn directions(
+    forces: &[[f64; 3]],
+    rests: &[Pose],
+    rate_hz: f64,
+    options: &AlignOptions,
+) -> Result<Vec<KnownDirection>, String> {
+    let needed = options.up.len().max(1);
+    if rests.len() < needed {
+        return Err(format!(
+            "{} rests found, {needed} are needed: hold the body still for two seconds at each",
+            rests.len()
+        ));
+    }
+    let mut known: Vec<KnownDirection> = options
+        .up
+        .iter()
+        .zip(rests)
+        .map(|(up, rest)| KnownDirection {
+            sensor: rest.mean_mps2,
+            body: up.0,
+            sd_rad: options.placement_sd_rad,
+        })
+        .collect();
+    if options.forward {
+        let (sensor, sd) = push(forces, rests, rate_hz)?;
+        known.push(KnownDirection {
+            sensor,
+            body: [1.0, 0.0, 0.0],
+            sd_rad: sd.hypot(options.placement_sd_rad),
+        });
+    }
+    Ok(known)
+}
+
+/// The direction of the push after the first rest, in sensor axes, and its standard deviation, rad.
+///
+/// A push leaves the attitude as it was, so that the rests before and after are one to the finder.
+fn push(forces: &[[f64; 3]], rests: &[Pose], rate_hz: f64) -> Result<([f64; 3], f64), String> {
+    let Some(rest) = rests.first() else {
+        return Err("no rest was found before the push: hold it still for two seconds".to_owned());
+    };
+    let second = (rate_hz as usize).max(8);
+    let block = second / 8;
+    let start = rest.first_sample as usize;
+    let end = rests
+        .get(1)
+        .map_or(forces.len(), |next| next.first_sample as usize);
+    let part = forces.get(start..end).unwrap_or(&[]);
+    if part.iter().flatten().any(|axis| !axis.is_finite()) {
+        return Err("samples are missing about the push: record it again".to_owned());
+    }
+    let moving: Vec<usize> = part
+        .chunks(block)
+        .enumerate()
+        .filter(|(_, block)| {
+            let mean = mean(block);
+            let off: f64 = (0..3).map(|k| (mean[k] - rest.mean_mps2[k]).powi(2)).sum();
+            off.sqrt() > LEAST_PUSH_MPS2
+        })
+        .map(|(index, _)| index)
+        .collect();
+    let (Some(first), Some(last)) = (moving.first(), moving.last()) else {
+        return Err("there is no push in it: push the body straight ahead, briskly".to_owned());
+    };
+    // The gentle ends of a push are part of it.
+    let from = (first * block).saturating_sub(2 * block);
+    let to = ((last + 3) * block).min(part.len());
+    let (before, after) = (&part[..from], &part[to..]);
+    if before.len() < second || after.len() < second {
+        return Err(
+            "it did not stand still for two seconds before and after the push: record it again"
+                .to_owned(),
+        );
+    }
+    straight_move(
+        mean(&before[before.len().saturating_sub(2 * second)..]),
+        mean(&after[..after.len().min(2 * second)]),
+        part[from..to].iter().copied(),
+        rate_hz,
+    )
+    .map_err(|refusal| refusal.to_string())
+}
+
+fn mean(values: &[[f64; 3]]) -> [f64; 3] {
+    let count = values.len().max(1) as f64;
+    [0, 1, 2].map(|axis| values.iter().map(|v| v[axis]).sum::<f64>() / count)
+}
+
+impl fmt::Display for AlignmentReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {} rests", self.source, self.rests)?;
+        let Some(set) = &self.parameters else {
+            return write!(
+                out,
+                "\nrefused: {}",
+                self.reason.as_deref().unwrap_or("no reason")
+            );
+        };
+        if let Some(residual) = self.residual_deg {
+            write!(out, ", the directions agree to {residual:.2}°")?;
+        }
+        for line in describe(set) {
+            write!(out, "\n{line}")?;
+        }
+        Ok(())
+    }
+}

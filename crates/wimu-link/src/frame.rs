@@ -457,8 +457,11 @@ pub enum EncodeError {
     BodyTooLong,
     /// The given buffer is too small.
     NoRoom,
-    /// A batch of no samples, or of more than [`MAX_BATCH`](crate::batch::MAX_BATCH).
-    BatchLength,
+    /// A batch of no samples, or of too many.
+    BatchLength {
+        /// The most that a batch holds.
+        most: usize,
+    },
 }
 
 impl fmt::Display for EncodeError {
@@ -469,11 +472,7 @@ impl fmt::Display for EncodeError {
                 out,
                 "the frame does not fit the given buffer; {MAX_FRAME} bytes always do"
             ),
-            Self::BatchLength => write!(
-                out,
-                "a batch holds 1 to {} samples",
-                crate::batch::MAX_BATCH
-            ),
+            Self::BatchLength { most } => write!(out, "a batch holds 1 to {most} samples"),
         }
     }
 }

@@ -20,8 +20,8 @@
 //! - if a shift follows: the shift, F bits. All values below are to be shifted left by it.
 //! - for X, then Y, then Z: the coding in two bits,
 //!   - 0, fixed width: L in F bits, then each sample in L + 1 bits, two's complement;
-//!   - 1 mean, 2 previous, 3 linear: the Rice parameter k; the first sample; the residual of every
-//!     other sample.
+//!   - 1 mean, 3 linear: the Rice parameter k; the first sample; the residual of every other sample,
+//!   - 2 is not used.
 //! - k of the first predicted axis: F bits. Of a later one, against the latest before it: `0` the
 //!   same, `100` one more, `101` one less, `11` and F bits: k itself.
 //! - the first sample v: the length L of m in F bits, where m is v, or −v − 1 if v is negative; a
@@ -37,7 +37,7 @@ use core::num::NonZeroU8;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
-use self::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Past, Previous, unfold};
+use self::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Past, unfold};
 use crate::bits::{BitReader, Remainder};
 use crate::frame::{self, EncodeError, Kind};
 
@@ -363,7 +363,7 @@ fn decode_axis<S: Sample>(
 ) -> Result<(), BatchError> {
     let stream = S::STREAM;
     let field = stream.field();
-    let coding = Coding::from_bits(reader.pull(2));
+    let coding = Coding::from_bits(reader.pull(2)).ok_or(BatchError::Value)?;
     let shifted = |value: i32| stream.wrap(value << shift);
     if coding == Coding::Fixed {
         let width = reader.pull(field) + 1;
@@ -403,7 +403,6 @@ fn decode_axis<S: Sample>(
     let axis = Axis { axis, shift, k };
     match coding {
         Coding::Linear => axis.decode::<S, _>(Linear::of(first), first, samples, reader),
-        Coding::Previous => axis.decode::<S, _>(Previous::of(first), first, samples, reader),
         _ => axis.decode::<S, _>(<Mean as Past>::of(first), first, samples, reader),
     }
 }
@@ -468,7 +467,7 @@ pub enum BatchError {
     TooLong,
     /// It says that it is decimated, by 0 or 1.
     Decimation,
-    /// A Rice parameter or a residual that the stream cannot have.
+    /// A coding, a Rice parameter or a residual that the stream cannot have.
     Value,
 }
 
@@ -479,7 +478,7 @@ impl fmt::Display for BatchError {
             Self::TooShort => "it ends before its samples do",
             Self::TooLong => "it goes on after its samples",
             Self::Decimation => "it says that it is decimated, but by 0 or 1",
-            Self::Value => "it holds a residual out of range",
+            Self::Value => "it holds a coding or a residual that no sender makes",
         })?;
         out.write_str("; update host and device to the same wire version")
     }

@@ -21,7 +21,7 @@ pub(super) fn encode_body<S: Sample>(
     body: &mut [u8],
 ) -> Result<usize, EncodeError> {
     if samples.is_empty() || samples.len() > MAX_BATCH {
-        return Err(EncodeError::BatchLength);
+        return Err(EncodeError::BatchLength { most: MAX_BATCH });
     }
     let stream = S::STREAM;
     let shift = common_shift(samples);

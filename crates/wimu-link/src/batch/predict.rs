@@ -10,17 +10,17 @@ const MEAN_BITS: u32 = 4;
 pub(super) enum Coding {
     Fixed = 0,
     Mean = 1,
-    Previous = 2,
     Linear = 3,
 }
 
 impl Coding {
-    pub(super) fn from_bits(bits: u32) -> Self {
-        match bits & 3 {
-            0 => Self::Fixed,
-            1 => Self::Mean,
-            2 => Self::Previous,
-            _ => Self::Linear,
+    /// `None` for a number that codes nothing.
+    pub(super) fn from_bits(bits: u32) -> Option<Self> {
+        match bits {
+            0 => Some(Self::Fixed),
+            1 => Some(Self::Mean),
+            3 => Some(Self::Linear),
+            _ => None,
         }
     }
 }
@@ -50,26 +50,6 @@ impl Past for Mean {
     fn add(&mut self, value: i32, weight: i32) {
         let missed = value.wrapping_sub(self.rounded());
         self.0 = self.0.wrapping_add(missed.wrapping_mul(weight));
-    }
-}
-
-/// The value before.
-pub(super) struct Previous(i32);
-
-impl Past for Previous {
-    #[inline]
-    fn of(first: i32) -> Self {
-        Self(first)
-    }
-
-    #[inline]
-    fn predict(&self) -> i32 {
-        self.0
-    }
-
-    #[inline]
-    fn add(&mut self, value: i32, _weight: i32) {
-        self.0 = value;
     }
 }
 

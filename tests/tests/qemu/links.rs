@@ -268,8 +268,9 @@ fn a_client_that_stops_reading_costs_only_what_is_counted_and_hears_on_when_it_r
         let heard = stalled.heard.latest();
         for sample in &heard.raw {
             let same = reference.binary_search_by_key(&sample.sequence, |s| s.sequence);
+            // Times are completed by the period of the latest epoch, which may not have arrived on both.
             if let Ok(index) = same {
-                assert_eq!(reference[index], *sample);
+                assert_eq!(reference[index].value, sample.value);
             }
         }
         // An epoch comes with the first samples after what was lost.

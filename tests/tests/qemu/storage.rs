@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::Path;
 
+use wimu_host::ErrorCode;
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
 use wimu_sim::qemu::QemuBoard;
@@ -25,7 +26,7 @@ fn started(folder: &Path) -> (RefCell<QemuBoard>, Scene) {
 
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
-fn a_corrupted_memory_is_reported_and_can_be_written_again() {
+fn a_corrupted_memory_is_reported_and_taken_for_locked_until_it_is_erased() {
     let folder = folder();
     // 16 MiB, of which the first pages are used: noise, the same in every run.
     let mut state = 1_u32;
@@ -45,6 +46,12 @@ fn a_corrupted_memory_is_reported_and_can_be_written_again() {
     let events = &cable.boots[0].events;
     let unreadable = |(_, event): &(_, DeviceEvent)| *event == DeviceEvent::StoreUnreadable;
     assert!(events.iter().any(unreadable), "{events:?}");
+    // A key may have been in it: nobody writes until hands on the board have erased it.
+    let refused = host.cable.push_parameters(&parameters(5)).err();
+    let refused = refused.expect("refused").code();
+    assert_eq!(refused, ErrorCode::DeviceRefused);
+    board.borrow_mut().machine().memory = Some(folder.path().join("erased"));
+    host.restart().expect("it starts again");
     let pushed = host.cable.push_parameters(&parameters(5)).expect("pushed");
     host.restart().expect("it starts again");
     assert_eq!(host.cable.parameters().expect("answered").id, pushed.0);

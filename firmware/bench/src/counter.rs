@@ -1,10 +1,11 @@
 //! Instructions counted with SysTick in QEMU's instruction-counting mode.
 
 use core::arch::asm;
-use core::sync::atomic::{Ordering, compiler_fence};
+use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m_rt::exception;
 
 /// SysTick counts down in 24 bits.
 const MASK: u32 = 0xff_ffff;
@@ -15,6 +16,23 @@ pub struct Counter {
     per_thousand: u32,
     /// Ticks of nothing but starting and stopping.
     empty: u32,
+    #[cfg_attr(
+        not(target_abi = "eabihf"),
+        expect(dead_code, reason = "for long counts")
+    )]
+    systick: SYST,
+}
+
+/// How often SysTick has come round, while that is counted.
+static ROUNDS: AtomicU32 = AtomicU32::new(0);
+
+#[exception]
+fn SysTick() {
+    // The only writer; a Cortex-M0 has no atomic addition.
+    ROUNDS.store(
+        ROUNDS.load(Ordering::Relaxed).wrapping_add(1),
+        Ordering::Relaxed,
+    );
 }
 
 impl Counter {
@@ -33,12 +51,33 @@ impl Counter {
         (even && per_thousand > 4000).then(|| Self {
             per_thousand,
             empty: ticks(|| ()),
+            systick,
         })
     }
 
     /// Instructions that `code` takes; those of a call within it are the call itself, too.
     pub fn count(&self, code: impl FnOnce()) -> u32 {
-        let ticks = u64::from(ticks(code).saturating_sub(self.empty));
+        self.instructions(u64::from(ticks(code).saturating_sub(self.empty)))
+    }
+
+    /// The same for code that takes longer than SysTick counts to: its coming round is counted, at
+    /// some twenty instructions in half a million.
+    #[cfg(target_abi = "eabihf")]
+    pub fn count_long(&mut self, code: impl FnOnce()) -> u32 {
+        let rounds = ROUNDS.load(Ordering::Relaxed);
+        self.systick.enable_interrupt();
+        let before = SYST::get_current();
+        compiler_fence(Ordering::SeqCst);
+        code();
+        compiler_fence(Ordering::SeqCst);
+        let after = SYST::get_current();
+        self.systick.disable_interrupt();
+        let rounds = ROUNDS.load(Ordering::Relaxed).wrapping_sub(rounds);
+        let ticks = u64::from(rounds) * u64::from(MASK + 1) + u64::from(before);
+        self.instructions(ticks - u64::from(after))
+    }
+
+    fn instructions(&self, ticks: u64) -> u32 {
         let per_thousand = u64::from(self.per_thousand);
         ((ticks * 1000 + per_thousand / 2) / per_thousand) as u32
     }

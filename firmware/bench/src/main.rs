@@ -4,6 +4,8 @@
 #![no_std]
 #![no_main]
 
+#[cfg(target_abi = "eabihf")]
+mod calibration;
 mod counter;
 mod float;
 mod signals;
@@ -133,7 +135,7 @@ fn main() -> ! {
 
 fn measure() -> Result<(), &'static str> {
     let peripherals = cortex_m::Peripherals::take().ok_or("peripherals are taken")?;
-    let counter = Counter::new(peripherals.SYST)
+    let mut counter = Counter::new(peripherals.SYST)
         .ok_or("time does not follow instructions: run QEMU with -icount shift=10")?;
     let parameters = parameters().ok_or("the parameters are refused")?;
     let corrector = black_box(Corrector::compile(&parameters, None).map_err(|_| "no corrector")?);
@@ -237,6 +239,10 @@ fn measure() -> Result<(), &'static str> {
         }
         report(name, sum, SAMPLES as u32, most);
     }
+    #[cfg(target_abi = "eabihf")]
+    calibration::measure(&mut counter)?;
+    #[cfg(not(target_abi = "eabihf"))]
+    let _ = &mut counter;
     Ok(())
 }
 

@@ -128,7 +128,7 @@ pub fn run() -> Result<(), String> {
         costs.push(parsed(&text)?);
     }
     heading("instructions per sample: mean (most)");
-    print!("{}", table(&costs));
+    print!("{}{}", table(&costs), fits(&costs)?);
     judged(&costs, &setup::embedded_release(source)?)
 }
 
@@ -153,6 +153,22 @@ fn judged(costs: &[Costs], release: &str) -> Result<(), String> {
     } else {
         Err(format!("{}\n{how}", far_past.join("\n")))
     }
+}
+
+/// What a calibration costs on the Cortex-M4F, once.
+fn fits(costs: &[Costs]) -> Result<String, String> {
+    let cost = |key| {
+        let cost = costs.first().and_then(|costs| costs.get(key));
+        cost.map(|cost| cost.mean)
+            .ok_or_else(|| format!("{key} on {}: was not measured", PROCESSORS[0].name))
+    };
+    Ok(format!(
+        "a nine-parameter fit of 38 poses with covariance and leave-one-out, {}: {:.0} \
+         instructions in f64 (software), {:.0} in f32\n",
+        PROCESSORS[0].name,
+        cost("fit")?,
+        cost("fit-f32")?
+    ))
 }
 
 /// Lines of a name, the mean and the most.

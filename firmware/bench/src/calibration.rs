@@ -1,0 +1,51 @@
+//! What a calibration costs where there is a floating-point unit.
+
+use core::hint::black_box;
+
+use cortex_m_semihosting::hprintln;
+use wimu_calib::{Estimate, Gravity, Model, Pose, Refusal, multi_position, multi_position_f32};
+use wimu_model::{ErrorModel, SpecificForceMps2};
+
+use crate::counter::Counter;
+
+const POSES: usize = 38;
+const G: f64 = 9.80665;
+
+/// Poses all round, of a sensor with errors, and 3 mm/s² of something else.
+fn poses(truth: &ErrorModel) -> [Pose; POSES] {
+    let mut state = 1_u32;
+    core::array::from_fn(|k| {
+        let z = 1.0 - (2 * k + 1) as f64 / POSES as f64;
+        let radius = libm::sqrt(1.0 - z * z);
+        let angle = 2.4 * k as f64;
+        let up = [radius * libm::cos(angle), radius * libm::sin(angle), z];
+        let output = truth.distort(SpecificForceMps2(up.map(|c| c * G)), None).0;
+        Pose::from_mean(output.map(|y| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            y + 0.01 * (f64::from(state >> 8) / f64::from(1 << 24) - 0.5)
+        }))
+    })
+}
+
+/// Nine parameters of 38 poses with covariance and leave-one-out, in f64 and f32.
+pub fn measure(counter: &mut Counter) -> Result<(), &'static str> {
+    type Method = fn(&[Pose], Gravity, Model) -> Result<Estimate, Refusal>;
+    let parameters = crate::parameters().ok_or("the parameters are refused")?;
+    let poses = black_box(poses(&parameters.model));
+    let gravity = Gravity::new(G, 0.0).map_err(|_| "no gravity")?;
+    for (name, method) in [
+        ("fit", multi_position as Method),
+        ("fit-f32", multi_position_f32 as Method),
+    ] {
+        let mut result = None;
+        let cost = counter.count_long(|| {
+            result = black_box(method(&poses, gravity, Model::Full9)).ok();
+        });
+        let sound = result.is_some_and(|estimate| estimate.rms_mps2 < 0.005);
+        if !sound {
+            return Err("the fit went wrong");
+        }
+        hprintln!("{} {}.0 {}", name, cost, cost);
+    }
+    Ok(())
+}

@@ -261,6 +261,11 @@ impl PoseFinder {
         self.hold.map_or(0, |hold| hold.inner.samples)
     }
 
+    /// The hold under way as a pose, if it ended now; `None` while the sensor moves.
+    pub fn held(&self) -> Option<Pose> {
+        self.hold.map(|hold| hold.inner.pose(self.rate_hz))
+    }
+
     /// Takes one sample y, m/s², sensor axes. A sample that is not finite counts as motion.
     pub fn push(&mut self, output_mps2: [f64; 3]) -> Option<Pose> {
         let index = self.next_sample;

@@ -1,10 +1,12 @@
 //! `wimu calibrate`.
 
+use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::atomic::Ordering;
+use std::sync::mpsc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use wimu_calib::{Face, Model, PoseFinder, Term, Terms};
+use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
 use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
 use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
@@ -245,6 +247,24 @@ fn side(text: &str) -> Result<Face> {
         })
 }
 
+/// Most poses of a live calibration.
+const ROOM: usize = 64;
+
+/// Tells of every `s` that a person enters; of none where nobody sits at a terminal.
+fn skips() -> mpsc::Receiver<()> {
+    let (sender, receiver) = mpsc::channel();
+    if std::io::stdin().is_terminal() {
+        std::thread::spawn(move || {
+            for line in std::io::stdin().lines().map_while(std::result::Result::ok) {
+                if line.trim() == "s" && sender.send(()).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+    receiver
+}
+
 /// Collects a live board's samples until enough poses were held, or Ctrl-C.
 fn collect<T: Transport>(
     client: &mut Client<T>,
@@ -257,6 +277,13 @@ fn collect<T: Transport>(
         ModelChoice::Fixed(model) => model.parameters() + 1,
         ModelChoice::Auto => Model::Bias3.parameters() + 1,
     };
+    if arguments.count > ROOM {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("--count {} is more than {ROOM} poses", arguments.count),
+            "twelve to twenty are enough",
+        ));
+    }
     if !six && arguments.count < fewest {
         return Err(HostError::new(
             ErrorCode::Usage,
@@ -268,49 +295,70 @@ fn collect<T: Transport>(
         "hold the board still with each of its six sides up, in any order".to_owned()
     } else {
         format!(
-            "hold the board still in {} orientations, as different as you can; Ctrl-C ends early",
+            "hold the board still in {} orientations, as advised or as different as you can; Ctrl-C \
+             ends early, s and Enter skips what cannot be reached",
             arguments.count
         )
     });
     let stop = interrupted()?;
+    let skips = skips();
+    let wanted = if six { ROOM } else { arguments.count };
+    let model = match options.model {
+        ModelChoice::Fixed(model) => model,
+        ModelChoice::Auto => Model::Full9,
+    };
+    let advise = |session: &Session<ROOM>| {
+        if let Some(next) = session.next().filter(|_| !six) {
+            output.say(format!("next, for example: {}", next.instruction()));
+        }
+    };
     let mut record = LinkHistory::new(client.hello().role);
-    let mut finder: Option<(PoseFinder, Sensitivity)> = None;
-    let mut held = 0;
+    let mut session: Option<(Session<ROOM>, Sensitivity)> = None;
     let mut faces = Vec::new();
     while !stop.load(Ordering::Relaxed) {
+        while skips.try_recv().is_ok() {
+            if let Some((session, _)) = &mut session {
+                session.skip();
+                advise(session);
+            }
+        }
         let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
             continue;
         };
         record.take(&arrival);
         match &arrival.event {
-            Event::Epoch { epoch, .. } if finder.is_none() => {
-                finder = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g)
-                    .ok()
-                    .map(|s| (PoseFinder::new(1e9 / f64::from(epoch.period_ns.max(1))), s));
+            Event::Epoch { epoch, .. } if session.is_none() => {
+                let rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
+                if let Ok(sensitivity) = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g) {
+                    let (session, _) =
+                        session.insert((Session::new(rate_hz, model, wanted), sensitivity));
+                    advise(session);
+                }
             }
             Event::Samples(samples) if samples.stream == Stream::Raw => {
-                let Some((finder, sensitivity)) = &mut finder else {
+                let Some((session, sensitivity)) = &mut session else {
                     continue;
                 };
                 for sample in samples.iter() {
                     let counts = Counts(sample.value.map(|axis| axis as i16));
-                    let Some(pose) = finder.push(sensitivity.to_mps2(counts).0) else {
+                    let phase = session.push(sensitivity.to_mps2(counts).0);
+                    let Phase::Captured { pose } = phase else {
                         continue;
                     };
-                    held += 1;
-                    let face = Face::of(&pose);
+                    let face = session.poses().get(pose).and_then(Face::of);
                     faces.extend(face.filter(|face| !faces.contains(face)));
                     output.say(match face {
-                        Some(face) => format!("pose {held} captured: {face}"),
-                        None => format!("pose {held} captured"),
+                        Some(face) => format!("pose {} captured: {face}", pose + 1),
+                        None => format!("pose {} captured", pose + 1),
                     });
+                    advise(session);
                 }
                 let enough = if six {
                     faces.len() == Face::ALL.len()
                 } else {
-                    held >= arguments.count
+                    session.poses().len() >= wanted
                 };
-                if enough {
+                if enough || session.poses().len() == ROOM {
                     break;
                 }
             }

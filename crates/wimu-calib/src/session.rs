@@ -1,0 +1,166 @@
+//! A live calibration: which way to turn the sensor next, and when a pose is taken.
+
+use crate::{Guide, Model, Orientation, Pose, PoseFinder};
+
+/// A hold this long is a pose, s.
+const CAPTURE_S: f64 = 1.5;
+/// A hold within 2° of gravity, m/s², of the last pose is that pose again.
+const SAME_POSE_MPS2: f64 = 0.34;
+
+/// What a [`Session`] waits for, or has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Phase {
+    /// The sensor moves: put it down as [`Session::next`] says, or in any other way, and hold it
+    /// still.
+    WaitingForStillness,
+    /// It is held still: this many samples so far.
+    Collecting {
+        /// Samples of the hold.
+        samples: u32,
+    },
+    /// With this sample a pose was taken, [`Session::poses`] holds it at this index; longer holding
+    /// makes it better.
+    Captured {
+        /// Its index.
+        pose: usize,
+    },
+    /// The pose is taken: turn the sensor on.
+    WaitingForMotion,
+    /// There are poses enough, or there is no room for more.
+    Done,
+}
+
+/// Takes the samples of a sensor that is turned by hand and says what to do, until there are
+/// poses enough for a calibration; room for `POSES` of them.
+///
+/// ```
+/// use wimu_calib::{Gravity, Model, Phase, Session, multi_position};
+///
+/// let mut session = Session::<16>::new(100.0, Model::Full9, 12);
+/// let mut noise = 0.01;
+/// while let Some(next) = session.next() {
+///     // A person who follows the advice: half a second of motion, three of holding still.
+///     let up = next.up();
+///     for k in 0..350 {
+///         noise = -noise;
+///         let wild = if k < 50 { f64::from(k % 7) } else { 0.0 };
+///         let sample = up.map(|axis| 9.80665 * axis + wild + noise);
+///         if let Phase::Captured { pose } = session.push(sample) {
+///             println!("pose {pose} taken; next: {:?}", session.next());
+///         }
+///     }
+/// }
+/// assert_eq!(session.push([0.0, 0.0, 9.8]), Phase::Done);
+/// let estimate = multi_position(session.poses(), Gravity::UNKNOWN_PLACE, Model::Full9)?;
+/// assert_eq!(estimate.poses, 12);
+/// # Ok::<(), wimu_calib::Refusal>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Session<const POSES: usize> {
+    finder: PoseFinder,
+    guide: Guide,
+    poses: [Pose; POSES],
+    count: usize,
+    wanted: usize,
+    capture_samples: u32,
+    /// Whether the hold under way is the last pose's.
+    taken: bool,
+    /// Orientations that cannot be reached: a bit each, as [`Orientation::index`] has it.
+    unreachable: u32,
+}
+
+impl<const POSES: usize> Session<POSES> {
+    /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`; `model` is what the
+    /// advice is for.
+    pub fn new(rate_hz: f64, model: Model, wanted: usize) -> Self {
+        Self {
+            finder: PoseFinder::new(rate_hz),
+            guide: Guide::new(model),
+            poses: [Pose::default(); POSES],
+            count: 0,
+            wanted: wanted.min(POSES),
+            // Not a number becomes 0 here.
+            capture_samples: ((CAPTURE_S * rate_hz) as u32).max(1),
+            taken: false,
+            unreachable: 0,
+        }
+    }
+
+    /// The temperature from here on, °C.
+    pub fn set_temperature(&mut self, celsius: Option<f64>) {
+        self.finder.set_temperature(celsius);
+    }
+
+    /// Takes one sample y, m/s², sensor axes.
+    pub fn push(&mut self, output_mps2: [f64; 3]) -> Phase {
+        // Poses are taken while they last; what comes out when they end is not needed.
+        self.finder.push(output_mps2);
+        let Some(hold) = self.finder.held() else {
+            self.taken = false;
+            return self.waiting(Phase::WaitingForStillness);
+        };
+        if self.taken {
+            if let Some(pose) = self.last_mut() {
+                *pose = hold;
+            }
+            return self.waiting(Phase::WaitingForMotion);
+        }
+        if self.count >= self.wanted {
+            return Phase::Done;
+        }
+        let again = self.poses().last().is_some_and(|last| {
+            let apart = (0..3).map(|axis| last.mean_mps2[axis] - hold.mean_mps2[axis]);
+            apart.map(|d| d * d).sum::<f64>() < SAME_POSE_MPS2 * SAME_POSE_MPS2
+        });
+        if again {
+            return Phase::WaitingForMotion;
+        }
+        if hold.samples < self.capture_samples {
+            return Phase::Collecting {
+                samples: hold.samples,
+            };
+        }
+        let pose = self.count;
+        self.count += 1;
+        self.taken = true;
+        if let Some(place) = self.last_mut() {
+            *place = hold;
+        }
+        self.guide.take(hold.mean_mps2);
+        Phase::Captured { pose }
+    }
+
+    /// The orientation to take next; `None` when there are poses enough, or none that can be
+    /// reached adds any.
+    pub fn next(&self) -> Option<Orientation> {
+        if self.count >= self.wanted {
+            return None;
+        }
+        self.guide.next(|o| self.unreachable >> o.index() & 1 == 0)
+    }
+
+    /// Leaves the orientation that is advised out: it cannot be reached.
+    pub fn skip(&mut self) {
+        if let Some(next) = self.next() {
+            self.unreachable |= 1 << next.index();
+        }
+    }
+
+    /// The poses taken so far.
+    pub fn poses(&self) -> &[Pose] {
+        self.poses.get(..self.count).unwrap_or(&[])
+    }
+
+    fn last_mut(&mut self) -> Option<&mut Pose> {
+        self.poses.get_mut(self.count.checked_sub(1)?)
+    }
+
+    fn waiting(&self, phase: Phase) -> Phase {
+        if self.count >= self.wanted {
+            Phase::Done
+        } else {
+            phase
+        }
+    }
+}

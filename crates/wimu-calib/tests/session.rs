@@ -1,0 +1,130 @@
+//! A live calibration of a simulated sensor that a hand turns.
+
+mod common;
+
+use common::{Random, parameters};
+use wimu_calib::{Gravity, Model, Orientation, Phase, Session, multi_position};
+use wimu_model::{ErrorModel, SpecificForceMps2};
+
+const G: f64 = 9.80665;
+
+/// A hand that follows advice, with a sensor of this noise in it.
+struct Hand<'a> {
+    random: Random,
+    truth: &'a ErrorModel,
+    noise: f64,
+    up: [f64; 3],
+}
+
+impl Hand<'_> {
+    /// Samples of a turn to `up`, then of holding still.
+    fn turn<const N: usize>(
+        &mut self,
+        session: &mut Session<N>,
+        up: [f64; 3],
+        turning: usize,
+        holding: usize,
+    ) -> Vec<Phase> {
+        let (from, to) = (self.up, common::misplaced(&mut self.random, up, 0.03));
+        self.up = to;
+        (0..turning + holding)
+            .map(|k| {
+                let share = (k as f64 / turning.max(1) as f64).min(1.0);
+                let shake = if k < turning { 2.0 } else { 0.0 };
+                let force = [0, 1, 2].map(|i| {
+                    G * (from[i] + share * (to[i] - from[i])) + self.random.normal() * shake
+                });
+                let mut y = self.truth.distort(SpecificForceMps2(force), None).0;
+                for axis in &mut y {
+                    *axis += self.random.normal() * self.noise;
+                }
+                session.push(y)
+            })
+            .collect()
+    }
+}
+
+#[test]
+fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
+    for (seed, (rate, noise)) in [(25.0, 0.04), (100.0, 0.08), (100.0, 0.002), (1000.0, 0.05)]
+        .into_iter()
+        .enumerate()
+    {
+        let mut random = Random(seed as u64);
+        let truth = random.model(true);
+        let mut session = Session::<16>::new(rate, Model::Full9, 12);
+        let mut hand = Hand {
+            random,
+            truth: &truth,
+            noise,
+            up: [0.0, 0.0, 1.0],
+        };
+        let mut captured = 0;
+        while let Some(next) = session.next() {
+            let turning = (0.7 * rate) as usize;
+            let phases = hand.turn(&mut session, next.up(), turning, (3.5 * rate) as usize);
+            let taken: Vec<&Phase> = phases
+                .iter()
+                .filter(|phase| matches!(phase, Phase::Captured { .. }))
+                .collect();
+            assert_eq!(taken, [&Phase::Captured { pose: captured }], "{rate} Hz");
+            // In this order: motion, stillness, taken, waiting for motion or done.
+            let place = |wanted: fn(&Phase) -> bool| phases.iter().rposition(wanted);
+            let moving = place(|p| matches!(p, Phase::WaitingForStillness));
+            let collecting = place(|p| matches!(p, Phase::Collecting { .. }));
+            assert!(moving < collecting, "{moving:?} {collecting:?}");
+            captured += 1;
+            let last = phases.last().copied();
+            let expected = if captured == 12 {
+                Phase::Done
+            } else {
+                Phase::WaitingForMotion
+            };
+            assert_eq!(last, Some(expected));
+        }
+        assert_eq!(captured, 12);
+        let gravity = Gravity::new(G, 0.0).expect("gravity");
+        let estimate = multi_position(session.poses(), gravity, Model::Full9).expect("answer");
+        let error = (0..3)
+            .map(|i| (parameters(&estimate.model)[i] - parameters(&truth)[i]).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        let most = 6.0 * noise / (3.0 * rate).sqrt() + 0.001;
+        assert!(error < most, "{rate} Hz: {error} {most}");
+    }
+}
+
+#[test]
+fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
+    let truth = ErrorModel::default();
+    let mut session = Session::<8>::new(100.0, Model::Full9, 20);
+    let first = session.next().expect("advice");
+    session.skip();
+    let second = session.next().expect("other advice");
+    assert_ne!(first, second);
+    let mut hand = Hand {
+        random: Random(5),
+        truth: &truth,
+        noise: 0.01,
+        up: [0.0, 0.0, 1.0],
+    };
+    hand.turn(&mut session, second.up(), 50, 300);
+    assert_eq!(session.poses().len(), 1);
+    let held = session.poses()[0].samples;
+    // A knock, then the same again.
+    let up = hand.up;
+    hand.turn(&mut session, up, 30, 300);
+    assert_eq!(session.poses().len(), 1);
+    assert!(held > 200);
+    for orientation in Orientation::ALL {
+        hand.turn(&mut session, orientation.up(), 50, 300);
+    }
+    // No more than there is room for.
+    assert_eq!((session.poses().len(), session.next()), (8, None));
+    for _ in 0..26 {
+        session.skip();
+    }
+    assert_eq!(session.push([f64::NAN; 3]), Phase::Done);
+    let mut none = Session::<0>::new(f64::NAN, Model::Bias3, 3);
+    assert_eq!(none.push([0.0, 0.0, G]), Phase::Done);
+}

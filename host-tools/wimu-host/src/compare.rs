@@ -406,7 +406,19 @@ struct Pairing {
 #[derive(Default)]
 struct Waiting {
     samples: VecDeque<(u32, [i32; 3])>,
-    begun: bool,
+    /// The first number that the link brought.
+    first: Option<u32>,
+    /// It carries every `every`th sample.
+    every: u8,
+}
+
+impl Waiting {
+    /// Whether the link should have brought this sample, given that it has brought `later` and not
+    /// this.
+    fn lacks(&self, sequence: u32, later: u32) -> bool {
+        let carried = later.wrapping_sub(sequence) % u32::from(self.every.max(1)) == 0;
+        carried && self.first.is_some_and(|first| sequence > first)
+    }
 }
 
 impl Pairing {
@@ -419,38 +431,47 @@ impl Pairing {
         sample: &TimedSample,
         every: u8,
     ) -> Option<[i32; 3]> {
-        let links = self.starts.entry(start).or_default();
-        let [cable, wireless] = links;
+        let [cable, wireless] = self.starts.entry(start).or_default();
         let (own, other) = if link == 0 {
             (cable, wireless)
         } else {
             (wireless, cable)
         };
+        let number = sample.sequence;
+        own.first.get_or_insert(number);
+        own.every = every;
+        let mut twin = None;
         // Each link brings its samples in order: what the other has brought before this one is
         // not coming any more.
         while let Some((sequence, value)) = other.samples.front().copied() {
-            if sequence > sample.sequence {
+            if sequence > number {
                 break;
             }
             other.samples.pop_front();
-            if sequence == sample.sequence {
-                own.begun = true;
-                return Some(value);
+            if sequence == number {
+                twin = Some(value);
+            } else {
+                self.lost[link] += u64::from(own.lacks(sequence, number));
             }
-            let carried = sample.sequence.wrapping_sub(sequence) % u32::from(every.max(1)) == 0;
-            self.lost[link] += u64::from(own.begun && carried);
         }
-        own.begun = true;
-        own.samples.push_back((sample.sequence, sample.value));
-        if own.samples.len() > MAX_WAITING {
-            own.samples.pop_front();
-            self.lost[1 - link] += u64::from(other.begun);
+        if twin.is_some() {
+            // The other is further: what of this link still waits for it waits in vain.
+            for (sequence, _) in own.samples.drain(..) {
+                self.lost[1 - link] += u64::from(other.lacks(sequence, number));
+            }
+        } else {
+            own.samples.push_back((number, sample.value));
+        }
+        if own.samples.len() > MAX_WAITING
+            && let Some((sequence, _)) = own.samples.pop_front()
+        {
+            self.lost[1 - link] += u64::from(other.lacks(sequence, sequence));
         }
         // A start that is over for both is forgotten.
         if self.starts.len() > 4 {
             self.starts.pop_first();
         }
-        None
+        twin
     }
 }
 

@@ -12,8 +12,9 @@ use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWrit
 use wimu_host::recorder::Tap;
 use wimu_host::walk::{Clocks, walk};
 use wimu_host::{ErrorCode, HostError, Result};
-use wimu_link::LinkRole;
-use wimu_model::DeviceTimeUs;
+use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
+use wimu_model::{Counts, DeviceTimeUs};
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::faults::LinkFaults;
 use wimu_sim::motion;
@@ -339,4 +340,98 @@ fn a_restart_in_the_middle_and_entries_out_of_order_are_taken_as_they_are() {
     if let Ok(found) = compared(&file(&shuffled)) {
         assert_eq!(found.identical, found.pairs);
     }
+}
+
+/// A recording of both links at 100 Hz for so many hours, in a file: frames as a board sends them,
+/// every tenth of the wireless ones lost.
+fn long_file(hours: u32) -> std::path::PathBuf {
+    let path = std::env::temp_dir().join(format!("wimu-long-{}-{hours}.mcap", std::process::id()));
+    let _ = std::fs::remove_file(&path);
+    let anchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_795_222_920_000_000_000,
+    };
+    let mut writer = RecordingWriter::create(&path, anchor).unwrap();
+    let mut frame = [0; MAX_FRAME];
+    let mut write = |role, at_ns: u64, frame: &[u8]| writer.append(role, at_ns, frame).unwrap();
+    for role in ROLES {
+        let hello = Hello {
+            boot_count: 1,
+            ..Hello::new(role)
+        };
+        let length = hello.encode(&mut frame).unwrap();
+        write(role, 0, &frame[..length]);
+    }
+    for batch in 0..hours * 22_500 {
+        let (first, time_us) = (batch * 16, u64::from(batch) * 160_000);
+        let samples: [Counts; 16] = std::array::from_fn(|k| {
+            let phase = f64::from(first + k as u32) * 0.07;
+            Counts([
+                (9000.0 * phase.sin()) as i16,
+                (7000.0 * phase.cos()) as i16,
+                900,
+            ])
+        });
+        for role in ROLES {
+            let noise = u64::from(batch.wrapping_mul(2_654_435_761) >> 8);
+            let late_ns = match role {
+                LinkRole::Cable => 200_000 + noise % 100_000,
+                _ => 15_000_000 + noise % 50_000_000,
+            };
+            let at_ns = (time_us + 150_000) * 1000 + late_ns;
+            if batch % 6 == 0 {
+                let epoch = Telemetry::Epoch(Epoch {
+                    reason: EpochReason::Periodic,
+                    number: (batch / 6) as u8,
+                    sequence: first,
+                    time_us,
+                    period_ns: 10_000_000,
+                    range_g: 2,
+                    sensitivity_lsb_per_g: 16384.0,
+                    full_scale: 32752,
+                    parameters: 0,
+                    temperature_centi_c: None,
+                    state: WireState::default(),
+                });
+                let length = epoch.encode(&mut frame).unwrap();
+                write(role, at_ns, &frame[..length]);
+            }
+            if role == LinkRole::Cable || batch % 10 != 3 {
+                let length = batch::encode(first, DeviceTimeUs(time_us), &samples, &mut frame);
+                write(role, at_ns, &frame[..length.unwrap()]);
+            }
+        }
+    }
+    writer.finish().unwrap();
+    path
+}
+
+/// Most memory that this process has had, MB.
+fn peak_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with("VmHWM"));
+    let kb = line.and_then(|line| line.split_whitespace().nth(1)?.parse::<f64>().ok());
+    kb.unwrap_or(0.0) / 1024.0
+}
+
+/// Minutes: `cargo test --release -p wimu-sim --test compare -- --ignored --nocapture`.
+#[test]
+#[ignore = "writes and reads files of 1 and 24 hours"]
+fn memory_does_not_grow_with_the_recording() {
+    let mut peaks = Vec::new();
+    for hours in [1, 24] {
+        let path = long_file(hours);
+        let found = compare(|| RecordingReader::open(&path), "a.mcap").unwrap();
+        peaks.push(peak_mb());
+        println!(
+            "{hours} h: {} pairs, {} lost, {:.0} MB of file, {:.1} MB of memory at most",
+            found.pairs,
+            found.links[1].lost,
+            std::fs::metadata(&path).unwrap().len() as f64 / 1e6,
+            peak_mb()
+        );
+        assert_eq!(found.identical, found.pairs);
+        std::fs::remove_file(&path).unwrap();
+    }
+    assert!(peaks[1] < peaks[0] + 8.0, "{peaks:?} MB");
 }

@@ -3,7 +3,9 @@
 use std::time::Instant;
 
 use serde::Serialize;
+use wimu_host::compare::{Comparison, compare};
 use wimu_host::html::{Chart, Report, Series};
+use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
@@ -35,14 +37,20 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         calibration: Calibration::TwelvePoses,
     }
     .run()?;
-    let story = story(&outcome, arguments.seed);
+    let links = compare(
+        || RecordingReader::new(outcome.recording.as_slice(), "the recording"),
+        "the recording",
+    )?;
+    let story = story(&outcome, &links, arguments.seed);
     for line in &story {
         output.say(line);
     }
     let recording = arguments.report.with_extension("mcap");
     std::fs::write(&recording, &outcome.recording)
         .map_err(|error| HostError::file(&recording.display().to_string(), "write", &error))?;
-    report(&outcome, &story)?.write(&arguments.report)?;
+    let mut page = report(&outcome, &story)?;
+    links.pictures(&mut page)?;
+    page.write(&arguments.report)?;
     output.say(format!(
         "{:.0} s of a board's life in {:.1} s. Pictures: {}; the recording: {} (try `wimu navigate` on it).",
         outcome.duration_s,
@@ -80,7 +88,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
 }
 
 /// What happened, a line a step.
-fn story(outcome: &Outcome, seed: u64) -> Vec<String> {
+fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
     let hidden = outcome.truth.model.terms();
     let mg = |bias: f64| bias * 1e3 / wimu_model::STANDARD_GRAVITY_MPS2;
     let [bx, by, bz] = hidden.bias_mps2.map(mg);
@@ -146,6 +154,18 @@ fn story(outcome: &Outcome, seed: u64) -> Vec<String> {
             } else {
                 "NOT the board's"
             }
+        ),
+        format!(
+            "10 compare   {} samples over both links, {} alike; wireless: {} lost, latency {:.1} ms, {:.1} at most",
+            links.pairs,
+            if links.identical == links.pairs {
+                "all"
+            } else {
+                "NOT all"
+            },
+            links.links[1].lost,
+            links.links[1].latency.median_ms,
+            links.links[1].latency.max_ms
         ),
     ]
 }

@@ -416,7 +416,8 @@ impl Waiting {
     /// Whether the link should have brought this sample, given that it has brought `later` and not
     /// this.
     fn lacks(&self, sequence: u32, later: u32) -> bool {
-        let carried = later.wrapping_sub(sequence) % u32::from(self.every.max(1)) == 0;
+        let apart = later.wrapping_sub(sequence);
+        let carried = apart.is_multiple_of(u32::from(self.every.max(1)));
         carried && self.first.is_some_and(|first| sequence > first)
     }
 }

@@ -2,7 +2,7 @@
 
 use core::marker::PhantomData;
 
-use embassy_futures::select::{Either4, select4};
+use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::batch::MAX_BATCH;
@@ -11,11 +11,11 @@ use wimu_link::message::{
     ActiveParameters, Answer, Command, Event, ParameterFault, Payload, Refusal, Settings, Streams,
     Telemetry, parameter_id,
 };
-use wimu_link::{Deframer, Kind};
+use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::{CentiCelsius, CompileError, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
 
 use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{Correction, Order, ROLES, Shared, Trouble};
+use crate::shared::{Correction, Order, ROLES, RateOrder, Shared, Trouble};
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -47,30 +47,45 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let mut plan = self.start().await;
         let mut next_status = self.timer.now();
         loop {
-            let event = select4(
-                self.shared.requests.receive(),
-                self.shared.temperature.wait(),
-                self.timer.until(next_status),
-                self.shared.key_lost.wait(),
+            let event = select(
+                select4(
+                    self.shared.requests.receive(),
+                    self.shared.temperature.wait(),
+                    self.timer.until(next_status),
+                    self.shared.key_lost.wait(),
+                ),
+                self.shared.rates.receive(),
             )
             .await;
+            let event = match event {
+                Either::First(event) => event,
+                Either::Second((role, baud)) => {
+                    // What cannot be stored holds until the next start.
+                    let _ = self.save_rate(role, baud).await;
+                    continue;
+                }
+            };
             match event {
+                Either4::First((role, Command::SetLineRate { link, baud })) => {
+                    let outcome = self.set_rate(role, link, baud).await;
+                    self.answer(
+                        role,
+                        &match outcome {
+                            Ok(_) => Answer::Accepted(Payload::None),
+                            Err(refusal) => Answer::Refused(refusal),
+                        },
+                    );
+                    // The answer leaves at the old rate.
+                    if let Ok((line, order)) = outcome {
+                        self.shared.rate_signals(line).order.signal(order);
+                    }
+                }
                 Either4::First((role, command)) => {
                     let answer = match self.obey(&mut plan, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    let mut frame = [0; MAX_FRAME];
-                    let length = self.shared.with_inbox(role, |inbox| {
-                        let reply = inbox.responder.reply(&answer);
-                        match frame.get_mut(..reply.len()) {
-                            Some(room) => room.copy_from_slice(reply),
-                            None => return 0,
-                        }
-                        reply.len()
-                    });
-                    self.shared
-                        .keep(role, frame.get(..length).unwrap_or_default());
+                    self.answer(role, &answer);
                     // Behind the answer: they are long, and somebody waits for it.
                     if core::mem::take(&mut self.parameters_changed) {
                         self.announce_parameters();
@@ -90,6 +105,49 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 Either4::Fourth(()) => self.lose_key(&mut plan).await,
             }
         }
+    }
+
+    fn answer(&self, role: LinkRole, answer: &Answer) {
+        let mut frame = [0; MAX_FRAME];
+        let length = self.shared.with_inbox(role, |inbox| {
+            let reply = inbox.responder.reply(answer);
+            match frame.get_mut(..reply.len()) {
+                Some(room) => room.copy_from_slice(reply),
+                None => return 0,
+            }
+            reply.len()
+        });
+        self.shared
+            .keep(role, frame.get(..length).unwrap_or_default());
+    }
+
+    /// What is to become of a line's rate because of a request on the link `role`.
+    async fn set_rate(
+        &mut self,
+        role: LinkRole,
+        link: u8,
+        baud: u32,
+    ) -> Result<(LinkRole, RateOrder), Refusal> {
+        let line = ROLES.into_iter().find(|role| role.number() == link);
+        let line = line.ok_or(Refusal::FixedLineRate)?;
+        match self.shared.nearest_rate(line, baud) {
+            None => Err(Refusal::FixedLineRate),
+            Some(_) if (role, line) == (LinkRole::Wireless, LinkRole::Wireless) => {
+                Err(Refusal::AdapterLineRate)
+            }
+            Some(nearest) if nearest != baud => Err(Refusal::UnsupportedLineRate { nearest }),
+            Some(_) if role == line => Ok((line, RateOrder::Try(baud))),
+            Some(_) => {
+                self.save_rate(line, baud).await?;
+                Ok((line, RateOrder::Use(Some(baud))))
+            }
+        }
+    }
+
+    async fn save_rate(&mut self, line: LinkRole, baud: u32) -> Result<(), Refusal> {
+        self.announce_pause().await;
+        let saved = self.save_raw(rate_key(line), &baud.to_le_bytes()).await;
+        saved.map_err(|_| Refusal::StoreFailed)
     }
 
     /// Reads what is stored and starts the sensor. What cannot be read or used is reported, and
@@ -141,6 +199,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             published.ready = true;
         });
         for role in ROLES {
+            let baud = self.load_raw(rate_key(role)).await.ok().flatten();
+            let order = RateOrder::Use(baud.map(u32::from_le_bytes));
+            self.shared.rate_signals(role).order.signal(order);
             self.shared.introduce(role, self.timer.now());
         }
         // A sensor that does not start is reported and tried again by the sampler.
@@ -179,6 +240,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         match command {
             Command::GetParameters => Ok(self.active()),
             Command::GetSettings => Ok(Payload::Settings(plan.settings)),
+            // Answered before it comes here.
             Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
             Command::GetKeyStatus => Ok(self.key_status()),
             // Answered before it comes here.
@@ -545,6 +607,13 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
 fn is_calibration_or_settings(key: Key) -> bool {
     matches!(key, Key::Parameters { .. } | Key::Settings)
+}
+
+fn rate_key(line: LinkRole) -> Key {
+    match line {
+        LinkRole::Cable => Key::CableRate,
+        _ => Key::WirelessRate,
+    }
 }
 
 /// How the sensor will run under `wanted`, or the nearest that the device can do.

@@ -59,16 +59,19 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                 Ok(read) if read > 0 => read,
                 // A line that ended or failed may come back; do not spin meanwhile.
                 _ => {
+                    self.shared.rate_signals(self.role).noise.signal(());
                     self.timer.after_us(10_000).await;
                     continue;
                 }
             };
+            let mut heard = false;
             for &byte in bytes.get(..read).unwrap_or_default() {
                 let Some(received) = deframer.push(byte) else {
                     continue;
                 };
                 match received {
                     Ok(frame) if frame.kind == Kind::WhoAreYou => {
+                        heard = true;
                         // One that asks without end gets samples in between.
                         let now = self.timer.now();
                         if introduced
@@ -79,6 +82,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         }
                     }
                     Ok(frame) if frame.kind == Kind::Request => {
+                        heard = true;
                         if let Some(command) = self.accept(frame.body) {
                             self.shared.requests.send((self.role, command)).await;
                         }
@@ -87,6 +91,11 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                     Ok(_) => {}
                     Err(_) => self.count_damaged(),
                 }
+            }
+            let signals = self.shared.rate_signals(self.role);
+            match heard {
+                true => signals.heard.signal(()),
+                false => signals.noise.signal(()),
             }
         }
     }

@@ -1,6 +1,6 @@
 //! What the node's tasks share.
 
-use core::cell::RefCell;
+use core::cell::{Cell, RefCell};
 
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -32,6 +32,8 @@ pub struct Shared<M: RawMutex> {
     pub(crate) temperature: Signal<M, CentiCelsius>,
     pub(crate) requests: Channel<M, (LinkRole, Command), 1>,
     pub(crate) key_lost: Signal<M, ()>,
+    /// Rates to store.
+    pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
     published: Mutex<M, RefCell<Published>>,
 }
 
@@ -39,6 +41,30 @@ struct LinkShared<M: RawMutex> {
     outbox: Mutex<M, RefCell<FrameQueue>>,
     waiting: Signal<M, ()>,
     inbox: Mutex<M, RefCell<Inbox>>,
+    rate: RateSignals<M>,
+    /// The nearest rate that the line can run at, if it can be set.
+    nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
+}
+
+/// The rate nearest to one, bits/s, that a line can run at.
+type NearestRate = fn(u32) -> u32;
+
+/// What whoever keeps a line's rate is told.
+pub(crate) struct RateSignals<M: RawMutex> {
+    pub(crate) order: Signal<M, RateOrder>,
+    /// An undamaged frame of a host has come.
+    pub(crate) heard: Signal<M, ()>,
+    /// Bytes have come that ended no undamaged frame.
+    pub(crate) noise: Signal<M, ()>,
+}
+
+/// What is to become of a line's rate, bits/s.
+#[derive(Clone, Copy)]
+pub(crate) enum RateOrder {
+    /// This is stored.
+    Use(Option<u32>),
+    /// Change to this, and back if no host is heard.
+    Try(u32),
 }
 
 /// The receiving side of a link.
@@ -121,6 +147,12 @@ impl<M: RawMutex> Shared<M> {
                 damaged: 0,
                 epoch_wanted: false,
             })),
+            rate: RateSignals {
+                order: Signal::new(),
+                heard: Signal::new(),
+                noise: Signal::new(),
+            },
+            nearest_rate: Mutex::new(Cell::new(None)),
         };
         Self {
             links: ROLES.map(link),
@@ -129,6 +161,7 @@ impl<M: RawMutex> Shared<M> {
             temperature: Signal::new(),
             requests: Channel::new(),
             key_lost: Signal::new(),
+            rates: Channel::new(),
             published: Mutex::new(RefCell::new(Published {
                 hello: Hello::new(LinkRole::Cable),
                 lock: Lock::default(),
@@ -155,6 +188,22 @@ impl<M: RawMutex> Shared<M> {
     /// button held down for seconds, or a pin connected to ground when power comes.
     pub fn forget_key(&self) {
         self.key_lost.signal(());
+    }
+
+    pub(crate) fn has_rate(&self, role: LinkRole, nearest: NearestRate) {
+        self.link(role)
+            .nearest_rate
+            .lock(|known| known.set(Some(nearest)));
+    }
+
+    /// The rate nearest to `baud` that a link's line can run at; `None` if it cannot be set.
+    pub(crate) fn nearest_rate(&self, role: LinkRole, baud: u32) -> Option<u32> {
+        let nearest = self.link(role).nearest_rate.lock(Cell::get)?;
+        Some(nearest(baud))
+    }
+
+    pub(crate) fn rate_signals(&self, role: LinkRole) -> &RateSignals<M> {
+        &self.link(role).rate
     }
 
     pub(crate) fn lock(&self) -> Lock {

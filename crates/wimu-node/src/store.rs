@@ -15,6 +15,10 @@ pub enum Key {
     BootCount,
     /// The key that writes are signed with.
     DeviceKey,
+    /// The rate of the cable's line.
+    CableRate,
+    /// The rate of the wireless link's line.
+    WirelessRate,
 }
 
 impl Key {
@@ -25,6 +29,8 @@ impl Key {
             Self::Settings => Some(2),
             Self::BootCount => Some(3),
             Self::DeviceKey => Some(4),
+            Self::CableRate => Some(5),
+            Self::WirelessRate => Some(6),
             Self::Parameters { range_g } => match range_g.checked_add(128) {
                 Some(number) if range_g > 0 => Some(number),
                 _ => None,
@@ -38,6 +44,8 @@ impl Key {
             2 => Some(Self::Settings),
             3 => Some(Self::BootCount),
             4 => Some(Self::DeviceKey),
+            5 => Some(Self::CableRate),
+            6 => Some(Self::WirelessRate),
             129.. => Some(Self::Parameters {
                 range_g: number - 128,
             }),

@@ -27,6 +27,14 @@ use crate::transport::{self, Transport};
 const ASK_EVERY: Duration = Duration::from_millis(400);
 /// A request is repeated in so many sessions when they end under it.
 const SESSIONS: usize = 4;
+/// Rates at which a board is looked for.
+const USUAL_BAUDS: [u32; 8] = [
+    115_200, 9600, 38_400, 57_600, 230_400, 460_800, 921_600, 19_200,
+];
+/// The board hears us at a new rate within this, or not at all.
+const RATE_PATIENCE: Duration = Duration::from_secs(3);
+/// It is back at the old rate within this.
+const FALL_BACK_PATIENCE: Duration = Duration::from_secs(8);
 /// No longer than this between looks at the clock.
 const GLANCE: Duration = Duration::from_millis(50);
 
@@ -65,6 +73,9 @@ impl ConnectOptions {
 /// # Errors
 /// Those of [`transport::open`] and [`Client::connect`]. For `auto`, those of the last port tried.
 pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
+    if let LinkUrl::Serial { baud: None, .. } = link {
+        return Client::find_rate(transport::open(link)?, &link.to_string());
+    }
     if *link != LinkUrl::Auto {
         let transport = transport::open(link)?;
         return Client::connect(transport, &link.to_string(), ConnectOptions::default());
@@ -83,6 +94,19 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
         }
     }
     outcome
+}
+
+/// Whose rate a radio's line has, and how to set it.
+pub fn adapter_decides(link: &str, baud: u32) -> HostError {
+    HostError::new(
+        ErrorCode::Usage,
+        "this link goes over a radio adapter, which decides the rate of the board's line: setting it here means nothing",
+        format!(
+            "set the adapter itself in its command mode (HC-05: AT+UART={baud},0,0; HC-06: AT+BAUD8 for 115200; others alike); \
+             the board finds 115200, 9600 and 38400 by itself, and others after `wimu settings set CABLE --wireless-baud {baud}`"
+        ),
+    )
+    .at(link)
 }
 
 /// A connection to a board.
@@ -115,22 +139,87 @@ impl<T: Transport> Client<T> {
     /// `not_a_wimu_board` when none comes, `protocol_version` when the board speaks another one,
     /// `link_busy` when the other end closes the link at once, `link_lost` when it does so later.
     pub fn connect(transport: T, name: &str, options: ConnectOptions) -> Result<Self> {
+        let mut client = Self::new(transport, name, options.session);
+        client.greet(options.patience)?;
+        Ok(client)
+    }
+
+    fn new(transport: T, name: &str, session: Option<u32>) -> Self {
         let random = || RandomState::new().hash_one(name) as u32;
-        let mut client = Self {
+        Self {
             transport,
             name: name.to_owned(),
             decoder: Decoder::new(),
-            requester: Requester::new(options.session.unwrap_or_else(random)),
+            requester: Requester::new(session.unwrap_or_else(random)),
             hello: Hello::new(wimu_link::LinkRole::Other(0)),
             arrivals: VecDeque::new(),
             answer: None,
             key: None,
-            seed: options.session,
+            seed: session,
             deaf_until: Duration::ZERO,
             status_bytes: 0,
+        }
+    }
+
+    /// Connects at the rate at which the board answers: tries the usual ones, 1 s each.
+    ///
+    /// # Errors
+    /// `not_a_wimu_board` when none is the board's; those of [`Client::connect`].
+    pub fn find_rate(mut transport: T, name: &str) -> Result<Self> {
+        for baud in USUAL_BAUDS {
+            transport.set_baud(baud)?;
+            let mut client = Self::new(transport, name, None);
+            match client.greet(ConnectOptions::probe().patience) {
+                Ok(()) => return Ok(client),
+                Err(error) if error.code() != ErrorCode::NotAWimuBoard => return Err(error),
+                Err(_) => transport = client.transport,
+            }
+        }
+        Err(HostError::new(
+            ErrorCode::NotAWimuBoard,
+            format!("no wimu board answers at any of {USUAL_BAUDS:?} baud"),
+            "check that the board is powered and runs wimu, and that TX and RX are not swapped",
+        )
+        .at(name))
+    }
+
+    /// Changes the rate of the line at both ends, and stores it on the board.
+    ///
+    /// # Errors
+    /// `usage` for a link without a rate, or a radio's, whose adapter decides; those of
+    /// [`Client::request`]; `no_answer` when the board is not heard at the new rate: both ends are at
+    /// the old one again then.
+    pub fn set_line_rate(&mut self, baud: u32) -> Result<()> {
+        let Some(before) = self.transport.baud() else {
+            return self
+                .transport
+                .set_baud(baud)
+                .map_err(|error| error.at(&self.name));
         };
-        client.greet(options.patience)?;
-        Ok(client)
+        if self.hello.role != LinkRole::Cable {
+            return Err(adapter_decides(&self.name, baud));
+        }
+        let link = LinkRole::Cable.number();
+        match self.request(Command::SetLineRate { link, baud }) {
+            // The answer may be lost and the rate changed: the board tells.
+            Err(error) if error.code() != ErrorCode::NoAnswer => return Err(error),
+            _ => {}
+        }
+        self.transport.set_baud(baud)?;
+        self.decoder.interrupt();
+        if self.greet(RATE_PATIENCE).is_ok() {
+            return Ok(());
+        }
+        self.transport.set_baud(before)?;
+        self.decoder.interrupt();
+        // The board comes back when it has not heard us for 5 s.
+        self.greet(FALL_BACK_PATIENCE)?;
+        Err(HostError::new(
+            ErrorCode::NoAnswer,
+            format!("the board is not heard at {baud} baud; it is back at {before}"),
+            "the cable or the adapter between may not carry this rate: choose a lower one",
+        )
+        .at(&self.name))
     }
 
     /// Goes on with a new transport to the same board after the old one was lost: with what is
@@ -170,7 +259,8 @@ impl<T: Transport> Client<T> {
             .map_or(0, |length| length + 1);
         let start = self.transport.now();
         let mut ask_at = start;
-        let mut looked_at = 0;
+        // A greeting of before is none.
+        let mut looked_at = self.arrivals.len();
         loop {
             let now = self.transport.now();
             if now >= start + patience {

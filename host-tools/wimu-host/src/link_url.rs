@@ -14,6 +14,7 @@ pub const DEFAULT_BAUD: u32 = 115_200;
 /// | text | means |
 /// |---|---|
 /// | `serial:///dev/ttyACM0?baud=115200`, `serial://COM5` | a serial port; the baud rate is optional |
+/// | `serial:///dev/ttyACM0?baud=auto` | the same, at the rate at which a board answers |
 /// | `/dev/ttyACM0`, `/dev/rfcomm0`, `/dev/cu.usbmodem1`, `COM5` | the same, at 115200 baud |
 /// | `tcp://127.0.0.1:7100`, `tcp://[::1]:7100` | a TCP server |
 /// | `auto` | the serial port whose USB identity is that of a known board |
@@ -23,8 +24,8 @@ pub enum LinkUrl {
     Serial {
         /// Path or name as the operating system has it.
         path: String,
-        /// Baud rate.
-        baud: u32,
+        /// Baud rate; `None` to find the board's.
+        baud: Option<u32>,
     },
     /// A TCP server.
     Tcp {
@@ -72,7 +73,7 @@ impl FromStr for LinkUrl {
         if text.starts_with("/dev/") || is_com_port(text) {
             return Ok(Self::Serial {
                 path: text.to_owned(),
-                baud: DEFAULT_BAUD,
+                baud: Some(DEFAULT_BAUD),
             });
         }
         Err(bad("this is not a LINK".to_owned()))
@@ -89,15 +90,13 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
     if path.is_empty() || path == "/" {
         return Err("the serial port is missing".to_owned());
     }
-    let mut baud = DEFAULT_BAUD;
+    let mut baud = Some(DEFAULT_BAUD);
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
         match pair.split_once('=') {
+            Some(("baud", "auto")) => baud = None,
             Some(("baud", value)) => {
-                baud = value
-                    .parse()
-                    .ok()
-                    .filter(|baud| *baud > 0)
-                    .ok_or_else(|| format!("`{value}` is no baud rate"))?;
+                let rate = value.parse().ok().filter(|baud| *baud > 0);
+                baud = Some(rate.ok_or_else(|| format!("`{value}` is no baud rate"))?);
             }
             _ => return Err(format!("`{pair}` is no option of a serial link")),
         }
@@ -144,7 +143,11 @@ fn is_com_port(text: &str) -> bool {
 impl fmt::Display for LinkUrl {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Serial { path, baud } => write!(out, "serial://{path}?baud={baud}"),
+            Self::Serial {
+                path,
+                baud: Some(baud),
+            } => write!(out, "serial://{path}?baud={baud}"),
+            Self::Serial { path, baud: None } => write!(out, "serial://{path}?baud=auto"),
             Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp://[{host}]:{port}"),
             Self::Tcp { host, port } => write!(out, "tcp://{host}:{port}"),
             Self::Auto => out.write_str("auto"),
@@ -207,8 +210,19 @@ mod tests {
     fn serial(path: &str, baud: u32) -> LinkUrl {
         LinkUrl::Serial {
             path: path.to_owned(),
-            baud,
+            baud: Some(baud),
         }
+    }
+
+    #[test]
+    fn the_rate_may_be_found() {
+        let auto = LinkUrl::Serial {
+            path: "/dev/ttyACM0".to_owned(),
+            baud: None,
+        };
+        let text = "serial:///dev/ttyACM0?baud=auto";
+        assert_eq!(text.parse::<LinkUrl>().unwrap(), auto);
+        assert_eq!(auto.to_string(), text);
     }
 
     fn tcp(host: &str, port: u16) -> LinkUrl {

@@ -467,6 +467,14 @@ impl<T: Transport> Transport for Tap<T> {
     fn now(&self) -> Duration {
         self.inner.now()
     }
+
+    fn baud(&self) -> Option<u32> {
+        self.inner.baud()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<()> {
+        self.inner.set_baud(baud)
+    }
 }
 
 fn carries_key(bytes: &[u8]) -> bool {

@@ -6,7 +6,7 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use serialport::{SerialPort, SerialPortType};
+use serialport::{ClearBuffer, SerialPort, SerialPortType};
 
 use crate::error::{ErrorCode, HostError, Result};
 use crate::link_url::{DEFAULT_BAUD, LinkUrl};
@@ -34,6 +34,23 @@ pub trait Transport {
         static START: OnceLock<Instant> = OnceLock::new();
         START.get_or_init(Instant::now).elapsed()
     }
+
+    /// The rate of the line at this end, bits/s; `None` for a link without one.
+    fn baud(&self) -> Option<u32> {
+        None
+    }
+
+    /// Changes it; what has arrived is dropped.
+    ///
+    /// # Errors
+    /// `usage` for a link without a rate; `link_lost` when the port does not take it.
+    fn set_baud(&mut self, baud: u32) -> Result<()> {
+        Err(HostError::new(
+            ErrorCode::Usage,
+            format!("this link has no baud rate that could be {baud}"),
+            "give a serial port",
+        ))
+    }
 }
 
 impl<T: Transport + ?Sized> Transport for Box<T> {
@@ -48,6 +65,14 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
     fn now(&self) -> Duration {
         (**self).now()
     }
+
+    fn baud(&self) -> Option<u32> {
+        (**self).baud()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<()> {
+        (**self).set_baud(baud)
+    }
 }
 
 /// Opens a link. [`LinkUrl::Auto`] opens the only port with the USB identity of a known board.
@@ -57,7 +82,10 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
 /// several ports to choose from: [`candidates`] lists them.
 pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
     match link {
-        LinkUrl::Serial { path, baud } => Ok(Box::new(SerialLink::open(path, *baud)?)),
+        LinkUrl::Serial { path, baud } => {
+            let baud = baud.unwrap_or(DEFAULT_BAUD);
+            Ok(Box::new(SerialLink::open(path, baud)?))
+        }
         LinkUrl::Tcp { host, port } => Ok(Box::new(TcpLink::open(link, host, *port)?)),
         LinkUrl::Auto => match candidates()?.as_slice() {
             [only] => open(only),
@@ -85,7 +113,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
         .filter(|port| port.board.is_some())
         .map(|port| LinkUrl::Serial {
             path: port.path,
-            baud: DEFAULT_BAUD,
+            baud: Some(DEFAULT_BAUD),
         })
         .collect();
     if found.is_empty() {
@@ -226,6 +254,17 @@ impl Transport for SerialLink {
         self.port
             .write_all(bytes)
             .map_err(|error| lost(&self.path, &error))
+    }
+
+    fn baud(&self) -> Option<u32> {
+        self.port.baud_rate().ok()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<()> {
+        self.port
+            .set_baud_rate(baud)
+            .and_then(|()| self.port.clear(ClearBuffer::Input))
+            .map_err(|error| lost(&self.path, &error.into()))
     }
 }
 

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
+use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_hal_async::digital::Wait;
 use wimu_host::transport::Transport;
@@ -17,12 +18,14 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
-use wimu_node::{Accelerometer, DataReady, Shared, Timer};
+use wimu_node::{Accelerometer, DataReady, RateKeeper, Shared, Timer};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
-use crate::pipe::{Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link};
+use crate::pipe::{
+    Channels, DeviceRate, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link,
+};
 use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
@@ -142,6 +145,7 @@ impl Board {
         for channels in self.channels.iter().flatten() {
             channels.clear();
         }
+        let bauds = [self.cable.baud(), self.wireless.baud()];
         self.shared = SharedMemory::default();
         (self.node, self.bus_faults, self.cable, self.wireless) = boot(
             &self.clock,
@@ -150,6 +154,12 @@ impl Board {
             &self.channels,
             &self.shared,
         );
+        // The other ends know nothing of it.
+        for (link, baud) in [&mut self.cable, &mut self.wireless].into_iter().zip(bauds) {
+            if let Some(baud) = baud {
+                link.set_baud(baud);
+            }
+        }
         self.woken = Arc::new(Woken(AtomicBool::new(true)));
     }
 
@@ -283,6 +293,7 @@ fn boot(
         (cable_reader, cable_writer),
         (wireless_reader, wireless_writer),
     ];
+    let rates = [&cable, &wireless].map(|link| Some((link.device_rate(), link.baud()?)));
     let line = Stamped {
         pin: device.data_ready(),
         timer: timer.clone(),
@@ -290,11 +301,11 @@ fn boot(
     let node = match config.sensor {
         SensorPart::Lsm303agr => {
             let accelerometer = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links, shared)
+            node(hello, accelerometer, timer, storage, links, rates, shared)
         }
         SensorPart::Adxl345 => {
             let accelerometer = wimu_node::Adxl345::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links, shared)
+            node(hello, accelerometer, timer, storage, links, rates, shared)
         }
     };
     (node, faults, cable, wireless)
@@ -306,10 +317,12 @@ fn node(
     timer: BoardTimer,
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
+    rates: [Option<(DeviceRate, u32)>; 2],
     shared: SharedMemory,
 ) -> Pin<Box<dyn Future<Output = ()>>> {
     // Other bits at each start, and the same in every run: what is simulated has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
+    let clock = timer.clone();
     let board = wimu_node::Board {
         hello,
         accelerometer,
@@ -320,7 +333,20 @@ fn node(
         wireless,
     };
     Box::pin(async move {
-        board.split(&shared).run().await;
+        let [cable, wireless] = rates;
+        let keep = async |role, rate| match rate {
+            Some((rate, opened)) => {
+                let keeper = RateKeeper::new(role, rate, opened, clock.clone(), &shared);
+                keeper.run().await
+            }
+            None => std::future::pending().await,
+        };
+        let keepers = join(
+            keep(LinkRole::Cable, cable),
+            keep(LinkRole::Wireless, wireless),
+        );
+        // The keepers come first, so that a request finds them.
+        join(keepers, board.split(&shared).run()).await;
     })
 }
 
@@ -421,6 +447,15 @@ pub trait VirtualBoard {
     fn connection(&mut self, _role: LinkRole) -> Option<u64> {
         Some(0)
     }
+
+    /// The rate of the host's end of a link, bits/s; `None` for a link without, or with one that
+    /// cannot be set.
+    fn baud(&mut self, _role: LinkRole) -> Option<u32> {
+        None
+    }
+
+    /// Changes it, where there is one.
+    fn set_baud(&mut self, _role: LinkRole, _baud: u32) {}
 }
 
 impl VirtualBoard for Board {
@@ -453,6 +488,14 @@ impl VirtualBoard for Board {
 
     fn connection(&mut self, role: LinkRole) -> Option<u64> {
         self.link(role).connection()
+    }
+
+    fn baud(&mut self, role: LinkRole) -> Option<u32> {
+        self.link(role).baud()
+    }
+
+    fn set_baud(&mut self, role: LinkRole, baud: u32) {
+        self.link(role).set_baud(baud);
     }
 }
 
@@ -524,5 +567,22 @@ impl<R: VirtualBoard> Transport for SimLink<'_, R> {
 
     fn now(&self) -> Duration {
         Duration::from_micros(self.board.borrow().now_us())
+    }
+
+    fn baud(&self) -> Option<u32> {
+        self.board.borrow_mut().baud(self.role)
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<()> {
+        if self.baud().is_none() {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "the simulated link has no baud rate",
+                "give a board whose link has one",
+            ));
+        }
+        self.board.borrow_mut().set_baud(self.role, baud);
+        self.arrived.clear();
+        Ok(())
     }
 }

@@ -10,8 +10,13 @@ use std::task::{Poll, Waker};
 
 use embedded_io_async::{ErrorType, Read, Write};
 
+use wimu_node::LineRate;
+
 use crate::clock::VirtualClock;
 use crate::faults::{Channel, LinkFaults};
+
+/// Ten bits, ns at 1 baud.
+const BITS_PER_BYTE_NS: u64 = 10_000_000_000;
 
 /// What a link is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,9 +65,10 @@ pub fn faulty_link(
 ) -> (DeviceReader, DeviceWriter, HostEnd) {
     assert!(config.transmit_buffer > 0 && config.receive_buffer > 0);
     assert!(config.baud != Some(0));
-    let byte_ns = config.baud.map(|baud| 10_000_000_000 / u64::from(baud));
+    let byte_ns = config.baud.map(|baud| BITS_PER_BYTE_NS / u64::from(baud));
     let line = |sender, receiver, channel| {
         Rc::new(RefCell::new(Line {
+            bauds: config.baud.map(|baud| [baud; 2]),
             byte_ns,
             sender_holds: sender,
             receiver_holds: receiver,
@@ -122,6 +128,10 @@ impl Channels {
 /// One direction.
 #[derive(Debug, Default)]
 struct Line {
+    /// Those of the sender and of the receiver.
+    bauds: Option<[u32; 2]>,
+    /// Where they differ: bits that the receiver has made of the sender's so far, of a byte.
+    misread: u32,
     byte_ns: Option<u64>,
     sender_holds: Option<usize>,
     receiver_holds: Option<usize>,
@@ -157,9 +167,11 @@ impl Line {
                 None => now * 1000,
             };
             self.sending.pop_front();
-            match &channel {
-                Some(channel) => channel.borrow_mut().push(crossed_ns, &[byte]),
-                None => self.arrive(byte),
+            for byte in self.read_as(byte) {
+                match &channel {
+                    Some(channel) => channel.borrow_mut().push(crossed_ns, &[byte]),
+                    None => self.arrive(byte),
+                }
             }
         }
         if let Some(channel) = channel {
@@ -174,6 +186,40 @@ impl Line {
             for byte in channel.pull(now * 1000, room) {
                 self.arrive(byte);
             }
+        }
+    }
+
+    /// What the receiver makes of a byte: it, or where the rates differ too much some rubbish, as many
+    /// bytes as fit its time.
+    fn read_as(&mut self, byte: u8) -> impl Iterator<Item = u8> + use<> {
+        let [sender, receiver] = self.bauds.unwrap_or([1, 1]);
+        let misread = sender.abs_diff(receiver) > sender / 25;
+        let count = if misread {
+            self.misread += receiver;
+            let count = self.misread / sender;
+            self.misread %= sender;
+            count
+        } else {
+            1
+        };
+        (0..count).map(move |index| match misread {
+            true => byte.rotate_left(index % 8).wrapping_mul(0x9d) ^ 0xa5,
+            false => byte,
+        })
+    }
+
+    fn set_sender_baud(&mut self, baud: u32, now: u64) {
+        self.settle(now);
+        if let Some([sender, _]) = &mut self.bauds {
+            *sender = baud;
+            self.byte_ns = Some(BITS_PER_BYTE_NS / u64::from(baud));
+        }
+    }
+
+    fn set_receiver_baud(&mut self, baud: u32, now: u64) {
+        self.settle(now);
+        if let Some([_, receiver]) = &mut self.bauds {
+            *receiver = baud;
         }
     }
 
@@ -346,6 +392,28 @@ impl Write for DeviceWriter {
     }
 }
 
+/// The rate of a link's line at the device's end. What the two ends send and hear at different rates is
+/// rubbish.
+#[derive(Debug)]
+pub struct DeviceRate {
+    clock: VirtualClock,
+    to_host: Rc<RefCell<Line>>,
+    to_device: Rc<RefCell<Line>>,
+}
+
+impl LineRate for DeviceRate {
+    /// Any rate from 300 to 4,000,000 baud.
+    fn nearest(baud: u32) -> u32 {
+        baud.clamp(300, 4_000_000)
+    }
+
+    fn set(&mut self, baud: u32) {
+        let now = self.clock.now();
+        self.to_host.borrow_mut().set_sender_baud(baud, now);
+        self.to_device.borrow_mut().set_receiver_baud(baud, now);
+    }
+}
+
 /// The host's end: never waits. When it is dropped, what the device sends goes nowhere.
 #[derive(Debug)]
 pub struct HostEnd {
@@ -355,6 +423,28 @@ pub struct HostEnd {
 }
 
 impl HostEnd {
+    /// The rate of this end's line, bits/s: the host's, or that of its radio adapter; `None` for a link
+    /// without.
+    pub fn baud(&self) -> Option<u32> {
+        self.to_device.borrow().bauds.map(|[sender, _]| sender)
+    }
+
+    /// Changes it; of no effect on a link without one.
+    pub fn set_baud(&mut self, baud: u32) {
+        let now = self.clock.now();
+        self.to_device.borrow_mut().set_sender_baud(baud, now);
+        self.to_host.borrow_mut().set_receiver_baud(baud, now);
+    }
+
+    /// The device's end of the line's rate.
+    pub fn device_rate(&self) -> DeviceRate {
+        DeviceRate {
+            clock: self.clock.clone(),
+            to_host: self.to_host.clone(),
+            to_device: self.to_device.clone(),
+        }
+    }
+
     /// Takes the bytes that have arrived by now.
     pub fn pull(&mut self) -> Vec<u8> {
         let mut line = self.to_host.borrow_mut();

@@ -480,7 +480,8 @@ pub enum Settings {
     /// Change some settings; the others stay
     #[command(
         after_help = "Example: wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off
-         wimu settings set tcp://127.0.0.1:7100 --wireless raw,navigation --wireless-every 4"
+         wimu settings set tcp://127.0.0.1:7100 --wireless raw,navigation --wireless-every 4
+         wimu settings set /dev/ttyACM0 --baud 460800"
     )]
     Set {
         /// A LINK
@@ -514,6 +515,12 @@ pub struct Change {
     /// What the wireless link carries, likewise
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STREAMS")]
     pub wireless: Option<Vec<Carried>>,
+    /// Rate of this LINK's line, bits/s, at both ends; back at the old one if the board is not heard
+    #[arg(long, value_name = "N")]
+    pub baud: Option<u32>,
+    /// Rate of the board's line to its radio adapter, bits/s, after the adapter was set to it
+    #[arg(long, value_name = "N")]
+    pub wireless_baud: Option<u32>,
     /// Samples to a batch on both links, 1 to 32
     #[arg(long, value_name = "N")]
     pub batch: Option<u8>,

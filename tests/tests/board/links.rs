@@ -52,6 +52,8 @@ fn shed(status: &Status, role: LinkRole) -> u32 {
 fn flood(role: LinkRole, mut rubbish: impl FnMut(&mut Rig) -> Vec<u8>) -> (Rig, Status) {
     let uart = BoardConfig::default();
     let mut rig = rig(uart.cable, uart.wireless);
+    // A host has been there: the wireless line's rate is found.
+    rig.send(LinkRole::Wireless, &who_are_you());
     rig.run(2.0);
     for _ in 0..80 {
         let mut bytes = Vec::new();

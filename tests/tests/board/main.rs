@@ -4,5 +4,6 @@ mod adxl345;
 mod epochs;
 mod keys;
 mod links;
+mod rates;
 mod requests;
 mod sensor;

@@ -1,8 +1,10 @@
 //! `wimu settings`.
 
 use serde::Serialize;
+use wimu_host::client::adapter_decides;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::{Resolution, Settings, Streams};
+use wimu_link::{Command, LinkRole};
 
 use crate::arguments::{self, Carried, Change, Switch};
 use crate::command::{connect, connect_to_write, params};
@@ -29,8 +31,26 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         arguments::Settings::Get { link } => connect(link)?.settings()?,
         arguments::Settings::Set { link, change } => {
             let mut client = connect_to_write(link)?;
-            let wanted = changed(client.settings()?, change)?;
-            let now = client.set_settings(wanted)?;
+            if let Some(baud) = change.baud {
+                // A port of a radio has a rate of its own, whatever it says.
+                if link.contains("rfcomm") {
+                    return Err(adapter_decides(link, baud));
+                }
+                client.set_line_rate(baud)?;
+                output.say(format!(
+                    "the line runs at {baud} baud from now on: add ?baud={baud} to the link"
+                ));
+            }
+            if let Some(baud) = change.wireless_baud {
+                let link = LinkRole::Wireless.number();
+                client.request(Command::SetLineRate { link, baud })?;
+            }
+            let before = client.settings()?;
+            let wanted = changed(before, change)?;
+            let now = match wanted == before {
+                true => before,
+                false => client.set_settings(wanted)?,
+            };
             params::applies(params::held(&mut client)?.as_ref(), now.range_g, output);
             now
         }

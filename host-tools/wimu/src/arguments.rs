@@ -213,16 +213,22 @@ pub struct Compare {
 }
 
 #[derive(Args)]
-#[command(after_help = "Example: wimu export session.mcap -o session.csv --stream corrected")]
+#[command(after_help = "\
+Example: wimu export session.mcap -o session.csv --stream corrected
+         wimu export CAL.json --format c -o wimu_calibration.h
+         wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml")]
 pub struct Export {
-    /// A recording
+    /// A recording, or a calibration for the formats rust, c and kalibr
     pub input: PathBuf,
-    /// The table
+    /// The table, or the file for your own firmware or tools
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     /// How it is written
     #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
     pub format: ExportFormat,
+    /// What `wimu allan --json` printed, for the noise that kalibr wants
+    #[arg(long, value_name = "NOISE.json")]
+    pub noise: Option<PathBuf>,
     /// Take this error model off its link, as `wimu compare -o` wrote it
     #[arg(long, value_name = "LINK.json")]
     pub link_model: Option<PathBuf>,
@@ -242,6 +248,12 @@ pub enum ExportFormat {
     Mcap,
     /// A table, from a capture of a MIMU4444's Bluetooth stream
     Mimu4444,
+    /// A calibration as a Rust module for wimu-model
+    Rust,
+    /// A calibration as a C header without dependencies
+    C,
+    /// A calibration as Kalibr's IMU file
+    Kalibr,
 }
 
 /// A file of another maker.

@@ -138,6 +138,20 @@ fn the_noise_of_a_sensor_at_rest_is_told_and_motion_is_refused() {
     }
     assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
 
+    // Kalibr's file takes the noise from the report.
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (json, yaml) = (path("NOISE.json"), path("imu.yaml"));
+    fs::write(&json, report.to_string()).unwrap();
+    let cal = perfect(folder.path());
+    let kalibr = ["export", &cal, "--format", "kalibr", "-o", &yaml];
+    wimu(&[&kalibr[..], &["--noise", &json]].concat()).succeeds();
+    let text = fs::read_to_string(&yaml).unwrap();
+    assert!(
+        text.contains("\naccelerometer_noise_density: 0.00"),
+        "{text}"
+    );
+    wimu(&[&kalibr[..], &["--noise", &cal]].concat()).fails(2, "bad_calibration");
+
     fs::write(&csv, two_accelerometers()).unwrap();
     let moving = wimu(&["allan", &csv, "--accelerometer", "0"]);
     assert_eq!(moving.code, 3, "{moving:?}");
@@ -240,6 +254,18 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
     for (found, expected) in of(&["--forward"]).iter().zip([half, 0.0, 0.0, -half]) {
         assert!((found - expected).abs() < 0.02, "{found} {expected}");
     }
+
+    // The calibration for others.
+    for (format, word) in [
+        ("rust", "ErrorTerms"),
+        ("c", "wimu_correct"),
+        ("kalibr", "accelerometers:"),
+    ] {
+        let file = path(format);
+        wimu(&["export", &aligned, "--format", format, "-o", &file]).succeeds();
+        assert!(fs::read_to_string(&file).unwrap().contains(word));
+    }
+    wimu(&["export", &csv, "--format", "c", "-o", &path("c")]).fails(2, "bad_calibration");
 
     // One direction, a rest that is not there, no axis.
     wimu(&["align", &csv, "--calibration", &cal]).fails(2, "usage");

@@ -1,6 +1,7 @@
 //! `wimu export`.
 
 use serde::Serialize;
+use wimu_host::calibration::{KalibrNoise, read_parameters, to_c, to_kalibr, to_rust};
 use wimu_host::compare::LinkModel;
 use wimu_host::export::{self, ExportStream};
 use wimu_host::history::Recording;
@@ -38,7 +39,28 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         .as_deref()
         .map(LinkModel::read)
         .transpose()?;
+    if arguments.noise.is_some() && !matches!(arguments.format, ExportFormat::Kalibr) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "--noise goes with --format kalibr only",
+            "leave it out",
+        ));
+    }
     let (rows, link) = match arguments.format {
+        ExportFormat::Rust | ExportFormat::C | ExportFormat::Kalibr => {
+            let set = read_parameters(&arguments.input)?;
+            let text = match arguments.format {
+                ExportFormat::Rust => to_rust(&set),
+                ExportFormat::C => to_c(&set),
+                _ => {
+                    let noise = arguments.noise.as_deref();
+                    to_kalibr(&set, noise.map(KalibrNoise::read).transpose()?)
+                }
+            };
+            std::fs::write(&arguments.output, &text)
+                .map_err(|error| HostError::file(&file, "write", &error))?;
+            (text.lines().count(), None)
+        }
         ExportFormat::Mcap => {
             let decoded = ros::decode(&arguments.input, &arguments.output, model.as_ref())?;
             for (topic, count) in &decoded.messages {

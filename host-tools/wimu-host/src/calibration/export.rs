@@ -1,0 +1,173 @@
+//! A calibration for someone's own firmware or tools.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use serde_json::Value;
+
+use wimu_link::message::parameter_id;
+use wimu_model::{Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
+
+use crate::allan::NoiseReport;
+use crate::error::{ErrorCode, HostError, Result};
+
+/// Noise of the accelerometer as Kalibr takes it, from `wimu allan`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KalibrNoise {
+    /// Velocity random walk N, m/s/√s.
+    pub density: f64,
+    /// Acceleration random walk K, m/s²/√s.
+    pub random_walk: f64,
+    /// Sample rate, Hz.
+    pub rate_hz: f64,
+}
+
+impl KalibrNoise {
+    /// Reads what `wimu allan --json` printed; of the three axes the noisiest counts. An acceleration
+    /// random walk that was not seen is 0.
+    ///
+    /// # Errors
+    /// `file_unreadable`; `bad_calibration` when it is no such report, or one that was refused.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+        let bad = || {
+            HostError::new(
+                ErrorCode::BadCalibration,
+                "this is no noise report",
+                "make it with `wimu allan --json rest.mcap > NOISE.json`",
+            )
+            .at(&name)
+        };
+        let report: Value = serde_json::from_str(&text).map_err(|_| bad())?;
+        if report["schema"] != NoiseReport::SCHEMA || report["status"] != "ok" {
+            return Err(bad());
+        }
+        let worst = |key: &str| {
+            let axes = report["axes"].as_array()?;
+            let of = |axis: &Value| axis[key]["value"].as_f64();
+            axes.iter().filter_map(of).reduce(f64::max)
+        };
+        Ok(Self {
+            density: worst("velocity_random_walk_m_s_rts").ok_or_else(bad)?,
+            random_walk: worst("acceleration_random_walk_m_s2_rts").unwrap_or(0.0),
+            rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?,
+        })
+    }
+}
+
+/// A Rust module that builds the set with `wimu-model`.
+pub fn to_rust(set: &ParameterSet) -> String {
+    let terms = set.model.terms();
+    let t = &terms.temperature;
+    format!(
+        "//! Calibration {id} of a ±{range} g accelerometer, exported by wimu.\n\n\
+         use wimu_model::{{\n    Alignment, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,\n}};\n\n\
+         /// The error model, y = b(T) + A(T) u: m/s², sensor axes.\n\
+         pub const TERMS: ErrorTerms = ErrorTerms {{\n    \
+         bias_mps2: {bias:?},\n    matrix: {matrix:?},\n    \
+         temperature: TemperatureTerms {{\n        reference_c: {reference:?},\n        \
+         bias_mps2_per_k: {b1:?},\n        bias_mps2_per_k2: {b2:?},\n        \
+         scale_per_k: {s1:?},\n    }},\n    nonlinearity: {q:?},\n}};\n\n\
+         /// The parameter set for `wimu_model::Corrector`; `None` is ruled out by the export.\n\
+         pub fn parameters() -> Option<ParameterSet> {{\n    Some(ParameterSet {{\n        \
+         model: ErrorModel::new(TERMS).ok()?,\n        \
+         alignment: Alignment::try_from({alignment:?}).ok()?,\n        \
+         ..ParameterSet::uncalibrated({range}, Sensitivity::from_lsb_per_g({sensitivity:?}).ok()?)\n    }})\n}}\n",
+        id = parameter_id(set),
+        range = set.range_g,
+        bias = terms.bias_mps2,
+        matrix = terms.matrix,
+        reference = t.reference_c,
+        b1 = t.bias_mps2_per_k,
+        b2 = t.bias_mps2_per_k2,
+        s1 = t.scale_per_k,
+        q = terms.nonlinearity,
+        alignment = set.alignment.quaternion(),
+        sensitivity = set.sensitivity.lsb_per_g(),
+    )
+}
+
+/// A C header with one function: counts to specific force in body axes.
+pub fn to_c(set: &ParameterSet) -> String {
+    let terms = set.model.terms();
+    let t = &terms.temperature;
+    let mut out = format!(
+        "/* Calibration {} of a +/-{} g accelerometer, exported by wimu. C99. */\n\
+         #ifndef WIMU_CALIBRATION_H\n#define WIMU_CALIBRATION_H\n\n#include <stdint.h>\n\n",
+        parameter_id(set),
+        set.range_g
+    );
+    let vector = |v: [f64; 3]| format!("{{{:?}, {:?}, {:?}}}", v[0], v[1], v[2]);
+    let matrix = |m: Matrix3| format!("{{{}, {}, {}}}", vector(m[0]), vector(m[1]), vector(m[2]));
+    let scale = STANDARD_GRAVITY_MPS2 / set.sensitivity.lsb_per_g();
+    let alignment = matrix(set.alignment.matrix());
+    let _ = write!(
+        out,
+        "/* Specific force in body axes, m/s^2, from raw counts at a temperature in degrees Celsius;\n   \
+         pass WIMU_REFERENCE_C where there is no thermometer.\n   \
+         z = A(T)^-1 (y - b(T)), f = z - q z z, then sensor axes to body axes. */\n\
+         #define WIMU_REFERENCE_C {reference:?}\n\n\
+         static inline void wimu_correct(const int16_t counts[3], double temperature_c, double force[3])\n{{\n    \
+         static const double b0[3] = {b0};\n    static const double b1[3] = {b1};\n    \
+         static const double b2[3] = {b2};\n    static const double s1[3] = {s1};\n    \
+         static const double q[3] = {q};\n    static const double a0[3][3] = {a};\n    \
+         static const double r[3][3] = {alignment};\n    \
+         const double dt = temperature_c - WIMU_REFERENCE_C;\n    \
+         double a[3][3], y[3], z[3], det;\n    int i, j;\n\n    \
+         for (i = 0; i < 3; i++) {{\n        for (j = 0; j < 3; j++)\n            a[i][j] = a0[i][j];\n        \
+         a[i][i] *= 1.0 + s1[i] * dt;\n        \
+         y[i] = counts[i] * {scale:?} - (b0[i] + (b1[i] + b2[i] * dt) * dt);\n    }}\n    \
+         det = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])\n        \
+         - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])\n        \
+         + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);\n    \
+         for (i = 0; i < 3; i++) {{\n        z[i] = 0.0;\n        for (j = 0; j < 3; j++) {{\n            \
+         const int r1 = (j + 1) % 3, r2 = (j + 2) % 3, c1 = (i + 1) % 3, c2 = (i + 2) % 3;\n            \
+         z[i] += (a[r1][c1] * a[r2][c2] - a[r1][c2] * a[r2][c1]) / det * y[j];\n        }}\n        \
+         z[i] -= q[i] * z[i] * z[i];\n    }}\n    \
+         for (i = 0; i < 3; i++)\n        force[i] = r[i][0] * z[0] + r[i][1] * z[1] + r[i][2] * z[2];\n}}\n\n#endif\n",
+        reference = t.reference_c,
+        b0 = vector(terms.bias_mps2),
+        b1 = vector(t.bias_mps2_per_k),
+        b2 = vector(t.bias_mps2_per_k2),
+        s1 = vector(t.scale_per_k),
+        q = vector(terms.nonlinearity),
+        a = matrix(terms.matrix),
+    );
+    out
+}
+
+/// Kalibr's IMU file: noise, and the accelerometer's intrinsics in its convention,
+/// y = M f + b, which is ours: M is A, b the bias.
+pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
+    let terms = set.model.terms();
+    let mut out = format!(
+        "# Calibration {} of a +/-{} g accelerometer, exported by wimu.\nrostopic: /imu/data_raw\n",
+        parameter_id(set),
+        set.range_g
+    );
+    let _ = match noise {
+        Some(noise) => writeln!(
+            out,
+            "update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
+             accelerometer_noise_density: {:?}\naccelerometer_random_walk: {:?}",
+            noise.rate_hz, noise.density, noise.random_walk
+        ),
+        None => writeln!(
+            out,
+            "# Not measured: give the JSON of `wimu allan --json` with --noise.\n\
+             # update_rate:\n# accelerometer_noise_density:\n# accelerometer_random_walk:"
+        ),
+    };
+    let _ = writeln!(
+        out,
+        "# Output = M * specific force + b, sensor axes, m/s^2. A gyroscope is not wimu's business:\n\
+         # gyroscope_noise_density and gyroscope_random_walk are yours to add.\n\
+         accelerometers:\n  M:"
+    );
+    for row in terms.matrix {
+        let _ = writeln!(out, "  - {row:?}");
+    }
+    let _ = writeln!(out, "  b: {:?}", terms.bias_mps2);
+    out
+}

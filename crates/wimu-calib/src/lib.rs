@@ -9,6 +9,7 @@ mod finder;
 mod gravity;
 mod input;
 mod least_squares;
+mod magnetometer;
 mod multi_position;
 mod noise;
 mod orientation;
@@ -31,6 +32,7 @@ pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviatio
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use least_squares::Rejected;
+pub use magnetometer::{MagneticPose, MagneticRefusal, magnetometer};
 pub use multi_position::{
     Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
 };

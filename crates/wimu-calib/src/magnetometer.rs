@@ -1,0 +1,370 @@
+//! A magnetometer from the magnitude of the field and its dip, in orientations that nobody knows.
+
+use core::fmt;
+
+use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use wimu_model::{
+    Alignment, MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
+    RotationCovariance,
+};
+
+/// Fewest poses: nine parameters of iron, and three to tell how good they are.
+const FEWEST: usize = 12;
+/// Beyond, the poses do not tell the model.
+const MOST_CONDITION: f64 = 30.0;
+/// Beyond, as a share of the field, this is no constant field.
+const MOST_RMS: f64 = 0.05;
+/// Left-out error per residual's standard deviation, at most.
+const MOST_LEFT_OUT: f64 = 10.0;
+/// Spread of the dip beyond which the axes do not belong together, rad rms.
+const MOST_DIP_RMS: f64 = 0.1;
+
+/// What magnetometer and accelerometer said in one orientation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MagneticPose {
+    /// Output of the magnetometer, nT.
+    pub output_nt: [f64; 3],
+    /// Corrected specific force at rest, accelerometer axes, of any length.
+    pub up: [f64; 3],
+}
+
+/// Why there is no model of a magnetometer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum MagneticRefusal {
+    /// Too few poses.
+    TooFewPoses {
+        /// How many there are.
+        have: usize,
+        /// How many are needed.
+        need: usize,
+    },
+    /// A pose has a value that is zero, infinite or not a number.
+    NotFinite {
+        /// Its index.
+        pose: usize,
+    },
+    /// The poses do not determine hard and soft iron, or a rotation.
+    NotObservable {
+        /// Condition of the fit; infinite where there is none.
+        condition: f64,
+    },
+    /// The field was not the same in all poses.
+    FieldNotConstant {
+        /// What is left, as a share of the field, rms.
+        share: f64,
+    },
+    /// One pose decides alone.
+    PoorPrediction {
+        /// Left-out error, as a share of the field, rms.
+        share: f64,
+    },
+    /// No rotation makes the dip the same in all poses.
+    DipNotConstant {
+        /// Its spread, rad rms.
+        spread_rad: f64,
+    },
+    /// The result is no magnetometer's.
+    OutOfBounds(MagnetometerError),
+}
+
+impl fmt::Display for MagneticRefusal {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooFewPoses { have, need } => write!(
+                out,
+                "{have} poses with a magnetic field, {need} are needed: hold it in more orientations"
+            ),
+            Self::NotFinite { pose } => write!(
+                out,
+                "pose {pose} (from 0) has a field or a direction that is none: remove it"
+            ),
+            Self::NotObservable { condition } => write!(
+                out,
+                "the poses do not determine hard and soft iron (condition {condition:.0}): add \
+                 orientations unlike those you have, upside down and on every side"
+            ),
+            Self::FieldNotConstant { share } => write!(
+                out,
+                "the field was not the same in all poses ({:.0} % rms): stay away from iron, \
+                 currents and phones, and turn the sensor about one place",
+                share * 100.0
+            ),
+            Self::PoorPrediction { share } => write!(
+                out,
+                "a pose left out is missed by {:.0} % rms: one decides alone; add orientations",
+                share * 100.0
+            ),
+            Self::DipNotConstant { spread_rad } => write!(
+                out,
+                "the dip is not the same in all poses ({:.1}° rms): the field was disturbed, or \
+                 field and direction are not of the same time",
+                spread_rad.to_degrees()
+            ),
+            Self::OutOfBounds(error) => write!(out, "the result is no magnetometer's: {error}"),
+        }
+    }
+}
+
+impl core::error::Error for MagneticRefusal {}
+
+/// The places of xx, yy, zz, xy, xz, yz.
+const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+
+fn symmetric(w: &[f64]) -> Matrix3<f64> {
+    let mut m = Matrix3::zeros();
+    for (&(r, c), value) in PLACES.iter().zip(w) {
+        m[(r, c)] = *value;
+        m[(c, r)] = *value;
+    }
+    m
+}
+
+/// Hard and soft iron from |B| being the same in all poses, and the rotation to the accelerometer
+/// from its dip being so. Equations (55) to (57) of docs/EQUATIONS.md.
+///
+/// A magnetometer with one axis negated or two swapped looks like a right one in a field of the
+/// opposite dip: a dip that is negative north of the equator says that.
+///
+/// # Errors
+/// [`MagneticRefusal`].
+pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, MagneticRefusal> {
+    let (have, need) = (poses.len(), FEWEST);
+    if have < need {
+        return Err(MagneticRefusal::TooFewPoses { have, need });
+    }
+    for (pose, entry) in poses.iter().enumerate() {
+        let size = |v: [f64; 3]| Vector3::from(v).norm();
+        if !(size(entry.output_nt) < 1e8 && size(entry.up) > 1e-6 && size(entry.up) < 1e9) {
+            return Err(MagneticRefusal::NotFinite { pose });
+        }
+    }
+    let n = have as f64;
+    let none = MagneticRefusal::NotObservable {
+        condition: f64::INFINITY,
+    };
+    // Centred and scaled, so that all parameters are of order one.
+    let centre = poses
+        .iter()
+        .map(|p| Vector3::from(p.output_nt))
+        .sum::<Vector3<f64>>()
+        / n;
+    let spread = poses
+        .iter()
+        .map(|p| (Vector3::from(p.output_nt) - centre).norm_squared());
+    let unit_nt = libm::sqrt(spread.sum::<f64>() / n);
+    if unit_nt < 1.0 {
+        return Err(none);
+    }
+    let point = |pose: &MagneticPose| (Vector3::from(pose.output_nt) - centre) / unit_nt;
+    let mut theta = start(poses, point).ok_or(none)?;
+    let row = |theta: &SVector<f64, 9>, m: Vector3<f64>| {
+        let w = symmetric(&theta.as_slice()[3..]);
+        let off = m - Vector3::new(theta[0], theta[1], theta[2]);
+        let field = w * off;
+        let ahead = field / field.norm();
+        let back = -(w * ahead);
+        let mut row = SVector::<f64, 9>::zeros();
+        for k in 0..3 {
+            row[k] = back[k];
+        }
+        for (k, (r, c)) in PLACES.into_iter().enumerate() {
+            row[3 + k] = ahead[r] * off[c] + if r == c { 0.0 } else { ahead[c] * off[r] };
+        }
+        (field.norm() - 1.0, row)
+    };
+    let mut information = SMatrix::<f64, 9, 9>::zeros();
+    for _ in 0..50 {
+        information = SMatrix::zeros();
+        let mut gradient = SVector::<f64, 9>::zeros();
+        for pose in poses {
+            let (residual, row) = row(&theta, point(pose));
+            information.ger(1.0, &row, &row, 1.0);
+            gradient.axpy(residual, &row, 1.0);
+        }
+        let step = Cholesky::new(information).ok_or(none)?.solve(&gradient);
+        theta -= step;
+        if step.norm() < 1e-13 {
+            break;
+        }
+    }
+    let inverse = Cholesky::new(information).ok_or(none)?.inverse();
+    let values = information.symmetric_eigenvalues();
+    let condition = libm::sqrt(values.max() / values.min());
+    if condition.is_nan() || condition > MOST_CONDITION {
+        return Err(MagneticRefusal::NotObservable { condition });
+    }
+    let (mut squares, mut left_out) = (0.0, 0.0);
+    for pose in poses {
+        let (residual, row) = row(&theta, point(pose));
+        let leverage = row.dot(&(inverse * row));
+        squares += residual * residual;
+        left_out += (residual / (1.0 - leverage)) * (residual / (1.0 - leverage));
+    }
+    let (rms, loo) = (libm::sqrt(squares / n), libm::sqrt(left_out / n));
+    let variance = squares / (n - 9.0);
+    if rms.is_nan() || rms > MOST_RMS {
+        return Err(MagneticRefusal::FieldNotConstant { share: rms });
+    }
+    if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
+        return Err(MagneticRefusal::PoorPrediction { share: loo });
+    }
+    // The iron alone leaves the unit of the field open: S has determinant one.
+    let iron = |theta: &SVector<f64, 9>| {
+        let s = symmetric(&theta.as_slice()[3..]).try_inverse()?;
+        let size = libm::cbrt(s.determinant());
+        (size > 0.0).then(|| (s / size, size))
+    };
+    let (s, size) = iron(&theta).ok_or(none)?;
+    let mut soft_sd = [0.0; 6];
+    for (place, sd) in soft_sd.iter_mut().enumerate() {
+        let mut slope = SVector::<f64, 9>::zeros();
+        for k in 3..9 {
+            let (mut up, mut down) = (theta, theta);
+            up[k] += 1e-6;
+            down[k] -= 1e-6;
+            let (r, c) = PLACES[place];
+            let (up, down) = (iron(&up).ok_or(none)?.0, iron(&down).ok_or(none)?.0);
+            slope[k] = (up[(r, c)] - down[(r, c)]) / 2e-6;
+        }
+        *sd = libm::sqrt(variance * slope.dot(&(inverse * slope)));
+    }
+    let back = s.try_inverse().ok_or(none)?;
+    let hard = Vector3::new(theta[0], theta[1], theta[2]);
+    let seen = |pose: &MagneticPose| {
+        let field = back * (point(pose) - hard);
+        (field / field.norm(), Vector3::from(pose.up).normalize())
+    };
+    let field_nt = size * unit_nt;
+    let h = centre + hard * unit_nt;
+    let terms = MagnetometerTerms {
+        hard_iron_nt: [h.x as f32, h.y as f32, h.z as f32],
+        hard_iron_sd_nt: [0, 1, 2]
+            .map(|k| (unit_nt * libm::sqrt(variance * inverse[(k, k)])) as f32),
+        soft_iron: PLACES.map(|(r, c)| s[(r, c)] as f32),
+        soft_iron_sd: soft_sd.map(|sd| sd as f32),
+        field_nt: field_nt as f32,
+        poses: u32::try_from(have).unwrap_or(u32::MAX),
+        rms_nt: (rms * field_nt) as f32,
+        loo_rms_nt: (loo * field_nt) as f32,
+        condition: condition.max(1.0) as f32,
+        to_accelerometer: Some(rotation(poses, seen)?),
+    };
+    MagnetometerModel::new(terms).map_err(MagneticRefusal::OutOfBounds)
+}
+
+/// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
+fn start(
+    poses: &[MagneticPose],
+    point: impl Fn(&MagneticPose) -> Vector3<f64>,
+) -> Option<SVector<f64, 9>> {
+    let mut information = SMatrix::<f64, 9, 9>::zeros();
+    let mut right = SVector::<f64, 9>::zeros();
+    for pose in poses {
+        let m = point(pose);
+        let row = SVector::<f64, 9>::from_fn(|k, _| match k {
+            0..3 => 2.0 * m[k],
+            k => {
+                let (r, c) = PLACES[k - 3];
+                if r == c {
+                    m[r] * m[r]
+                } else {
+                    2.0 * m[r] * m[c]
+                }
+            }
+        });
+        information.ger(1.0, &row, &row, 1.0);
+        right += row;
+    }
+    let solution = Cholesky::new(information)?.solve(&right);
+    let q = symmetric(&solution.as_slice()[3..]);
+    let centre = -(q.try_inverse()? * Vector3::new(solution[0], solution[1], solution[2]));
+    let size = 1.0 + centre.dot(&(q * centre));
+    let eigen = (q / size).symmetric_eigen();
+    let positive = eigen.eigenvalues.iter().all(|value| *value > 0.0);
+    let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| libm::sqrt(v.max(0.0))));
+    let w = eigen.eigenvectors * roots * eigen.eigenvectors.transpose();
+    let mut theta = SVector::<f64, 9>::zeros();
+    for k in 0..3 {
+        theta[k] = centre[k];
+    }
+    for (k, (r, c)) in PLACES.into_iter().enumerate() {
+        theta[3 + k] = w[(r, c)];
+    }
+    (positive && theta.iter().all(|t| t.is_finite())).then_some(theta)
+}
+
+/// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses.
+fn rotation(
+    poses: &[MagneticPose],
+    seen: impl Fn(&MagneticPose) -> (Vector3<f64>, Vector3<f64>),
+) -> Result<MagnetometerRotation, MagneticRefusal> {
+    let n = poses.len() as f64;
+    let none = MagneticRefusal::NotObservable {
+        condition: f64::INFINITY,
+    };
+    let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
+    // The 24 ways in which chips' axes can lie to each other are the starts.
+    for turn in 0..24 {
+        let quarter = core::f64::consts::FRAC_PI_2;
+        let face = match turn / 4 {
+            0..4 => Rotation3::from_axis_angle(&Vector3::x_axis(), quarter * (turn / 4) as f64),
+            4 => Rotation3::from_axis_angle(&Vector3::y_axis(), quarter),
+            _ => Rotation3::from_axis_angle(&Vector3::y_axis(), -quarter),
+        };
+        let mut r =
+            face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarter * (turn % 4) as f64);
+        let mut level = 0.0;
+        let mut last = (f64::INFINITY, SMatrix::<f64, 4, 4>::zeros());
+        for _ in 0..30 {
+            let mut information = SMatrix::<f64, 4, 4>::zeros();
+            let mut gradient = SVector::<f64, 4>::zeros();
+            let mut cost = 0.0;
+            for pose in poses {
+                let (b, up) = seen(pose);
+                let turned = r * b;
+                let residual = up.dot(&turned) - level;
+                // A small rotation δ of R b adds δ × R b.
+                let slope = turned.cross(&up);
+                let row = SVector::from([slope.x, slope.y, slope.z, -1.0]);
+                information.ger(1.0, &row, &row, 1.0);
+                gradient.axpy(residual, &row, 1.0);
+                cost += residual * residual;
+            }
+            last = (cost, information);
+            let Some(factor) = Cholesky::new(information) else {
+                break;
+            };
+            let step = -factor.solve(&gradient);
+            r = Rotation3::new(Vector3::new(step[0], step[1], step[2])) * r;
+            level += step[3];
+            if step.norm() < 1e-13 {
+                break;
+            }
+        }
+        if best.as_ref().is_none_or(|(least, ..)| last.0 < *least) {
+            best = Some((last.0, r, level, last.1));
+        }
+    }
+    let (cost, r, level, information) = best.ok_or(none)?;
+    let inverse = Cholesky::new(information).ok_or(none)?.inverse();
+    let sine = level.clamp(-1.0, 1.0);
+    let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
+    let spread_rad = libm::sqrt(cost / n) / cosine;
+    if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
+        return Err(MagneticRefusal::DipNotConstant { spread_rad });
+    }
+    let variance = cost / (n - 4.0);
+    let covariance: [[f64; 3]; 3] =
+        core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));
+    let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
+    Ok(MagnetometerRotation {
+        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none)?,
+        covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none)?,
+        // Down is minus up.
+        dip_rad: -libm::asin(sine) as f32,
+        dip_rms_rad: spread_rad as f32,
+    })
+}

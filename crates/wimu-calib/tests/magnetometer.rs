@@ -1,0 +1,150 @@
+//! Magnetometers with known iron and mounting.
+
+mod common;
+
+use common::Random;
+use wimu_calib::{MagneticPose, MagneticRefusal, magnetometer};
+use wimu_model::Alignment;
+
+const FIELD: f64 = 48_000.0;
+const DIP: f64 = 1.1;
+
+/// Soft iron of determinant one, hard iron, the rotation, and what is seen in `count` orientations.
+fn sensor(
+    random: &mut Random,
+    count: usize,
+    noise_nt: f64,
+) -> ([f64; 6], [f64; 3], Alignment, Vec<MagneticPose>) {
+    let mut s = [0, 1, 2, 3, 4, 5].map(|k| {
+        if k < 3 {
+            1.0 + random.within(0.15)
+        } else {
+            random.within(0.08)
+        }
+    });
+    let m = |s: &[f64; 6]| [[s[0], s[3], s[4]], [s[3], s[1], s[5]], [s[4], s[5], s[2]]];
+    let a = m(&s);
+    let determinant = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])
+        - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])
+        + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);
+    s = s.map(|x| x / determinant.cbrt());
+    let hard = [0; 3].map(|_| random.within(60_000.0));
+    let q = [0; 4].map(|_| random.normal());
+    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let unit = q.map(|x| x / norm);
+    let to_accelerometer = Alignment::from_quaternion(unit).unwrap();
+    let back = Alignment::from_quaternion([unit[0], -unit[1], -unit[2], -unit[3]]).unwrap();
+    let poses = (0..count)
+        .map(|_| {
+            let up = random.direction();
+            let side = common::unit(common::cross(up, random.direction()));
+            let field: [f64; 3] =
+                std::array::from_fn(|i| FIELD * (DIP.cos() * side[i] - DIP.sin() * up[i]));
+            let own = back.rotate(field);
+            let a = m(&s);
+            MagneticPose {
+                output_nt: std::array::from_fn(|r| {
+                    hard[r]
+                        + (0..3).map(|c| a[r][c] * own[c]).sum::<f64>()
+                        + noise_nt * random.normal()
+                }),
+                up: up.map(|u| 9.81 * u),
+            }
+        })
+        .collect();
+    (s, hard, to_accelerometer, poses)
+}
+
+#[test]
+fn intervals_hold_the_truth_95_percent_of_the_time() {
+    let (mut hard_held, mut soft_held, mut turned, mut answers) = (0, 0, 0, 0);
+    for seed in 0..300 {
+        let mut random = Random(seed);
+        let (soft, hard, rotation, poses) = sensor(&mut random, 40, 150.0);
+        let Ok(model) = magnetometer(&poses) else {
+            continue;
+        };
+        answers += 1;
+        let t = model.terms();
+        // Student's t of 31 degrees of freedom.
+        for k in 0..3 {
+            let off = (f64::from(t.hard_iron_nt[k]) - hard[k]).abs();
+            hard_held += u32::from(off <= 2.04 * f64::from(t.hard_iron_sd_nt[k]));
+        }
+        for k in 0..6 {
+            let off = (f64::from(t.soft_iron[k]) - soft[k]).abs();
+            soft_held += u32::from(off <= 2.04 * f64::from(t.soft_iron_sd[k]));
+        }
+        assert!((f64::from(t.field_nt) - FIELD).abs() < 300.0);
+        let mounting = t.to_accelerometer.expect("a rotation");
+        assert!((f64::from(mounting.dip_rad) - DIP).abs() < 0.01);
+        let mut e = [0.0; 3];
+        for axis in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+            let c = common::cross(rotation.rotate(axis), mounting.rotation.rotate(axis));
+            for k in 0..3 {
+                e[k] += c[k] / 2.0;
+            }
+        }
+        for k in 0..3 {
+            turned += u32::from(e[k].abs() <= 2.03 * mounting.covariance.sd(k));
+        }
+    }
+    let percent = |held: u32, each: u32| 100.0 * f64::from(held) / f64::from(each * answers);
+    let found = [
+        percent(hard_held, 3),
+        percent(soft_held, 6),
+        percent(turned, 3),
+    ];
+    println!("{answers} of 300 answered; held: hard iron, soft iron, rotation {found:.1?} %");
+    assert!(answers >= 290, "{answers}");
+    for percent in found {
+        assert!((92.0..=98.0).contains(&percent), "{found:?}");
+    }
+}
+
+#[test]
+fn what_tells_no_magnetometer_is_refused() {
+    let mut random = Random(7);
+    let (.., poses) = sensor(&mut random, 40, 100.0);
+    assert!(magnetometer(&poses).is_ok());
+    let few = magnetometer(&poses[..8]);
+    assert_eq!(few, Err(MagneticRefusal::TooFewPoses { have: 8, need: 12 }));
+    let mut bad = poses.clone();
+    bad[3].output_nt[1] = f64::NAN;
+    assert_eq!(
+        magnetometer(&bad),
+        Err(MagneticRefusal::NotFinite { pose: 3 })
+    );
+    let same = vec![poses[0]; 40];
+    assert!(matches!(
+        magnetometer(&same),
+        Err(MagneticRefusal::NotObservable { .. })
+    ));
+    let mirrored: Vec<_> = poses
+        .iter()
+        .map(|p| MagneticPose {
+            output_nt: [p.output_nt[0], p.output_nt[1], -p.output_nt[2]],
+            ..*p
+        })
+        .collect();
+    // A mirrored one passes for a field of the opposite dip.
+    let model = magnetometer(&mirrored).expect("a model");
+    let dip = model.terms().to_accelerometer.expect("a rotation").dip_rad;
+    assert!((f64::from(dip) + DIP).abs() < 0.01, "{dip}");
+    let others: Vec<_> = (0..40)
+        .map(|k| MagneticPose {
+            up: poses[(k + 1) % 40].up,
+            ..poses[k]
+        })
+        .collect();
+    let refused = magnetometer(&others);
+    assert!(
+        matches!(refused, Err(MagneticRefusal::DipNotConstant { .. })),
+        "{refused:?}"
+    );
+    let mut disturbed = poses;
+    for (k, pose) in disturbed.iter_mut().enumerate() {
+        pose.output_nt[k % 3] += 30_000.0 * (k as f64).sin();
+    }
+    assert!(magnetometer(&disturbed).is_err());
+}

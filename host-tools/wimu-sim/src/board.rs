@@ -499,6 +499,96 @@ impl VirtualBoard for Board {
     }
 }
 
+/// A board of any kind whose wireless link goes through faults, such as an emulated one: a proxy on
+/// its line, which sees when bytes come to a millisecond.
+pub struct BehindFaults<R> {
+    /// The board.
+    pub board: R,
+    channels: Channels,
+}
+
+impl<R: VirtualBoard> BehindFaults<R> {
+    /// Puts the wireless link of `board` behind `faults`; the same seed, the same faults.
+    pub fn new(board: R, faults: &LinkFaults, seed: u64) -> Self {
+        let channels = Channels::new(faults, seed);
+        Self { board, channels }
+    }
+
+    /// What the faults did.
+    pub fn channels(&self) -> &Channels {
+        &self.channels
+    }
+
+    /// Carries what has come on either side by now.
+    fn carry(&mut self) -> Result<()> {
+        let now_ns = self.board.now_us() * 1000;
+        let sent = self.board.receive(LinkRole::Wireless);
+        self.channels.to_host.borrow_mut().push(now_ns, &sent);
+        let arrived = self
+            .channels
+            .to_device
+            .borrow_mut()
+            .pull(now_ns, usize::MAX);
+        match arrived.is_empty() {
+            true => Ok(()),
+            false => self.board.send(LinkRole::Wireless, &arrived),
+        }
+    }
+}
+
+impl<R: VirtualBoard> VirtualBoard for BehindFaults<R> {
+    fn run_until(&mut self, time_us: u64) -> Result<()> {
+        loop {
+            self.carry()?;
+            if self.board.now_us() >= time_us {
+                return Ok(());
+            }
+            let step_us = (self.board.now_us() + 1000).min(time_us);
+            self.board.run_until(step_us)?;
+        }
+    }
+
+    fn now_us(&self) -> u64 {
+        self.board.now_us()
+    }
+
+    fn started_us(&self) -> u64 {
+        self.board.started_us()
+    }
+
+    fn restart(&mut self) -> Result<()> {
+        self.channels.clear();
+        self.board.restart()
+    }
+
+    fn receive(&mut self, role: LinkRole) -> Vec<u8> {
+        let now_ns = self.board.now_us() * 1000;
+        match role {
+            LinkRole::Cable => self.board.receive(role),
+            _ => self.channels.to_host.borrow_mut().pull(now_ns, usize::MAX),
+        }
+    }
+
+    fn send(&mut self, role: LinkRole, bytes: &[u8]) -> Result<()> {
+        let now_ns = self.board.now_us() * 1000;
+        match role {
+            LinkRole::Cable => self.board.send(role, bytes),
+            _ => {
+                self.channels.to_device.borrow_mut().push(now_ns, bytes);
+                Ok(())
+            }
+        }
+    }
+
+    fn connection(&mut self, role: LinkRole) -> Option<u64> {
+        let now_ns = self.board.now_us() * 1000;
+        match role {
+            LinkRole::Cable => self.board.connection(role),
+            _ => self.channels.to_host.borrow().connection(now_ns),
+        }
+    }
+}
+
 /// One link of a board in virtual time, as the host's [`Transport`]: waiting for the board lets
 /// its time pass.
 pub struct SimLink<'a, R = Board> {

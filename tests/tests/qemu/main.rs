@@ -14,8 +14,10 @@ use std::path::{Path, PathBuf};
 use std::thread;
 
 use wimu_host::{ErrorCode, replay};
+use wimu_link::LinkRole;
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
 use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
+use wimu_sim::board::BehindFaults;
 use wimu_sim::motion;
 use wimu_sim::qemu::{Machine, QemuBoard};
 use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
@@ -213,4 +215,46 @@ fn firmware_that_is_missing_or_does_not_start_is_named() {
         .err()
         .expect("no memory");
     assert!(error.to_string().contains("no/such/folder"), "{error}");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn a_bad_wireless_link_makes_no_wrong_sample_and_leaves_the_cable_perfect() {
+    let folder = folder();
+    let (source, scene) = sensor("rest,hand,slide", World::default(), 8);
+    let board = QemuBoard::start(machine(folder.path()), source);
+    let board = board.unwrap_or_else(|error| panic!("{error}"));
+    let faults = "noisy,stall=3s@10s".parse().expect("faults");
+    let board = RefCell::new(BehindFaults::new(board, &faults, 1));
+    let mut host = Host::connect(&board, scene).expect("a board");
+    host.run_until(60.0).expect("the board goes on");
+    let recording = host.recording().expect("a recording");
+    let [cable, wireless] = [LinkRole::Cable, LinkRole::Wireless]
+        .map(|role| recording.link(Some(role)).expect("both links"));
+    let statistics = cable.statistics;
+    assert_eq!(statistics.frames_damaged, 0, "{statistics:?}");
+    assert_eq!(
+        (statistics.raw.missing, statistics.raw.duplicated),
+        (0, 0),
+        "{statistics:?}"
+    );
+    let (all, some) = (&cable.boots[0].raw, &wireless.boots[0].raw);
+    assert_eq!((cable.boots.len(), wireless.boots.len()), (1, 1));
+    assert!(all.len() > 5500 && some.len() > 3500, "{}", some.len());
+    for sample in some {
+        let found = all.binary_search_by_key(&sample.sequence, |known| known.sequence);
+        let known = all[found.unwrap_or_else(|_| panic!("{sample:?} is invented"))];
+        assert_eq!(sample.value, known.value);
+    }
+    let counted = wireless.statistics.raw;
+    let span = some[some.len() - 1].sequence - some[0].sequence + 1;
+    assert_eq!(counted.received + counted.missing, u64::from(span));
+    assert!(counted.missing > 300, "{counted:?}");
+    assert_eq!(counted.duplicated, 0);
+    let board = board.borrow();
+    let truth = board.channels().to_host.borrow().counts();
+    assert!(
+        truth.bytes_lost > 1000 && truth.frames_damaged > 100,
+        "{truth:?}"
+    );
 }

@@ -37,6 +37,8 @@ struct Session {
     restart_at: Option<f64>,
     links: &'static [LinkRole],
     device_id: u64,
+    /// The wireless link carries every so many samples.
+    every: u8,
 }
 
 impl Default for Session {
@@ -49,6 +51,7 @@ impl Default for Session {
             restart_at: None,
             links: &ROLES,
             device_id: 0x5157_0001,
+            every: 1,
         }
     }
 }
@@ -89,6 +92,11 @@ impl Session {
                 .iter()
                 .map(|role| client(&board, *role))
                 .collect();
+            if self.every > 1 {
+                let mut settings = clients[0].settings().unwrap();
+                settings.wireless.every = self.every;
+                clients[0].set_settings(settings).unwrap();
+            }
             let mut ask_at = 0;
             while board.borrow().now_us() < until_us {
                 if board.borrow().now_us() >= ask_at {
@@ -340,6 +348,27 @@ fn a_restart_in_the_middle_and_entries_out_of_order_are_taken_as_they_are() {
     if let Ok(found) = compared(&file(&shuffled)) {
         assert_eq!(found.identical, found.pairs);
     }
+}
+
+#[test]
+fn a_link_that_carries_every_fourth_sample_has_lost_none() {
+    let session = Session {
+        seconds: 12.0,
+        wireless: "latency=5ms",
+        every: 4,
+        ..Session::default()
+    };
+    let found = compared(&session.record()).unwrap();
+    let [cable, wireless] = &found.links;
+    assert!(
+        cable.delivered > 1100 && wireless.delivered < 330,
+        "{found:?}"
+    );
+    // A few before the setting changed, all of them.
+    assert!(found.pairs + 40 > cable.delivered / 4, "{}", found.pairs);
+    assert_eq!(found.identical, found.pairs);
+    assert_eq!((cable.lost, wireless.lost), (0, 0));
+    assert_eq!(wireless.missing_on_both, 0, "{wireless:?}");
 }
 
 /// A recording of both links at 100 Hz for so many hours, in a file: frames as a board sends them,

@@ -30,8 +30,52 @@ pub(crate) fn check<'a>(
     let hint = match mean_mps2 {
         m if (0.7..1.4).contains(&m) => UnitHint::G,
         m if (700.0..1400.0).contains(&m) => UnitHint::MilliGOrCounts,
-        m if m > 100.0 => UnitHint::Counts,
+        m if m > 100.0 && m < 1e6 => UnitHint::Counts,
         _ => UnitHint::NotGravity,
     };
     Err(Refusal::UnexpectedMagnitude { mean_mps2, hint })
+}
+
+/// An axis whose reading changes by less than this over all poses, m/s², is not turned, 0.6°.
+const TURNED_MPS2: f64 = 0.1;
+/// Poses that read exactly alike at the end of an axis's range, though they differ, are clipped.
+const CLIPPED: usize = 3;
+
+/// The axis that reads the same in every pose, though another does not.
+pub(crate) fn stuck_axis(poses: &[Pose]) -> Option<usize> {
+    let spread = |axis: usize| {
+        let [low, high] = ends(poses, axis);
+        high - low
+    };
+    let turns = |axis: &usize| spread(*axis) >= TURNED_MPS2;
+    (0..3).find(turns)?;
+    (0..3).find(|axis| !turns(axis))
+}
+
+/// The axis at whose highest or lowest reading several poses end that are not one orientation.
+pub(crate) fn clipped_axis(poses: &[Pose]) -> Option<usize> {
+    (0..3).find(|&axis| {
+        ends(poses, axis).into_iter().any(|end| {
+            let mut first: Option<&Pose> = None;
+            let differing = poses.iter().filter(|pose| {
+                if pose.mean_mps2[axis] != end {
+                    return false;
+                }
+                let first = *first.get_or_insert(pose);
+                let apart = (0..3).map(|i| (pose.mean_mps2[i] - first.mean_mps2[i]).abs());
+                apart.fold(0.0, f64::max) >= TURNED_MPS2
+            });
+            differing.count() + 1 >= CLIPPED
+        })
+    })
+}
+
+/// The lowest and the highest reading of an axis.
+fn ends(poses: &[Pose], axis: usize) -> [f64; 2] {
+    poses
+        .iter()
+        .map(|pose| pose.mean_mps2[axis])
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
+            [low.min(y), high.max(y)]
+        })
 }

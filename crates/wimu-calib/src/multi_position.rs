@@ -37,6 +37,8 @@ const MOST_AMPLIFICATION: f64 = 10.0;
 const MOST_LEFT_OUT: f64 = 10.0;
 /// A fit that leaves more than this, m/s² rms, is not one of static poses.
 const MOST_RMS_MPS2: f64 = 0.5;
+/// Beyond, a sound sensor in sound poses is unlikely: 5 mg.
+const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
 /// A left-out error below this, m/s², is a good prediction whatever the residuals.
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
@@ -314,6 +316,9 @@ fn fit<R: Real, const N: usize>(
     if !knowledge.suffices() {
         return Err(knowledge.refusal(what, &problem.free));
     }
+    if let Some(axis) = input::stuck_axis(poses) {
+        return Err(Refusal::AxisStuck { axis });
+    }
     result(&problem, &fit, &knowledge, gravity, what)
 }
 
@@ -381,6 +386,11 @@ fn result<R: Real, const N: usize>(
             kept_left_out.add(k, without);
         }
     });
+    if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
+        && let Some(axis) = input::clipped_axis(poses)
+    {
+        return Err(Refusal::Saturated { axis });
+    }
     if kept.rms_mps2() > MOST_RMS_MPS2 {
         return Err(Refusal::PoorFit {
             rms_mps2: kept.rms_mps2(),

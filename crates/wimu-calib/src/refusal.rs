@@ -52,6 +52,16 @@ pub enum Refusal {
         /// A pose in this orientation would help most.
         add: Orientation,
     },
+    /// An axis reads the same in every pose, though the others turn.
+    AxisStuck {
+        /// 0 = X.
+        axis: usize,
+    },
+    /// Several poses end at one and the same reading of an axis, and fit badly.
+    Saturated {
+        /// 0 = X.
+        axis: usize,
+    },
     /// Nothing in the poses tells of a term: they have no times or temperatures, or all the same.
     TermNotShown {
         /// The term asked for.
@@ -189,6 +199,18 @@ impl fmt::Display for Refusal {
                 )?;
                 smaller(out, model)
             }
+            Self::AxisStuck { axis } => write!(
+                out,
+                "axis {} reads the same in every pose: it is dead or stuck at full scale, or was \
+                 never turned; check it, and hold it up and down",
+                axis_name(axis)
+            ),
+            Self::Saturated { axis } => write!(
+                out,
+                "axis {} stops at one reading in several poses: it is saturated; choose a larger \
+                 range and take the poses again",
+                axis_name(axis)
+            ),
             Self::TermNotShown { term } => write!(
                 out,
                 "nothing tells of {term}: {}",
@@ -267,6 +289,10 @@ impl fmt::Display for Refusal {
             ),
         }
     }
+}
+
+fn axis_name(axis: usize) -> &'static str {
+    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
 }
 
 fn smaller(out: &mut fmt::Formatter<'_>, model: Model) -> fmt::Result {

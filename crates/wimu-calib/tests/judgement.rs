@@ -538,6 +538,46 @@ fn what_is_no_turn_is_refused() {
 }
 
 #[test]
+fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
+    let mut random = Random(31);
+    let truth = random.model(true);
+    let mut poses: Vec<Pose> = ups(&mut random, 10)
+        .into_iter()
+        .map(|up| pose(&truth, G, up))
+        .collect();
+    for pose in &mut poses {
+        jitter(&mut random, pose, 0.003);
+    }
+    let with = |change: &dyn Fn(f64) -> f64| -> Vec<Pose> {
+        let mut changed = poses.clone();
+        for pose in &mut changed {
+            pose.mean_mps2[1] = change(pose.mean_mps2[1]);
+        }
+        changed
+    };
+    let (stuck, clipped) = (with(&|_| 9.0), with(&|y| y.clamp(-8.0, 8.0)));
+    for model in Model::ALL {
+        for reject in [false, true] {
+            let what = MultiPosition {
+                model,
+                reject,
+                ..MultiPosition::default()
+            };
+            assert!(
+                multi_position_with(&stuck, exact(), what).is_err(),
+                "{model}"
+            );
+            let refusal = multi_position_with(&clipped, exact(), what).expect_err("a refusal");
+            println!("{model}: {refusal}");
+        }
+    }
+    assert_eq!(
+        multi_position(&clipped, exact(), Model::Full9),
+        Err(Refusal::Saturated { axis: 1 })
+    );
+}
+
+#[test]
 fn terms_that_nothing_shows_are_refused() {
     let mut random = Random(9);
     let truth = random.model(true);

@@ -315,6 +315,13 @@ impl fmt::Display for CalibrationReport {
                 self.rejected_poses
             )?;
         }
+        if self.method == "multi-position" {
+            writeln!(
+                out,
+                "gravity alone does not show axes that are swapped or mirrored: --method \
+                 six-position --sides does"
+            )?;
+        }
         match (self.poses_worth_adding, self.next_poses.first()) {
             (0, _) | (_, None) => write!(out, "more poses would change little"),
             (more, Some(next)) => write!(

@@ -128,6 +128,27 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
 /// A magnetometer with one axis negated or two swapped looks like a right one in a field of the
 /// opposite dip: a dip that is negative north of the equator says that.
 ///
+/// ```
+/// use wimu_calib::{MagneticPose, magnetometer};
+///
+/// // A field of 50 µT, 60° down; hard iron of 10 µT on x; the chips' axes are parallel.
+/// let mut poses = Vec::new();
+/// for k in 0..20 {
+///     // Any orientations: up and north as the sensor sees them.
+///     let (a, b, c) = (0.9 * f64::from(k), 2.3 * f64::from(k), 1.7 * f64::from(k));
+///     let up = [a.sin() * b.cos(), a.sin() * b.sin(), a.cos()];
+///     let (e, f) = ([-b.sin(), b.cos(), 0.0], [a.cos() * b.cos(), a.cos() * b.sin(), -a.sin()]);
+///     let north = [0, 1, 2].map(|i| c.cos() * e[i] + c.sin() * f[i]);
+///     let field = [0, 1, 2].map(|i| 25_000.0 * north[i] - 43_301.0 * up[i]);
+///     poses.push(MagneticPose { output_nt: [field[0] + 10_000.0, field[1], field[2]], up });
+/// }
+/// let model = magnetometer(&poses)?;
+/// assert!((model.terms().hard_iron_nt[0] - 10_000.0).abs() < 1.0);
+/// let mounting = model.terms().to_accelerometer.ok_or("a rotation")?;
+/// assert!((mounting.dip_rad.to_degrees() - 60.0).abs() < 0.01);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// [`MagneticRefusal`].
 pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, MagneticRefusal> {

@@ -1,0 +1,313 @@
+//! What the filter of one unit and the slide claim.
+
+mod common;
+
+use common::{Random, norm};
+use wimu_nav::slide::{Rest, Slide, SlideConfig};
+use wimu_nav::unit::{Drift, UnitConfig, UnitFault, UnitFilter, UnitSample, UnitState};
+
+const G: f64 = 9.80665;
+const RATE: f64 = 100.0;
+const FIELD: [f64; 3] = [0.0, 20.0, -44.0];
+
+fn at_rest(random: &mut Random) -> UnitSample {
+    let noise = random.normals(0.02);
+    let field = random.normals(0.5);
+    UnitSample {
+        step_s: 1.0 / RATE,
+        force_mps2: [noise[0], noise[1], G + noise[2]],
+        field_ut: Some([0, 1, 2].map(|i| FIELD[i] + field[i])),
+        rate_rad_s: None,
+    }
+}
+
+fn config() -> UnitConfig {
+    UnitConfig {
+        gravity_mps2: G,
+        ..UnitConfig::default()
+    }
+}
+
+fn sane(state: &UnitState) -> bool {
+    let q: f64 = state.quaternion.iter().map(|c| c * c).sum();
+    let numbers = state.position_m.iter().chain(&state.velocity_mps);
+    numbers
+        .chain(state.position_covariance.iter().flatten())
+        .all(|v| v.is_finite())
+        && (q - 1.0).abs() < 1e-6
+}
+
+/// A hand's motion, level, with known start: the errors of one run after 5 s, and their NEES.
+fn carried(seed: u64, gyroscope: bool) -> (f64, f64) {
+    let mut random = Random(seed);
+    let mut filter = UnitFilter::new(UnitConfig {
+        zupt: false,
+        ..config()
+    });
+    let tones: Vec<[f64; 3]> = (0..9)
+        .map(|k| {
+            let omega = std::f64::consts::TAU * (0.4 + 0.6 * random.unit());
+            [
+                random.normal() * 0.06,
+                omega,
+                random.unit() * 6.28 + k as f64,
+            ]
+        })
+        .collect();
+    let bias = random.normals(0.03);
+    let place = |t: f64| -> [f64; 3] {
+        std::array::from_fn(|i| {
+            tones[3 * i..3 * i + 3]
+                .iter()
+                .map(|[a, w, p]| a * (w * t + p).sin())
+                .sum()
+        })
+    };
+    let speed = |t: f64| -> [f64; 3] {
+        std::array::from_fn(|i| {
+            tones[3 * i..3 * i + 3]
+                .iter()
+                .map(|[a, w, p]| a * w * (w * t + p).cos())
+                .sum()
+        })
+    };
+    let mut origin = [0.0; 3];
+    for k in 0..1500 {
+        let t = f64::from(k) / RATE;
+        let mut sample = at_rest(&mut random);
+        for (i, [a, w, p]) in tones.iter().enumerate() {
+            if k >= 200 {
+                sample.force_mps2[i / 3] -= a * w * w * (w * t + p).sin();
+            }
+        }
+        for i in 0..3 {
+            sample.force_mps2[i] += bias[i];
+        }
+        if gyroscope {
+            sample.rate_rad_s = Some(random.normals(0.01));
+        }
+        filter.push(&sample).unwrap();
+        if k == 999 {
+            origin = place(t);
+            filter.set_start([0.0; 3], speed(t), 0.0);
+        }
+    }
+    let end = place(14.99);
+    let state = filter.state();
+    let error: [f64; 3] = std::array::from_fn(|i| state.position_m[i] - (end[i] - origin[i]));
+    let p = nalgebra::Matrix3::from_fn(|r, c| state.position_covariance[r][c]);
+    let e = nalgebra::Vector3::from(error);
+    (norm(error), e.dot(&(p.try_inverse().unwrap() * e)))
+}
+
+#[test]
+fn over_many_seeds_the_truth_lies_within_the_covariance() {
+    for gyroscope in [false, true] {
+        let (mut inside, mut errors) = (0, Vec::new());
+        let seeds = 500;
+        for seed in 0..seeds {
+            let (error, nees) = carried(seed, gyroscope);
+            inside += u32::from(nees < 7.81);
+            errors.push(error);
+        }
+        errors.sort_by(f64::total_cmp);
+        let share = f64::from(inside) / seeds as f64;
+        println!(
+            "gyroscope {gyroscope}: median error after 5 s {:.3} m, NEES below 7.81 in {:.1} %",
+            errors[errors.len() / 2],
+            100.0 * share
+        );
+        assert!(share > 0.9, "gyroscope {gyroscope}: {share}");
+    }
+}
+
+#[test]
+fn a_unit_at_rest_stays_where_it_is_with_zupt_and_gets_lost_without() {
+    for (zupt, least, most) in [(true, 0.0, 0.02), (false, 0.5, 1e4)] {
+        let mut random = Random(1);
+        let mut filter = UnitFilter::new(UnitConfig { zupt, ..config() });
+        for _ in 0..6000 {
+            filter.push(&at_rest(&mut random)).unwrap();
+        }
+        let state = filter.state();
+        assert!(state.valid && state.resting && sane(&state));
+        assert!(
+            (least..most).contains(&state.position_sd_m()),
+            "{zupt}: {}",
+            state.position_sd_m()
+        );
+    }
+}
+
+#[test]
+fn alignment_finds_level_and_north() {
+    let mut random = Random(2);
+    let mut filter = UnitFilter::new(config());
+    // Body x points north, y west.
+    for _ in 0..200 {
+        let level = at_rest(&mut random);
+        let body = |v: [f64; 3]| [v[1], -v[0], v[2]];
+        let sample = UnitSample {
+            force_mps2: body(level.force_mps2),
+            field_ut: level.field_ut.map(body),
+            ..level
+        };
+        filter.push(&sample).unwrap();
+    }
+    let [w, x, y, z] = filter.state().quaternion;
+    let heading = (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z));
+    assert!(
+        (heading - std::f64::consts::FRAC_PI_2).abs() < 0.02,
+        "{heading}"
+    );
+}
+
+#[test]
+fn without_a_rest_at_the_start_the_attitude_is_known_worse() {
+    let run = |size: f64| {
+        let mut random = Random(3);
+        let mut filter = UnitFilter::new(config());
+        for k in 0..150 {
+            let mut sample = at_rest(&mut random);
+            sample.force_mps2[0] += size * (f64::from(k) * 0.05).sin();
+            filter.push(&sample).unwrap();
+        }
+        filter.state().attitude_sd_rad[1]
+    };
+    assert!(run(3.0) > 3.0 * run(0.0));
+}
+
+#[test]
+fn without_a_magnetometer_it_navigates_by_its_first_heading() {
+    let mut random = Random(4);
+    let mut filter = UnitFilter::new(config());
+    for _ in 0..500 {
+        let sample = UnitSample {
+            field_ut: None,
+            ..at_rest(&mut random)
+        };
+        filter.push(&sample).unwrap();
+    }
+    let state = filter.state();
+    assert!(state.valid && sane(&state) && state.disturbed == 0);
+}
+
+#[test]
+fn a_magnetic_disturbance_is_left_out_and_counted() {
+    let mut random = Random(5);
+    let mut filter = UnitFilter::new(config());
+    for k in 0..1000 {
+        let mut sample = at_rest(&mut random);
+        if (500..600).contains(&k) {
+            sample.field_ut = Some([150.0, 80.0, 10.0]);
+        }
+        filter.push(&sample).unwrap();
+    }
+    let state = filter.state();
+    assert!(state.disturbed > 10, "{}", state.disturbed);
+    assert!(state.quaternion[0].abs() > 0.99 && sane(&state));
+}
+
+#[test]
+fn gaps_jumps_and_what_is_no_number_are_said_and_survived() {
+    let mut random = Random(6);
+    let mut filter = UnitFilter::new(UnitConfig {
+        zupt: false,
+        ..config()
+    });
+    for _ in 0..300 {
+        filter.push(&at_rest(&mut random)).unwrap();
+    }
+    assert!(filter.state().valid);
+    let good = at_rest(&mut random);
+    let nan = UnitSample {
+        force_mps2: [f64::NAN, 0.0, G],
+        ..good
+    };
+    assert_eq!(filter.push(&nan), Err(UnitFault::NotFinite));
+    let infinite = UnitSample {
+        rate_rad_s: Some([f64::INFINITY; 3]),
+        ..good
+    };
+    assert_eq!(filter.push(&infinite), Err(UnitFault::NotFinite));
+    let huge = UnitSample {
+        force_mps2: [1e300, 0.0, G],
+        ..good
+    };
+    assert_eq!(filter.push(&huge), Err(UnitFault::NotFinite));
+    for step_s in [-1.0, 0.0] {
+        assert_eq!(
+            filter.push(&UnitSample { step_s, ..good }),
+            Err(UnitFault::NoTime)
+        );
+    }
+    assert!(filter.state().valid && sane(&filter.state()));
+    assert_eq!(
+        filter.push(&UnitSample {
+            step_s: 2.0,
+            ..good
+        }),
+        Err(UnitFault::Gap)
+    );
+    assert!(!filter.state().valid);
+    for _ in 0..300 {
+        filter.push(&at_rest(&mut random)).unwrap();
+    }
+    assert!(sane(&filter.state()) && !filter.state().valid);
+}
+
+#[test]
+fn the_bias_that_settles_after_switching_on_is_fitted() {
+    let truth = Drift {
+        rise_mps2: [0.08, -0.05, 0.02],
+        start_mps2: [0.01, 0.02, -0.03],
+        time_s: 120.0,
+    };
+    let mut random = Random(7);
+    let samples: Vec<_> = (0..6000)
+        .map(|k| {
+            let t = f64::from(k) * 0.1;
+            let noise = random.normals(0.02);
+            (t, std::array::from_fn(|i| truth.at(t)[i] + noise[i]))
+        })
+        .collect();
+    let found = Drift::fit(samples.iter().copied()).unwrap();
+    assert!((found.time_s / truth.time_s - 1.0).abs() < 0.2, "{found:?}");
+    for t in [0.0, 100.0, 599.0] {
+        for i in 0..3 {
+            assert!((found.at(t)[i] - truth.at(t)[i]).abs() < 0.003, "{found:?}");
+        }
+    }
+    assert_eq!(Drift::fit([(0.0, [0.0; 3])].into_iter()), None);
+}
+
+#[test]
+fn a_slide_with_bias_and_a_changed_tilt_is_as_long_as_it_was() {
+    let before = Rest {
+        force_mps2: [0.05, -0.03, G],
+        sd_mps2: 0.001,
+    };
+    let after = Rest {
+        force_mps2: [0.09, -0.03, G],
+        sd_mps2: 0.001,
+    };
+    let mut slide = Slide::new(SlideConfig::default(), before);
+    let steps = 1000;
+    let duration = 2.0;
+    for k in 0..=steps {
+        let tau = f64::from(k) / f64::from(steps);
+        let curve = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (duration * duration);
+        let gravity = 0.05 + 0.04 * tau;
+        let step = if k == 0 {
+            0.0
+        } else {
+            duration / f64::from(steps)
+        };
+        assert!(slide.push(step, [gravity + curve, -0.03, G]));
+    }
+    assert!(!slide.push(f64::NAN, [0.0; 3]) && !slide.push(0.01, [f64::NAN; 3]));
+    let done = slide.finish(after);
+    assert!((done.length_m - 1.0).abs() < 1e-4, "{done:?}");
+    assert!(done.length_sd_m > 1e-3 && done.length_sd_m < 0.05);
+    assert!((done.turned_rad - 0.04 / G).abs() < 1e-4);
+}

@@ -1,0 +1,186 @@
+//! What navigating a file claims.
+
+use std::path::PathBuf;
+
+use wimu_calib::Gravity;
+use wimu_host::ErrorCode;
+use wimu_host::array::{ArrayCalibration, ArrayRecording, angular_rate, read_places};
+use wimu_host::inertial::{Choice, Method, navigate};
+use wimu_host::motion::{MotionRecording, Truth, moves};
+use wimu_nav::slide::SlideConfig;
+use wimu_nav::unit::UnitSample;
+
+/// A file of this test's own.
+fn file(name: &str, text: &str) -> PathBuf {
+    let path = std::env::temp_dir().join(format!("wimu-inertial-{}-{name}", std::process::id()));
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// Rest, 0.5 m along x in 1.5 s, rest; bias 0.03 m/s² and a little deterministic noise.
+fn slide() -> MotionRecording {
+    let mut recording = MotionRecording::default();
+    for k in 0..450 {
+        let t = f64::from(k) * 0.01;
+        let tau = ((t - 1.5) / 1.5).clamp(0.0, 1.0);
+        let curve = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) * 0.5 / 2.25;
+        let path = tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
+        let noise = f64::from((k * 7919) % 13 - 6) * 0.003;
+        recording.times_s.push(t);
+        recording.samples.push(UnitSample {
+            step_s: if k == 0 { 0.0 } else { 0.01 },
+            force_mps2: [curve + 0.03 + noise, -noise, 9.80665 + noise],
+            ..UnitSample::default()
+        });
+        recording.truth.push(Some(Truth {
+            position_m: [0.5 * path, 0.0, 0.0],
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+        }));
+    }
+    recording
+}
+
+#[test]
+fn a_slide_between_two_rests_is_as_long_as_it_was_and_its_path_agrees_with_the_truth() {
+    let recording = slide();
+    let found = moves(
+        &recording.times_s,
+        &recording.samples,
+        SlideConfig::default(),
+    );
+    assert!(
+        (found.iter().map(|m| m.1.length_m).sum::<f64>() - 0.5).abs() < 0.02,
+        "{found:?}"
+    );
+    let choice = Choice {
+        method: Method::Slide,
+        ..Choice::default()
+    };
+    let path = navigate(&recording, &choice).unwrap();
+    assert_eq!(path.points.len(), 450);
+    let end = path.points.iter().rfind(|p| p.valid).unwrap();
+    assert!((end.position_m[0] - 0.5).abs() < 0.02, "{end:?}");
+    let (_, below) = path.consistency().unwrap();
+    assert!(below > 0.9, "{below}");
+}
+
+#[test]
+fn the_path_is_written_with_the_columns_that_were_promised() {
+    let path = navigate(&slide(), &Choice::default()).unwrap();
+    let out = file("path.csv", "");
+    path.write_csv(&out).unwrap();
+    let text = std::fs::read_to_string(&out).unwrap();
+    assert_eq!(
+        text.lines().next().unwrap(),
+        "Time (s),Position E (m),Position N (m),Position U (m),Velocity E (m/s),Velocity N (m/s),\
+         Velocity U (m/s),Quaternion W,Quaternion X,Quaternion Y,Quaternion Z,\
+         Angular Rate X (rad/s),Angular Rate Y (rad/s),Angular Rate Z (rad/s),\
+         Sigma E (m),Sigma N (m),Sigma U (m),Valid"
+    );
+    assert_eq!(text.lines().count(), 451);
+    path.report("slide", "text", &out).unwrap();
+    assert!(std::fs::read_to_string(&out).unwrap().contains("<svg"));
+    std::fs::remove_file(out).unwrap();
+}
+
+#[test]
+fn past_the_limit_the_position_is_marked_unusable() {
+    let mut recording = slide();
+    let rest = recording.samples[0];
+    for k in 0..3000 {
+        recording.times_s.push(4.5 + f64::from(k) * 0.01);
+        recording.samples.push(UnitSample {
+            step_s: 0.01,
+            ..rest
+        });
+        recording.truth.push(None);
+    }
+    let choice = Choice {
+        zupt: false,
+        limit_m: 0.3,
+        ..Choice::default()
+    };
+    let path = navigate(&recording, &choice).unwrap();
+    let horizon = path.horizon_s(0.3).expect("without ZUPT it gets lost");
+    assert!(path.horizon_s(0.1).unwrap() < horizon && path.horizon_s(1e6).is_none());
+    for point in &path.points {
+        assert!(!point.valid || point.sd_m() <= 0.3);
+    }
+    assert!(!path.points.last().unwrap().valid);
+}
+
+#[test]
+fn what_a_file_does_not_support_is_refused() {
+    let code = |method| {
+        let mut recording = slide();
+        recording.samples.truncate(140);
+        recording.times_s.truncate(140);
+        navigate(
+            &recording,
+            &Choice {
+                method,
+                ..Choice::default()
+            },
+        )
+        .unwrap_err()
+        .code()
+    };
+    assert_eq!(code(Method::Strapdown), ErrorCode::DataRefused);
+    assert_eq!(code(Method::Slide), ErrorCode::DataRefused);
+    assert_eq!(code(Method::Array), ErrorCode::Usage);
+
+    let head = "Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)";
+    let counts = file("counts.csv", &format!("{head}\n0,1,2,3\n1,1,2,3\n"));
+    let refused = MotionRecording::from_csv(&counts).unwrap_err();
+    assert_eq!(refused.code(), ErrorCode::UnknownFormat);
+    let refused = ArrayRecording::from_csv(&counts, 2048.0).unwrap_err();
+    assert_eq!(refused.code(), ErrorCode::CsvMissingColumn);
+    std::fs::remove_file(counts).unwrap();
+}
+
+/// An array at rest in one attitude.
+fn still_array(sensors: usize) -> ArrayRecording {
+    let mut recording = ArrayRecording::default();
+    for k in 0..400_usize {
+        recording.times_s.push(k as f64 * 0.01);
+        let noise = |s: usize| ((k * 31 + s * 17) % 11) as f64 * 0.004 - 0.02;
+        let sample = (0..sensors).map(|s| [noise(s), -noise(s + 3), 9.8 + noise(s + 5)]);
+        recording.outputs.push(sample.collect());
+        recording.saturated.push(false);
+    }
+    recording
+}
+
+#[test]
+fn places_are_read_in_both_forms_and_must_fit_the_recording() {
+    let rows = file(
+        "rows.csv",
+        "X (m),Y (m),Z (m)\n0.01,0,0\n0,0.01,0\n0,0,0.01\n0,0,0\n",
+    );
+    let table =
+        "axes, IMU 1, IMU 2, IMU 3, IMU 4\nx, 0.01, 0, 0, 0\ny, 0, 0.01, 0, 0\nz, 0, 0, 0.01, 0\n";
+    let columns = file("columns.csv", table);
+    let places = read_places(&rows).unwrap();
+    assert_eq!(places, read_places(&columns).unwrap());
+    assert_eq!(places.len(), 4);
+    let bad = file("bad.csv", "X (m),Y (m),Z (m)\n0.01,zero,0\n");
+    let error = read_places(&bad).unwrap_err();
+    assert!(error.code() == ErrorCode::CsvBadNumber && error.to_string().contains("line 2"));
+    for path in [rows, columns, bad] {
+        std::fs::remove_file(path).unwrap();
+    }
+
+    let recording = still_array(4);
+    let calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).unwrap();
+    assert!(
+        calibration.uncalibrated.is_some(),
+        "one pose is not enough to calibrate"
+    );
+    let refused = |wrong: &[[f64; 3]]| {
+        let error = angular_rate(&recording, wrong, &calibration).unwrap_err();
+        error.to_string()
+    };
+    assert!(refused(&places[..3]).contains("the geometry has 3 sensors, the recording 4"));
+    assert!(refused(&[[0.01, 0.0, 0.0]; 4]).contains("all sensors are at one place"));
+    assert!(angular_rate(&recording, &places, &calibration).is_ok());
+}

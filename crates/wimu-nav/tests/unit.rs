@@ -50,7 +50,7 @@ fn carried(seed: u64, gyroscope: bool) -> (f64, f64) {
             [
                 random.normal() * 0.06,
                 omega,
-                random.unit() * 6.28 + k as f64,
+                random.unit() * std::f64::consts::TAU + k as f64,
             ]
         })
         .collect();

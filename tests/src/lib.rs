@@ -3,8 +3,11 @@
 
 pub mod campaign;
 
+use std::future::Future;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 
 use wimu_host::decode::{Decoder, Event, TimedSample};
 use wimu_host::history::{Boot, LinkHistory, Recording};
@@ -14,10 +17,12 @@ use wimu_link::message::{Event as DeviceEvent, Payload, Status};
 use wimu_link::{
     Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WhoAreYou,
 };
+use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::motion;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::{Physics, Source};
+use wimu_sim::storage::Storage;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
 /// Both links, the cable first.
@@ -425,6 +430,71 @@ pub fn fuzz_once(seeded: &mut Seeded) {
     }
     let statistics = decoder.statistics();
     assert_eq!(statistics.bytes, line.len() as u64);
+}
+
+/// A store of two pages in a flash that holds anything: part of an image that was once good,
+/// overwritten in places. Nothing panics, and what is saved is there or reported as damaged, and is
+/// never anything else.
+///
+/// # Panics
+/// When it finds a fault.
+pub fn fuzz_store_once(seeded: &mut Seeded) {
+    const LAYOUT: FlashLayout<Storage> = FlashLayout::new(0..0x2000);
+    const KEYS: [Key; 4] = [
+        Key::Parameters { range_g: 2 },
+        Key::Settings,
+        Key::BootCount,
+        Key::DeviceKey,
+    ];
+    fn done<T>(future: impl Future<Output = T>) -> T {
+        match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(value) => value,
+            Poll::Pending => panic!("the flash has power"),
+        }
+    }
+    let start = |storage: &Storage| FlashStore::new(storage.clone(), LAYOUT, 0);
+    let good = Storage::in_memory();
+    let mut store = start(&good);
+    for _ in 0..1 + seeded.below(12) {
+        let length = 1 + seeded.below(400);
+        let record = seeded.bytes(length);
+        let _ = done(store.save(KEYS[seeded.below(4)], &record));
+    }
+    let mut image = good.image();
+    image.truncate(0x2000);
+    for _ in 0..seeded.below(6) {
+        let at = seeded.below(image.len());
+        let run = (1 + seeded.below(40)).min(image.len() - at);
+        match seeded.below(4) {
+            0 => image[at] ^= 1 << seeded.below(8),
+            1 => image[at..at + run].fill(0xFF),
+            2 => image[at..at + run].fill(0),
+            _ => {
+                let from = seeded.below(image.len() - run);
+                image.copy_within(from..from + run, at);
+            }
+        }
+    }
+    let storage = Storage::from_image(&image);
+    let mut store = start(&storage);
+    let mut buffer = [0; MAX_RECORD];
+    for key in KEYS {
+        let _ = done(store.load(key, &mut buffer));
+    }
+    let length = 1 + seeded.below(400);
+    let record = seeded.bytes(length);
+    let key = KEYS[seeded.below(4)];
+    if done(store.save(key, &record)).is_ok() {
+        // A hole in a page may have been filled, and show what is behind it again: reported then.
+        match done(start(&storage).load(key, &mut buffer)) {
+            Ok(found) => assert_eq!(
+                found.map(|length| &buffer[..length]),
+                Some(record.as_slice()),
+                "{key:?}"
+            ),
+            Err(StoreFault) => {}
+        }
+    }
 }
 
 /// A file of the recordings that tests use but the project does not hold; `None`, saying so, where

@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 use wimu_link::{Answer, Command};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::scene::World;
-use wimu_tests::{ROLES, Rig, Seeded, assert_replays, frame_of, fuzz_once, sensor, who_are_you};
+use wimu_tests::{
+    ROLES, Rig, Seeded, assert_replays, frame_of, fuzz_once, fuzz_store_once, sensor, who_are_you,
+};
 
 /// At least so many inputs, and as many more as fit.
 const LEAST: u64 = 2_000;
@@ -21,6 +23,14 @@ fn no_bytes_break_the_wire() {
         inputs += 1;
     }
     println!("{inputs} inputs");
+}
+
+#[test]
+fn no_image_breaks_the_store() {
+    let mut seeded = Seeded(0x570e);
+    for _ in 0..LEAST {
+        fuzz_store_once(&mut seeded);
+    }
 }
 
 /// What a confused, hostile or broken host may say.

@@ -37,6 +37,8 @@ pub struct Control<'a, A, T, S, M: RawMutex> {
     pub(crate) staged: Option<ParameterSet>,
     /// The hosts are to be told.
     pub(crate) parameters_changed: bool,
+    #[cfg(feature = "self-check")]
+    pub(crate) self_check: crate::self_check::Keeper,
     pub(crate) latched: Option<CentiCelsius>,
     pub(crate) sensor: PhantomData<A>,
 }
@@ -54,16 +56,23 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                     self.timer.until(next_status),
                     self.shared.key_lost.wait(),
                 ),
-                self.shared.rates.receive(),
+                select(self.shared.rates.receive(), self.shared.rest.wait()),
             )
             .await;
             let event = match event {
                 Either::First(event) => event,
-                Either::Second((role, baud)) => {
+                Either::Second(Either::First((role, baud))) => {
                     // What cannot be stored holds until the next start.
                     let _ = self.save_rate(role, baud).await;
                     continue;
                 }
+                #[cfg(feature = "self-check")]
+                Either::Second(Either::Second((mean, parameters))) => {
+                    self.check(mean, parameters);
+                    continue;
+                }
+                #[cfg(not(feature = "self-check"))]
+                Either::Second(Either::Second(_)) => continue,
             };
             match event {
                 Either4::First((role, Command::SetLineRate { link, baud })) => {
@@ -305,6 +314,25 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 self.announce_parameters();
                 Ok(Payload::None)
             }
+        }
+    }
+
+    /// Compares a rest with what the parameters promise, and reports if they no longer hold.
+    #[cfg(feature = "self-check")]
+    fn check(&mut self, mean: [i64; 3], parameters: ParameterId) {
+        let published = self.shared.published();
+        if published.parameter_id() != parameters {
+            return;
+        }
+        let gravity_um_s2 = published.settings.gravity_um_s2;
+        let set = published.parameters;
+        match self.self_check.rest(set, gravity_um_s2, self.latched, mean) {
+            crate::self_check::Verdict::Contradicted(event) => {
+                self.trouble(Trouble::Calibration, event);
+                self.shared.report(self.timer.now(), event);
+            }
+            crate::self_check::Verdict::Holds => self.mended(Trouble::Calibration),
+            crate::self_check::Verdict::Unknown => {}
         }
     }
 

@@ -17,6 +17,8 @@ mod node;
 mod queue;
 mod rate;
 mod sampler;
+#[cfg(feature = "self-check")]
+mod self_check;
 mod shared;
 mod store;
 mod timer;

@@ -98,6 +98,8 @@ where
                 shared,
                 staged: None,
                 parameters_changed: false,
+                #[cfg(feature = "self-check")]
+                self_check: Default::default(),
                 latched: None,
                 sensor: PhantomData,
             },

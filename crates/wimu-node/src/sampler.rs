@@ -205,6 +205,12 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             running.until_navigation = (NAVIGATION_NS / running.clock.period.0.max(1)).max(1);
             self.send_navigation(running, sequence);
         }
+        if transition == Transition::Rest {
+            let mean = running.integrator.state().rest_mean;
+            self.shared
+                .rest
+                .signal((mean, running.correction.parameters));
+        }
         let since_epoch = time.0.saturating_sub(running.last_epoch.0);
         running.epoch_reason = match transition {
             Transition::Rest | Transition::Motion => Some(EpochReason::Stillness),

@@ -34,6 +34,9 @@ pub struct Shared<M: RawMutex> {
     pub(crate) key_lost: Signal<M, ()>,
     /// Rates to store.
     pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
+    /// Mean specific force of a rest that has begun, 2⁻³² m/s², body axes, and the parameters it
+    /// was corrected with.
+    pub(crate) rest: Signal<M, ([i64; 3], ParameterId)>,
     published: Mutex<M, RefCell<Published>>,
 }
 
@@ -92,10 +95,12 @@ pub(crate) enum Trouble {
     Settings,
     Parameters,
     DeviceKey,
+    #[cfg(feature = "self-check")]
+    Calibration,
 }
 
 impl Trouble {
-    const COUNT: usize = 5;
+    const COUNT: usize = 6;
 }
 
 /// How a device is, in short.
@@ -162,6 +167,7 @@ impl<M: RawMutex> Shared<M> {
             requests: Channel::new(),
             key_lost: Signal::new(),
             rates: Channel::new(),
+            rest: Signal::new(),
             published: Mutex::new(RefCell::new(Published {
                 hello: Hello::new(LinkRole::Cable),
                 lock: Lock::default(),

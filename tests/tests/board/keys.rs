@@ -1,6 +1,7 @@
 //! Keys, sessions and what may go wrong with them, with real clients on a whole board.
 
 use std::cell::RefCell;
+use std::path::Path;
 use std::time::Duration;
 
 use wimu_host::client::{Client, ConnectOptions};
@@ -14,6 +15,7 @@ use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
 use wimu_node::Key;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
+use wimu_sim::storage::Storage;
 use wimu_tests::sensor;
 
 type Link<'a> = Client<SimLink<'a, Board>>;
@@ -324,4 +326,51 @@ fn no_recording_holds_a_key() {
         assert!(!all.contains(&run));
     }
     assert!(all.contains("Sent"));
+}
+
+/// A flash as firmware of a version left it: `tests/vectors/store/v0.hex`. Firmware from then on
+/// reads it. `WRITE_VECTORS=1 cargo test -p wimu-tests --test board` writes it anew.
+#[test]
+fn what_older_firmware_stored_is_read() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors/store/v0.hex");
+    let settings = Settings {
+        rate_hz: 200,
+        ..Settings::default()
+    };
+    if std::env::var_os("WRITE_VECTORS").is_some() {
+        let board = start_with_key();
+        let mut cable = owner(&board, CABLE, 2);
+        cable.push_parameters(&set_of(0.1)).expect("pushed");
+        cable.set_settings(settings).expect("set");
+        let image = board.borrow().storage().image();
+        let used = image
+            .iter()
+            .rposition(|&byte| byte != 0xFF)
+            .map_or(0, |last| last + 1);
+        let lines = image[..used].chunks(32).map(|line| {
+            let digits = line.iter().map(|byte| format!("{byte:02x}"));
+            digits.collect::<String>() + "\n"
+        });
+        std::fs::create_dir_all(file.parent().expect("a folder")).expect("made");
+        std::fs::write(&file, lines.collect::<String>()).expect("written");
+    }
+    let text = std::fs::read_to_string(&file).expect("the stored image");
+    let digits: Vec<char> = text.chars().filter(|c| !c.is_whitespace()).collect();
+    let bytes = digits.chunks(2).map(|pair| {
+        let pair: String = pair.iter().collect();
+        u8::from_str_radix(&pair, 16).expect("hexadecimal")
+    });
+    let config = BoardConfig {
+        storage: Storage::from_image(&bytes.collect::<Vec<u8>>()),
+        ..BoardConfig::default()
+    };
+    let source = sensor("rest", World::default(), 3);
+    let board = RefCell::new(Board::start(config, source));
+    let mut wireless = owner(&board, WIRELESS, 3);
+    assert_eq!(wireless.hello().boot_count, 2);
+    assert_eq!(wireless.key_status(), Ok(Some(KEY.id())));
+    assert_eq!(wireless.settings(), Ok(settings));
+    let id = wimu_link::message::parameter_id(&set_of(0.1));
+    assert_eq!(wireless.parameters().map(|held| held.id), Ok(id.0));
+    assert_eq!(set_rate(&mut wireless, 50).map(|set| set.rate_hz), Ok(50));
 }

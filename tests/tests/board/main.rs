@@ -6,4 +6,5 @@ mod keys;
 mod links;
 mod rates;
 mod requests;
+mod self_check;
 mod sensor;

@@ -236,6 +236,14 @@ pub enum Event {
         /// How often since the device's start, this time included.
         count: u16,
     },
+    /// At rest |f| is not g as the calibration promises: it no longer holds. Said at the second
+    /// rest in a row.
+    CalibrationContradicted {
+        /// |f| − g, µm/s².
+        residual_um_s2: i32,
+        /// Its standard deviation if the calibration held, µm/s².
+        expected_um_s2: u32,
+    },
 }
 
 impl fmt::Display for Event {
@@ -266,6 +274,15 @@ impl fmt::Display for Event {
                 "the stored settings do not fit the sensor, the nearest that do are used; see `wimu settings get`",
             ),
             Self::Marked { count } => write!(out, "the button was pressed: mark {count}"),
+            Self::CalibrationContradicted {
+                residual_um_s2,
+                expected_um_s2,
+            } => write!(
+                out,
+                "the calibration no longer holds: at rest |f| is off g by {:.1} mm/s², with a standard deviation of {:.1}; calibrate again",
+                f64::from(*residual_um_s2) * 1e-3,
+                f64::from(*expected_um_s2) * 1e-3
+            ),
             Self::Pause { longest_ms } => {
                 write!(out, "the device writes its flash for up to {longest_ms} ms")
             }

@@ -430,6 +430,10 @@ fn telemetry_is_as_it_was() {
             Event::ModelRejected(ParameterFault::Overflow),
             Event::SettingsAdjusted,
             Event::Pause { longest_ms: 400 },
+            Event::CalibrationContradicted {
+                residual_um_s2: -56_000,
+                expected_um_s2: 9_000,
+            },
         ]
         .map(|event| Telemetry::Event {
             time_us: 1_000_000,

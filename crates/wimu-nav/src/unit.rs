@@ -83,7 +83,7 @@ impl Default for UnitConfig {
     }
 }
 
-/// A bias that settles after switching on [BD]: ε(t) = C1 (1 − e^(−t/T)) + C2, equation (85).
+/// A bias that settles after switching on (Barshan & Durrant-Whyte): ε(t) = C1 (1 − e^(−t/T)) + C2, equation (85).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drift {
     /// C1 of each axis, m/s².

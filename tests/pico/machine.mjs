@@ -4,6 +4,9 @@ import { RP2040 } from 'rp2040js';
 
 const FLASH = 0x10000000;
 const RAM = 0x20000000;
+const VECTORS = FLASH + 0x100;
+/** An address of the flash that no image reaches. */
+const UNUSED = FLASH + 0x180000;
 const FIFO_BYTES = 32;
 const TX_INTERRUPT = 1 << 5;
 /** A register that the emulator's UART lacks. */
@@ -77,10 +80,10 @@ export class Pico {
       }
     };
     let mine = false;
-    this.nack = () => false;
+    this.absent = false;
     bus.onStart = () => bus.completeStart();
     bus.onConnect = (asked, mode) => later(() => {
-      mine = asked === address && !this.nack('address');
+      mine = asked === address && !this.absent;
       if (mine && mode === 0) {
         device.begin();
       }
@@ -88,7 +91,7 @@ export class Pico {
     });
     bus.onWriteByte = (byte) => later(() => {
       device.write(byte);
-      bus.completeWrite(!this.nack('data'));
+      bus.completeWrite(!this.absent);
     });
     bus.onReadByte = () => later(() => bus.completeRead(device.read()));
     bus.onStop = () => bus.completeStop();
@@ -108,6 +111,29 @@ export class Pico {
     if (bytes.length > 0) {
       alarm.schedule(byteNs(uart));
     }
+  }
+
+  /** Lets the processor do nothing more, interrupts off. */
+  hang() {
+    const { core } = this.chip;
+    this.chip.flashView.setUint32(UNUSED - FLASH, 0xe7fdbf30, true); // 1: wfi; b 1b
+    core.enabledInterrupts = 0;
+    core.pendingInterrupts = 0;
+    core.PC = UNUSED;
+    core.waiting = false;
+  }
+
+  /** Lets the processor enter its fault handler, from the instruction at UNUSED. */
+  fault() {
+    const { core } = this.chip;
+    core.SP -= 32;
+    [0, 0, 0, 0, 0, 0, UNUSED, 0x01000000].forEach((word, index) => {
+      this.chip.writeUint32(core.SP + index * 4, word);
+    });
+    core.LR = 0xfffffff9;
+    core.PM = true;
+    core.PC = this.chip.readUint32(VECTORS + 12) & ~1;
+    core.waiting = false;
   }
 
   /** Runs up to `ns` on the clock. */
@@ -176,8 +202,11 @@ function paced(uart, clock, deliver) {
     }
     if (fifo.length === half) {
       uart.interruptStatus |= TX_INTERRUPT;
+      if (uart.interruptStatus & uart.interruptMask) {
+        // Only ever on: off would also end what the firmware has set pending by itself.
+        uart.rp2040.setInterrupt(uart.irq, true);
+      }
     }
-    uart.checkInterrupts();
   });
   uart.checkInterrupts = () =>
     uart.rp2040.setInterrupt(uart.irq, !!(uart.interruptStatus & uart.interruptMask));

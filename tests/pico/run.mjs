@@ -1,7 +1,8 @@
 // Runs an image for a while. Usage: node run.mjs IMAGE.uf2 SECONDS FOLDER [SCRIPT.json]
 //
 // FOLDER gets wireless.bin and cable.bin, what came out of UART0 and UART1, and report.json. SCRIPT
-// is a list of {"at_ms", "uart", "hex"} to send and {"at_ms", "do"}.
+// is a list of {"at_ms", "uart", "hex"}, bytes to send, and {"at_ms", "do"}: "unplug" and "plug" the
+// sensor, "exchange" it for another chip, "hang" or "fault" the processor, press "reset".
 
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
 import { Adxl345 } from './adxl345.mjs';
@@ -26,6 +27,30 @@ for (const action of actions) {
   pico.run(action.at_ms * 1e6);
   if (action.hex) {
     pico.send(action.uart, Buffer.from(action.hex, 'hex'));
+  }
+  switch (action.do) {
+    case undefined:
+      break;
+    case 'unplug':
+      pico.absent = true;
+      break;
+    case 'plug':
+      pico.absent = false;
+      break;
+    case 'exchange':
+      sensor.identity = 0x33;
+      break;
+    case 'hang':
+      pico.hang();
+      break;
+    case 'fault':
+      pico.fault();
+      break;
+    case 'reset':
+      pico.restart = true;
+      break;
+    default:
+      throw new Error(`cannot ${action.do}`);
   }
 }
 pico.run(Number(seconds) * 1e9);

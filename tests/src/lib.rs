@@ -217,6 +217,13 @@ impl Listener {
         }
     }
 
+    /// A link that has brought `bytes`.
+    pub fn heard(role: LinkRole, bytes: &[u8]) -> Self {
+        let mut listener = Self::new(role);
+        listener.take(0, bytes);
+        listener
+    }
+
     fn take(&mut self, host_ns: u64, bytes: &[u8]) {
         if bytes.is_empty() {
             return;

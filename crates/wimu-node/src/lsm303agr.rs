@@ -166,21 +166,29 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             return Err(SensorFault::NoData);
         };
         // A sample that waits keeps the line high.
-        let deadline = self.timer.now().0 + u64::from(self.period.0) / 1000 * 3 + 20_000;
-        let ready = self
-            .timer
-            .before(DeviceTimeUs(deadline), self.data_ready.ready())
-            .await;
-        let woken = self.timer.now();
+        let period_us = u64::from(self.period.0) / 1000;
+        let deadline = self.timer.now().0 + period_us * 3 + 20_000;
+        let (ready, woken, status) = loop {
+            let ready = self
+                .timer
+                .before(DeviceTimeUs(deadline), self.data_ready.ready());
+            let ready = ready.await;
+            let woken = self.timer.now();
+            let device = self.running().await?;
+            let status = device.accel_status().await.map_err(not_answering)?;
+            if status.xyz_new_data() {
+                break (ready, woken, status);
+            }
+            if woken.0 >= deadline {
+                return Err(SensorFault::NoData);
+            }
+            // A line that somebody else holds says nothing: the sensor is asked.
+            self.timer.after_us(period_us / 8).await;
+        };
         let device = self.running().await?;
-        let status = device.accel_status().await.map_err(not_answering)?;
-        if ready.is_none() && !status.xyz_new_data() {
-            return Err(SensorFault::NoData);
-        }
         let sample = device.acceleration().await.map_err(not_answering)?;
         let (x, y, z) = sample.xyz_raw();
         // After a whole period or an overrun, the line tells of an older sample.
-        let period_us = u64::from(self.period.0) / 1000;
         let last_time = match ready.flatten() {
             Some(rose) if !status.xyz_overrun() && woken.0 < rose.0 + period_us => rose,
             _ => woken,

@@ -9,6 +9,7 @@ mod data_ready;
 mod flash;
 #[path = "../../shared/last_words.rs"]
 mod last_words;
+mod sender;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor};
@@ -18,7 +19,7 @@ use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
 use embassy_rp::interrupt::{self, InterruptExt, Priority};
 use embassy_rp::peripherals::{I2C0, UART0, UART1, WATCHDOG};
-use embassy_rp::uart::{self, BufferedUart, BufferedUartRx, BufferedUartTx};
+use embassy_rp::uart::{self, BufferedUart, BufferedUartRx};
 use embassy_rp::watchdog::{ResetReason as WatchdogReason, Watchdog};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex as M;
 use embassy_time::Duration;
@@ -30,6 +31,7 @@ use wimu_node::{Adxl345, Board, Control, FlashStore, LinkReader, LinkWriter, Sam
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::flash::StoreFlash;
+use crate::sender::Sender;
 
 bind_interrupts!(struct Interrupts {
     I2C0_IRQ => i2c::InterruptHandler<I2C0>;
@@ -55,7 +57,7 @@ async fn listen(reader: LinkReader<'static, BufferedUartRx, BoardTimer, M>) -> !
 }
 
 #[embassy_executor::task(pool_size = 2)]
-async fn talk(writer: LinkWriter<'static, BufferedUartTx, M>) -> ! {
+async fn talk(writer: LinkWriter<'static, Sender, M>) -> ! {
     writer.run().await
 }
 
@@ -63,6 +65,9 @@ async fn talk(writer: LinkWriter<'static, BufferedUartTx, M>) -> ! {
 const WATCHDOG_TIME: Duration = Duration::from_secs(2);
 /// The flash's longest erase of a sector, ms.
 const PAUSE_MS: u16 = 400;
+
+/// Who holds GP22 to ground for five seconds has lost the key: steps of 125 ms.
+const KEY_LOST_STEPS: u32 = 40;
 
 /// Above all tasks but below the interrupts of the bus and of the data-ready line.
 static SAMPLING: InterruptExecutor = InterruptExecutor::new();
@@ -100,8 +105,20 @@ fn main() -> ! {
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),
-        cable: (cable_rx, cable_tx),
-        wireless: (wireless_rx, wireless_tx),
+        cable: (
+            cable_rx,
+            Sender {
+                uart: cable_tx,
+                interrupt: interrupt::UART1_IRQ,
+            },
+        ),
+        wireless: (
+            wireless_rx,
+            Sender {
+                uart: wireless_tx,
+                interrupt: interrupt::UART0_IRQ,
+            },
+        ),
     };
     let shared = &*SHARED.init(Shared::new());
     let node = board.split(shared);
@@ -116,6 +133,7 @@ fn main() -> ! {
     let sampling = SAMPLING.start(interrupt::SWI_IRQ_1);
     sampling.spawn(sample(node.sampler).unwrap());
     let lamp = Output::new(chip.PIN_25, Level::Low);
+    let key_lost = Input::new(chip.PIN_22, Pull::Up);
     EXECUTOR.init(Executor::new()).run(|spawner| {
         // Each is spawned once: there is room.
         spawner.spawn(control(node.control).unwrap());
@@ -123,17 +141,27 @@ fn main() -> ! {
         spawner.spawn(talk(node.cable_writer).unwrap());
         spawner.spawn(listen(node.wireless_reader).unwrap());
         spawner.spawn(talk(node.wireless_writer).unwrap());
-        spawner.spawn(show(shared, lamp, watchdog).unwrap());
+        spawner.spawn(show(shared, lamp, key_lost, watchdog).unwrap());
     })
 }
 
 /// Says how the device is, and that it runs: two seconds without it and the watchdog restarts it.
 #[embassy_executor::task]
-async fn show(shared: &'static Shared<M>, mut lamp: Output<'static>, mut watchdog: Watchdog) -> ! {
+async fn show(
+    shared: &'static Shared<M>,
+    mut lamp: Output<'static>,
+    key_lost: Input<'static>,
+    mut watchdog: Watchdog,
+) -> ! {
     let mut before = shared.health();
     let mut step = 0_u32;
+    let mut held = 0;
     loop {
         watchdog.feed(WATCHDOG_TIME);
+        held = if key_lost.is_low() { held + 1 } else { 0 };
+        if held == KEY_LOST_STEPS {
+            shared.forget_key();
+        }
         let now = shared.health();
         // Of eight steps of 125 ms, those with light.
         let pattern: u8 = if now.sensor_lost {

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::command_line::{CommandLine, heading};
+use crate::image::{self, Format};
 use crate::output::Output;
-use crate::setup::{self, Need, Source, ThisMachine, embedded_cargo};
+use crate::setup::{self, Need, Source, TARGETS, ThisMachine, embedded_cargo};
 use crate::workspace::Workspace;
 
 /// The board that everyone has.
@@ -12,7 +13,12 @@ const QEMU_BOARD: &str = "firmware/qemu-mps2";
 const QEMU_PROGRAM: &str = "wimu-qemu-mps2";
 const QEMU_TARGET: &str = "thumbv7em-none-eabihf";
 
-/// Builds every board.
+/// The board that is emulated with a sensor on its bus.
+const PICO: &str = "firmware/pico-adxl345";
+/// Where its emulator is.
+const PICO_EMULATOR: &str = "tests/pico";
+
+/// Builds every board, and writes the files that boards take without a probe.
 ///
 /// # Errors
 /// Says which command failed.
@@ -20,9 +26,94 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     for folder in &workspace.firmware {
         heading(&folder.display().to_string());
-        build(source, folder, None).run()?;
+        let output = built(source, folder, None)?;
+        if let Some(format) = Format::of(folder) {
+            let file = image::write(folder, &only_image(&output)?, format)?;
+            println!("{}", file.display());
+        }
     }
     Ok(())
+}
+
+/// The one image of a board.
+fn only_image(output: &Output) -> Result<PathBuf, String> {
+    let images = output.programs.iter().flat_map(|program| {
+        let image = |target: &&str| output.image(program, target);
+        TARGETS.iter().map(image).collect::<Vec<_>>()
+    });
+    let mut built = images.filter(|image| image.is_file());
+    built.next().ok_or_else(|| "no image was built".into())
+}
+
+/// Builds the board called `name` and writes it to the board at the debug probe.
+///
+/// # Errors
+/// Says what is missing or which command failed.
+pub fn flash(workspace: &Workspace, name: &str) -> Result<(), String> {
+    let folder = Path::new("firmware").join(name);
+    let known = |folder: &PathBuf| Format::of(folder).is_some();
+    let boards: Vec<String> = workspace
+        .firmware
+        .iter()
+        .filter(|folder| known(folder))
+        .filter_map(|folder| Some(folder.file_name()?.to_string_lossy().into_owned()))
+        .collect();
+    if !boards.iter().any(|board| board == name) {
+        return Err(format!("there is no board `{name}`: {}", boards.join(", ")));
+    }
+    let chip = match Format::of(&folder) {
+        Some(Format::Hex) => "nRF52833_xxAA",
+        _ => "RP2040",
+    };
+    let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+    let image = only_image(&built(source, &folder, None)?)?;
+    if CommandLine::new("probe-rs --version").output().is_none() {
+        let file = Format::of(&folder).map(|format| image::write(&folder, &image, format));
+        let file = file.transpose()?.unwrap_or_default();
+        return Err(format!(
+            "probe-rs is missing: https://probe.rs/docs/getting-started/installation, or copy {} \
+             onto the board's drive",
+            file.display()
+        ));
+    }
+    CommandLine::new("probe-rs download --chip")
+        .word(chip)
+        .word(&image.display().to_string())
+        .run()?;
+    CommandLine::new("probe-rs reset --chip").word(chip).run()
+}
+
+/// The Pico's image on an emulated RP2040; skipped, saying so, where there is no Node.js.
+///
+/// # Errors
+/// Says what is missing or which command failed.
+pub fn pico(workspace: &Workspace) -> Result<(), String> {
+    let there = |line: &str| CommandLine::new(line).output().is_some();
+    if !there("node --version") || !there("npm --version") {
+        println!(
+            "skipped: the emulator runs on Node.js (https://nodejs.org), which is not installed"
+        );
+        return Ok(());
+    }
+    let emulator = Path::new(PICO_EMULATOR);
+    if !emulator.join("node_modules/rp2040js").is_dir() {
+        let installed = CommandLine::new("npm ci --no-audit --no-fund")
+            .inside(emulator)
+            .run();
+        if let Err(problem) = installed {
+            println!("skipped: the emulator could not be installed: {problem}");
+            return Ok(());
+        }
+    }
+    let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+    let folder = Path::new(PICO);
+    debug_assert!(workspace.firmware.iter().any(|board| board == folder));
+    let image = only_image(&built(source, folder, None)?)?;
+    let file = std::path::absolute(image::write(folder, &image, Format::Uf2)?)
+        .map_err(|problem| problem.to_string())?;
+    setup::cargo("test -p wimu-tests --test pico -- --ignored")
+        .with("WIMU_PICO_FIRMWARE", &file.display().to_string())
+        .run()
 }
 
 fn build(source: Source, folder: &Path, target: Option<&str>) -> CommandLine {

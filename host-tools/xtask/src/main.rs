@@ -3,6 +3,7 @@
 mod budget;
 mod command_line;
 mod firmware;
+mod image;
 mod instructions;
 mod output;
 mod setup;
@@ -24,6 +25,8 @@ enum Task {
     /// A folder of recordings.
     Budget(Option<String>),
     Firmware,
+    /// The name of a board.
+    Flash(String),
     Size,
     /// Options of the emulated board.
     Qemu(Vec<String>),
@@ -57,6 +60,7 @@ fn run(task: Task) -> Result<(), String> {
         Task::Test(only) => test::run(&Workspace::enter()?, &only),
         Task::Budget(data) => budget::run(&Workspace::enter()?, data.as_deref()),
         Task::Firmware => firmware::run(&Workspace::enter()?),
+        Task::Flash(board) => firmware::flash(&Workspace::enter()?, &board),
         Task::Size => size::run(&Workspace::enter()?),
         Task::Qemu(options) => {
             Workspace::enter()?;
@@ -85,10 +89,14 @@ fn parse(words: &[String]) -> Result<Task, String> {
         ["budget"] => Ok(Task::Budget(None)),
         ["budget", folder] if !folder.starts_with('-') => Ok(Task::Budget(Some(folder.into()))),
         ["firmware"] => Ok(Task::Firmware),
+        ["flash"] => Err("flash needs the name of a board: microbit-v2 or pico-adxl345".into()),
+        ["flash", board] if !board.starts_with('-') => Ok(Task::Flash(board.into())),
         ["size"] => Ok(Task::Size),
-        ["setup" | "test" | "budget" | "firmware" | "size", extra, ..] => {
-            Err(format!("`{}` does not take `{extra}`", words[0]))
-        }
+        [
+            "setup" | "test" | "budget" | "firmware" | "flash" | "size",
+            extra,
+            ..,
+        ] => Err(format!("`{}` does not take `{extra}`", words[0])),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
     }
 }
@@ -120,7 +128,9 @@ Usage: cargo xtask TASK
   budget [DATA]         print the measured figures: bytes on the wire, accuracy, instructions per
                         sample in QEMU, and fail where one is past its bar;
                         recordings come from the folder DATA (default {}, if there)
-  firmware              build every board
+  firmware              build every board; target/firmware gets microbit-v2.hex and
+                        pico-adxl345.uf2, to be copied onto the boards' drives
+  flash BOARD           build a board and write it through its debug probe
   size                  build every board, and print the flash and RAM it takes, by crate
   qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
                         links; Ctrl-C stops it; `qemu --help` lists the options
@@ -154,6 +164,10 @@ mod tests {
         assert_eq!(parsed("firmware"), Ok(Task::Firmware));
         assert_eq!(parsed("size"), Ok(Task::Size));
         assert_eq!(
+            parsed("flash microbit-v2"),
+            Ok(Task::Flash("microbit-v2".into()))
+        );
+        assert_eq!(
             parsed("qemu --seed 2"),
             Ok(Task::Qemu(vec!["--seed".into(), "2".into()]))
         );
@@ -182,6 +196,7 @@ mod tests {
             ("test --only clippy doc", "`--only`"),
             ("budget --fast", "`--fast`"),
             ("firmware qemu-mps2", "`qemu-mps2`"),
+            ("flash", "microbit-v2"),
         ] {
             let problem = parsed(line).expect_err(line);
             assert!(problem.contains(named), "{line}: {problem}");

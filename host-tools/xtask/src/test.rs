@@ -16,7 +16,7 @@ pub struct Step {
 }
 
 /// The cheaper first: a run stops at the first that fails.
-pub const STEPS: [Step; 11] = [
+pub const STEPS: [Step; 12] = [
     Step {
         name: "setup",
         about: "rustfmt, clippy, the microcontroller targets and QEMU are installed",
@@ -86,6 +86,11 @@ pub const STEPS: [Step; 11] = [
         name: "qemu",
         about: "the firmware does the main job on an emulated Cortex-M4F, bit for bit",
         run: |_| firmware::test(),
+    },
+    Step {
+        name: "pico",
+        about: "the Pico's firmware works on an emulated RP2040 with an ADXL345, both links at 115,200 baud",
+        run: firmware::pico,
     },
     Step {
         name: "standalone",

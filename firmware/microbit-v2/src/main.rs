@@ -1,0 +1,299 @@
+//! wimu on a BBC micro:bit v2: pins, clocks, interrupts and a main. Everything else is `wimu-node`.
+
+#![no_std]
+#![no_main]
+
+mod clock;
+mod data_ready;
+mod display;
+#[path = "../../shared/last_words.rs"]
+mod last_words;
+
+use cortex_m_rt::entry;
+use embassy_embedded_hal::adapter::BlockingAsync;
+use embassy_executor::{Executor, InterruptExecutor};
+use embassy_nrf::buffered_uarte::{self, BufferedUarte, BufferedUarteRx, BufferedUarteTx};
+use embassy_nrf::config::{Config, HfclkSource};
+use embassy_nrf::gpio::{AnyPin, Input, Level, Output, OutputDrive, Pull};
+use embassy_nrf::interrupt::{self, InterruptExt, Priority};
+use embassy_nrf::nvmc::Nvmc;
+use embassy_nrf::peripherals::{TWISPI0, UARTE0, UARTE1};
+use embassy_nrf::rng::Rng;
+use embassy_nrf::twim::{self, Twim};
+use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
+use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex as M;
+use static_cell::StaticCell;
+use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
+use wimu_link::{Hello, LinkRole};
+use wimu_node::{
+    Board, Control, FlashLayout, FlashStore, LinkReader, LinkWriter, Lsm303agr, Sampler, Shared,
+    Timer,
+};
+
+use crate::clock::BoardTimer;
+use crate::data_ready::Line;
+use crate::display::Matrix;
+
+bind_interrupts!(struct Interrupts {
+    TWISPI0 => twim::InterruptHandler<TWISPI0>;
+    UARTE0 => buffered_uarte::InterruptHandler<UARTE0>;
+    UARTE1 => buffered_uarte::InterruptHandler<UARTE1>;
+});
+
+type Sensor = Lsm303agr<Twim<'static>, Line, BoardTimer>;
+type Flash = BlockingAsync<Nvmc<'static>>;
+
+/// The last 8 KiB: memory.x leaves them out.
+const LAYOUT: FlashLayout<Flash> = FlashLayout::new(0x7E000..0x80000);
+/// The flash's longest erase of a page, ms.
+const PAUSE_MS: u16 = 90;
+/// Two seconds of 32,768 Hz: how long nobody may feed the watchdog.
+const WATCHDOG_TICKS: u32 = 65_536;
+/// A row of the display is lit for this long.
+const ROW_US: u64 = 3_000;
+/// Rows of the display in a second.
+const ROWS_A_SECOND: u32 = 333;
+/// A button is down when it is found so this often, row after row.
+const DEBOUNCE: u32 = 10;
+
+/// Who holds button B for five seconds has lost the key: rows of the display.
+const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
+
+#[embassy_executor::task]
+async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
+    sampler.run().await
+}
+
+#[embassy_executor::task]
+async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>) -> ! {
+    control.run().await
+}
+
+#[embassy_executor::task(pool_size = 2)]
+async fn listen(reader: LinkReader<'static, BufferedUarteRx<'static>, BoardTimer, M>) -> ! {
+    reader.run().await
+}
+
+#[embassy_executor::task(pool_size = 2)]
+async fn talk(writer: LinkWriter<'static, BufferedUarteTx<'static>, M>) -> ! {
+    writer.run().await
+}
+
+/// Shows how the device is, looks at the buttons, and feeds the watchdog: two seconds without it
+/// and the chip restarts.
+#[embassy_executor::task]
+async fn attend(
+    shared: &'static Shared<M>,
+    mut matrix: Matrix,
+    button_a: Input<'static>,
+    button_b: Input<'static>,
+    mut watchdog: WatchdogHandle,
+) -> ! {
+    let mut before = shared.health();
+    let mut picture = display::picture(&before, &before);
+    let mut pressed = 0;
+    let mut held = 0;
+    let mut marks = 0_u16;
+    for tick in (0..ROWS_A_SECOND).cycle() {
+        watchdog.pet();
+        if tick == 0 {
+            let now = shared.health();
+            picture = display::picture(&before, &now);
+            before = now;
+        }
+        pressed = if button_a.is_low() { pressed + 1 } else { 0 };
+        if pressed == DEBOUNCE {
+            marks = marks.wrapping_add(1);
+            shared.mark(BoardTimer.now(), marks);
+            picture = display::MARKED;
+        }
+        held = if button_b.is_low() { held + 1 } else { 0 };
+        if held == KEY_LOST_ROWS {
+            shared.forget_key();
+            picture = display::MARKED;
+        }
+        matrix.show(picture, tick as usize % 5);
+        BoardTimer.after_us(ROW_US).await;
+    }
+    core::future::pending().await
+}
+
+/// Above all tasks but below the interrupts of the bus and of the data-ready line.
+static SAMPLING: InterruptExecutor = InterruptExecutor::new();
+
+#[cortex_m_rt::interrupt]
+unsafe fn EGU1_SWI1() {
+    // SAFETY: it is the executor's own interrupt.
+    unsafe { SAMPLING.on_interrupt() };
+}
+
+#[entry]
+fn main() -> ! {
+    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
+    static SHARED: StaticCell<Shared<M>> = StaticCell::new();
+    static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
+    static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
+
+    let mut config = Config::default();
+    // The device's clock is only as good as this.
+    config.hfclk_source = HfclkSource::ExternalXtal;
+    config.gpiote_interrupt_priority = Priority::P1;
+    config.time_interrupt_priority = Priority::P2;
+    let chip = embassy_nrf::init(config);
+    // Below 2.1 V the hardware lets nobody write the flash.
+    pac::POWER.pofcon().write(|power_fail| {
+        power_fail.set_pof(true);
+        power_fail.set_threshold(pac::power::vals::Threshold::V21);
+    });
+    interrupt::TWISPI0.set_priority(Priority::P1);
+    interrupt::EGU1_SWI1.set_priority(Priority::P3);
+    interrupt::UARTE0.set_priority(Priority::P2);
+    interrupt::UARTE1.set_priority(Priority::P2);
+
+    let fell = clock::start(chip.TIMER0);
+    let line = Line::new(chip.GPIOTE_CH0, chip.P0_25, chip.PPI_CH0, fell);
+    let mut bus = twim::Config::default();
+    bus.frequency = twim::Frequency::K400;
+    let i2c = Twim::new(
+        chip.TWISPI0,
+        Interrupts,
+        chip.P0_16,
+        chip.P0_08,
+        bus,
+        BUS_BUFFER.init([0; 16]),
+    );
+    // 115,200 baud, 8N1.
+    let uart = uarte::Config::default;
+    let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
+    let cable = BufferedUarte::new(
+        chip.UARTE0,
+        chip.TIMER1,
+        chip.PPI_CH1,
+        chip.PPI_CH2,
+        chip.PPI_GROUP0,
+        chip.P1_08,
+        chip.P0_06,
+        Interrupts,
+        uart(),
+        a,
+        b,
+    );
+    let wireless = BufferedUarte::new(
+        chip.UARTE1,
+        chip.TIMER2,
+        chip.PPI_CH3,
+        chip.PPI_CH4,
+        chip.PPI_GROUP1,
+        chip.P0_03,
+        chip.P0_02,
+        Interrupts,
+        uart(),
+        c,
+        d,
+    );
+    let shared = &*SHARED.init(Shared::new());
+    let mut entropy = [0; 16];
+    Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
+    let node = Board {
+        hello: hello(),
+        accelerometer: Sensor::new(i2c, line, BoardTimer),
+        timer: BoardTimer,
+        store: FlashStore::new(BlockingAsync::new(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
+        entropy,
+        cable: cable.split(),
+        wireless: wireless.split(),
+    }
+    .split(shared);
+
+    let led = |pin: Peri<'static, AnyPin>| Output::new(pin, Level::Low, OutputDrive::Standard);
+    let matrix = Matrix {
+        rows: [
+            chip.P0_21.into(),
+            chip.P0_22.into(),
+            chip.P0_15.into(),
+            chip.P0_24.into(),
+            chip.P0_19.into(),
+        ]
+        .map(led),
+        columns: [
+            chip.P0_28.into(),
+            chip.P0_11.into(),
+            chip.P0_31.into(),
+            chip.P1_05.into(),
+            chip.P0_30.into(),
+        ]
+        .map(led),
+    };
+    // The board has its own pull-ups.
+    let button_a = Input::new(chip.P0_14, Pull::None);
+    let button_b = Input::new(chip.P0_23, Pull::None);
+    let mut feeding = wdt::Config::default();
+    feeding.timeout_ticks = WATCHDOG_TICKS;
+    feeding.action_during_debug_halt = wdt::HaltConfig::Pause;
+    // It cannot be on already: a reset switches it off.
+    let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else {
+        panic!()
+    };
+
+    let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
+    // Each is spawned once: there is room.
+    sampling.spawn(sample(node.sampler).unwrap());
+    EXECUTOR.init(Executor::new()).run(|spawner| {
+        spawner.spawn(control(node.control).unwrap());
+        spawner.spawn(listen(node.cable_reader).unwrap());
+        spawner.spawn(talk(node.cable_writer).unwrap());
+        spawner.spawn(listen(node.wireless_reader).unwrap());
+        spawner.spawn(talk(node.wireless_writer).unwrap());
+        spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
+    })
+}
+
+/// Starts the chip anew.
+fn restart() -> ! {
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Why the chip has started, and where the firmware stopped if it did.
+fn reason() -> (ResetReason, Option<Fault>) {
+    let fault = last_words::take();
+    let found = pac::POWER.resetreas().read();
+    // They add up until they are cleared, by ones.
+    pac::POWER.resetreas().write_value(found);
+    let reason = match found {
+        _ if fault.is_some() => ResetReason::Fault,
+        // Neither of the others: power came, or it dipped and came back, which is the same here.
+        _ if found.0 == 0 => ResetReason::PowerOn,
+        _ if found.dog() => ResetReason::Watchdog,
+        _ if found.lockup() => ResetReason::Fault,
+        _ if found.sreq() => ResetReason::Software,
+        _ if found.resetpin() => ResetReason::Pin,
+        _ => ResetReason::Unknown,
+    };
+    (reason, fault)
+}
+
+fn hello() -> Hello {
+    let part = |text: &str| text.parse().unwrap_or(0);
+    let (reset_reason, fault) = reason();
+    let [low, high] = [0, 1].map(|word| u64::from(pac::FICR.deviceid(word).read()));
+    Hello {
+        device_id: high << 32 | low,
+        firmware: [
+            part(env!("CARGO_PKG_VERSION_MAJOR")),
+            part(env!("CARGO_PKG_VERSION_MINOR")),
+            part(env!("CARGO_PKG_VERSION_PATCH")),
+        ],
+        reset_reason,
+        fault,
+        capabilities: Capabilities::ACCELEROMETER
+            .with(Capabilities::MAGNETOMETER)
+            .with(Capabilities::TEMPERATURE)
+            .with(Capabilities::DATA_READY)
+            .with(Capabilities::STORE),
+        sensitivity_known: true,
+        board: Part::new(board::MICROBIT_V2, "micro:bit v2"),
+        sensor: Part::new(sensor::LSM303AGR, "LSM303AGR"),
+        ..Hello::new(LinkRole::Cable)
+    }
+}

@@ -1,0 +1,219 @@
+//! Images as boards take them without a probe: Intel HEX for drag and drop onto a micro:bit, UF2
+//! for a Pico. Made from the loaded segments of an ELF file.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Where the files go.
+const FOLDER: &str = "target/firmware";
+
+const SEGMENT_LOADED: u32 = 1;
+
+/// Bytes of a line of a HEX file.
+const HEX_LINE: usize = 16;
+/// Bytes of a block of a UF2 file that carry data.
+const UF2_PAGE: u32 = 256;
+const UF2_FAMILY_RP2040: u32 = 0xe48b_ff56;
+
+/// How a board takes its image.
+#[derive(Clone, Copy)]
+pub enum Format {
+    Hex,
+    Uf2,
+}
+
+impl Format {
+    /// That of the board in `folder`, if it has one.
+    pub fn of(folder: &Path) -> Option<Self> {
+        match folder.file_name()?.to_str()? {
+            "microbit-v2" => Some(Self::Hex),
+            "pico-adxl345" => Some(Self::Uf2),
+            _ => None,
+        }
+    }
+
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Hex => "hex",
+            Self::Uf2 => "uf2",
+        }
+    }
+}
+
+/// Writes the image of the board in `folder` that is in the ELF file `elf`; says where.
+///
+/// # Errors
+/// Says which file cannot be read or written.
+pub fn write(folder: &Path, elf: &Path, format: Format) -> Result<PathBuf, String> {
+    let failed =
+        |path: &Path, problem: &dyn std::fmt::Display| format!("{}: {problem}", path.display());
+    let bytes = std::fs::read(elf).map_err(|problem| failed(elf, &problem))?;
+    let segments = segments(&bytes).ok_or_else(|| failed(elf, &"no ELF file of 32 bits"))?;
+    let content = match format {
+        Format::Hex => hex(&segments).into_bytes(),
+        Format::Uf2 => uf2(&segments),
+    };
+    let name = folder.file_name().unwrap_or_default();
+    let path = Path::new(FOLDER)
+        .join(name)
+        .with_extension(format.extension());
+    std::fs::create_dir_all(FOLDER).map_err(|problem| failed(Path::new(FOLDER), &problem))?;
+    std::fs::write(&path, content).map_err(|problem| failed(&path, &problem))?;
+    Ok(path)
+}
+
+/// A run of bytes at an address of the flash.
+type Segment<'a> = (u32, &'a [u8]);
+
+/// `None` if `elf` is no little-endian ELF file of 32 bits.
+fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
+    let word = |at: usize| Some(u32::from_le_bytes(*elf.get(at..)?.first_chunk()?));
+    let half = |at: usize| Some(u16::from_le_bytes(*elf.get(at..)?.first_chunk()?));
+    if elf.get(..6)? != b"\x7fELF\x01\x01" {
+        return None;
+    }
+    let table = word(0x1c)? as usize;
+    let stride = usize::from(half(0x2a)?);
+    let mut segments = Vec::new();
+    for index in 0..usize::from(half(0x2c)?) {
+        let at = table + index * stride;
+        let (kind, offset) = (word(at)?, word(at + 4)? as usize);
+        let (address, size) = (word(at + 12)?, word(at + 16)? as usize);
+        if kind == SEGMENT_LOADED && size > 0 {
+            segments.push((address, elf.get(offset..offset.checked_add(size)?)?));
+        }
+    }
+    segments.sort_by_key(|(address, _)| *address);
+    Some(segments)
+}
+
+fn hex(segments: &[Segment<'_>]) -> String {
+    let mut text = String::new();
+    let mut record = |kind: u8, address: u16, data: &[u8]| {
+        let [high, low] = address.to_be_bytes();
+        let mut bytes = vec![data.len() as u8, high, low, kind];
+        bytes.extend_from_slice(data);
+        let sum = bytes.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
+        bytes.push(sum.wrapping_neg());
+        text.push(':');
+        for byte in bytes {
+            let _ = write!(text, "{byte:02X}");
+        }
+        text.push('\n');
+    };
+    let mut upper = None;
+    for (start, data) in segments {
+        let mut address = *start;
+        let mut rest = *data;
+        while !rest.is_empty() {
+            if upper != Some(address >> 16) {
+                upper = Some(address >> 16);
+                record(4, 0, &((address >> 16) as u16).to_be_bytes());
+            }
+            // A line does not cross 64 KiB.
+            let room = 0x1_0000 - (address as usize & 0xffff);
+            let (line, after) = rest.split_at(rest.len().min(HEX_LINE).min(room));
+            record(0, address as u16, line);
+            address += line.len() as u32;
+            rest = after;
+        }
+    }
+    record(1, 0, &[]);
+    text
+}
+
+fn uf2(segments: &[Segment<'_>]) -> Vec<u8> {
+    let mut pages: BTreeMap<u32, [u8; UF2_PAGE as usize]> = BTreeMap::new();
+    for (start, data) in segments {
+        for (address, byte) in (*start..).zip(*data) {
+            let page = pages
+                .entry(address / UF2_PAGE * UF2_PAGE)
+                .or_insert([0; UF2_PAGE as usize]);
+            page[(address % UF2_PAGE) as usize] = *byte;
+        }
+    }
+    let mut blocks = Vec::new();
+    for (index, (address, page)) in pages.iter().enumerate() {
+        let head = [
+            0x0a32_4655,
+            0x9e5d_5157,
+            0x2000, // the last word of the head is a family
+            *address,
+            UF2_PAGE,
+            index as u32,
+            pages.len() as u32,
+            UF2_FAMILY_RP2040,
+        ];
+        let start = blocks.len();
+        blocks.extend(head.iter().flat_map(|word: &u32| word.to_le_bytes()));
+        blocks.extend_from_slice(page);
+        blocks.resize(start + 508, 0);
+        blocks.extend(0x0ab1_6f30_u32.to_le_bytes());
+    }
+    blocks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An ELF file with these segments, and one that is not loaded.
+    fn elf(segments: &[Segment<'_>]) -> Vec<u8> {
+        let mut file = b"\x7fELF\x01\x01".to_vec();
+        file.resize(52, 0);
+        file[0x1c] = 52;
+        file[0x2a] = 32;
+        file[0x2c] = segments.len() as u8 + 1;
+        let mut offset = 52 + 32 * (segments.len() + 1);
+        for (address, data) in segments {
+            let size = data.len() as u32;
+            let head = [1, offset as u32, 0x2000_0000, *address, size, size, 0, 4];
+            file.extend(head.iter().flat_map(|word| word.to_le_bytes()));
+            offset += data.len();
+        }
+        file.extend(
+            [7_u32, 0, 0, 0, 99, 0, 0, 0]
+                .iter()
+                .flat_map(|w| w.to_le_bytes()),
+        );
+        for (_, data) in segments {
+            file.extend_from_slice(data);
+        }
+        file
+    }
+
+    #[test]
+    fn segments_are_at_their_addresses_in_the_flash() {
+        let file = elf(&[(0x1000_0100, b"code"), (0x1000_0000, b"boot")]);
+        let expected: Vec<Segment<'_>> = vec![(0x1000_0000, b"boot"), (0x1000_0100, b"code")];
+        assert_eq!(segments(&file), Some(expected));
+        for cut in 0..file.len() - 4 {
+            assert_eq!(segments(&file[..cut]), None, "{cut}");
+        }
+    }
+
+    #[test]
+    fn a_hex_file_is_as_the_format_says() {
+        assert_eq!(
+            hex(&[(0x1_fffe, &[0x21, 0x46, 0x01, 0x36])]),
+            ":020000040001F9\n:02FFFE0021469A\n:020000040002F8\n:020000000136C7\n:00000001FF\n"
+        );
+    }
+
+    #[test]
+    fn a_uf2_file_holds_whole_pages_and_says_how_many() {
+        let blocks = uf2(&[(0x1000_0000, &[1; 256]), (0x1000_0110, &[2; 3])]);
+        assert_eq!(blocks.len(), 2 * 512);
+        let word = |at: usize| u32::from_le_bytes(blocks[at..at + 4].try_into().expect("four"));
+        for (index, address) in [(0, 0x1000_0000), (1, 0x1000_0100)] {
+            let at = index * 512;
+            assert_eq!(word(at), 0x0a32_4655);
+            assert_eq!(word(at + 12), address);
+            assert_eq!((word(at + 20), word(at + 24)), (index as u32, 2));
+            assert_eq!(word(at + 28), UF2_FAMILY_RP2040);
+            assert_eq!(word(at + 508), 0x0ab1_6f30);
+        }
+        assert_eq!(blocks[512 + 32 + 15..512 + 32 + 20], [0, 2, 2, 2, 0]);
+    }
+}

@@ -31,7 +31,7 @@ impl StoreFlash {
         let offset = offset as usize;
         if offset.checked_add(length).is_none_or(|end| end > SIZE) {
             Err(NorFlashErrorKind::OutOfBounds)
-        } else if offset % unit != 0 || length % unit != 0 {
+        } else if !offset.is_multiple_of(unit) || !length.is_multiple_of(unit) {
             Err(NorFlashErrorKind::NotAligned)
         } else {
             Ok(START + offset)

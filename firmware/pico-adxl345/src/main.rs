@@ -175,7 +175,7 @@ async fn show(
         };
         lamp.set_level((pattern >> (step % 8) & 1 != 0).into());
         step = step.wrapping_add(1);
-        if step % 8 == 0 {
+        if step.is_multiple_of(8) {
             before = now;
         }
         embassy_time::Timer::after_millis(125).await;

@@ -1,11 +1,13 @@
 //! From data to an error model, its report, and the file that goes to a board.
 
 mod export;
+mod magnetometer;
 mod page;
 mod reference;
 mod report;
 
 pub use export::{KalibrNoise, to_c, to_kalibr, to_rust};
+pub use magnetometer::{FieldPose, MagnetometerReport, calibrate_magnetometer};
 pub use reference::{AxisReport, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,

@@ -68,6 +68,9 @@ pub struct Output {
     pub after_gap: bool,
     /// Time of the row of a CSV file, s, where it has one.
     pub time_s: Option<f64>,
+    /// What the magnetometer put out, nT: in a recording with the first sample after it was read, in
+    /// a CSV file as its rows have it.
+    pub magnetic_field_nt: Option<[f64; 3]>,
 }
 
 /// One accelerometer's output.
@@ -120,6 +123,7 @@ impl Dataset {
                 samples: weight.unwrap_or(1),
                 after_gap: false,
                 time_s: row.time_ns.map(|ns| ns as f64 * 1e-9),
+                magnetic_field_nt: row.magnetic_field_ut.map(|field| field.map(|ut| ut * 1e3)),
             });
         }
         if outputs.is_empty() {
@@ -239,11 +243,12 @@ impl Dataset {
         let mut outputs = Vec::new();
         for boot in &boots {
             let mut next = None;
-            let mut temperatures = Temperatures::new(boot);
+            let mut surroundings = Surroundings::new(boot);
             for sample in &boot.raw {
                 outputs.push(Output {
                     value: sample.value.map(f64::from),
-                    temperature_c: temperatures.at(sample.time),
+                    magnetic_field_nt: surroundings.field_until(sample.time),
+                    temperature_c: surroundings.temperature,
                     samples: 1,
                     after_gap: next != Some(sample.sequence) && !outputs.is_empty(),
                     time_s: None,
@@ -323,33 +328,41 @@ impl RowClock {
     }
 }
 
-/// The latest temperature at growing times.
-struct Temperatures<'a> {
+/// Magnetic field and temperature at growing times.
+struct Surroundings<'a> {
     rest: &'a [wimu_link::message::Environment],
-    latest: Option<f64>,
+    /// The latest, °C.
+    temperature: Option<f64>,
 }
 
-impl<'a> Temperatures<'a> {
+impl<'a> Surroundings<'a> {
     fn new(boot: &'a Boot) -> Self {
-        // A board that replays another sensor's counts has a thermometer that was not there.
+        // A board that replays another sensor's counts has a thermometer and a magnetometer that were
+        // not there.
         let replays = boot
             .hello
             .is_some_and(|hello| hello.sensor.number == sensor::REPLAY);
         let rest: &[_] = if replays { &[] } else { &boot.environment };
         Self {
             rest,
-            latest: rest.iter().find_map(|e| e.temperature_centi_c).map(celsius),
+            temperature: rest.iter().find_map(|e| e.temperature_centi_c).map(celsius),
         }
     }
 
-    fn at(&mut self, time: DeviceTimeUs) -> Option<f64> {
+    /// The last field, nT, that was read since the time before.
+    fn field_until(&mut self, time: DeviceTimeUs) -> Option<[f64; 3]> {
+        let mut field = None;
         while let [first, rest @ ..] = self.rest
             && first.time_us <= time.0
         {
-            self.latest = first.temperature_centi_c.map(celsius).or(self.latest);
+            self.temperature = first.temperature_centi_c.map(celsius).or(self.temperature);
+            field = first
+                .magnetic_field_nt
+                .map(|nt| nt.map(f64::from))
+                .or(field);
             self.rest = rest;
         }
-        self.latest
+        field
     }
 }
 

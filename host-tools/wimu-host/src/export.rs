@@ -11,12 +11,17 @@ use crate::history::{Boot, LinkHistory};
 use crate::mcap_file::ClockAnchor;
 use crate::{ErrorCode, HostError, Result};
 
+/// The column that says whether the magnetic field is corrected.
+const FIELD_CALIBRATED: &str = "Field Calibrated";
+
 /// What a table holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportStream {
-    /// Counts, LSB, with magnetic field and temperature.
+    /// Counts, LSB, with magnetic field as the magnetometer put it out, and temperature.
     Raw,
-    /// Specific force, m/s², as the device corrected it.
+    /// Specific force, m/s², body axes, as the device corrected it. Where `Field Calibrated` is 1
+    /// the magnetic field is corrected by the parameters in use then, body axes; where it is 0 it is
+    /// as the magnetometer put it out.
     Corrected,
     /// Velocity and position, as the device integrated them.
     Navigation,
@@ -66,7 +71,10 @@ fn header(stream: ExportStream) -> Header {
     };
     match stream {
         ExportStream::Raw => samples(AccelerationUnit::Lsb),
-        ExportStream::Corrected => samples(AccelerationUnit::Mps2),
+        ExportStream::Corrected => Header {
+            other: vec!["Sequence".to_owned(), FIELD_CALIBRATED.to_owned()],
+            ..samples(AccelerationUnit::Mps2)
+        },
         ExportStream::Navigation => Header {
             accelerometers: Vec::new(),
             magnetometer: false,
@@ -97,21 +105,33 @@ fn rows(boot: &Boot, anchor: Option<ClockAnchor>, stream: ExportStream) -> Vec<R
         i64::try_from(utc.unwrap_or(time.0.saturating_mul(1000))).ok()
     };
     let mut slow = boot.environment.iter().peekable();
-    let mut latest = None;
+    let mut temperature_c = None;
+    let mut field_ut = None;
+    let mut field_calibrated = false;
     let mut row = |time: DeviceTimeUs, sequence: u32, value: [f64; 3]| {
         while let Some(next) = slow.next_if(|next| next.time_us <= time.0) {
-            latest = Some(*next);
+            temperature_c = next
+                .temperature_centi_c
+                .map(|centi| f64::from(centi) / 100.0);
+            let corrected = match stream {
+                ExportStream::Corrected => boot.corrected_field_nt(next),
+                _ => None,
+            };
+            field_calibrated = corrected.is_some();
+            field_ut = corrected
+                .or_else(|| Some(next.magnetic_field_nt?.map(f64::from)))
+                .map(|nt| nt.map(|axis| axis / 1000.0));
+        }
+        let mut other = vec![sequence.to_string()];
+        if stream == ExportStream::Corrected {
+            other.push(u8::from(field_calibrated).to_string());
         }
         Row {
             time_ns: time_ns(time),
             accelerations: vec![value],
-            magnetic_field_ut: latest
-                .and_then(|e| e.magnetic_field_nt)
-                .map(|field| field.map(|nt| f64::from(nt) / 1000.0)),
-            temperature_c: latest
-                .and_then(|e| e.temperature_centi_c)
-                .map(|centi| f64::from(centi) / 100.0),
-            other: vec![sequence.to_string()],
+            magnetic_field_ut: field_ut,
+            temperature_c,
+            other,
             ..Row::default()
         }
     };

@@ -8,7 +8,7 @@ use wimu_link::message::{
     ActiveParameters, Answer, Environment, Epoch, Event as DeviceEvent, Navigation, Payload, Status,
 };
 use wimu_link::{Hello, LinkRole, Settings, WIRE_VERSION};
-use wimu_model::{DeviceTimeUs, ParameterSet, Sensitivity};
+use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity};
 
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics, TimedSample};
@@ -102,6 +102,18 @@ impl Boot {
         ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))
     }
 
+    /// The magnetic field, nT, body axes, by the parameters that the device used then; `None` where
+    /// they are not known or have no magnetometer.
+    pub fn corrected_field_nt(&self, environment: &Environment) -> Option<[f64; 3]> {
+        let output = MagneticFieldNt(environment.magnetic_field_nt?);
+        let after = self
+            .epochs
+            .partition_point(|mark| mark.epoch.time_us <= environment.time_us);
+        let mark = self.epochs.get(after.saturating_sub(1))?;
+        let set = self.parameters_of(&mark.epoch).ok()?;
+        set.correct_field(output)
+    }
+
     /// Nominal sensitivity of the sensor, if the device knows it, from the epochs.
     pub fn nominal_sensitivity(&self) -> Option<Sensitivity> {
         let known = self.hello.is_none_or(|hello| hello.sensitivity_known);
@@ -109,6 +121,25 @@ impl Boot {
         Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g)
             .ok()
             .filter(|_| known)
+    }
+
+    /// Takes what tells of the parameters in use, keeping the latest epoch only.
+    pub(crate) fn take_parameters(&mut self, event: &Event) {
+        match event {
+            Event::Epoch { epoch, after_loss } => {
+                self.epochs = vec![EpochMark {
+                    epoch: *epoch,
+                    after_loss: *after_loss,
+                }];
+            }
+            Event::Parameters(parameters) => self.use_parameters(*parameters),
+            Event::Reply(reply) => {
+                if let Answer::Accepted(Payload::Parameters(parameters)) = reply.answer {
+                    self.use_parameters(parameters);
+                }
+            }
+            _ => {}
+        }
     }
 
     fn is_empty(&self) -> bool {
@@ -159,6 +190,17 @@ impl LinkHistory {
         }
         let last = self.boots.len() - 1;
         &mut self.boots[last]
+    }
+
+    /// The parameters that the device used last while raw samples came; `None` where no epoch tells.
+    ///
+    /// # Errors
+    /// Those of [`Boot::parameters_of`].
+    pub fn last_parameters(&self) -> Result<Option<ParameterSet>> {
+        let boot = self.boots.iter().rev().find(|boot| !boot.raw.is_empty());
+        boot.and_then(|boot| Some((boot, boot.epochs.last()?)))
+            .map(|(boot, mark)| boot.parameters_of(&mark.epoch))
+            .transpose()
     }
 
     /// Adds what has arrived.

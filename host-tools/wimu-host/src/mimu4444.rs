@@ -178,6 +178,7 @@ impl Capture {
                 samples: 1,
                 after_gap,
                 time_s: Some(packet.time_s()),
+                magnetic_field_nt: None,
             }
         });
         Ok(Dataset {

@@ -2,7 +2,9 @@
 //!
 //! Under `/cable` and `/wireless`: `imu/data_raw` (counts at nominal sensitivity, sensor axes) and
 //! `imu/data` (corrected, body axes), both `sensor_msgs/msg/Imu` in m/s²; `imu/mag`
-//! (`sensor_msgs/msg/MagneticField`, tesla); `imu/temperature` (`sensor_msgs/msg/Temperature`, °C).
+//! (as the magnetometer puts it out, its axes) and, where the parameters in use have a magnetometer,
+//! `imu/mag_corrected` (body axes), both `sensor_msgs/msg/MagneticField` in tesla; `imu/temperature`
+//! (`sensor_msgs/msg/Temperature`, °C).
 //! Stamps are device times through the clock model, in UTC. What there is none of has −1 as the first
 //! element of its covariance; a covariance of zeros is unknown.
 
@@ -16,6 +18,7 @@ use wimu_model::{DeviceTimeUs, STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use crate::compare::LinkModel;
 use crate::decode::Event;
+use crate::history::Boot;
 use crate::mcap_file::{RecordingReader, RecordingWriter, Topic};
 use crate::walk::{Clocks, Start, Step, Walker, walk};
 use crate::{ErrorCode, HostError, Result};
@@ -39,6 +42,7 @@ enum Kind {
     Raw,
     Corrected,
     Magnetic,
+    MagneticCorrected,
     Temperature,
 }
 
@@ -48,6 +52,7 @@ impl Kind {
             Self::Raw => "imu/data_raw",
             Self::Corrected => "imu/data",
             Self::Magnetic => "imu/mag",
+            Self::MagneticCorrected => "imu/mag_corrected",
             Self::Temperature => "imu/temperature",
         }
     }
@@ -55,7 +60,7 @@ impl Kind {
     fn schema_name(self) -> &'static str {
         match self {
             Self::Raw | Self::Corrected => "sensor_msgs/msg/Imu",
-            Self::Magnetic => "sensor_msgs/msg/MagneticField",
+            Self::Magnetic | Self::MagneticCorrected => "sensor_msgs/msg/MagneticField",
             Self::Temperature => "sensor_msgs/msg/Temperature",
         }
     }
@@ -74,7 +79,7 @@ impl Kind {
                  geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n\
                  {header}{NEXT}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{vector}"
             ),
-            Self::Magnetic => format!(
+            Self::Magnetic | Self::MagneticCorrected => format!(
                 "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\n\
                  float64[9] magnetic_field_covariance\n{header}{vector}"
             ),
@@ -116,6 +121,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         out: RecordingWriter::create(to, anchor)?,
         topics: BTreeMap::new(),
         units: BTreeMap::new(),
+        parameters: BTreeMap::new(),
         link_model,
         decoded: Decoded::default(),
         message: Vec::new(),
@@ -137,6 +143,8 @@ struct Writer<'a> {
     topics: BTreeMap<(u8, Kind), Topic>,
     /// m/s² per LSB of raw samples.
     units: BTreeMap<(u8, Start), f64>,
+    /// What tells how the field is corrected: parameters and the latest epoch.
+    parameters: BTreeMap<(u8, Start), Boot>,
     link_model: Option<&'a LinkModel>,
     decoded: Decoded,
     message: Vec<u8>,
@@ -161,6 +169,8 @@ impl Writer<'_> {
             };
             writer.write(role, kind, arrived_ns, clock.host_ns(time), fields)
         };
+        let held = self.parameters.entry((role.number(), start)).or_default();
+        held.take_parameters(&arrival.event);
         match &arrival.event {
             Event::Epoch { epoch, .. } => {
                 let unit = STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g;
@@ -191,12 +201,18 @@ impl Writer<'_> {
             }
             Event::Environment(environment) => {
                 let time = DeviceTimeUs(environment.time_us);
-                if let Some(field) = environment.magnetic_field_nt {
+                let corrected = held.corrected_field_nt(environment);
+                let field = environment.magnetic_field_nt.map(|nt| nt.map(f64::from));
+                for (kind, nt) in [
+                    (Kind::Magnetic, field),
+                    (Kind::MagneticCorrected, corrected),
+                ] {
+                    let Some(nt) = nt else { continue };
                     let mut fields = [0.0; 12];
                     for axis in 0..3 {
-                        fields[axis] = f64::from(field[axis]) * 1e-9;
+                        fields[axis] = nt[axis] * 1e-9;
                     }
-                    write(self, Kind::Magnetic, time, &fields)?;
+                    write(self, kind, time, &fields)?;
                 }
                 if let Some(centi) = environment.temperature_centi_c {
                     write(

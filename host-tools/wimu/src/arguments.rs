@@ -232,7 +232,8 @@ pub struct Export {
     /// Take this error model off its link, as `wimu compare -o` wrote it
     #[arg(long, value_name = "LINK.json")]
     pub link_model: Option<PathBuf>,
-    /// What is written
+    /// What is written; the magnetic field is corrected with corrected only, where Field Calibrated
+    /// is 1
     #[arg(long, value_enum, default_value_t = Stream::Raw)]
     pub stream: Stream,
     /// Of which link; without it, the cable if it was recorded
@@ -295,13 +296,22 @@ Example: wimu calibrate session.mcap -o CAL.json
          wimu calibrate turns.csv --method four-angle --placement-sd 0.5
          wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
          wimu calibrate session.mcap --method reference           (wireless against cable)
-         wimu calibrate two.csv --method reference --reference 0 --accelerometer 1")]
+         wimu calibrate two.csv --method reference --reference 0 --accelerometer 1
+         wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json")]
 pub struct Calibrate {
     /// A LINK, a recording or a CSV file
     pub input: String,
     /// Write the calibration here
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
+    /// Which sensor; the magnetometer from rests in twelve orientations or more, turned about the
+    /// vertical too, beside a calibrated accelerometer
+    #[arg(long, value_enum, default_value_t = Calibrated::Accelerometer)]
+    pub sensor: Calibrated,
+    /// How the accelerometer beside the magnetometer is calibrated; without it, as the recording or
+    /// the device says
+    #[arg(long, value_name = "CAL.json")]
+    pub with: Option<PathBuf>,
     /// How: from gravity's magnitude in any poses, from six known ones, from turns about level axes
     /// in steps of 90° or 120°, or against a reference that moves along: the cable's samples, or
     /// another accelerometer of a CSV file
@@ -412,6 +422,12 @@ pub struct Allan {
     /// Of which link of a recording; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Calibrated {
+    Accelerometer,
+    Magnetometer,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -28,6 +28,7 @@ fn pose_means(unit: OutputUnit, per_mps2: f64) -> Dataset {
             samples: 100,
             after_gap: false,
             time_s: None,
+            magnetic_field_nt: None,
         }
     };
     Dataset {

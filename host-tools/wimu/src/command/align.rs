@@ -60,17 +60,12 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
             let data = Dataset::from_link(link, &recording.name)?;
             let set = match given {
                 Some(set) => set,
-                None => {
-                    let boot = link.boots.iter().rev().find(|boot| !boot.raw.is_empty());
-                    let held = boot.and_then(|boot| Some((boot, boot.epochs.last()?)));
-                    let (boot, mark) = held.ok_or_else(|| {
-                        usage(
-                            "the recording does not say how its sensor is calibrated",
-                            "add --calibration CAL.json",
-                        )
-                    })?;
-                    boot.parameters_of(&mark.epoch)?
-                }
+                None => link.last_parameters()?.ok_or_else(|| {
+                    usage(
+                        "the recording does not say how its sensor is calibrated",
+                        "add --calibration CAL.json",
+                    )
+                })?,
             };
             (data, set)
         }

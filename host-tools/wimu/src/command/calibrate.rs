@@ -1,5 +1,7 @@
 //! `wimu calibrate`.
 
+mod magnetometer;
+
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -18,12 +20,22 @@ use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
 use wimu_model::{Counts, Sensitivity};
 
-use crate::arguments::{Calibrate, Foreign, Method};
+use crate::arguments::{Calibrate, Calibrated, Foreign, Method};
 use crate::command::{connect, connect_to_write, interrupted, not_over_input, params};
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 when the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+    if arguments.sensor == Calibrated::Magnetometer {
+        return magnetometer::run(arguments, output);
+    }
+    if arguments.with.is_some() {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "--with goes with --sensor magnetometer only",
+            "leave it out, or add --sensor magnetometer",
+        ));
+    }
     if arguments.method == Method::Reference {
         return against_reference(arguments, output);
     }

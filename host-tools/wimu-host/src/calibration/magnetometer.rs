@@ -1,0 +1,261 @@
+//! Hard and soft iron of a magnetometer, and how it lies to the calibrated accelerometer beside it.
+
+use std::fmt;
+
+use serde::Serialize;
+use wimu_calib::{MagneticPose, Pose, find_poses, magnetometer};
+use wimu_link::message::parameter_id;
+use wimu_model::{
+    MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet, SpecificForceMps2,
+};
+
+use super::{HELD_SCHEMA, MAX_POSES, magnitude};
+use crate::dataset::{Dataset, OutputUnit, RateSource};
+use crate::error::{ErrorCode, HostError, Result};
+
+/// What `wimu calibrate --sensor magnetometer` says, and a file that `wimu params push` reads.
+#[derive(Clone, Debug, Serialize)]
+pub struct MagnetometerReport {
+    /// [`HELD_SCHEMA`].
+    pub schema: &'static str,
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// The data.
+    pub source: String,
+    /// `magnetometer`.
+    pub sensor: &'static str,
+    /// Rests found, with and without a magnetic field.
+    pub rests: usize,
+    /// Those with a magnetic field.
+    pub poses: Vec<FieldPose>,
+    /// Hard and soft iron with their standard deviations, residuals, condition and rotation.
+    pub magnetometer: Option<MagnetometerTerms>,
+    /// Standard deviation of the rotation's error about the accelerometer's axes, degrees.
+    pub rotation_sd_deg: Option<[f64; 3]>,
+    /// Angle of the field below the horizontal, degrees.
+    pub dip_deg: Option<f64>,
+    /// The accelerometer's set with the magnetometer.
+    pub parameters: Option<ParameterSet>,
+    /// Its id.
+    pub parameter_id: Option<String>,
+}
+
+/// The magnetic field at one rest.
+#[derive(Clone, Debug, Serialize)]
+pub struct FieldPose {
+    /// Index of the rest's first sample.
+    pub first_sample: u64,
+    /// How many measurements of the field fell into it.
+    pub fields: usize,
+    /// Their median per axis as the magnetometer put it out, µT.
+    pub output_ut: [f64; 3],
+    /// Length of the corrected field less that of all, µT.
+    pub residual_ut: Option<f64>,
+}
+
+impl MagnetometerReport {
+    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    pub fn exit_code(&self) -> u8 {
+        if self.parameters.is_some() { 0 } else { 3 }
+    }
+}
+
+/// Estimates the magnetometer beside an accelerometer that `set` corrects; its model takes the place
+/// of the one in `set`.
+///
+/// Data that do not support an answer give a report that says so.
+///
+/// # Errors
+/// `csv_missing_column`, `no_rows` without a magnetic field; `data_refused` when the data were taken
+/// at another range than that of `set`.
+pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<MagnetometerReport> {
+    check(data, set)?;
+    let scale = match data.unit {
+        OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
+        OutputUnit::Mps2 => 1.0,
+    };
+    // A gap ends a hold.
+    let samples: Vec<([f64; 3], Option<[f64; 3]>)> = data
+        .outputs
+        .iter()
+        .flat_map(|output| {
+            let gap = output.after_gap.then_some(([f64::NAN; 3], None));
+            let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
+            let force = set.model.correct(sensed, None).0;
+            gap.into_iter().chain([(force, output.magnetic_field_nt)])
+        })
+        .collect();
+    let rests = if data.poses {
+        let rest = |(index, (force, _)): (usize, &([f64; 3], _))| Pose {
+            first_sample: index as u64,
+            ..Pose::from_mean(*force)
+        };
+        samples.iter().enumerate().map(rest).collect()
+    } else {
+        let forces = samples.iter().map(|(force, _)| (*force, None));
+        let mut rests = vec![Pose::default(); MAX_POSES];
+        let found = find_poses(forces, data.rate_hz, &mut rests);
+        rests.truncate(found);
+        rests
+    };
+    let mut fitted = Vec::new();
+    let mut poses = Vec::new();
+    for rest in &rests {
+        let first = rest.first_sample as usize;
+        let part = samples.get(first..).unwrap_or(&[]);
+        let part = &part[..part.len().min(rest.samples as usize)];
+        let fields: Vec<[f64; 3]> = part
+            .iter()
+            .filter_map(|(_, field)| *field)
+            // Registers read before the first conversion hold zeros.
+            .filter(|field| *field != [0.0; 3] && field.iter().all(|axis| axis.is_finite()))
+            .collect();
+        let Some(output_nt) = median(&fields) else {
+            continue;
+        };
+        fitted.push(MagneticPose {
+            output_nt,
+            up: rest.mean_mps2,
+        });
+        poses.push(FieldPose {
+            first_sample: rest.first_sample,
+            fields: fields.len(),
+            output_ut: output_nt.map(|nt| nt / 1e3),
+            residual_ut: None,
+        });
+    }
+    let mut report = MagnetometerReport {
+        schema: HELD_SCHEMA,
+        status: "refused",
+        reason: None,
+        source: data.name.clone(),
+        sensor: "magnetometer",
+        rests: rests.len(),
+        poses,
+        magnetometer: None,
+        rotation_sd_deg: None,
+        dip_deg: None,
+        parameters: None,
+        parameter_id: None,
+    };
+    match magnetometer(&fitted) {
+        Err(refusal) => report.reason = Some(refusal.to_string()),
+        Ok(model) => report.accept(model, set, &fitted),
+    }
+    Ok(report)
+}
+
+fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
+    if data.outputs.iter().all(|o| o.magnetic_field_nt.is_none()) {
+        let error = match data.rate_source {
+            RateSource::Device => HostError::new(
+                ErrorCode::NoRows,
+                "no magnetic field came over the link",
+                "record a board that has a magnetometer",
+            ),
+            _ => HostError::new(
+                ErrorCode::CsvMissingColumn,
+                "there is no magnetometer in it",
+                "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
+            ),
+        };
+        return Err(error.at(&data.name));
+    }
+    match data.unit {
+        OutputUnit::Counts {
+            range_g: Some(range_g),
+            ..
+        } if range_g != set.range_g => Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!(
+                "it was recorded at ±{range_g} g, the accelerometer's calibration is for ±{} g",
+                set.range_g
+            ),
+            "calibrate the accelerometer at that range first",
+        )
+        .at(&data.name)),
+        _ => Ok(()),
+    }
+}
+
+/// Per axis: a value that is left over from the motion before does not move it.
+fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
+    let last = fields.len().checked_sub(1)?;
+    Some([0, 1, 2].map(|axis| {
+        let mut values: Vec<f64> = fields.iter().map(|field| field[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        0.5 * (values[last / 2] + values[last.div_ceil(2)])
+    }))
+}
+
+impl MagnetometerReport {
+    fn accept(&mut self, model: MagnetometerModel, set: &ParameterSet, fitted: &[MagneticPose]) {
+        let terms = *model.terms();
+        for (pose, fitted) in self.poses.iter_mut().zip(fitted) {
+            let length = magnitude(model.correct(MagneticFieldNt(
+                fitted.output_nt.map(|nt| nt.round() as i32),
+            )));
+            pose.residual_ut = Some((length - f64::from(terms.field_nt)) / 1e3);
+        }
+        let with = ParameterSet {
+            magnetometer: Some(model),
+            ..*set
+        };
+        self.status = "ok";
+        self.rotation_sd_deg = terms
+            .to_accelerometer
+            .map(|r| [0, 1, 2].map(|axis| r.covariance.sd(axis).to_degrees()));
+        self.dip_deg = terms
+            .to_accelerometer
+            .map(|r| f64::from(r.dip_rad).to_degrees());
+        self.magnetometer = Some(terms);
+        self.parameter_id = Some(parameter_id(&with).to_string());
+        self.parameters = Some(with);
+    }
+}
+
+impl fmt::Display for MagnetometerReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (source, rests, poses) = (&self.source, self.rests, self.poses.len());
+        write!(
+            out,
+            "{source}: {rests} rests, {poses} with a magnetic field"
+        )?;
+        let Some(m) = &self.magnetometer else {
+            let reason = self.reason.as_deref().unwrap_or("no reason");
+            return write!(out, "\nrefused: {reason}");
+        };
+        let list = |values: &[f32], digits: usize| {
+            let each = values.iter().map(|value| format!("{value:+.digits$}"));
+            each.collect::<Vec<_>>().join(" ")
+        };
+        let ut = |nt: [f32; 3]| list(&nt.map(|axis| axis / 1e3), 3);
+        write!(
+            out,
+            "\nhard iron {} µT, 1 σ {}\nsoft iron xx yy zz xy xz yz {}\n     1 σ {}\n\
+             field {:.2} µT, {:.3} µT rms, left out {:.3}, condition {:.1}",
+            ut(m.hard_iron_nt),
+            ut(m.hard_iron_sd_nt),
+            list(&m.soft_iron, 5),
+            list(&m.soft_iron_sd, 5),
+            m.field_nt / 1e3,
+            m.rms_nt / 1e3,
+            m.loo_rms_nt / 1e3,
+            m.condition
+        )?;
+        if let (Some(r), Some([x, y, z])) = (&m.to_accelerometer, self.rotation_sd_deg) {
+            let [w, i, j, k] = r.rotation.quaternion();
+            write!(
+                out,
+                "\nto the accelerometer {w:+.5} {i:+.5} {j:+.5} {k:+.5} ± {x:.2} {y:.2} {z:.2}°, \
+                 dip {:+.2}° ({:.2}° rms over the poses; negative north of the equator: an axis is \
+                 mirrored)",
+                r.dip_rad.to_degrees(),
+                r.dip_rms_rad.to_degrees()
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -22,6 +22,8 @@ const STATUS_NACK_ADDRESS: u8 = 0xF1;
 const STATUS_NACK_DATA: u8 = 0xF2;
 /// The bridge answers within this time or not at all.
 const PATIENCE_US: u64 = 1_000_000;
+/// A bridge that has said nothing for so long has answered all that it was asked.
+const QUIET_US: u64 = 100_000;
 /// Longest message.
 const MESSAGE: usize = 64;
 
@@ -31,6 +33,8 @@ pub struct Bridge {
     writer: Writer,
     /// Bytes of an answer that nobody waits for any more.
     owed: usize,
+    /// Whether nobody knows which answers are still to come.
+    lost: bool,
 }
 
 impl Bridge {
@@ -40,6 +44,7 @@ impl Bridge {
             reader,
             writer,
             owed: 0,
+            lost: false,
         }
     }
 
@@ -52,13 +57,14 @@ impl Bridge {
             SENSOR_BUS.read_now(answer, || {});
             return Ok(());
         }
+        if self.lost {
+            self.find().await?;
+        }
         let deadline = DeviceTimeUs(BoardTimer.now().0 + PATIENCE_US);
         while self.owed > 0 {
             let mut stale = [0; MESSAGE];
             let length = self.owed.min(stale.len());
-            // If it never comes, the bridge has begun anew.
-            let read = self.receive(deadline, &mut stale[..length]).await;
-            read.inspect_err(|_| self.owed = 0)?;
+            self.receive(deadline, &mut stale[..length]).await?;
         }
         self.owed = answer.len();
         let Ok(()) = self.writer.write_all(question).await;
@@ -80,8 +86,30 @@ impl Bridge {
                 self.owed -= count;
                 Ok(count)
             }
-            None => Err(BridgeError::Silent),
+            None => {
+                self.lost = true;
+                Err(BridgeError::Silent)
+            }
         }
+    }
+
+    /// After a silence: a bridge that was held up answers every question since then, one that has
+    /// begun anew none of them. Asks once more and waits until it has nothing left to say.
+    async fn find(&mut self) -> Result<(), BridgeError> {
+        let Ok(()) = self.writer.write_all(b"IP").await;
+        let mut stale = [0; MESSAGE];
+        let mut patience = PATIENCE_US;
+        loop {
+            let deadline = DeviceTimeUs(BoardTimer.now().0 + patience);
+            match BoardTimer.before(deadline, self.reader.read(&mut stale)).await {
+                Some(Ok(_)) => patience = QUIET_US,
+                None if patience == QUIET_US => break,
+                None => return Err(BridgeError::Silent),
+            }
+        }
+        self.owed = 0;
+        self.lost = false;
+        Ok(())
     }
 
     /// Whether the sensor has data.

@@ -42,6 +42,11 @@ Usage: qemu IMAGE [OPTION VALUE]…
             return Ok(());
         }
         let options = parse(&words)?;
+        if options.cable == options.wireless {
+            return Err(usage(
+                "the cable and the wireless link need an address each",
+            ));
+        }
         for address in [options.cable, options.wireless] {
             is_free(address)?;
         }
@@ -99,6 +104,11 @@ Usage: qemu IMAGE [OPTION VALUE]…
                 "--wireless" => parsed.wireless = value.parse().map_err(|_| wrong(()))?,
                 _ => return Err(usage(format!("there is no option {name}"))),
             }
+        }
+        if parsed.cable.port() == 0 || parsed.wireless.port() == 0 {
+            return Err(usage(
+                "a link's address needs a port, such as 127.0.0.1:7100",
+            ));
         }
         Ok(parsed)
     }

@@ -89,8 +89,8 @@ const ROWS: [Row; 16] = [
     row("framing-motion", "their frame: CRC and COBS"),
     row("batch-rest", "packing and frame, at rest"),
     row("batch-motion", "packing and frame, in motion"),
-    row("path-rest", "all of it: counts to frames, at rest"),
-    row("path-motion", "all of it: counts to frames, in motion"),
+    row("path-rest", "counts to frames of raw samples, at rest"),
+    row("path-motion", "counts to frames of raw samples, in motion"),
     row("array-four", "four triads to ω, ω̇ and s in f32, all roots"),
     barred(
         "array-eight",

@@ -155,6 +155,35 @@ fn a_board_whose_sensor_bridge_is_silent_says_so_and_goes_on_when_it_speaks() {
 
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn a_bridge_that_falls_silent_for_seconds_is_understood_again() {
+    let folder = folder();
+    let [cable, wireless] = free_ports();
+    let mut board = start(folder.path(), cable, wireless);
+    let speaks = AtomicBool::new(true);
+    thread::scope(|scope| {
+        let host = scope.spawn(|| {
+            let mut cable = connect(tcp(cable));
+            cable.hear(100);
+            for _ in 0..2 {
+                speaks.store(false, Ordering::Relaxed);
+                cable.until_told(|event| matches!(event, DeviceEvent::SensorLost(_)));
+                // The board goes on asking, and all that is answered late.
+                thread::sleep(Duration::from_secs(4));
+                speaks.store(true, Ordering::Relaxed);
+                cable.until_told(|event| event == DeviceEvent::SensorFound);
+                cable.hear(100);
+            }
+        });
+        while !host.is_finished() {
+            let ran = board.run(|| host.is_finished() || !speaks.load(Ordering::Relaxed));
+            ran.unwrap_or_else(|error| panic!("{error}"));
+            thread::sleep(Duration::from_millis(10));
+        }
+    });
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn a_client_that_floods_or_leaves_stops_no_sampling() {
     let folder = folder();
     let [cable, wireless] = free_ports();

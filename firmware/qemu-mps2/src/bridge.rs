@@ -101,7 +101,10 @@ impl Bridge {
         let mut patience = PATIENCE_US;
         loop {
             let deadline = DeviceTimeUs(BoardTimer.now().0 + patience);
-            match BoardTimer.before(deadline, self.reader.read(&mut stale)).await {
+            match BoardTimer
+                .before(deadline, self.reader.read(&mut stale))
+                .await
+            {
                 Some(Ok(_)) => patience = QUIET_US,
                 None if patience == QUIET_US => break,
                 None => return Err(BridgeError::Silent),

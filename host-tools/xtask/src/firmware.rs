@@ -186,7 +186,7 @@ pub fn test() -> Result<(), String> {
 pub fn check(workspace: &Workspace) -> Result<(), String> {
     run(workspace)?;
     if setup::provide(Need::Targets, &mut ThisMachine)? == Source::Toolchain {
-        let clippy = setup::cargo("clippy --release").words("-- -D warnings");
+        let clippy = CommandLine::new("cargo clippy --release --locked").words("-- -D warnings");
         for folder in &workspace.firmware {
             clippy.clone().inside(folder).run()?;
         }

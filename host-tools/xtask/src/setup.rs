@@ -100,14 +100,14 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
 /// Cargo that can build for [`TARGETS`] from `source`.
 pub fn embedded_cargo(source: Source) -> CommandLine {
     let cargo = match source {
-        Source::Toolchain => return cargo("build"),
+        Source::Toolchain => return CommandLine::new("cargo build --locked"),
         // Debian ships no core for these targets, but its sources; nor a rust-lld, but an lld.
-        Source::Debian => CommandLine::new("/usr/bin/cargo build")
+        Source::Debian => CommandLine::new("/usr/bin/cargo build --locked")
             .words("-Zbuild-std=core,alloc -Zbuild-std-features=compiler-builtins-mem")
             .with("RUSTC_BOOTSTRAP", "1")
             .with("RUSTC", "/usr/bin/rustc"),
     };
-    TARGETS.iter().fold(locked(cargo), |cargo, target| {
+    TARGETS.iter().fold(cargo, |cargo, target| {
         let name = target.replace('-', "_").to_uppercase();
         cargo.with(&format!("CARGO_TARGET_{name}_LINKER"), "ld.lld")
     })
@@ -443,7 +443,7 @@ mod tests {
         for part in [
             "RUSTC=/usr/bin/rustc",
             "CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER=ld.lld",
-            "/usr/bin/cargo build -Zbuild-std=core,alloc",
+            "/usr/bin/cargo build --locked -Zbuild-std=core,alloc",
         ] {
             assert!(line.contains(part), "{line}");
         }

@@ -7,8 +7,10 @@ use crate::firmware;
 use crate::setup::{self, Need, TARGETS, ThisMachine};
 use crate::workspace::Workspace;
 
-/// Crates below this many bytes of code are added up.
+/// Crates below this many bytes are added up.
 const WORTH_A_LINE: u32 = 1024;
+/// Where the RAM of Cortex-M begins.
+const RAM: std::ops::Range<u32> = 0x2000_0000..0x4000_0000;
 
 /// Builds every board and prints the sizes of its images.
 ///
@@ -45,8 +47,23 @@ struct Size {
     flash: u32,
     /// Without the stack.
     ram: u32,
-    /// Of code, by the crate that it is from.
-    crates: BTreeMap<String, u32>,
+    /// What has a name, by the crate that it is from.
+    crates: BTreeMap<String, Share>,
+}
+
+/// Bytes of one crate.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Share {
+    /// Functions and constants.
+    flash: u32,
+    /// Variables.
+    ram: u32,
+}
+
+impl Share {
+    fn total(self) -> u32 {
+        self.flash + self.ram
+    }
 }
 
 const SECTION_PROGBITS: u32 = 1;
@@ -54,6 +71,7 @@ const SECTION_SYMBOLS: u32 = 2;
 const SECTION_NOBITS: u32 = 8;
 const FLAG_WRITE: u32 = 1;
 const FLAG_ALLOCATED: u32 = 2;
+const SYMBOL_OBJECT: u8 = 1;
 const SYMBOL_FUNCTION: u8 = 2;
 
 /// The fields of an ELF section's header that matter here.
@@ -98,19 +116,26 @@ impl Size {
             }
             if section.kind == SECTION_SYMBOLS {
                 let names = sections.get(section.link)?.offset;
-                size.add_code(elf, section, names)?;
+                size.add_named(elf, section, names)?;
             }
         }
         Some(size)
     }
 
-    fn add_code(&mut self, elf: &[u8], symbols: &Section, names: usize) -> Option<()> {
+    fn add_named(&mut self, elf: &[u8], symbols: &Section, names: usize) -> Option<()> {
         for at in (symbols.offset..symbols.offset + symbols.size as usize).step_by(16) {
-            if elf.get(at + 12)? & 15 == SYMBOL_FUNCTION {
-                let name = elf.get(names + word(elf, at)? as usize..)?;
-                let name = name.split(|&byte| byte == 0).next()?;
-                let of = crate_of(std::str::from_utf8(name).ok()?);
-                *self.crates.entry(of.to_owned()).or_default() += word(elf, at + 8)?;
+            if ![SYMBOL_OBJECT, SYMBOL_FUNCTION].contains(&(elf.get(at + 12)? & 15)) {
+                continue;
+            }
+            let name = elf.get(names + word(elf, at)? as usize..)?;
+            let name = name.split(|&byte| byte == 0).next()?;
+            let of = crate_of(std::str::from_utf8(name).ok()?);
+            let share = self.crates.entry(of).or_default();
+            let (address, bytes) = (word(elf, at + 4)?, word(elf, at + 8)?);
+            if RAM.contains(&address) {
+                share.ram += bytes;
+            } else {
+                share.flash += bytes;
             }
         }
         Some(())
@@ -125,43 +150,59 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
-/// The crate in a mangled name: its first part, or the first type in it.
-fn crate_of(symbol: &str) -> &str {
-    const OTHER: &str = "without a crate";
-    let Some(path) = symbol.strip_prefix("_ZN") else {
-        return OTHER;
+/// The crate in a mangled name: that of its first path, or of the first type in it.
+fn crate_of(symbol: &str) -> String {
+    let Ok(name) = rustc_demangle::try_demangle(symbol) else {
+        return "without a crate".into();
     };
-    let digits = path.len() - path.trim_start_matches(|c: char| c.is_ascii_digit()).len();
-    let (length, rest) = path.split_at(digits);
-    let first = length
-        .parse()
-        .ok()
-        .and_then(|length: usize| rest.get(..length));
-    let Some(first) = first else { return OTHER };
-    // `<wimu_link::batch::Batch as …>` is `_$LT$wimu_link..batch..Batch$u20$as…`.
-    let first = first.rsplit_once("$LT$").map_or(first, |(_, inner)| inner);
-    let end = first.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
-    match first.get(..end.unwrap_or(first.len())) {
-        Some(name) if name.starts_with(|c: char| c.is_ascii_lowercase()) => name,
-        _ => OTHER,
+    let name = format!("{name:#}");
+    let mut path = name.as_str();
+    // `<&mut wimu_link::batch::Batch as …>`, `<[u8; 3] as …>`.
+    while let Some(rest) = path.strip_prefix(['<', '&', '[', '(', '*']) {
+        path = rest;
+        for word in ["mut ", "const ", "dyn "] {
+            path = path.strip_prefix(word).unwrap_or(path);
+        }
     }
+    let end = path.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+    let (first, rest) = path.split_at(end.unwrap_or(path.len()));
+    // What is done for a type of the language is done by the standard library.
+    if rest.starts_with("::") {
+        first
+    } else {
+        "core"
+    }
+    .into()
 }
 
 fn table(size: &Size) -> String {
     let mut text = format!(
-        "flash {:>7} bytes\nRAM   {:>7} bytes, and the stack\n",
+        "in all       flash {:>7}  RAM {:>6} and the stack, bytes\n",
         size.flash, size.ram
     );
+    let mut line = |name: &str, share: Share| {
+        let Share { flash, ram } = share;
+        text += &format!("             flash {flash:>7}  RAM {ram:>6}  {name}\n");
+    };
     let mut crates: Vec<_> = size.crates.iter().collect();
-    crates.sort_by_key(|&(_, bytes)| std::cmp::Reverse(bytes));
-    let (large, small): (Vec<_>, Vec<_>) = crates
-        .into_iter()
-        .partition(|&(_, &bytes)| bytes >= WORTH_A_LINE);
-    for (name, bytes) in large {
-        text += &format!("  code {bytes:>7} {name}\n");
+    crates.sort_by_key(|&(_, share)| std::cmp::Reverse(share.total()));
+    let mut others = Share::default();
+    for (name, &share) in crates {
+        if share.total() >= WORTH_A_LINE {
+            line(name, share);
+        } else {
+            others.flash += share.flash;
+            others.ram += share.ram;
+        }
     }
-    let small: u32 = small.into_iter().map(|(_, bytes)| bytes).sum();
-    text + &format!("  code {small:>7} in all others\n")
+    line("in all others", others);
+    let named: u32 = size.crates.values().map(|share| share.flash).sum();
+    let unnamed = Share {
+        flash: size.flash.saturating_sub(named),
+        ram: 0,
+    };
+    line("without a name: texts, tables, initial values", unnamed);
+    text
 }
 
 #[cfg(test)]
@@ -176,12 +217,13 @@ mod tests {
                 "wimu_link",
             ),
             (
-                "_ZN60_$LT$wimu_link..batch..Batch$u20$as$u20$core..fmt..Debug$GT$3fmt17h0E",
+                "_ZN60_$LT$wimu_link..batch..Batch$u20$as$u20$core..fmt..Debug$GT$3fmt17h7acac7af30088277E",
                 "wimu_link",
             ),
+            ("_RNvCs15kBYyAo9fc_7mycrate7example", "mycrate"),
+            ("_RNvXCs15kBYyAo9fc_4coreaNtB2_5Debug3fmt", "core"),
             ("__aeabi_memclr4", "without a crate"),
             ("_ZN", "without a crate"),
-            ("_ZN99short", "without a crate"),
         ] {
             assert_eq!(crate_of(symbol), of, "{symbol}");
         }
@@ -200,12 +242,13 @@ mod tests {
             flash: 5000,
             ram: 12,
             crates: [("big", 4000), ("a", 10), ("b", 20)]
-                .map(|(n, b)| (n.to_owned(), b))
+                .map(|(name, flash)| (name.to_owned(), Share { flash, ram: 4 }))
                 .into(),
         };
         let text = table(&size);
         assert!(
-            text.contains("4000 big") && text.contains("30 in all others"),
+            text.contains("4000  RAM      4  big")
+                && text.contains("30  RAM      8  in all others"),
             "{text}"
         );
     }

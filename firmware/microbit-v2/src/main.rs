@@ -93,6 +93,8 @@ async fn attend(
     let mut before = shared.health();
     let mut picture = display::picture(&before, &before);
     let mut pressed = 0;
+    // A button that has been down since the start is stuck, not held.
+    let mut released = false;
     let mut held = 0;
     let mut marks = 0_u16;
     for tick in (0..ROWS_A_SECOND).cycle() {
@@ -108,7 +110,9 @@ async fn attend(
             shared.mark(BoardTimer.now(), marks);
             picture = display::MARKED;
         }
-        held = if button_b.is_low() { held + 1 } else { 0 };
+        released |= button_b.is_high();
+        let is_held = released && button_b.is_low();
+        held = if is_held { held + 1 } else { 0 };
         if held == KEY_LOST_ROWS {
             shared.forget_key();
             picture = display::MARKED;

@@ -155,10 +155,14 @@ async fn show(
 ) -> ! {
     let mut before = shared.health();
     let mut step = 0_u32;
+    // A pin that has been low since the start is a wire, not a hand.
+    let mut released = false;
     let mut held = 0;
     loop {
         watchdog.feed(WATCHDOG_TIME);
-        held = if key_lost.is_low() { held + 1 } else { 0 };
+        released |= key_lost.is_high();
+        let is_held = released && key_lost.is_low();
+        held = if is_held { held + 1 } else { 0 };
         if held == KEY_LOST_STEPS {
             shared.forget_key();
         }

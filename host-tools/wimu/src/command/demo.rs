@@ -8,10 +8,14 @@ use wimu_host::html::{Chart, Report, Series};
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
 use wimu_host::{ErrorCode, HostError, Result};
+use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 
 use crate::arguments::Demo;
 use crate::output::Output;
+
+/// The wireless link: a serial Bluetooth adapter that loses some of its bytes.
+const WIRELESS: &str = "bluetooth,loss=0.3%,bits=1e-5";
 
 #[derive(Serialize)]
 struct Shown {
@@ -36,7 +40,20 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         seed: arguments.seed,
         calibration: Calibration::TwelvePoses,
     }
-    .run()?;
+    .run_on(|source| {
+        let config = BoardConfig {
+            wireless_faults: WIRELESS.parse().map_err(|error| {
+                HostError::new(
+                    ErrorCode::VerifyFailed,
+                    format!("the demo's link: {error}"),
+                    "report this as a fault of wimu",
+                )
+            })?,
+            fault_seed: arguments.seed,
+            ..BoardConfig::default()
+        };
+        Ok(Board::start(config, source))
+    })?;
     let links = compare(
         || RecordingReader::new(outcome.recording.as_slice(), "the recording"),
         "the recording",
@@ -111,7 +128,7 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             "  bias {bx:+.0} {by:+.0} {bz:+.0} mg, scale {:+.1} {:+.1} {:+.1} %, axes askew, noise of the real part.",
             scale[0], scale[1], scale[2]
         ),
-        "1 stream     raw samples, corrected samples and position over a cable and a wireless link"
+        "1 stream     raw samples, corrected samples and position, over a cable and a wireless link that loses bytes"
             .to_owned(),
         format!(
             "2 move       a 1 m slide, uncalibrated: the position is {:.2} m wrong after 3 s",
@@ -156,7 +173,7 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             }
         ),
         format!(
-            "10 compare   {} samples over both links, {} alike; wireless: {} lost, latency {:.1} ms, {:.1} at most",
+            "10 compare   {} samples over both links, {} alike; wireless: {} lost, each counted; latency {:.0} ms, at most {:.0}",
             links.pairs,
             if links.identical == links.pairs {
                 "all"

@@ -315,6 +315,7 @@ fn status() -> Status {
             bus_errors: 6,
         },
         measured_period_ns: Some(10_012_345),
+        jitter_ns: Some(1_250),
     }
 }
 

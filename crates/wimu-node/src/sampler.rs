@@ -37,6 +37,9 @@ const BELIEVABLE_PER_MILLE: u64 = 200;
 /// … and this far from the one in use, in parts per million.
 const WORTH_CHANGING_PPM: u64 = 50;
 
+/// Each read weighs one part in so many in the jitter.
+const JITTER_WEIGHT: u32 = 16;
+
 /// Takes every sample that the sensor gives.
 pub struct Sampler<'a, A, T, M: RawMutex> {
     accelerometer: A,
@@ -160,12 +163,15 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             self.next_sequence = self.next_sequence.wrapping_add(missed);
             running.begin_epoch(EpochReason::Gap);
         }
+        let measured = running.clock.measured();
+        running.clock.compare(&read, measured);
         self.shared.publish(|published| {
             let sensor = &mut published.sensor;
             sensor.samples = sensor.samples.wrapping_add(counts.len() as u32);
             sensor.missed = sensor.missed.wrapping_add(missed);
             sensor.overruns = sensor.overruns.wrapping_add(read.overrun.into());
-            published.measured_period_ns = running.clock.measured().map(|period| period.0);
+            published.measured_period_ns = measured.map(|period| period.0);
+            published.jitter_ns = running.clock.jitter_ns;
         });
         for (index, &sample) in counts.iter().enumerate() {
             let newer = (counts.len() - 1 - index) as u64;
@@ -398,6 +404,8 @@ struct SampleClock {
     periods: u32,
     /// The sensor has failed since: its queue began anew.
     broken: bool,
+    /// Equation (95).
+    jitter_ns: Option<u32>,
 }
 
 impl SampleClock {
@@ -409,6 +417,7 @@ impl SampleClock {
             last: None,
             periods: 0,
             broken: false,
+            jitter_ns: None,
         }
     }
 
@@ -449,6 +458,19 @@ impl SampleClock {
     fn measure_anew(&mut self) {
         self.first = None;
         self.periods = 0;
+    }
+
+    /// Takes what a read that follows the latest sample tells about the jitter, given the period
+    /// that was measured before it: equation (95).
+    fn compare(&mut self, read: &Batch, measured: Option<PeriodNs>) {
+        let (Some(period), Some(last)) = (measured, self.last) else {
+            return;
+        };
+        let elapsed_ns = (read.last_time.0.saturating_sub(last.0)).saturating_mul(1000);
+        let expected_ns = u64::from(period.0).saturating_mul(read.count as u64);
+        let off = u32::try_from(elapsed_ns.abs_diff(expected_ns)).unwrap_or(u32::MAX);
+        let before = self.jitter_ns.unwrap_or(off);
+        self.jitter_ns = Some(before - before / JITTER_WEIGHT + off / JITTER_WEIGHT);
     }
 
     fn count(&mut self, last: DeviceTimeUs, periods: u32) {
@@ -578,3 +600,35 @@ const _: () = {
     // The two links of a lane, in the order of its roles.
     assert!(matches!(ROLES, [LinkRole::Cable, LinkRole::Wireless]));
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The jitter after reads of `count` samples of 10.1 ms, each late by what `late` says, µs.
+    fn jitter_ns(count: u64, late: impl Fn(u64) -> u64) -> Option<u32> {
+        let mut clock = SampleClock::new(PeriodNs(10_000_000));
+        for k in 1..=1000 {
+            let read = Batch {
+                count: count as usize,
+                last_time: DeviceTimeUs(k * count * 10_100 + late(k)),
+                overrun: false,
+                queued: count > 1,
+            };
+            clock.compare(&read, clock.measured());
+            clock.count(read.last_time, count as u32);
+        }
+        clock.jitter_ns
+    }
+
+    #[test]
+    fn jitter_is_how_far_intervals_are_from_the_measured_period_and_not_from_the_nominal_one() {
+        for count in [1, 4, 16] {
+            let even = jitter_ns(count, |_| 0).expect("long enough");
+            assert!(even <= 100, "{even} ns");
+            // Every second one is late by 40 µs: each interval is off by as much.
+            let uneven = jitter_ns(count, |k| k % 2 * 40).expect("long enough");
+            assert!(uneven.abs_diff(40_000) <= 200, "{uneven} ns");
+        }
+    }
+}

@@ -135,6 +135,7 @@ pub(crate) struct Published {
     pub(crate) parameters: Option<ParameterSet>,
     pub(crate) sensor: SensorStatus,
     pub(crate) measured_period_ns: Option<u32>,
+    pub(crate) jitter_ns: Option<u32>,
     /// What is wrong, by [`Trouble`], and since when.
     troubles: [Option<(DeviceTimeUs, Event)>; Trouble::COUNT],
     /// Whether the store has been read; before that there is nothing to say.
@@ -175,6 +176,7 @@ impl<M: RawMutex> Shared<M> {
                 parameters: None,
                 sensor: SensorStatus::default(),
                 measured_period_ns: None,
+                jitter_ns: None,
                 troubles: [None; Trouble::COUNT],
                 ready: false,
             })),
@@ -351,6 +353,7 @@ impl<M: RawMutex> Shared<M> {
             wireless: Some(link(LinkRole::Wireless)),
             sensor: published.sensor,
             measured_period_ns: published.measured_period_ns,
+            jitter_ns: published.jitter_ns,
         }
     }
 

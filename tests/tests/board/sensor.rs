@@ -323,6 +323,8 @@ fn a_sensor_clock_that_is_off_by_0_3_percent_is_measured_and_no_sample_is_taken_
         let truth_ns = 1e7 * (1.0 + ppm * 1e-6);
         let measured = f64::from(status.measured_period_ns.expect("25 s are enough"));
         assert!((measured / truth_ns - 1.0).abs() < 20e-6, "{measured} ns");
+        let jitter = status.jitter_ns.expect("25 s are enough");
+        assert!(jitter <= 1_500, "{jitter} ns");
         assert_eq!((status.sensor.missed, status.sensor.overruns), (0, 0));
         // One may have been taken and not read yet.
         let unread = rig.board.sensor().samples_taken() - u64::from(status.sensor.samples);

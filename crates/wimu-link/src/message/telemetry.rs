@@ -161,6 +161,9 @@ pub struct Status {
     pub sensor: SensorStatus,
     /// Sample period as measured against the device's clock, ns; `None` until it is known.
     pub measured_period_ns: Option<u32>,
+    /// Jitter of the data-ready times, ns: how far the time from one to the next is from the
+    /// measured period, the mean of the latest (equation (95)); `None` until it is known.
+    pub jitter_ns: Option<u32>,
 }
 
 /// How a link is.

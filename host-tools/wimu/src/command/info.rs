@@ -1,14 +1,16 @@
 //! `wimu info`.
 
 use std::path::Path;
+use std::time::Duration;
 
 use serde::Serialize;
-use wimu_host::decode::LinkStatistics;
+use wimu_host::decode::{self, LinkStatistics};
 use wimu_host::history::Recording;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::mimu4444::{Capture, Summary};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::Hello;
+use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::{Foreign, Info};
 use crate::command::connect;
@@ -36,7 +38,56 @@ struct Link {
     navigation: usize,
     parameter_ids: Vec<String>,
     events: Vec<String>,
+    sampling: Option<Sampling>,
     statistics: LinkStatistics,
+}
+
+/// What a device says of its sensor.
+#[derive(Serialize)]
+pub struct Sampling {
+    /// As measured against the device's clock.
+    rate_hz: Option<f64>,
+    /// Of the data-ready times, equation (95).
+    jitter_us: Option<f64>,
+    samples: u32,
+    missed: u32,
+    overruns: u32,
+    bus_errors: u32,
+}
+
+impl From<&Status> for Sampling {
+    fn from(status: &Status) -> Self {
+        let SensorStatus {
+            samples,
+            missed,
+            overruns,
+            bus_errors,
+        } = status.sensor;
+        Self {
+            rate_hz: status.measured_period_ns.map(|ns| 1e9 / f64::from(ns)),
+            jitter_us: status.jitter_ns.map(|ns| f64::from(ns) * 1e-3),
+            samples,
+            missed,
+            overruns,
+            bus_errors,
+        }
+    }
+}
+
+impl Sampling {
+    pub fn text(&self) -> String {
+        let mut text = format!(
+            "sensor: {} samples, {} missed, {} overruns, {} bus errors",
+            self.samples, self.missed, self.overruns, self.bus_errors
+        );
+        if let Some(rate) = self.rate_hz {
+            text += &format!("; {rate:.2} Hz by the device's clock");
+        }
+        if let Some(jitter) = self.jitter_us {
+            text += &format!(", jitter {jitter:.1} µs");
+        }
+        text
+    }
 }
 
 #[derive(Serialize)]
@@ -102,16 +153,31 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
                 role: String,
                 #[serde(flatten)]
                 device: Device,
+                /// What is wrong with it.
+                troubles: Vec<String>,
+                sampling: Sampling,
             }
-            let client = connect(&arguments.input)?;
+            let mut client = connect(&arguments.input)?;
             let device = Device::from(client.hello());
             let role = client.hello().role.to_string();
             output.say(format!("{role} link of {}", device.text()));
+            let sampling = Sampling::from(&client.status()?);
+            let mut troubles = Vec::new();
+            while let Some(arrival) = client.next_event(Duration::ZERO)? {
+                if let decode::Event::Device { event, .. } = arrival.event {
+                    let trouble = event.to_string();
+                    output.say(format!("  {trouble}"));
+                    troubles.push(trouble);
+                }
+            }
+            output.say(format!("  {}", sampling.text()));
             output.object(&Answer {
                 schema: "wimu.device/1",
                 status: "ok",
                 role,
                 device,
+                troubles,
+                sampling,
             });
             Ok(())
         }
@@ -190,6 +256,11 @@ fn recording(path: &Path, output: Output) -> Result<()> {
                     .flat_map(|boot| &boot.events)
                     .map(|(time, event)| format!("{:.2} s: {event}", time.to_seconds()))
                     .collect(),
+                sampling: boots
+                    .iter()
+                    .rev()
+                    .find_map(|boot| boot.status.as_ref())
+                    .map(Sampling::from),
                 statistics: link.statistics,
             }
         })
@@ -232,6 +303,9 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         ));
         if let Some(device) = &link.device {
             output.say(format!("         {}", device.text()));
+        }
+        if let Some(sampling) = &link.sampling {
+            output.say(format!("         {}", sampling.text()));
         }
         for event in &link.events {
             output.say(format!("         {event}"));

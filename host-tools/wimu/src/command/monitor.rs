@@ -7,8 +7,11 @@ use wimu_host::decode::{Decoder, Event};
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_link::Hello;
+use wimu_link::message::Status;
 
 use crate::arguments::Monitor;
+use crate::command::info::Sampling;
 use crate::command::{connect, deadline, interrupted, is_over};
 use crate::output::Output;
 
@@ -110,8 +113,13 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
     output.say(format!(
-        "{} with {}, device {:016x}, {} link, parameters {}",
-        hello.board.name, hello.sensor.name, hello.device_id, hello.role, hello.parameter_id
+        "{} with {}, device {:016x}, {} link, parameters {}, last start: {}",
+        hello.board.name,
+        hello.sensor.name,
+        hello.device_id,
+        hello.role,
+        hello.parameter_id,
+        cause(&hello)
     ));
     let mut readings = Readings::new();
     let mut screen = Screen::new(output);
@@ -131,6 +139,9 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
         statistics.frames_damaged,
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
+    if let Some(status) = &screen.status {
+        output.say(Sampling::from(status).text());
+    }
     Ok(())
 }
 
@@ -157,11 +168,23 @@ fn recorded(path: &std::path::Path, output: Output) -> Result<()> {
     Ok(())
 }
 
+/// Why a device has started.
+fn cause(hello: &Hello) -> String {
+    match hello.fault {
+        Some(fault) => format!("{}, {fault}", hello.reset_reason),
+        None => hello.reset_reason.to_string(),
+    }
+}
+
 /// Shows readings and what happens to the device.
 struct Screen {
     output: Output,
     last: Option<Instant>,
     refreshes: bool,
+    /// As the device said it last.
+    status: Option<Status>,
+    /// The device has started anew and has not said yet why.
+    restarted: bool,
 }
 
 impl Screen {
@@ -170,16 +193,28 @@ impl Screen {
         Self {
             output,
             last: None,
+            status: None,
+            restarted: false,
             refreshes: std::io::stderr().is_terminal() && !output.is_json(),
         }
     }
 
     /// Returns false when nobody looks any more.
     fn show(&mut self, event: &Event, readings: &mut Readings) -> bool {
-        if let Event::Device { time, event } = event {
-            self.output.end_refresh();
-            self.output
-                .say(format!("{:8.2} s  {event}", time.to_seconds()));
+        match event {
+            Event::Device { time, event } => {
+                self.output.end_refresh();
+                self.output
+                    .say(format!("{:8.2} s  {event}", time.to_seconds()));
+            }
+            Event::Status(status) => self.status = Some(*status),
+            Event::Restart => self.restarted = true,
+            Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
+                self.output.end_refresh();
+                self.output
+                    .say(format!("the device has started anew: {}", cause(hello)));
+            }
+            _ => {}
         }
         let mut going = true;
         readings.push(event, |reading| {

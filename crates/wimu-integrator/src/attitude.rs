@@ -6,6 +6,8 @@ use crate::segment::round_shift;
 
 /// Fraction bits of a direction.
 pub(crate) const DIRECTION_BITS: u32 = 30;
+/// cos 10°, of the product of two directions.
+const HEADED_AS: i128 = 1_135_406_036_351_323_008;
 
 /// The navigation frame's axes seen from the body: unit vectors east, north, up, 2⁻³⁰ per LSB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +62,19 @@ impl Attitude {
         self.axes[0]
     }
 
+    /// Angle of the body's x clockwise from north, rad, −π..=π; 0 where it is vertical.
+    pub(crate) fn heading_rad(&self) -> f64 {
+        libm::atan2(f64::from(self.axes[0][0]), f64::from(self.axes[1][0]))
+    }
+
+    /// Whether this east is within 10° of another attitude's.
+    pub(crate) fn is_headed_as(&self, other: &Self) -> bool {
+        let along: i128 = (self.east().iter().zip(other.east()))
+            .map(|(a, b)| i128::from(*a) * i128::from(b))
+            .sum();
+        along >= HEADED_AS
+    }
+
     pub(crate) fn position(&self, body_nm: [i64; 3]) -> PositionNm {
         PositionNm(self.rotate(body_nm))
     }
@@ -78,7 +93,7 @@ impl Attitude {
     }
 }
 
-fn to_direction(value: f64) -> i32 {
+pub(crate) fn to_direction(value: f64) -> i32 {
     let scaled = value * (1_u32 << DIRECTION_BITS) as f64;
     (scaled + if scaled < 0.0 { -0.5 } else { 0.5 }) as i32
 }

@@ -3,6 +3,7 @@
 use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
 use crate::attitude::{Attitude, unit};
+use crate::compass::MagneticHeading;
 use crate::segment::Segment;
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
 use crate::stillness::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
@@ -31,7 +32,8 @@ pub enum Transition {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Navigation {
-    /// Position since the first rest, nm, east-north-up; heading zero is body x at that rest.
+    /// Position since the first rest, nm, east-north-up; without a compass body x points east at
+    /// that rest, with one north is magnetic.
     pub position: PositionNm,
     /// Velocity, nm/s, east-north-up.
     pub velocity: VelocityNmps,
@@ -42,6 +44,9 @@ pub struct Navigation {
     pub phase: Phase,
     /// What is wrong with the numbers.
     pub flags: Flags,
+    /// Standard deviation of the heading at the latest rest against magnetic north, mrad; `None`:
+    /// uncalibrated, north is where the first rest had it or a compass told last.
+    pub heading_sd_mrad: Option<u16>,
 }
 
 /// Integrates specific force to velocity and position in whole numbers, attitude held between
@@ -94,6 +99,7 @@ impl Integrator {
                 segment: Segment::default(),
                 window: Window::default(),
                 run: None,
+                heading_sd_mrad: None,
             },
             attitude: Attitude::LEVEL,
             gravity: [0; 3],
@@ -198,6 +204,35 @@ impl Integrator {
         Ok(())
     }
 
+    /// Takes the heading that a compass tells at a rest, in place of the one that is held; it holds
+    /// until the next rest. Returns false, and changes nothing, unless the phase is
+    /// [`Phase::Resting`].
+    ///
+    /// Where the body has moved and the heading differs from the held one by more than 10°, it has
+    /// turned on the way, or north was not known before: the position is marked.
+    pub fn set_heading(&mut self, heading: MagneticHeading) -> bool {
+        if self.state.phase != Phase::Resting {
+            return false;
+        }
+        let held = self.attitude;
+        let before = core::mem::replace(&mut self.state.east, heading.east);
+        if self.align().is_none() {
+            self.state.east = before;
+            return false;
+        }
+        self.state.heading_sd_mrad = Some(heading.sd_mrad);
+        if self.state.base_position_nm != [0; 3] && !self.attitude.is_headed_as(&held) {
+            self.state.flags = self.state.flags.with(Flags::POSITION_LOST);
+        }
+        true
+    }
+
+    /// Angle of body x clockwise from north, rad, −π..=π, as it is held since the latest rest; `None`
+    /// before the first. 0 where body x is vertical.
+    pub fn heading_rad(&self) -> Option<f64> {
+        (self.state.phase != Phase::Searching).then(|| self.attitude.heading_rad())
+    }
+
     /// Velocity and position after the latest sample.
     pub fn navigation(&self) -> Navigation {
         let state = &self.state;
@@ -207,6 +242,7 @@ impl Integrator {
                 position: PositionNm(state.base_position_nm),
                 phase,
                 flags: state.flags,
+                heading_sd_mrad: state.heading_sd_mrad,
                 ..Navigation::default()
             },
         }
@@ -241,6 +277,7 @@ impl Integrator {
             since_rest_ms: u32::try_from(since_rest_ms).unwrap_or(u32::MAX),
             phase: state.phase,
             flags: state.flags,
+            heading_sd_mrad: state.heading_sd_mrad,
         }
     }
 
@@ -340,8 +377,9 @@ impl Integrator {
     /// the latest of `run`, began, so that the onset of motion within it is not lost.
     fn rest(&mut self, window: &Window, run: &Run) {
         if self.state.phase != Phase::Resting {
-            // Heading goes on from the held attitude: nothing here can see it turn.
+            // Heading goes on from the held attitude, until a compass tells.
             self.state.east = self.attitude.east();
+            self.state.heading_sd_mrad = None;
             self.state.flags = match self.state.phase {
                 Phase::Searching => Flags::default(),
                 _ => self.state.flags.for_next_leg(),

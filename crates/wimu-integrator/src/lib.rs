@@ -3,11 +3,13 @@
 #![forbid(unsafe_code)]
 
 mod attitude;
+mod compass;
 mod integrator;
 mod segment;
 mod state;
 mod stillness;
 
+pub use compass::{Compass, FieldMean, MagneticHeading};
 pub use integrator::{Integrator, Navigation, Transition};
 pub use segment::Segment;
 pub use state::{Config, ConfigError, Flags, Phase, State, StateError};

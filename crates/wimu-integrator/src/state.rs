@@ -121,8 +121,8 @@ pub struct State {
     pub flags: Flags,
     /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
     pub rest_mean: [i64; 3],
-    /// Direction of east (of heading zero, without a magnetometer) in body axes at the rest
-    /// before, 2⁻³⁰ per LSB.
+    /// Direction of east in body axes, 2⁻³⁰ per LSB: at the rest before, or as a compass told at
+    /// this one.
     pub east: [i32; 3],
     /// Position at the start of the segment, nm, navigation frame.
     pub base_position_nm: [i64; 3],
@@ -136,6 +136,9 @@ pub struct State {
     pub window: Window,
     /// The quiet windows before it, if there are any.
     pub run: Option<Run>,
+    /// Standard deviation of the heading at the latest rest against magnetic north, mrad; `None`:
+    /// uncalibrated, heading goes on from the rest before.
+    pub heading_sd_mrad: Option<u16>,
 }
 
 /// A configuration outside its range.

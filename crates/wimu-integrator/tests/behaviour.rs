@@ -1,8 +1,10 @@
 //! What the integrator promises.
 
 use proptest::prelude::*;
-use wimu_integrator::{Config, Flags, Integrator, Phase, Run, Segment, State, Transition};
-use wimu_model::{PeriodNs, SpecificForceQ16};
+use wimu_integrator::{
+    Config, FieldMean, Flags, Integrator, MagneticHeading, Phase, Run, Segment, State, Transition,
+};
+use wimu_model::{MagneticFieldNt, PeriodNs, SpecificForceQ16};
 
 const G: i32 = 642_689;
 const HZ_100: PeriodNs = PeriodNs(10_000_000);
@@ -220,6 +222,67 @@ fn forces() -> impl Strategy<Value = Vec<([i32; 3], u8)>> {
         1 => proptest::array::uniform3(-G..G),
     ];
     proptest::collection::vec((force, any::<u8>()), 1..40)
+}
+
+/// East when body x points `degrees` clockwise from north, level.
+fn headed(degrees: f64) -> MagneticHeading {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let direction = |x: f64| (x * f64::from(1 << 30)).round() as i32;
+    MagneticHeading {
+        east: [direction(sin), direction(-cos), 0],
+        sd_mrad: 20,
+    }
+}
+
+#[test]
+fn a_heading_is_taken_at_rest_held_in_motion_and_uncalibrated_at_the_next_rest() {
+    let mut unit = integrator(true);
+    assert!(!unit.set_heading(headed(40.0)) && unit.heading_rad().is_none());
+    feed(&mut unit, rest(100));
+    // Body x points east.
+    assert!((unit.heading_rad().unwrap().to_degrees() - 90.0).abs() < 1e-6);
+    assert_eq!(unit.navigation().heading_sd_mrad, None);
+    assert!(unit.set_heading(headed(40.0)));
+    let heading = |unit: &Integrator| unit.heading_rad().unwrap().to_degrees();
+    feed(&mut unit, a_slide());
+    assert_eq!(unit.navigation().phase, Phase::Moving);
+    assert!((heading(&unit) - 40.0).abs() < 0.1);
+    assert_eq!(unit.navigation().heading_sd_mrad, Some(20));
+    // Not while it moves.
+    assert!(!unit.set_heading(headed(50.0)));
+    feed(&mut unit, rest(100));
+    assert_eq!(unit.navigation().heading_sd_mrad, None);
+    let [east, north, _] = unit.navigation().position.to_m();
+    let along = 40.0_f64.to_radians();
+    assert!((east - along.sin()).abs() < 0.01 && (north - along.cos()).abs() < 0.01);
+    // A little is noise; a lot is a turn that nobody saw.
+    assert!(unit.set_heading(headed(47.0)));
+    assert!(unit.navigation().flags.is_valid());
+    assert!(unit.set_heading(headed(70.0)));
+    assert!(unit.navigation().flags.contains(Flags::POSITION_LOST));
+    // From its state another goes on with it.
+    let other = Integrator::from_state(unit.state()).unwrap();
+    assert_eq!(other, unit);
+}
+
+#[test]
+fn one_reading_of_another_field_is_left_out_and_two_begin_anew() {
+    let [here, there] = [[20_000, 0, -44_000], [0, 20_000, -44_000]].map(MagneticFieldNt);
+    let mut field = FieldMean::default();
+    let worth = [here, here, here, there, here].map(|output| field.push(output));
+    assert_eq!(worth, [true, true, false, false, true]);
+    let mut four = FieldMean::default();
+    for _ in 0..4 {
+        four.push(here);
+    }
+    assert_eq!(field, four);
+    assert_eq!(
+        [there, there].map(|output| field.push(output)),
+        [false, true]
+    );
+    let mut anew = FieldMean::default();
+    anew.push(there);
+    assert_eq!(field, anew);
 }
 
 proptest! {

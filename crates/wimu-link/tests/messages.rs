@@ -140,6 +140,7 @@ fn longest_epoch() -> Epoch {
                 latest: far,
                 start: segment,
             }),
+            heading_sd_mrad: Some(u16::MAX),
         },
     }
 }
@@ -426,6 +427,7 @@ proptest! {
                 latest: sums[4],
                 start: run,
             }),
+            heading_sd_mrad: has_run.then_some(words[0] as u16),
         };
         prop_assert_eq!(WireState::from(wimu_integrator::State::from(state)), state);
         let telemetry = Telemetry::Epoch(Epoch { state, ..longest_epoch() });

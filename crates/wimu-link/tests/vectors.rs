@@ -365,6 +365,7 @@ fn epoch(reason: EpochReason) -> Epoch {
                 latest: [11, -12, 13],
                 start: segment,
             }),
+            heading_sd_mrad: Some(37),
         },
     }
 }
@@ -379,6 +380,7 @@ fn telemetry_is_as_it_was() {
         EpochReason::Temperature,
         EpochReason::Settings,
         EpochReason::Parameters,
+        EpochReason::Heading,
     ]
     .map(|reason| Telemetry::Epoch(epoch(reason)))
     .into();
@@ -414,6 +416,7 @@ fn telemetry_is_as_it_was() {
                 since_rest_ms: 1500,
                 phase,
                 flags: 20,
+                heading_sd_mrad: (phase == WirePhase::Moving).then_some(300),
             })
         }),
     );

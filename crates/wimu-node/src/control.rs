@@ -4,6 +4,7 @@ use core::marker::PhantomData;
 
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_integrator::Compass;
 use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::batch::MAX_BATCH;
 use wimu_link::frame::{self, MAX_FRAME};
@@ -548,6 +549,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             corrector: Corrector::compile(set, self.latched)?,
             parameters,
             temperature: self.latched,
+            compass: Compass::new(set),
         })
     }
 

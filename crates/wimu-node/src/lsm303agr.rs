@@ -43,6 +43,8 @@ pub struct Lsm303agr<I2C, D, T> {
     data_ready: D,
     timer: T,
     period: PeriodNs,
+    /// The magnetometer has measured since it was configured; until then its registers mean nothing.
+    field_measured: bool,
 }
 
 /// The driver's type changes with the magnetometer's mode.
@@ -61,6 +63,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             data_ready,
             timer,
             period: PeriodNs(10_000_000),
+            field_measured: false,
         }
     }
 
@@ -132,6 +135,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             Resolution::High => AccelMode::HighResolution,
         };
         self.period = plan.period;
+        self.field_measured = false;
         let device = self.running().await?;
         let identity = device.accelerometer_id().await.map_err(not_answering)?;
         if !identity.is_correct() {
@@ -203,13 +207,24 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
+        let measured = self.field_measured;
         let device = self.running().await?;
-        let field = device.magnetic_field().await.map_err(not_answering)?;
+        let measured = measured || {
+            let status = device.mag_status().await.map_err(not_answering)?;
+            status.xyz_new_data()
+        };
+        let field = if measured {
+            let field = device.magnetic_field().await.map_err(not_answering)?;
+            Some(MagneticFieldNt([field.x_nt(), field.y_nt(), field.z_nt()]))
+        } else {
+            None
+        };
         let temperature = device.temperature().await.map_err(not_answering)?;
         // 1/256 °C about 25 °C.
         let centi = 2500 + i32::from(temperature.unscaled()) * 100 / 256;
+        self.field_measured = measured;
         Ok(Surroundings {
-            magnetic_field: Some(MagneticFieldNt([field.x_nt(), field.y_nt(), field.z_nt()])),
+            magnetic_field: field,
             temperature: Some(CentiCelsius(centi as i16)),
         })
     }

@@ -3,14 +3,14 @@
 use core::num::NonZeroU8;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use wimu_integrator::{Config, Integrator, Phase, Transition};
+use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
 use wimu_link::LinkRole;
 use wimu_link::batch::{self, MAX_BATCH, Sample, Stream};
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{
     BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings, Streams, Telemetry,
 };
-use wimu_model::{Counts, DeviceTimeUs, PeriodNs, SpecificForceQ16};
+use wimu_model::{Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, SpecificForceQ16};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::shared::{Correction, Order, ROLES, Shared, Trouble};
@@ -63,6 +63,8 @@ struct Running {
     epoch_reason: Option<EpochReason>,
     last_epoch: DeviceTimeUs,
     until_navigation: u32,
+    /// The magnetic field in the present rest.
+    field: FieldMean,
     /// The sensor has failed and has not been started again.
     lost: bool,
 }
@@ -212,6 +214,11 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             self.send_navigation(running, sequence);
         }
         if transition == Transition::Rest {
+            // The field of this rest, soon: it may be short.
+            running.field = FieldMean::default();
+            if running.correction.compass.is_some() {
+                self.next_surroundings = time;
+            }
             let mean = running.integrator.state().rest_mean;
             self.shared
                 .rest
@@ -269,6 +276,9 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             // Of a sensor without: nothing is said rather than invented.
             Ok(nothing) if nothing == Surroundings::default() => {}
             Ok(surroundings) => {
+                if let Some(field) = surroundings.magnetic_field {
+                    running.take_field(field);
+                }
                 if let Some(temperature) = surroundings.temperature {
                     self.shared.temperature.signal(temperature);
                 }
@@ -353,6 +363,7 @@ impl Running {
             epoch_reason: Some(reason),
             last_epoch: DeviceTimeUs(0),
             until_navigation: 1,
+            field: FieldMean::default(),
             lost: false,
         }
     }
@@ -364,14 +375,31 @@ impl Running {
             EpochReason::Periodic => 0,
             EpochReason::Stillness => 1,
             EpochReason::Temperature => 2,
-            EpochReason::Gap => 3,
-            EpochReason::Start | EpochReason::Settings | EpochReason::Parameters => 4,
+            EpochReason::Heading => 3,
+            EpochReason::Gap => 4,
+            EpochReason::Start | EpochReason::Settings | EpochReason::Parameters => 5,
         };
         if self
             .epoch_reason
             .is_none_or(|known| weight(known) <= weight(reason))
         {
             self.epoch_reason = Some(reason);
+        }
+    }
+
+    /// Takes heading from the magnetometer, if it is calibrated and the unit at rest.
+    fn take_field(&mut self, field: MagneticFieldNt) {
+        let Some(compass) = &self.correction.compass else {
+            return;
+        };
+        let state = self.integrator.state();
+        if state.phase != Phase::Resting || !self.field.push(field) {
+            return;
+        }
+        if let Some(heading) = compass.heading(&self.field, state.rest_mean)
+            && self.integrator.set_heading(heading)
+        {
+            self.begin_epoch(EpochReason::Heading);
         }
     }
 

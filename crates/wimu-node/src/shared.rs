@@ -6,6 +6,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
+use wimu_integrator::Compass;
 use wimu_link::auth::Lock;
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{
@@ -123,6 +124,8 @@ pub(crate) struct Correction {
     pub(crate) corrector: Corrector,
     pub(crate) parameters: ParameterId,
     pub(crate) temperature: Option<CentiCelsius>,
+    /// Of a set with a calibrated magnetometer.
+    pub(crate) compass: Option<Compass>,
 }
 
 /// What is true of the device now, for whoever asks.

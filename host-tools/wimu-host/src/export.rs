@@ -14,6 +14,9 @@ use crate::{ErrorCode, HostError, Result};
 /// The column that says whether the magnetic field is corrected.
 const FIELD_CALIBRATED: &str = "Field Calibrated";
 
+/// The column of the heading's standard deviation, empty where it is uncalibrated.
+const HEADING_SD: &str = "Heading SD (deg)";
+
 /// What a table holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportStream {
@@ -23,7 +26,8 @@ pub enum ExportStream {
     /// the magnetic field is corrected by the parameters in use then, body axes; where it is 0 it is
     /// as the magnetometer put it out.
     Corrected,
-    /// Velocity and position, as the device integrated them.
+    /// Velocity and position, as the device integrated them. North is magnetic where `Heading SD` has
+    /// a value.
     Navigation,
 }
 
@@ -88,6 +92,7 @@ fn header(stream: ExportStream) -> Header {
                 "Velocity U (m/s)",
                 "Since Rest (s)",
                 "Valid",
+                HEADING_SD,
                 "Sequence",
             ]
             .map(str::to_owned)
@@ -158,6 +163,11 @@ fn rows(boot: &Boot, anchor: Option<ClockAnchor>, stream: ExportStream) -> Vec<R
                 other.extend(metres(navigation.velocity_nmps));
                 other.push((f64::from(navigation.since_rest_ms) / 1000.0).to_string());
                 other.push(u8::from(navigation.flags == 0).to_string());
+                let heading_sd = navigation
+                    .heading_sd_mrad
+                    .map(|mrad| f64::from(mrad) * 1e-3);
+                other
+                    .push(heading_sd.map_or(String::new(), |sd| format!("{:.2}", sd.to_degrees())));
                 other.push(navigation.sequence.to_string());
                 Row {
                     time_ns: boot.time_of(navigation.sequence).and_then(time_ns),

@@ -2,16 +2,49 @@
 
 use std::collections::BTreeMap;
 
+use wimu_integrator::{Integrator, State};
 use wimu_link::batch::Stream;
-use wimu_link::message::{Environment, Navigation};
+use wimu_link::message::{Environment, Epoch, Navigation};
 use wimu_model::{
     Counts, DeviceTimeUs, ParameterId, Sensitivity, SpecificForceMps2, SpecificForceQ16,
 };
 
 use crate::decode::Event;
+use crate::history::Boot;
 
 /// Samples kept while their corrected twin may still come.
 const KEPT: usize = 256;
+
+/// A magnetic field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Field {
+    /// nT: in body axes where it is calibrated, in those of the magnetometer where it is not.
+    pub nt: [f64; 3],
+    /// Whether hard and soft iron are out of it.
+    pub calibrated: bool,
+}
+
+/// Where body x points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heading {
+    /// Clockwise from north, rad, −π..=π: from magnetic north where it is calibrated; where not,
+    /// body x pointed east at the first rest.
+    pub rad: f64,
+    /// Its standard deviation, rad; `None`: uncalibrated.
+    pub sd_rad: Option<f64>,
+}
+
+impl Heading {
+    /// As the device held it at an epoch; `None` before the first rest.
+    pub fn of(epoch: &Epoch) -> Option<Self> {
+        let state = State::from(epoch.state);
+        let integrator = Integrator::from_state(state).ok()?;
+        Some(Self {
+            rad: integrator.heading_rad()?,
+            sd_rad: state.heading_sd_mrad.map(|mrad| f64::from(mrad) * 1e-3),
+        })
+    }
+}
 
 /// Everything known at one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,6 +64,10 @@ pub struct Reading {
     pub parameters: Option<ParameterId>,
     /// The latest magnetic field and temperature, if any came.
     pub environment: Option<Environment>,
+    /// The field in it.
+    pub field: Option<Field>,
+    /// The heading that the device holds, if it has been at rest.
+    pub heading: Option<Heading>,
     /// The latest velocity and position, if any came.
     pub navigation: Option<Navigation>,
 }
@@ -42,7 +79,11 @@ pub struct Readings {
     raw: BTreeMap<u32, [i32; 3]>,
     sensitivity: Option<Sensitivity>,
     parameters: Option<ParameterId>,
+    /// Epoch and parameters.
+    known: Boot,
     environment: Option<Environment>,
+    field: Option<Field>,
+    heading: Option<Heading>,
     navigation: Option<Navigation>,
     corrected_come: bool,
 }
@@ -55,11 +96,21 @@ impl Readings {
 
     /// Takes an event and calls `each` with the readings that it completes, in order.
     pub fn push(&mut self, event: &Event, mut each: impl FnMut(Reading)) {
+        self.known.take_parameters(event);
         match event {
-            Event::Environment(environment) => self.environment = Some(*environment),
+            Event::Environment(environment) => {
+                self.environment = Some(*environment);
+                let corrected = self.known.corrected_field_nt(environment);
+                let put_out = environment.magnetic_field_nt.map(|nt| nt.map(f64::from));
+                self.field = corrected.or(put_out).map(|nt| Field {
+                    nt,
+                    calibrated: corrected.is_some(),
+                });
+            }
             Event::Navigation(navigation) => self.navigation = Some(*navigation),
             Event::Epoch { epoch, .. } => {
                 self.parameters = Some(epoch.parameter_id());
+                self.heading = Heading::of(epoch);
                 self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
             }
             Event::Settings(settings) => {
@@ -82,6 +133,8 @@ impl Readings {
                                 corrected: false,
                                 parameters: self.parameters,
                                 environment: self.environment,
+                                field: self.field,
+                                heading: self.heading,
                                 navigation: self.navigation,
                             });
                         }
@@ -102,6 +155,8 @@ impl Readings {
                             corrected: true,
                             parameters: self.parameters,
                             environment: self.environment,
+                            field: self.field,
+                            heading: self.heading,
                             navigation: self.navigation,
                         });
                     }

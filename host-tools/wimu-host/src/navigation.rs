@@ -46,6 +46,7 @@ fn from_wire(sent: &message::Navigation) -> Navigation {
             WirePhase::Moving => Phase::Moving,
         },
         flags: wimu_integrator::Flags(sent.flags),
+        heading_sd_mrad: sent.heading_sd_mrad,
     }
 }
 

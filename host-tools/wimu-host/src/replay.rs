@@ -1,7 +1,7 @@
 //! The device's own arithmetic again: from raw samples and epochs, corrected samples, velocity and
 //! position bit for bit.
 
-use wimu_integrator::{Integrator, Navigation, State};
+use wimu_integrator::{Integrator, MagneticHeading, Navigation, State};
 use wimu_link::message::EpochReason;
 use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
 
@@ -58,7 +58,7 @@ pub struct Replayed {
 /// Replays a boot's raw samples from an epoch on, over all epochs that follow.
 ///
 /// Within an unbroken run of samples everything is computed from the run's first epoch alone; later
-/// epochs tell the temperature and the period that the device went on with, and their states are
+/// epochs tell the temperature, the period and the heading that the device went on with, and their states are
 /// compared.
 pub struct Replay<'a> {
     boot: &'a Boot,
@@ -98,6 +98,12 @@ impl Running {
         self.integrator
             .set_period(PeriodNs(mark.epoch.period_ns))
             .map_err(unusable)?;
+        let state = &mark.epoch.state;
+        if let (EpochReason::Heading, Some(sd_mrad)) = (mark.epoch.reason, state.heading_sd_mrad) {
+            let east = state.east;
+            self.integrator
+                .set_heading(MagneticHeading { east, sd_mrad });
+        }
         self.full_scale = mark.epoch.full_scale;
         self.since_epoch = 0;
         self.most = most_samples(mark);

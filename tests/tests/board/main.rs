@@ -2,6 +2,7 @@
 
 mod adxl345;
 mod epochs;
+mod heading;
 mod keys;
 mod links;
 mod rates;

@@ -35,6 +35,8 @@ pub struct WireState {
     pub window: WireWindow,
     /// The quiet windows before it.
     pub run: Option<WireRun>,
+    /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated.
+    pub heading_sd_mrad: Option<u16>,
 }
 
 /// [`Phase`] as it travels. Append only.
@@ -166,6 +168,7 @@ impl From<State> for WireState {
             segment,
             window,
             run,
+            heading_sd_mrad,
         } = state;
         Self {
             period_ns,
@@ -181,6 +184,7 @@ impl From<State> for WireState {
             segment: segment.into(),
             window: window.into(),
             run: run.map(WireRun::from),
+            heading_sd_mrad,
         }
     }
 }
@@ -201,6 +205,7 @@ impl From<WireState> for State {
             segment,
             window,
             run,
+            heading_sd_mrad,
         } = wire;
         Self {
             config: Config {
@@ -218,6 +223,7 @@ impl From<WireState> for State {
             segment: segment.into(),
             window: window.into(),
             run: run.map(Run::from),
+            heading_sd_mrad,
         }
     }
 }

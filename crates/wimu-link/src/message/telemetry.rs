@@ -53,6 +53,8 @@ pub enum EpochReason {
     Settings,
     /// The parameters have changed.
     Parameters,
+    /// The magnetometer has told the heading.
+    Heading,
 }
 
 /// All that decides the device's corrected samples, velocities and positions from a sample on: a
@@ -121,6 +123,9 @@ pub struct Navigation {
     pub phase: WirePhase,
     /// What is wrong with the numbers: the bits of [`wimu_integrator::Flags`].
     pub flags: u8,
+    /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated, north
+    /// is where the first rest had it or the magnetometer told last.
+    pub heading_sd_mrad: Option<u16>,
 }
 
 impl Navigation {
@@ -133,6 +138,7 @@ impl Navigation {
             since_rest_ms: navigation.since_rest_ms,
             phase: navigation.phase.into(),
             flags: navigation.flags.0,
+            heading_sd_mrad: navigation.heading_sd_mrad,
         }
     }
 }

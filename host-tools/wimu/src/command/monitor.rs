@@ -30,6 +30,12 @@ struct Line {
     /// Of the parameters in use; "00000000" on an uncalibrated device.
     parameter_id: Option<String>,
     magnetic_field_ut: Option<[f64; 3]>,
+    /// In body axes and without hard and soft iron; else as the magnetometer put it out.
+    magnetic_field_calibrated: Option<bool>,
+    /// Of body x, clockwise from magnetic north, 0 to 360; uncalibrated without a standard
+    /// deviation: body x pointed east (90) at the first rest.
+    heading_deg: Option<f64>,
+    heading_sd_deg: Option<f64>,
     temperature_c: Option<f64>,
     phase: Option<String>,
     velocity_m_s: Option<[f64; 3]>,
@@ -51,9 +57,15 @@ impl From<&Reading> for Line {
             specific_force_m_s2: reading.specific_force.0,
             corrected: reading.corrected,
             parameter_id: reading.parameters.map(|id| id.to_string()),
-            magnetic_field_ut: environment
-                .and_then(|e| e.magnetic_field_nt)
-                .map(|field| field.map(|nt| f64::from(nt) * 1e-3)),
+            magnetic_field_ut: reading.field.map(|field| field.nt.map(|nt| nt * 1e-3)),
+            magnetic_field_calibrated: reading.field.map(|field| field.calibrated),
+            heading_deg: reading
+                .heading
+                .map(|heading| heading.rad.to_degrees().rem_euclid(360.0)),
+            heading_sd_deg: reading
+                .heading
+                .and_then(|heading| heading.sd_rad)
+                .map(f64::to_degrees),
             temperature_c: environment
                 .and_then(|e| e.temperature_centi_c)
                 .map(|centi| f64::from(centi) / 100.0),
@@ -76,6 +88,14 @@ impl Line {
         );
         if let Some([x, y, z]) = self.magnetic_field_ut {
             text += &format!("  B {x:+6.1} {y:+6.1} {z:+6.1} µT");
+            if self.magnetic_field_calibrated == Some(false) {
+                text += " uncalibrated";
+            }
+        }
+        match (self.heading_deg, self.heading_sd_deg) {
+            (Some(heading), Some(sd)) => text += &format!("  heading {heading:3.0} ± {sd:.0}°"),
+            (Some(heading), None) => text += &format!("  heading {heading:3.0}° uncalibrated"),
+            _ => {}
         }
         if let Some(celsius) = self.temperature_c {
             text += &format!("  {celsius:.1} °C");

@@ -1,0 +1,95 @@
+//! Heading from a magnetometer that was calibrated on the board itself.
+
+use wimu_host::calibration::{CalibrateOptions, calibrate, calibrate_magnetometer};
+use wimu_host::dataset::Dataset;
+use wimu_host::monitor::Heading;
+use wimu_link::LinkRole;
+use wimu_link::message::{Epoch, EpochReason, WirePhase};
+use wimu_model::ParameterSet;
+use wimu_sim::board::BoardConfig;
+use wimu_sim::motion;
+use wimu_sim::scene::World;
+use wimu_tests::{ROLES, Rig, assert_replays, sensor};
+
+/// What a session in many orientations finds of the sensor of `seed`.
+fn calibrated(seed: u64) -> ParameterSet {
+    let motion = "twelve-poses,six-positions,tilts";
+    let mut rig = Rig::new(
+        BoardConfig::default(),
+        sensor(motion, World::default(), seed),
+    );
+    rig.run(motion::named(motion, seed).unwrap().duration());
+    assert!(rig.boot(LinkRole::Cable).epochs.iter().all(|mark| {
+        mark.epoch.state.heading_sd_mrad.is_none() && mark.epoch.reason != EpochReason::Heading
+    }));
+    let data = Dataset::from_link(rig.link(LinkRole::Cable).record(), "a session").unwrap();
+    let accelerometer = calibrate(&data, &CalibrateOptions::default()).unwrap();
+    let set = accelerometer.parameters.expect("calibrated");
+    let both = calibrate_magnetometer(&data, &set).unwrap();
+    both.parameters.expect("calibrated")
+}
+
+/// How far an epoch's east is from the true one about the vertical, rad.
+fn off_rad(epoch: &Epoch, attitude: wimu_sim::attitude::Attitude) -> f64 {
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let told = epoch.state.east.map(f64::from);
+    let [east, north] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(|axis| attitude.to_body(axis));
+    dot(told, north).atan2(dot(told, east))
+}
+
+#[test]
+fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_deviation() {
+    let mut deviations = Vec::new();
+    for seed in 1..=6 {
+        let set = calibrated(seed);
+        let motion = "rest,tilts";
+        let mut rig = Rig::new(
+            BoardConfig::default(),
+            sensor(motion, World::default(), seed),
+        );
+        rig.run(4.0);
+        let before = rig.boot(LinkRole::Wireless).epochs.len();
+        super::requests::push(&mut rig, &(&set).into());
+        let truth = motion::named(motion, seed).unwrap();
+        rig.run(truth.duration() - 4.0);
+        let boot = rig.boot(LinkRole::Wireless);
+        let held = boot.epochs[before - 1].epoch;
+        assert_eq!(held.state.phase, WirePhase::Resting);
+        assert_eq!(Heading::of(&held).unwrap().sd_rad, None);
+        let mut rests = 0;
+        for pair in boot.epochs.windows(2) {
+            let epoch = &pair[1].epoch;
+            let Some(sd_mrad) = epoch.state.heading_sd_mrad else {
+                continue;
+            };
+            if epoch.reason != EpochReason::Heading {
+                continue;
+            }
+            rests += usize::from(pair[0].epoch.state.phase != WirePhase::Resting);
+            let attitude = truth.pose(epoch.time_us as f64 * 1e-6).attitude;
+            let off = off_rad(epoch, attitude);
+            assert!(sd_mrad < 100, "seed {seed}: {epoch:?}");
+            deviations.push(off / (f64::from(sd_mrad) * 1e-3));
+        }
+        // The ten poses.
+        assert!(rests >= 10, "seed {seed}: {rests} rests with a heading");
+        assert!(boot.navigation.iter().any(|n| n.heading_sd_mrad.is_some()));
+        for role in ROLES {
+            assert_replays(rig.boot(role));
+        }
+    }
+    let within = |bound: f64| {
+        let inside = deviations.iter().filter(|d| d.abs() <= bound).count();
+        inside as f64 / deviations.len() as f64
+    };
+    println!(
+        "{} headings: {:.0} % within 1 σ, {:.0} % within 2 σ, {:.1} σ at most",
+        deviations.len(),
+        100.0 * within(1.0),
+        100.0 * within(2.0),
+        deviations
+            .iter()
+            .fold(0.0, |most: f64, d| most.max(d.abs()))
+    );
+    assert!(within(1.0) > 0.6 && within(2.0) > 0.93 && within(4.0) == 1.0);
+}

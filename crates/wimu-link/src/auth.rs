@@ -130,12 +130,12 @@ impl Lock {
     }
 
     /// Why an unsigned `command` is refused on a link, if it is.
-    pub(crate) fn refusal(&self, command: &Command, role: LinkRole) -> Option<Refusal> {
+    pub(crate) fn refusal<P>(&self, command: &Command<P>, role: LinkRole) -> Option<Refusal> {
         let access = self.access(role);
         match (command, access) {
             _ if command.is_key_change() && role != LinkRole::Cable => Some(Refusal::CableOnly),
             (Command::OpenSession, WriteAccess::Open) => Some(Refusal::KeyNeeded),
-            _ if !command.is_write() && *command != Command::OpenSession => None,
+            _ if !command.is_write() && !matches!(command, Command::OpenSession) => None,
             (_, WriteAccess::Open) => None,
             (_, WriteAccess::Locked | WriteAccess::Other(_)) => Some(Refusal::Locked),
             (_, WriteAccess::Key) => match (self.key, command) {
@@ -219,7 +219,12 @@ impl Session {
             .chain_update(id.to_le_bytes())
     }
 
-    fn of_answer(&self, id: u32, request: Signature, answer: &Answer) -> Hmac<Sha256> {
+    fn of_answer<P: Serialize>(
+        &self,
+        id: u32,
+        request: Signature,
+        answer: &Answer<P>,
+    ) -> Hmac<Sha256> {
         let mut mac = self.mac(b"a", id).chain_update(request.as_bytes());
         message::feed(answer, &mut mac);
         mac
@@ -238,7 +243,12 @@ impl Session {
     }
 
     /// Signs the answer to a request that was signed with `request`.
-    pub(crate) fn sign_answer(&self, id: u32, request: Signature, answer: &Answer) -> Signature {
+    pub(crate) fn sign_answer<P: Serialize>(
+        &self,
+        id: u32,
+        request: Signature,
+        answer: &Answer<P>,
+    ) -> Signature {
         Signature::whole(truncated(self.of_answer(id, request, answer)))
     }
 

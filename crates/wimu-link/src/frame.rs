@@ -180,6 +180,19 @@ impl<const N: usize> FrameBuffer<N> {
         self.length = encode(&mut self.bytes).unwrap_or(0);
     }
 
+    /// Keeps `frame`, or nothing if it does not fit.
+    pub(crate) fn keep(&mut self, frame: &[u8]) {
+        self.clear();
+        if let Some(place) = self.bytes.get_mut(..frame.len()) {
+            place.copy_from_slice(frame);
+            self.length = frame.len();
+        }
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.length = 0;
+    }
+
     /// The frame; empty before there is one.
     pub(crate) fn frame(&self) -> &[u8] {
         self.bytes.get(..self.length).unwrap_or_default()
@@ -337,6 +350,15 @@ impl Default for Deframer {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// Opens the frame that `bytes` are, with or without its closing zero, in their own place.
+///
+/// # Errors
+/// [`FrameError`] when they are not one frame; the bytes are spoilt then.
+pub fn open(bytes: &mut [u8]) -> Result<Frame<'_>, FrameError> {
+    let length = cobs::decode_in_place(bytes).map_err(|_| FrameError::Cobs)?;
+    check(bytes.get(..length).unwrap_or_default())
 }
 
 /// Where the first zero is.

@@ -255,6 +255,8 @@ pub fn batch_samples(data: &[u8]) {
     });
 }
 
+const UNKNOWN: Answer = Answer::Unknown;
+
 const NO_KEY: Lock = Lock {
     key: KeyState::None,
     device_id: 1,
@@ -280,7 +282,9 @@ pub fn requests(data: &[u8]) {
         if source.byte() % 4 == 0
             && let Some((session, id)) = pending.take()
         {
-            let frame = responder.reply(&Answer::Accepted(Payload::None));
+            let answer: Answer = Answer::Accepted(Payload::None);
+            let mut frame = [0; MAX_FRAME];
+            let frame = responder.reply(&answer, &mut frame);
             assert!(!frame.is_empty());
             replied[session][id] = Some(frame::crc_32c(frame));
         }
@@ -424,13 +428,13 @@ pub fn signed_requests(data: &[u8]) {
                     assert!(!executed[chosen], "a request had two effects");
                     executed[chosen] = true;
                 }
-                assert!(!responder.reply(&Answer::Unknown).is_empty());
+                assert!(!responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]).is_empty());
             }
         } else {
             let garbage = source.slice();
             if let Decision::Execute(command) = responder.accept(garbage, &lock) {
                 assert!(!command.is_write(), "what nobody signed was carried out");
-                responder.reply(&Answer::Unknown);
+                responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]);
             }
         }
     }

@@ -1,9 +1,13 @@
 //! The device's side of requests: every request has one effect, however often it is repeated.
 
+use serde::Serialize;
+
 use crate::auth::{KeyState, Lock, Session, Sessions, Standing};
-use crate::frame::{FrameBuffer, MAX_FRAME, crc_32c};
+use crate::frame::{FrameBuffer, crc_32c};
 use crate::hello::LinkRole;
-use crate::message::{Answer, Command, Payload, Refusal, Reply, RequestHead, Signature};
+use crate::message::{
+    Answer, Command, EncodedParameters, Payload, Refusal, Reply, RequestHead, Signature,
+};
 
 /// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
@@ -11,10 +15,10 @@ const SESSIONS: usize = 4;
 /// What a device does about a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Decision<'a> {
-    /// Carry this out, then send what [`Responder::reply`] returns.
-    Execute(Command),
+pub enum Decision<'a, 'b> {
+    /// Carry this out, then send what [`Responder::reply`] returns. Parameters are in the request's
+    /// body.
+    Execute(Command<EncodedParameters<'b>>),
     /// Send this frame: the request was answered before, or is refused.
     Send(&'a [u8]),
     /// Do nothing: the bytes are no request, or one is still being carried out; the host asks
@@ -24,8 +28,9 @@ pub enum Decision<'a> {
 
 /// Takes the requests of one link. It does no I/O: give it bodies, send the frames it returns.
 ///
-/// Requests are known by session and id. The latest one is answered again with the same bytes when
-/// it is repeated; one that is older, of this session or of the three before, is refused as stale.
+/// Requests are known by session and id. The latest one is answered again when it is repeated, with
+/// the same bytes, or, if it changes nothing and its answer is long, by carrying it out again; one
+/// that is older, of this session or of the three before, is refused as stale.
 /// Who may write, the [`Lock`] says; signatures are checked here ([`auth`](crate::auth)). Unsigned
 /// requests and wrong signatures have no effect on signed ones, however many they are.
 ///
@@ -34,7 +39,7 @@ pub enum Decision<'a> {
 /// use wimu_link::hello::LinkRole;
 /// use wimu_link::message::{Answer, Command, Payload, Settings};
 /// use wimu_link::responder::{Decision, Responder};
-/// use wimu_link::{Deframer, Kind};
+/// use wimu_link::{Deframer, Kind, MAX_FRAME};
 ///
 /// fn on_byte(byte: u8, deframer: &mut Deframer, responder: &mut Responder, settings: &mut Settings) {
 ///     let Some(Ok(frame)) = deframer.push(byte) else { return };
@@ -46,10 +51,13 @@ pub enum Decision<'a> {
 ///     match responder.accept(frame.body, &lock) {
 ///         Decision::Execute(Command::SetSettings(new)) => {
 ///             *settings = new;
-///             let answer = Answer::Accepted(Payload::Settings(*settings));
-///             send(responder.reply(&answer));
+///             let answer: Answer = Answer::Accepted(Payload::Settings(*settings));
+///             send(responder.reply(&answer, &mut [0; MAX_FRAME]));
 ///         }
-///         Decision::Execute(_) => send(responder.reply(&Answer::Unknown)),
+///         Decision::Execute(_) => {
+///             let answer: Answer = Answer::Unknown;
+///             send(responder.reply(&answer, &mut [0; MAX_FRAME]));
+///         }
 ///         Decision::Send(frame) => send(frame),
 ///         Decision::Ignore => {}
 ///     }
@@ -74,12 +82,12 @@ pub struct Responder {
     /// The latest unsigned request of each session, the latest session first.
     latest: [Option<Known>; SESSIONS],
     /// The reply to the first of them.
-    reply: FrameBuffer<MAX_FRAME>,
+    reply: FrameBuffer<KEPT_FRAME>,
     sessions: Sessions,
     /// The latest signed request.
     latest_signed: Option<Known>,
     /// The reply to it.
-    signed_reply: FrameBuffer<MAX_FRAME>,
+    signed_reply: FrameBuffer<KEPT_FRAME>,
     executing: Option<Executing>,
     /// Requests that came again.
     repeated: u32,
@@ -89,6 +97,12 @@ pub struct Responder {
 
 /// Session and id at their longest, signature, answer, refusal, kind, CRC, stuffing, zero.
 const REFUSAL_FRAME: usize = 5 + 5 + 9 + 2 + 1 + 4 + 1 + 1;
+
+/// An answer without parameters.
+type ShortAnswer = Answer<EncodedParameters<'static>>;
+
+/// The longest answer to a request that changes anything, with what is around it.
+const KEPT_FRAME: usize = 80;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Known {
@@ -107,7 +121,7 @@ enum Executing {
 }
 
 impl Known {
-    fn answer(&self, answer: &Answer) -> Reply {
+    fn answer<P: Copy>(&self, answer: &Answer<P>) -> Reply<P> {
         Reply {
             session: self.session,
             id: self.id,
@@ -116,7 +130,12 @@ impl Known {
         }
     }
 
-    fn signed_answer(&self, session: &Session, request: Signature, answer: &Answer) -> Reply {
+    fn signed_answer<P: Copy + Serialize>(
+        &self,
+        session: &Session,
+        request: Signature,
+        answer: &Answer<P>,
+    ) -> Reply<P> {
         Reply {
             signature: session.sign_answer(self.id, request, answer),
             ..self.answer(answer)
@@ -142,7 +161,7 @@ impl Responder {
 
     /// Takes the body of a frame of kind [`Request`](crate::Kind::Request), and who may write at
     /// the moment.
-    pub fn accept(&mut self, body: &[u8], lock: &Lock) -> Decision<'_> {
+    pub fn accept<'b>(&mut self, body: &'b [u8], lock: &Lock) -> Decision<'_, 'b> {
         let Ok((head, command)) = RequestHead::split(body) else {
             return Decision::Ignore;
         };
@@ -158,7 +177,12 @@ impl Responder {
         }
     }
 
-    fn accept_unsigned(&mut self, request: Known, command: &[u8], lock: &Lock) -> Decision<'_> {
+    fn accept_unsigned<'b>(
+        &mut self,
+        request: Known,
+        command: &'b [u8],
+        lock: &Lock,
+    ) -> Decision<'_, 'b> {
         let known = self
             .latest
             .iter()
@@ -166,14 +190,15 @@ impl Responder {
         let latest = known
             .and_then(|place| self.latest.get(place).copied())
             .flatten();
-        if let Some(latest) = latest {
-            if latest == request && known == Some(0) {
-                self.repeated = self.repeated.wrapping_add(1);
-                return match self.executing {
-                    Some(Executing::Unsigned(_)) => Decision::Ignore,
-                    _ => Decision::Send(self.reply.frame()),
-                };
+        let repeats = latest == Some(request) && known == Some(0);
+        if repeats {
+            self.repeated = self.repeated.wrapping_add(1);
+            match self.executing {
+                Some(Executing::Unsigned(_)) => return Decision::Ignore,
+                _ if !self.reply.frame().is_empty() => return Decision::Send(self.reply.frame()),
+                _ => {}
             }
+        } else if let Some(latest) = latest {
             // Ids wrap: the nearer half of them is later.
             if (request.id.wrapping_sub(latest.id) as i32) <= 0 {
                 return self.refuse(request.answer(&Answer::Refused(Refusal::Stale)));
@@ -192,18 +217,20 @@ impl Responder {
             *front = Some(request);
         }
 
-        let decoded = Command::decode(command);
-        let outcome = match decoded {
+        let outcome = match Command::take(command) {
             Err(_) => Err(Answer::Unknown),
+            // It has had its effect.
+            Ok(command) if repeats && command.is_write() => return Decision::Ignore,
             Ok(command) => match lock.refusal(&command, self.role) {
                 Some(refusal) => Err(Answer::Refused(refusal)),
-                None if command == Command::OpenSession => Err(self.open_session(lock)),
+                None if matches!(command, Command::OpenSession) => Err(self.open_session(lock)),
                 None => Ok(command),
             },
         };
         match outcome {
             Ok(command) => {
                 self.executing = Some(Executing::Unsigned(request));
+                self.reply.clear();
                 Decision::Execute(command)
             }
             Err(answer) => {
@@ -214,20 +241,24 @@ impl Responder {
         }
     }
 
-    fn accept_signed(
+    fn accept_signed<'b>(
         &mut self,
         request: Known,
         signature: Signature,
-        command: &[u8],
+        command: &'b [u8],
         lock: &Lock,
-    ) -> Decision<'_> {
-        // A repeat gets what was sent before: nobody learns anything from it.
-        if self.latest_signed == Some(request) {
+    ) -> Decision<'_, 'b> {
+        let repeats = self.latest_signed == Some(request);
+        if repeats {
             self.repeated = self.repeated.wrapping_add(1);
-            return match self.executing {
-                Some(Executing::Signed(..)) => Decision::Ignore,
-                _ => Decision::Send(self.signed_reply.frame()),
-            };
+            match self.executing {
+                Some(Executing::Signed(..)) => return Decision::Ignore,
+                // What was sent before: nobody learns anything from it.
+                _ if !self.signed_reply.frame().is_empty() => {
+                    return Decision::Send(self.signed_reply.frame());
+                }
+                _ => {}
+            }
         }
         let refused = |refusal| request.answer(&Answer::Refused(refusal));
         let Some(session) = lock.session(self.role, request.session) else {
@@ -244,8 +275,9 @@ impl Responder {
         if !session.has_signed(request.id, command, signature) {
             return self.refuse(refused(Refusal::WrongSignature));
         }
-        let signed = |answer: &Answer| request.signed_answer(&session, signature, answer);
-        if let Standing::Used = standing {
+        let signed = |answer: &ShortAnswer| request.signed_answer(&session, signature, answer);
+        // What is like the latest request up to its CRC may be another: its signature counts.
+        if !repeats && matches!(standing, Standing::Used) {
             return self.refuse(signed(&Answer::Refused(Refusal::Stale)));
         }
         if self.executing.is_some() {
@@ -253,8 +285,9 @@ impl Responder {
         }
         self.sessions.note(request.session, request.id);
         self.latest_signed = Some(request);
-        let outcome = match Command::decode(command) {
+        let outcome = match Command::take(command) {
             Err(_) => Err(Answer::Unknown),
+            Ok(command) if repeats && command.is_write() => return Decision::Ignore,
             Ok(command) if command.is_key_change() && self.role != LinkRole::Cable => {
                 Err(Answer::Refused(Refusal::CableOnly))
             }
@@ -264,6 +297,7 @@ impl Responder {
         match outcome {
             Ok(command) => {
                 self.executing = Some(Executing::Signed(request, session, signature));
+                self.signed_reply.clear();
                 Decision::Execute(command)
             }
             Err(answer) => {
@@ -274,12 +308,12 @@ impl Responder {
         }
     }
 
-    fn refuse(&mut self, reply: Reply) -> Decision<'_> {
+    fn refuse<'b>(&mut self, reply: Reply<EncodedParameters<'static>>) -> Decision<'_, 'b> {
         self.refusal.fill(|frame| reply.encode(frame));
         Decision::Send(self.refusal.frame())
     }
 
-    fn open_session(&mut self, lock: &Lock) -> Answer {
+    fn open_session(&mut self, lock: &Lock) -> ShortAnswer {
         let number = self.sessions.open();
         match number.and_then(|number| lock.session(self.role, number)) {
             Some(session) => Answer::Accepted(Payload::Session {
@@ -295,21 +329,24 @@ impl Responder {
         self.repeated
     }
 
-    /// The frame that answers the request that was to be executed; the same bytes will answer its
-    /// repeats. Empty when none was.
-    pub fn reply(&mut self, answer: &Answer) -> &[u8] {
-        match self.executing.take() {
-            Some(Executing::Unsigned(request)) => {
-                self.reply
-                    .fill(|frame| request.answer(answer).encode(frame));
-                self.reply.frame()
-            }
-            Some(Executing::Signed(request, session, signature)) => {
-                let reply = request.signed_answer(&session, signature, answer);
-                self.signed_reply.fill(|frame| reply.encode(frame));
-                self.signed_reply.frame()
-            }
-            None => &[],
-        }
+    /// Puts the frame that answers the request that was to be executed into `frame`, of which
+    /// [`MAX_FRAME`](crate::MAX_FRAME) bytes are enough, and returns it. Empty when none was.
+    pub fn reply<'f, P: Copy + Serialize>(
+        &mut self,
+        answer: &Answer<P>,
+        frame: &'f mut [u8],
+    ) -> &'f [u8] {
+        let (reply, kept) = match self.executing.take() {
+            Some(Executing::Unsigned(request)) => (request.answer(answer), &mut self.reply),
+            Some(Executing::Signed(request, session, signature)) => (
+                request.signed_answer(&session, signature, answer),
+                &mut self.signed_reply,
+            ),
+            None => return &[],
+        };
+        let length = reply.encode(frame).unwrap_or(0);
+        let frame = frame.get(..length).unwrap_or_default();
+        kept.keep(frame);
+        frame
     }
 }

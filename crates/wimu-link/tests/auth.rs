@@ -54,14 +54,16 @@ impl Device {
 
     fn hear(&mut self, role: LinkRole, request: &[u8]) -> Option<Reply> {
         let link = &mut self.links[usize::from(role != LinkRole::Cable)];
+        let mut room = [0; MAX_FRAME];
         let frame = match link.accept(request, &self.lock) {
             Decision::Ignore => return None,
             Decision::Send(frame) => frame,
             Decision::Execute(command) => {
                 if command.is_write() {
-                    self.writes.push(command);
+                    self.writes.push(command.decoded().expect("checked"));
                 }
-                link.reply(&Answer::Accepted(Payload::None))
+                let answer: Answer = Answer::Accepted(Payload::None);
+                link.reply(&answer, &mut room)
             }
         };
         Some(Reply::decode(&body(frame)).expect("own reply"))
@@ -522,7 +524,7 @@ fn the_key_is_never_shown() {
     let key = DeviceKey::new([0xAB; 32]);
     let shown = format!(
         "{key:?} {:?} {:?}",
-        Command::SetKey(key),
+        <Command>::SetKey(key),
         KeyState::Set(key)
     );
     assert!(

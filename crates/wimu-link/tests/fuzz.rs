@@ -44,8 +44,8 @@ fn frames() -> Vec<Vec<u8>> {
     keep(&|line| Hello::new(LinkRole::Wireless).encode(line));
     keep(&|line| WhoAreYou::default().encode(line));
     keep(&|line| batch::encode(1, DeviceTimeUs(2), &samples, line));
-    keep(&|line| Telemetry::Environment(Environment::default()).encode(line));
-    keep(&|line| Telemetry::Status(Status::default()).encode(line));
+    keep(&|line| <Telemetry>::Environment(Environment::default()).encode(line));
+    keep(&|line| <Telemetry>::Status(Status::default()).encode(line));
     keep(&|line| {
         Request {
             session: 1,

@@ -3,10 +3,11 @@
 use proptest::prelude::*;
 use wimu_integrator::{Config, Integrator};
 use wimu_link::message::{
-    ActiveParameters, Answer, BusFault, Command, Epoch, EpochReason, Event, MessageError,
-    Navigation, ParameterFault, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
-    WireMagnetometer, WireMagnetometerFault, WireParameters, WirePhase, WireQuality,
-    WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow, parameter_id,
+    ActiveParameters, Answer, BusFault, Command, EncodedParameters, Epoch, EpochReason, Event,
+    MessageError, Navigation, ParameterFault, Payload, Refusal, Reply, Request, Settings,
+    Signature, Telemetry, WireMagnetometer, WireMagnetometerFault, WireParameters, WirePhase,
+    WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow,
+    parameter_id,
 };
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{
@@ -178,7 +179,7 @@ fn an_integrator_goes_on_from_its_state_on_the_wire() {
                 state: device.state().into(),
                 ..longest_epoch()
             };
-            let body = body_of(|line| Telemetry::Epoch(epoch).encode(line));
+            let body = body_of(|line| <Telemetry>::Epoch(epoch).encode(line));
             let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(&body) else {
                 panic!("no epoch");
             };
@@ -210,7 +211,8 @@ fn a_parameter_set_comes_back_bit_for_bit() {
 
 #[test]
 fn the_longest_parameter_set_leaves_room_for_a_signed_request() {
-    let command = Command::StageParameters(WireParameters::from(&calibrated()));
+    let wire = WireParameters::from(&calibrated());
+    let command = Command::StageParameters(wire);
     let request = Request {
         session: u32::MAX,
         id: u32::MAX,
@@ -221,6 +223,11 @@ fn the_longest_parameter_set_leaves_room_for_a_signed_request() {
     assert_eq!(Request::decode(&body), Ok(request));
     println!("{} bytes", body.len());
     assert!(body.len() <= 864, "{}", body.len());
+    let mut bytes = [0; WireParameters::MAX];
+    assert_eq!(wire.encode(&mut bytes), Ok(WireParameters::MAX));
+    let encoded = EncodedParameters(&bytes);
+    assert_eq!(encoded.decode(), Ok(wire));
+    assert_eq!(encoded.id(), parameter_id(&calibrated()));
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use std::time::Duration;
 
 use proptest::prelude::*;
-use wimu_link::auth::{DeviceKey, KeyState, Lock};
+use wimu_link::auth::{DeviceKey, KeyId, KeyState, Lock, Session};
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{
-    Answer, Command, Payload, Refusal, Reply, Request, Settings, Signature, WireParameters,
+    ActiveParameters, Answer, Command, ParameterFault, Payload, Refusal, Reply, Request,
+    Resolution, Settings, Signature, Streams, WireParameters, WireTerm,
 };
 use wimu_link::requester::{Next, Requester};
 use wimu_link::responder::{Decision, Responder};
@@ -83,12 +84,16 @@ impl Device {
 
     fn hear(&mut self, body: &[u8]) -> Vec<u8> {
         let command = match self.responder.accept(body, &open()) {
-            Decision::Execute(command) => command,
+            Decision::Execute(command) => command.decoded().unwrap(),
             Decision::Send(frame) => return frame.to_vec(),
             Decision::Ignore => return Vec::new(),
         };
         self.effects.push(command);
-        let answer = match command {
+        let answer: Answer = match command {
+            Command::GetParameters => Answer::Accepted(Payload::Parameters(ActiveParameters {
+                active: Some(uncalibrated()),
+                id: 1,
+            })),
             Command::SetSettings(settings) => {
                 self.settings = settings;
                 Answer::Accepted(Payload::None)
@@ -96,7 +101,7 @@ impl Device {
             Command::GetSettings => Answer::Accepted(Payload::Settings(self.settings)),
             _ => Answer::Accepted(Payload::None),
         };
-        self.responder.reply(&answer).to_vec()
+        self.responder.reply(&answer, &mut [0; MAX_FRAME]).to_vec()
     }
 }
 
@@ -115,6 +120,97 @@ fn a_repeated_request_has_one_effect_and_gets_the_same_bytes() {
 }
 
 #[test]
+fn a_long_answer_to_a_read_is_made_anew_when_it_was_lost() {
+    let mut device = Device::new(LinkRole::Cable);
+    let read = request(1, 1, Command::GetParameters);
+    let first = device.hear(&read);
+    assert!(first.len() > 200, "{}", first.len());
+    assert_eq!(device.hear(&read), first);
+    assert_eq!(device.effects, [Command::GetParameters; 2]);
+}
+
+#[test]
+fn every_answer_to_a_write_is_kept_at_its_longest() {
+    let longest: [Answer; 7] = [
+        Answer::Accepted(Payload::Session {
+            number: u32::MAX,
+            nonce: [0xff; 16],
+        }),
+        Answer::Accepted(Payload::Settings(FARTHEST)),
+        Answer::Accepted(Payload::Staged { hash: u32::MAX }),
+        Answer::Accepted(Payload::KeyStatus {
+            key: Some(KeyId([0xff; 4])),
+        }),
+        Answer::Refused(Refusal::UnsupportedSettings { nearest: FARTHEST }),
+        Answer::Refused(Refusal::InvalidParameters(ParameterFault::OutOfBounds {
+            term: WireTerm::Nonlinearity,
+            axis: 255,
+            value: f64::MIN,
+            low: f64::MIN,
+            high: f64::MAX,
+        })),
+        Answer::Refused(Refusal::WrongSensitivity {
+            parameters_lsb_per_g: f64::MAX,
+            device_lsb_per_g: f64::MIN,
+        }),
+    ];
+    let key = DeviceKey::new([1; 32]);
+    let lock = Lock {
+        key: KeyState::Set(key),
+        ..open()
+    };
+    for answer in longest {
+        let mut responder = Responder::new(LinkRole::Cable);
+        let mut requester = Requester::new(u32::MAX);
+        let open = requester.start(Command::OpenSession, NOW).to_vec();
+        let Decision::Send(frame) = responder.accept(&body(&open, Kind::Request), &lock) else {
+            panic!("no session");
+        };
+        let Answer::Accepted(Payload::Session { number, nonce }) = self::answer(frame) else {
+            panic!("no session");
+        };
+        let session = Session {
+            key,
+            role: LinkRole::Cable,
+            device_id: 0,
+            number,
+            nonce,
+        };
+        requester.sign(session, u32::MAX);
+        let write = requester.start(Command::FactoryReset, NOW).to_vec();
+        let write = body(&write, Kind::Request);
+        assert!(matches!(
+            responder.accept(&write, &lock),
+            Decision::Execute(Command::FactoryReset)
+        ));
+        let reply = responder.reply(&answer, &mut [0; MAX_FRAME]).to_vec();
+        // The session's number, 1, is as short as they get: four bytes less than the longest.
+        assert!(reply.len() + 4 <= 80, "{answer:?}");
+        assert_eq!(responder.accept(&write, &lock), Decision::Send(&reply));
+    }
+}
+
+const FARTHEST: Settings = {
+    let streams = Streams {
+        raw: true,
+        corrected: true,
+        navigation: true,
+        environment: true,
+        batch: u8::MAX,
+        every: u8::MAX,
+    };
+    Settings {
+        range_g: u8::MAX,
+        rate_hz: u16::MAX,
+        resolution: Resolution::High,
+        zupt: true,
+        gravity_um_s2: u32::MAX,
+        cable: streams,
+        wireless: streams,
+    }
+};
+
+#[test]
 fn a_repeat_while_it_is_carried_out_is_ignored() {
     let mut responder = Responder::new(LinkRole::Cable);
     let reset = request(1, 1, Command::FactoryReset);
@@ -126,10 +222,9 @@ fn a_repeat_while_it_is_carried_out_is_ignored() {
     for body in [&reset, &other] {
         assert_eq!(responder.accept(body, &open()), Decision::Ignore);
     }
-    let reply = responder
-        .reply(&Answer::Refused(Refusal::StoreFailed))
-        .to_vec();
-    assert_eq!(answer(&reply), Answer::Refused(Refusal::StoreFailed));
+    let failed = Answer::Refused(Refusal::StoreFailed);
+    let reply = responder.reply(&failed, &mut [0; MAX_FRAME]).to_vec();
+    assert_eq!(answer(&reply), failed);
     assert_eq!(responder.accept(&reset, &open()), Decision::Send(&reply));
     // What was ignored was not taken as heard.
     assert!(matches!(
@@ -179,7 +274,9 @@ fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
         for command in writes() {
             let mut responder = Responder::new(role);
             match (responder.accept(&request(1, 1, command), &lock), expected) {
-                (Decision::Execute(executed), None) => assert_eq!(executed, command),
+                (Decision::Execute(executed), None) => {
+                    assert_eq!(executed.decoded(), Ok(command));
+                }
                 (Decision::Send(frame), Some(refusal)) => {
                     assert_eq!(answer(frame), Answer::Refused(refusal));
                 }
@@ -261,7 +358,8 @@ fn sessions_do_not_repeat_each_others_requests() {
 #[test]
 fn a_reply_to_nothing_is_empty() {
     let mut responder = Responder::new(LinkRole::Cable);
-    assert!(responder.reply(&Answer::Unknown).is_empty());
+    let answer: Answer = Answer::Unknown;
+    assert!(responder.reply(&answer, &mut [0; MAX_FRAME]).is_empty());
 }
 
 #[test]

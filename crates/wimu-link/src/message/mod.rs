@@ -14,8 +14,9 @@ use hmac::digest::Update;
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
-use crate::frame::{self, BodyWriter, Digest, EncodeError, Kind, crc_32c_digest};
+use crate::frame::{self, BodyWriter, EncodeError, Kind};
 
+mod exchange;
 mod parameters;
 mod quality;
 mod request;
@@ -24,7 +25,8 @@ mod state;
 mod telemetry;
 
 pub use parameters::{
-    ParameterFault, WireMagnetometerFault, WireParameters, WireQualityFault, WireTerm, parameter_id,
+    EncodedParameters, ParameterFault, WireMagnetometerFault, WireParameters, WireQualityFault,
+    WireTerm, parameter_id,
 };
 pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
 pub(crate) use request::RequestHead;
@@ -33,12 +35,12 @@ pub use settings::{Resolution, Settings, Streams};
 pub use state::{WirePhase, WireRun, WireSegment, WireState, WireWindow};
 pub use telemetry::{
     ActiveParameters, BusFault, Environment, Epoch, EpochReason, Event, LinkStatus, Navigation,
-    SensorStatus, Status, Telemetry,
+    Record, SensorStatus, Status, Telemetry,
 };
 
 macro_rules! framed {
-    ($message:ident, $kind:ident) => {
-        impl $message {
+    ($message:ident $(<$parameters:ident>)?, $kind:ident) => {
+        impl$(<$parameters: Serialize>)? $message$(<$parameters>)? {
             /// Puts it into a frame; returns the frame's length, bytes.
             ///
             /// # Errors
@@ -46,7 +48,9 @@ macro_rules! framed {
             pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
                 encode(Kind::$kind, self, frame)
             }
+        }
 
+        impl $message {
             #[doc = concat!("Reads the body of a frame of kind [`Kind::", stringify!($kind), "`].")]
             ///
             /// # Errors
@@ -58,9 +62,9 @@ macro_rules! framed {
     };
 }
 
-framed!(Telemetry, Telemetry);
+framed!(Telemetry<P>, Telemetry);
 framed!(Request, Request);
-framed!(Reply, Reply);
+framed!(Reply<P>, Reply);
 
 fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usize, EncodeError> {
     frame::build(kind, frame, |body| {
@@ -83,12 +87,6 @@ fn decode<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
         Ok((_, rest)) => Err(MessageError::TooLong { extra: rest.len() }),
         Err(error) => Err(error.into()),
     }
-}
-
-/// CRC-32C of `message`'s wire form.
-pub(crate) fn checksum<T: Serialize>(message: &T) -> u32 {
-    // Neither the sink nor plain numbers can fail.
-    postcard::serialize_with_flavor(message, ChecksumSink(crc_32c_digest())).unwrap_or_default()
 }
 
 /// Gives `message`'s wire form to `mac`.
@@ -137,25 +135,6 @@ impl Flavor for FrameSink<'_, '_> {
 
     fn finalize(self) -> postcard::Result<()> {
         Ok(())
-    }
-}
-
-struct ChecksumSink(Digest);
-
-impl Flavor for ChecksumSink {
-    type Output = u32;
-
-    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
-        self.0.update(data);
-        Ok(())
-    }
-
-    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
-        self.try_extend(&[data])
-    }
-
-    fn finalize(self) -> postcard::Result<u32> {
-        Ok(self.0.finalize())
     }
 }
 

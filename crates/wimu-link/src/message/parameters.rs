@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use serde::de::{self, Deserializer, SeqAccess, Visitor};
+use serde::ser::{SerializeTuple, Serializer};
 use serde::{Deserialize, Serialize};
 use wimu_model::{
     Alignment, AlignmentError, CompileError, CovarianceError, ErrorModel, ErrorTerms,
@@ -9,8 +11,10 @@ use wimu_model::{
     Sensitivity, SensitivityError, TemperatureTerms, Term,
 };
 
-use super::checksum;
+use super::MessageError;
+use super::exchange::{Reader, Wire, Writer, byte, doubles, floats, option};
 use super::quality::{WireMagnetometer, WireQuality};
+use crate::frame::{EncodeError, crc_32c, crc_32c_digest};
 
 /// A [`ParameterSet`] as it travels: plain numbers, in this order, not checked yet.
 ///
@@ -27,7 +31,7 @@ use super::quality::{WireMagnetometer, WireQuality};
 /// assert_eq!(fault.to_string(), "bias Y is not a finite number");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireParameters {
     /// Full-scale range, ± *g*.
@@ -56,6 +60,195 @@ pub struct WireParameters {
     pub quality: Option<WireQuality>,
     /// The magnetometer's model.
     pub magnetometer: Option<WireMagnetometer>,
+}
+
+impl WireParameters {
+    /// The most bytes that one takes on the wire.
+    pub const MAX: usize = 835;
+
+    const BLANK: Self = Self {
+        range_g: 0,
+        sensitivity_lsb_per_g: 0.0,
+        bias_mps2: [0.0; 3],
+        matrix: [[0.0; 3]; 3],
+        reference_c: 0.0,
+        bias_mps2_per_k: [0.0; 3],
+        bias_mps2_per_k2: [0.0; 3],
+        scale_per_k: [0.0; 3],
+        nonlinearity: [0.0; 3],
+        alignment_wxyz: [0.0; 4],
+        alignment_factor: None,
+        quality: None,
+        magnetometer: None,
+    };
+
+    fn exchange(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
+        byte(wire, &mut self.range_g)?;
+        for values in [
+            core::slice::from_mut(&mut self.sensitivity_lsb_per_g),
+            &mut self.bias_mps2,
+            self.matrix.as_flattened_mut(),
+            core::slice::from_mut(&mut self.reference_c),
+            &mut self.bias_mps2_per_k,
+            &mut self.bias_mps2_per_k2,
+            &mut self.scale_per_k,
+            &mut self.nonlinearity,
+            &mut self.alignment_wxyz,
+        ] {
+            doubles(wire, values)?;
+        }
+        option(
+            wire,
+            &mut self.alignment_factor,
+            [0.0; 6],
+            |wire, factor| floats(wire, factor),
+        )?;
+        option(
+            wire,
+            &mut self.quality,
+            WireQuality::BLANK,
+            WireQuality::exchange,
+        )?;
+        option(
+            wire,
+            &mut self.magnetometer,
+            WireMagnetometer::BLANK,
+            WireMagnetometer::exchange,
+        )
+    }
+
+    /// Writes its wire form to `bytes`, of which [`MAX`](Self::MAX) are enough; returns its length.
+    ///
+    /// # Errors
+    /// [`EncodeError::NoRoom`] when it does not fit.
+    pub fn encode(&self, bytes: &mut [u8]) -> Result<usize, EncodeError> {
+        let mut writer = Writer(bytes, 0);
+        let mut copy = *self;
+        let written = copy.exchange(&mut writer);
+        written.map_err(|_| EncodeError::NoRoom)?;
+        Ok(writer.1)
+    }
+
+    /// Reads a wire form.
+    ///
+    /// # Errors
+    /// [`MessageError`] when `bytes` are not exactly one.
+    pub fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
+        let mut reader = Reader(bytes);
+        let mut parameters = Self::BLANK;
+        parameters.exchange(&mut reader)?;
+        match reader.0 {
+            [] => Ok(parameters),
+            rest => Err(MessageError::TooLong { extra: rest.len() }),
+        }
+    }
+}
+
+// In messages that serde lays out, a set is its bytes, one after another.
+
+impl Serialize for WireParameters {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut bytes = [0; Self::MAX];
+        let length = self.encode(&mut bytes).unwrap_or(0);
+        EncodedParameters(bytes.get(..length).unwrap_or_default()).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for WireParameters {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Bytes;
+
+        struct Elements<A, E> {
+            elements: A,
+            failure: Option<E>,
+        }
+
+        impl<'de, A: SeqAccess<'de>> Wire for Elements<A, A::Error> {
+            fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
+                for byte in bytes {
+                    match self.elements.next_element() {
+                        Ok(Some(next)) => *byte = next,
+                        Ok(None) => return Err(MessageError::TooShort),
+                        Err(failure) => {
+                            self.failure = Some(failure);
+                            return Err(MessageError::TooShort);
+                        }
+                    }
+                }
+                Ok(())
+            }
+        }
+
+        impl<'de> Visitor<'de> for Bytes {
+            type Value = WireParameters;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("a parameter set")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, elements: A) -> Result<WireParameters, A::Error> {
+                let mut parameters = WireParameters::BLANK;
+                let mut wire = Elements {
+                    elements,
+                    failure: None,
+                };
+                match (parameters.exchange(&mut wire), wire.failure) {
+                    (Ok(()), _) => Ok(parameters),
+                    (Err(_), Some(failure)) => Err(failure),
+                    (Err(fault), None) => Err(de::Error::custom(fault)),
+                }
+            }
+        }
+
+        deserializer.deserialize_tuple(Self::MAX, Bytes)
+    }
+}
+
+/// A parameter set as the bytes of its wire form: what a device keeps, for it has no use for most of
+/// what is in them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EncodedParameters<'a>(pub &'a [u8]);
+
+impl<'a> EncodedParameters<'a> {
+    /// The set that stands first in `bytes`, and what follows it.
+    pub(super) fn split_off(bytes: &'a [u8]) -> Result<(Self, &'a [u8]), MessageError> {
+        let mut reader = Reader(bytes);
+        let mut parameters = WireParameters::BLANK;
+        parameters.exchange(&mut reader)?;
+        let (parameters, rest) = bytes.split_at(bytes.len() - reader.0.len());
+        Ok((Self(parameters), rest))
+    }
+
+    /// The set.
+    ///
+    /// # Errors
+    /// [`MessageError`] when the bytes are not exactly one.
+    pub fn decode(self) -> Result<WireParameters, MessageError> {
+        WireParameters::decode(self.0)
+    }
+
+    /// The set's id, as [`parameter_id`] makes it.
+    pub fn id(self) -> ParameterId {
+        ParameterId(crc_32c(self.0).max(1))
+    }
+}
+
+impl Serialize for EncodedParameters<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        for byte in self.0 {
+            tuple.serialize_element(byte)?;
+        }
+        tuple.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for EncodedParameters<'de> {
+    /// Fails: the bytes do not say where they end. What is around them must.
+    fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
+        Err(de::Error::custom("parameters of unknown length"))
+    }
 }
 
 impl From<&ParameterSet> for WireParameters {
@@ -122,7 +315,10 @@ pub(super) fn rotation_covariance(factor: [f32; 6]) -> Result<RotationCovariance
 
 /// The id of `set`: CRC-32C of its wire form, 1 in place of 0, which is the uncalibrated set's.
 pub fn parameter_id(set: &ParameterSet) -> ParameterId {
-    ParameterId(checksum(&WireParameters::from(set)).max(1))
+    let mut digest = crc_32c_digest();
+    // A digest takes whatever it is given.
+    let _ = WireParameters::from(set).exchange(&mut digest);
+    ParameterId(digest.finalize().max(1))
 }
 
 /// A term of the error model, as a fault names it. On the wire: append only.

@@ -1,15 +1,16 @@
 //! What a parameter set carries beside the error model.
 
-use serde::{Deserialize, Serialize};
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, MagnetometerModel,
     MagnetometerRotation, MagnetometerTerms, ModelCovariance, QualityTerms, TermDeviations,
 };
 
+use super::MessageError;
+use super::exchange::{Wire, doubles, float, floats, number, number_32, option};
 use super::parameters::{ParameterFault, rotation_covariance, rotation_factor};
 
 /// [`CalibrationMethod`] as it travels. Append only.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(
     missing_docs,
@@ -25,7 +26,7 @@ pub enum WireMethod {
 }
 
 /// [`CalibrationQuality`] as it travels, not checked yet.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireQuality {
     /// How the model was estimated.
@@ -51,7 +52,7 @@ pub struct WireQuality {
 }
 
 /// [`MagnetometerModel`] as it travels, not checked yet.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireMagnetometer {
     /// h, nT.
@@ -77,7 +78,7 @@ pub struct WireMagnetometer {
 }
 
 /// [`MagnetometerRotation`] as it travels.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireMagnetometerRotation {
     /// Magnetometer axes to accelerometer axes, quaternion W, X, Y, Z.
@@ -88,6 +89,108 @@ pub struct WireMagnetometerRotation {
     pub dip_rad: f32,
     /// Its spread over the poses, rad rms.
     pub dip_rms_rad: f32,
+}
+
+impl WireMethod {
+    /// In the order of their numbers.
+    const ALL: [Self; 6] = [
+        Self::MultiPosition,
+        Self::SixPosition,
+        Self::FourAngle,
+        Self::ThreeAngle,
+        Self::Reference,
+        Self::Updated,
+    ];
+
+    fn exchange(wire: &mut dyn Wire, method: &mut Self) -> Result<(), MessageError> {
+        let mut place = *method as u32;
+        number_32(wire, &mut place)?;
+        let known = Self::ALL.get(place as usize);
+        *method = *known.ok_or(MessageError::Malformed)?;
+        Ok(())
+    }
+}
+
+impl WireQuality {
+    pub(super) const BLANK: Self = Self {
+        method: WireMethod::MultiPosition,
+        utc_s: None,
+        temperature_c: None,
+        poses: 0,
+        dof: 0,
+        rms_mps2: 0.0,
+        loo_rms_mps2: None,
+        condition: None,
+        covariance_factor: [[0.0; 13]; 6],
+        other_sd: [[0.0; 3]; 4],
+    };
+
+    pub(super) fn exchange(wire: &mut dyn Wire, quality: &mut Self) -> Result<(), MessageError> {
+        WireMethod::exchange(wire, &mut quality.method)?;
+        option(wire, &mut quality.utc_s, 0, number)?;
+        option(wire, &mut quality.temperature_c, [0.0; 3], |wire, t| {
+            floats(wire, t)
+        })?;
+        number_32(wire, &mut quality.poses)?;
+        number_32(wire, &mut quality.dof)?;
+        float(wire, &mut quality.rms_mps2)?;
+        option(wire, &mut quality.loo_rms_mps2, 0.0, float)?;
+        option(wire, &mut quality.condition, 0.0, float)?;
+        floats(wire, quality.covariance_factor.as_flattened_mut())?;
+        floats(wire, quality.other_sd.as_flattened_mut())
+    }
+}
+
+impl WireMagnetometer {
+    pub(super) const BLANK: Self = Self {
+        hard_iron_nt: [0.0; 3],
+        hard_iron_sd_nt: [0.0; 3],
+        soft_iron: [0.0; 6],
+        soft_iron_sd: [0.0; 6],
+        field_nt: 0.0,
+        poses: 0,
+        rms_nt: 0.0,
+        loo_rms_nt: 0.0,
+        condition: 0.0,
+        to_accelerometer: None,
+    };
+
+    pub(super) fn exchange(wire: &mut dyn Wire, model: &mut Self) -> Result<(), MessageError> {
+        for values in [
+            &mut model.hard_iron_nt[..],
+            &mut model.hard_iron_sd_nt,
+            &mut model.soft_iron,
+            &mut model.soft_iron_sd,
+            core::slice::from_mut(&mut model.field_nt),
+        ] {
+            floats(wire, values)?;
+        }
+        number_32(wire, &mut model.poses)?;
+        for value in [
+            &mut model.rms_nt,
+            &mut model.loo_rms_nt,
+            &mut model.condition,
+        ] {
+            float(wire, value)?;
+        }
+        let blank = WireMagnetometerRotation {
+            rotation_wxyz: [0.0; 4],
+            factor: [0.0; 6],
+            dip_rad: 0.0,
+            dip_rms_rad: 0.0,
+        };
+        option(
+            wire,
+            &mut model.to_accelerometer,
+            blank,
+            |wire, rotation| {
+                doubles(wire, &mut rotation.rotation_wxyz)?;
+                floats(wire, &mut rotation.factor)?;
+                float(wire, &mut rotation.dip_rad)?;
+                float(wire, &mut rotation.dip_rms_rad)
+            },
+        )
+    }
 }
 
 impl From<CalibrationMethod> for WireMethod {

@@ -6,7 +6,7 @@ use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::MessageError;
-use super::parameters::{ParameterFault, WireParameters};
+use super::parameters::{EncodedParameters, ParameterFault, WireParameters};
 use super::settings::Settings;
 use super::telemetry::{ActiveParameters, Status};
 use crate::auth::{DeviceKey, KeyId, Nonce};
@@ -111,14 +111,17 @@ impl RequestHead {
 }
 
 /// What a host can ask for, and what it returns. Absolute, so that twice is once. Append only.
+///
+/// Here and in what a device says, `P` is a parameter set: a device leaves it as it travels
+/// ([`EncodedParameters`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Command {
+pub enum Command<P = WireParameters> {
     /// The parameters in use: [`Payload::Parameters`].
     GetParameters,
     /// Check these parameters and keep them for a commit: [`Payload::Staged`].
-    StageParameters(WireParameters),
+    StageParameters(P),
     /// Store the staged parameters and use them: [`Payload::None`].
     CommitParameters {
         /// The id that staging them returned.
@@ -153,9 +156,49 @@ pub enum Command {
     ForgetKey,
 }
 
-impl Command {
-    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
-        super::decode(bytes)
+impl<'a> Command<EncodedParameters<'a>> {
+    /// Reads a command whose parameters are left where they are.
+    pub(crate) fn take(bytes: &'a [u8]) -> Result<Self, MessageError> {
+        match bytes {
+            // The place of the variant; its only field takes the rest.
+            [1, parameters @ ..] => {
+                let parameters = EncodedParameters(parameters);
+                parameters.decode()?;
+                Ok(Self::StageParameters(parameters))
+            }
+            _ => super::decode(bytes),
+        }
+    }
+
+    /// The same with the parameters read.
+    ///
+    /// # Errors
+    /// [`MessageError`] when the parameters are not exactly one set.
+    pub fn decoded(self) -> Result<Command, MessageError> {
+        self.try_map(EncodedParameters::decode)
+    }
+}
+
+impl<P> Command<P> {
+    /// The same with what `change` makes of the parameters.
+    ///
+    /// # Errors
+    /// Those of `change`.
+    pub fn try_map<Q, E>(self, change: impl FnOnce(P) -> Result<Q, E>) -> Result<Command<Q>, E> {
+        Ok(match self {
+            Self::StageParameters(parameters) => Command::StageParameters(change(parameters)?),
+            Self::GetParameters => Command::GetParameters,
+            Self::CommitParameters { hash } => Command::CommitParameters { hash },
+            Self::FactoryReset => Command::FactoryReset,
+            Self::GetSettings => Command::GetSettings,
+            Self::SetSettings(settings) => Command::SetSettings(settings),
+            Self::GetStatus => Command::GetStatus,
+            Self::SetLineRate { link, baud } => Command::SetLineRate { link, baud },
+            Self::OpenSession => Command::OpenSession,
+            Self::GetKeyStatus => Command::GetKeyStatus,
+            Self::SetKey(key) => Command::SetKey(key),
+            Self::ForgetKey => Command::ForgetKey,
+        })
     }
 
     /// Whether it changes what the device keeps.
@@ -184,7 +227,7 @@ impl Command {
 /// A device's answer to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Reply {
+pub struct Reply<P = WireParameters> {
     /// The request's.
     pub session: u32,
     /// The request's.
@@ -192,16 +235,16 @@ pub struct Reply {
     /// Proves the device, if the request was signed with the right key.
     pub signature: Signature,
     /// The answer.
-    pub answer: Answer,
+    pub answer: Answer<P>,
 }
 
 /// What came of a request. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Answer {
+pub enum Answer<P = WireParameters> {
     /// It was done.
-    Accepted(Payload),
+    Accepted(Payload<P>),
     /// It was not done.
     Refused(Refusal),
     /// The device does not know this command.
@@ -212,11 +255,11 @@ pub enum Answer {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Payload {
+pub enum Payload<P = WireParameters> {
     /// Nothing.
     None,
     /// The parameters in use.
-    Parameters(ActiveParameters),
+    Parameters(ActiveParameters<P>),
     /// The parameters are staged.
     Staged {
         /// Their id, for the commit.

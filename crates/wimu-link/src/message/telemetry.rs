@@ -5,7 +5,8 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 use wimu_model::ParameterId;
 
-use super::parameters::{ParameterFault, WireParameters};
+use super::MessageError;
+use super::parameters::{EncodedParameters, ParameterFault, WireParameters};
 use super::settings::Settings;
 use super::state::{WirePhase, WireState};
 
@@ -13,7 +14,7 @@ use super::state::{WirePhase, WireState};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
-pub enum Telemetry {
+pub enum Telemetry<P = WireParameters> {
     /// From here on samples can be replayed.
     Epoch(Epoch),
     /// Magnetic field and temperature, at their own rate.
@@ -21,7 +22,7 @@ pub enum Telemetry {
     /// Velocity and position.
     Navigation(Navigation),
     /// The parameters in use.
-    Parameters(ActiveParameters),
+    Parameters(ActiveParameters<P>),
     /// The settings in use.
     Settings(Settings),
     /// How the device is.
@@ -33,6 +34,35 @@ pub enum Telemetry {
         /// What.
         event: Event,
     },
+}
+
+/// The messages that a device also stores, so that its store needs no layout of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Record<'a> {
+    /// [`Telemetry::Parameters`] with a set.
+    Parameters(EncodedParameters<'a>),
+    /// [`Telemetry::Settings`].
+    Settings(Settings),
+}
+
+impl<'a> Record<'a> {
+    /// Reads the body of a frame of kind [`Kind::Telemetry`](crate::Kind::Telemetry).
+    ///
+    /// # Errors
+    /// [`MessageError`] when it is not exactly one of these messages.
+    pub fn decode(body: &'a [u8]) -> Result<Self, MessageError> {
+        match body {
+            // The places of the variants, and a set that is there.
+            [3, 1, rest @ ..] => {
+                let (parameters, id) = EncodedParameters::split_off(rest)?;
+                super::decode::<u32>(id)?;
+                Ok(Self::Parameters(parameters))
+            }
+            [4, settings @ ..] => super::decode(settings).map(Self::Settings),
+            _ => Err(MessageError::Malformed),
+        }
+    }
 }
 
 /// Why an epoch begins. Append only.
@@ -146,9 +176,9 @@ impl Navigation {
 /// The parameters in use. Sent at start and whenever they change.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct ActiveParameters {
+pub struct ActiveParameters<P = WireParameters> {
     /// The committed set; `None` if the device is uncalibrated.
-    pub active: Option<WireParameters>,
+    pub active: Option<P>,
     /// Its id, 0 without one.
     pub id: u32,
 }

@@ -1,0 +1,118 @@
+//! The layout of large messages, said once for both directions: each field is exchanged for the
+//! bytes on the wire. One function a message, whichever way it goes: a microcontroller has it once.
+
+use super::MessageError;
+use crate::frame::Digest;
+
+/// One end of an exchange.
+pub(super) trait Wire {
+    /// A reader puts the next bytes in place of `bytes`; a writer takes them.
+    fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError>;
+}
+
+/// Bytes that are read.
+pub(super) struct Reader<'a>(pub(super) &'a [u8]);
+
+impl Wire for Reader<'_> {
+    fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
+        let (read, rest) = self
+            .0
+            .split_at_checked(bytes.len())
+            .ok_or(MessageError::TooShort)?;
+        bytes.copy_from_slice(read);
+        self.0 = rest;
+        Ok(())
+    }
+}
+
+/// Room that is written to, and how much of it is.
+pub(super) struct Writer<'a>(pub(super) &'a mut [u8], pub(super) usize);
+
+impl Wire for Writer<'_> {
+    fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
+        let end = self.1 + bytes.len();
+        let room = self.0.get_mut(self.1..end).ok_or(MessageError::TooShort)?;
+        room.copy_from_slice(bytes);
+        self.1 = end;
+        Ok(())
+    }
+}
+
+impl Wire for Digest {
+    fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
+        self.update(bytes);
+        Ok(())
+    }
+}
+
+pub(super) fn byte(wire: &mut dyn Wire, value: &mut u8) -> Result<(), MessageError> {
+    wire.exchange(core::slice::from_mut(value))
+}
+
+/// As a varint.
+pub(super) fn number(wire: &mut dyn Wire, value: &mut u64) -> Result<(), MessageError> {
+    let mut rest = *value;
+    let mut read = 0;
+    for shift in (0..64).step_by(7) {
+        let more = if rest > 127 { 128 } else { 0 };
+        let mut part = (rest & 127) as u8 | more;
+        rest >>= 7;
+        byte(wire, &mut part)?;
+        let bits = u64::from(part & 127);
+        read |= bits << shift;
+        if part < 128 {
+            if read >> shift != bits {
+                break;
+            }
+            *value = read;
+            return Ok(());
+        }
+    }
+    Err(MessageError::Malformed)
+}
+
+pub(super) fn number_32(wire: &mut dyn Wire, value: &mut u32) -> Result<(), MessageError> {
+    let mut wide = u64::from(*value);
+    number(wire, &mut wide)?;
+    *value = u32::try_from(wide).map_err(|_| MessageError::Malformed)?;
+    Ok(())
+}
+
+pub(super) fn doubles(wire: &mut dyn Wire, values: &mut [f64]) -> Result<(), MessageError> {
+    for value in values {
+        let mut bytes = value.to_le_bytes();
+        wire.exchange(&mut bytes)?;
+        *value = f64::from_le_bytes(bytes);
+    }
+    Ok(())
+}
+
+pub(super) fn floats(wire: &mut dyn Wire, values: &mut [f32]) -> Result<(), MessageError> {
+    for value in values {
+        let mut bytes = value.to_le_bytes();
+        wire.exchange(&mut bytes)?;
+        *value = f32::from_le_bytes(bytes);
+    }
+    Ok(())
+}
+
+pub(super) fn float(wire: &mut dyn Wire, value: &mut f32) -> Result<(), MessageError> {
+    floats(wire, core::slice::from_mut(value))
+}
+
+/// Whether a value follows, and then the value, which a reader makes from `blank`.
+pub(super) fn option<T>(
+    wire: &mut dyn Wire,
+    value: &mut Option<T>,
+    blank: T,
+    content: fn(&mut dyn Wire, &mut T) -> Result<(), MessageError>,
+) -> Result<(), MessageError> {
+    let mut there = u8::from(value.is_some());
+    byte(wire, &mut there)?;
+    match there {
+        0 => *value = None,
+        1 => return content(wire, value.get_or_insert(blank)),
+        _ => return Err(MessageError::Malformed),
+    }
+    Ok(())
+}

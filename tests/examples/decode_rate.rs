@@ -131,7 +131,7 @@ fn wimu_bytes(samples: &[[i16; 3]]) -> Result<Vec<u8>, Box<dyn Error>> {
     {
         let time_us = 1_000_000 + u64::from(first) * PERIOD_US;
         if first.is_multiple_of(50 * BATCH) {
-            let epoch = Telemetry::Epoch(Epoch {
+            let epoch = <Telemetry>::Epoch(Epoch {
                 reason: EpochReason::Periodic,
                 number: (first / (50 * BATCH)) as u8,
                 sequence: first,

@@ -352,6 +352,13 @@ impl Default for Deframer {
     }
 }
 
+impl Frame<'_> {
+    /// Where the body is in what was [opened](open).
+    pub fn place(&self) -> core::ops::Range<usize> {
+        1..1 + self.body.len()
+    }
+}
+
 /// Opens the frame that `bytes` are, with or without its closing zero, in their own place.
 ///
 /// # Errors

@@ -1,6 +1,7 @@
 //! Requests, parameters, settings and what is stored.
 
 use core::marker::PhantomData;
+use core::ops::Range;
 
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -9,14 +10,16 @@ use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::batch::MAX_BATCH;
 use wimu_link::frame::{self, MAX_FRAME};
 use wimu_link::message::{
-    ActiveParameters, Answer, Command, Event, ParameterFault, Payload, Refusal, Settings, Streams,
-    Telemetry, parameter_id,
+    ActiveParameters, Answer, Command, EncodedParameters, Event, Payload, Record, Refusal,
+    Settings, Streams,
 };
-use wimu_link::{Deframer, Kind, LinkRole};
+use wimu_link::{Kind, LinkRole};
 use wimu_model::{CentiCelsius, CompileError, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
 
 use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{Correction, Order, ROLES, RateOrder, Shared, Trouble};
+use crate::shared::{
+    Correction, Message, Order, ROLES, RateOrder, Shared, Staged, Trouble, active_parameters,
+};
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -30,12 +33,19 @@ const DRAIN_US: u64 = 100_000;
 /// How the device is, is told this often.
 const STATUS_US: u64 = 5_000_000;
 
+/// Records other than parameter sets have room here.
+const SHORT_RECORD: usize = 64;
+
+/// What is answered to a request other than for the parameters.
+type ShortPayload = Payload<EncodedParameters<'static>>;
+
 /// Obeys requests, keeps parameters and settings.
 pub struct Control<'a, A, T, S, M: RawMutex> {
     pub(crate) store: S,
     pub(crate) timer: T,
     pub(crate) shared: &'a Shared<M>,
-    pub(crate) staged: Option<ParameterSet>,
+    /// A record on its way to the store or from it.
+    pub(crate) record: [u8; MAX_RECORD],
     /// The hosts are to be told.
     pub(crate) parameters_changed: bool,
     #[cfg(feature = "self-check")]
@@ -90,8 +100,13 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
+                Either4::First((role, Command::GetParameters)) => {
+                    let active = self.shared.active();
+                    let active = Payload::Parameters(active_parameters(&active));
+                    self.answer(role, &Answer::Accepted(active));
+                }
                 Either4::First((role, command)) => {
-                    let answer = match self.obey(&mut plan, command).await {
+                    let answer = match self.obey(&mut plan, role, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
@@ -106,7 +121,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                     let now = self.timer.now();
                     next_status = DeviceTimeUs(now.0.saturating_add(STATUS_US));
                     let mut frame = [0; MAX_FRAME];
-                    let status = Telemetry::Status(self.shared.status(now));
+                    let status = Message::Status(self.shared.status(now));
                     if let Ok(length) = status.encode(&mut frame) {
                         let frame = frame.get(..length).unwrap_or_default();
                         self.shared.stream([true; 2], frame, |_| true);
@@ -117,18 +132,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    fn answer(&self, role: LinkRole, answer: &Answer) {
+    fn answer(&self, role: LinkRole, answer: &Answer<EncodedParameters>) {
         let mut frame = [0; MAX_FRAME];
-        let length = self.shared.with_inbox(role, |inbox| {
-            let reply = inbox.responder.reply(answer);
-            match frame.get_mut(..reply.len()) {
-                Some(room) => room.copy_from_slice(reply),
-                None => return 0,
-            }
-            reply.len()
-        });
-        self.shared
-            .keep(role, frame.get(..length).unwrap_or_default());
+        let reply = self
+            .shared
+            .with_inbox(role, |inbox| inbox.responder.reply(answer, &mut frame));
+        self.shared.keep(role, reply);
     }
 
     /// What is to become of a line's rate because of a request on the link `role`.
@@ -179,8 +188,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 KeyState::Unreadable
             }
         };
-        let wanted = match self.load(Key::Settings).await {
-            Ok(Some(Telemetry::Settings(settings))) => settings,
+        let loaded = self.load(Key::Settings).await;
+        let wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at)))) {
+            Ok(Some(Ok(Record::Settings(settings)))) => settings,
             Ok(None) => Settings::default(),
             _ => {
                 self.trouble(Trouble::Settings, Event::StoreUnreadable);
@@ -200,12 +210,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             None => core::future::pending().await,
         };
         let parameters = self.load_parameters(plan.settings.range_g).await;
+        self.shared.activate(self.set_at(&parameters));
         self.shared.publish(|published| {
             published.hello.boot_count = boot_count.unwrap_or(0);
             published.lock.boot_count = boot_count;
             published.lock.key = key;
             published.settings = plan.settings;
-            published.parameters = parameters;
             published.ready = true;
         });
         for role in ROLES {
@@ -215,40 +225,63 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.introduce(role, self.timer.now());
         }
         // A sensor that does not start is reported and tried again by the sampler.
-        let _ = self.configure(&plan, parameters.as_ref()).await;
+        if let Ok(correction) = self.correction_in_use(&plan) {
+            let _ = self.configure(&plan, correction).await;
+        }
         plan
     }
 
-    /// The set committed for a range. What cannot be read or used is reported.
-    async fn load_parameters(&mut self, range_g: u8) -> Option<ParameterSet> {
-        match self.load(Key::Parameters { range_g }).await {
-            Ok(None) => {
-                self.mended(Trouble::Parameters);
-                None
-            }
-            Ok(Some(Telemetry::Parameters(ActiveParameters {
-                active: Some(stored),
-                ..
-            }))) if stored.range_g == range_g => match ParameterSet::try_from(&stored) {
-                Ok(set) => {
-                    self.mended(Trouble::Parameters);
-                    Some(set)
-                }
-                Err(fault) => {
-                    self.trouble(Trouble::Parameters, Event::ModelRejected(fault));
-                    None
-                }
-            },
-            _ => {
+    /// The set committed for a range: where in the record it is. What cannot be read or used is
+    /// reported.
+    async fn load_parameters(&mut self, range_g: u8) -> Option<Range<usize>> {
+        let loaded = self.load(Key::Parameters { range_g }).await;
+        let place = match loaded {
+            Ok(place) => place,
+            Err(StoreFault) => {
                 self.trouble(Trouble::Parameters, Event::StoreUnreadable);
-                None
+                return None;
             }
+        };
+        let fault = match place
+            .clone()
+            .map(|place| Record::decode(self.content(&place)))
+        {
+            None => None,
+            Some(Ok(Record::Parameters(stored))) => match stored.decode() {
+                Ok(wire) if wire.range_g == range_g => {
+                    let set = ParameterSet::try_from(&wire);
+                    set.err().map(Event::ModelRejected)
+                }
+                _ => Some(Event::StoreUnreadable),
+            },
+            Some(_) => Some(Event::StoreUnreadable),
+        };
+        let now = self.timer.now();
+        self.shared.trouble(Trouble::Parameters, now, fault);
+        if fault.is_some() { None } else { place }
+    }
+
+    /// The set of a record of parameters at a place.
+    fn set_at(&self, place: &Option<Range<usize>>) -> Option<EncodedParameters<'_>> {
+        match Record::decode(self.content(place.as_ref()?)) {
+            Ok(Record::Parameters(set)) => Some(set),
+            _ => None,
         }
     }
 
-    async fn obey(&mut self, plan: &mut Plan, command: Command) -> Result<Payload, Refusal> {
+    fn content(&self, place: &Range<usize>) -> &[u8] {
+        self.record.get(place.clone()).unwrap_or_default()
+    }
+
+    async fn obey(
+        &mut self,
+        plan: &mut Plan,
+        role: LinkRole,
+        command: Command<()>,
+    ) -> Result<ShortPayload, Refusal> {
         match command {
-            Command::GetParameters => Ok(self.active()),
+            // Answered before it comes here.
+            Command::GetParameters => Ok(Payload::None),
             Command::GetSettings => Ok(Payload::Settings(plan.settings)),
             // Answered before it comes here.
             Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
@@ -264,28 +297,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 Ok(self.key_status())
             }
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
-            Command::StageParameters(wire) => {
-                let set = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
-                if set.range_g != plan.settings.range_g {
-                    return Err(Refusal::WrongRange {
-                        parameters_g: set.range_g,
-                        device_g: plan.settings.range_g,
-                    });
-                }
-                Corrector::compile(&set, self.latched)
-                    .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
-                let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
-                let known = self.shared.published().hello.sensitivity_known;
-                if known && !SENSITIVITY_RATIO.contains(&ratio) {
-                    return Err(Refusal::WrongSensitivity {
-                        parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
-                        device_lsb_per_g: plan.sensitivity.lsb_per_g(),
-                    });
-                }
-                self.staged = Some(set);
-                Ok(Payload::Staged {
-                    hash: parameter_id(&set).0,
-                })
+            Command::StageParameters(()) => {
+                let mut desk = self.shared.desk.lock().await;
+                let id = self.judge(plan, role, &mut desk)?;
+                desk.id = Some(id);
+                Ok(Payload::Staged { hash: id.0 })
             }
             Command::CommitParameters { hash } => self.commit(ParameterId(hash)).await,
             Command::SetSettings(wanted) => {
@@ -295,39 +311,77 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             }
             Command::FactoryReset => {
                 let new = plan_nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
-                self.configure(&new, None).await?;
+                let correction = self.correction(&new, None)?;
+                self.configure(&new, correction).await?;
                 self.announce_pause().await;
                 if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
-                    let committed = self.shared.published().parameters;
-                    self.configure(plan, committed.as_ref()).await?;
+                    let correction = self.correction_in_use(plan)?;
+                    self.configure(plan, correction).await?;
                     return Err(Refusal::StoreFailed);
                 }
                 *plan = new;
-                self.staged = None;
-                self.shared.publish(|published| {
-                    published.settings = new.settings;
-                    published.parameters = None;
-                });
+                self.shared.desk.lock().await.id = None;
+                self.shared.activate(None);
+                self.shared
+                    .publish(|published| published.settings = new.settings);
                 for mended in [Trouble::Settings, Trouble::Parameters] {
                     self.mended(mended);
                 }
-                self.announce(&Telemetry::Settings(new.settings));
+                self.announce(&Message::Settings(new.settings));
                 self.announce_parameters();
                 Ok(Payload::None)
             }
         }
     }
 
+    /// Checks the set that came on a link; the desk holds it in its one true form then.
+    fn judge(
+        &self,
+        plan: &Plan,
+        role: LinkRole,
+        desk: &mut Staged,
+    ) -> Result<ParameterId, Refusal> {
+        // Another host's has taken its place before it was looked at.
+        if desk.from.take() != Some(role) {
+            return Err(Refusal::NothingStaged);
+        }
+        let wire = desk.set.get().and_then(|set| set.decode().ok());
+        let wire = wire.ok_or(Refusal::NothingStaged)?;
+        let set = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
+        if set.range_g != plan.settings.range_g {
+            return Err(Refusal::WrongRange {
+                parameters_g: set.range_g,
+                device_g: plan.settings.range_g,
+            });
+        }
+        Corrector::compile(&set, self.latched).map_err(invalid)?;
+        let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
+        let known = self.shared.published().hello.sensitivity_known;
+        if known && !SENSITIVITY_RATIO.contains(&ratio) {
+            return Err(Refusal::WrongSensitivity {
+                parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
+                device_lsb_per_g: plan.sensitivity.lsb_per_g(),
+            });
+        }
+        Ok(desk.set.encode(&set))
+    }
+
     /// Compares a rest with what the parameters promise, and reports if they no longer hold.
     #[cfg(feature = "self-check")]
     fn check(&mut self, mean: [i64; 3], parameters: ParameterId) {
         let published = self.shared.published();
-        if published.parameter_id() != parameters {
+        if published.parameters != parameters {
             return;
         }
         let gravity_um_s2 = published.settings.gravity_um_s2;
-        let set = published.parameters;
-        match self.self_check.rest(set, gravity_um_s2, self.latched, mean) {
+        let active = self.shared.active();
+        let wire = active.get().and_then(|set| set.decode().ok());
+        let set = wire.and_then(|wire| ParameterSet::try_from(&wire).ok());
+        let set = set.map(|set| (parameters, set));
+        match self
+            .self_check
+            .rest(set.as_ref(), gravity_um_s2, self.latched, mean)
+        {
             crate::self_check::Verdict::Contradicted(event) => {
                 self.trouble(Trouble::Calibration, event);
                 self.shared.report(self.timer.now(), event);
@@ -350,13 +404,14 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
         if let Some(new) = plan_nearest::<A>(&Settings::default()) {
             let parameters = self.load_parameters(new.settings.range_g).await;
-            // A sensor that is away is started with these settings when it is back.
-            let _ = self.configure(&new, parameters.as_ref()).await;
+            if let Ok(correction) = self.correction(&new, self.set_at(&parameters)) {
+                // A sensor that is away is started with these settings when it is back.
+                let _ = self.configure(&new, correction).await;
+            }
             *plan = new;
-            self.shared.publish(|published| {
-                published.settings = new.settings;
-                published.parameters = parameters;
-            });
+            self.shared.activate(self.set_at(&parameters));
+            self.shared
+                .publish(|published| published.settings = new.settings);
             self.mended(Trouble::Settings);
         }
         self.take_key(KeyState::None);
@@ -364,7 +419,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// Stores a key and takes it. With another key, the starts are counted anew if they could not
     /// be read: no session of before is one of now.
-    async fn set_key(&mut self, key: DeviceKey) -> Result<Payload, Refusal> {
+    async fn set_key(&mut self, key: DeviceKey) -> Result<ShortPayload, Refusal> {
         self.announce_pause().await;
         self.save_raw(Key::DeviceKey, key.expose())
             .await
@@ -393,7 +448,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    fn key_status(&self) -> Payload {
+    fn key_status(&self) -> ShortPayload {
         Payload::KeyStatus {
             key: match self.shared.lock().key {
                 KeyState::Set(key) => Some(key.id()),
@@ -418,35 +473,35 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    async fn commit(&mut self, named: ParameterId) -> Result<Payload, Refusal> {
-        let Some(staged) = self.staged else {
+    async fn commit(&mut self, named: ParameterId) -> Result<ShortPayload, Refusal> {
+        let shared = self.shared;
+        let mut desk = shared.desk.lock().await;
+        let Staged { set, id, .. } = &mut *desk;
+        let (Some(staged), Some(set)) = (*id, set.get()) else {
             // Whoever commits again what is in use has lost our answer.
-            return if self.shared.published().parameter_id() == named {
+            return if shared.published().parameters == named {
                 Ok(Payload::None)
             } else {
                 Err(Refusal::NothingStaged)
             };
         };
-        let id = parameter_id(&staged);
-        if id != named {
-            return Err(Refusal::HashMismatch { staged: id.0 });
+        if staged != named {
+            return Err(Refusal::HashMismatch { staged: staged.0 });
         }
-        let correction = self
-            .compile(&staged, id)
-            .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
-        let record = Telemetry::Parameters(ActiveParameters {
-            active: Some((&staged).into()),
-            id: id.0,
+        let (correction, range_g) = self.compiled(set)?;
+        let record = Message::Parameters(ActiveParameters {
+            active: Some(set),
+            id: staged.0,
         });
-        let key = Key::Parameters {
-            range_g: staged.range_g,
-        };
-        self.save(key, &record).await?;
-        self.staged = None;
-        self.shared
-            .publish(|published| published.parameters = Some(staged));
+        let length = record.encode(&mut self.record);
+        let length = length.map_err(|_| Refusal::StoreFailed)?;
+        self.announce_pause().await;
+        self.save_record(Key::Parameters { range_g }, length)
+            .await?;
+        shared.activate(Some(set));
+        *id = None;
         self.mended(Trouble::Parameters);
-        self.shared.orders.send(Order::Correct(correction)).await;
+        shared.orders.send(Order::Correct(correction)).await;
         self.parameters_changed = true;
         Ok(Payload::None)
     }
@@ -454,41 +509,37 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     /// Runs the sensor under new settings and stores them; on failure it runs as before.
     async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
         let before = self.shared.published().parameters;
-        let parameters = if new.settings.range_g == plan.settings.range_g {
-            before
+        let other_range = new.settings.range_g != plan.settings.range_g;
+        let mut loaded = None;
+        let correction = if other_range {
+            loaded = self.load_parameters(new.settings.range_g).await;
+            self.correction(&new, self.set_at(&loaded))?
         } else {
-            self.load_parameters(new.settings.range_g).await
+            self.correction_in_use(&new)?
         };
-        let record = Telemetry::Settings(new.settings);
-        let mut outcome = self.configure(&new, parameters.as_ref()).await;
-        if outcome.is_ok() {
-            outcome = self.save(Key::Settings, &record).await;
-            if outcome.is_err() {
-                self.configure(plan, before.as_ref()).await?;
-            }
+        self.configure(&new, correction).await?;
+        if let Err(refusal) = self.save_settings(new.settings).await {
+            let correction = self.correction_in_use(plan)?;
+            self.configure(plan, correction).await?;
+            return Err(refusal);
         }
-        outcome?;
         *plan = new;
-        self.shared.publish(|published| {
-            published.settings = new.settings;
-            published.parameters = parameters;
-        });
+        self.shared
+            .publish(|published| published.settings = new.settings);
         self.mended(Trouble::Settings);
-        self.announce(&record);
-        if parameters != before {
+        self.announce(&Message::Settings(new.settings));
+        if other_range {
+            // What is staged is for the range before.
+            self.shared.desk.lock().await.id = None;
+            self.shared.activate(self.set_at(&loaded));
+        }
+        if self.shared.published().parameters != before {
             self.announce_parameters();
         }
         Ok(())
     }
 
-    async fn configure(
-        &mut self,
-        plan: &Plan,
-        committed: Option<&ParameterSet>,
-    ) -> Result<(), Refusal> {
-        let correction = self
-            .correction(plan, committed)
-            .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
+    async fn configure(&mut self, plan: &Plan, correction: Correction) -> Result<(), Refusal> {
         self.shared.configured.reset();
         self.shared
             .orders
@@ -508,11 +559,15 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP as u16);
         if moved {
             self.latched = Some(temperature);
-            let committed = self.shared.published().parameters;
-            if let Ok(correction) = self.correction(plan, committed.as_ref()) {
+            if let Ok(correction) = self.correction_in_use(plan) {
                 self.shared.orders.send(Order::Correct(correction)).await;
             }
         }
+    }
+
+    /// The corrector for `plan` with the set in use.
+    fn correction_in_use(&self, plan: &Plan) -> Result<Correction, Refusal> {
+        self.correction(plan, self.shared.active().get())
     }
 
     /// The corrector for `plan`: of the committed parameters if they are for its range, else of a
@@ -520,48 +575,49 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     fn correction(
         &self,
         plan: &Plan,
-        committed: Option<&ParameterSet>,
-    ) -> Result<Correction, CompileError> {
+        committed: Option<EncodedParameters>,
+    ) -> Result<Correction, Refusal> {
         let range_g = plan.settings.range_g;
-        if let Some(set) = committed.filter(|set| set.range_g == range_g) {
-            match self.compile(set, parameter_id(set)) {
-                Ok(correction) => {
+        if let Some(set) = committed {
+            match self.compiled(set) {
+                Ok((correction, of)) if of == range_g => {
                     self.mended(Trouble::Parameters);
                     return Ok(correction);
                 }
-                Err(fault) => {
-                    let event = Event::ModelRejected(ParameterFault::from(fault));
+                Err(Refusal::InvalidParameters(fault)) => {
+                    let event = Event::ModelRejected(fault);
                     self.trouble(Trouble::Parameters, event);
                     self.shared.report(self.timer.now(), event);
                 }
+                _ => {}
             }
         }
         let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensitivity);
         self.compile(&uncalibrated, ParameterId::UNCALIBRATED)
     }
 
-    fn compile(
-        &self,
-        set: &ParameterSet,
-        parameters: ParameterId,
-    ) -> Result<Correction, CompileError> {
+    /// The corrector of a set, and the range that it is for.
+    fn compiled(&self, set: EncodedParameters) -> Result<(Correction, u8), Refusal> {
+        let wire = set.decode().map_err(|_| Refusal::NothingStaged)?;
+        let decoded = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
+        Ok((self.compile(&decoded, set.id())?, decoded.range_g))
+    }
+
+    fn compile(&self, set: &ParameterSet, parameters: ParameterId) -> Result<Correction, Refusal> {
         Ok(Correction {
-            corrector: Corrector::compile(set, self.latched)?,
+            corrector: Corrector::compile(set, self.latched).map_err(invalid)?,
             parameters,
             temperature: self.latched,
             compass: Compass::new(set),
         })
     }
 
-    fn active(&self) -> Payload {
-        Payload::Parameters(self.shared.published().active())
-    }
-
     fn announce_parameters(&self) {
-        self.announce(&Telemetry::Parameters(self.shared.published().active()));
+        let active = self.shared.active();
+        self.announce(&Message::Parameters(active_parameters(&active)));
     }
 
-    fn announce(&self, message: &Telemetry) {
+    fn announce(&self, message: &Message) {
         self.shared.announce(message, [true; 2]);
     }
 
@@ -573,31 +629,34 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.shared.trouble(trouble, self.timer.now(), None);
     }
 
-    /// Reads a record; one that is damaged counts as unreadable memory.
-    async fn load(&mut self, key: Key) -> Result<Option<Telemetry>, StoreFault> {
-        let mut record = [0; MAX_RECORD];
-        let Some(length) = self.store.load(key, &mut record).await? else {
+    /// Reads a record: where in `record` its content is. One that is damaged counts as unreadable
+    /// memory.
+    async fn load(&mut self, key: Key) -> Result<Option<Range<usize>>, StoreFault> {
+        let Some(length) = self.store.load(key, &mut self.record).await? else {
             return Ok(None);
         };
-        let mut deframer = Deframer::new();
-        let record = record.get(..length).unwrap_or_default();
-        let message = record.iter().find_map(|&byte| match deframer.push(byte) {
-            Some(Ok(frame)) if frame.kind == Kind::Telemetry => Telemetry::decode(frame.body).ok(),
-            _ => None,
-        });
-        message.map(Some).ok_or(StoreFault)
+        let record = self.record.get_mut(..length).unwrap_or_default();
+        match frame::open(record) {
+            Ok(frame) if frame.kind == Kind::Telemetry => Ok(Some(frame.place())),
+            _ => Err(StoreFault),
+        }
     }
 
-    async fn save(&mut self, key: Key, record: &Telemetry) -> Result<(), Refusal> {
-        let mut bytes = [0; MAX_RECORD];
-        let length = record
-            .encode(&mut bytes)
-            .map_err(|_| Refusal::StoreFailed)?;
+    async fn save_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
+        let mut record = [0; SHORT_RECORD];
+        let message = Message::Settings(settings);
+        let length = message.encode(&mut record);
+        let length = length.map_err(|_| Refusal::StoreFailed)?;
         self.announce_pause().await;
-        self.store
-            .save(key, bytes.get(..length).unwrap_or_default())
-            .await
-            .map_err(|StoreFault| Refusal::StoreFailed)
+        let record = record.get(..length).unwrap_or_default();
+        let saved = self.store.save(Key::Settings, record).await;
+        saved.map_err(|StoreFault| Refusal::StoreFailed)
+    }
+
+    async fn save_record(&mut self, key: Key, length: usize) -> Result<(), Refusal> {
+        let record = self.record.get(..length).unwrap_or_default();
+        let saved = self.store.save(key, record).await;
+        saved.map_err(|StoreFault| Refusal::StoreFailed)
     }
 
     async fn load_boot_count(&mut self) -> Result<u32, StoreFault> {
@@ -614,25 +673,25 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// Reads a record of bytes.
     async fn load_raw<const N: usize>(&mut self, key: Key) -> Result<Option<[u8; N]>, StoreFault> {
-        let mut record = [0; MAX_RECORD];
-        let Some(length) = self.store.load(key, &mut record).await? else {
+        let Some(place) = self.load(key).await? else {
             return Ok(None);
         };
-        let mut deframer = Deframer::new();
-        let record = record.get(..length).unwrap_or_default();
-        let bytes = record
-            .iter()
-            .find_map(|&byte| <[u8; N]>::try_from(deframer.push(byte)?.ok()?.body).ok());
-        bytes.map(Some).ok_or(StoreFault)
+        let bytes = self.content(&place).try_into();
+        bytes.map(Some).map_err(|_| StoreFault)
     }
 
     async fn save_raw(&mut self, key: Key, content: &[u8]) -> Result<(), StoreFault> {
-        let mut bytes = [0; MAX_RECORD];
-        let length = frame::encode(Kind::Telemetry, content, &mut bytes).map_err(|_| StoreFault)?;
-        self.store
-            .save(key, bytes.get(..length).unwrap_or_default())
-            .await
+        let mut record = [0; SHORT_RECORD];
+        let length = frame::encode(Kind::Telemetry, content, &mut record);
+        let length = length.map_err(|_| StoreFault)?;
+        let record = record.get(..length).unwrap_or_default();
+        self.store.save(key, record).await
     }
+}
+
+/// The set does not compile.
+fn invalid(fault: CompileError) -> Refusal {
+    Refusal::InvalidParameters(fault.into())
 }
 
 fn is_calibration_or_settings(key: Key) -> bool {

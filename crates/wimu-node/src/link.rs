@@ -1,9 +1,11 @@
 //! The two halves of a link.
 
+use core::convert::Infallible;
+
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
 use wimu_link::frame::MAX_FRAME;
-use wimu_link::message::Command;
+use wimu_link::message::{Command, EncodedParameters};
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
@@ -83,9 +85,18 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                     }
                     Ok(frame) if frame.kind == Kind::Request => {
                         heard = true;
-                        if let Some(command) = self.accept(frame.body) {
-                            self.shared.requests.send((self.role, command)).await;
+                        let Some(command) = self.accept(frame.body) else {
+                            continue;
+                        };
+                        if let Command::StageParameters(set) = command {
+                            let mut desk = self.shared.desk.lock().await;
+                            desk.set.put(Some(set));
+                            desk.from = Some(self.role);
+                            desk.id = None;
                         }
+                        // The set lies on the desk.
+                        let Ok(command) = command.try_map(|_| Ok::<_, Infallible>(()));
+                        self.shared.requests.send((self.role, command)).await;
                     }
                     // Frames that a device sends, looped back.
                     Ok(_) => {}
@@ -101,24 +112,18 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     }
 
     /// A command to carry out; anything else is answered here.
-    fn accept(&self, request: &[u8]) -> Option<Command> {
-        let mut frame = [0; MAX_FRAME];
+    fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<EncodedParameters<'b>>> {
         let lock = self.shared.lock();
-        let (command, length) = self.shared.with_inbox(self.role, |inbox| {
+        self.shared.with_inbox(self.role, |inbox| {
             match inbox.responder.accept(request, &lock) {
-                Decision::Execute(command) => (Some(command), 0),
+                Decision::Execute(command) => Some(command),
                 Decision::Send(answer) => {
-                    let length = answer.len().min(frame.len());
-                    frame[..length].copy_from_slice(&answer[..length]);
-                    (None, length)
+                    self.shared.keep(self.role, answer);
+                    None
                 }
-                Decision::Ignore => (None, 0),
+                Decision::Ignore => None,
             }
-        });
-        if length > 0 {
-            self.shared.keep(self.role, &frame[..length]);
-        }
-        command
+        })
     }
 
     fn count_damaged(&self) {

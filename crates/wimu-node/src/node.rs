@@ -96,7 +96,7 @@ where
                 store: self.store,
                 timer: self.timer,
                 shared,
-                staged: None,
+                record: [0; _],
                 parameters_changed: false,
                 #[cfg(feature = "self-check")]
                 self_check: Default::default(),

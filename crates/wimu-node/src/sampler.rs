@@ -8,12 +8,12 @@ use wimu_link::LinkRole;
 use wimu_link::batch::{self, MAX_BATCH, Sample, Stream};
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{
-    BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings, Streams, Telemetry,
+    BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings, Streams,
 };
 use wimu_model::{Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, SpecificForceQ16};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
-use crate::shared::{Correction, Order, ROLES, Shared, Trouble};
+use crate::shared::{Correction, Message, Order, ROLES, Shared, Trouble};
 use crate::timer::Timer;
 
 /// Samples read at once, at most.
@@ -243,7 +243,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         time: DeviceTimeUs,
         roles: [bool; 2],
     ) {
-        let epoch = Telemetry::Epoch(Epoch {
+        let epoch = Message::Epoch(Epoch {
             reason,
             number: self.epochs,
             sequence: self.next_sequence,
@@ -261,7 +261,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
 
     fn send_navigation(&self, running: &Running, sequence: u32) {
         let message =
-            Telemetry::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
+            Message::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
         let mut frame = [0; MAX_FRAME];
         if let Ok(length) = message.encode(&mut frame) {
             let frame = frame.get(..length).unwrap_or_default();
@@ -282,7 +282,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                 if let Some(temperature) = surroundings.temperature {
                     self.shared.temperature.signal(temperature);
                 }
-                let message = Telemetry::Environment(Environment {
+                let message = Message::Environment(Environment {
                     time_us: now.0,
                     magnetic_field_nt: surroundings.magnetic_field.map(|field| field.0),
                     temperature_centi_c: surroundings.temperature.map(|t| t.0),

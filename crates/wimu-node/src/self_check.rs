@@ -1,7 +1,7 @@
 //! Does the calibration still hold? Each rest tells.
 
 use wimu_calib::{Ageing, Gravity, Pose, SelfCheck};
-use wimu_link::message::{Event, parameter_id};
+use wimu_link::message::Event;
 use wimu_model::{
     Alignment, CentiCelsius, ErrorModel, ErrorTerms, ParameterId, ParameterSet, SpecificForceMps2,
 };
@@ -36,28 +36,27 @@ impl Keeper {
     /// latched temperature.
     pub(crate) fn rest(
         &mut self,
-        set: Option<ParameterSet>,
+        set: Option<&(ParameterId, ParameterSet)>,
         gravity_um_s2: u32,
         latched: Option<CentiCelsius>,
         mean: [i64; 3],
     ) -> Verdict {
-        let Some(set) = set else {
+        let Some(&(id, ref set)) = set else {
             self.check = None;
             return Verdict::Unknown;
         };
-        let id = parameter_id(&set);
         let current =
             matches!(&self.check, Some((known, g, _)) if (*known, *g) == (id, gravity_um_s2));
         if !current {
             self.contradictions = 0;
             self.check = gravity(gravity_um_s2)
-                .and_then(|gravity| SelfCheck::of(&set, gravity, Ageing::default()))
+                .and_then(|gravity| SelfCheck::of(set, gravity, Ageing::default()))
                 .map(|check| (id, gravity_um_s2, check));
         }
         let Some((_, _, check)) = &mut self.check else {
             return Verdict::Unknown;
         };
-        let Some(mean_mps2) = output(&set, latched, mean) else {
+        let Some(mean_mps2) = output(set, latched, mean) else {
             return Verdict::Unknown;
         };
         let pose = Pose {

@@ -10,14 +10,17 @@ use wimu_integrator::Compass;
 use wimu_link::auth::Lock;
 use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{
-    ActiveParameters, Command, Event, LinkStatus, SensorStatus, Settings, Status, Streams,
-    Telemetry,
+    ActiveParameters, Command, EncodedParameters, Event, LinkStatus, SensorStatus, Settings,
+    Status, Streams, Telemetry, WireParameters,
 };
 use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
 
 use crate::accelerometer::{Plan, SensorFault};
 use crate::queue::FrameQueue;
+
+/// What a device sends: parameters as they travel.
+pub(crate) type Message<'a> = Telemetry<EncodedParameters<'a>>;
 
 /// Both links.
 pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
@@ -31,7 +34,11 @@ pub struct Shared<M: RawMutex> {
     pub(crate) orders: Channel<M, Order, 2>,
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
-    pub(crate) requests: Channel<M, (LinkRole, Command), 1>,
+    /// What hosts ask for. The parameters that are to be staged lie on the desk.
+    pub(crate) requests: Channel<M, (LinkRole, Command<()>), 1>,
+    pub(crate) desk: Desk<M>,
+    /// The parameter set in use; of no length without one.
+    active: Mutex<M, RefCell<Set>>,
     pub(crate) key_lost: Signal<M, ()>,
     /// Rates to store.
     pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
@@ -77,6 +84,61 @@ pub(crate) struct Inbox {
     pub(crate) damaged: u32,
     /// Somebody has begun to listen, or has missed something.
     epoch_wanted: bool,
+}
+
+/// The parameter set that a host has sent, and then the one that is staged. Who has written it must
+/// find it as it was: it may be held over a wait.
+pub(crate) type Desk<M> = embassy_sync::mutex::Mutex<M, Staged>;
+
+/// A set on the desk.
+#[derive(Default)]
+pub(crate) struct Staged {
+    pub(crate) set: Set,
+    /// The link that it came on, and that has not been told what becomes of it.
+    pub(crate) from: Option<LinkRole>,
+    /// Its id, once it has been found good.
+    pub(crate) id: Option<ParameterId>,
+}
+
+/// A parameter set as it travels.
+#[derive(Clone, Copy)]
+pub(crate) struct Set {
+    bytes: [u8; WireParameters::MAX],
+    length: u16,
+}
+
+impl Set {
+    /// The set; `None` if there is none.
+    pub(crate) fn get(&self) -> Option<EncodedParameters<'_>> {
+        let bytes = self.bytes.get(..self.length.into())?;
+        (!bytes.is_empty()).then_some(EncodedParameters(bytes))
+    }
+
+    /// Takes the wire form of `set`; returns its id.
+    pub(crate) fn encode(&mut self, set: &ParameterSet) -> ParameterId {
+        let length = WireParameters::from(set).encode(&mut self.bytes);
+        self.length = length.unwrap_or(0) as u16;
+        self.get()
+            .map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)
+    }
+
+    pub(crate) fn put(&mut self, set: Option<EncodedParameters>) {
+        let bytes = set.map_or(&[][..], |set| set.0);
+        self.length = 0;
+        if let Some(place) = self.bytes.get_mut(..bytes.len()) {
+            place.copy_from_slice(bytes);
+            self.length = bytes.len() as u16;
+        }
+    }
+}
+
+impl Default for Set {
+    fn default() -> Self {
+        Self {
+            bytes: [0; _],
+            length: 0,
+        }
+    }
 }
 
 /// What the sampler is told.
@@ -135,7 +197,8 @@ pub(crate) struct Published {
     /// Who may write.
     pub(crate) lock: Lock,
     pub(crate) settings: Settings,
-    pub(crate) parameters: Option<ParameterSet>,
+    /// Those in use.
+    pub(crate) parameters: ParameterId,
     pub(crate) sensor: SensorStatus,
     pub(crate) measured_period_ns: Option<u32>,
     pub(crate) jitter_ns: Option<u32>,
@@ -169,6 +232,8 @@ impl<M: RawMutex> Shared<M> {
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
+            desk: Desk::new(Staged::default()),
+            active: Mutex::new(RefCell::default()),
             key_lost: Signal::new(),
             rates: Channel::new(),
             rest: Signal::new(),
@@ -176,7 +241,7 @@ impl<M: RawMutex> Shared<M> {
                 hello: Hello::new(LinkRole::Cable),
                 lock: Lock::default(),
                 settings: Settings::default(),
-                parameters: None,
+                parameters: ParameterId::UNCALIBRATED,
                 sensor: SensorStatus::default(),
                 measured_period_ns: None,
                 jitter_ns: None,
@@ -230,6 +295,18 @@ impl<M: RawMutex> Shared<M> {
             .lock(|published| change(&mut published.borrow_mut()));
     }
 
+    /// The set in use, of which only its user has a copy; of no length without one.
+    pub(crate) fn active(&self) -> Set {
+        self.active.lock(|active| *active.borrow())
+    }
+
+    /// Takes a set into use, or none.
+    pub(crate) fn activate(&self, set: Option<EncodedParameters>) {
+        self.active.lock(|active| active.borrow_mut().put(set));
+        let id = set.map_or(ParameterId::UNCALIBRATED, EncodedParameters::id);
+        self.publish(|published| published.parameters = id);
+    }
+
     pub(crate) fn with_inbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut Inbox) -> R) -> R {
         self.link(role)
             .inbox
@@ -263,7 +340,7 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// Queues a message on the links named, the cable first; never shed.
-    pub(crate) fn announce(&self, message: &Telemetry, roles: [bool; 2]) {
+    pub(crate) fn announce(&self, message: &Message, roles: [bool; 2]) {
         let mut frame = [0; MAX_FRAME];
         if let Ok(length) = message.encode(&mut frame) {
             for (role, _) in ROLES.into_iter().zip(roles).filter(|(_, on)| *on) {
@@ -307,16 +384,17 @@ impl<M: RawMutex> Shared<M> {
             role,
             access: published.lock.access(role),
             uptime_us: now.0,
-            parameter_id: published.parameter_id(),
+            parameter_id: published.parameters,
             ..published.hello
         };
         let mut frame = [0; MAX_FRAME];
         if let Ok(length) = hello.encode(&mut frame) {
             self.keep(role, frame.get(..length).unwrap_or_default());
         }
+        let active = self.active();
         let known = [
             Telemetry::Settings(published.settings),
-            Telemetry::Parameters(published.active()),
+            Telemetry::Parameters(active_parameters(&active)),
             Telemetry::Status(self.status(now)),
         ];
         let troubles =
@@ -375,7 +453,7 @@ impl<M: RawMutex> Shared<M> {
                     published.troubles.get(Trouble::Sensor as usize),
                     Some(Some(_))
                 ),
-                calibrated: published.parameters.is_some(),
+                calibrated: published.parameters != ParameterId::UNCALIBRATED,
                 shed: cable.wrapping_add(wireless),
             }
         })
@@ -430,17 +508,13 @@ impl<M: RawMutex> Default for Shared<M> {
     }
 }
 
-impl Published {
-    pub(crate) fn parameter_id(&self) -> ParameterId {
-        self.parameters.map_or(ParameterId::UNCALIBRATED, |set| {
-            wimu_link::message::parameter_id(&set)
-        })
-    }
-
-    pub(crate) fn active(&self) -> ActiveParameters {
-        ActiveParameters {
-            active: self.parameters.as_ref().map(Into::into),
-            id: self.parameter_id().0,
-        }
+/// What the hosts are told of the parameters in use.
+pub(crate) fn active_parameters(set: &Set) -> ActiveParameters<EncodedParameters<'_>> {
+    let active = set.get();
+    ActiveParameters {
+        active,
+        id: active
+            .map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)
+            .0,
     }
 }

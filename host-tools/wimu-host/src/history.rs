@@ -396,7 +396,7 @@ mod tests {
     fn second(first: u32) -> Vec<u8> {
         let mut bytes = Vec::new();
         let mut frame = [0; MAX_FRAME];
-        let epoch = Telemetry::Epoch(Epoch {
+        let epoch = <Telemetry>::Epoch(Epoch {
             reason: EpochReason::Periodic,
             number: (first / 100) as u8,
             sequence: first,

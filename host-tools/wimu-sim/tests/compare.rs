@@ -409,7 +409,7 @@ fn long_file(hours: u32) -> std::path::PathBuf {
             };
             let at_ns = (time_us + 150_000) * 1000 + late_ns;
             if batch % 6 == 0 {
-                let epoch = Telemetry::Epoch(Epoch {
+                let epoch = <Telemetry>::Epoch(Epoch {
                     reason: EpochReason::Periodic,
                     number: (batch / 6) as u8,
                     sequence: first,

@@ -323,7 +323,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     let mut push = |frame: &[u8]| decoder.push(0, frame, |arrival| record.take(&arrival));
     let length = Hello::new(LinkRole::Wireless).encode(&mut frame).unwrap();
     push(&frame[..length]);
-    let epoch = Telemetry::Epoch(Epoch {
+    let epoch = <Telemetry>::Epoch(Epoch {
         reason: EpochReason::Start,
         number: 0,
         sequence: 500,

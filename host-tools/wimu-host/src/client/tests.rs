@@ -123,8 +123,8 @@ impl Board {
             }
             Decision::Ignore => return,
         };
-        let answer = self.execute(command);
-        let frame = self.responder.reply(&answer).to_vec();
+        let answer = self.execute(command.decoded().unwrap());
+        let frame = self.responder.reply(&answer, &mut frame).to_vec();
         self.send(&frame);
     }
 

@@ -29,7 +29,7 @@ fn epoch(sequence: u32, time_us: u64) -> Vec<u8> {
 }
 
 fn numbered_epoch(number: u8, sequence: u32, time_us: u64) -> Vec<u8> {
-    let epoch = Telemetry::Epoch(Epoch {
+    let epoch = <Telemetry>::Epoch(Epoch {
         reason: EpochReason::Periodic,
         number,
         sequence,

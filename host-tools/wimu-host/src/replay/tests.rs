@@ -87,7 +87,7 @@ impl Device {
         if let Some(reason) = self.due.take() {
             self.since_epoch = 0;
             self.epochs = self.epochs.wrapping_add(1);
-            let epoch = Telemetry::Epoch(Epoch {
+            let epoch = <Telemetry>::Epoch(Epoch {
                 reason,
                 number: self.epochs,
                 sequence: self.sequence,

@@ -106,7 +106,7 @@ impl Device {
         let transition = self.integrator.step(force, counts.saturated(0x7FF0));
         self.pending.push((counts, force));
         if self.sequence.is_multiple_of(10) {
-            let navigation = Telemetry::Navigation(wimu_link::message::Navigation::new(
+            let navigation = <Telemetry>::Navigation(wimu_link::message::Navigation::new(
                 self.sequence,
                 &self.integrator.navigation(),
             ));

@@ -5,7 +5,7 @@ use core::fmt;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use wimu_model::{Alignment, RotationCovariance};
 
-use crate::least_squares::eigen;
+use crate::linear::eigen;
 
 /// Directions nearer to one line than this tell no rotation about it, rad: 10°.
 const LEAST_ANGLE_RAD: f64 = 0.175;

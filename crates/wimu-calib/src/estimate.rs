@@ -4,7 +4,7 @@ use core::fmt;
 
 use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
 
-use crate::least_squares::Rejected;
+use crate::outliers::Rejected;
 use crate::student;
 use crate::terms::{self, Slot, Terms, Theta};
 use crate::{Gravity, Model, Parameter, Parameters, Pose};

@@ -6,9 +6,12 @@ mod alignment;
 mod design;
 mod estimate;
 mod finder;
+mod force;
 mod gravity;
 mod input;
+mod knowledge;
 mod least_squares;
+mod linear;
 mod magnetometer;
 mod multi_position;
 mod noise;
@@ -31,13 +34,13 @@ pub use design::Guide;
 pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
-pub use least_squares::Rejected;
 pub use magnetometer::{MagneticPose, MagneticRefusal, magnetometer};
 pub use multi_position::{
     Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
 };
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal};
 pub use orientation::{Face, Instruction, Orientation};
+pub use outliers::Rejected;
 pub use parameter::{Parameter, Parameters};
 pub use pose::Pose;
 pub use reference::{AxisTransfer, Line, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal};

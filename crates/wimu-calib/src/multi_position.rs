@@ -2,13 +2,15 @@
 
 use core::fmt;
 
-use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
-use crate::least_squares::{
-    Conditions, Fit, Knowledge, Magnitude, Real, Rejected, Weighting, double, real,
-};
+use crate::force::Conditions;
+use crate::knowledge::Knowledge;
+use crate::least_squares::{Fit, Magnitude};
+use crate::linear::{Real, double, real};
+use crate::outliers::{Rejected, Weighting};
 use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, design, input,
@@ -29,9 +31,6 @@ pub enum Model {
     Full9,
 }
 
-/// Beyond, some orientation is predicted so badly that the model is of no use there. Twelve well
-/// spread poses give 1 to 2, twelve random ones 4.
-const MOST_AMPLIFICATION: f64 = 10.0;
 /// Beyond, in standard deviations of a residual, a pose left out is not predicted: some pose
 /// decides alone. Twelve well spread poses give 2 to 3.
 const MOST_LEFT_OUT: f64 = 10.0;
@@ -291,6 +290,7 @@ fn fit<R: Real, const N: usize>(
         weighting: Weighting::EQUAL,
         rejected: Rejected::default(),
         free: what.slots(),
+        terms: what.terms != Terms::NONE,
     };
     let perfect = PERFECT.map(real::<R>);
     let ellipsoid = match what.model {
@@ -449,30 +449,6 @@ fn result<R: Real, const N: usize>(
     })
 }
 
-impl<R: Real, const N: usize> Knowledge<R, N> {
-    pub(crate) fn suffices(&self) -> bool {
-        self.amplification < MOST_AMPLIFICATION
-    }
-
-    fn refusal(&self, what: MultiPosition, free: &[Slot; N]) -> Refusal {
-        let largest = double(self.variance.max());
-        let poor = || {
-            free.iter()
-                .zip(self.variance.iter())
-                .filter(|&(_, &variance)| double(variance) >= 0.1 * largest)
-                .map(|(&slot, _)| slot)
-        };
-        Refusal::NotObservable {
-            model: what.model,
-            parameters: poor().filter_map(Slot::parameter).collect(),
-            terms: poor().filter_map(Slot::term).collect(),
-            condition: self.condition,
-            amplification: self.amplification,
-            add: self.poorest,
-        }
-    }
-}
-
 /// The start: the ellipsoid yᵀQy + 2pᵀy = 1 by linear least squares, equation (11).
 ///
 /// `None` when the points are on no ellipsoid.
@@ -500,14 +476,14 @@ fn ellipsoid<R: Real>(poses: &[Pose], gravity_mps2: f64) -> Option<Theta<R>> {
             }
         }
     }
-    let s = Cholesky::new(information)?.solve(&right);
+    let s = nalgebra::Cholesky::new(information)?.solve(&right);
     let q = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
     let p = Vector3::new(s[6], s[7], s[8]);
     let inverse = q.try_inverse()?;
     let centre = -(inverse * p);
     let size = R::one() - p.dot(&centre);
     // y = c + A u with |u| = 1 gives A Aᵀ = size Q⁻¹; its Cholesky factor is the triangular A.
-    let a = Cholesky::new(inverse * size)?.unpack();
+    let a = nalgebra::Cholesky::new(inverse * size)?.unpack();
     let c = centre * real::<R>(gravity_mps2);
     let mut theta = [R::zero(); Slot::COUNT];
     for row in 0..3 {

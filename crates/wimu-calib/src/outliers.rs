@@ -1,8 +1,9 @@
 //! Poses that the others contradict, and how much each counts.
 
-use crate::least_squares::{Fit, Magnitude, Real, Rejected, Weighting};
-use crate::student;
+use crate::least_squares::{Fit, Magnitude};
+use crate::linear::Real;
 use crate::terms::Theta;
+use crate::{Pose, student};
 
 /// Chance that a good set of poses loses one.
 const SIGNIFICANCE: f64 = 1e-3;
@@ -19,6 +20,79 @@ const CAUCHY: f64 = 2.385;
 const PER_MEDIAN: f64 = 1.4826;
 /// Fits with ever better scales; the last hardly differ.
 const ROBUST_FITS: usize = 4;
+
+/// The poses that a fit does without, at most [`Rejected::MOST`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Rejected {
+    poses: [usize; Self::MOST],
+    count: usize,
+}
+
+impl Rejected {
+    /// More than so many bad poses are not left out: the recording is.
+    pub const MOST: usize = 16;
+
+    /// Their indices, the worst first.
+    pub fn as_slice(&self) -> &[usize] {
+        self.poses.get(..self.count).unwrap_or(&[])
+    }
+
+    /// Whether `pose` is one of them.
+    pub fn contains(&self, pose: usize) -> bool {
+        self.as_slice().contains(&pose)
+    }
+
+    /// Without the one at `place`.
+    pub(crate) fn without(mut self, place: usize) -> Self {
+        if place < self.count {
+            self.poses.copy_within(place + 1..self.count, place);
+            self.count -= 1;
+        }
+        self
+    }
+
+    /// With one more, if there is room.
+    pub(crate) fn with(mut self, pose: usize) -> Self {
+        if let Some(place) = self.poses.get_mut(self.count) {
+            *place = pose;
+            self.count += 1;
+        }
+        self
+    }
+}
+
+/// How much each pose counts: 1 / (σ₀² + its noise), 1 on average. Equation (40).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weighting {
+    /// σ₀²: what differs from pose to pose and is no noise, (m/s²)².
+    common: f64,
+    /// Mean noise of a pose's mean, (m/s²)²; 0 when all count the same.
+    mean_noise: f64,
+}
+
+impl Weighting {
+    pub const EQUAL: Self = Self {
+        common: 1.0,
+        mean_noise: 0.0,
+    };
+
+    pub fn new(common: f64, mean_noise: f64) -> Self {
+        Self { common, mean_noise }
+    }
+
+    pub fn is_equal(&self) -> bool {
+        self.mean_noise <= 0.0
+    }
+
+    pub fn of(&self, pose: &Pose) -> f64 {
+        if self.mean_noise > 0.0 {
+            (self.common + self.mean_noise) / (self.common + pose.mean_noise())
+        } else {
+            1.0
+        }
+    }
+}
 
 /// Leaves out poses by a forward search: equation (42). A fit that bad poses cannot pull far says
 /// which are farthest off; without them the rest is fitted, and one by one they are let in again,

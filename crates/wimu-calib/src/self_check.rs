@@ -2,7 +2,7 @@
 
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
-use crate::least_squares;
+use crate::force;
 use crate::terms::{self, Theta};
 use crate::{Covariance, Gravity, Parameter, Pose};
 
@@ -123,7 +123,7 @@ impl SelfCheck {
             output[axis] -= terms.bias_mps2_per_k2[axis] * warmer * warmer;
         }
         let g = self.gravity.mps2();
-        let (force, row) = least_squares::magnitude(&self.theta, output, warmer)
+        let (force, row) = force::magnitude(&self.theta, output, warmer)
             .filter(|(force, _)| (0.5 * g..1.5 * g).contains(force))?;
 
         if let (Some(before), Some(now)) = (self.celsius, celsius) {

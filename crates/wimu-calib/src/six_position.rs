@@ -5,7 +5,8 @@ use core::fmt;
 use wimu_model::{ErrorModel, ErrorTerms, Matrix3};
 
 use crate::estimate::{self, Residuals, TermDeviations};
-use crate::least_squares::{self, Rejected};
+use crate::force;
+use crate::outliers::Rejected;
 use crate::pose::mean_temperature;
 use crate::terms::{PERFECT, Terms, Theta};
 use crate::{
@@ -246,7 +247,7 @@ fn estimate<'a>(
     let placement_sd_rad = if contradicted { seen } else { placement.sd_rad };
     let mut covariance = covariance(&sides, &terms.matrix, g, placement_sd_rad);
     let theta = theta(&terms);
-    let worst_sd_mps2 = least_squares::worst_sd(&theta, &covariance, g);
+    let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
 
     let mut residuals = Residuals::default();

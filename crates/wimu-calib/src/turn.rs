@@ -5,11 +5,11 @@ use core::f64::consts::{PI, TAU};
 use wimu_model::{ErrorModel, ErrorTerms};
 
 use crate::estimate::{Residuals, TermDeviations};
-use crate::least_squares::Rejected;
+use crate::outliers::Rejected;
 use crate::terms::{PERFECT, Terms};
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal, design,
-    estimate, input, least_squares, pose, student,
+    estimate, force, input, pose, student,
 };
 
 /// What an axis at right angles to the plane may lean into it, 1 σ: the cross-axis sensitivity of a
@@ -211,7 +211,7 @@ fn turns<const N: usize>(
         method,
         terms: Terms::NONE,
         fitted,
-        worst_sd_mps2: least_squares::worst_sd(&PERFECT, &covariance, g),
+        worst_sd_mps2: force::worst_sd(&PERFECT, &covariance, g),
         covariance,
         term_sd: TermDeviations::default(),
         gravity,

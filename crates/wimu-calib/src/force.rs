@@ -1,0 +1,220 @@
+//! The specific force that an output means under some parameters, and its derivatives.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::linear::{Real, real};
+use crate::terms::{Slot, Theta};
+use crate::{Orientation, Pose};
+
+/// When poses were taken and how warm, as the terms see it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Conditions {
+    /// Time of the last pose, s.
+    pub end_s: f64,
+    /// 1 / the time from the first to it, 1/s; 0 where that does not matter.
+    pub per_span: f64,
+    /// T₀, °C.
+    pub reference_c: f64,
+}
+
+impl Conditions {
+    /// −1 at the first pose, 0 at the last.
+    pub fn progress(&self, pose: &Pose) -> f64 {
+        (pose.time_s - self.end_s) * self.per_span
+    }
+
+    pub fn warmer(&self, pose: &Pose) -> f64 {
+        pose.temperature_c
+            .map_or(0.0, |celsius| celsius - self.reference_c)
+    }
+}
+
+/// A model at one value of its parameters, ready to be applied to poses.
+pub(crate) struct Evaluated<'a, R: Real> {
+    theta: &'a Theta<R>,
+    /// A⁻¹ at T₀.
+    inverse: Matrix3<R>,
+    /// Whether A moves with temperature.
+    warms: bool,
+    /// Whether more than the first twelve parameters are asked for, or are not 0.
+    pub terms: bool,
+}
+
+/// A⁻¹ of a matrix that is not mirrored: a mirrored A gives the same magnitudes, and a step that
+/// leads to one was too long.
+#[inline(always)]
+fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
+    let minor = |r: usize, c: usize| {
+        let (i, j) = ((r + 1) % 3, (r + 2) % 3);
+        let (k, l) = ((c + 1) % 3, (c + 2) % 3);
+        a[(i, k)] * a[(j, l)] - a[(i, l)] * a[(j, k)]
+    };
+    let minors = Matrix3::from_fn(|r, c| minor(c, r));
+    let determinant =
+        a[(0, 0)] * minors[(0, 0)] + a[(0, 1)] * minors[(1, 0)] + a[(0, 2)] * minors[(2, 0)];
+    let factor = R::one() / determinant;
+    (determinant > R::zero() && factor.is_finite()).then(|| minors * factor)
+}
+
+/// One pose under a model.
+pub(crate) struct Applied<R: Real> {
+    inverse: Matrix3<R>,
+    z: Vector3<R>,
+    pub force: Vector3<R>,
+    progress: R,
+    warmer: R,
+}
+
+impl<'a, R: Real> Evaluated<'a, R> {
+    #[inline(always)]
+    pub fn new(theta: &'a Theta<R>, terms: bool) -> Option<Self> {
+        Some(Self {
+            theta,
+            inverse: inverse(&Self::matrix(theta, R::zero()))?,
+            warms: terms
+                && Slot::SCALE_SLOPE
+                    .iter()
+                    .any(|slot| !theta[slot.index()].is_zero()),
+            terms,
+        })
+    }
+
+    fn matrix(theta: &Theta<R>, warmer: R) -> Matrix3<R> {
+        let mut a = Matrix3::from_fn(|r, c| theta[3 + 3 * r + c]);
+        if !warmer.is_zero() {
+            for axis in 0..3 {
+                a[(axis, axis)] *= R::one() + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
+            }
+        }
+        a
+    }
+
+    /// The specific force that `output` means: equation (41).
+    #[inline(always)]
+    pub fn apply(&self, output: [R; 3], progress: R, warmer: R) -> Applied<R> {
+        let theta = self.theta;
+        let inverse = if self.warms && !warmer.is_zero() {
+            inverse(&Self::matrix(theta, warmer)).unwrap_or(self.inverse)
+        } else {
+            self.inverse
+        };
+        let mut offset = Vector3::from_fn(|i, _| output[i] - theta[i]);
+        if self.terms {
+            for i in 0..3 {
+                offset[i] -= theta[12 + i] * progress + theta[15 + i] * warmer;
+            }
+        }
+        let z = inverse * offset;
+        let mut force = z;
+        if self.terms {
+            for i in 0..3 {
+                force[i] -= theta[21 + i] * z[i] * z[i];
+            }
+        }
+        Applied {
+            inverse,
+            z,
+            force,
+            progress,
+            warmer,
+        }
+    }
+
+    /// The same for gravity `force` at the end of the session at T₀, where derivatives are asked
+    /// for a given force and not for an output.
+    pub fn at(&self, force: Vector3<R>) -> Applied<R> {
+        Applied {
+            inverse: self.inverse,
+            z: force,
+            force,
+            progress: R::zero(),
+            warmer: R::zero(),
+        }
+    }
+
+    /// What every derivative of |f| is made of: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
+    #[inline(always)]
+    fn directions(&self, at: &Applied<R>) -> (Vector3<R>, Vector3<R>) {
+        let mut m = at.force;
+        if self.terms {
+            let two: R = real(2.0);
+            for i in 0..3 {
+                m[i] *= R::one() - two * self.theta[21 + i] * at.z[i];
+            }
+        }
+        // Divided by |f| last: the root takes its time meanwhile.
+        let norm = at.force.norm();
+        let per_norm = if norm > R::zero() {
+            R::one() / norm
+        } else {
+            R::one()
+        };
+        (at.inverse.tr_mul(&m) * per_norm, at.force * per_norm)
+    }
+
+    /// ∂|f|/∂θ of all parameters: equations (13) and (41).
+    #[inline(always)]
+    pub fn derivatives(&self, at: &Applied<R>) -> Theta<R> {
+        let (w, n) = self.directions(at);
+        let z = &at.z;
+        let mut d = [R::zero(); Slot::COUNT];
+        for row in 0..3 {
+            d[row] = -w[row];
+            for column in 0..3 {
+                d[3 + 3 * row + column] = -w[row] * z[column];
+            }
+        }
+        if !self.terms {
+            return d;
+        }
+        for row in 0..3 {
+            d[12 + row] = -w[row] * at.progress;
+            d[15 + row] = -w[row] * at.warmer;
+            d[18 + row] = d[3 + 4 * row] * self.theta[3 + 4 * row] * at.warmer;
+            d[3 + 4 * row] *= R::one() + self.theta[18 + row] * at.warmer;
+            d[21 + row] = -n[row] * z[row] * z[row];
+        }
+        d
+    }
+}
+
+/// |f| that `output` means at `warmer` K above T₀, m/s², and its derivatives with respect to the
+/// first twelve parameters: equation (13).
+pub(crate) fn magnitude(
+    theta: &Theta<f64>,
+    output: [f64; 3],
+    warmer: f64,
+) -> Option<(f64, [f64; 12])> {
+    let at = Evaluated::new(theta, true)?;
+    let applied = at.apply(output, 0.0, warmer);
+    let all = at.derivatives(&applied);
+    Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
+}
+
+/// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the
+/// first twelve parameters: equation (17).
+pub(crate) fn worst_sd(
+    theta: &Theta<f64>,
+    covariance: &crate::Covariance,
+    gravity_mps2: f64,
+) -> f64 {
+    let Some(at) = Evaluated::new(theta, true) else {
+        return f64::INFINITY;
+    };
+    let variance = |orientation: Orientation| {
+        let applied = at.at(Vector3::from(orientation.up()) * gravity_mps2);
+        let all = at.derivatives(&applied);
+        let row: [f64; 12] = core::array::from_fn(|i| all[i]);
+        let along = covariance.matrix().iter().zip(row).map(|(covariances, d)| {
+            let sum: f64 = covariances.iter().zip(row).map(|(c, e)| c * e).sum();
+            d * sum
+        });
+        along.sum()
+    };
+    libm::sqrt(
+        Orientation::ALL
+            .into_iter()
+            .map(variance)
+            .fold(0.0, f64::max),
+    )
+}

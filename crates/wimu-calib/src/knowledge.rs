@@ -1,0 +1,155 @@
+//! What a set of poses can tell about parameters: equation (17).
+
+use nalgebra::{SMatrix, SVector, Vector3};
+
+use crate::force::Evaluated;
+use crate::least_squares::{Fit, Magnitude, Normal};
+use crate::linear::{Real, double, eigen, eigenvalue_range, real, times};
+use crate::outliers::Weighting;
+use crate::terms::{Slot, Theta};
+use crate::{MultiPosition, Orientation, Refusal};
+
+/// Beyond, some orientation is predicted so badly that the model is of no use there. Twelve well
+/// spread poses give 1 to 2, twelve random ones 4.
+const MOST_AMPLIFICATION: f64 = 10.0;
+/// What a set of poses can tell about parameters.
+pub(crate) struct Knowledge<R: Real, const N: usize> {
+    /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
+    pub condition: f64,
+    /// Standard deviation of |f| − g in the worst of 26 orientations, per unit of the residuals'.
+    pub amplification: f64,
+    /// That orientation: a pose there adds most.
+    pub poorest: Orientation,
+    /// Variance of each parameter, as the error that it makes at 1 g, for residuals of unit
+    /// variance.
+    pub variance: SVector<R, N>,
+}
+
+impl<R: Real, const N: usize> Knowledge<R, N> {
+    pub(crate) fn suffices(&self) -> bool {
+        self.amplification < MOST_AMPLIFICATION
+    }
+
+    pub(crate) fn refusal(&self, what: MultiPosition, free: &[Slot; N]) -> Refusal {
+        let largest = double(self.variance.max());
+        let poor = || {
+            free.iter()
+                .zip(self.variance.iter())
+                .filter(|&(_, &variance)| double(variance) >= 0.1 * largest)
+                .map(|(&slot, _)| slot)
+        };
+        Refusal::NotObservable {
+            model: what.model,
+            parameters: poor().filter_map(Slot::parameter).collect(),
+            terms: poor().filter_map(Slot::term).collect(),
+            condition: self.condition,
+            amplification: self.amplification,
+            add: self.poorest,
+        }
+    }
+}
+
+impl<const N: usize> Magnitude<'_, N> {
+    /// What the poses' orientations tell of the parameters that were fitted.
+    pub fn knowledge<R: Real>(&self, fit: &Fit<R, N>) -> Option<Knowledge<R, N>> {
+        if self.weighting.is_equal() {
+            let at = Evaluated::new(&fit.theta, self.terms)?;
+            self.told(&at, &fit.normal, &fit.inverse)
+        } else {
+            self.knowledge_at(&fit.theta)
+        }
+    }
+
+    /// The same at `theta`, converged or not.
+    pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
+        let at = Evaluated::new(theta, self.terms)?;
+        let normal = self.weighted_normal(theta, None, &Weighting::EQUAL, None)?;
+        if let Some(inverse) = normal.inverse() {
+            return self.told(&at, &normal, &inverse);
+        }
+        // Rounding leaves a zero eigenvalue at about this.
+        let units = self.units();
+        let (values, vectors) = eigen(normal.scaled(&units));
+        let largest = values.max();
+        let least = largest * R::default_epsilon() * real(0.5);
+        let inverse = SMatrix::from_fn(|r, c| {
+            (0..N).fold(R::zero(), |sum, k| {
+                sum + vectors[(r, k)] * vectors[(c, k)] / values[k].max(least)
+            }) * units[r]
+                * units[c]
+        });
+        let condition = (largest / values.min().max(least)).sqrt();
+        Some(self.with_condition(&at, condition, &inverse))
+    }
+
+    /// Every parameter as the error that it makes at 1 g, m/s².
+    fn units<R: Real>(&self) -> SVector<R, N> {
+        SVector::from_fn(|i, _| real(self.free[i].per_mps2(self.gravity_mps2)))
+    }
+
+    fn told<R: Real>(
+        &self,
+        at: &Evaluated<R>,
+        normal: &Normal<R, N>,
+        inverse: &SMatrix<R, N, N>,
+    ) -> Option<Knowledge<R, N>> {
+        let (least, largest) = eigenvalue_range(normal.scaled(&self.units()));
+        let floor = largest * R::default_epsilon() * real(0.5);
+        let condition = (largest / least.max(floor)).sqrt();
+        Some(self.with_condition(at, condition, inverse))
+    }
+
+    fn with_condition<R: Real>(
+        &self,
+        at: &Evaluated<R>,
+        condition: R,
+        inverse: &SMatrix<R, N, N>,
+    ) -> Knowledge<R, N> {
+        let units = self.units::<R>();
+        let mut worst = R::zero();
+        let mut poorest = Orientation::ALL[0];
+        let mut see = |variance: R, orientation: Orientation| {
+            if variance > worst {
+                worst = variance;
+                poorest = orientation;
+            }
+        };
+        let row = |orientation: Orientation| {
+            let force = Vector3::from(orientation.up().map(|c| real(c * self.gravity_mps2)));
+            self.derivatives(at, &at.at(force))
+        };
+        if at.terms {
+            for orientation in Orientation::ALL {
+                let row = row(orientation);
+                see(row.dot(&times(inverse, &row)), orientation);
+            }
+        } else {
+            // Opposite orientations differ in the sign of the bias's derivatives, the first three.
+            let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
+            for (&one, &other) in opposites.take(Orientation::ALL.len() / 2) {
+                let mut rest = row(one);
+                let mut bias = SVector::<R, N>::zeros();
+                for i in 0..3.min(N) {
+                    bias[i] = rest[i];
+                    rest[i] = R::zero();
+                }
+                let along = times(inverse, &rest);
+                let mut own = R::zero();
+                for r in 0..3.min(N) {
+                    for c in 0..3.min(N) {
+                        own += bias[r] * inverse[(r, c)] * bias[c];
+                    }
+                }
+                let (square, cross) = (rest.dot(&along) + own, bias.dot(&along));
+                see(square + cross + cross, one);
+                see(square - cross - cross, other);
+            }
+        }
+        Knowledge {
+            condition: double(condition),
+            amplification: double(worst.sqrt()),
+            poorest,
+            variance: SVector::from_fn(|i, _| inverse[(i, i)] / (units[i] * units[i])),
+        }
+    }
+}

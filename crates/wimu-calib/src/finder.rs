@@ -11,10 +11,21 @@ const VARIANCE_RATIO: f64 = 9.0;
 /// A window is still when none of its block means departs from theirs by more than the root of
 /// this times the least scatter of block means seen.
 const SCATTER_RATIO: f64 = 60.0;
-/// Nothing noisier than this over three axes is ever still, (m/s²)²: 0.17 m/s² rms an axis.
-const MOST_VARIANCE: f64 = 0.09;
-/// No block mean of a still window ever departs by more than this, squared, (m/s²)².
-const MOST_DEPARTURE: f64 = 0.04;
+/// What a still window may show beyond the sensor's noise before its quietest is known, (m/s²)²:
+/// the variance, 0.17 m/s² rms an axis, and the departure of a block mean, 1.2° of gravity.
+const QUIET_VARIANCE: f64 = 0.09;
+const QUIET_DEPARTURE: f64 = 0.04;
+/// And per variance of the noise from one sample to the next, which motion hardly adds to: the
+/// variance, and the departure of a block mean of one sample. The largest of thousands of blocks
+/// departs by 8 times the variance of a mean.
+const VARIANCE_PER_NOISE: f64 = 6.0;
+const DEPARTURE_PER_NOISE: f64 = 8.0;
+/// Means of blocks that scatter by more than this many times what the noise within the blocks makes of
+/// them move: of a steady turn it is a hundred times.
+const MOST_SCATTER_PER_NOISE: f64 = 6.0;
+/// What is noisier from sample to sample than this over three axes is moved, (m/s²)²: 0.32 m/s²
+/// rms an axis.
+const MOST_NOISE: f64 = 0.3;
 /// A hold ends when a block mean departs from the mean of the hold by 0.5° of gravity, m/s².
 const HOLD_DEPARTURE_MPS2: f64 = 0.085;
 /// Two holds closer than 2° of gravity, m/s², without motion between are one hold, disturbed.
@@ -35,19 +46,23 @@ pub struct Noise {
     variance: f64,
     /// Least variance of the block means of a window, summed over the axes, (m/s²)².
     scatter: f64,
+    /// Least variance within a window that is new from each sample to the next, half the mean square
+    /// of their difference, summed over the axes, (m/s²)².
+    new: f64,
     /// Smallest step of the output, m/s²: one count, where the output is in counts.
     step: f64,
 }
 
 impl Noise {
     const NOTHING_SEEN: Self = Self {
-        variance: MOST_VARIANCE / VARIANCE_RATIO,
-        scatter: MOST_DEPARTURE / SCATTER_RATIO,
+        variance: f64::INFINITY,
+        scatter: f64::INFINITY,
+        new: f64::INFINITY,
         step: f64::INFINITY,
     };
 
     /// Standard deviation of a sample at rest, m/s² rms over the axes; low by up to a third, being
-    /// the least seen.
+    /// the least seen. Infinite before anything was.
     pub fn sd_mps2(&self) -> f64 {
         libm::sqrt(self.variance / 3.0)
     }
@@ -62,11 +77,21 @@ impl Noise {
     }
 
     fn most_variance(&self) -> f64 {
-        (VARIANCE_RATIO * self.variance.max(self.rounding())).min(MOST_VARIANCE)
+        let seen = VARIANCE_RATIO * self.variance.max(self.rounding());
+        seen.min(QUIET_VARIANCE.max(VARIANCE_PER_NOISE * self.new.min(MOST_NOISE)))
     }
 
-    fn most_departure(&self) -> f64 {
-        (SCATTER_RATIO * self.scatter.max(self.rounding())).min(MOST_DEPARTURE)
+    /// Of the means of blocks of this many samples; more than the quiet one only where they scatter
+    /// no more than noise `explains`.
+    fn most_departure(&self, block_samples: u32, explains: bool) -> f64 {
+        let seen = SCATTER_RATIO * self.scatter.max(self.rounding());
+        let of_a_mean = self.new.min(MOST_NOISE) / f64::from(block_samples);
+        let noisy = if explains {
+            DEPARTURE_PER_NOISE * of_a_mean
+        } else {
+            0.0
+        };
+        seen.min(QUIET_DEPARTURE.max(noisy))
     }
 }
 
@@ -77,6 +102,8 @@ struct Moments {
     samples: u32,
     mean: [f64; 3],
     squares: [f64; 3],
+    /// Squared differences of successive samples, summed over the axes.
+    differences: f64,
     celsius: f64,
     celsius_samples: u32,
     first: u64,
@@ -95,6 +122,7 @@ impl Moments {
             self.squares[axis] += other.squares[axis] + apart * apart * n * m / (n + m);
         }
         self.samples = self.samples.saturating_add(other.samples);
+        self.differences += other.differences;
         self.celsius += other.celsius;
         self.celsius_samples = self.celsius_samples.saturating_add(other.celsius_samples);
     }
@@ -134,16 +162,19 @@ struct Block {
     origin: [f64; 3],
     sum: [f64; 3],
     squares: [f64; 3],
+    differences: f64,
     celsius: f64,
     celsius_samples: u32,
     first: u64,
 }
 
 impl Block {
-    fn add(&mut self, output: [f64; 3], celsius: Option<f64>) {
+    /// With the squared difference from the sample before.
+    fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
         if self.samples == 0 {
             self.origin = output;
         }
+        self.differences += difference;
         for axis in 0..3 {
             let apart = output[axis] - self.origin[axis];
             self.sum[axis] += apart;
@@ -160,6 +191,7 @@ impl Block {
         let n = f64::from(self.samples);
         let mut moments = Moments {
             samples: self.samples,
+            differences: self.differences,
             celsius: self.celsius,
             celsius_samples: self.celsius_samples,
             first: self.first,
@@ -223,7 +255,7 @@ impl PoseFinder {
         Self {
             rate_hz: if rate_hz > 0.0 { rate_hz } else { 1.0 },
             // Not a number becomes 0 here.
-            block_samples: ((samples + 0.5) as u32).clamp(2, 1_000_000),
+            block_samples: (libm::ceil(samples) as u32).clamp(2, 1_000_000),
             next_sample: 0,
             celsius: None,
             last: None,
@@ -276,9 +308,11 @@ impl PoseFinder {
             self.block = Block::default();
             return self.end_hold();
         }
+        let mut difference = 0.0;
         if let Some(last) = self.last.replace(output_mps2) {
             for axis in 0..3 {
                 let step = (output_mps2[axis] - last[axis]).abs();
+                difference += step * step;
                 if step > 0.0 && step < self.noise.step {
                     self.noise.step = step;
                 }
@@ -287,7 +321,7 @@ impl PoseFinder {
         if self.block.samples == 0 {
             self.block.first = index;
         }
-        self.block.add(output_mps2, self.celsius);
+        self.block.add(output_mps2, difference, self.celsius);
         if self.block.samples < self.block_samples {
             return None;
         }
@@ -349,23 +383,31 @@ impl PoseFinder {
             whole.merge(block);
         }
         let variance = whole.variance();
-        let (mut scatter, mut departure) = (0.0, 0.0_f64);
+        let (mut scatter, mut departure, mut within) = (0.0, 0.0_f64, 0.0);
         for block in &self.window {
             let apart = block.departure(&whole.mean);
             scatter += apart / (BLOCKS - 1) as f64;
             departure = departure.max(apart);
+            within += block.squares.iter().sum::<f64>();
         }
+        let size = f64::from(self.block_samples);
+        let noise_of_a_mean = within / (BLOCKS as f64 * (size - 1.0) * size);
+        let explains = scatter <= MOST_SCATTER_PER_NOISE * noise_of_a_mean;
         // Samples that repeat exactly are a stream that hangs: they tell nothing about noise.
         if self.window.iter().all(|block| block.variance() > 0.0) {
             self.noise.variance = self.noise.variance.min(variance);
             self.noise.scatter = self.noise.scatter.min(scatter);
+            let new = whole.differences / (2.0 * f64::from(whole.samples));
+            self.noise.new = self.noise.new.min(new);
         }
-        variance <= self.noise.most_variance() && departure <= self.noise.most_departure()
+        variance <= self.noise.most_variance()
+            && departure <= self.noise.most_departure(self.block_samples, explains)
     }
 
     fn belongs_to_hold(&self, block: &Moments) -> bool {
         self.hold.is_none_or(|hold| {
-            let most = HOLD_DEPARTURE_MPS2 + libm::sqrt(self.noise.most_departure());
+            let most = HOLD_DEPARTURE_MPS2
+                + libm::sqrt(self.noise.most_departure(self.block_samples, true));
             block.departure(&hold.inner.mean) <= most * most
         })
     }

@@ -46,9 +46,15 @@ impl Hand<'_> {
 
 #[test]
 fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
-    for (seed, (rate, noise)) in [(25.0, 0.04), (100.0, 0.08), (100.0, 0.002), (1000.0, 0.05)]
-        .into_iter()
-        .enumerate()
+    for (seed, (rate, noise)) in [
+        (10.0, 0.2),
+        (25.0, 0.1),
+        (100.0, 0.08),
+        (100.0, 0.002),
+        (1000.0, 0.3),
+    ]
+    .into_iter()
+    .enumerate()
     {
         let mut random = Random(seed as u64);
         let truth = random.model(true);

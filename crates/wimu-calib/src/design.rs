@@ -11,6 +11,8 @@ const NEAR: f64 = 0.766;
 const PRIOR: f64 = 1e-4;
 /// A pose is worth it that lowers the expected error by this share.
 const WORTH: f64 = 0.03;
+/// Rounds of exchange in a plan; the third hardly changes one.
+const MOST_EXCHANGES: usize = 4;
 /// More poses than anyone needs.
 const MOST_ADVISED: usize = 60;
 
@@ -44,21 +46,35 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// Poses planned together.
+struct Plan {
+    poses: [Orientation; Guide::MOST_PLANNED],
+    count: usize,
+}
+
+impl Plan {
+    fn contains(&self, orientation: Orientation) -> bool {
+        self.poses
+            .iter()
+            .take(self.count)
+            .any(|o| *o == orientation)
+    }
+}
+
 /// Says which orientation to take next: the one that adds most to what is known of the
 /// parameters (D-optimal), given those taken so far, whether or not they suffice for an answer yet.
+/// Where it is known how many more will be taken, [`next_of`](Self::next_of) plans them together.
 ///
 /// ```
 /// use wimu_calib::{Guide, Model, Orientation};
 ///
 /// let mut guide = Guide::new(Model::Full9);
-/// let mut plan = Vec::new();
-/// while plan.len() < 12 {
-///     let next = guide.next(|_| true).expect("every orientation can be reached");
+/// for remaining in (1..=12).rev() {
+///     let next = guide.next_of(remaining, |_| true).expect("every orientation can be reached");
 ///     println!("{}", next.instruction());
 ///     guide.take(next.up());
-///     plan.push(next);
 /// }
-/// assert!(guide.amplification() < 1.5);
+/// assert!(guide.amplification() < 1.2);
 /// ```
 #[derive(Clone, Debug)]
 pub struct Guide {
@@ -87,12 +103,18 @@ impl Guide {
 
     /// Counts a pose with `up` upward, of any length, sensor axes; nothing if it has no direction.
     pub fn take(&mut self, up: [f64; 3]) {
-        let Some(up) = unit(up) else { return };
+        if let Some(up) = unit(up) {
+            self.change(up, 1.0);
+        }
+    }
+
+    /// Counts a pose once more, or once less with `sign` −1.
+    fn change(&mut self, up: [f64; 3], sign: f64) {
         let row = self.row(up);
         let along = self.inverse * row;
         let variance = row.dot(&along);
         self.inverse
-            .ger(-1.0 / (1.0 + variance), &along, &along, 1.0);
+            .ger(-sign / (1.0 + sign * variance), &along, &along, 1.0);
     }
 
     /// The orientation to take next, of those that `reachable` admits.
@@ -110,6 +132,79 @@ impl Guide {
             }
         }
         best.map(|(_, orientation)| orientation)
+    }
+
+    /// The orientation to take next if `remaining` more poses will be taken, at most
+    /// [`Guide::MOST_PLANNED`] of which are planned together: equation (44). One by one, each the best
+    /// at its time, are not the best of as many.
+    ///
+    /// Of twelve from nothing they are the twelve edges.
+    pub fn next_of(
+        &self,
+        remaining: usize,
+        reachable: impl Fn(Orientation) -> bool,
+    ) -> Option<Orientation> {
+        let count = remaining.clamp(1, Self::MOST_PLANNED);
+        // Exchange finds the best near where it starts.
+        let starts = [1..4, 1..2, 2..3, 3..4];
+        let mut best: Option<(f64, Plan)> = None;
+        for axes in starts {
+            let of_start = |o: Orientation| axes.contains(&o.axes()) && reachable(o);
+            let Some(plan) = self.plan(count, of_start, &reachable) else {
+                continue;
+            };
+            // Those that are alike to rounding: the first, which is the easier.
+            if best.as_ref().is_none_or(|(most, _)| plan.0 > most + 1e-6) {
+                best = Some(plan);
+            }
+        }
+        let (_, plan) = best?;
+        self.next(|orientation| plan.contains(orientation))
+    }
+
+    /// Of how many poses a plan is made at the most.
+    pub const MOST_PLANNED: usize = 24;
+
+    /// `count` poses that know most together, log det M of them, from those of `start` on by
+    /// exchange [F].
+    fn plan(
+        &self,
+        count: usize,
+        start: impl Fn(Orientation) -> bool,
+        reachable: impl Fn(Orientation) -> bool,
+    ) -> Option<(f64, Plan)> {
+        let mut guide = self.clone();
+        let mut plan = Plan {
+            poses: [Orientation::ALL[0]; Self::MOST_PLANNED],
+            count,
+        };
+        let mut known = 0.0;
+        for place in plan.poses.iter_mut().take(count) {
+            let next = guide.next(&start)?;
+            known += libm::log(1.0 + guide.variance(next.up()));
+            guide.take(next.up());
+            *place = next;
+        }
+        for _ in 0..MOST_EXCHANGES {
+            let mut better = false;
+            for place in plan.poses.iter_mut().take(count) {
+                let old = place.up();
+                guide.change(old, -1.0);
+                let without = guide.variance(old);
+                let next = guide.next(&reachable)?;
+                let with = guide.variance(next.up());
+                if with > 1.001 * without {
+                    known += libm::log((1.0 + with) / (1.0 + without));
+                    *place = next;
+                    better = true;
+                }
+                guide.take(place.up());
+            }
+            if !better {
+                break;
+            }
+        }
+        Some((known, plan))
     }
 
     /// How many more poses are worth it: until the next would lower the error to be expected, rms

@@ -124,6 +124,11 @@ impl Orientation {
         if code > 13 { code - 1 } else { code }
     }
 
+    /// How many axes it leans on: 1 a face, 2 an edge, 3 a corner.
+    pub(crate) fn axes(self) -> usize {
+        self.0.iter().filter(|sign| **sign != 0).count()
+    }
+
     /// What to do, step by step, in words: "start with Z up, then tilt it 45° towards X up".
     pub fn instruction(self) -> Instruction<'static> {
         self.instruction_with(&Face::NAMES)
@@ -156,7 +161,7 @@ impl From<Face> for Orientation {
 
 impl fmt::Display for Orientation {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let axes = self.0.iter().filter(|&&sign| sign != 0).count();
+        let axes = self.axes();
         let mut named = 0;
         for (name, sign) in ["X", "Y", "Z"].into_iter().zip(self.0) {
             let Some(way) = [Some("down"), None, Some("up")]
@@ -190,7 +195,7 @@ pub struct Instruction<'a> {
 
 impl fmt::Display for Instruction<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let axes = self.orientation.0.iter().filter(|sign| **sign != 0).count();
+        let axes = self.orientation.axes();
         // The last axis first: Z up is how most boards lie.
         let sides = self.orientation.0.iter().enumerate().rev();
         let sides = sides.filter_map(|(axis, &sign)| match sign {

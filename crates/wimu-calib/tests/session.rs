@@ -47,7 +47,7 @@ impl Hand<'_> {
 #[test]
 fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
     for (seed, (rate, noise)) in [
-        (10.0, 0.2),
+        (10.0, 0.1),
         (25.0, 0.1),
         (100.0, 0.08),
         (100.0, 0.002),

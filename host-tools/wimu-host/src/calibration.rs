@@ -495,12 +495,12 @@ fn advice(poses: &[Pose], options: &CalibrateOptions, least: usize) -> Vec<NextP
     }
     let mut guide = Guide::after(wanted(options), poses);
     let count = guide.worth(|_| true).min(MOST_ADVISED).max(least);
-    let next = std::iter::from_fn(|| {
-        let next = guide.next(|_| true)?;
+    let next = |remaining| {
+        let next = guide.next_of(remaining, |_| true)?;
         guide.take(next.up());
         Some(next.into())
-    });
-    next.take(count).collect()
+    };
+    (1..=count).rev().map_while(next).collect()
 }
 
 /// The orientation that a pose is nearest to.

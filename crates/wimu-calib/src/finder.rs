@@ -17,9 +17,9 @@ const QUIET_VARIANCE: f64 = 0.09;
 const QUIET_DEPARTURE: f64 = 0.04;
 /// And per variance of the noise from one sample to the next, which motion hardly adds to: the
 /// variance, and the departure of a block mean of one sample. The largest of thousands of blocks
-/// departs by 8 times the variance of a mean.
+/// departs by 8 times the variance of a mean, and the least of it that was seen is below it.
 const VARIANCE_PER_NOISE: f64 = 6.0;
-const DEPARTURE_PER_NOISE: f64 = 8.0;
+const DEPARTURE_PER_NOISE: f64 = 10.0;
 /// Means of blocks that scatter by more than this many times what the noise within the blocks makes of
 /// them move: of a steady turn it is a hundred times.
 const MOST_SCATTER_PER_NOISE: f64 = 6.0;

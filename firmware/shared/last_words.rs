@@ -5,6 +5,9 @@ use core::panic::PanicInfo;
 use core::ptr::{addr_of, addr_of_mut};
 
 use cortex_m_rt::{ExceptionFrame, exception};
+// Where the log goes: to the debug probe.
+#[cfg(feature = "defmt")]
+use defmt_rtt as _;
 use wimu_link::hello::Fault;
 
 /// Tells a note from what memory holds by chance.

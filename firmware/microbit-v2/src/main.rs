@@ -8,6 +8,9 @@ mod data_ready;
 mod display;
 #[path = "../../shared/last_words.rs"]
 mod last_words;
+mod rate;
+#[path = "../../shared/tasks.rs"]
+mod tasks;
 
 use cortex_m_rt::entry;
 use embassy_embedded_hal::adapter::BlockingAsync;
@@ -22,18 +25,15 @@ use embassy_nrf::rng::Rng;
 use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
-use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex as M;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_link::{Hello, LinkRole};
-use wimu_node::{
-    Board, Control, FlashLayout, FlashStore, LinkReader, LinkWriter, Lsm303agr, Sampler, Shared,
-    Timer,
-};
+use wimu_node::{Board, FlashLayout, FlashStore, Lsm303agr, Shared, Timer};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::display::Matrix;
+use crate::rate::Rate;
+use crate::tasks::M;
 
 bind_interrupts!(struct Interrupts {
     TWISPI0 => twim::InterruptHandler<TWISPI0>;
@@ -41,8 +41,12 @@ bind_interrupts!(struct Interrupts {
     UARTE1 => buffered_uarte::InterruptHandler<UARTE1>;
 });
 
+/// What the node is made of.
 type Sensor = Lsm303agr<Twim<'static>, Line, BoardTimer>;
 type Flash = BlockingAsync<Nvmc<'static>>;
+type Memory = FlashStore<Flash>;
+type Receiver = BufferedUarteRx<'static>;
+type Transmitter = BufferedUarteTx<'static>;
 
 /// The last 8 KiB: memory.x leaves them out.
 const LAYOUT: FlashLayout<Flash> = FlashLayout::new(0x7E000..0x80000);
@@ -59,26 +63,6 @@ const DEBOUNCE: u32 = 10;
 
 /// Who holds button B for five seconds has lost the key: rows of the display.
 const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
-
-#[embassy_executor::task]
-async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
-    sampler.run().await
-}
-
-#[embassy_executor::task]
-async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>) -> ! {
-    control.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn listen(reader: LinkReader<'static, BufferedUarteRx<'static>, BoardTimer, M>) -> ! {
-    reader.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn talk(writer: LinkWriter<'static, BufferedUarteTx<'static>, M>) -> ! {
-    writer.run().await
-}
 
 /// Shows how the device is, looks at the buttons, and feeds the watchdog: two seconds without it
 /// and the chip restarts.
@@ -167,7 +151,7 @@ fn main() -> ! {
         bus,
         BUS_BUFFER.init([0; 16]),
     );
-    // 115,200 baud, 8N1.
+    // Opened at the rate of `tasks::BAUD`, 8N1.
     let uart = uarte::Config::default;
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
     let cable = BufferedUarte::new(
@@ -199,8 +183,19 @@ fn main() -> ! {
     let shared = &*SHARED.init(Shared::new());
     let mut entropy = [0; 16];
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
+    let rates = [pac::UARTE0, pac::UARTE1].map(Rate);
+    let keepers = tasks::keepers(rates, shared);
+    let [low, high] = [0, 1].map(|word| u64::from(pac::FICR.deviceid(word).read()));
     let node = Board {
-        hello: hello(),
+        hello: tasks::hello(
+            high << 32 | low,
+            reason(),
+            Capabilities::ACCELEROMETER
+                .with(Capabilities::MAGNETOMETER)
+                .with(Capabilities::TEMPERATURE),
+            Part::new(board::MICROBIT_V2, "micro:bit v2"),
+            Part::new(sensor::LSM303AGR, "LSM303AGR"),
+        ),
         accelerometer: Sensor::new(i2c, line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(BlockingAsync::new(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
@@ -241,14 +236,9 @@ fn main() -> ! {
     };
 
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
-    // Each is spawned once: there is room.
-    sampling.spawn(sample(node.sampler).unwrap());
     EXECUTOR.init(Executor::new()).run(|spawner| {
-        spawner.spawn(control(node.control).unwrap());
-        spawner.spawn(listen(node.cable_reader).unwrap());
-        spawner.spawn(talk(node.cable_writer).unwrap());
-        spawner.spawn(listen(node.wireless_reader).unwrap());
-        spawner.spawn(talk(node.wireless_writer).unwrap());
+        tasks::spawn(node, keepers, sampling, spawner);
+        // Spawned once: there is room.
         spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
     })
 }
@@ -275,29 +265,4 @@ fn reason() -> (ResetReason, Option<Fault>) {
         _ => ResetReason::Unknown,
     };
     (reason, fault)
-}
-
-fn hello() -> Hello {
-    let part = |text: &str| text.parse().unwrap_or(0);
-    let (reset_reason, fault) = reason();
-    let [low, high] = [0, 1].map(|word| u64::from(pac::FICR.deviceid(word).read()));
-    Hello {
-        device_id: high << 32 | low,
-        firmware: [
-            part(env!("CARGO_PKG_VERSION_MAJOR")),
-            part(env!("CARGO_PKG_VERSION_MINOR")),
-            part(env!("CARGO_PKG_VERSION_PATCH")),
-        ],
-        reset_reason,
-        fault,
-        capabilities: Capabilities::ACCELEROMETER
-            .with(Capabilities::MAGNETOMETER)
-            .with(Capabilities::TEMPERATURE)
-            .with(Capabilities::DATA_READY)
-            .with(Capabilities::STORE),
-        sensitivity_known: true,
-        board: Part::new(board::MICROBIT_V2, "micro:bit v2"),
-        sensor: Part::new(sensor::LSM303AGR, "LSM303AGR"),
-        ..Hello::new(LinkRole::Cable)
-    }
 }

@@ -9,11 +9,13 @@ mod data_ready;
 mod flash;
 #[path = "../../shared/last_words.rs"]
 mod last_words;
+mod rate;
 mod sender;
+#[path = "../../shared/tasks.rs"]
+mod tasks;
 
 use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor};
-use embassy_rp::bind_interrupts;
 use embassy_rp::clocks::RoscRng;
 use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
@@ -21,17 +23,18 @@ use embassy_rp::interrupt::{self, InterruptExt, Priority};
 use embassy_rp::peripherals::{I2C0, UART0, UART1, WATCHDOG};
 use embassy_rp::uart::{self, BufferedUart, BufferedUartRx};
 use embassy_rp::watchdog::{ResetReason as WatchdogReason, Watchdog};
-use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex as M;
+use embassy_rp::{bind_interrupts, pac};
 use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_link::{Hello, LinkRole};
-use wimu_node::{Adxl345, Board, Control, FlashStore, LinkReader, LinkWriter, Sampler, Shared};
+use wimu_node::{Adxl345, Board, FlashStore, Shared};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::flash::StoreFlash;
+use crate::rate::Rate;
 use crate::sender::Sender;
+use crate::tasks::M;
 
 bind_interrupts!(struct Interrupts {
     I2C0_IRQ => i2c::InterruptHandler<I2C0>;
@@ -39,27 +42,11 @@ bind_interrupts!(struct Interrupts {
     UART1_IRQ => uart::BufferedInterruptHandler<UART1>;
 });
 
+/// What the node is made of.
 type Sensor = Adxl345<I2c<'static, I2C0, i2c::Async>, Line, BoardTimer>;
-
-#[embassy_executor::task]
-async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
-    sampler.run().await
-}
-
-#[embassy_executor::task]
-async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore<StoreFlash>, M>) -> ! {
-    control.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn listen(reader: LinkReader<'static, BufferedUartRx, BoardTimer, M>) -> ! {
-    reader.run().await
-}
-
-#[embassy_executor::task(pool_size = 2)]
-async fn talk(writer: LinkWriter<'static, Sender, M>) -> ! {
-    writer.run().await
-}
+type Memory = FlashStore<StoreFlash>;
+type Receiver = BufferedUartRx;
+type Transmitter = Sender;
 
 /// How long nobody may feed the watchdog: longer than the flash takes to erase.
 const WATCHDOG_TIME: Duration = Duration::from_secs(2);
@@ -93,14 +80,23 @@ fn main() -> ! {
     let i2c = I2c::new_async(chip.I2C0, chip.PIN_5, chip.PIN_4, Interrupts, bus);
     let line = Line(Input::new(chip.PIN_6, Pull::Down));
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
-    // 115,200 baud, 8N1.
-    let uart = uart::Config::default;
+    let uart = || {
+        let mut config = uart::Config::default();
+        config.baudrate = tasks::BAUD;
+        config
+    };
     let wireless = BufferedUart::new(chip.UART0, chip.PIN_0, chip.PIN_1, Interrupts, a, b, uart());
     let cable = BufferedUart::new(chip.UART1, chip.PIN_8, chip.PIN_9, Interrupts, c, d, uart());
     let (wireless_tx, wireless_rx) = wireless.split();
     let (cable_tx, cable_rx) = cable.split();
     let board = Board {
-        hello: hello(device_id, reason(&watchdog)),
+        hello: tasks::hello(
+            device_id,
+            reason(&watchdog),
+            Capabilities::ACCELEROMETER,
+            Part::new(board::PICO_ADXL345, "Pico"),
+            Part::new(sensor::ADXL345, "ADXL345"),
+        ),
         accelerometer: Sensor::new(i2c, line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
@@ -121,6 +117,8 @@ fn main() -> ! {
         ),
     };
     let shared = &*SHARED.init(Shared::new());
+    let rates = [pac::UART1, pac::UART0].map(Rate);
+    let keepers = tasks::keepers(rates, shared);
     let node = board.split(shared);
     watchdog.start(WATCHDOG_TIME);
 
@@ -131,16 +129,10 @@ fn main() -> ! {
     interrupt::UART0_IRQ.set_priority(Priority::P2);
     interrupt::UART1_IRQ.set_priority(Priority::P2);
     let sampling = SAMPLING.start(interrupt::SWI_IRQ_1);
-    sampling.spawn(sample(node.sampler).unwrap());
     let lamp = Output::new(chip.PIN_25, Level::Low);
     let key_lost = Input::new(chip.PIN_22, Pull::Up);
     EXECUTOR.init(Executor::new()).run(|spawner| {
-        // Each is spawned once: there is room.
-        spawner.spawn(control(node.control).unwrap());
-        spawner.spawn(listen(node.cable_reader).unwrap());
-        spawner.spawn(talk(node.cable_writer).unwrap());
-        spawner.spawn(listen(node.wireless_reader).unwrap());
-        spawner.spawn(talk(node.wireless_writer).unwrap());
+        tasks::spawn(node, keepers, sampling, spawner);
         spawner.spawn(show(shared, lamp, key_lost, watchdog).unwrap());
     })
 }
@@ -198,7 +190,7 @@ fn restart() -> ! {
 /// Why the chip has started, and where the firmware stopped if it did.
 fn reason(watchdog: &Watchdog) -> (ResetReason, Option<Fault>) {
     let fault = last_words::take();
-    let chip = embassy_rp::pac::VREG_AND_CHIP_RESET.chip_reset().read();
+    let chip = pac::VREG_AND_CHIP_RESET.chip_reset().read();
     let reason = match watchdog.reset_reason() {
         _ if fault.is_some() => ResetReason::Fault,
         Some(WatchdogReason::TimedOut) => ResetReason::Watchdog,
@@ -217,25 +209,4 @@ fn entropy() -> [u8; 16] {
     let mut bits = [0; 16];
     RoscRng.fill_bytes(&mut bits);
     bits
-}
-
-fn hello(device_id: u64, (reset_reason, fault): (ResetReason, Option<Fault>)) -> Hello {
-    let part = |text: &str| text.parse().unwrap_or(0);
-    Hello {
-        device_id,
-        firmware: [
-            part(env!("CARGO_PKG_VERSION_MAJOR")),
-            part(env!("CARGO_PKG_VERSION_MINOR")),
-            part(env!("CARGO_PKG_VERSION_PATCH")),
-        ],
-        reset_reason,
-        fault,
-        capabilities: Capabilities::ACCELEROMETER
-            .with(Capabilities::DATA_READY)
-            .with(Capabilities::STORE),
-        sensitivity_known: true,
-        board: Part::new(board::PICO_ADXL345, "Pico"),
-        sensor: Part::new(sensor::ADXL345, "ADXL345"),
-        ..Hello::new(LinkRole::Cable)
-    }
 }

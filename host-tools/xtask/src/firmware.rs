@@ -179,11 +179,21 @@ pub fn test() -> Result<(), String> {
         .run()
 }
 
-/// Builds every board, and lints it where the toolchain can.
+/// Builds every board, with its log for a debug probe too if it has one, and lints it where the
+/// toolchain can.
 ///
 /// # Errors
 /// Says which command failed.
 pub fn check(workspace: &Workspace) -> Result<(), String> {
+    let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+    for folder in &workspace.firmware {
+        if has_log_feature(folder) {
+            build(source, folder, None)
+                .words("--features defmt")
+                .run()?;
+        }
+    }
+    // Last: these are the images that are left.
     run(workspace)?;
     if setup::provide(Need::Targets, &mut ThisMachine)? == Source::Toolchain {
         let clippy = CommandLine::new("cargo clippy --release --locked").words("-- -D warnings");
@@ -192,6 +202,11 @@ pub fn check(workspace: &Workspace) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+fn has_log_feature(folder: &Path) -> bool {
+    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap_or_default();
+    manifest.lines().any(|line| line.starts_with("defmt = ["))
 }
 
 /// Whether the boards' source is formatted.
@@ -204,6 +219,15 @@ pub fn format(workspace: &Workspace) -> Vec<CommandLine> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_boards_to_buy_have_a_log_for_a_probe() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        for board in ["firmware/microbit-v2", PICO] {
+            assert!(has_log_feature(&root.join(board)), "{board}");
+        }
+        assert!(!has_log_feature(&root.join(QEMU_BOARD)));
+    }
 
     #[test]
     fn a_board_is_built_in_its_own_folder() {

@@ -1,0 +1,103 @@
+//! The node's tasks, as every board with priorities runs them.
+//!
+//! The board says what they are made of: `Sensor`, `BoardTimer`, `Memory`, the halves of its UARTs
+//! `Receiver` and `Transmitter`, and their `Rate`.
+
+use embassy_executor::{SendSpawner, Spawner, task};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use wimu_link::hello::{Capabilities, Fault, Part, ResetReason};
+use wimu_link::{Hello, LinkRole};
+use wimu_node::{Control, LinkReader, LinkWriter, RateKeeper, Sampler, Shared};
+
+use crate::{BoardTimer, Memory, Rate, Receiver, Sensor, Transmitter};
+
+/// The tasks run at two priorities.
+pub type M = CriticalSectionRawMutex;
+/// The board's node.
+pub type Node = wimu_node::Node<
+    'static,
+    Sensor,
+    BoardTimer,
+    Memory,
+    Receiver,
+    Transmitter,
+    Receiver,
+    Transmitter,
+    M,
+>;
+type Keeper = RateKeeper<'static, Rate, BoardTimer, M>;
+
+/// The rate at which the UARTs are opened, bits/s, 8N1.
+pub const BAUD: u32 = 115_200;
+
+/// Spawns the node's tasks: the sampler above all others.
+pub fn spawn(node: Node, [cable, wireless]: [Keeper; 2], above: SendSpawner, others: Spawner) {
+    // Each is spawned as often as it has room for.
+    above.spawn(sample(node.sampler).unwrap());
+    others.spawn(control(node.control).unwrap());
+    others.spawn(listen(node.cable_reader).unwrap());
+    others.spawn(talk(node.cable_writer).unwrap());
+    others.spawn(keep(cable).unwrap());
+    others.spawn(listen(node.wireless_reader).unwrap());
+    others.spawn(talk(node.wireless_writer).unwrap());
+    others.spawn(keep(wireless).unwrap());
+}
+
+/// Who keeps the rates of the UARTs, the cable's first: to be made before the node runs.
+pub fn keepers([cable, wireless]: [Rate; 2], shared: &'static Shared<M>) -> [Keeper; 2] {
+    [(LinkRole::Cable, cable), (LinkRole::Wireless, wireless)]
+        .map(|(role, line)| RateKeeper::new(role, line, BAUD, BoardTimer, shared))
+}
+
+#[task]
+async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
+    sampler.run().await
+}
+
+#[task]
+async fn control(control: Control<'static, Sensor, BoardTimer, Memory, M>) -> ! {
+    control.run().await
+}
+
+#[task(pool_size = 2)]
+async fn listen(reader: LinkReader<'static, Receiver, BoardTimer, M>) -> ! {
+    reader.run().await
+}
+
+#[task(pool_size = 2)]
+async fn talk(writer: LinkWriter<'static, Transmitter, M>) -> ! {
+    writer.run().await
+}
+
+#[task(pool_size = 2)]
+async fn keep(keeper: Keeper) -> ! {
+    keeper.run().await
+}
+
+/// Who a device is that has sample times from its hardware and a store, and these as well.
+pub fn hello(
+    device_id: u64,
+    (reset_reason, fault): (ResetReason, Option<Fault>),
+    capabilities: Capabilities,
+    board: Part,
+    sensor: Part,
+) -> Hello {
+    let part = |text: &str| text.parse().unwrap_or(0);
+    Hello {
+        device_id,
+        firmware: [
+            part(env!("CARGO_PKG_VERSION_MAJOR")),
+            part(env!("CARGO_PKG_VERSION_MINOR")),
+            part(env!("CARGO_PKG_VERSION_PATCH")),
+        ],
+        reset_reason,
+        fault,
+        capabilities: capabilities
+            .with(Capabilities::DATA_READY)
+            .with(Capabilities::STORE),
+        sensitivity_known: true,
+        board,
+        sensor,
+        ..Hello::new(LinkRole::Cable)
+    }
+}

@@ -25,17 +25,23 @@ export class Adxl345 {
     this.source = source;
     this.periodError = periodError;
     this.identity = 0xe5;
+    this.overruns = 0;
+    /** When each sample was taken, ns on the clock. */
+    this.takenAt = [];
+    this.alarm = clock.createAlarm(() => this.sample());
+    this.powerUp();
+  }
+
+  powerUp() {
+    this.alarm.cancel();
     this.registers = new Uint8Array(REGISTERS);
     this.registers[BW_RATE] = 0x0a;
     this.fifo = [];
     this.latest = [0, 0, 0];
     this.reading = null;
     this.overrun = false;
-    this.overruns = 0;
-    /** When each sample was taken, ns on the clock. */
-    this.takenAt = [];
-    this.alarm = clock.createAlarm(() => this.sample());
     this.level = false;
+    this.setInt1(false);
   }
 
   get measuring() {

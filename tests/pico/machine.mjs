@@ -1,6 +1,7 @@
 // A Pico: the emulated chip with its ROM's flash functions, UARTs that take their time, and a bus.
 
 import { RP2040 } from 'rp2040js';
+import { Wire } from './wire.mjs';
 
 const FLASH = 0x10000000;
 const RAM = 0x20000000;
@@ -21,29 +22,40 @@ const PROGRAM_NS = 0.4e6;
 /** Functions of the boot ROM that the firmware calls, by their codes. */
 const ROM_FUNCTIONS = ['IF', 'EX', 'RE', 'RP', 'FC', 'CX', 'C4', 'MC', 'MS', 'S4'];
 
+/** Blocks of registers that the emulator has no more than a part of. */
+const TIMER = 0x40054;
+const WATCHDOG = 0x40058;
+const CHIP_RESET = 0x40064;
+/** Why the chip was reset, as its register says. */
+const BY_POWER = 1 << 8;
+const BY_PIN = 1 << 16;
+
 export class Pico {
   constructor() {
-    const chip = new RP2040();
-    this.chip = chip;
-    this.clock = chip.clock;
-    chip.logger = { debug() {}, info() {}, warn() {}, error: (...words) => this.complaints.push(words.join(' ')) };
+    this.clock = new RP2040().clock;
     this.complaints = [];
     this.resets = 0;
-    chip.loadBootrom(bootrom());
-    chip.onBreak = (number) => this.romFunction(ROM_FUNCTIONS[number]);
-    chip.peripherals[0x40058].onWatchdogTrigger = () => {
-      this.resets += 1;
-      this.restart = true;
-    };
     this.received = [[], []];
-    chip.uart.forEach((uart, index) => paced(uart, this.clock, (byte) => {
-      this.received[index].push(byte);
-      this.onByte?.(index, byte);
-    }));
+    this.levels = new Map();
+    /** At what rate the other ends of the UARTs are, bits/s. */
+    this.hostBaud = [115200, 115200];
+    this.absent = false;
+    this.held = false;
+    this.nacks = 0;
+    this.eraseNs = ERASE_NS;
+    /** How many more times the flash is changed before the power fails in the middle of it. */
+    this.changesToCut = Infinity;
+    this.fromHost = [0, 1].map(
+      (index) => new Wire(this.clock, () => this.chip.uart[index].baudRate, (byte, stop) => this.hear(index, byte, stop)),
+    );
+    this.toHost = [0, 1].map(
+      (index) => new Wire(this.clock, () => this.hostBaud[index], (byte) => this.received[index].push(byte)),
+    );
   }
 
-  /** Puts an image of UF2 blocks into the flash. */
+  /** Puts an image of UF2 blocks into the flash, and power on the chip. */
   load(uf2) {
+    this.start('power');
     for (let at = 0; at + 512 <= uf2.length; at += 512) {
       const block = uf2.subarray(at, at + 512);
       const view = new DataView(block.buffer, block.byteOffset, 512);
@@ -53,22 +65,93 @@ export class Pico {
       const address = view.getUint32(12, true);
       this.chip.flash.set(block.subarray(32, 32 + view.getUint32(16, true)), address - FLASH);
     }
-    this.boot();
   }
 
-  boot() {
+  /** Starts the chip anew after its power, its reset "pin" or its "watchdog": what survives that, survives. */
+  start(cause) {
+    const before = this.chip;
+    const chip = new RP2040(this.clock);
+    this.chip = chip;
+    chip.logger = { debug() {}, info() {}, warn() {}, error: (...words) => this.complaints.push(words.join(' ')) };
+    chip.loadBootrom(bootrom());
+    chip.onBreak = (number) => this.romFunction(ROM_FUNCTIONS[number]);
+    const watchdog = chip.peripherals[WATCHDOG];
+    const reset = chip.peripherals[CHIP_RESET];
+    reset.readUint32 = () => this.resetBy;
+    if (before) {
+      chip.flash.set(before.flash);
+      this.resets += 1;
+    }
+    if (cause === 'watchdog') {
+      watchdog.reason = before.peripherals[WATCHDOG].reason;
+    } else {
+      this.resetBy = cause === 'pin' ? BY_PIN : BY_POWER;
+    }
+    if (cause === 'power') {
+      // Memory holds what it likes.
+      chip.sram.forEach((_, index) => {
+        chip.sram[index] = (index * 2654435761) >>> 13;
+      });
+      this.sensor?.powerUp();
+    } else {
+      chip.sram.set(before.sram);
+    }
+    watchdog.onWatchdogTrigger = () => {
+      // A reset switches it off.
+      watchdog.alarm.enable = false;
+      if (this.chip === chip) {
+        this.restart = 'watchdog';
+      }
+    };
+    // The timer starts at 0.
+    const begun = this.clock.nanos;
+    const { clock } = this;
+    chip.peripherals[TIMER].clock = {
+      get nanos() {
+        return clock.nanos - begun;
+      },
+    };
+    chip.uart.forEach((uart, index) => paced(uart, this.clock, (byte) => {
+      if (this.chip === chip) {
+        this.toHost[index].send(byte, uart.baudRate);
+      }
+    }));
+    if (this.sensor) {
+      this.wire(chip);
+    }
+    this.levels.forEach((level, pin) => chip.gpio[pin].setInputValue(level));
     // The second stage of the bootloader sits at the start of the flash.
-    this.chip.core.reset();
-    this.chip.core.PC = FLASH;
+    chip.core.reset();
+    chip.core.PC = FLASH;
   }
 
-  /** Connects a device that has begin, write and read to I2C0. */
-  connect(address, device) {
-    const bus = this.chip.i2c[0];
-    const byteNs = 9 / 400e3 * 1e9;
+  /** Sets the level of a pin. */
+  setPin(pin, level) {
+    this.levels.set(pin, level);
+    this.chip?.gpio[pin].setInputValue(level);
+  }
+
+  /** Connects a sensor that has begin, write, read and powerUp to I2C0. */
+  connect(address, sensor) {
+    this.sensor = sensor;
+    this.address = address;
+  }
+
+  wire(chip) {
+    const bus = chip.i2c[0];
+    const { sensor } = this;
+    // A bit takes as long as the firmware has set the controller to; its clock is the processor's.
     const later = (done) => {
-      const alarm = this.clock.createAlarm(done);
-      alarm.schedule(byteNs);
+      const bitNs = (bus.fsClockLowPeriod + bus.fsClockHighPeriod) * 8;
+      const alarm = this.clock.createAlarm(() => {
+        if (this.held && this.chip === chip) {
+          // A controller that waits for the bus has no limit.
+          alarm.schedule(50e3);
+        } else if (this.chip === chip) {
+          done();
+        }
+      });
+      alarm.schedule(9 * bitNs);
     };
     const write = bus.writeUint32.bind(bus);
     bus.writeUint32 = (offset, value) => {
@@ -80,37 +163,59 @@ export class Pico {
       }
     };
     let mine = false;
-    this.absent = false;
     bus.onStart = () => bus.completeStart();
     bus.onConnect = (asked, mode) => later(() => {
-      mine = asked === address && !this.absent;
+      mine = asked === this.address && !this.absent;
       if (mine && mode === 0) {
-        device.begin();
+        sensor.begin();
       }
       bus.completeConnect(mine);
     });
     bus.onWriteByte = (byte) => later(() => {
-      device.write(byte);
-      bus.completeWrite(!this.absent);
+      const heard = !this.absent && this.nacks === 0;
+      if (heard) {
+        sensor.write(byte);
+      } else if (this.nacks > 0) {
+        this.nacks -= 1;
+      }
+      bus.completeWrite(heard);
     });
-    bus.onReadByte = () => later(() => bus.completeRead(device.read()));
+    bus.onReadByte = () => later(() => bus.completeRead(sensor.read()));
     bus.onStop = () => bus.completeStop();
   }
 
-  /** Sends bytes to a UART at its speed. */
+  /** Sends bytes to a UART at the speed of its other end. */
   send(index, bytes) {
-    const uart = this.chip.uart[index];
+    const baud = this.hostBaud[index];
     let at = 0;
     const alarm = this.clock.createAlarm(() => {
-      uart.feedByte(bytes[at]);
+      this.fromHost[index].send(bytes[at], baud);
       at += 1;
       if (at < bytes.length) {
-        alarm.schedule(byteNs(uart));
+        alarm.schedule((10 / baud) * 1e9);
       }
     });
     if (bytes.length > 0) {
-      alarm.schedule(byteNs(uart));
+      alarm.schedule(0);
     }
+  }
+
+  /** Takes a byte that a UART heard, or what it took for one. */
+  hear(index, byte, stop) {
+    const uart = this.chip.uart[index];
+    if (!uart.enabled || uart.baudDivider === 0) {
+      return;
+    }
+    const { rxFIFO } = uart;
+    if (rxFIFO.full) {
+      uart.overrun = true;
+      return;
+    }
+    const framing = stop ? 0 : 1 << 8;
+    const breaks = !stop && byte === 0 ? 1 << 10 : 0;
+    const overrun = uart.overrun ? 1 << 11 : 0;
+    uart.overrun = false;
+    uart.feedByte(byte | framing | breaks | overrun);
   }
 
   /** Lets the processor do nothing more, interrupts off. */
@@ -138,12 +243,13 @@ export class Pico {
 
   /** Runs up to `ns` on the clock. */
   run(ns) {
-    const { core } = this.chip;
+    let { core } = this.chip;
     const { clock } = this;
     while (clock.nanos < ns) {
       if (this.restart) {
-        this.restart = false;
-        this.boot();
+        this.start(this.restart);
+        this.restart = undefined;
+        core = this.chip.core;
       }
       if (core.waiting) {
         const idle = clock.nanosToNextAlarm;
@@ -154,20 +260,33 @@ export class Pico {
     }
   }
 
+  /** Changes bytes of the flash one after another; power that fails meanwhile leaves the rest. */
+  changeFlash(ns, bytes, change) {
+    this.changesToCut -= 1;
+    const cut = this.changesToCut === 0;
+    for (let k = 0; k < (cut ? bytes / 2 : bytes); k++) {
+      change(k);
+    }
+    this.clock.tick(cut ? ns / 2 : ns);
+    if (cut) {
+      this.restart = 'power';
+    }
+  }
+
   romFunction(name) {
     const { registers } = this.chip.core;
     const [r0, r1, r2] = registers;
     const memory = (address) => address >>> 0;
     switch (name) {
       case 'RE':
-        this.chip.flash.fill(0xff, r0, r0 + r1);
-        this.clock.tick((r1 / 4096) * ERASE_NS);
+        this.changeFlash((r1 / 4096) * this.eraseNs, r1, (k) => {
+          this.chip.flash[r0 + k] = 0xff;
+        });
         break;
       case 'RP':
-        for (let k = 0; k < r2; k++) {
+        this.changeFlash((r2 / 256) * PROGRAM_NS, r2, (k) => {
           this.chip.flash[r0 + k] &= this.chip.readUint8(memory(r1) + k);
-        }
-        this.clock.tick((r2 / 256) * PROGRAM_NS);
+        });
         break;
       case 'C4':
       case 'MC':
@@ -191,15 +310,22 @@ function byteNs(uart) {
 }
 
 /** Lets a UART send through a FIFO of 32 bytes at its baud rate; the emulator's own takes no time. */
-function paced(uart, clock, deliver) {
+function paced(uart, clock, begin) {
   const fifo = [];
   const half = FIFO_BYTES / 2;
   const write = uart.writeUint32.bind(uart);
-  const alarm = clock.createAlarm(() => {
-    deliver(fifo.shift());
-    if (fifo.length > 0) {
+  let sending = false;
+  const next = () => {
+    if (fifo.length > 0 && uart.enabled && !sending) {
+      sending = true;
+      begin(fifo[0]);
       alarm.schedule(byteNs(uart));
     }
+  };
+  const alarm = clock.createAlarm(() => {
+    fifo.shift();
+    sending = false;
+    next();
     if (fifo.length === half) {
       uart.interruptStatus |= TX_INTERRUPT;
       if (uart.interruptStatus & uart.interruptMask) {
@@ -227,15 +353,14 @@ function paced(uart, clock, deliver) {
     }
     if (offset !== 0) {
       write(offset, value);
+      next();
       return;
     }
     if (fifo.length >= FIFO_BYTES) {
       throw new Error('a byte was written into a full FIFO');
     }
     fifo.push(value & 0xff);
-    if (fifo.length === 1) {
-      alarm.schedule(byteNs(uart));
-    }
+    next();
     if (fifo.length > half) {
       uart.interruptStatus &= ~TX_INTERRUPT;
       uart.checkInterrupts();

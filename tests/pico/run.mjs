@@ -1,8 +1,11 @@
 // Runs an image for a while. Usage: node run.mjs IMAGE.uf2 SECONDS FOLDER [SCRIPT.json]
 //
 // FOLDER gets wireless.bin and cable.bin, what came out of UART0 and UART1, and report.json. SCRIPT
-// is a list of {"at_ms", "uart", "hex"}, bytes to send, and {"at_ms", "do"}: "unplug" and "plug" the
-// sensor, "exchange" it for another chip, "hang" or "fault" the processor, press "reset".
+// is a list of {"at_ms", "uart", "hex"}, bytes to send, {"at_ms", "uart", "baud"}, the rate of the
+// other end from then on, and {"at_ms", "do"}: "unplug" and "plug" the sensor, "exchange" it for
+// another chip, "hold" the bus low and "release" it, "nack" a byte of the sensor's, give the flash
+// its longest erase ("slow_flash"), "hang" or "fault" the processor, press "reset", take the "power"
+// off, or when the flash has been changed "count" times from then on, in the middle of that ("cut").
 
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
 import { Adxl345 } from './adxl345.mjs';
@@ -10,11 +13,11 @@ import { Pico } from './machine.mjs';
 
 const [image, seconds, folder, script] = process.argv.slice(2);
 const pico = new Pico();
-const INT1 = pico.chip.gpio[6];
+const INT1 = 6;
 const noise = (number, axis) => Math.sin(number * (1.7 + axis)) * 0.004;
 const sensor = new Adxl345(
   pico.clock,
-  (level) => INT1.setInputValue(level),
+  (level) => pico.setPin(INT1, level),
   (number) => [0.05 + noise(number, 0), -0.04 + noise(number, 1), 0.98 + noise(number, 2)],
   0.021,
 );
@@ -28,6 +31,9 @@ for (const action of actions) {
   if (action.hex) {
     pico.send(action.uart, Buffer.from(action.hex, 'hex'));
   }
+  if (action.baud) {
+    pico.hostBaud[action.uart] = action.baud;
+  }
   switch (action.do) {
     case undefined:
       break;
@@ -40,6 +46,24 @@ for (const action of actions) {
     case 'exchange':
       sensor.identity = 0x33;
       break;
+    case 'hold':
+      pico.held = true;
+      break;
+    case 'release':
+      pico.held = false;
+      break;
+    case 'nack':
+      pico.nacks = 1;
+      break;
+    case 'slow_flash':
+      pico.eraseNs = 400e6;
+      break;
+    case 'cut':
+      pico.changesToCut = action.count;
+      break;
+    case 'power':
+      pico.restart = 'power';
+      break;
     case 'hang':
       pico.hang();
       break;
@@ -47,7 +71,7 @@ for (const action of actions) {
       pico.fault();
       break;
     case 'reset':
-      pico.restart = true;
+      pico.restart = 'pin';
       break;
     default:
       throw new Error(`cannot ${action.do}`);

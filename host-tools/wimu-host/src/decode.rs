@@ -359,6 +359,8 @@ impl Decoder {
         // A device that starts anew without its greeting having arrived.
         if self.last_epoch_time.is_some_and(|last| time < last) {
             self.restart();
+            // Its greeting, when it comes, tells of no other start.
+            self.identity = None;
             each(received.with(Event::Restart));
         }
         self.last_epoch_time = Some(time);

@@ -220,6 +220,10 @@ fn a_restart_begins_numbers_anew() {
     let events = decode(&mut decoder, &[epoch(0, time(0)), samples(0, 16)]);
     assert_eq!(restarts(&events), 1);
     assert_eq!(sequences(&events), (0..16).collect::<Vec<_>>());
+    // It comes when it is asked for, and tells of no other start.
+    let events = decode(&mut decoder, &[hello(2), samples(16, 16)]);
+    assert_eq!(restarts(&events), 0);
+    assert_eq!(sequences(&events), (16..32).collect::<Vec<_>>());
     assert_eq!(decoder.statistics().raw.missing, 0);
 }
 

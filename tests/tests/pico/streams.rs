@@ -1,95 +1,11 @@
-//! The Pico's own image on an emulated RP2040 with an ADXL345 on its bus: `cargo xtask test --only
-//! pico`. Both UARTs take their time at 115,200 baud.
+//! Both UARTs stream, and the sensor is told of.
 
-use std::path::Path;
-use std::process::Command as Process;
-
-use serde_json::{Value, json};
-use wimu_host::history::Boot;
 use wimu_link::hello::{Capabilities, board};
 use wimu_link::message::{BusFault, Event};
-use wimu_link::{Answer, Command, LinkRole, Request, Settings};
-use wimu_tests::{Listener, ROLES, assert_replays, encoded, gaps, who_are_you};
+use wimu_link::{Answer, Command, LinkRole, Settings};
+use wimu_tests::{ROLES, assert_replays, gaps, who_are_you};
 
-const CABLE: u8 = 1;
-const WIRELESS: u8 = 0;
-/// A byte of 8N1 at 115,200 baud, bytes a second.
-const LINE_RATE: f64 = 11_520.0;
-
-/// What came of a run.
-struct Run {
-    links: [Listener; 2],
-    report: Value,
-}
-
-impl Run {
-    fn link(&self, role: LinkRole) -> &Listener {
-        &self.links[usize::from(role != LinkRole::Cable)]
-    }
-
-    fn boots(&self, role: LinkRole) -> &[Boot] {
-        self.link(role).boots()
-    }
-
-    /// When the sensor took its samples, µs since the start.
-    fn taken_us(&self) -> Vec<f64> {
-        let taken = self.report["taken_at_ns"].as_array().expect("times");
-        taken
-            .iter()
-            .map(|time| time.as_f64().expect("a number") / 1000.0)
-            .collect()
-    }
-}
-
-/// Runs the image for `seconds` of its time while `script` happens.
-fn run(seconds: f64, script: &[Value]) -> Run {
-    let image =
-        std::env::var("WIMU_PICO_FIRMWARE").expect("`cargo xtask test --only pico` says it");
-    let emulator = Path::new(env!("CARGO_MANIFEST_DIR")).join("pico/run.mjs");
-    let folder = tempfile::tempdir().expect("a folder");
-    let file = folder.path().join("script.json");
-    std::fs::write(&file, json!(script).to_string()).expect("writable");
-    let status = Process::new("node")
-        .arg(emulator)
-        .arg(image)
-        .arg(seconds.to_string())
-        .arg(folder.path())
-        .arg(file)
-        .status()
-        .expect("node runs");
-    assert!(status.success());
-    let bytes = |name: &str| std::fs::read(folder.path().join(name)).expect("it was written");
-    for name in ["cable.bin", "wireless.bin"] {
-        let rate = bytes(name).len() as f64 / seconds;
-        assert!(rate <= LINE_RATE, "{name}: {rate} bytes a second");
-    }
-    Run {
-        links: [
-            Listener::heard(LinkRole::Cable, &bytes("cable.bin")),
-            Listener::heard(LinkRole::Wireless, &bytes("wireless.bin")),
-        ],
-        report: serde_json::from_slice(&bytes("report.json")).expect("JSON"),
-    }
-}
-
-fn send(at_ms: u32, uart: u8, bytes: &[u8]) -> Value {
-    let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    json!({"at_ms": at_ms, "uart": uart, "hex": hex})
-}
-
-fn happens(at_ms: u32, what: &str) -> Value {
-    json!({"at_ms": at_ms, "do": what})
-}
-
-fn request(id: u32, command: Command) -> Vec<u8> {
-    let request = Request {
-        session: 0x7e57,
-        id,
-        signature: Default::default(),
-        command,
-    };
-    encoded(|frame| request.encode(frame))
-}
+use crate::run::{CABLE, WIRELESS, happens, request, run, send};
 
 #[test]
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]

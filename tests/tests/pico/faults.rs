@@ -1,0 +1,85 @@
+//! What stops the processor, and what is told of it afterwards.
+
+use wimu_link::LinkRole;
+use wimu_link::hello::{Fault, ResetReason};
+use wimu_tests::{ROLES, assert_replays};
+
+use crate::run::{Run, happens, run};
+
+/// Why each start was, as both links tell it.
+fn starts(run: &Run) -> Vec<(ResetReason, Option<Fault>)> {
+    let of = |role| {
+        let boots = run.boots(role).iter();
+        boots
+            .filter_map(|boot| boot.hello)
+            .map(|hello| (hello.reset_reason, hello.fault))
+            .collect::<Vec<_>>()
+    };
+    let [cable, wireless] = ROLES.map(of);
+    assert_eq!(cable, wireless);
+    cable
+}
+
+/// That the last start samples as the first did.
+fn assert_samples_again(run: &Run, least: usize) {
+    for role in ROLES {
+        let boot = run.boots(role).last().expect("a start");
+        assert!(boot.raw.len() > least, "{role}: {}", boot.raw.len());
+        assert_replays(boot);
+    }
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn a_fault_is_told_with_its_place_in_the_hello_after_the_reset() {
+    let run = run(4.0, &[happens(1_500, "fault"), happens(3_000, "reset")]);
+    assert_eq!(
+        starts(&run),
+        [
+            (ResetReason::PowerOn, None),
+            (
+                ResetReason::Fault,
+                Some(Fault::processor("hard fault", 0x1018_0000))
+            ),
+            // Once.
+            (ResetReason::Pin, None),
+        ]
+    );
+    assert_samples_again(&run, 40);
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn a_processor_that_hangs_is_started_anew_by_its_watchdog_which_the_hello_tells() {
+    let run = run(5.0, &[happens(1_500, "hang")]);
+    assert_eq!(
+        starts(&run),
+        [(ResetReason::PowerOn, None), (ResetReason::Watchdog, None),]
+    );
+    // Two seconds at most without it.
+    assert_samples_again(&run, 100);
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn starts_are_counted_in_the_flash_and_power_is_told_from_the_reset_button() {
+    let run = run(
+        4.0,
+        &[
+            happens(1_000, "reset"),
+            happens(2_000, "power"),
+            happens(3_000, "reset"),
+        ],
+    );
+    let expected = [
+        ResetReason::PowerOn,
+        ResetReason::Pin,
+        ResetReason::PowerOn,
+        ResetReason::Pin,
+    ];
+    let reasons: Vec<_> = starts(&run).iter().map(|start| start.0).collect();
+    assert_eq!(reasons, expected);
+    let boots = run.boots(LinkRole::Cable).iter();
+    let counts: Vec<u32> = boots.filter_map(|b| Some(b.hello?.boot_count)).collect();
+    assert_eq!(counts, [1, 2, 3, 4]);
+}

@@ -1,0 +1,8 @@
+//! The Pico's own image on an emulated RP2040 with an ADXL345 on its bus: `cargo xtask test --only
+//! pico`. Both UARTs take their time, bit by bit.
+
+mod faults;
+mod rates;
+mod run;
+mod store;
+mod streams;

@@ -3,8 +3,10 @@
 #![forbid(unsafe_code)]
 
 pub mod array;
+pub mod drift;
 mod real;
 pub mod slide;
 pub mod unit;
+mod vector;
 
 pub use real::Real;

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Random, norm};
 use wimu_nav::slide::{Rest, Slide, SlideConfig};
-use wimu_nav::unit::{Drift, UnitConfig, UnitFault, UnitFilter, UnitSample, UnitState};
+use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample, UnitState};
 
 const G: f64 = 9.80665;
 const RATE: f64 = 100.0;
@@ -119,6 +119,92 @@ fn over_many_seeds_the_truth_lies_within_the_covariance() {
         );
         assert!(share > 0.9, "gyroscope {gyroscope}: {share}");
     }
+}
+
+/// The same sample in f32.
+fn single(sample: &UnitSample) -> UnitSample<f32> {
+    let narrow = |v: [f64; 3]| v.map(|c| c as f32);
+    UnitSample {
+        step_s: sample.step_s as f32,
+        force_mps2: narrow(sample.force_mps2),
+        field_ut: sample.field_ut.map(narrow),
+        rate_rad_s: sample.rate_rad_s.map(narrow),
+    }
+}
+
+#[test]
+fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
+    for (zupt, gyroscope) in [(true, false), (false, false), (false, true)] {
+        let mut random = Random(11);
+        let config = UnitConfig { zupt, ..config() };
+        let (mut wide, mut narrow) = (UnitFilter::new(config), UnitFilter::<f32>::new(config));
+        for k in 0..12_000 {
+            let mut sample = at_rest(&mut random);
+            let t = f64::from(k) / RATE;
+            if (300..3000).contains(&k) {
+                sample.force_mps2[0] += 0.8 * (3.0 * t).sin();
+                sample.force_mps2[2] += 0.5 * (4.0 * t).cos();
+            }
+            if gyroscope {
+                sample.rate_rad_s = Some(random.normals(0.005));
+            }
+            wide.push(&sample).unwrap();
+            narrow.push(&single(&sample)).unwrap();
+            if k % 1000 == 999 {
+                let (w, n) = (wide.state(), narrow.state());
+                for i in 0..3 {
+                    let apart = (w.position_m[i] - f64::from(n.position_m[i])).abs();
+                    let sd = w.position_covariance[i][i].sqrt();
+                    assert!(apart < 0.3 * sd + 1e-3, "{k} {i}: {apart} of {sd}");
+                }
+                let ratio = f64::from(n.position_sd_m()) / w.position_sd_m();
+                assert!((0.9..1.1).contains(&ratio), "{k}: {ratio}");
+            }
+        }
+        // A gap takes the covariance far up, and a rest down again.
+        let gap = UnitSample {
+            step_s: 900.0,
+            ..at_rest(&mut random)
+        };
+        assert_eq!(narrow.push(&single(&gap)), Err(UnitFault::Gap));
+        for _ in 0..500 {
+            narrow.push(&single(&at_rest(&mut random))).unwrap();
+        }
+        let state = narrow.state();
+        let sum: f32 = state.quaternion.iter().map(|c| c * c).sum();
+        assert!(state.position_sd_m().is_finite() && (sum - 1.0).abs() < 1e-4);
+        assert_eq!(state.valid, zupt);
+    }
+}
+
+#[test]
+fn even_motion_after_a_push_is_not_taken_for_rest() {
+    // With a gyroscope the push is known well: 1 m/s for 1.5 s, then quiet.
+    let mut random = Random(8);
+    let mut filter = UnitFilter::new(config());
+    let mut worst = 0.0_f64;
+    for k in 0..600 {
+        let mut sample = at_rest(&mut random);
+        sample.rate_rad_s = Some(random.normals(1e-3));
+        if (200..250).contains(&k) {
+            sample.force_mps2[0] += 2.0;
+        }
+        filter.push(&sample).unwrap();
+        let truth = if k < 200 {
+            0.0
+        } else if k < 250 {
+            (f64::from(k - 200) / RATE).powi(2)
+        } else {
+            0.25 + f64::from(k - 250) / RATE
+        };
+        let state = filter.state();
+        if state.valid {
+            let error = ((state.position_m[0] - truth).powi(2)).sqrt();
+            worst = worst.max(error / state.position_sd_m().max(0.01));
+        }
+    }
+    assert!(filter.state().even > 20, "{:?}", filter.state());
+    assert!(worst < 3.5, "{worst} standard deviations");
 }
 
 #[test]
@@ -254,31 +340,6 @@ fn gaps_jumps_and_what_is_no_number_are_said_and_survived() {
         filter.push(&at_rest(&mut random)).unwrap();
     }
     assert!(sane(&filter.state()) && !filter.state().valid);
-}
-
-#[test]
-fn the_bias_that_settles_after_switching_on_is_fitted() {
-    let truth = Drift {
-        rise_mps2: [0.08, -0.05, 0.02],
-        start_mps2: [0.01, 0.02, -0.03],
-        time_s: 120.0,
-    };
-    let mut random = Random(7);
-    let samples: Vec<_> = (0..6000)
-        .map(|k| {
-            let t = f64::from(k) * 0.1;
-            let noise = random.normals(0.02);
-            (t, std::array::from_fn(|i| truth.at(t)[i] + noise[i]))
-        })
-        .collect();
-    let found = Drift::fit(samples.iter().copied()).unwrap();
-    assert!((found.time_s / truth.time_s - 1.0).abs() < 0.2, "{found:?}");
-    for t in [0.0, 100.0, 599.0] {
-        for i in 0..3 {
-            assert!((found.at(t)[i] - truth.at(t)[i]).abs() < 0.003, "{found:?}");
-        }
-    }
-    assert_eq!(Drift::fit([(0.0, [0.0; 3])].into_iter()), None);
 }
 
 #[test]

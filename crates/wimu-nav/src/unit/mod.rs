@@ -1,0 +1,334 @@
+//! One unit: position, velocity and attitude from an accelerometer and a magnetometer, or from an
+//! angular rate where there is one. Equations (81) to (84).
+//!
+//! An accelerometer cannot tell tilt from acceleration. What separates them is that a body that is
+//! carried about is not accelerated one way for long, and that the magnetic field turns with the tilt
+//! but not with the acceleration. [`UnitFilter`] holds both as states of a Kalman filter, so that its
+//! covariance says how well they were told apart. It assumes nothing about position or speed.
+
+mod covariance;
+mod model;
+mod rest;
+mod start;
+
+use covariance::{
+    ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, STATES, SWING, VELOCITY,
+};
+use rest::Quiet;
+
+use crate::Real;
+pub use crate::drift::Drift;
+use crate::vector::{
+    Matrix, Vector, add, diagonal, product, quaternion, scale, sub, times, turn, zero,
+};
+
+/// Samples are brought together over so long before the filter looks at them, s: it follows what a
+/// hand does, and costs a few operations a sample.
+const UPDATE_S: f64 = 0.035;
+/// The first attitude is from so much, s.
+const ALIGN_S: f64 = 1.0;
+/// A pause longer than this is a gap: what happened in it is not known.
+const GAP_S: f64 = 0.25;
+
+/// How a unit is used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnitConfig {
+    /// Local gravity, m/s².
+    pub gravity_mps2: f64,
+    /// Whether a rest is taken for zero velocity: an accelerometer cannot tell it from uniform
+    /// motion. A rest at which the velocity is known to be another is not taken for one.
+    pub zupt: bool,
+    /// Error of the accelerometer's samples that its noise does not show (vibration), m/s².
+    pub force_noise_mps2: f64,
+    /// Random walk of the angle from the angular rate, where there is one, rad/√s.
+    pub angle_walk: f64,
+    /// How the bias settles after switching on, where that is known.
+    pub drift: Option<Drift>,
+}
+
+impl Default for UnitConfig {
+    fn default() -> Self {
+        Self {
+            gravity_mps2: 9.80665,
+            zupt: true,
+            force_noise_mps2: 0.05,
+            angle_walk: 3e-4,
+            drift: None,
+        }
+    }
+}
+
+/// One sample of a unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UnitSample<R = f64> {
+    /// Time since the sample before, s.
+    pub step_s: R,
+    /// Specific force, m/s², body axes.
+    pub force_mps2: [R; 3],
+    /// Magnetic field, µT, body axes.
+    pub field_ut: Option<[R; 3]>,
+    /// Angular rate, rad/s, body axes, from a gyroscope or an array.
+    pub rate_rad_s: Option<[R; 3]>,
+}
+
+/// What was wrong with a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum UnitFault {
+    /// A value is not finite: the sample was left out.
+    NotFinite,
+    /// Time went back or stood still: the sample was left out.
+    NoTime,
+    /// Longer than 0.25 s since the sample before: position is not valid from here on.
+    Gap,
+}
+
+impl core::fmt::Display for UnitFault {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::NotFinite => "a value of the sample is no number: the sample was left out",
+            Self::NoTime => "the sample is not later than the one before: it was left out",
+            Self::Gap => {
+                "more than 0.25 s without a sample: hold the unit still for the next start"
+            }
+        })
+    }
+}
+
+impl core::error::Error for UnitFault {}
+
+/// Where the unit is, and how well that is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnitState<R = f64> {
+    /// Position, m, east-north-up (east is that of the magnetic field, or body x at the start).
+    pub position_m: [R; 3],
+    /// Velocity, m/s, east-north-up.
+    pub velocity_mps: [R; 3],
+    /// Body to navigation axes, W X Y Z.
+    pub quaternion: [R; 4],
+    /// Angular rate, rad/s, body axes: measured, or estimated.
+    pub rate_rad_s: [R; 3],
+    /// Covariance of the position, m².
+    pub position_covariance: [[R; 3]; 3],
+    /// Standard deviation of the velocity, m/s.
+    pub velocity_sd_mps: [R; 3],
+    /// Standard deviation of the attitude about east, north and up, rad.
+    pub attitude_sd_rad: [R; 3],
+    /// Seconds since velocity was last known to be zero (or given).
+    pub since_rest_s: R,
+    /// Whether it seems to be at rest now.
+    pub resting: bool,
+    /// False before the first alignment, and after a gap until the next rest.
+    pub valid: bool,
+    /// Updates of the magnetic field that were left out as disturbed.
+    pub disturbed: u32,
+    /// Updates at a seeming rest at which the velocity was known not to be zero: even motion.
+    pub even: u32,
+}
+
+impl<R: Real> UnitState<R> {
+    /// Standard deviation of the position in space, m: the root of the sum over the three axes.
+    pub fn position_sd_m(&self) -> R {
+        let p = &self.position_covariance;
+        let sum = p[0][0] + p[1][1] + p[2][2];
+        if sum > R::default() {
+            sum.sqrt()
+        } else {
+            R::default()
+        }
+    }
+}
+
+/// The filter of one unit, in f32 or f64.
+#[derive(Clone, Debug)]
+pub struct UnitFilter<R = f64> {
+    config: UnitConfig,
+    attitude: Matrix<R>,
+    mean: [R; STATES],
+    cov: Covariance<R>,
+    field: Option<Vector<R>>,
+    /// Mean square of |f| − g.
+    motion: R,
+    rate: Vector<R>,
+    last_force: Vector<R>,
+    group: Group<R>,
+    quiet: Quiet<R>,
+    age_s: R,
+    since_rest_s: R,
+    aligned: bool,
+    valid: bool,
+    disturbed: u32,
+    even: u32,
+}
+
+/// What is brought together before an update.
+#[derive(Clone, Copy, Debug, Default)]
+struct Group<R> {
+    time_s: R,
+    count: R,
+    force: Vector<R>,
+    square: R,
+    field: Vector<R>,
+    fields: R,
+    rated: R,
+}
+
+impl<R: Real> UnitFilter<R> {
+    /// A filter that has seen nothing.
+    pub fn new(config: UnitConfig) -> Self {
+        Self {
+            config,
+            attitude: diagonal(R::from_f64(1.0)),
+            mean: [R::default(); STATES],
+            cov: Covariance::zero(),
+            field: None,
+            motion: R::default(),
+            rate: zero(),
+            last_force: zero(),
+            group: Group::default(),
+            quiet: Quiet::default(),
+            age_s: R::default(),
+            since_rest_s: R::default(),
+            aligned: false,
+            valid: false,
+            disturbed: 0,
+            even: 0,
+        }
+    }
+
+    /// Takes one sample. A fault is reported, and the filter goes on.
+    ///
+    /// # Errors
+    /// [`UnitFault`].
+    pub fn push(&mut self, sample: &UnitSample<R>) -> Result<(), UnitFault> {
+        let values = sample
+            .force_mps2
+            .iter()
+            .chain(sample.rate_rad_s.iter().flatten())
+            .chain(sample.field_ut.iter().flatten());
+        // Beyond 10⁶ of any unit nothing is a measurement, and squares would overflow.
+        let most = R::from_f64(1e6);
+        if !values.clone().all(|v| v.abs() < most) || !sample.step_s.is_finite() {
+            return Err(UnitFault::NotFinite);
+        }
+        let nothing = R::default();
+        if sample.step_s < nothing || (sample.step_s == nothing && self.age_s > nothing) {
+            return Err(UnitFault::NoTime);
+        }
+        let longest = R::from_f64(GAP_S);
+        let gap = sample.step_s > longest;
+        let step = if gap { longest } else { sample.step_s };
+        self.age_s += sample.step_s;
+        self.since_rest_s += sample.step_s;
+        if gap {
+            self.lose(sample.step_s);
+        }
+        let force = match self.config.drift {
+            Some(drift) => sub(
+                sample.force_mps2,
+                drift.at(self.age_s.to_f64()).map(R::from_f64),
+            ),
+            None => sample.force_mps2,
+        };
+        self.judge(force, sample.rate_rad_s, step);
+        if self.aligned {
+            self.strapdown(force, sample, step);
+        } else {
+            self.gather(force, sample, step);
+            if self.group.time_s >= R::from_f64(ALIGN_S) {
+                self.align();
+            }
+        }
+        if self.aligned && self.group.time_s >= R::from_f64(UPDATE_S) {
+            self.update();
+        }
+        if gap { Err(UnitFault::Gap) } else { Ok(()) }
+    }
+
+    /// Nobody knows what happened in a gap.
+    fn lose(&mut self, step_s: R) {
+        self.valid = false;
+        self.group = Group::default();
+        let step = step_s.to_f64();
+        for i in 0..3 {
+            self.cov.add(PHI, i, R::from_f64(0.25 * step.min(10.0)));
+            self.cov.add(VELOCITY, i, R::from_f64(4.0 * step.min(1e3)));
+            self.cov.add(POSITION, i, R::from_f64(4.0 * step.min(1e3)));
+        }
+    }
+
+    fn part(&self, at: Block) -> Vector<R> {
+        core::array::from_fn(|i| self.mean[at.0 + i])
+    }
+
+    fn put(&mut self, at: Block, value: Vector<R>) {
+        for (i, v) in value.into_iter().enumerate() {
+            self.mean[at.0 + i] = v;
+        }
+    }
+
+    /// Attitude, velocity and position over one sample: equation (82).
+    fn strapdown(&mut self, force: Vector<R>, sample: &UnitSample<R>, step: R) {
+        let state = self.part(OMEGA);
+        self.rate = match sample.rate_rad_s {
+            Some(rate) => sub(rate, state),
+            None => state,
+        };
+        if sample.rate_rad_s.is_some() {
+            self.group.rated += step;
+        }
+        self.attitude = product(&self.attitude, &turn(scale(self.rate, step)));
+        let turned = times(&self.attitude, sub(force, self.part(BIAS)));
+        let mut acceleration = turned;
+        acceleration[2] -= R::from_f64(self.config.gravity_mps2);
+        let half = R::from_f64(0.5);
+        let gained = scale(add(acceleration, self.last_force), half * step);
+        let velocity = self.part(VELOCITY);
+        let moved = scale(add(velocity, scale(gained, half)), step);
+        self.put(POSITION, add(self.part(POSITION), moved));
+        self.put(VELOCITY, add(velocity, gained));
+        self.last_force = acceleration;
+        self.group.force = add(self.group.force, turned);
+        self.group.count += R::from_f64(1.0);
+        self.group.time_s += step;
+        if let Some(field) = sample.field_ut {
+            self.group.field = add(self.group.field, times(&self.attitude, field));
+            self.group.fields += R::from_f64(1.0);
+        }
+    }
+
+    /// Where the unit is now.
+    pub fn state(&self) -> UnitState<R> {
+        // Position moves on every sample, its covariance with the group that is under way.
+        let ahead = self.group.time_s;
+        let sd = |at: Block| {
+            self.cov
+                .variance(at)
+                .map(|v| if v > R::default() { v.sqrt() } else { v })
+        };
+        let (pp, pv, vv) = (
+            self.cov.block(POSITION, POSITION),
+            self.cov.block(POSITION, VELOCITY),
+            self.cov.block(VELOCITY, VELOCITY),
+        );
+        let position_covariance = core::array::from_fn(|i| {
+            core::array::from_fn(|j| {
+                pp[i][j] + ahead * (pv[i][j] + pv[j][i]) + ahead * ahead * vv[i][j]
+            })
+        });
+        UnitState {
+            position_m: self.part(POSITION),
+            velocity_mps: self.part(VELOCITY),
+            quaternion: quaternion(&self.attitude),
+            rate_rad_s: self.rate,
+            position_covariance,
+            velocity_sd_mps: sd(VELOCITY),
+            attitude_sd_rad: sd(PHI),
+            since_rest_s: self.since_rest_s,
+            resting: self.quiet.is_rest(),
+            valid: self.valid,
+            disturbed: self.disturbed,
+            even: self.even,
+        }
+    }
+}

@@ -1,0 +1,286 @@
+//! How the states go on, and what is measured of them: equations (83) and (84).
+
+use super::covariance::{Row, pick};
+use super::{
+    ACCELERATION, BIAS, Block, FIELD, OMEGA, PHI, POSITION, STATES, SWING, UnitFilter, VELOCITY,
+};
+use crate::Real;
+use crate::vector::{
+    Matrix, Vector, add, diagonal, dot, orthonormal, product, scale, scaled, skew, sub, times,
+    turn, zero,
+};
+
+/// Angular rate of a body that is accelerated, rad/s per m/s².
+const TURN_PER_ACCELERATION: f64 = 0.3;
+/// As long does it last, s.
+const TURN_TIME_S: f64 = 0.2;
+/// A hand's motion comes back at about this frequency, 0.6 Hz, rad/s squared, ...
+const SWING_RAD2_S2: f64 = 14.0;
+/// ... and is forgotten in this time, s; ...
+const ACCELERATION_TIME_S: f64 = 1.0;
+/// ... this share of its variance is faster than that.
+const FAST_SHARE: f64 = 0.03;
+/// The square of a tilt that swings with the motion swings twice as fast: so long does it last, s.
+const SQUARE_TIME_S: f64 = 0.134;
+/// Tilt variance beyond which second order says no more, rad².
+const SQUARE_MOST: f64 = 0.25;
+/// Acceleration that is seen at rest, m/s², and angular rate, rad/s.
+const REST_MPS2: f64 = 0.02;
+const REST_RAD_S: f64 = 1e-3;
+/// An acceleration that departs by more than so many variances is a jolt.
+const JOLT: f64 = 9.0;
+/// Magnetic disturbances indoors, µT, and how long they last for a body carried about, s.
+pub(super) const DISTURBANCE_UT: f64 = 4.0;
+const DISTURBANCE_TIME_S: f64 = 10.0;
+/// Random walk of the field at one place, µT/√s.
+const REST_UT: f64 = 0.1;
+/// A magnetometer's noise after averaging, µT.
+const FIELD_NOISE_UT: f64 = 0.5;
+/// An innovation of the field beyond this many variances is a disturbance of another kind.
+const FIELD_GATE: f64 = 25.0;
+/// Bias of a calibrated accelerometer, m/s², and its random walk, m/s² per √s.
+pub(super) const BIAS_MPS2: f64 = 0.05;
+const BIAS_WALK: f64 = 1e-4;
+/// Error of an accelerometer's scale, and how long an acceleration lasts, s.
+const SCALE_ERROR: f64 = 0.01;
+const PUSH_S: f64 = 0.2;
+/// Random walk of a gyroscope's bias, rad/s per √s.
+const RATE_WALK: f64 = 1e-5;
+/// Speed that a rest may have, m/s.
+const ZUPT_MPS: f64 = 0.005;
+/// A velocity beyond so many variances at a seeming rest is even motion ...
+const EVEN_GATE: f64 = 9.0;
+/// ... of which the filter begins to doubt in this time, s.
+const EVEN_S: f64 = 30.0;
+
+impl<R: Real> UnitFilter<R> {
+    pub(super) fn update(&mut self) {
+        let group = core::mem::take(&mut self.group);
+        let dt = group.time_s;
+        let one = R::from_f64(1.0);
+        let force = scale(group.force, one / group.count);
+        let resting = self.quiet.is_rest();
+        let motion = if resting {
+            R::from_f64(REST_MPS2)
+        } else {
+            // What |f| − g shows, and what the filter takes for acceleration now.
+            let now = self.part(ACCELERATION);
+            let now = dot(now, now) * R::from_f64(1.0 / 3.0);
+            let square = if now > self.motion { now } else { self.motion };
+            square.sqrt() + R::from_f64(REST_MPS2)
+        };
+        self.predict(force, dt, motion, group.rated > R::from_f64(0.5) * dt);
+        self.see_gravity(force, motion);
+        if group.fields > R::default() {
+            self.see_field(scale(group.field, one / group.fields));
+        }
+        if resting && self.config.zupt {
+            self.see_rest(dt);
+        }
+        self.fold();
+    }
+
+    /// Equation (83) over `dt`, in which the mean force was `force`, navigation axes.
+    fn predict(&mut self, force: Vector<R>, dt: R, motion: R, rated: bool) {
+        let resting = self.quiet.is_rest();
+        let square = self.square_of_tilt(force);
+        self.cov.couple_by(POSITION, VELOCITY, dt);
+        self.cov.couple(VELOCITY, PHI, &scaled(&skew(force), -dt));
+        self.cov
+            .couple(VELOCITY, BIAS, &scaled(&self.attitude, -dt));
+        let turned = scaled(&self.attitude, if rated { -dt } else { dt });
+        for block in [ACCELERATION, SWING, FIELD] {
+            let m = product(&skew(self.part(block)), &turned);
+            self.cov.couple(block, OMEGA, &m);
+        }
+        self.cov.couple(PHI, OMEGA, &turned);
+        // The acceleration swings: a half step, a whole one, in this order.
+        let pull = -dt * R::from_f64(SWING_RAD2_S2);
+        self.cov.couple_by(ACCELERATION, SWING, pull);
+        self.cov.couple_by(SWING, ACCELERATION, dt);
+        let swing = self.part(SWING);
+        let acceleration = add(self.part(ACCELERATION), scale(swing, pull));
+        self.put(ACCELERATION, acceleration);
+        self.put(SWING, add(swing, scale(acceleration, dt)));
+        self.forget(ACCELERATION, dt, ACCELERATION_TIME_S, motion);
+        if rated {
+            let walk = R::from_f64(self.config.angle_walk);
+            for i in 0..3 {
+                self.cov
+                    .add(OMEGA, i, R::from_f64(RATE_WALK * RATE_WALK) * dt);
+                self.cov.add(PHI, i, walk * walk * dt);
+            }
+        } else {
+            let turning = if resting {
+                R::from_f64(REST_RAD_S)
+            } else {
+                R::from_f64(TURN_PER_ACCELERATION) * motion
+            };
+            self.forget(OMEGA, dt, TURN_TIME_S, turning);
+        }
+        // A disturbance belongs to a place: it changes with the way, not at rest.
+        if resting {
+            for i in 0..3 {
+                self.cov.add(FIELD, i, R::from_f64(REST_UT * REST_UT) * dt);
+            }
+        } else {
+            self.forget(FIELD, dt, DISTURBANCE_TIME_S, R::from_f64(DISTURBANCE_UT));
+        }
+
+        let noise = R::from_f64(self.config.force_noise_mps2) * dt;
+        let mut push = force;
+        push[2] -= R::from_f64(self.config.gravity_mps2);
+        let scaling = dot(push, push) * R::from_f64(SCALE_ERROR * SCALE_ERROR * PUSH_S) * dt;
+        let walk = R::from_f64(BIAS_WALK * BIAS_WALK) * dt;
+        let half = R::from_f64(0.5) * dt;
+        if let Some(drift) = self.config.drift {
+            let doubt = drift.doubt(self.age_s.to_f64(), dt.to_f64());
+            for (i, variance) in doubt.into_iter().enumerate() {
+                self.cov.add(BIAS, i, R::from_f64(variance));
+            }
+        }
+        for i in 0..3 {
+            let spread = square[i] * square[i] * R::from_f64(4.0 * SQUARE_TIME_S) * dt;
+            self.cov.add(BIAS, i, walk);
+            self.cov.add(VELOCITY, i, noise * noise + scaling + spread);
+            self.mean[VELOCITY.0 + i] += square[i] * dt;
+            self.mean[POSITION.0 + i] += square[i] * dt * half;
+        }
+    }
+
+    /// A tilt that is not known turns gravity by its square, always downward: ½ E[φ × (φ × f)].
+    fn square_of_tilt(&self, force: Vector<R>) -> Vector<R> {
+        let p = self.cov.block(PHI, PHI);
+        let trace = p[0][0] + p[1][1] + p[2][2];
+        if trace > R::from_f64(SQUARE_MOST) {
+            return zero();
+        }
+        scale(sub(times(&p, force), scale(force, trace)), R::from_f64(0.5))
+    }
+
+    /// A state that is forgotten in `time_s` and whose standard deviation is `sd` where nothing is known.
+    fn forget(&mut self, at: Block, dt: R, time_s: f64, sd: R) {
+        let kept = R::from_f64(libm::exp(-dt.to_f64() / time_s));
+        let new = sd * sd * (R::from_f64(1.0) - kept * kept);
+        self.cov.shrink(at, kept, new);
+        self.put(at, scale(self.part(at), kept));
+    }
+
+    /// Gravity: in navigation axes its derivatives do not depend on the state.
+    fn see_gravity(&mut self, force: Vector<R>, motion: R) {
+        let g = [
+            R::default(),
+            R::default(),
+            R::from_f64(self.config.gravity_mps2),
+        ];
+        let innovation = sub(sub(force, g), self.part(ACCELERATION));
+        let lever = skew(g);
+        let one = diagonal(R::from_f64(1.0));
+        let attitude = self.attitude;
+        let rows = |row: usize| {
+            [
+                (PHI, lever[row]),
+                (ACCELERATION, one[row]),
+                (BIAS, attitude[row]),
+            ]
+        };
+        let noise = R::from_f64(self.config.force_noise_mps2);
+        let variance = noise * noise + motion * motion * R::from_f64(FAST_SHARE);
+        let mut expected = R::from_f64(3.0) * variance;
+        for row in 0..3 {
+            expected += self.cov.project(&rows(row)).1;
+        }
+        let seen = dot(innovation, innovation);
+        if seen > R::from_f64(JOLT) * expected {
+            // A push that nobody expected is acceleration of any direction, and not a sudden tilt; and
+            // the speed about which the body swings may be another from here on.
+            let more = seen * R::from_f64(1.0 / 3.0);
+            for i in 0..3 {
+                self.cov.add(ACCELERATION, i, more);
+                self.cov
+                    .add(SWING, i, more * R::from_f64(1.0 / SWING_RAD2_S2));
+            }
+        }
+        self.measure(rows, innovation, variance, None);
+    }
+
+    fn see_field(&mut self, seen: Vector<R>) {
+        let Some(field) = self.field else {
+            return;
+        };
+        let innovation = sub(sub(seen, field), self.part(FIELD));
+        let lever = skew(field);
+        let one = diagonal(R::from_f64(1.0));
+        let rows = |row: usize| [(PHI, lever[row]), (FIELD, one[row])];
+        let variance = R::from_f64(FIELD_NOISE_UT * FIELD_NOISE_UT);
+        if !self.measure(rows, innovation, variance, Some(FIELD_GATE)) {
+            self.disturbed = self.disturbed.saturating_add(1);
+        }
+    }
+
+    /// What looks like a rest is one, unless the velocity is known to be another. Then both may be
+    /// true, even motion and a wrong velocity: until it has lasted, the velocity is doubted more and
+    /// more.
+    fn see_rest(&mut self, dt: R) {
+        let velocity = self.part(VELOCITY);
+        let one = diagonal(R::from_f64(1.0));
+        let rows = |row: usize| [(VELOCITY, one[row])];
+        let variance = R::from_f64(ZUPT_MPS * ZUPT_MPS);
+        // A velocity after a gap is not known.
+        let gate = self.valid.then_some(EVEN_GATE);
+        if self.measure(rows, scale(velocity, R::from_f64(-1.0)), variance, gate) {
+            self.since_rest_s = R::default();
+            self.valid = true;
+        } else {
+            self.even = self.even.saturating_add(1);
+            let doubt = dot(velocity, velocity) * dt * R::from_f64(1.0 / EVEN_S);
+            for i in 0..3 {
+                self.cov.add(VELOCITY, i, doubt);
+            }
+        }
+    }
+
+    /// One three-component measurement, component by component. False where an innovation is beyond
+    /// `gate` variances, and nothing is done.
+    fn measure<const N: usize>(
+        &mut self,
+        rows: impl Fn(usize) -> Row<R, N>,
+        innovation: Vector<R>,
+        variance: R,
+        gate: Option<f64>,
+    ) -> bool {
+        if let Some(gate) = gate {
+            for row in 0..3 {
+                let s = self.cov.project(&rows(row)).1 + variance;
+                if innovation[row] * innovation[row] > R::from_f64(gate) * s {
+                    return false;
+                }
+            }
+        }
+        let mut correction = [R::default(); STATES];
+        for row in 0..3 {
+            let h = rows(row);
+            let (column, square) = self.cov.project(&h);
+            let s = square + variance;
+            let rest = (innovation[row] - pick(&h, &correction)) / s;
+            for (value, c) in correction.iter_mut().zip(&column) {
+                *value += rest * *c;
+            }
+            self.cov.reduce(&column, s);
+        }
+        for (value, c) in self.mean.iter_mut().zip(&correction) {
+            *value += *c;
+        }
+        true
+    }
+
+    /// Moves the attitude's error into the attitude; what is held in navigation axes turns with it.
+    fn fold(&mut self) {
+        let by: Matrix<R> = turn(self.part(PHI));
+        self.attitude = orthonormal(&product(&by, &self.attitude));
+        for block in [ACCELERATION, SWING, FIELD] {
+            self.put(block, times(&by, self.part(block)));
+        }
+        self.put(PHI, zero());
+    }
+}

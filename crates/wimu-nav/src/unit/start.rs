@@ -28,7 +28,7 @@ impl<R: Real> UnitFilter<R> {
         let group = core::mem::take(&mut self.group);
         let mean = scale(group.force, one / group.count);
         let length = norm(mean);
-        if !(length > one) {
+        if length <= one {
             return;
         }
         let spread = group.square / group.count - length * length;

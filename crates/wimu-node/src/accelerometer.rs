@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use embedded_hal_async::i2c::{self, ErrorKind, NoAcknowledgeSource};
 use wimu_link::message::Settings;
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity};
 
@@ -79,8 +80,10 @@ pub trait Accelerometer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SensorFault {
-    /// Nobody acknowledges its address, or the bus does not work.
+    /// Nobody acknowledges its address.
     NotAnswering,
+    /// The bus does not work, or a transfer broke off.
+    Transfer,
     /// Another sensor is at its address.
     WrongIdentity {
         /// What it should answer.
@@ -98,6 +101,8 @@ impl fmt::Display for SensorFault {
             Self::NotAnswering => out.write_str(
                 "the sensor does not answer: check its power, its wiring and its address",
             ),
+            Self::Transfer => out
+                .write_str("transfers on the sensor's bus fail: check its wiring and its pull-ups"),
             Self::WrongIdentity { expected, found } => write!(
                 out,
                 "another sensor is at this address: it calls itself {found:#04x}, not {expected:#04x}"
@@ -108,3 +113,15 @@ impl fmt::Display for SensorFault {
 }
 
 impl core::error::Error for SensorFault {}
+
+impl SensorFault {
+    /// What a bus's error means.
+    pub(crate) fn of_bus(error: &impl i2c::Error) -> Self {
+        match error.kind() {
+            ErrorKind::NoAcknowledge(
+                NoAcknowledgeSource::Address | NoAcknowledgeSource::Unknown,
+            ) => Self::NotAnswering,
+            _ => Self::Transfer,
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! The ADXL345 (accelerometer) behind [`Accelerometer`], through its FIFO.
 
-use embedded_hal_async::i2c::I2c;
+use embedded_hal_async::i2c::{self, I2c};
 use wimu_adxl345::{
     Address, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step,
 };
@@ -211,9 +211,9 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
     }
 }
 
-fn fault<E>(error: Error<E>) -> SensorFault {
+fn fault<E: i2c::Error>(error: Error<E>) -> SensorFault {
     match error {
-        Error::Bus(_) => SensorFault::NotAnswering,
+        Error::Bus(error) => SensorFault::of_bus(&error),
         Error::WrongIdentity { found } => SensorFault::WrongIdentity {
             expected: wimu_adxl345::Adxl345::<()>::IDENTITY,
             found,

@@ -7,6 +7,7 @@ extern crate std;
 
 pub mod accelerometer;
 mod adxl345;
+mod bus;
 mod control;
 mod data_ready;
 #[cfg(feature = "flash-store")]
@@ -25,6 +26,7 @@ mod timer;
 
 pub use accelerometer::Accelerometer;
 pub use adxl345::Adxl345;
+pub use bus::{BusError, PatientBus};
 pub use control::Control;
 pub use data_ready::DataReady;
 #[cfg(feature = "flash-store")]

@@ -1,10 +1,10 @@
 //! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`].
 
-use embedded_hal_async::i2c::I2c;
+use embedded_hal_async::i2c::{self, I2c};
 use lsm303agr::interface::I2cInterface;
 use lsm303agr::mode::{MagContinuous, MagOneShot};
 use lsm303agr::{
-    AccelMode, AccelOutputDataRate, AccelScale, Interrupt, MagMode, MagOutputDataRate,
+    AccelMode, AccelOutputDataRate, AccelScale, Error, Interrupt, MagMode, MagOutputDataRate,
 };
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity};
@@ -71,16 +71,20 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     async fn running(
         &mut self,
     ) -> Result<&mut lsm303agr::Lsm303agr<I2cInterface<I2C>, MagContinuous>, SensorFault> {
+        let mut outcome = Err(SensorFault::NotAnswering);
         self.device = match core::mem::replace(&mut self.device, Device::Changing) {
             Device::Idle(idle) => match idle.into_mag_continuous().await {
                 Ok(running) => Device::Running(running),
-                Err(failed) => Device::Idle(failed.dev),
+                Err(failed) => {
+                    outcome = Err(fault(failed.error));
+                    Device::Idle(failed.dev)
+                }
             },
             other => other,
         };
         match &mut self.device {
             Device::Running(running) => Ok(running),
-            _ => Err(SensorFault::NotAnswering),
+            _ => outcome,
         }
     }
 }
@@ -137,19 +141,19 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         self.period = plan.period;
         self.field_measured = false;
         let device = self.running().await?;
-        let identity = device.accelerometer_id().await.map_err(not_answering)?;
+        let identity = device.accelerometer_id().await.map_err(fault)?;
         if !identity.is_correct() {
             return Err(SensorFault::WrongIdentity {
                 expected: IDENTITY,
                 found: identity.raw(),
             });
         }
-        device.init().await.map_err(not_answering)?;
-        device.set_accel_scale(scale).await.map_err(not_answering)?;
+        device.init().await.map_err(fault)?;
+        device.set_accel_scale(scale).await.map_err(fault)?;
         device
             .acc_enable_interrupt(Interrupt::DataReady1)
             .await
-            .map_err(not_answering)?;
+            .map_err(fault)?;
         device
             .set_mag_mode_and_odr(
                 &mut NoDelay,
@@ -157,11 +161,11 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
                 MagOutputDataRate::Hz10,
             )
             .await
-            .map_err(not_answering)?;
+            .map_err(fault)?;
         device
             .set_accel_mode_and_odr(&mut NoDelay, mode, rate)
             .await
-            .map_err(not_answering)?;
+            .map_err(fault)?;
         Ok(())
     }
 
@@ -179,7 +183,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             let ready = ready.await;
             let woken = self.timer.now();
             let device = self.running().await?;
-            let status = device.accel_status().await.map_err(not_answering)?;
+            let status = device.accel_status().await.map_err(fault)?;
             if status.xyz_new_data() {
                 break (ready, woken, status);
             }
@@ -190,7 +194,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             self.timer.after_us(period_us / 8).await;
         };
         let device = self.running().await?;
-        let sample = device.acceleration().await.map_err(not_answering)?;
+        let sample = device.acceleration().await.map_err(fault)?;
         let (x, y, z) = sample.xyz_raw();
         // After a whole period or an overrun, the line tells of an older sample.
         let last_time = match ready.flatten() {
@@ -210,16 +214,16 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         let measured = self.field_measured;
         let device = self.running().await?;
         let measured = measured || {
-            let status = device.mag_status().await.map_err(not_answering)?;
+            let status = device.mag_status().await.map_err(fault)?;
             status.xyz_new_data()
         };
         let field = if measured {
-            let field = device.magnetic_field().await.map_err(not_answering)?;
+            let field = device.magnetic_field().await.map_err(fault)?;
             Some(MagneticFieldNt([field.x_nt(), field.y_nt(), field.z_nt()]))
         } else {
             None
         };
-        let temperature = device.temperature().await.map_err(not_answering)?;
+        let temperature = device.temperature().await.map_err(fault)?;
         // 1/256 °C about 25 °C.
         let centi = 2500 + i32::from(temperature.unscaled()) * 100 / 256;
         self.field_measured = measured;
@@ -230,8 +234,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
     }
 }
 
-fn not_answering<E>(_: E) -> SensorFault {
-    SensorFault::NotAnswering
+fn fault<E: i2c::Error>(error: Error<E>) -> SensorFault {
+    match error {
+        Error::Comm(error) => SensorFault::of_bus(&error),
+        // Of values that this module does not ask for.
+        Error::InvalidInputData => SensorFault::Transfer,
+    }
 }
 
 /// The driver's delays wait for the first sample after a change: the data-ready line tells.

@@ -327,6 +327,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         }
         let event = match fault {
             SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
+            SensorFault::Transfer => Event::SensorLost(BusFault::Transfer),
             SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
             SensorFault::WrongIdentity { expected, found } => {
                 Event::WrongSensor { expected, found }

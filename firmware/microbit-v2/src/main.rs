@@ -3,6 +3,7 @@
 #![no_std]
 #![no_main]
 
+mod bus;
 mod clock;
 mod data_ready;
 mod display;
@@ -27,8 +28,9 @@ use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_node::{Board, FlashLayout, FlashStore, Lsm303agr, Shared, Timer};
+use wimu_node::{Board, FlashLayout, FlashStore, Lsm303agr, PatientBus, Shared, Timer};
 
+use crate::bus::Bus;
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::display::Matrix;
@@ -42,7 +44,7 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// What the node is made of.
-type Sensor = Lsm303agr<Twim<'static>, Line, BoardTimer>;
+type Sensor = Lsm303agr<PatientBus<Bus, BoardTimer>, Line, BoardTimer>;
 type Flash = BlockingAsync<Nvmc<'static>>;
 type Memory = FlashStore<Flash>;
 type Receiver = BufferedUarteRx<'static>;
@@ -196,7 +198,7 @@ fn main() -> ! {
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
-        accelerometer: Sensor::new(i2c, line, BoardTimer),
+        accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(BlockingAsync::new(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
         entropy,

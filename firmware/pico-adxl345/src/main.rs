@@ -27,7 +27,7 @@ use embassy_rp::{bind_interrupts, pac};
 use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_node::{Adxl345, Board, FlashStore, Shared};
+use wimu_node::{Adxl345, Board, FlashStore, PatientBus, Shared};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
@@ -43,7 +43,8 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// What the node is made of.
-type Sensor = Adxl345<I2c<'static, I2C0, i2c::Async>, Line, BoardTimer>;
+type Bus = PatientBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
+type Sensor = Adxl345<Bus, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUartRx;
 type Transmitter = Sender;
@@ -97,7 +98,7 @@ fn main() -> ! {
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
-        accelerometer: Sensor::new(i2c, line, BoardTimer),
+        accelerometer: Sensor::new(PatientBus::new(i2c, BoardTimer), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),

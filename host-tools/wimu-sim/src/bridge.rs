@@ -34,6 +34,8 @@ const I2C_STATUS: u8 = 0x0A;
 const STATUS_OK: u8 = 0xF0;
 const STATUS_NACK_ADDRESS: u8 = 0xF1;
 const STATUS_TIMEOUT: u8 = 0xF8;
+/// How long it waits for a line that is held low, µs.
+const HELD_US: u64 = 10_000;
 /// What an idle bus reads.
 const IDLE: u8 = 0xFF;
 /// Content of registers that do nothing here.
@@ -254,10 +256,16 @@ impl Bridge {
                 })
                 .collect();
             let address = of_one[0].address();
-            match clock.run(self.i2c.transaction(address, &mut operations)) {
-                Ok(Ok(())) => {}
-                Ok(Err(I2cError::NoAcknowledge { .. })) => self.status = STATUS_NACK_ADDRESS,
-                Ok(Err(I2cError::Stuck)) | Err(_) => self.status = STATUS_TIMEOUT,
+            if self.i2c.faults().stuck() {
+                // The chip does not wait without end.
+                clock.advance_to(clock.now() + HELD_US);
+                self.status = STATUS_TIMEOUT;
+            } else {
+                match clock.run(self.i2c.transaction(address, &mut operations)) {
+                    Ok(Ok(())) => {}
+                    Ok(Err(I2cError::NoAcknowledge { .. })) => self.status = STATUS_NACK_ADDRESS,
+                    Err(_) => self.status = STATUS_TIMEOUT,
+                }
             }
             for (part, buffer) in of_one.iter().zip(buffers) {
                 if let Part::Read { .. } = part {

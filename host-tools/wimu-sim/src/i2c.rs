@@ -37,8 +37,8 @@ pub struct SimI2c {
 const BYTE_NS: u64 = 22_500;
 /// A start, repeated start or stop condition.
 const CONDITION_NS: u64 = 2_500;
-/// How long a controller waits for a stuck bus, µs.
-const STUCK_TIMEOUT_US: u64 = 10_000;
+/// How often a controller looks whether a held line has been let go, µs.
+const HELD_US: u64 = 100;
 
 impl SimI2c {
     /// A bus with `targets` on it.
@@ -71,9 +71,9 @@ impl I2c<SevenBitAddress> for SimI2c {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), I2cError> {
-        if self.faults.stuck() {
-            self.clock.until(self.clock.now() + STUCK_TIMEOUT_US).await;
-            return Err(I2cError::Stuck);
+        // As controllers do: without end.
+        while self.faults.stuck() {
+            self.clock.until(self.clock.now() + HELD_US).await;
         }
         let answered = self.faults.next_is_answered();
         let mut time_ns = self.clock.now() * 1000;
@@ -123,16 +123,12 @@ pub enum I2cError {
         /// At this address.
         address: u8,
     },
-    /// A line is held low.
-    #[error("the bus is stuck: a line stays low")]
-    Stuck,
 }
 
 impl Error for I2cError {
     fn kind(&self) -> ErrorKind {
         match self {
             Self::NoAcknowledge { .. } => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address),
-            Self::Stuck => ErrorKind::Bus,
         }
     }
 }
@@ -149,7 +145,7 @@ struct FaultState {
 }
 
 impl Faults {
-    /// Holds a line low, or lets it go: while held, every transaction fails after 10 ms.
+    /// Holds a line low, or lets it go: while held, no transaction begins.
     pub fn set_stuck(&self, stuck: bool) {
         self.0.stuck.set(stuck);
     }
@@ -165,7 +161,7 @@ impl Faults {
         self.0.answered.set(None);
     }
 
-    fn stuck(&self) -> bool {
+    pub(crate) fn stuck(&self) -> bool {
         self.0.stuck.get()
     }
 

@@ -217,7 +217,7 @@ fn it_is_calibrated_and_keeps_what_was_pushed() {
 }
 
 /// Breaks a running board for a second in one way, mends it in another.
-fn survives(what: &str, break_it: impl Fn(&Board), mend: fn(&Board)) {
+fn survives(what: &str, fault: BusFault, break_it: impl Fn(&Board), mend: fn(&Board)) {
     let mut rig = rig();
     rig.run(4.0);
     break_it(&rig.board);
@@ -225,7 +225,7 @@ fn survives(what: &str, break_it: impl Fn(&Board), mend: fn(&Board)) {
     mend(&rig.board);
     rig.run(4.0);
     for role in ROLES {
-        let told = [Event::SensorLost(BusFault::NoAnswer), Event::SensorFound];
+        let told = [Event::SensorLost(fault), Event::SensorFound];
         assert_eq!(rig.link(role).events(), told, "{what}");
         let boot = rig.boot(role);
         let holes = gaps(&boot.raw);
@@ -246,17 +246,20 @@ fn survives(what: &str, break_it: impl Fn(&Board), mend: fn(&Board)) {
 fn a_sensor_that_goes_a_stuck_bus_and_refusals_in_any_burst_leave_a_gap() {
     survives(
         "unplugged",
+        BusFault::NoAnswer,
         |board| board.sensor().set_present(false),
         |board| board.sensor().set_present(true),
     );
     survives(
         "held low",
+        BusFault::Transfer,
         |board| board.bus_faults().set_stuck(true),
         |board| board.bus_faults().clear(),
     );
     for transactions in 0..8 {
         survives(
             "refused",
+            BusFault::NoAnswer,
             |board| board.bus_faults().refuse_after(transactions),
             |board| board.bus_faults().clear(),
         );

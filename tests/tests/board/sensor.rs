@@ -94,7 +94,7 @@ fn a_sensor_that_goes_and_comes_back_leaves_a_gap_in_the_numbers() {
 fn a_stuck_bus_leaves_a_gap_in_the_numbers() {
     survives(
         "stuck bus",
-        BusFault::NoAnswer,
+        BusFault::Transfer,
         |board| board.bus_faults().set_stuck(true),
         |board| board.bus_faults().clear(),
     );

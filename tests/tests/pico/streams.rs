@@ -94,3 +94,33 @@ fn a_sensor_that_goes_or_is_exchanged_is_told_and_comes_back() {
         assert_replays(&run.boots(role)[0]);
     }
 }
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn a_bus_held_low_and_a_byte_refused_in_a_burst_are_told_and_the_rest_goes_on() {
+    let run = run(
+        7.0,
+        &[
+            happens(2_000, "hold"),
+            send(2_600, CABLE, &request(1, Command::GetStatus)),
+            happens(3_000, "release"),
+            happens(5_000, "nack"),
+        ],
+    );
+    for role in ROLES {
+        let mut told = run.link(role).events();
+        told.retain(|event| !matches!(event, Event::Pause { .. }));
+        let expected = [
+            Event::SensorLost(BusFault::Transfer),
+            Event::SensorFound,
+            Event::SensorLost(BusFault::Transfer),
+            Event::SensorFound,
+        ];
+        assert_eq!(told, expected, "{role}");
+        let boot = &run.boots(role)[0];
+        assert_eq!(gaps(&boot.raw).len(), 2);
+        assert!(boot.raw.len() > 450, "{}", boot.raw.len());
+        assert_replays(boot);
+    }
+    assert_eq!(run.link(LinkRole::Cable).replies().len(), 1);
+}

@@ -1,0 +1,100 @@
+//! A sensor's bus that is not waited for without end.
+
+use core::fmt;
+
+use embedded_hal_async::i2c::{Error, ErrorKind, ErrorType, I2c, Operation};
+use wimu_model::DeviceTimeUs;
+
+use crate::timer::Timer;
+
+/// A transaction of these sensors takes less than a millisecond.
+const LONGEST_US: u64 = 25_000;
+
+/// An I²C bus whose transactions are given up after 25 ms.
+///
+/// Controllers wait without end for a bus of which somebody holds a line low. Giving up drops the
+/// transaction's future: `I2C` must stop then, and begin anew with the next one.
+pub struct PatientBus<I2C, T> {
+    bus: I2C,
+    timer: T,
+}
+
+impl<I2C, T: Timer> PatientBus<I2C, T> {
+    /// Gives up on `bus` by `timer`.
+    pub fn new(bus: I2C, timer: T) -> Self {
+        Self { bus, timer }
+    }
+}
+
+impl<I2C: ErrorType, T> ErrorType for PatientBus<I2C, T> {
+    type Error = BusError<I2C::Error>;
+}
+
+impl<I2C: I2c, T: Timer> I2c for PatientBus<I2C, T> {
+    async fn write(&mut self, address: u8, bytes: &[u8]) -> Result<(), Self::Error> {
+        let transfer = self.bus.write(address, bytes);
+        in_time(&self.timer, transfer).await
+    }
+
+    async fn write_read(
+        &mut self,
+        address: u8,
+        bytes: &[u8],
+        buffer: &mut [u8],
+    ) -> Result<(), Self::Error> {
+        let transfer = self.bus.write_read(address, bytes, buffer);
+        in_time(&self.timer, transfer).await
+    }
+
+    async fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), Self::Error> {
+        let transfer = self.bus.transaction(address, operations);
+        in_time(&self.timer, transfer).await
+    }
+}
+
+async fn in_time<E>(
+    timer: &impl Timer,
+    transfer: impl Future<Output = Result<(), E>>,
+) -> Result<(), BusError<E>> {
+    let end = DeviceTimeUs(timer.now().0.saturating_add(LONGEST_US));
+    match timer.before(end, transfer).await {
+        Some(result) => result.map_err(BusError::Transfer),
+        None => Err(BusError::Held),
+    }
+}
+
+/// Why a transaction of a [`PatientBus`] failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BusError<E> {
+    /// The bus says why.
+    Transfer(E),
+    /// It did not end: a line of the bus is held low.
+    Held,
+}
+
+impl<E: Error> Error for BusError<E> {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Transfer(error) => error.kind(),
+            Self::Held => ErrorKind::Bus,
+        }
+    }
+}
+
+impl<E: fmt::Debug> fmt::Display for BusError<E> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Transfer(error) => write!(out, "the transfer failed: {error:?}"),
+            Self::Held => out.write_str(
+                "the bus does not move: a line is held low; check its wiring and pull-ups",
+            ),
+        }
+    }
+}
+
+impl<E: fmt::Debug> core::error::Error for BusError<E> {}

@@ -17,7 +17,7 @@ use wimu_link::message::{Event as DeviceEvent, Payload, Status};
 use wimu_link::{
     Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WhoAreYou,
 };
-use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store};
+use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::motion;
 use wimu_sim::scene::{Scene, World};
@@ -386,6 +386,12 @@ impl Seeded {
         (0..length).map(|_| self.bits() as u8).collect()
     }
 
+    /// A record for a store.
+    fn record(&mut self) -> Vec<u8> {
+        let length = 1 + self.below(400);
+        self.bytes(length)
+    }
+
     /// Damages `bytes`: a flipped bit, a piece lost, a piece doubled, or a piece of noise.
     pub fn damage(&mut self, bytes: &mut Vec<u8>) {
         let at = self.below(bytes.len());
@@ -439,64 +445,97 @@ pub fn fuzz_once(seeded: &mut Seeded) {
     assert_eq!(statistics.bytes, line.len() as u64);
 }
 
-/// A store of two pages in a flash that holds anything: part of an image that was once good,
-/// overwritten in places. Nothing panics, and what is saved is there or reported as damaged, and is
-/// never anything else.
+/// A store of two pages in a flash whose image was good and has been overwritten in places, eight times
+/// from the same good one. Nothing panics, what is found under a key was once saved under it, and what
+/// is saved into the damaged flash is found after a restart and makes no other record an older one; or
+/// there is an error. Returns how often that was.
 ///
 /// # Panics
 /// When it finds a fault.
-pub fn fuzz_store_once(seeded: &mut Seeded) {
-    const LAYOUT: FlashLayout<Storage> = FlashLayout::new(0..0x2000);
-    const KEYS: [Key; 4] = [
-        Key::Parameters { range_g: 2 },
-        Key::Settings,
-        Key::BootCount,
-        Key::DeviceKey,
-    ];
-    fn done<T>(future: impl Future<Output = T>) -> T {
-        match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
-            Poll::Ready(value) => value,
-            Poll::Pending => panic!("the flash has power"),
+pub fn fuzz_store(seeded: &mut Seeded) -> u64 {
+    const EACH: u64 = 8;
+    let storage = Storage::in_memory();
+    let mut saved = Saved::default();
+    let mut store = FlashStore::new(storage.clone(), STORE, 0);
+    for _ in 0..1 + seeded.below(12) {
+        let (which, record) = (seeded.below(4), seeded.record());
+        if done(store.save(STORED[which], &record)).is_ok() {
+            saved[which].push(record);
         }
     }
-    let start = |storage: &Storage| FlashStore::new(storage.clone(), LAYOUT, 0);
-    let good = Storage::in_memory();
-    let mut store = start(&good);
-    for _ in 0..1 + seeded.below(12) {
-        let length = 1 + seeded.below(400);
-        let record = seeded.bytes(length);
-        let _ = done(store.save(KEYS[seeded.below(4)], &record));
+    let image = storage.image();
+    for _ in 0..EACH {
+        damaged_store(seeded, &image, saved.clone());
     }
-    let mut image = good.image();
-    image.truncate(0x2000);
+    EACH
+}
+
+const STORE: FlashLayout<Storage> = FlashLayout::new(0..0x2000);
+const STORED: [Key; 4] = [
+    Key::Parameters { range_g: 2 },
+    Key::Settings,
+    Key::BootCount,
+    Key::DeviceKey,
+];
+
+/// All that was ever saved under each key, the oldest first.
+type Saved = [Vec<Vec<u8>>; STORED.len()];
+
+fn done<T>(future: impl Future<Output = T>) -> T {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => value,
+        Poll::Pending => panic!("the flash has power"),
+    }
+}
+
+/// How new each record is that a restart finds: its place in what was saved, the last if there are
+/// several; 0 is none. An error is `None`.
+fn ages(storage: &Storage, saved: &Saved) -> [Option<usize>; STORED.len()] {
+    let mut store = FlashStore::new(storage.clone(), STORE, 0);
+    let mut buffer = [0; MAX_RECORD];
+    std::array::from_fn(|which| {
+        let found = match done(store.load(STORED[which], &mut buffer)) {
+            Err(StoreFault) => return None,
+            Ok(None) => return Some(0),
+            Ok(Some(length)) => &buffer[..length],
+        };
+        let place = saved[which].iter().rposition(|record| record == found);
+        Some(1 + place.unwrap_or_else(|| panic!("{:?} was never saved so", STORED[which])))
+    })
+}
+
+fn damaged_store(seeded: &mut Seeded, image: &[u8], mut saved: Saved) {
+    let mut image = image.to_vec();
+    let range = 0x2000;
     for _ in 0..seeded.below(6) {
-        let at = seeded.below(image.len());
-        let run = (1 + seeded.below(40)).min(image.len() - at);
+        let at = seeded.below(range);
+        let run = (1 + seeded.below(40)).min(range - at);
         match seeded.below(4) {
             0 => image[at] ^= 1 << seeded.below(8),
             1 => image[at..at + run].fill(0xFF),
             2 => image[at..at + run].fill(0),
             _ => {
-                let from = seeded.below(image.len() - run);
+                let from = seeded.below(range - run);
                 image.copy_within(from..from + run, at);
             }
         }
     }
     let storage = Storage::from_image(&image);
-    let mut store = start(&storage);
-    let mut buffer = [0; MAX_RECORD];
-    for key in KEYS {
-        let _ = done(store.load(key, &mut buffer));
-    }
-    let length = 1 + seeded.below(400);
-    let record = seeded.bytes(length);
-    let key = KEYS[seeded.below(4)];
-    if done(store.save(key, &record)).is_ok() {
-        // A hole in a page may have been filled, and show what is behind it again: reported then.
-        if let Ok(found) = done(start(&storage).load(key, &mut buffer)) {
-            let found = found.map(|length| &buffer[..length]);
-            assert_eq!(found, Some(record.as_slice()), "{key:?}");
+    let mut before = ages(&storage, &saved);
+    let mut store = FlashStore::new(storage.clone(), STORE, 0);
+    for _ in 0..1 + seeded.below(2) {
+        let (changed, record) = (seeded.below(4), seeded.record());
+        let is_saved = done(store.save(STORED[changed], &record)).is_ok();
+        saved[changed].push(record);
+        let after = ages(&storage, &saved);
+        if is_saved {
+            assert_eq!(after[changed], Some(saved[changed].len()));
         }
+        for (which, (before, after)) in before.iter().zip(after).enumerate() {
+            let is_older = before.zip(after).is_some_and(|(old, now)| now < old);
+            assert!(!is_older, "{:?} became an older one", STORED[which]);
+        }
+        before = after;
     }
 }
 

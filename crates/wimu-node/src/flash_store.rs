@@ -21,6 +21,9 @@ const GENERATION: usize = 4;
 const DIRECTORY: u8 = 0;
 /// A record that cannot be written where it was to be is tried this often, each time elsewhere.
 const ATTEMPTS: usize = 3;
+/// A record that would not be found after a restart, because the flash has been damaged where it was
+/// written, is written to so many pages.
+const PAGES_TRIED: usize = 2;
 
 /// The pages of a flash that hold the store: two or more whole ones. Made at compile time, where a
 /// layout that cannot work is an error.
@@ -70,6 +73,8 @@ impl<F: NorFlash> FlashLayout<F> {
 /// - numbers the generations of each record and keeps the latest numbers in a directory: a record
 ///   that was saved and has been damaged since is an error, where `sequential-storage` would
 ///   return the one before it;
+/// - looks, after each change, whether a restart would find what was written: what was damaged before
+///   and written over is an error at once, or mended in another page, never a surprise later;
 /// - removes several records in one step, and needs no flash that can be written twice;
 /// - writes nothing when the record stands already.
 ///
@@ -232,6 +237,48 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(())
     }
 
+    /// Whether a restart would find what `wanted` says of every record, and this `record` under
+    /// `entry`'s key.
+    async fn would_be_found(&mut self, wanted: Directory, entry: Entry, record: &[u8]) -> bool {
+        self.directory = None;
+        let found = self.directory().await;
+        // What is known of the others is not forgotten because it is hard to find.
+        self.directory = Some(wanted);
+        let Ok(found) = found else { return false };
+        if !wanted.says_the_same(&found) {
+            return false;
+        }
+        if !entry.stands {
+            return true;
+        }
+        let known = (entry.generation, record.len());
+        self.newest(entry.key).await == Ok(Some(known)) && self.latest_read(record.len()) == record
+    }
+
+    /// The record that [`newest`](Self::newest) has read last.
+    fn latest_read(&self, length: usize) -> &[u8] {
+        let record = self.buffer.0.get(1 + GENERATION..).unwrap_or_default();
+        record.get(..length).unwrap_or_default()
+    }
+
+    /// Takes the page that records are appended to for full. Damage may have cleared a part of it: what
+    /// is written there uncovers what stands behind.
+    async fn turn_the_page(&mut self) -> Result<(), StoreFault> {
+        let range = self.map.flash_range();
+        for page in range.step_by(F::ERASE_SIZE) {
+            let last = page + (F::ERASE_SIZE - F::WRITE_SIZE) as u32;
+            let word = F::WRITE_SIZE as u32;
+            let flash = self.map.flash();
+            if !flash.is_blank(page, word).await? && flash.is_blank(last, word).await? {
+                let mark = Word([0; WORD]);
+                flash
+                    .write(last, mark.0.get(..F::WRITE_SIZE).unwrap_or_default())
+                    .await?;
+            }
+        }
+        Ok(())
+    }
+
     /// Flash that holds nothing that can be read is erased before it is written.
     async fn writable(&mut self) -> Result<Directory, StoreFault> {
         let mut directory = self.directory().await?;
@@ -276,10 +323,8 @@ impl<F: NorFlash> Store for FlashStore<F> {
             Some((generation, length)) if generation == known.generation => length,
             _ => return Err(StoreFault),
         };
-        let record = self.buffer.0.get(1 + GENERATION..).unwrap_or_default();
-        let record = record.get(..length).ok_or(StoreFault)?;
         let room = buffer.get_mut(..length).ok_or(StoreFault)?;
-        room.copy_from_slice(record);
+        room.copy_from_slice(self.latest_read(length));
         Ok(Some(length))
     }
 
@@ -293,11 +338,7 @@ impl<F: NorFlash> Store for FlashStore<F> {
         // What stands is not written again.
         if known.stands
             && self.newest(key).await? == Some((known.generation, record.len()))
-            && self
-                .buffer
-                .0
-                .get(1 + GENERATION..1 + GENERATION + record.len())
-                == Some(record)
+            && self.latest_read(record.len()) == record
         {
             return Ok(());
         }
@@ -308,31 +349,47 @@ impl<F: NorFlash> Store for FlashStore<F> {
         }
         let entry = known.followed_by(true);
         directory.put(entry)?;
-        self.append(key, entry.generation, record).await?;
-        // It stands. Without the directory, it would merely be missed less.
-        let _ = self.save_directory(directory).await;
-        Ok(())
+        for _ in 0..PAGES_TRIED {
+            self.append(key, entry.generation, record).await?;
+            // It stands. Without the directory, it would merely be missed less.
+            let _ = self.save_directory(directory).await;
+            if self.would_be_found(directory, entry, record).await {
+                return Ok(());
+            }
+            self.turn_the_page().await?;
+        }
+        self.directory = None;
+        Err(StoreFault)
     }
 
     async fn remove(&mut self, which: fn(Key) -> bool) -> Result<(), StoreFault> {
         let before = self.writable().await?;
         let mut directory = before;
+        let mut removed = Entry::default();
         for entry in &mut directory.entries {
             if entry.stands && Key::from_number(entry.key).is_some_and(which) {
                 *entry = entry.followed_by(false);
+                removed = *entry;
             }
         }
         if directory == before {
             return Ok(());
         }
-        self.save_directory(directory).await?;
-        // They are removed. Lest they return if the directory is damaged some day:
-        for (entry, before) in directory.entries.iter().zip(before.entries) {
-            if *entry != before {
-                let _ = self.append(entry.key, entry.generation, &[]).await;
+        for _ in 0..PAGES_TRIED {
+            self.save_directory(directory).await?;
+            // They are removed. Lest they return if the directory is damaged some day:
+            for (entry, before) in directory.entries.iter().zip(before.entries) {
+                if *entry != before {
+                    let _ = self.append(entry.key, entry.generation, &[]).await;
+                }
             }
+            if self.would_be_found(directory, removed, &[]).await {
+                return Ok(());
+            }
+            self.turn_the_page().await?;
         }
-        Ok(())
+        self.directory = None;
+        Err(StoreFault)
     }
 }
 
@@ -376,6 +433,17 @@ impl Directory {
             key,
             ..Entry::default()
         })
+    }
+
+    /// Whether both know of the same records, in any order.
+    fn says_the_same(&self, other: &Self) -> bool {
+        let all = |a: &Self, b: &Self| {
+            a.entries
+                .iter()
+                .filter(|entry| entry.key != DIRECTORY)
+                .all(|entry| b.entry(entry.key) == *entry)
+        };
+        all(self, other) && all(other, self)
     }
 
     /// Takes the key's place, one that is not used, or that of a removed record.

@@ -15,7 +15,8 @@ use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWrit
 use wimu_host::replay;
 use wimu_link::message::{Event as DeviceEvent, Payload, Status};
 use wimu_link::{
-    Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WhoAreYou,
+    Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WIRE_VERSION,
+    WhoAreYou,
 };
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::board::{Board, BoardConfig};
@@ -230,7 +231,7 @@ impl Listener {
         }
         let (record, replies) = (&mut self.record, &mut self.replies);
         self.decoder.push(host_ns, bytes, |arrival| {
-            if let Event::Reply(reply) = &arrival.event {
+            if let Event::Reply { reply, .. } = &arrival.event {
                 replies.push(*reply);
             }
             record.take(&arrival);
@@ -430,7 +431,7 @@ pub fn fuzz_once(seeded: &mut Seeded) {
     let mut rest = data.as_slice();
     while let [kind, most, after @ ..] = rest {
         let (body, after) = after.split_at(usize::from(*most).min(after.len()));
-        line.extend(frame_of(0, kind % 8, body));
+        line.extend(frame_of(WIRE_VERSION, kind % 8, body));
         rest = after;
     }
     for _ in 0..seeded.below(3) {

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use wimu_link::{Answer, Command};
+use wimu_link::{Answer, Command, WIRE_VERSION};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::scene::World;
 use wimu_tests::{
@@ -62,7 +62,7 @@ fn anything(seeded: &mut Seeded, rig: &mut Rig) -> Vec<u8> {
             let mut body = vec![seeded.below(4) as u8, seeded.below(256) as u8, 0];
             body.push(seeded.below(8) as u8);
             body.extend(seeded.bytes(length));
-            frame_of(0, 5, &body)
+            frame_of(WIRE_VERSION, 5, &body)
         }
         _ => who_are_you(),
     }

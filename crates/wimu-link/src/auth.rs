@@ -219,15 +219,8 @@ impl Session {
             .chain_update(id.to_le_bytes())
     }
 
-    fn of_answer<P: Serialize>(
-        &self,
-        id: u32,
-        request: Signature,
-        answer: &Answer<P>,
-    ) -> Hmac<Sha256> {
-        let mut mac = self.mac(b"a", id).chain_update(request.as_bytes());
-        message::feed(answer, &mut mac);
-        mac
+    fn of_answer(&self, id: u32, request: Signature) -> Hmac<Sha256> {
+        self.mac(b"a", id).chain_update(request.as_bytes())
     }
 
     /// Signs a request.
@@ -249,18 +242,21 @@ impl Session {
         request: Signature,
         answer: &Answer<P>,
     ) -> Signature {
-        Signature::whole(truncated(self.of_answer(id, request, answer)))
+        let mut mac = self.of_answer(id, request);
+        message::feed(answer, &mut mac);
+        Signature::whole(truncated(mac))
     }
 
-    /// Whether an answer to a request that was signed with `request` is signed, in constant time.
+    /// Whether the bytes of an answer to a request that was signed with `request` are signed, in
+    /// constant time.
     pub(crate) fn has_answered(
         &self,
         id: u32,
         request: Signature,
-        answer: &Answer,
+        answer: &[u8],
         signature: Signature,
     ) -> bool {
-        is_right(self.of_answer(id, request, answer), signature)
+        is_right(self.of_answer(id, request).chain_update(answer), signature)
     }
 }
 

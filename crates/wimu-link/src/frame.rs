@@ -28,9 +28,8 @@ use core::fmt;
 use cobs::{CobsEncoder, DecodeResult, DecoderState};
 use crc::{CRC_32_ISCSI, Crc, Table};
 
-/// The version of the wire that this crate speaks. Version 0 may change until writes are
-/// authenticated; the crate's own version is another matter.
-pub const WIRE_VERSION: u8 = 0;
+/// The version of the wire that this crate speaks. The crate's own version is another matter.
+pub const WIRE_VERSION: u8 = 1;
 
 /// The longest body, bytes: a parameter set with everything in it, signed. The longest epoch has 540.
 pub const MAX_BODY: usize = 896;
@@ -352,20 +351,21 @@ impl Default for Deframer {
     }
 }
 
-impl Frame<'_> {
-    /// Where the body is in what was [opened](open).
-    pub fn place(&self) -> core::ops::Range<usize> {
-        1..1 + self.body.len()
-    }
-}
-
-/// Opens the frame that `bytes` are, with or without its closing zero, in their own place.
+/// Opens a frame that was stored, with or without its closing zero, in its own place: returns how
+/// many bytes its first byte and its body are. The first byte says which wire version it is of: this
+/// one or an earlier one.
 ///
 /// # Errors
-/// [`FrameError`] when they are not one frame; the bytes are spoilt then.
-pub fn open(bytes: &mut [u8]) -> Result<Frame<'_>, FrameError> {
+/// [`FrameError`] when `bytes` are not one frame; they are spoilt then.
+pub fn open(bytes: &mut [u8]) -> Result<usize, FrameError> {
     let length = cobs::decode_in_place(bytes).map_err(|_| FrameError::Cobs)?;
-    check(bytes.get(..length).unwrap_or_default())
+    let (first, body) = undamaged(bytes.get(..length).unwrap_or_default())?;
+    let (version, kind) = (first >> 4, first & 15);
+    match Kind::from_number(kind) {
+        _ if version > WIRE_VERSION => Err(FrameError::UnknownVersion { version, kind }),
+        Some(_) => Ok(1 + body.len()),
+        None => Err(FrameError::UnknownKind { version, kind }),
+    }
 }
 
 /// Where the first zero is.
@@ -384,14 +384,21 @@ fn find_zero(bytes: &[u8]) -> Option<usize> {
     Some(8 * words.len() + in_rest)
 }
 
-fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
+/// The first byte and the body of what is undamaged.
+fn undamaged(plain: &[u8]) -> Result<(u8, &[u8]), FrameError> {
     let (covered, crc) = plain
         .split_last_chunk::<CRC_BYTES>()
         .ok_or(FrameError::TooShort)?;
     let (&first, body) = covered.split_first().ok_or(FrameError::TooShort)?;
-    if crc_32c(covered) != u32::from_le_bytes(*crc) {
-        return Err(FrameError::Crc);
+    if crc_32c(covered) == u32::from_le_bytes(*crc) {
+        Ok((first, body))
+    } else {
+        Err(FrameError::Crc)
     }
+}
+
+fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
+    let (first, body) = undamaged(plain)?;
     let (version, number) = (first >> 4, first & 15);
     match Kind::from_number(number) {
         Some(kind) if version == WIRE_VERSION || kind.is_timeless() => Ok(Frame {
@@ -466,7 +473,8 @@ impl fmt::Display for FrameError {
             ),
             Self::UnknownVersion { version, kind } => write!(
                 out,
-                "the other end speaks wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update the older one"
+                "the other end speaks wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update {}",
+                if *version < WIRE_VERSION { "the other end" } else { "this end" }
             ),
             Self::UnknownKind { version, kind } => write!(
                 out,

@@ -9,7 +9,9 @@ use crate::auth::{DeviceKey, KeyState, Lock, Session};
 use crate::batch::{self, Batch, Stream};
 use crate::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
 use crate::hello::{self, Hello, LinkRole, WhoAreYou};
-use crate::message::{Answer, Command, Payload, Reply, Request, Settings, Signature, Telemetry};
+use crate::message::{
+    Answer, Command, Event, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
+};
 use crate::responder::{Decision, Responder};
 
 /// All of them.
@@ -95,7 +97,7 @@ pub fn damage(data: &[u8]) {
     }
 }
 
-/// Any body of any kind: nothing panics, and what is read is written again as the same message.
+/// Any body of any kind: nothing panics, and what is known is written again as the same message.
 pub fn bodies(data: &[u8]) {
     for kind in [
         Kind::Hello,
@@ -131,7 +133,15 @@ fn body(frame: &Frame<'_>) {
         Kind::Batch => batch_body(frame.body),
         // Compared as bytes, because not-a-number differs from itself.
         Kind::Telemetry => {
-            if let Ok(telemetry) = Telemetry::decode(frame.body) {
+            if let Ok(telemetry) = Telemetry::decode(frame.body)
+                && !matches!(
+                    telemetry,
+                    Telemetry::Event {
+                        event: Event::Other { .. },
+                        ..
+                    }
+                )
+            {
                 let length = telemetry.encode(&mut line).expect("room");
                 with_body(&line[..length], |body| {
                     let mut again = [0; MAX_FRAME];
@@ -153,7 +163,9 @@ fn body(frame: &Frame<'_>) {
             }
         }
         Kind::Reply => {
-            if let Ok(reply) = Reply::decode(frame.body) {
+            if let Ok(reply) = Reply::decode(frame.body)
+                && !matches!(reply.answer, Answer::Refused(Refusal::Other { .. }))
+            {
                 let length = reply.encode(&mut line).expect("room");
                 with_body(&line[..length], |body| {
                     let mut again = [0; MAX_FRAME];

@@ -4,7 +4,7 @@ use core::time::Duration;
 
 use crate::auth::Session;
 use crate::frame::{FrameBuffer, MAX_FRAME};
-use crate::message::{Answer, Command, Refusal, Reply, Request, Signature};
+use crate::message::{Answer, Command, Head, Refusal, Request, Signature};
 
 /// Asked once and again every half second, a device has three seconds to answer: enough for it to
 /// erase its flash, during which it hears nothing.
@@ -34,8 +34,16 @@ const ATTEMPTS: u32 = 6;
 ///     signature: Default::default(),
 ///     answer: Answer::Accepted(Payload::None),
 /// };
-/// assert_eq!(requester.on_reply(&reply), Some(reply.answer));
+/// let mut line = [0; wimu_link::MAX_FRAME];
+/// let length = reply.encode(&mut line)?;
+/// let mut deframer = wimu_link::Deframer::new();
+/// for &byte in &line[..length] {
+///     if let Some(frame) = deframer.push(byte) {
+///         assert_eq!(requester.on_reply(frame?.body), Some(reply.answer));
+///     }
+/// }
 /// assert!(matches!(requester.poll(now), Next::Idle));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Requester {
@@ -175,24 +183,27 @@ impl Requester {
         }
     }
 
-    /// Takes a reply; returns its answer if it belongs to the request that is waiting.
+    /// Takes the body of a frame of kind [`Kind::Reply`](crate::Kind::Reply); returns its answer if it
+    /// belongs to the request that is waiting.
     ///
     /// The answer to a signed request is signed. The only unsigned ones that are taken are refusals
     /// of a device that cannot sign: [`Refusal::WrongSignature`], [`Refusal::SessionEnded`],
     /// [`Refusal::KeyNeeded`] and [`Refusal::Locked`]. Anyone can forge those: they say that the
     /// request may not have been obeyed, nothing about the device's state.
-    pub fn on_reply(&mut self, reply: &Reply) -> Option<Answer> {
+    pub fn on_reply(&mut self, body: &[u8]) -> Option<Answer> {
+        let (head, bytes) = Head::split(body).ok()?;
+        let answer = Answer::decode(bytes).ok()?;
         let answers = |waiting: &mut Waiting| {
-            let ours = reply.session == waiting.session && reply.id == waiting.id;
+            let ours = head.session == waiting.session && head.id == waiting.id;
             ours && match &waiting.signed {
                 None => true,
                 Some((session, request)) => {
-                    cannot_sign(reply)
-                        || session.has_answered(reply.id, *request, &reply.answer, reply.signature)
+                    (head.signature == Signature::NONE && cannot_sign(&answer))
+                        || session.has_answered(head.id, *request, bytes, head.signature)
                 }
             }
         };
-        self.waiting.take_if(answers).map(|_| reply.answer)
+        self.waiting.take_if(answers).map(|_| answer)
     }
 
     /// The number of the unsigned session.
@@ -201,15 +212,12 @@ impl Requester {
     }
 }
 
-fn cannot_sign(reply: &Reply) -> bool {
-    reply.signature == Signature::NONE
-        && matches!(
-            reply.answer,
-            Answer::Refused(
-                Refusal::WrongSignature
-                    | Refusal::SessionEnded
-                    | Refusal::KeyNeeded
-                    | Refusal::Locked
-            )
+/// Whether a device says this that cannot sign.
+fn cannot_sign(answer: &Answer) -> bool {
+    matches!(
+        answer,
+        Answer::Refused(
+            Refusal::WrongSignature | Refusal::SessionEnded | Refusal::KeyNeeded | Refusal::Locked
         )
+    )
 }

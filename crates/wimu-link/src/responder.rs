@@ -6,7 +6,7 @@ use crate::auth::{KeyState, Lock, Session, Sessions, Standing};
 use crate::frame::{FrameBuffer, crc_32c};
 use crate::hello::LinkRole;
 use crate::message::{
-    Answer, Command, EncodedParameters, Payload, Refusal, Reply, RequestHead, Signature,
+    Answer, Command, EncodedParameters, Head, Payload, Refusal, Reply, Signature,
 };
 
 /// Unsigned sessions whose latest request is remembered.
@@ -162,7 +162,7 @@ impl Responder {
     /// Takes the body of a frame of kind [`Request`](crate::Kind::Request), and who may write at
     /// the moment.
     pub fn accept<'b>(&mut self, body: &'b [u8], lock: &Lock) -> Decision<'_, 'b> {
-        let Ok((head, command)) = RequestHead::split(body) else {
+        let Ok((head, command)) = Head::split(body) else {
             return Decision::Ignore;
         };
         let request = Known {

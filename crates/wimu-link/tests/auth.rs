@@ -28,6 +28,12 @@ fn encoded(request: &Request) -> Vec<u8> {
     body(&line[..length])
 }
 
+fn replied(reply: &Reply) -> Vec<u8> {
+    let mut line = [0; MAX_FRAME];
+    let length = reply.encode(&mut line).expect("room");
+    body(&line[..length])
+}
+
 /// A device with both its links, which remembers the writes that it carried out.
 struct Device {
     lock: Lock,
@@ -91,7 +97,7 @@ impl Owner {
     fn open(&mut self, device: &mut Device) {
         let question = body(self.requester.start(Command::OpenSession, NOW));
         let reply = device.hear(self.role, &question).expect("an answer");
-        match self.requester.on_reply(&reply) {
+        match self.requester.on_reply(&replied(&reply)) {
             Some(Answer::Accepted(Payload::Session { number, nonce })) => {
                 let session = Session {
                     key: self.key,
@@ -117,7 +123,11 @@ impl Owner {
         for _ in 0..3 {
             let request = self.request(command);
             let reply = device.hear(self.role, &request).expect("an answer");
-            match self.requester.on_reply(&reply).expect("its answer") {
+            match self
+                .requester
+                .on_reply(&replied(&reply))
+                .expect("its answer")
+            {
                 Answer::Refused(Refusal::SessionEnded | Refusal::WrongSignature) => {
                     self.open(device);
                 }
@@ -400,7 +410,7 @@ fn opening_sessions_without_the_key_ends_nobodys() {
         let reply = device
             .hear(LinkRole::Wireless, &request)
             .expect("an answer");
-        let answer = owner.requester.on_reply(&reply);
+        let answer = owner.requester.on_reply(&replied(&reply));
         assert_eq!(answer, Some(Answer::Accepted(Payload::None)));
     }
 }
@@ -462,7 +472,7 @@ fn an_answer_that_the_device_did_not_sign_is_none() {
     owner.open(&mut device);
     let first = owner.request(rate(100));
     let old = device.hear(LinkRole::Wireless, &first).expect("an answer");
-    assert!(owner.requester.on_reply(&old).is_some());
+    assert!(owner.requester.on_reply(&replied(&old)).is_some());
     let second = owner.request(rate(200));
     let right = device.hear(LinkRole::Wireless, &second).expect("an answer");
     for wrong in [
@@ -489,9 +499,13 @@ fn an_answer_that_the_device_did_not_sign_is_none() {
             ..right
         },
     ] {
-        assert_eq!(owner.requester.on_reply(&wrong), None, "{wrong:?}");
+        assert_eq!(
+            owner.requester.on_reply(&replied(&wrong)),
+            None,
+            "{wrong:?}"
+        );
     }
-    assert!(owner.requester.on_reply(&right).is_some());
+    assert!(owner.requester.on_reply(&replied(&right)).is_some());
 }
 
 #[test]

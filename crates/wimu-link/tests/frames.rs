@@ -58,7 +58,7 @@ proptest! {
     fn a_frame_arrives_as_it_was_sent(kind in prop::sample::select(&KINDS[..]), body in bodies()) {
         let line = framed(kind, &body);
         prop_assert_eq!(line.iter().position(|&byte| byte == 0), Some(line.len() - 1));
-        prop_assert_eq!(receive(&line), [Ok((0, kind, body.clone()))]);
+        prop_assert_eq!(receive(&line), [Ok((1, kind, body.clone()))]);
         // A buffer that is one byte short is refused, never overrun.
         let mut short = vec![0; line.len() - 1];
         prop_assert_eq!(frame::encode(kind, &body, &mut short), Err(EncodeError::NoRoom));
@@ -97,7 +97,7 @@ proptest! {
         let frame = framed(Kind::Telemetry, b"after");
         let line = [&garbage[..], &[0], &frame].concat();
         let last = receive(&line).pop();
-        prop_assert_eq!(last, Some(Ok((0, Kind::Telemetry, b"after".to_vec()))));
+        prop_assert_eq!(last, Some(Ok((1, Kind::Telemetry, b"after".to_vec()))));
     }
 }
 
@@ -144,21 +144,21 @@ fn a_lost_zero_is_one_damaged_frame() {
     let line = [&line[..], &line, &[0], &whole].concat();
     let received = receive(&line);
     assert_eq!(received[0], Err(FrameError::TooLong));
-    assert_eq!(received[1..], [Ok((0, Kind::Batch, b"whole".to_vec()))]);
+    assert_eq!(received[1..], [Ok((1, Kind::Batch, b"whole".to_vec()))]);
 }
 
 #[test]
 fn strangers_are_named() {
     let unknown = FrameError::UnknownKind {
-        version: 0,
+        version: 1,
         kind: 9,
     };
-    assert_eq!(receive(&framed_as(0x09, b"?")), [Err(unknown)]);
+    assert_eq!(receive(&framed_as(0x19, b"?")), [Err(unknown)]);
     let newer = FrameError::UnknownVersion {
-        version: 1,
+        version: 2,
         kind: 3,
     };
-    assert_eq!(receive(&framed_as(0x13, b"?")), [Err(newer)]);
+    assert_eq!(receive(&framed_as(0x23, b"?")), [Err(newer)]);
     assert!(!unknown.is_damage() && !newer.is_damage());
     assert_eq!(
         receive(&framed_as(0xf1, b"later")),

@@ -3,18 +3,18 @@
 use proptest::prelude::*;
 use wimu_integrator::{Config, Integrator};
 use wimu_link::message::{
-    ActiveParameters, Answer, BusFault, Command, EncodedParameters, Epoch, EpochReason, Event,
-    MessageError, Navigation, ParameterFault, Payload, Refusal, Reply, Request, Settings,
-    Signature, Telemetry, WireMagnetometer, WireMagnetometerFault, WireParameters, WirePhase,
-    WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow,
-    parameter_id,
+    ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, EncodedParameters, Epoch,
+    EpochReason, Event, MessageError, Navigation, ParameterFault, Payload, Refusal, Reply, Request,
+    Settings, Signature, Telemetry, WireMagnetometer, WireMagnetometerFault, WireParameters,
+    WirePhase, WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm,
+    WireWindow, parameter_id,
 };
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, CompileError,
     ErrorModel, ErrorTerms, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
     ModelCovariance, ParameterId, ParameterSet, PeriodNs, QualityTerms, RotationCovariance,
-    Sensitivity, SpecificForceQ16, TermDeviations,
+    Sensitivity, SensorId, SpecificForceQ16, TermDeviations,
 };
 
 fn body_of(
@@ -91,6 +91,7 @@ fn calibrated() -> ParameterSet {
             })
             .unwrap(),
         ),
+        sensor: Some(SensorId(2)),
         ..ParameterSet::uncalibrated(4, Sensitivity::from_lsb_per_g(8192.0).unwrap())
     }
 }
@@ -117,6 +118,7 @@ fn longest_epoch() -> Epoch {
         parameters: u32::MAX,
         temperature_centi_c: Some(i16::MIN),
         state: WireState {
+            revision: ARITHMETIC_REVISION,
             period_ns: u32::MAX,
             zupt: true,
             gravity_um_s2: u32::MAX,
@@ -349,12 +351,12 @@ fn unknown_missing_and_left_over_bytes_are_told_apart() {
     assert_eq!(body, [6, 5, 0, 0]);
     assert_eq!(Telemetry::decode(&body), Ok(event));
     assert_eq!(Telemetry::decode(&body[..3]), Err(MessageError::TooShort));
+    assert_eq!(Telemetry::decode(&[7]), Err(MessageError::Malformed));
+    assert_eq!(Telemetry::decode(&[0, 1, 99]), Err(MessageError::TooShort));
     assert_eq!(
-        Telemetry::decode(&[6, 5, 0, 0, 7]),
+        Request::decode(&[1, 1, 0, 6, 7]),
         Err(MessageError::TooLong { extra: 1 })
     );
-    assert_eq!(Telemetry::decode(&[7]), Err(MessageError::Malformed));
-    assert_eq!(Telemetry::decode(&[6, 5, 99]), Err(MessageError::Malformed));
     // A signature of nine bytes.
     let mut request = vec![1, 1, 9];
     request.extend([0; 10]);
@@ -410,6 +412,7 @@ proptest! {
     ) {
         let [segment, start, run] = segments;
         let state = WireState {
+           revision: ARITHMETIC_REVISION,
             period_ns: words[0],
             zupt: words[1] % 2 == 0,
             gravity_um_s2: words[2],

@@ -1,4 +1,4 @@
-//! Golden vectors: whole frames in `tests/vectors/v0`, one a line in hex, each under a comment that
+//! Golden vectors: whole frames in `tests/vectors/v1`, one a line in hex, each under a comment that
 //! says what it is. They keep the wire from changing unnoticed, and other hosts can be tested on
 //! them.
 //!
@@ -12,13 +12,13 @@ use wimu_link::auth::{DeviceKey, KeyId};
 use wimu_link::frame::EncodeError;
 use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
 use wimu_link::message::{
-    ActiveParameters, Answer, BusFault, Command, Environment, Epoch, EpochReason, Event,
-    LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request, Resolution,
-    SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireMagnetometer,
+    ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, Environment, Epoch,
+    EpochReason, Event, LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request,
+    Resolution, SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireMagnetometer,
     WireMagnetometerRotation, WireMethod, WireParameters, WirePhase, WireQuality, WireRun,
     WireSegment, WireState, WireTerm, WireWindow,
 };
-use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WhoAreYou, batch};
+use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
 
 /// A file of frames, each with what it is.
@@ -79,7 +79,7 @@ impl Vectors {
                     .iter()
                     .find_map(|&byte| {
                         let frame = deframer.push(byte)?.unwrap();
-                        assert_eq!((frame.version, frame.kind), (0, self.kind));
+                        assert_eq!((frame.version, frame.kind), (WIRE_VERSION, self.kind));
                         Some(frame.body.to_vec())
                     })
                     .unwrap()
@@ -89,7 +89,7 @@ impl Vectors {
 }
 
 fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors/v0")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors/v1")
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn hello_is_as_it_was() {
 #[test]
 fn who_are_you_is_as_it_was() {
     let mut vectors = Vectors::new("who_are_you", Kind::WhoAreYou);
-    vectors.add("WhoAreYou { wire_version: 0 }", |line| {
+    vectors.add("WhoAreYou { wire_version: 1 }", |line| {
         WhoAreYou::default().encode(line)
     });
     for body in vectors.check() {
@@ -275,6 +275,7 @@ fn parameters() -> WireParameters {
                 dip_rms_rad: 0.0625,
             }),
         }),
+        sensor: Some(1),
     }
 }
 
@@ -338,6 +339,7 @@ fn epoch(reason: EpochReason) -> Epoch {
         parameters: 0xdead_beef,
         temperature_centi_c: Some(-512),
         state: WireState {
+            revision: ARITHMETIC_REVISION,
             period_ns: 10_012_345,
             zupt: true,
             gravity_um_s2: 9_806_650,

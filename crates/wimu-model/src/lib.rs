@@ -19,7 +19,7 @@ pub use magnetometer::{
     MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
 };
 pub use matrix::Matrix3;
-pub use parameters::{Alignment, AlignmentError, ParameterId, ParameterSet};
+pub use parameters::{Alignment, AlignmentError, ParameterId, ParameterSet, SensorId};
 pub use quality::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, QualityError, QualityTerms,
     TermDeviations,

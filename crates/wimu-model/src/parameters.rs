@@ -131,6 +131,12 @@ impl fmt::Display for ParameterId {
     }
 }
 
+/// Names a model of accelerometer by the number that a device's greeting has for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SensorId(pub u16);
+
 /// A calibration as a device holds it: error model, the sensitivity and range it was estimated
 /// at, what it says of itself, the alignment to the body, and the magnetometer's model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -154,6 +160,10 @@ pub struct ParameterSet {
     /// The magnetometer's model; `None` as long as it is uncalibrated, and heading with it.
     #[cfg_attr(feature = "serde", serde(default))]
     pub magnetometer: Option<MagnetometerModel>,
+    /// The accelerometer that was calibrated; `None` where that is not known, and any one with this
+    /// range and sensitivity may take the set.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub sensor: Option<SensorId>,
 }
 
 impl ParameterSet {
@@ -167,6 +177,7 @@ impl ParameterSet {
             alignment: Alignment::IDENTITY,
             alignment_covariance: None,
             magnetometer: None,
+            sensor: None,
         }
     }
 

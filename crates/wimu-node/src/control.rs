@@ -9,12 +9,15 @@ use wimu_integrator::Compass;
 use wimu_link::auth::{DeviceKey, KeyState};
 use wimu_link::batch::MAX_BATCH;
 use wimu_link::frame::{self, MAX_FRAME};
+use wimu_link::hello::sensor;
 use wimu_link::message::{
-    ActiveParameters, Answer, Command, EncodedParameters, Event, Payload, Record, Refusal,
-    Settings, Streams,
+    ActiveParameters, Answer, Command, EncodedParameters, Event, ParameterFault, Payload, Record,
+    Refusal, Settings, Streams, WireParameters,
 };
 use wimu_link::{Kind, LinkRole};
-use wimu_model::{CentiCelsius, CompileError, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
+use wimu_model::{
+    CentiCelsius, CompileError, Corrector, DeviceTimeUs, ParameterId, ParameterSet, SensorId,
+};
 
 use crate::accelerometer::{Accelerometer, Plan};
 use crate::shared::{
@@ -249,7 +252,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             None => None,
             Some(Ok(Record::Parameters(stored))) => match stored.decode() {
                 Ok(wire) if wire.range_g == range_g => {
-                    let set = ParameterSet::try_from(&wire);
+                    let set = self.checked(&wire);
                     set.err().map(Event::ModelRejected)
                 }
                 _ => Some(Event::StoreUnreadable),
@@ -269,6 +272,19 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
+    /// A set whose numbers make sense, and that is of this device's model of accelerometer.
+    fn checked(&self, wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
+        let set = ParameterSet::try_from(wire)?;
+        let device = self.shared.published().hello.sensor.number;
+        match set.sensor {
+            Some(SensorId(parameters)) if parameters != device && sensor::is_one_model(device) => {
+                Err(ParameterFault::OtherSensor { parameters, device })
+            }
+            _ => Ok(set),
+        }
+    }
+
+    /// What is in a record that has been opened: the first byte says what it is.
     fn content(&self, place: &Range<usize>) -> &[u8] {
         self.record.get(place.clone()).unwrap_or_default()
     }
@@ -347,7 +363,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
         let wire = desk.set.get().and_then(|set| set.decode().ok());
         let wire = wire.ok_or(Refusal::NothingStaged)?;
-        let set = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
+        let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;
         if set.range_g != plan.settings.range_g {
             return Err(Refusal::WrongRange {
                 parameters_g: set.range_g,
@@ -636,10 +652,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             return Ok(None);
         };
         let record = self.record.get_mut(..length).unwrap_or_default();
-        match frame::open(record) {
-            Ok(frame) if frame.kind == Kind::Telemetry => Ok(Some(frame.place())),
-            _ => Err(StoreFault),
-        }
+        let opened = frame::open(record).map_err(|_| StoreFault)?;
+        Ok(Some(0..opened))
     }
 
     async fn save_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
@@ -676,8 +690,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let Some(place) = self.load(key).await? else {
             return Ok(None);
         };
-        let bytes = self.content(&place).try_into();
-        bytes.map(Some).map_err(|_| StoreFault)
+        let (_, bytes) = self.content(&place).split_first().ok_or(StoreFault)?;
+        bytes.try_into().map(Some).map_err(|_| StoreFault)
     }
 
     async fn save_raw(&mut self, key: Key, content: &[u8]) -> Result<(), StoreFault> {

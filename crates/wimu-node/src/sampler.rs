@@ -373,7 +373,7 @@ impl Running {
     /// anew is told: whoever replays must not take what begins anew for what goes on.
     fn begin_epoch(&mut self, reason: EpochReason) {
         let weight = |reason| match reason {
-            EpochReason::Periodic => 0,
+            EpochReason::Periodic | EpochReason::Other(_) => 0,
             EpochReason::Stillness => 1,
             EpochReason::Temperature => 2,
             EpochReason::Heading => 3,

@@ -225,6 +225,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         .map(|(estimate, sensitivity)| ParameterSet {
             model: estimate.model,
             quality: estimate.quality(options.utc_s, &fitted),
+            sensor: data.sensor,
             ..ParameterSet::uncalibrated(range_g(data.unit, sensitivity), sensitivity)
         });
     Ok(CalibrationReport {

@@ -753,11 +753,11 @@ impl<T: Transport> Client<T> {
         decoder.push(host_ns, &buffer[..count], |arrival| {
             match &arrival.event {
                 Event::Hello(new) => *hello = *new,
-                Event::Reply(reply) => {
+                Event::Reply { reply, body } => {
                     if let Answer::Accepted(Payload::Status(_)) = reply.answer {
                         *status_bytes = wire_length(reply);
                     }
-                    if let Some(ours) = requester.on_reply(reply) {
+                    if let Some(ours) = requester.on_reply(body) {
                         *answer = Some(ours);
                         // It has written, and hears again.
                         *deaf_until = Duration::ZERO;

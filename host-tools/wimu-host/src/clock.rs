@@ -102,7 +102,7 @@ impl ClockEstimator {
                     self.transfer(link, class, last.time, arrival.began_ns);
                 }
             }
-            Event::Reply(reply) => {
+            Event::Reply { reply, .. } => {
                 let Answer::Accepted(Payload::Status(status)) = &reply.answer else {
                     return;
                 };

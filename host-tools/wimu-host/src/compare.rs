@@ -549,7 +549,7 @@ impl Counted {
                     counted.meters[link].status(role, status);
                     return Ok(());
                 }
-                Event::Reply(reply) => {
+                Event::Reply { reply, .. } => {
                     if let Answer::Accepted(Payload::Status(status)) = &reply.answer {
                         counted.meters[link].status(role, status);
                     }

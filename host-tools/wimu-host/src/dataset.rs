@@ -5,7 +5,7 @@ use std::path::Path;
 
 use wimu_link::LinkRole;
 use wimu_link::hello::sensor;
-use wimu_model::{Counts, DeviceTimeUs, Sensitivity};
+use wimu_model::{Counts, DeviceTimeUs, Sensitivity, SensorId};
 
 use crate::csv::{AccelerationUnit, CsvReader, Filter};
 use crate::error::{ErrorCode, HostError, Result};
@@ -88,6 +88,8 @@ pub struct Dataset {
     pub rate_source: RateSource,
     /// The rows, in order; at least one.
     pub outputs: Vec<Output>,
+    /// The accelerometer, where a device has said which.
+    pub sensor: Option<SensorId>,
 }
 
 impl Dataset {
@@ -154,6 +156,7 @@ impl Dataset {
             rate_hz,
             rate_source,
             outputs,
+            sensor: None,
         })
     }
 
@@ -266,6 +269,7 @@ impl Dataset {
             rate_hz,
             rate_source: RateSource::Device,
             outputs,
+            sensor: first.sensor(),
         })
     }
 }

@@ -53,7 +53,12 @@ pub enum Event {
         event: wimu_link::message::Event,
     },
     /// An answer to a request.
-    Reply(Reply),
+    Reply {
+        /// What is known of it here.
+        reply: Reply,
+        /// The frame's body, which the signature holds for.
+        body: Vec<u8>,
+    },
     /// A damaged frame, or one of another version.
     Damaged(FrameError),
     /// An undamaged frame whose body makes no sense here.
@@ -461,7 +466,10 @@ fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
                 .map(Message::Hello)
                 .map_err(|e| text(&e));
         }
-        Kind::Reply => Event::Reply(Reply::decode(body).map_err(|e| text(&e))?),
+        Kind::Reply => Event::Reply {
+            reply: Reply::decode(body).map_err(|e| text(&e))?,
+            body: body.to_vec(),
+        },
         Kind::Telemetry => match Telemetry::decode(body).map_err(|e| text(&e))? {
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
             Telemetry::Environment(environment) => Event::Environment(environment),

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use wimu_link::batch::Stream;
+use wimu_link::hello::sensor;
 use wimu_link::message::{
     ActiveParameters, Answer, Environment, Epoch, Event as DeviceEvent, Navigation, Payload, Status,
 };
 use wimu_link::{Hello, LinkRole, Settings, WIRE_VERSION};
-use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity};
+use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity, SensorId};
 
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics, TimedSample};
@@ -123,6 +124,12 @@ impl Boot {
             .filter(|_| known)
     }
 
+    /// The accelerometer, if the device has said which.
+    pub fn sensor(&self) -> Option<SensorId> {
+        let number = self.hello?.sensor.number;
+        sensor::is_one_model(number).then_some(SensorId(number))
+    }
+
     /// Takes what tells of the parameters in use, keeping the latest epoch only.
     pub(crate) fn take_parameters(&mut self, event: &Event) {
         match event {
@@ -133,7 +140,7 @@ impl Boot {
                 }];
             }
             Event::Parameters(parameters) => self.use_parameters(*parameters),
-            Event::Reply(reply) => {
+            Event::Reply { reply, .. } => {
                 if let Answer::Accepted(Payload::Parameters(parameters)) = reply.answer {
                     self.use_parameters(parameters);
                 }
@@ -234,7 +241,7 @@ impl LinkHistory {
                     boot.events.push((*time, *event));
                 }
             }
-            Event::Reply(reply) => match reply.answer {
+            Event::Reply { reply, .. } => match reply.answer {
                 Answer::Accepted(Payload::Parameters(parameters)) => {
                     boot.use_parameters(parameters)
                 }

@@ -191,6 +191,7 @@ impl Capture {
             rate_hz: self.summary.rate_hz,
             rate_source: RateSource::Times,
             outputs: outputs.collect(),
+            sensor: None,
         })
     }
 

@@ -257,7 +257,7 @@ impl Listener {
         while let Some(arrival) = self.client.next_event(GLANCE)? {
             match &arrival.event {
                 Event::Restart => self.clock = ClockEstimator::new(),
-                Event::Reply(_) => self.pace.answered(arrival.host_ns),
+                Event::Reply { .. } => self.pace.answered(arrival.host_ns),
                 _ => {}
             }
             self.clock.heard(self.role, &arrival);

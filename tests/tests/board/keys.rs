@@ -8,10 +8,10 @@ use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event as Heard;
 use wimu_host::{ErrorCode, Result};
 use wimu_link::auth::DeviceKey;
-use wimu_link::hello::WriteAccess;
+use wimu_link::hello::{self, WriteAccess};
 use wimu_link::message::{Event, Settings};
-use wimu_link::{Command, LinkRole};
-use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity};
+use wimu_link::{Command, LinkRole, WIRE_VERSION};
+use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity, SensorId};
 use wimu_node::Key;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::scene::World;
@@ -328,19 +328,31 @@ fn no_recording_holds_a_key() {
     assert!(all.contains("Sent"));
 }
 
-/// A flash as firmware of a version left it: `tests/vectors/store/v0.hex`. Firmware from then on
-/// reads it. `WRITE_VECTORS=1 cargo test -p wimu-tests --test board` writes it anew.
+/// Flash as firmware of each version of the wire left it: `tests/vectors/store`. All firmware from then
+/// on reads it. `WRITE_VECTORS=1 cargo test -p wimu-tests --test board` writes that of this version if
+/// there is none, and never another.
 #[test]
 fn what_older_firmware_stored_is_read() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors/store/v0.hex");
+    for version in 0..=WIRE_VERSION {
+        stored_by(version);
+    }
+}
+
+fn stored_by(version: u8) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors/store");
+    let file = folder.join(format!("v{version}.hex"));
     let settings = Settings {
         rate_hz: 200,
         ..Settings::default()
     };
-    if std::env::var_os("WRITE_VECTORS").is_some() {
+    let set = ParameterSet {
+        sensor: (version > 0).then_some(SensorId(hello::sensor::LSM303AGR)),
+        ..set_of(0.1)
+    };
+    if std::env::var_os("WRITE_VECTORS").is_some() && version == WIRE_VERSION && !file.exists() {
         let board = start_with_key();
         let mut cable = owner(&board, CABLE, 2);
-        cable.push_parameters(&set_of(0.1)).expect("pushed");
+        cable.push_parameters(&set).expect("pushed");
         cable.set_settings(settings).expect("set");
         let image = board.borrow().storage().image();
         let used = image
@@ -351,7 +363,6 @@ fn what_older_firmware_stored_is_read() {
             let digits = line.iter().map(|byte| format!("{byte:02x}"));
             digits.collect::<String>() + "\n"
         });
-        std::fs::create_dir_all(file.parent().expect("a folder")).expect("made");
         std::fs::write(&file, lines.collect::<String>()).expect("written");
     }
     let text = std::fs::read_to_string(&file).expect("the stored image");
@@ -370,7 +381,10 @@ fn what_older_firmware_stored_is_read() {
     assert_eq!(wireless.hello().boot_count, 2);
     assert_eq!(wireless.key_status(), Ok(Some(KEY.id())));
     assert_eq!(wireless.settings(), Ok(settings));
-    let id = wimu_link::message::parameter_id(&set_of(0.1));
-    assert_eq!(wireless.parameters().map(|held| held.id), Ok(id.0));
+    let held = wireless.parameters().expect("answered");
+    assert_eq!(held.id, wimu_link::message::parameter_id(&set).0);
+    assert_eq!(held.active, Some((&set).into()));
+    // And is written again in its own way.
     assert_eq!(set_rate(&mut wireless, 50).map(|set| set.rate_hz), Ok(50));
+    wireless.push_parameters(&set_of(0.2)).expect("pushed");
 }

@@ -4,7 +4,7 @@
 use wimu_host::decode::TimedSample;
 use wimu_link::frame::FrameError;
 use wimu_link::message::{Refusal, Settings, Status, Streams};
-use wimu_link::{Answer, Command, Deframer, LinkRole};
+use wimu_link::{Answer, Command, Deframer, LinkRole, WIRE_VERSION};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::World;
@@ -142,11 +142,15 @@ fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
             let body = seeded.bytes(40);
             match seeded.below(2) {
                 0 => frame_of(1 + seeded.below(15) as u8, 5, &body),
-                _ => frame_of(0, 7 + seeded.below(9) as u8, &body),
+                _ => frame_of(WIRE_VERSION, 7 + seeded.below(9) as u8, &body),
             }
         });
-        assert!(passes(&frame_of(0, 5, b"of this kind and version")));
-        let unknown = [frame_of(3, 5, b""), frame_of(0, 9, b"")].map(|frame| {
+        assert!(passes(&frame_of(
+            WIRE_VERSION,
+            5,
+            b"of this kind and version"
+        )));
+        let unknown = [frame_of(3, 5, b""), frame_of(WIRE_VERSION, 9, b"")].map(|frame| {
             let mut deframer = Deframer::new();
             frame.into_iter().find_map(|byte| {
                 deframer
@@ -173,7 +177,7 @@ fn intact_frames_with_random_bodies_harm_nothing() {
         let (mut rig, _) = flood(role, |_| {
             let length = seeded.below(60);
             let body = seeded.bytes(length);
-            frame_of(0, 1 + seeded.below(6) as u8, &body)
+            frame_of(WIRE_VERSION, 1 + seeded.below(6) as u8, &body)
         });
         assert_eq!(rig.settings(), Settings::default());
         rig.link(role).assert_perfect();

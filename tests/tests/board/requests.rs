@@ -1,10 +1,11 @@
 //! Parameters, settings and the memory that keeps them: refused with a reason, done once, kept.
 
+use wimu_link::hello::sensor;
 use wimu_link::message::{
     ActiveParameters, EpochReason, Event, ParameterFault, Payload, Refusal, Resolution, Settings,
     WireParameters, WireTerm,
 };
-use wimu_link::{Answer, Command, LinkRole, Request};
+use wimu_link::{Answer, Command, LinkRole, Request, WIRE_VERSION};
 use wimu_model::{ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms};
 use wimu_node::Key;
 use wimu_tests::{ROLES, Rig, assert_replays, encoded, frame_of, reply_frames};
@@ -166,12 +167,26 @@ fn parameters_that_are_none_are_refused_with_what_is_wrong_and_change_nothing() 
         device_lsb_per_g: 16384.0,
     };
     assert_eq!(answer, Answer::Refused(wrong_sensitivity));
+    let others = WireParameters {
+        sensor: Some(sensor::ADXL345),
+        ..good
+    };
+    let answer = rig.ask(CABLE, Command::StageParameters(others));
+    let fault = ParameterFault::OtherSensor {
+        parameters: sensor::ADXL345,
+        device: sensor::LSM303AGR,
+    };
+    assert_eq!(answer, Answer::Refused(Refusal::InvalidParameters(fault)));
     // Nothing of this was staged.
     let answer = rig.ask(CABLE, Command::CommitParameters { hash: 1 });
     assert_eq!(answer, Answer::Refused(Refusal::NothingStaged));
     assert_eq!(active(&mut rig), (None, 0));
     for role in ROLES {
         rig.link(role).assert_perfect();
+    }
+    // Its own sensor's are taken, and so are those that do not say whose they are.
+    for sensor in [None, Some(sensor::LSM303AGR)] {
+        stage(&mut rig, &WireParameters { sensor, ..good });
     }
 }
 
@@ -332,7 +347,7 @@ fn an_unknown_command_is_answered_as_unknown() {
     let mut rig = Rig::usual();
     rig.run(1.0);
     // Session 9, id 1, no signature, command 77.
-    rig.send(CABLE, &frame_of(0, 5, &[9, 1, 0, 77, 1, 2, 3]));
+    rig.send(CABLE, &frame_of(WIRE_VERSION, 5, &[9, 1, 0, 77, 1, 2, 3]));
     rig.run(0.5);
     let replies = rig.link(CABLE).replies();
     let last = replies.last().expect("an answer");

@@ -24,6 +24,22 @@ pub mod sensor {
     pub const ADXL345: u16 = 2;
     /// The samples of a recording.
     pub const REPLAY: u16 = 3;
+
+    /// What people call it.
+    pub const fn name(number: u16) -> &'static str {
+        match number {
+            LSM303AGR => "LSM303AGR",
+            ADXL345 => "ADXL345",
+            REPLAY => "of a recording",
+            _ => "unknown",
+        }
+    }
+
+    /// Whether the number names one model of accelerometer, all of whose pieces have the same ranges,
+    /// axes and sensitivities.
+    pub const fn is_one_model(number: u16) -> bool {
+        number != 0 && number != REPLAY
+    }
 }
 
 /// Which of a device's links this is.

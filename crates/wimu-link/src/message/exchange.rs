@@ -6,6 +6,11 @@ use crate::frame::Digest;
 
 /// One end of an exchange.
 pub(super) trait Wire {
+    /// Whether it is a reader.
+    fn reads(&self) -> bool {
+        false
+    }
+
     /// A reader puts the next bytes in place of `bytes`; a writer takes them.
     fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError>;
 }
@@ -14,6 +19,10 @@ pub(super) trait Wire {
 pub(super) struct Reader<'a>(pub(super) &'a [u8]);
 
 impl Wire for Reader<'_> {
+    fn reads(&self) -> bool {
+        true
+    }
+
     fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
         let (read, rest) = self
             .0
@@ -113,6 +122,23 @@ pub(super) fn option<T>(
         0 => *value = None,
         1 => return content(wire, value.get_or_insert(blank)),
         _ => return Err(MessageError::Malformed),
+    }
+    Ok(())
+}
+
+/// A number that is there, or that the message ends before.
+pub(super) fn at_the_end(wire: &mut dyn Wire, value: &mut Option<u16>) -> Result<(), MessageError> {
+    if value.is_none() && !wire.reads() {
+        return Ok(());
+    }
+    let [mut low, mut high] = value.unwrap_or(0).to_le_bytes();
+    match byte(wire, &mut low) {
+        Err(MessageError::TooShort) if wire.reads() => *value = None,
+        outcome => {
+            outcome?;
+            byte(wire, &mut high)?;
+            *value = Some(u16::from_le_bytes([low, high]));
+        }
     }
     Ok(())
 }

@@ -4,9 +4,10 @@
 //! (7 bits a byte, lowest first), signed ones folded first (0, −1, 1, −2, …); floating point in 8
 //! or 4 bytes, lowest first; an enum as the varint of its variant's place, then the variant's fields.
 //!
-//! **Enums on the wire are append-only**: a variant keeps its place and its fields for ever; new
-//! ones come last. Structs never change; a new need gets a new variant. A body that goes on after
-//! its message, or has a variant that is unknown here, is an error.
+//! **The wire only grows.** A variant keeps its place and its fields for ever; new ones come last. What a
+//! device sends may gain fields at the end of the body, and nowhere else: a host that does not know
+//! them leaves them, and takes events and refusals that it does not know for [`Event::Other`] and
+//! [`Refusal::Other`]. A request is obeyed only by a device that knows all of it.
 
 use core::fmt;
 
@@ -29,10 +30,10 @@ pub use parameters::{
     WireTerm, parameter_id,
 };
 pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
-pub(crate) use request::RequestHead;
+pub(crate) use request::Head;
 pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};
 pub use settings::{Resolution, Settings, Streams};
-pub use state::{WirePhase, WireRun, WireSegment, WireState, WireWindow};
+pub use state::{ARITHMETIC_REVISION, WirePhase, WireRun, WireSegment, WireState, WireWindow};
 pub use telemetry::{
     ActiveParameters, BusFault, Environment, Epoch, EpochReason, Event, LinkStatus, Navigation,
     Record, SensorStatus, Status, Telemetry,
@@ -47,16 +48,6 @@ macro_rules! framed {
             /// [`EncodeError::NoRoom`] when the frame does not fit.
             pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
                 encode(Kind::$kind, self, frame)
-            }
-        }
-
-        impl $message {
-            #[doc = concat!("Reads the body of a frame of kind [`Kind::", stringify!($kind), "`].")]
-            ///
-            /// # Errors
-            /// [`MessageError`] when it is not exactly one message.
-            pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
-                decode(body)
             }
         }
     };
@@ -81,12 +72,18 @@ fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usi
     })
 }
 
+/// A message that is known to its end.
 fn decode<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
-    match postcard::take_from_bytes(body) {
-        Ok((message, [])) => Ok(message),
-        Ok((_, rest)) => Err(MessageError::TooLong { extra: rest.len() }),
-        Err(error) => Err(error.into()),
+    match postcard::take_from_bytes(body)? {
+        (message, []) => Ok(message),
+        (_, rest) => Err(MessageError::TooLong { extra: rest.len() }),
     }
+}
+
+/// A message that may have grown since.
+fn decode_beginning<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
+    let (message, _) = postcard::take_from_bytes(body)?;
+    Ok(message)
 }
 
 /// Gives `message`'s wire form to `mac`.
@@ -170,7 +167,7 @@ impl fmt::Display for MessageError {
             Self::TooLong { extra } => write!(out, "{extra} bytes follow it")?,
             Self::Malformed => out.write_str("it has a value that is unknown here")?,
         }
-        out.write_str("; update host and device to the same wire version")
+        out.write_str("; update the older of firmware and wimu")
     }
 }
 

@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 use wimu_model::{
     Alignment, AlignmentError, CompileError, CovarianceError, ErrorModel, ErrorTerms,
     MagnetometerError, ModelError, ParameterId, ParameterSet, QualityError, RotationCovariance,
-    Sensitivity, SensitivityError, TemperatureTerms, Term,
+    Sensitivity, SensitivityError, SensorId, TemperatureTerms, Term,
 };
 
 use super::MessageError;
-use super::exchange::{Reader, Wire, Writer, byte, doubles, floats, option};
+use super::exchange::{Reader, Wire, Writer, at_the_end, byte, doubles, floats, option};
 use super::quality::{WireMagnetometer, WireQuality};
 use crate::frame::{EncodeError, crc_32c, crc_32c_digest};
+use crate::hello::sensor;
 
 /// A [`ParameterSet`] as it travels: plain numbers, in this order, not checked yet.
 ///
@@ -60,11 +61,14 @@ pub struct WireParameters {
     pub quality: Option<WireQuality>,
     /// The magnetometer's model.
     pub magnetometer: Option<WireMagnetometer>,
+    /// The accelerometer that was calibrated, a number of [`sensor`](crate::hello::sensor). A set that
+    /// ends before it has none, and any later field will be like this.
+    pub sensor: Option<u16>,
 }
 
 impl WireParameters {
     /// The most bytes that one takes on the wire.
-    pub const MAX: usize = 835;
+    pub const MAX: usize = 837;
 
     const BLANK: Self = Self {
         range_g: 0,
@@ -80,9 +84,16 @@ impl WireParameters {
         alignment_factor: None,
         quality: None,
         magnetometer: None,
+        sensor: None,
     };
 
     fn exchange(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
+        self.exchange_v0(wire)?;
+        at_the_end(wire, &mut self.sensor)
+    }
+
+    /// What wire version 0 had.
+    fn exchange_v0(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
         byte(wire, &mut self.range_g)?;
         for values in [
             core::slice::from_mut(&mut self.sensitivity_lsb_per_g),
@@ -164,6 +175,10 @@ impl<'de> Deserialize<'de> for WireParameters {
         }
 
         impl<'de, A: SeqAccess<'de>> Wire for Elements<A, A::Error> {
+            fn reads(&self) -> bool {
+                true
+            }
+
             fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError> {
                 for byte in bytes {
                     match self.elements.next_element() {
@@ -211,11 +226,11 @@ impl<'de> Deserialize<'de> for WireParameters {
 pub struct EncodedParameters<'a>(pub &'a [u8]);
 
 impl<'a> EncodedParameters<'a> {
-    /// The set that stands first in `bytes`, and what follows it.
-    pub(super) fn split_off(bytes: &'a [u8]) -> Result<(Self, &'a [u8]), MessageError> {
+    /// The set of wire version 0 that stands first in `bytes`, and what follows it.
+    pub(super) fn split_off_v0(bytes: &'a [u8]) -> Result<(Self, &'a [u8]), MessageError> {
         let mut reader = Reader(bytes);
         let mut parameters = WireParameters::BLANK;
-        parameters.exchange(&mut reader)?;
+        parameters.exchange_v0(&mut reader)?;
         let (parameters, rest) = bytes.split_at(bytes.len() - reader.0.len());
         Ok((Self(parameters), rest))
     }
@@ -268,6 +283,7 @@ impl From<&ParameterSet> for WireParameters {
             alignment_factor: set.alignment_covariance.map(rotation_factor),
             quality: set.quality.as_ref().map(WireQuality::from),
             magnetometer: set.magnetometer.as_ref().map(WireMagnetometer::from),
+            sensor: set.sensor.map(|SensorId(number)| number),
         }
     }
 }
@@ -300,6 +316,7 @@ impl TryFrom<&WireParameters> for ParameterSet {
                 .as_ref()
                 .map(TryInto::try_into)
                 .transpose()?,
+            sensor: wire.sensor.map(SensorId),
         })
     }
 }
@@ -406,6 +423,14 @@ pub enum ParameterFault {
     Quality(WireQualityFault),
     /// The magnetometer's model makes no sense.
     Magnetometer(WireMagnetometerFault),
+    /// The parameters are of another model of accelerometer, both a number of
+    /// [`sensor`](crate::hello::sensor).
+    OtherSensor {
+        /// Theirs.
+        parameters: u16,
+        /// The device's.
+        device: u16,
+    },
 }
 
 /// [`QualityError`] as it travels. Append only.
@@ -566,6 +591,12 @@ impl fmt::Display for ParameterFault {
             Self::Covariance => CovarianceError.fmt(out),
             Self::Quality(fault) => QualityError::from(fault).fmt(out),
             Self::Magnetometer(fault) => MagnetometerError::from(fault).fmt(out),
+            Self::OtherSensor { parameters, device } => write!(
+                out,
+                "they are of sensor {parameters} ({}), the device has {device} ({})",
+                sensor::name(parameters),
+                sensor::name(device)
+            ),
         }
     }
 }

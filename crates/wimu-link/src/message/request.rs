@@ -95,16 +95,26 @@ pub struct Request {
     pub command: Command,
 }
 
-/// What stands before the command in a [`Request`].
+impl Request {
+    /// Reads the body of a frame of kind [`Kind::Request`](crate::Kind::Request).
+    ///
+    /// # Errors
+    /// [`MessageError`] when it is not exactly one request that is known here.
+    pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
+        super::decode(body)
+    }
+}
+
+/// What stands before the command in a [`Request`], and before the answer in a [`Reply`].
 #[derive(Serialize, Deserialize)]
-pub(crate) struct RequestHead {
+pub(crate) struct Head {
     pub(crate) session: u32,
     pub(crate) id: u32,
     pub(crate) signature: Signature,
 }
 
-impl RequestHead {
-    /// The head of a request's body, and the rest: a command, perhaps one that is unknown here.
+impl Head {
+    /// The head of a body, and the rest: a command or an answer, perhaps one that is unknown here.
     pub(crate) fn split(body: &[u8]) -> Result<(Self, &[u8]), MessageError> {
         postcard::take_from_bytes(body).map_err(MessageError::from)
     }
@@ -238,6 +248,38 @@ pub struct Reply<P = WireParameters> {
     pub answer: Answer<P>,
 }
 
+impl Reply {
+    /// Reads the body of a frame of kind [`Kind::Reply`](crate::Kind::Reply). It may go on behind what
+    /// is known here; a refusal that is not known is [`Refusal::Other`].
+    ///
+    /// # Errors
+    /// [`MessageError`] when it is no reply, or an answer to what this version cannot ask.
+    pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
+        let (head, answer) = Head::split(body)?;
+        Ok(Self {
+            session: head.session,
+            id: head.id,
+            signature: head.signature,
+            answer: Answer::decode(answer)?,
+        })
+    }
+}
+
+impl Answer {
+    /// Reads what stands behind a reply's head.
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
+        const REFUSED: u32 = 1;
+        super::decode_beginning(bytes).or_else(|error| {
+            match (error, super::decode_beginning::<(u32, u32)>(bytes)) {
+                (MessageError::Malformed, Ok((REFUSED, number))) => {
+                    Ok(Self::Refused(Refusal::Other { number }))
+                }
+                _ => Err(error),
+            }
+        })
+    }
+}
+
 /// What came of a request. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -343,6 +385,12 @@ pub enum Refusal {
     SessionEnded,
     /// Keys are set and forgotten over the cable only.
     CableOnly,
+    /// A reason that this version does not know, or knows too little of; never sent. Keep it last.
+    #[serde(skip)]
+    Other {
+        /// Its number.
+        number: u32,
+    },
 }
 
 impl fmt::Display for Refusal {
@@ -405,6 +453,10 @@ impl fmt::Display for Refusal {
             } => write!(
                 out,
                 "the parameters are for {parameters_lsb_per_g} LSB/g, the sensor has {device_lsb_per_g} LSB/g; calibrate from this board's own recording"
+            ),
+            Self::Other { number } => write!(
+                out,
+                "the device refuses for a reason that this version does not know (refusal {number}); update this end"
             ),
             Self::FixedLineRate => {
                 out.write_str("this link's rate cannot be set on the device; use it as it is")

@@ -1,14 +1,22 @@
 //! The integrator's state on the wire.
 
+use core::fmt;
+
+use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use wimu_integrator::{Config, Flags, Phase, Run, Segment, State, Window};
 use wimu_model::PeriodNs;
 
 /// [`wimu_integrator::State`] as it travels, field by field. Whether it is one that an integrator
 /// can be in, [`Integrator::from_state`](wimu_integrator::Integrator::from_state) finds out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+///
+/// It is the last of an epoch and begins with its revision, so that a host that knows another one
+/// still reads the epoch: [`is_ours`](Self::is_ours) is false then, and all other fields are 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireState {
+    /// The revision of the arithmetic that made it, and of the fields that follow.
+    pub revision: u8,
     /// Sample period, ns.
     pub period_ns: u32,
     /// Whether velocity is taken as zero at every rest.
@@ -37,6 +45,96 @@ pub struct WireState {
     pub run: Option<WireRun>,
     /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated.
     pub heading_sd_mrad: Option<u16>,
+}
+
+/// The revision of what `wimu_model::Corrector` and `wimu_integrator::Integrator` compute, bit for bit,
+/// and of their state. Whoever changes a bit of either gives them another one.
+pub const ARITHMETIC_REVISION: u8 = 1;
+
+impl WireState {
+    /// Whether this crate's revision made it: only then can samples be replayed from it.
+    pub fn is_ours(&self) -> bool {
+        self.revision == ARITHMETIC_REVISION
+    }
+
+    /// One that says nothing but its revision.
+    fn of_revision(revision: u8) -> Self {
+        Self {
+            revision,
+            period_ns: 0,
+            zupt: false,
+            gravity_um_s2: 0,
+            phase: WirePhase::default(),
+            flags: 0,
+            rest_mean: [0; 3],
+            east: [0; 3],
+            base_position_nm: [0; 3],
+            base_velocity_nmps: [0; 3],
+            base_since_rest_ns: 0,
+            segment: WireSegment::default(),
+            window: WireWindow::default(),
+            run: None,
+            heading_sd_mrad: None,
+        }
+    }
+}
+
+impl Default for WireState {
+    fn default() -> Self {
+        Self::of_revision(ARITHMETIC_REVISION)
+    }
+}
+
+impl<'de> Deserialize<'de> for WireState {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        /// The fields behind the revision, in their order.
+        type Fields = (
+            (u32, bool, u32, WirePhase, u8),
+            ([i64; 3], [i32; 3], [i64; 3], [i64; 3], u64),
+            (WireSegment, WireWindow, Option<WireRun>, Option<u16>),
+        );
+        struct Revised;
+
+        impl<'de> Visitor<'de> for Revised {
+            type Value = WireState;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("an integrator's state")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<WireState, A::Error> {
+                let missing = || de::Error::missing_field("state");
+                let revision = seq.next_element()?.ok_or_else(missing)?;
+                if revision != ARITHMETIC_REVISION {
+                    return Ok(WireState::of_revision(revision));
+                }
+                let fields: Fields = seq.next_element()?.ok_or_else(missing)?;
+                let (first, second, (segment, window, run, heading_sd_mrad)) = fields;
+                let (period_ns, zupt, gravity_um_s2, phase, flags) = first;
+                let (rest_mean, east, base_position_nm, base_velocity_nmps, base_since_rest_ns) =
+                    second;
+                Ok(WireState {
+                    revision,
+                    period_ns,
+                    zupt,
+                    gravity_um_s2,
+                    phase,
+                    flags,
+                    rest_mean,
+                    east,
+                    base_position_nm,
+                    base_velocity_nmps,
+                    base_since_rest_ns,
+                    segment,
+                    window,
+                    run,
+                    heading_sd_mrad,
+                })
+            }
+        }
+
+        deserializer.deserialize_tuple(2, Revised)
+    }
 }
 
 /// [`Phase`] as it travels. Append only.
@@ -171,6 +269,7 @@ impl From<State> for WireState {
             heading_sd_mrad,
         } = state;
         Self {
+            revision: ARITHMETIC_REVISION,
             period_ns,
             zupt,
             gravity_um_s2,
@@ -192,6 +291,7 @@ impl From<State> for WireState {
 impl From<WireState> for State {
     fn from(wire: WireState) -> Self {
         let WireState {
+            revision: _,
             period_ns,
             zupt,
             gravity_um_s2,

@@ -2,13 +2,14 @@
 
 use core::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use wimu_model::ParameterId;
 
 use super::MessageError;
 use super::parameters::{EncodedParameters, ParameterFault, WireParameters};
 use super::settings::Settings;
 use super::state::{WirePhase, WireState};
+use crate::frame::{Kind, WIRE_VERSION};
 
 /// Everything that a device sends unasked besides samples. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,7 +37,8 @@ pub enum Telemetry<P = WireParameters> {
     },
 }
 
-/// The messages that a device also stores, so that its store needs no layout of its own.
+/// The messages that a device also stores, so that its store needs no layout of its own; later
+/// firmware reads them for ever.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Record<'a> {
@@ -47,26 +49,58 @@ pub enum Record<'a> {
 }
 
 impl<'a> Record<'a> {
-    /// Reads the body of a frame of kind [`Kind::Telemetry`](crate::Kind::Telemetry).
+    /// Reads what has been [opened](crate::frame::open): of this wire version or an earlier one.
     ///
     /// # Errors
     /// [`MessageError`] when it is not exactly one of these messages.
-    pub fn decode(body: &'a [u8]) -> Result<Self, MessageError> {
-        match body {
+    pub fn decode(opened: &'a [u8]) -> Result<Self, MessageError> {
+        const TELEMETRY: u8 = Kind::Telemetry as u8;
+        const V0: u8 = TELEMETRY;
+        const V1: u8 = (WIRE_VERSION << 4) | TELEMETRY;
+        match opened {
             // The places of the variants, and a set that is there.
-            [3, 1, rest @ ..] => {
-                let (parameters, id) = EncodedParameters::split_off(rest)?;
+            [V1, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
+                (_, [1, set @ ..]) => {
+                    let parameters = EncodedParameters(set);
+                    parameters.decode()?;
+                    Ok(Self::Parameters(parameters))
+                }
+                _ => Err(MessageError::Malformed),
+            },
+            // The set's id was behind it.
+            [V0, 3, 1, rest @ ..] => {
+                let (parameters, id) = EncodedParameters::split_off_v0(rest)?;
                 super::decode::<u32>(id)?;
                 Ok(Self::Parameters(parameters))
             }
-            [4, settings @ ..] => super::decode(settings).map(Self::Settings),
+            [V0 | V1, 4, settings @ ..] => super::decode(settings).map(Self::Settings),
             _ => Err(MessageError::Malformed),
         }
     }
 }
 
+impl Telemetry {
+    /// Reads the body of a frame of kind [`Kind::Telemetry`](crate::Kind::Telemetry). It may go on
+    /// behind what is known here; an event that is not known is [`Event::Other`].
+    ///
+    /// # Errors
+    /// [`MessageError`] when it is none, or one of a kind that this version does not know.
+    pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
+        const EVENT: u32 = 6;
+        super::decode_beginning(body).or_else(|error| {
+            match (error, super::decode_beginning::<(u32, u64, u32)>(body)) {
+                (MessageError::Malformed, Ok((EVENT, time_us, number))) => Ok(Self::Event {
+                    time_us,
+                    event: Event::Other { number },
+                }),
+                _ => Err(error),
+            }
+        })
+    }
+}
+
 /// Why an epoch begins. Append only.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum EpochReason {
     /// The device has started.
@@ -85,6 +119,39 @@ pub enum EpochReason {
     Parameters,
     /// The magnetometer has told the heading.
     Heading,
+    /// A number that this version does not know.
+    Other(u32),
+}
+
+impl EpochReason {
+    const KNOWN: [Self; 8] = [
+        Self::Start,
+        Self::Periodic,
+        Self::Gap,
+        Self::Stillness,
+        Self::Temperature,
+        Self::Settings,
+        Self::Parameters,
+        Self::Heading,
+    ];
+}
+
+impl Serialize for EpochReason {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let place = Self::KNOWN.iter().position(|known| known == self);
+        serializer.serialize_u32(match (place, self) {
+            (None, Self::Other(number)) => *number,
+            (place, _) => place.unwrap_or(0) as u32,
+        })
+    }
+}
+
+impl<'de> Deserialize<'de> for EpochReason {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let number = u32::deserialize(deserializer)?;
+        let known = Self::KNOWN.get(number as usize);
+        Ok(known.copied().unwrap_or(Self::Other(number)))
+    }
 }
 
 /// All that decides the device's corrected samples, velocities and positions from a sample on: a
@@ -177,10 +244,10 @@ impl Navigation {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ActiveParameters<P = WireParameters> {
-    /// The committed set; `None` if the device is uncalibrated.
-    pub active: Option<P>,
-    /// Its id, 0 without one.
+    /// The id of the committed set, 0 without one.
     pub id: u32,
+    /// The set; `None` if the device is uncalibrated.
+    pub active: Option<P>,
 }
 
 /// How a device is. Counts start with the device and wrap.
@@ -283,6 +350,12 @@ pub enum Event {
         /// Its standard deviation if the calibration held, µm/s².
         expected_um_s2: u32,
     },
+    /// Something that this version does not know; never sent. Keep it last.
+    #[serde(skip)]
+    Other {
+        /// Its number.
+        number: u32,
+    },
 }
 
 impl fmt::Display for Event {
@@ -321,6 +394,10 @@ impl fmt::Display for Event {
                 "the calibration no longer holds: at rest |f| is off g by {:.1} mm/s², with a standard deviation of {:.1}; calibrate again",
                 f64::from(*residual_um_s2) * 1e-3,
                 f64::from(*expected_um_s2) * 1e-3
+            ),
+            Self::Other { number } => write!(
+                out,
+                "something happened that this version does not know (event {number}); update this end"
             ),
             Self::Pause { longest_ms } => {
                 write!(out, "the device writes its flash for up to {longest_ms} ms")

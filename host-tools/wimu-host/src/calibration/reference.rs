@@ -11,7 +11,7 @@ use wimu_calib::{
 use wimu_link::LinkRole;
 use wimu_model::{
     CalibrationMethod, CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
-    Sensitivity, TermDeviations,
+    Sensitivity, SensorId, TermDeviations,
 };
 
 use super::{CalibrationReport, MAX_POSES, likely_range_g, median_magnitude};
@@ -37,6 +37,8 @@ pub struct Paired {
     pub sensitivity: Option<Sensitivity>,
     /// Full-scale range, ± *g*, where it is known.
     pub range_g: Option<u8>,
+    /// The accelerometer, where a device has said which.
+    pub sensor: Option<SensorId>,
 }
 
 impl Paired {
@@ -141,6 +143,7 @@ impl Paired {
             rate_hz: x.rate_hz,
             sensitivity,
             range_g: None,
+            sensor: None,
             name,
         })
     }
@@ -160,6 +163,7 @@ impl Paired {
             ours.map(|ours| (ours, theirs))
         });
         let mut pairs = Vec::new();
+        let mut sensor = None;
         let mut known: Option<(Sensitivity, u8, f64)> = None;
         for (ours, theirs) in same_start {
             let Some(mark) = ours.epochs.first() else {
@@ -170,6 +174,7 @@ impl Paired {
                 continue;
             };
             let rate_hz = 1e9 / f64::from(mark.epoch.period_ns.max(1));
+            sensor = sensor.or(ours.sensor());
             known.get_or_insert((sensitivity, mark.epoch.range_g, rate_hz));
             let scale = sensitivity.mps2_per_lsb();
             let si = |value: [i32; 3]| value.map(|axis| f64::from(axis) * scale);
@@ -198,6 +203,7 @@ impl Paired {
             rate_hz,
             sensitivity: Some(sensitivity),
             range_g: Some(range_g),
+            sensor,
         })
     }
 
@@ -356,6 +362,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
     report.parameters = data.sensitivity.map(|sensitivity| ParameterSet {
         model,
         quality: quality(&found, &covariance, utc_s),
+        sensor: data.sensor,
         ..ParameterSet::uncalibrated(
             data.range_g.unwrap_or_else(|| likely_range_g(sensitivity)),
             sensitivity,

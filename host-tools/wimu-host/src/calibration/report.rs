@@ -5,7 +5,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use wimu_calib::{Orientation, Parameter};
-use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2};
+use wimu_link::hello::sensor;
+use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
 use crate::dataset::RateSource;
 use crate::error::{ErrorCode, HostError, Result};
@@ -339,6 +340,9 @@ pub const HELD_SCHEMA: &str = "wimu.params/1";
 /// What a parameter set says beside its error model, in lines for people.
 pub fn describe(set: &ParameterSet) -> Vec<String> {
     let mut lines = Vec::new();
+    if let Some(SensorId(number)) = set.sensor {
+        lines.push(format!("of sensor {}", sensor::name(number)));
+    }
     match &set.quality {
         None => lines.push("nothing is said of how the model was estimated".to_owned()),
         Some(quality) => {

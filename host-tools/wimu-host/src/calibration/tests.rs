@@ -38,6 +38,7 @@ fn pose_means(unit: OutputUnit, per_mps2: f64) -> Dataset {
         rate_hz: 100.0,
         rate_source: RateSource::Assumed,
         outputs: Orientation::ALL.into_iter().map(output).collect(),
+        sensor: None,
     }
 }
 

@@ -137,6 +137,7 @@ fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: O
         ("alignment", before.alignment != after.alignment),
         ("magnetometer", before.magnetometer != after.magnetometer),
         ("quality", before.quality != after.quality),
+        ("sensor", before.sensor != after.sensor),
     ];
     for (name, changes) in others {
         if changes {

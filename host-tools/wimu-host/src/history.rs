@@ -100,7 +100,18 @@ impl Boot {
                     epoch.parameters
                 ))
             })?;
-        ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))
+        let set = ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))?;
+        if wimu_link::message::parameter_id(&set).0 != epoch.parameters {
+            return Err(HostError::new(
+                ErrorCode::BadRecording,
+                format!(
+                    "the parameters {:08x} have terms that this wimu does not know",
+                    epoch.parameters
+                ),
+                "update wimu on this computer",
+            ));
+        }
+        Ok(set)
     }
 
     /// The magnetic field, nT, body axes, by the parameters that the device used then; `None` where

@@ -2,7 +2,7 @@
 //! position bit for bit.
 
 use wimu_integrator::{Integrator, MagneticHeading, Navigation, State};
-use wimu_link::message::EpochReason;
+use wimu_link::message::{ARITHMETIC_REVISION, EpochReason};
 use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
 
 use crate::decode::TimedSample;
@@ -81,6 +81,16 @@ struct Running {
 
 impl Running {
     fn from_epoch(boot: &Boot, mark: &EpochMark) -> Result<Self> {
+        if !mark.epoch.state.is_ours() {
+            return Err(HostError::new(
+                ErrorCode::BadRecording,
+                format!(
+                    "the device computes by revision {}, this wimu by {ARITHMETIC_REVISION}: its samples cannot be computed again bit for bit",
+                    mark.epoch.state.revision
+                ),
+                "replay it with the wimu that belongs to the device's firmware; the samples themselves are readable",
+            ));
+        }
         let state = State::from(mark.epoch.state);
         Ok(Self {
             corrector: corrector(boot, mark)?,
@@ -146,7 +156,11 @@ impl<'a> Replay<'a> {
         self.epoch += 1;
         let began_anew = matches!(
             mark.epoch.reason,
-            EpochReason::Start | EpochReason::Gap | EpochReason::Settings | EpochReason::Parameters
+            EpochReason::Start
+                | EpochReason::Gap
+                | EpochReason::Settings
+                | EpochReason::Parameters
+                | EpochReason::Other(_)
         ) || mark.after_loss;
         let outcome = match &mut self.running {
             Some(running) if !began_anew => running.adopt(self.boot, mark).map(|()| {

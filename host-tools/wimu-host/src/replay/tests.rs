@@ -255,6 +255,18 @@ fn any_difference_is_found_and_located() {
     let mut other = intact.clone();
     other.epochs[3].epoch.state.rest_mean[0] ^= 1;
     assert_eq!(verify(&other, 0).states_differ, 1);
+
+    // By other arithmetic nothing is computed again, and nothing is said to differ.
+    let mut other = intact.clone();
+    for mark in &mut other.epochs {
+        mark.epoch.state.revision += 1;
+    }
+    let report = verify(&other, 0);
+    assert_eq!(
+        (report.samples, report.epochs_unusable),
+        (0, other.epochs.len() as u64)
+    );
+    assert!(!report.is_exact());
 }
 
 #[test]

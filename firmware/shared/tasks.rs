@@ -5,6 +5,7 @@
 
 use embassy_executor::{SendSpawner, Spawner, task};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason};
 use wimu_link::{Hello, LinkRole};
 use wimu_node::{Control, LinkReader, LinkWriter, RateKeeper, Sampler, Shared};
@@ -32,14 +33,16 @@ pub const BAUD: u32 = 115_200;
 
 /// Spawns the node's tasks: the sampler above all others.
 pub fn spawn(node: Node, [cable, wireless]: [Keeper; 2], above: SendSpawner, others: Spawner) {
+    static NODE: StaticCell<Node> = StaticCell::new();
+    let node = NODE.init(node);
     // Each is spawned as often as it has room for.
-    above.spawn(sample(node.sampler).unwrap());
-    others.spawn(control(node.control).unwrap());
-    others.spawn(listen(node.cable_reader).unwrap());
-    others.spawn(talk(node.cable_writer).unwrap());
+    above.spawn(sample(&mut node.sampler).unwrap());
+    others.spawn(control(&mut node.control).unwrap());
+    others.spawn(listen(&mut node.cable_reader).unwrap());
+    others.spawn(talk(&mut node.cable_writer).unwrap());
     others.spawn(keep(cable).unwrap());
-    others.spawn(listen(node.wireless_reader).unwrap());
-    others.spawn(talk(node.wireless_writer).unwrap());
+    others.spawn(listen(&mut node.wireless_reader).unwrap());
+    others.spawn(talk(&mut node.wireless_writer).unwrap());
     others.spawn(keep(wireless).unwrap());
 }
 
@@ -50,27 +53,27 @@ pub fn keepers([cable, wireless]: [Rate; 2], shared: &'static Shared<M>) -> [Kee
 }
 
 #[task]
-async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
+async fn sample(sampler: &'static mut Sampler<'static, Sensor, BoardTimer, M>) -> ! {
     sampler.run().await
 }
 
 #[task]
-async fn control(control: Control<'static, Sensor, BoardTimer, Memory, M>) -> ! {
+async fn control(control: &'static mut Control<'static, Sensor, BoardTimer, Memory, M>) -> ! {
     control.run().await
 }
 
 #[task(pool_size = 2)]
-async fn listen(reader: LinkReader<'static, Receiver, BoardTimer, M>) -> ! {
+async fn listen(reader: &'static mut LinkReader<'static, Receiver, BoardTimer, M>) -> ! {
     reader.run().await
 }
 
 #[task(pool_size = 2)]
-async fn talk(writer: LinkWriter<'static, Transmitter, M>) -> ! {
+async fn talk(writer: &'static mut LinkWriter<'static, Transmitter, M>) -> ! {
     writer.run().await
 }
 
 #[task(pool_size = 2)]
-async fn keep(keeper: Keeper) -> ! {
+async fn keep(mut keeper: Keeper) -> ! {
     keeper.run().await
 }
 

@@ -59,7 +59,7 @@ pub struct Control<'a, A, T, S, M: RawMutex> {
 
 impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Runs for ever.
-    pub async fn run(mut self) -> ! {
+    pub async fn run(&mut self) -> ! {
         let mut plan = self.start().await;
         let mut next_status = self.timer.now();
         loop {
@@ -103,11 +103,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
-                Either4::First((role, Command::GetParameters)) => {
-                    let active = self.shared.active();
-                    let active = Payload::Parameters(active_parameters(&active));
-                    self.answer(role, &Answer::Accepted(active));
-                }
+                Either4::First((role, Command::GetParameters)) => self.answer_parameters(role),
                 Either4::First((role, command)) => {
                     let answer = match self.obey(&mut plan, role, command).await {
                         Ok(payload) => Answer::Accepted(payload),
@@ -123,16 +119,16 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 Either4::Third(()) => {
                     let now = self.timer.now();
                     next_status = DeviceTimeUs(now.0.saturating_add(STATUS_US));
-                    let mut frame = [0; MAX_FRAME];
-                    let status = Message::Status(self.shared.status(now));
-                    if let Ok(length) = status.encode(&mut frame) {
-                        let frame = frame.get(..length).unwrap_or_default();
-                        self.shared.stream([true; 2], frame, |_| true);
-                    }
+                    self.tell_status(now);
                 }
                 Either4::Fourth(()) => self.lose_key(&mut plan).await,
             }
         }
+    }
+
+    fn tell_status(&self, now: DeviceTimeUs) {
+        let status = Message::Status(self.shared.status(now));
+        self.shared.stream([true; 2], &status, |_| true);
     }
 
     fn answer(&self, role: LinkRole, answer: &Answer<EncodedParameters>) {
@@ -141,6 +137,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .shared
             .with_inbox(role, |inbox| inbox.responder.reply(answer, &mut frame));
         self.shared.keep(role, reply);
+    }
+
+    fn answer_parameters(&self, role: LinkRole) {
+        let active = self.shared.active();
+        let active = Payload::Parameters(active_parameters(&active));
+        self.answer(role, &Answer::Accepted(active));
     }
 
     /// What is to become of a line's rate because of a request on the link `role`.
@@ -228,9 +230,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.introduce(role, self.timer.now());
         }
         // A sensor that does not start is reported and tried again by the sampler.
-        if let Ok(correction) = self.correction_in_use(&plan) {
-            let _ = self.configure(&plan, correction).await;
-        }
+        let _ = self.configure(&plan, None).await;
         plan
     }
 
@@ -327,12 +327,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             }
             Command::FactoryReset => {
                 let new = plan_nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
-                let correction = self.correction(&new, None)?;
-                self.configure(&new, correction).await?;
+                self.configure(&new, Some(&None)).await?;
                 self.announce_pause().await;
                 if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
-                    let correction = self.correction_in_use(plan)?;
-                    self.configure(plan, correction).await?;
+                    self.configure(plan, None).await?;
                     return Err(Refusal::StoreFailed);
                 }
                 *plan = new;
@@ -420,10 +418,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
         if let Some(new) = plan_nearest::<A>(&Settings::default()) {
             let parameters = self.load_parameters(new.settings.range_g).await;
-            if let Ok(correction) = self.correction(&new, self.set_at(&parameters)) {
-                // A sensor that is away is started with these settings when it is back.
-                let _ = self.configure(&new, correction).await;
-            }
+            // A sensor that is away is started with these settings when it is back.
+            let _ = self.configure(&new, Some(&parameters)).await;
             *plan = new;
             self.shared.activate(self.set_at(&parameters));
             self.shared
@@ -504,21 +500,18 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         if staged != named {
             return Err(Refusal::HashMismatch { staged: staged.0 });
         }
-        let (correction, range_g) = self.compiled(set)?;
-        let record = Message::Parameters(ActiveParameters {
-            active: Some(set),
-            id: staged.0,
-        });
-        let length = record.encode(&mut self.record);
-        let length = length.map_err(|_| Refusal::StoreFailed)?;
+        let range_g = self.compiled(set)?.1;
+        let length = parameters_record(set, &mut self.record);
         self.announce_pause().await;
         self.save_record(Key::Parameters { range_g }, length)
             .await?;
         shared.activate(Some(set));
         *id = None;
-        self.mended(Trouble::Parameters);
-        shared.orders.send(Order::Correct(correction)).await;
         self.parameters_changed = true;
+        self.mended(Trouble::Parameters);
+        shared.orders.room().await;
+        let correction = self.compiled(set)?.0;
+        shared.orders.give(Order::Correct(correction));
         Ok(Payload::None)
     }
 
@@ -527,16 +520,13 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let before = self.shared.published().parameters;
         let other_range = new.settings.range_g != plan.settings.range_g;
         let mut loaded = None;
-        let correction = if other_range {
+        if other_range {
             loaded = self.load_parameters(new.settings.range_g).await;
-            self.correction(&new, self.set_at(&loaded))?
-        } else {
-            self.correction_in_use(&new)?
-        };
-        self.configure(&new, correction).await?;
+        }
+        let with = other_range.then_some(&loaded);
+        self.configure(&new, with).await?;
         if let Err(refusal) = self.save_settings(new.settings).await {
-            let correction = self.correction_in_use(plan)?;
-            self.configure(plan, correction).await?;
+            self.configure(plan, None).await?;
             return Err(refusal);
         }
         *plan = new;
@@ -555,17 +545,22 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         Ok(())
     }
 
-    async fn configure(&mut self, plan: &Plan, correction: Correction) -> Result<(), Refusal> {
+    /// Has the sensor run under `plan`, corrected with the set in use, or with that at a place in the
+    /// record, or with none there.
+    async fn configure(
+        &mut self,
+        plan: &Plan,
+        with: Option<&Option<Range<usize>>>,
+    ) -> Result<(), Refusal> {
+        self.shared.orders.room().await;
         self.shared.configured.reset();
-        self.shared
-            .orders
-            .send(Order::Configure(*plan, correction))
-            .await;
-        self.shared
-            .configured
-            .wait()
-            .await
-            .map_err(|_| Refusal::SensorFailed)
+        let correction = match with {
+            None => self.correction_in_use(plan)?,
+            Some(place) => self.correction(plan, self.set_at(place))?,
+        };
+        self.shared.orders.give(Order::Configure(*plan, correction));
+        let outcome = self.shared.configured.wait().await;
+        outcome.map_err(|_| Refusal::SensorFailed)
     }
 
     /// Compiles the corrector anew when the temperature has moved by a step.
@@ -575,8 +570,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP as u16);
         if moved {
             self.latched = Some(temperature);
+            self.shared.orders.room().await;
             if let Ok(correction) = self.correction_in_use(plan) {
-                self.shared.orders.send(Order::Correct(correction)).await;
+                self.shared.orders.give(Order::Correct(correction));
             }
         }
     }
@@ -658,9 +654,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     async fn save_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
         let mut record = [0; SHORT_RECORD];
-        let message = Message::Settings(settings);
-        let length = message.encode(&mut record);
-        let length = length.map_err(|_| Refusal::StoreFailed)?;
+        let length = settings_record(settings, &mut record);
         self.announce_pause().await;
         let record = record.get(..length).unwrap_or_default();
         let saved = self.store.save(Key::Settings, record).await;
@@ -701,6 +695,20 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let record = record.get(..length).unwrap_or_default();
         self.store.save(key, record).await
     }
+}
+
+// Not async, so that no task has room for the messages while it waits. Both fit.
+
+fn parameters_record(set: EncodedParameters, record: &mut [u8]) -> usize {
+    let parameters = ActiveParameters {
+        active: Some(set),
+        id: set.id().0,
+    };
+    Message::Parameters(parameters).encode(record).unwrap_or(0)
+}
+
+fn settings_record(settings: Settings, record: &mut [u8]) -> usize {
+    Message::Settings(settings).encode(record).unwrap_or(0)
 }
 
 /// The set does not compile.

@@ -4,12 +4,12 @@ use core::convert::Infallible;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::{Read, Write};
-use wimu_link::frame::MAX_FRAME;
 use wimu_link::message::{Command, EncodedParameters};
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
+use crate::queue::PIECE;
 use crate::shared::Shared;
 use crate::timer::Timer;
 
@@ -25,19 +25,20 @@ pub struct LinkWriter<'a, W, M: RawMutex> {
 
 impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
     /// Runs for ever. A line that fails loses the frame that was under way; the next goes out.
-    pub async fn run(mut self) -> ! {
-        let mut frame = [0; MAX_FRAME];
+    pub async fn run(&mut self) -> ! {
+        let mut piece = [0; PIECE];
         // Ends whatever was under way when the device lost its power.
         let _ = self.line.write_all(&[0]).await;
         loop {
-            let length = self.shared.next_frame(self.role, &mut frame).await;
-            let frame = frame.get(..length).unwrap_or_default();
-            if self.line.write_all(frame).await.is_ok() {
-                let _ = self.line.flush().await;
-            } else {
+            let (length, ended) = self.shared.next_piece(self.role, &mut piece).await;
+            let piece = piece.get(..length).unwrap_or_default();
+            if self.line.write_all(piece).await.is_err() {
                 embassy_futures::yield_now().await;
             }
-            self.shared.frame_sent(self.role);
+            if ended {
+                let _ = self.line.flush().await;
+                self.shared.frame_sent(self.role);
+            }
         }
     }
 }
@@ -52,7 +53,7 @@ pub struct LinkReader<'a, R, T, M: RawMutex> {
 
 impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     /// Runs for ever. The line's `read` must be cancel-safe: bytes are taken or left, never lost.
-    pub async fn run(mut self) -> ! {
+    pub async fn run(&mut self) -> ! {
         let mut deframer = Deframer::new();
         let mut bytes = [0; 64];
         let mut introduced: Option<DeviceTimeUs> = None;

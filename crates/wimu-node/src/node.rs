@@ -119,7 +119,7 @@ where
     M: RawMutex,
 {
     /// Runs all tasks on one executor: for boards without priorities, and for simulation.
-    pub async fn run(self) -> ! {
+    pub async fn run(mut self) -> ! {
         use embassy_futures::join::{join3, join4};
         let samples_and_control = join3(
             self.sampler.run(),

@@ -1,11 +1,12 @@
 //! Frames that wait for a link.
 
-use wimu_link::frame::MAX_FRAME;
-
 /// Bytes for frames that may be shed when the link is too slow.
-const TELEMETRY_BYTES: usize = 2048;
-/// Bytes for frames that may not: epochs, replies, Hello, parameters.
-const KEPT_BYTES: usize = 3072;
+const TELEMETRY_BYTES: usize = 1024;
+/// Bytes for frames that may not: epochs, replies, Hello, parameters. The longest reply, the longest
+/// epoch and who the device is without its parameters fit at once, or the parameters and the rest.
+const KEPT_BYTES: usize = 2048;
+/// A frame is taken in pieces of so many bytes.
+pub(crate) const PIECE: usize = 64;
 
 /// What waits for one link: telemetry, of which the oldest is shed when room runs out, and frames
 /// that are kept, which go first.
@@ -19,7 +20,7 @@ pub(crate) struct FrameQueue {
     pub(crate) bytes_sent: u64,
     /// Kept frames that had no room since the link last drained: it has stalled.
     pub(crate) overflowed: bool,
-    /// A frame has been taken and is not over the line yet.
+    /// A piece has been taken and is not over the line yet.
     pub(crate) sending: bool,
 }
 
@@ -47,23 +48,26 @@ impl FrameQueue {
         self.kept.push(frame);
     }
 
-    /// Whether no kept frame waits or is being sent.
+    /// Whether no kept frame waits and nothing is being sent.
     pub(crate) fn is_drained(&self) -> bool {
-        self.kept.oldest() == 0 && !self.sending
+        self.kept.used == 0 && !self.sending
     }
 
-    /// Takes the next frame to send; 0 if none waits.
-    pub(crate) fn pop(&mut self, frame: &mut [u8; MAX_FRAME]) -> usize {
-        let length = match self.kept.pop(frame) {
-            0 => self.telemetry.pop(frame),
+    /// Takes the next piece of the frame to send, or of the next one: its length, 0 if none waits,
+    /// and whether it is the frame's last.
+    pub(crate) fn pop(&mut self, piece: &mut [u8; PIECE]) -> (usize, bool) {
+        let begun = self.telemetry.begun > 0;
+        let length = match if begun { 0 } else { self.kept.pop(piece) } {
+            0 => self.telemetry.pop(piece),
             length => length,
         };
+        let ended = self.kept.begun == 0 && self.telemetry.begun == 0;
         if length > 0 {
             self.sending = true;
-            self.frames_sent = self.frames_sent.wrapping_add(1);
+            self.frames_sent = self.frames_sent.wrapping_add(ended.into());
             self.bytes_sent = self.bytes_sent.wrapping_add(length as u64);
         }
-        length
+        (length, ended)
     }
 }
 
@@ -72,6 +76,8 @@ struct Ring<const N: usize> {
     bytes: [u8; N],
     start: usize,
     used: usize,
+    /// Bytes left of a frame that has been taken in part. They are the first, without a length.
+    begun: usize,
 }
 
 impl<const N: usize> Default for Ring<N> {
@@ -80,6 +86,7 @@ impl<const N: usize> Default for Ring<N> {
             bytes: [0; N],
             start: 0,
             used: 0,
+            begun: 0,
         }
     }
 }
@@ -98,39 +105,52 @@ impl<const N: usize> Ring<N> {
         true
     }
 
-    /// Removes the oldest frame into `frame`; 0 if there is none.
-    fn pop(&mut self, frame: &mut [u8; MAX_FRAME]) -> usize {
-        let length = self.oldest();
-        let length = length.min(frame.len());
-        if length > 0 {
+    /// Removes the next bytes of the oldest frame into `piece`; 0 if there is none.
+    fn pop(&mut self, piece: &mut [u8; PIECE]) -> usize {
+        if self.begun == 0 && self.used > 0 {
+            self.begun = self.length_at(0);
             self.skip(2);
-            for byte in &mut frame[..length] {
-                *byte = self.bytes[self.start];
-                self.skip(1);
-            }
         }
-        length
+        let mut taken = 0;
+        for (place, byte) in piece.iter_mut().zip(0..self.begun) {
+            *place = self.bytes[self.place(byte)];
+            taken += 1;
+        }
+        self.begun -= taken;
+        self.skip(taken);
+        taken
     }
 
+    /// Removes the oldest frame of which nothing has been taken.
     fn drop_oldest(&mut self) -> bool {
-        let length = self.oldest();
-        if length > 0 {
-            self.skip(2 + length);
+        if self.used == self.begun {
+            return false;
         }
-        length > 0
+        let gone = 2 + self.length_at(self.begun);
+        // What is left of the frame before it moves up.
+        for byte in (0..self.begun).rev() {
+            self.bytes[self.place(byte + gone)] = self.bytes[self.place(byte)];
+        }
+        self.skip(gone);
+        true
     }
 
-    fn oldest(&self) -> usize {
-        if self.used == 0 {
-            return 0;
-        }
-        let low = self.bytes[self.start];
-        let high = self.bytes[(self.start + 1) % N];
+    /// The length that stands so many bytes behind the start.
+    fn length_at(&self, offset: usize) -> usize {
+        let low = self.bytes[self.place(offset)];
+        let high = self.bytes[self.place(offset + 1)];
         usize::from(u16::from_le_bytes([low, high]))
     }
 
+    /// Where the byte is that stands `offset` bytes behind the start. A processor without a division
+    /// has it in a mask.
+    fn place(&self, offset: usize) -> usize {
+        const { assert!(N.is_power_of_two()) };
+        (self.start + offset) % N
+    }
+
     fn append(&mut self, bytes: &[u8]) {
-        let end = (self.start + self.used) % N;
+        let end = self.place(self.used);
         let (before_wrap, after_wrap) = bytes.split_at(bytes.len().min(N - end));
         self.bytes[end..end + before_wrap.len()].copy_from_slice(before_wrap);
         self.bytes[..after_wrap.len()].copy_from_slice(after_wrap);
@@ -138,7 +158,7 @@ impl<const N: usize> Ring<N> {
     }
 
     fn skip(&mut self, bytes: usize) {
-        self.start = (self.start + bytes) % N;
+        self.start = self.place(bytes);
         self.used -= bytes;
     }
 }
@@ -147,9 +167,21 @@ impl<const N: usize> Ring<N> {
 mod tests {
     use super::*;
 
+    fn frame(queue: &mut FrameQueue) -> std::vec::Vec<u8> {
+        let before = queue.frames_sent;
+        let mut frame = std::vec::Vec::new();
+        let mut piece = [0; PIECE];
+        while queue.frames_sent == before {
+            match queue.pop(&mut piece) {
+                (0, _) => break,
+                (length, _) => frame.extend(&piece[..length]),
+            }
+        }
+        frame
+    }
+
     fn pop(queue: &mut FrameQueue) -> Option<u8> {
-        let mut frame = [0; MAX_FRAME];
-        (queue.pop(&mut frame) > 0).then_some(frame[0])
+        frame(queue).first().copied()
     }
 
     #[test]
@@ -193,13 +225,34 @@ mod tests {
     #[test]
     fn frames_come_out_as_they_went_in_across_the_wrap() {
         let mut queue = FrameQueue::default();
-        let mut frame = [0; MAX_FRAME];
         for round in 0_u32..500 {
             let length = 1 + (round as usize * 37) % 300;
             let sent: std::vec::Vec<u8> = (0..length).map(|i| (i as u32 * round) as u8).collect();
             queue.push_telemetry(&sent);
-            let received = queue.pop(&mut frame);
-            assert_eq!(frame[..received], sent);
+            assert_eq!(frame(&mut queue), sent);
+        }
+    }
+
+    #[test]
+    fn a_frame_that_has_been_begun_comes_out_whole_whatever_is_shed_behind_it() {
+        for first in [65, 130, 400] {
+            let mut queue = FrameQueue::default();
+            let sent: std::vec::Vec<u8> = (0..first).map(|i| i as u8).collect();
+            for _ in 0..3 {
+                queue.push_telemetry(&sent);
+                let mut piece = [0; PIECE];
+                let mut received = std::vec::Vec::new();
+                let (length, _) = queue.pop(&mut piece);
+                received.extend(&piece[..length]);
+                for id in 0..40 {
+                    queue.push_telemetry(&[id; 90]);
+                    queue.push_kept(&[id; 90]);
+                }
+                received.extend(frame(&mut queue));
+                assert_eq!(received, sent);
+                let rest: std::vec::Vec<u8> = core::iter::from_fn(|| pop(&mut queue)).collect();
+                assert!(rest.contains(&39) && queue.shed > 0);
+            }
         }
     }
 }

@@ -63,7 +63,7 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
     }
 
     /// Runs for ever.
-    pub async fn run(mut self) -> ! {
+    pub async fn run(&mut self) -> ! {
         let signals = self.shared.rate_signals(self.role);
         let mut next = None;
         loop {

@@ -84,23 +84,30 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     /// Runs for ever. Nothing here waits for a link or for the store.
-    pub async fn run(mut self) -> ! {
+    pub async fn run(&mut self) -> ! {
         let mut running = loop {
-            if let Order::Configure(plan, correction) = self.shared.orders.receive().await {
+            self.shared.orders.given.wait().await;
+            if let Some(plan) = self.shared.orders.plan() {
                 let outcome = self.accelerometer.configure(&plan).await;
-                let mut running = Running::new(plan, correction, EpochReason::Start);
-                if let Err(fault) = outcome {
-                    self.lose(&mut running, fault);
+                if let Some(running) = self.start(outcome) {
+                    break running;
                 }
-                self.lanes = Lane::of(&plan.settings);
-                self.shared.configured.signal(outcome);
-                break running;
+            } else {
+                // Nothing runs yet that could be corrected.
+                self.shared.orders.take();
             }
         };
         let mut counts = [Counts::default(); MAX_READ];
         loop {
-            while let Ok(order) = self.shared.orders.try_receive() {
-                self.obey(&mut running, order).await;
+            if self.shared.orders.given.try_take().is_some() {
+                match self.shared.orders.plan() {
+                    Some(plan) => {
+                        self.flush();
+                        let outcome = self.accelerometer.configure(&plan).await;
+                        self.configured(&mut running, outcome);
+                    }
+                    None => self.correct(&mut running),
+                }
             }
             if running.lost {
                 self.retry(&mut running).await;
@@ -119,33 +126,46 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         }
     }
 
-    async fn obey(&mut self, running: &mut Running, order: Order) {
-        match order {
-            Order::Configure(plan, correction) => {
-                self.flush();
-                let outcome = self.accelerometer.configure(&plan).await;
-                match outcome {
-                    Ok(()) => {
-                        *running = Running::new(plan, correction, EpochReason::Settings);
-                        self.lanes = Lane::of(&plan.settings);
-                    }
-                    // What the sensor does now is unknown: it is brought back under the plan
-                    // before.
-                    Err(fault) => self.lose(running, fault),
-                }
-                self.shared.configured.signal(outcome);
-            }
-            Order::Correct(correction) => {
-                let reason = if correction.parameters == running.correction.parameters {
-                    EpochReason::Temperature
-                } else {
-                    running.integrator = integrator(&running.plan.settings, running.clock.period);
-                    EpochReason::Parameters
-                };
-                running.correction = correction;
-                running.begin_epoch(reason);
-            }
+    /// The sensor has been configured for the first time, or not.
+    fn start(&mut self, outcome: Result<(), SensorFault>) -> Option<Running> {
+        let Some(Order::Configure(plan, correction)) = self.shared.orders.take() else {
+            return None;
+        };
+        let mut running = Running::new(plan, correction, EpochReason::Start);
+        if let Err(fault) = outcome {
+            self.lose(&mut running, fault);
         }
+        self.lanes = Lane::of(&plan.settings);
+        self.shared.configured.signal(outcome);
+        Some(running)
+    }
+
+    /// The sensor has been configured as ordered, or not.
+    fn configured(&mut self, running: &mut Running, outcome: Result<(), SensorFault>) {
+        match (outcome, self.shared.orders.take()) {
+            (Ok(()), Some(Order::Configure(plan, correction))) => {
+                *running = Running::new(plan, correction, EpochReason::Settings);
+                self.lanes = Lane::of(&plan.settings);
+            }
+            // What the sensor does now is unknown: it is brought back under the plan before.
+            (Err(fault), _) => self.lose(running, fault),
+            _ => {}
+        }
+        self.shared.configured.signal(outcome);
+    }
+
+    fn correct(&mut self, running: &mut Running) {
+        let Some(Order::Correct(correction)) = self.shared.orders.take() else {
+            return;
+        };
+        let reason = if correction.parameters == running.correction.parameters {
+            EpochReason::Temperature
+        } else {
+            running.integrator = integrator(&running.plan.settings, running.clock.period);
+            EpochReason::Parameters
+        };
+        running.correction = correction;
+        running.begin_epoch(reason);
     }
 
     /// Takes samples that the sensor gave, oldest first.
@@ -262,11 +282,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     fn send_navigation(&self, running: &Running, sequence: u32) {
         let message =
             Message::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
-        let mut frame = [0; MAX_FRAME];
-        if let Ok(length) = message.encode(&mut frame) {
-            let frame = frame.get(..length).unwrap_or_default();
-            self.shared.stream([true; 2], frame, |s| s.navigation);
-        }
+        self.shared
+            .stream([true; 2], &message, |streams| streams.navigation);
     }
 
     async fn look_around(&mut self, running: &mut Running) {
@@ -287,11 +304,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
                     magnetic_field_nt: surroundings.magnetic_field.map(|field| field.0),
                     temperature_centi_c: surroundings.temperature.map(|t| t.0),
                 });
-                let mut frame = [0; MAX_FRAME];
-                if let Ok(length) = message.encode(&mut frame) {
-                    let frame = frame.get(..length).unwrap_or_default();
-                    self.shared.stream([true; 2], frame, |s| s.environment);
-                }
+                self.shared
+                    .stream([true; 2], &message, |streams| streams.environment);
             }
             Err(fault) => self.lose(running, fault),
         }
@@ -617,10 +631,14 @@ impl<S: Sample> Batcher<S> {
         let (sequence, time) = (self.first_sequence, self.first_time);
         if let Ok(length) = batch::encode_every(every, sequence, time, samples, &mut frame) {
             let frame = frame.get(..length).unwrap_or_default();
-            shared.stream(roles, frame, |streams| match S::STREAM {
-                Stream::Raw => streams.raw,
-                Stream::Corrected => streams.corrected,
-            });
+            shared.stream_frame(
+                roles,
+                frame,
+                match S::STREAM {
+                    Stream::Raw => |streams| streams.raw,
+                    Stream::Corrected => |streams| streams.corrected,
+                },
+            );
         }
     }
 }

@@ -17,7 +17,10 @@ use wimu_link::{Hello, LinkRole, Responder};
 use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
 
 use crate::accelerometer::{Plan, SensorFault};
-use crate::queue::FrameQueue;
+use crate::queue::{FrameQueue, PIECE};
+
+/// The longest message that may be shed: a status, with what is around it.
+const MAX_SHED: usize = 192;
 
 /// What a device sends: parameters as they travel.
 pub(crate) type Message<'a> = Telemetry<EncodedParameters<'a>>;
@@ -31,7 +34,7 @@ pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 /// sampling interrupts the rest, `NoopRawMutex` where one executor polls all.
 pub struct Shared<M: RawMutex> {
     links: [LinkShared<M>; 2],
-    pub(crate) orders: Channel<M, Order, 2>,
+    pub(crate) orders: Orders<M>,
     pub(crate) configured: Signal<M, Result<(), SensorFault>>,
     pub(crate) temperature: Signal<M, CentiCelsius>,
     /// What hosts ask for. The parameters that are to be staged lie on the desk.
@@ -142,12 +145,56 @@ impl Default for Set {
 }
 
 /// What the sampler is told.
-#[allow(clippy::large_enum_variant)] // Two of them exist.
+#[allow(clippy::large_enum_variant)] // One of them exists.
 pub(crate) enum Order {
     /// Run the sensor in this way, and say how that went.
     Configure(Plan, Correction),
     /// Correct with this from the next sample on; navigation starts anew if the parameters changed.
     Correct(Correction),
+}
+
+/// One order at a time. It stays where it is until it has been obeyed: nobody else needs room for
+/// it while the sensor is configured.
+pub(crate) struct Orders<M: RawMutex> {
+    order: Mutex<M, RefCell<Option<Order>>>,
+    pub(crate) given: Signal<M, ()>,
+    taken: Signal<M, ()>,
+}
+
+impl<M: RawMutex> Orders<M> {
+    fn new() -> Self {
+        Self {
+            order: Mutex::new(RefCell::new(None)),
+            given: Signal::new(),
+            taken: Signal::new(),
+        }
+    }
+
+    /// Waits until the order before has been obeyed.
+    pub(crate) async fn room(&self) {
+        while self.order.lock(|order| order.borrow().is_some()) {
+            self.taken.wait().await;
+        }
+    }
+
+    pub(crate) fn give(&self, new: Order) {
+        self.order.lock(|order| *order.borrow_mut() = Some(new));
+        self.given.signal(());
+    }
+
+    /// How the sensor is to run, if that is what is ordered.
+    pub(crate) fn plan(&self) -> Option<Plan> {
+        self.order.lock(|order| match &*order.borrow() {
+            Some(Order::Configure(plan, _)) => Some(*plan),
+            _ => None,
+        })
+    }
+
+    pub(crate) fn take(&self) -> Option<Order> {
+        let order = self.order.lock(|order| order.borrow_mut().take());
+        self.taken.signal(());
+        order
+    }
 }
 
 /// What can be wrong with a device for longer.
@@ -228,7 +275,7 @@ impl<M: RawMutex> Shared<M> {
         };
         Self {
             links: ROLES.map(link),
-            orders: Channel::new(),
+            orders: Orders::new(),
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
@@ -290,6 +337,10 @@ impl<M: RawMutex> Shared<M> {
         self.published.lock(|published| *published.borrow())
     }
 
+    pub(crate) fn settings(&self) -> Settings {
+        self.published.lock(|published| published.borrow().settings)
+    }
+
     pub(crate) fn publish(&self, change: impl FnOnce(&mut Published)) {
         self.published
             .lock(|published| change(&mut published.borrow_mut()));
@@ -325,9 +376,21 @@ impl<M: RawMutex> Shared<M> {
         self.with_outbox(role, |outbox| outbox.push_kept(frame));
     }
 
-    /// Queues an encoded frame that is shed when the link is too slow, on the links that want it.
-    pub(crate) fn stream(&self, roles: [bool; 2], frame: &[u8], wanted: impl Fn(&Streams) -> bool) {
-        let settings = self.published().settings;
+    /// Queues a message that is shed when the link is too slow, on the links that want it.
+    pub(crate) fn stream(&self, roles: [bool; 2], message: &Message, wanted: fn(&Streams) -> bool) {
+        let mut frame = [0; MAX_SHED];
+        let length = message.encode(&mut frame).unwrap_or(0);
+        self.stream_frame(roles, frame.get(..length).unwrap_or_default(), wanted);
+    }
+
+    /// The same of an encoded frame.
+    pub(crate) fn stream_frame(
+        &self,
+        roles: [bool; 2],
+        frame: &[u8],
+        wanted: fn(&Streams) -> bool,
+    ) {
+        let settings = self.settings();
         for ((role, on), streams) in ROLES
             .into_iter()
             .zip(roles)
@@ -471,27 +534,31 @@ impl<M: RawMutex> Shared<M> {
             .lock(|outbox| outbox.borrow().is_drained())
     }
 
-    /// The frame that was taken is over the line.
+    /// The frame whose last piece was taken is over the line.
     pub(crate) fn frame_sent(&self, role: LinkRole) {
         self.link(role)
             .outbox
             .lock(|outbox| outbox.borrow_mut().sending = false);
     }
 
-    /// Waits for the next frame to send on a link and takes it.
-    pub(crate) async fn next_frame(&self, role: LinkRole, frame: &mut [u8; MAX_FRAME]) -> usize {
+    /// Waits for the next piece of a frame to send on a link and takes it.
+    pub(crate) async fn next_piece(
+        &self,
+        role: LinkRole,
+        piece: &mut [u8; PIECE],
+    ) -> (usize, bool) {
         let link = self.link(role);
         loop {
-            let (length, stalled) = link.outbox.lock(|outbox| {
+            let (taken, stalled) = link.outbox.lock(|outbox| {
                 let mut outbox = outbox.borrow_mut();
-                let length = outbox.pop(frame);
+                let taken = outbox.pop(piece);
                 (
-                    length,
-                    length == 0 && core::mem::take(&mut outbox.overflowed),
+                    taken,
+                    taken.0 == 0 && core::mem::take(&mut outbox.overflowed),
                 )
             });
-            if length > 0 {
-                return length;
+            if taken.0 > 0 {
+                return taken;
             }
             if stalled {
                 // What the listener missed may have been an epoch.

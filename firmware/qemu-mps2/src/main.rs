@@ -40,24 +40,37 @@ use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
 
 type Sensor = Lsm303agr<BridgeI2c, DataReady, BoardTimer>;
 type M = NoopRawMutex;
+type Node = wimu_node::Node<
+    'static,
+    Sensor,
+    BoardTimer,
+    FlashStore<Flash>,
+    Reader,
+    Writer,
+    Reader,
+    Writer,
+    M,
+>;
 
 #[embassy_executor::task]
-async fn sample(sampler: Sampler<'static, Sensor, BoardTimer, M>) -> ! {
+async fn sample(sampler: &'static mut Sampler<'static, Sensor, BoardTimer, M>) -> ! {
     sampler.run().await
 }
 
 #[embassy_executor::task]
-async fn control(control: Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>) -> ! {
+async fn control(
+    control: &'static mut Control<'static, Sensor, BoardTimer, FlashStore<Flash>, M>,
+) -> ! {
     control.run().await
 }
 
 #[embassy_executor::task(pool_size = 2)]
-async fn listen(reader: LinkReader<'static, Reader, BoardTimer, M>) -> ! {
+async fn listen(reader: &'static mut LinkReader<'static, Reader, BoardTimer, M>) -> ! {
     reader.run().await
 }
 
 #[embassy_executor::task(pool_size = 2)]
-async fn talk(writer: LinkWriter<'static, Writer, M>) -> ! {
+async fn talk(writer: &'static mut LinkWriter<'static, Writer, M>) -> ! {
     writer.run().await
 }
 
@@ -91,17 +104,18 @@ fn main() -> ! {
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
     };
-    let node = board.split(SHARED.init(Shared::new()));
+    static NODE: StaticCell<Node> = StaticCell::new();
+    let node = NODE.init(board.split(SHARED.init(Shared::new())));
 
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
     let spawner = executor.spawner();
     // Each is spawned once: there is room.
-    spawner.spawn(sample(node.sampler).unwrap());
-    spawner.spawn(control(node.control).unwrap());
-    spawner.spawn(listen(node.cable_reader).unwrap());
-    spawner.spawn(talk(node.cable_writer).unwrap());
-    spawner.spawn(listen(node.wireless_reader).unwrap());
-    spawner.spawn(talk(node.wireless_writer).unwrap());
+    spawner.spawn(sample(&mut node.sampler).unwrap());
+    spawner.spawn(control(&mut node.control).unwrap());
+    spawner.spawn(listen(&mut node.cable_reader).unwrap());
+    spawner.spawn(talk(&mut node.cable_writer).unwrap());
+    spawner.spawn(listen(&mut node.wireless_reader).unwrap());
+    spawner.spawn(talk(&mut node.wireless_writer).unwrap());
     // SAFETY: no critical section is under way.
     unsafe { interrupts::unmask() };
     defmt::info!("started, lockstep {}", lockstep);

@@ -337,7 +337,7 @@ fn node(
         let [cable, wireless] = rates;
         let keep = async |role, rate| match rate {
             Some((rate, opened)) => {
-                let keeper = RateKeeper::new(role, rate, opened, clock.clone(), &shared);
+                let mut keeper = RateKeeper::new(role, rate, opened, clock.clone(), &shared);
                 keeper.run().await
             }
             None => std::future::pending().await,

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod alignment;
+mod datasheet;
 mod design;
 mod estimate;
 mod finder;
@@ -30,6 +31,7 @@ mod terms;
 mod turn;
 
 pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
+pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
 pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};

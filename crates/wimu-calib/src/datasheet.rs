@@ -1,0 +1,374 @@
+//! What datasheets promise, and what a sensor shows of it.
+
+use core::fmt;
+
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+use crate::{Estimate, Parameter, Term, student};
+
+/// The largest size of a figure that a datasheet names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Limit {
+    /// In the unit of its [`Quantity`].
+    pub most: f64,
+    /// Whether the maker guarantees it; a typical figure is passed by many a sound sensor.
+    pub guaranteed: bool,
+}
+
+const fn typical(most: f64) -> Option<Limit> {
+    Some(Limit {
+        most,
+        guaranteed: false,
+    })
+}
+
+const fn guaranteed(most: f64) -> Option<Limit> {
+    Some(Limit {
+        most,
+        guaranteed: true,
+    })
+}
+
+/// What a datasheet says of an accelerometer's errors at 25 °C, where it says it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Datasheet {
+    /// The sensor, as its maker writes it.
+    pub sensor: &'static str,
+    /// Where the figures are from.
+    pub document: &'static str,
+    /// Nominal sensitivity at each range, LSB/g.
+    pub sensitivities_lsb_per_g: &'static [f64],
+    /// Zero-g offset per axis, mg.
+    pub zero_g_offset: [Option<Limit>; 3],
+    /// Departure from the nominal sensitivity, %.
+    pub sensitivity: Option<Limit>,
+    /// Cross-axis sensitivity, %.
+    pub cross_axis: Option<Limit>,
+    /// Nonlinearity, % of full scale.
+    pub nonlinearity: Option<Limit>,
+    /// Zero-g offset with temperature per axis, mg/K.
+    pub offset_per_kelvin: [Option<Limit>; 3],
+    /// Sensitivity with temperature, %/K.
+    pub sensitivity_per_kelvin: Option<Limit>,
+}
+
+/// Ranges of ±2, 4, 8 and 16 g in 16 bits.
+const BINARY: &[f64] = &[16384.0, 8192.0, 4096.0, 2048.0];
+
+impl Datasheet {
+    /// Those that are known.
+    pub const KNOWN: [Self; 6] = [
+        Self {
+            sensor: "LSM303AGR",
+            document: "ST LSM303AGR, table 3",
+            // 16 LSB a digit: 0.98, 1.95, 3.9 and 11.72 mg a digit.
+            sensitivities_lsb_per_g: &[16326.5, 8205.1, 4102.6, 1365.2],
+            zero_g_offset: [typical(40.0); 3],
+            sensitivity: None,
+            cross_axis: None,
+            nonlinearity: None,
+            offset_per_kelvin: [typical(0.5); 3],
+            sensitivity_per_kelvin: typical(0.01),
+        },
+        Self {
+            sensor: "ADXL345",
+            document: "Analog Devices ADXL345, table 1",
+            sensitivities_lsb_per_g: &[256.0, 128.0, 64.0, 32.0],
+            zero_g_offset: [guaranteed(150.0), guaranteed(150.0), guaranteed(250.0)],
+            // 230 to 282 LSB/g.
+            sensitivity: guaranteed(10.2),
+            cross_axis: typical(1.0),
+            nonlinearity: typical(0.5),
+            offset_per_kelvin: [typical(0.4), typical(0.4), typical(1.2)],
+            sensitivity_per_kelvin: typical(0.01),
+        },
+        Self {
+            sensor: "MPU-6050",
+            document: "InvenSense PS-MPU-6000A-00 rev. 3.4, 6.2",
+            sensitivities_lsb_per_g: BINARY,
+            zero_g_offset: [typical(50.0), typical(50.0), typical(80.0)],
+            sensitivity: typical(3.0),
+            cross_axis: typical(2.0),
+            nonlinearity: typical(0.5),
+            // 35 and 60 mg from 0 to 70 °C, 45 K from 25 °C.
+            offset_per_kelvin: [typical(0.78), typical(0.78), typical(1.33)],
+            sensitivity_per_kelvin: typical(0.02),
+        },
+        Self {
+            sensor: "MPU-9150",
+            document: "InvenSense PS-MPU-9150A-00 rev. 4.3, 6.2",
+            sensitivities_lsb_per_g: BINARY,
+            zero_g_offset: [typical(80.0), typical(80.0), typical(150.0)],
+            sensitivity: typical(3.0),
+            cross_axis: typical(2.0),
+            nonlinearity: typical(0.5),
+            offset_per_kelvin: [typical(0.75), typical(0.75), typical(1.5)],
+            sensitivity_per_kelvin: typical(0.02),
+        },
+        Self {
+            sensor: "MPU-9250",
+            document: "InvenSense PS-MPU-9250A-01 rev. 1.0, 3.2",
+            sensitivities_lsb_per_g: BINARY,
+            zero_g_offset: [typical(60.0), typical(60.0), typical(80.0)],
+            sensitivity: typical(3.0),
+            cross_axis: typical(2.0),
+            nonlinearity: typical(0.5),
+            offset_per_kelvin: [typical(1.5); 3],
+            sensitivity_per_kelvin: typical(0.026),
+        },
+        Self {
+            sensor: "ICM-20948",
+            document: "InvenSense DS-000189 rev. 1.3, 3.2",
+            sensitivities_lsb_per_g: BINARY,
+            // On a board.
+            zero_g_offset: [typical(50.0); 3],
+            sensitivity: typical(0.5),
+            cross_axis: typical(2.0),
+            nonlinearity: typical(0.5),
+            offset_per_kelvin: [typical(0.8); 3],
+            sensitivity_per_kelvin: typical(0.026),
+        },
+    ];
+
+    /// That of the sensor called `name`; hyphens and case do not matter.
+    pub fn of(name: &str) -> Option<&'static Self> {
+        fn plain(name: &str) -> impl Iterator<Item = char> + '_ {
+            name.chars()
+                .filter(char::is_ascii_alphanumeric)
+                .map(|c| c.to_ascii_uppercase())
+        }
+        Self::KNOWN
+            .iter()
+            .find(|known| plain(known.sensor).eq(plain(name)))
+    }
+
+    /// The nominal sensitivity that `lsb_per_g` is within 20 % of.
+    pub fn nominal(&self, lsb_per_g: f64) -> Option<f64> {
+        let near = |nominal: &&f64| (0.8..1.2).contains(&(lsb_per_g / **nominal));
+        self.sensitivities_lsb_per_g.iter().find(near).copied()
+    }
+
+    /// Each fitted parameter of `estimate` that the datasheet has a limit for, beside it.
+    ///
+    /// `scale` is the sensitivity by which the poses came to m/s², per the nominal one: 1 where it was
+    /// the nominal one. Without it the scale factors are not compared. `range_g` is the full-scale
+    /// range; without it nonlinearity is not. What the poses do not tell is left out.
+    ///
+    /// ```
+    /// use wimu_calib::{Datasheet, Gravity, Placement, Pose, Verdict, six_position};
+    ///
+    /// let poses = [
+    ///     [10.9, 0.2, -0.1], [-8.9, 0.1, 0.1], [0.1, 9.6, 0.0],
+    ///     [0.3, -9.8, 0.2], [0.2, -0.1, 9.9], [0.1, 0.0, -9.9],
+    /// ]
+    /// .map(Pose::from_mean);
+    /// let estimate = six_position(&poses, Gravity::UNKNOWN_PLACE, Placement::BY_HAND)?;
+    /// let datasheet = Datasheet::of("mpu6050").ok_or("known")?;
+    /// let x = datasheet.findings(&estimate, Some(1.0), None).next().ok_or("the offset of X")?;
+    /// // 102 mg, where 50 are typical.
+    /// assert!(x.verdict() == Verdict::Beyond && (x.value - 102.0).abs() < 1.0);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn findings(
+        &self,
+        estimate: &Estimate,
+        scale: Option<f64>,
+        range_g: Option<f64>,
+    ) -> impl Iterator<Item = Finding> {
+        let model = *estimate.model.terms();
+        let fitted = estimate.fitted;
+        let terms = estimate.terms;
+        let mg = 1e3 / STANDARD_GRAVITY_MPS2;
+        let term_sd = estimate.term_sd;
+        let quantile = student::two_sided(0.05, estimate.interval_dof.unwrap_or(f64::INFINITY));
+        let half = Parameter::ALL.map(|parameter| estimate.half_width_95(parameter));
+        let this = *self;
+
+        let offsets = (0..3).filter_map(move |axis| {
+            let fitted = fitted.contains(Parameter::ALL[axis]);
+            Some(Finding {
+                quantity: Quantity::ZeroGOffset,
+                subject: AXES[axis],
+                value: model.bias_mps2[axis] * mg,
+                half_width_95: half[axis] * mg,
+                limit: this.zero_g_offset[axis].filter(|_| fitted)?,
+            })
+        });
+        let scales = (0..3).filter_map(move |axis| {
+            let parameter = Parameter::ALL[3 + 4 * axis];
+            let scale = scale.filter(|_| fitted.contains(parameter))?;
+            Some(Finding {
+                quantity: Quantity::Sensitivity,
+                subject: AXES[axis],
+                value: (model.matrix[axis][axis] * scale - 1.0) * 100.0,
+                half_width_95: half[3 + 4 * axis] * scale * 100.0,
+                limit: this.sensitivity?,
+            })
+        });
+        // What a rotation of the whole sensor leaves: the sum of the two that a pair of axes has.
+        let covariance = estimate.covariance;
+        let pairs = [(0, 1), (0, 2), (1, 2)].into_iter().zip(PAIRS);
+        let crosses = pairs.filter_map(move |((a, b), subject)| {
+            let [ab, ba] = [Parameter::ALL[3 + 3 * b + a], Parameter::ALL[3 + 3 * a + b]];
+            let limit = this.cross_axis.filter(|_| fitted.contains(ab))?;
+            let variance =
+                covariance.get(ab, ab) + covariance.get(ba, ba) + 2.0 * covariance.get(ab, ba);
+            Some(Finding {
+                quantity: Quantity::CrossAxis,
+                subject,
+                value: (model.matrix[a][b] + model.matrix[b][a]) * 100.0,
+                half_width_95: quantile * libm::sqrt(variance.max(0.0)) * 100.0,
+                limit: Limit {
+                    most: 2.0 * limit.most,
+                    ..limit
+                },
+            })
+        });
+        let of_term = move |term: Term, quantity, values: [f64; 3], sd: [f64; 3], unit: f64| {
+            (0..3).filter_map(move |axis| {
+                let limit = match quantity {
+                    Quantity::OffsetPerKelvin => this.offset_per_kelvin[axis],
+                    Quantity::SensitivityPerKelvin => this.sensitivity_per_kelvin,
+                    _ => this.nonlinearity,
+                };
+                Some(Finding {
+                    quantity,
+                    subject: AXES[axis],
+                    value: values[axis] * unit,
+                    half_width_95: quantile * sd[axis] * unit,
+                    limit: limit.filter(|_| terms.contains(term) && unit > 0.0)?,
+                })
+            })
+        };
+        let temperature = model.temperature;
+        // A parabola departs from its best line by half of what it adds at full scale.
+        let full_scale = range_g.map_or(0.0, |g| g * STANDARD_GRAVITY_MPS2);
+        offsets
+            .chain(scales)
+            .chain(crosses)
+            .chain(of_term(
+                Term::BiasTemperature,
+                Quantity::OffsetPerKelvin,
+                temperature.bias_mps2_per_k,
+                term_sd.bias_mps2_per_k,
+                mg,
+            ))
+            .chain(of_term(
+                Term::ScaleTemperature,
+                Quantity::SensitivityPerKelvin,
+                temperature.scale_per_k,
+                term_sd.scale_per_k,
+                100.0,
+            ))
+            .chain(of_term(
+                Term::Quadratic,
+                Quantity::Nonlinearity,
+                model.nonlinearity,
+                term_sd.nonlinearity,
+                0.5 * full_scale * 100.0,
+            ))
+    }
+}
+
+const AXES: [&str; 3] = ["X", "Y", "Z"];
+const PAIRS: [&str; 3] = ["X-Y", "X-Z", "Y-Z"];
+
+/// What a datasheet has a limit for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Quantity {
+    /// Output at no force, mg: the bias.
+    ZeroGOffset,
+    /// Departure of the sensitivity from the nominal one, %: S − 1.
+    Sensitivity,
+    /// What two axes see of each other's, %: the sum of both, twice the limit of one. The difference is
+    /// a rotation of the sensor on its board, which is no datasheet's matter.
+    CrossAxis,
+    /// Largest departure from the best line, % of full scale; from what 1 g shows, carried on to full
+    /// scale.
+    Nonlinearity,
+    /// Zero-g offset with temperature, mg/K.
+    OffsetPerKelvin,
+    /// Sensitivity with temperature, %/K.
+    SensitivityPerKelvin,
+}
+
+impl Quantity {
+    /// Its unit.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::ZeroGOffset => "mg",
+            Self::Sensitivity | Self::CrossAxis => "%",
+            Self::Nonlinearity => "% FS",
+            Self::OffsetPerKelvin => "mg/K",
+            Self::SensitivityPerKelvin => "%/K",
+        }
+    }
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::ZeroGOffset => "zero-g offset",
+            Self::Sensitivity => "sensitivity off nominal",
+            Self::CrossAxis => "cross-axis, both ways",
+            Self::Nonlinearity => "nonlinearity",
+            Self::OffsetPerKelvin => "zero-g offset with temperature",
+            Self::SensitivityPerKelvin => "sensitivity with temperature",
+        })
+    }
+}
+
+/// A parameter beside the datasheet's limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Finding {
+    /// What.
+    pub quantity: Quantity,
+    /// Of which axis, or of which two: "X", "X-Y".
+    pub subject: &'static str,
+    /// As estimated, in the quantity's unit.
+    pub value: f64,
+    /// Half its 95 % interval.
+    pub half_width_95: f64,
+    /// The limit.
+    pub limit: Limit,
+}
+
+impl Finding {
+    /// Whether the value is within the limit, going by its 95 % interval.
+    pub fn verdict(&self) -> Verdict {
+        let size = self.value.abs();
+        if size + self.half_width_95 <= self.limit.most {
+            Verdict::Within
+        } else if size - self.half_width_95 > self.limit.most {
+            Verdict::Beyond
+        } else {
+            Verdict::Unclear
+        }
+    }
+}
+
+/// Whether a value is within its limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Verdict {
+    /// All of its 95 % interval.
+    Within,
+    /// The interval reaches over the limit.
+    Unclear,
+    /// None of the interval.
+    Beyond,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Within => "within",
+            Self::Unclear => "unclear",
+            Self::Beyond => "beyond",
+        })
+    }
+}

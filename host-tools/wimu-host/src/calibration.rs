@@ -1,11 +1,13 @@
 //! From data to an error model, its report, and the file that goes to a board.
 
+mod datasheet;
 mod export;
 mod magnetometer;
 mod page;
 mod reference;
 mod report;
 
+pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, to_c, to_kalibr, to_rust};
 pub use magnetometer::{FieldPose, MagnetometerReport, calibrate_magnetometer};
 pub use reference::{AxisReport, Paired, ReferenceReport, compare_with_reference};
@@ -15,9 +17,9 @@ pub use report::{
 };
 
 use wimu_calib::{
-    Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation, Parameter,
-    Placement, Pose, Refusal, Term, Terms, best_model, find_poses, four_angle, multi_position_with,
-    six_position, six_position_labelled, three_angle,
+    Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation,
+    Parameter, Placement, Pose, Refusal, Term, Terms, best_model, find_poses, four_angle,
+    multi_position_with, six_position, six_position_labelled, three_angle,
 };
 use wimu_link::message::parameter_id;
 use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, TemperatureTerms};
@@ -89,6 +91,8 @@ pub struct CalibrateOptions {
     pub sensitivity_lsb_per_g: Option<f64>,
     /// How well known orientations were squared, degrees, 1 σ; 1 where it is not given.
     pub placement_sd_deg: Option<f64>,
+    /// The sensor's datasheet, to compare with; without it the device's sensor, where it is known.
+    pub datasheet: Option<&'static Datasheet>,
     /// When, s since 1970 UTC: for the parameter set to say.
     pub utc_s: Option<u64>,
 }
@@ -264,6 +268,20 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             _ => 0,
         },
         static_poses: static_poses(&fitted, estimate.as_ref()),
+        datasheet: options
+            .datasheet
+            .or(data.datasheet)
+            .zip(estimate.as_ref())
+            .map(|(datasheet, estimate)| {
+                let (used, range) = match data.unit {
+                    OutputUnit::Counts { range_g: known, .. } => (
+                        sensitivity.map(Sensitivity::lsb_per_g),
+                        known.or(sensitivity.map(likely_range_g)),
+                    ),
+                    OutputUnit::Mps2 => (None, None),
+                };
+                DatasheetReport::new(datasheet, estimate, used, range)
+            }),
         fit: estimate.map(|estimate| numbers(&estimate, data.unit)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,

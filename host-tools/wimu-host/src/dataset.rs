@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use wimu_calib::Datasheet;
 use wimu_link::LinkRole;
 use wimu_link::hello::sensor;
 use wimu_model::{Counts, DeviceTimeUs, Sensitivity, SensorId};
@@ -86,6 +87,8 @@ pub struct Dataset {
     pub rate_hz: f64,
     /// Where the rate comes from.
     pub rate_source: RateSource,
+    /// The sensor's datasheet, where the device says which sensor it has and it is known.
+    pub datasheet: Option<&'static Datasheet>,
     /// The rows, in order; at least one.
     pub outputs: Vec<Output>,
     /// The accelerometer, where a device has said which.
@@ -155,6 +158,7 @@ impl Dataset {
             poses: options.poses,
             rate_hz,
             rate_source,
+            datasheet: None,
             outputs,
             sensor: None,
         })
@@ -268,6 +272,11 @@ impl Dataset {
             poses: false,
             rate_hz,
             rate_source: RateSource::Device,
+            datasheet: first.hello.and_then(|hello| match hello.sensor.number {
+                sensor::LSM303AGR => Datasheet::of("LSM303AGR"),
+                sensor::ADXL345 => Datasheet::of("ADXL345"),
+                _ => None,
+            }),
             outputs,
             sensor: first.sensor(),
         })

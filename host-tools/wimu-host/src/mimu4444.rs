@@ -10,6 +10,8 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
+use wimu_calib::Datasheet;
+
 use crate::dataset::{Dataset, Output, OutputUnit, RateSource};
 use crate::{ErrorCode, HostError, Result};
 
@@ -190,6 +192,7 @@ impl Capture {
             poses: false,
             rate_hz: self.summary.rate_hz,
             rate_source: RateSource::Times,
+            datasheet: Datasheet::of("MPU-9150"),
             outputs: outputs.collect(),
             sensor: None,
         })

@@ -328,6 +328,9 @@ pub struct Calibrate {
     /// Nominal sensitivity; without it the board's, or for a CSV file the fit's mean
     #[arg(long, value_name = "LSB_PER_G")]
     pub sensitivity: Option<f64>,
+    /// Compare with the datasheet of this sensor, such as MPU-6050; without it the board's sensor
+    #[arg(long, value_name = "NAME")]
+    pub sensor_model: Option<String>,
     /// The rows are already means over static poses
     #[arg(long)]
     pub poses: bool,

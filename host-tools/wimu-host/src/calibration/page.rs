@@ -1,6 +1,6 @@
 //! A calibration's report with its pictures.
 
-use super::CalibrationReport;
+use super::{CalibrationReport, DatasheetReport};
 use crate::error::Result;
 use crate::html::{Chart, Report, Series};
 
@@ -43,6 +43,9 @@ impl CalibrationReport {
                 y_range: None,
                 series: vec![series],
             })?;
+        }
+        if let Some(datasheet) = &self.datasheet {
+            page.table(&DatasheetReport::HEAD, &datasheet.rows());
         }
         let rows: Vec<Vec<String>> = self
             .static_poses

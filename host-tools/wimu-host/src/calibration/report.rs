@@ -8,6 +8,7 @@ use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
+use super::DatasheetReport;
 use crate::dataset::RateSource;
 use crate::error::{ErrorCode, HostError, Result};
 
@@ -173,6 +174,8 @@ pub struct CalibrationReport {
     pub poses_worth_adding: usize,
     /// The poses that were found or given; none listed beyond 1000.
     pub static_poses: Vec<StaticPose>,
+    /// The estimate beside the sensor's datasheet, where the sensor is known.
+    pub datasheet: Option<DatasheetReport>,
     /// What a board takes; `None` when the data's sensitivity is not known.
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
@@ -293,6 +296,9 @@ impl fmt::Display for CalibrationReport {
                      {high:.1} °C"
                 )?;
             }
+        }
+        if let Some(datasheet) = &self.datasheet {
+            writeln!(out, "{datasheet}")?;
         }
         let mut worst: Vec<_> = self
             .static_poses

@@ -37,6 +37,7 @@ fn pose_means(unit: OutputUnit, per_mps2: f64) -> Dataset {
         poses: true,
         rate_hz: 100.0,
         rate_source: RateSource::Assumed,
+        datasheet: None,
         outputs: Orientation::ALL.into_iter().map(output).collect(),
         sensor: None,
     }

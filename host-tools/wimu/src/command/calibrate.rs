@@ -112,6 +112,7 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--placement-sd", arguments.placement_sd.is_some()),
         ("--sides", arguments.sides.is_some()),
         ("--report", arguments.report.is_some()),
+        ("--sensor-model", arguments.sensor_model.is_some()),
         ("--link", arguments.link.is_some()),
         ("--push", arguments.push),
     ];
@@ -236,6 +237,11 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         gravity_mps2: arguments.gravity,
         sensitivity_lsb_per_g: arguments.sensitivity,
         placement_sd_deg: arguments.placement_sd,
+        datasheet: arguments
+            .sensor_model
+            .as_deref()
+            .map(calibration::datasheet)
+            .transpose()?,
         utc_s: utc_s(),
     })
 }

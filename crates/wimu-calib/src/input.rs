@@ -29,6 +29,7 @@ pub(crate) fn check<'a>(
     }
     let hint = match mean_mps2 {
         m if (0.7..1.4).contains(&m) => UnitHint::G,
+        m if (70.0..135.0).contains(&m) => UnitHint::Mps2TakenForG,
         m if (700.0..1400.0).contains(&m) => UnitHint::MilliGOrCounts,
         m if m > 100.0 && m < 1e6 => UnitHint::Counts,
         _ => UnitHint::NotGravity,
@@ -50,6 +51,33 @@ pub(crate) fn stuck_axis(poses: &[Pose]) -> Option<usize> {
     let turns = |axis: &usize| spread(*axis) >= TURNED_MPS2;
     (0..3).find(turns)?;
     (0..3).find(|axis| !turns(axis))
+}
+
+/// The axis that reads the same in every pose while gravity leaves the others: dead, where an axis
+/// that was never turned leaves |y| as it is.
+pub(crate) fn dead_axis(poses: &[Pose]) -> Option<usize> {
+    let [low, high] = magnitudes(poses).fold([f64::INFINITY, 0.0_f64], |[low, high], size| {
+        [low.min(size), high.max(size)]
+    });
+    stuck_axis(poses).filter(|_| high - low > 0.3 * high)
+}
+
+/// Poses of which some are as long as others in another unit.
+pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
+    let longest = magnitudes(poses).fold(0.0, f64::max);
+    // A g of 9.8 m/s², a quarter allowed either way.
+    let shorter = |size: &f64| (7.3..13.0).contains(&(longest / size));
+    let pose = magnitudes(poses).position(|size| shorter(&size))?;
+    let rest = magnitudes(poses).filter(|size| !shorter(size));
+    // Both kinds are of one length each.
+    let alike = rest.fold(f64::INFINITY, f64::min) > 0.6 * longest;
+    alike.then_some(Refusal::MixedUnits { pose })
+}
+
+fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {
+    poses
+        .iter()
+        .map(|pose| libm::sqrt(pose.mean_mps2.iter().map(|y| y * y).sum()))
 }
 
 /// The axis at whose highest or lowest reading several poses end that are not one orientation.

@@ -38,6 +38,8 @@ const MOST_LEFT_OUT: f64 = 10.0;
 const MOST_RMS_MPS2: f64 = 0.5;
 /// Beyond, a sound sensor in sound poses is unlikely: 5 mg.
 const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
+/// Where least squares finds nothing, residuals beyond this pull ever less, m/s².
+const FAR_OFF_MPS2: f64 = 0.5;
 /// A left-out error below this, m/s², is a good prediction whatever the residuals.
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
@@ -297,24 +299,37 @@ fn fit<R: Real, const N: usize>(
         Model::Full9 => ellipsoid::<R>(poses, gravity.mps2()),
         Model::Bias3 | Model::BiasScale6 => None,
     };
-    let Some(first) = [ellipsoid, Some(perfect)]
+    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
+        input::dead_axis(poses).map_or_else(
+            || knowledge.refusal(what, &problem.free),
+            |axis| Refusal::AxisStuck { axis },
+        )
+    };
+    let not_converged = || input::mixed_units(poses).unwrap_or(Refusal::NotConverged);
+    let squares = [ellipsoid, Some(perfect)]
         .into_iter()
         .flatten()
-        .find_map(|start| problem.solve(&start, None))
-    else {
+        .find_map(|start| problem.solve(&start, None));
+    // A pose that is far off may keep least squares from converging, not a fit that gives it up.
+    let robust = |problem: &Magnitude<N>| problem.solve_robust(&perfect, FAR_OFF_MPS2);
+    let converged = squares.is_some();
+    let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
         let knowledge = problem
             .knowledge_at(&perfect)
             .ok_or(Refusal::NotConverged)?;
         return Err(if knowledge.suffices() {
-            Refusal::NotConverged
+            not_converged()
         } else {
-            knowledge.refusal(what, &problem.free)
+            not_observable(&knowledge, &problem)
         });
     };
     let fit = refine(&mut problem, first, what)?;
+    if !converged && problem.rejected.as_slice().is_empty() {
+        return Err(not_converged());
+    }
     let knowledge = problem.knowledge(&fit).ok_or(Refusal::NotConverged)?;
     if !knowledge.suffices() {
-        return Err(knowledge.refusal(what, &problem.free));
+        return Err(not_observable(&knowledge, &problem));
     }
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::AxisStuck { axis });
@@ -392,10 +407,10 @@ fn result<R: Real, const N: usize>(
         return Err(Refusal::Saturated { axis });
     }
     if kept.rms_mps2() > MOST_RMS_MPS2 {
-        return Err(Refusal::PoorFit {
+        return Err(input::mixed_units(poses).unwrap_or(Refusal::PoorFit {
             rms_mps2: kept.rms_mps2(),
             pose: kept.worst_pose,
-        });
+        }));
     }
     let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
     let predicted = kept_left_out.rms_mps2();
@@ -419,7 +434,9 @@ fn result<R: Real, const N: usize>(
             }
         }
     }
-    covariance.add_gravity(&theta, gravity);
+    if what.model != Model::Bias3 {
+        covariance.add_gravity(&theta, gravity);
+    }
     Ok(Estimate {
         model,
         method: Method::MultiPosition(what.model),

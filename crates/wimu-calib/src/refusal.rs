@@ -95,6 +95,11 @@ pub enum Refusal {
     },
     /// The fit found no minimum.
     NotConverged,
+    /// Some poses are nine to eleven times shorter than others: g among m/s².
+    MixedUnits {
+        /// Index of the first of them.
+        pose: usize,
+    },
     /// The result is no accelerometer's error model.
     OutOfBounds(ModelError),
     /// What was noted makes the sensor left-handed.
@@ -126,6 +131,8 @@ pub enum Refusal {
 pub enum UnitHint {
     /// g.
     G,
+    /// m/s² that were multiplied by 9.80665 once more.
+    Mps2TakenForG,
     /// mg, or counts of a sensor with about 1000 LSB/g.
     MilliGOrCounts,
     /// Raw counts.
@@ -137,6 +144,11 @@ pub enum UnitHint {
 impl fmt::Display for Refusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
+            Self::TooFewPoses { have: 0, need, .. } => write!(
+                out,
+                "no static pose: hold the sensor still for two seconds in each of {need} orientations or \
+                 more"
+            ),
             Self::TooFewPoses { have, need, model } => {
                 write!(
                     out,
@@ -157,6 +169,9 @@ impl fmt::Display for Refusal {
                 write!(out, "the poses' mean magnitude is {mean_mps2:.4}, ")?;
                 out.write_str(match hint {
                     UnitHint::G => "which looks like g, not m/s²: multiply by 9.80665",
+                    UnitHint::Mps2TakenForG => {
+                        "which looks like m/s² that were taken for g: say m/s² where it says g"
+                    }
                     UnitHint::MilliGOrCounts => {
                         "which looks like mg or counts, not m/s²: multiply mg by 0.00980665, or \
                          divide by the sensitivity in LSB per m/s²"
@@ -258,6 +273,10 @@ impl fmt::Display for Refusal {
             Self::NotConverged => out.write_str(
                 "no error model makes these poses of one magnitude: check that the sensor was still, \
                  not saturated, and that every axis works",
+            ),
+            Self::MixedUnits { pose } => write!(
+                out,
+                "pose {pose} (from 0) looks like g among poses in m/s²: give all in one unit"
             ),
             Self::OutOfBounds(error) => write!(
                 out,

@@ -4,7 +4,10 @@ mod common;
 
 use common::{Random, norm, parameters, pose, twelve};
 use proptest::prelude::*;
-use wimu_calib::{Gravity, Model, Parameter, Pose, Refusal, UnitHint, multi_position};
+use wimu_calib::{
+    Gravity, Model, MultiPosition, Parameter, Pose, Refusal, UnitHint, multi_position,
+    multi_position_with,
+};
 use wimu_model::{ErrorModel, ErrorTerms};
 
 const G: f64 = 9.80665;
@@ -372,6 +375,7 @@ fn wrong_units_are_recognised() {
     let poses = spread(&mut random, &truth, 0);
     for (factor, expected) in [
         (1.0 / G, UnitHint::G),
+        (G, UnitHint::Mps2TakenForG),
         (1000.0 / G, UnitHint::MilliGOrCounts),
         (16384.0 / G, UnitHint::Counts),
         (0.01, UnitHint::NotGravity),
@@ -418,6 +422,51 @@ fn a_dead_axis_and_poses_in_motion_are_refused() {
             println!("{refused}");
         }
     }
+    // Dead, and not merely never turned.
+    let mut dead = spread(&mut random, &truth, 12);
+    for pose in &mut dead {
+        pose.mean_mps2[1] = 0.0;
+    }
+    let refused = multi_position(&dead, exact(), Model::Full9);
+    assert_eq!(refused, Err(Refusal::AxisStuck { axis: 1 }));
+}
+
+#[test]
+fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
+    let mut random = Random(16);
+    let truth = random.model(true);
+    let good = spread(&mut random, &truth, 12);
+    let in_g = |poses: &mut [Pose]| {
+        for pose in poses {
+            pose.mean_mps2 = pose.mean_mps2.map(|y| y / G);
+        }
+    };
+    let mut half = good.clone();
+    in_g(&mut half[9..]);
+    let refused = multi_position(&half, exact(), Model::Full9);
+    assert_eq!(refused, Err(Refusal::MixedUnits { pose: 9 }));
+    let mut one = good;
+    add_noise(&mut random, &mut one, 0.003);
+    in_g(&mut one[7..8]);
+    let what = MultiPosition {
+        reject: true,
+        ..MultiPosition::default()
+    };
+    let estimate = multi_position_with(&one, exact(), what).expect("an answer");
+    assert_eq!(estimate.rejected.as_slice(), [7]);
+    assert!((estimate.model.terms().bias_mps2[0] - truth.terms().bias_mps2[0]).abs() < 0.01);
+}
+
+#[test]
+fn what_is_not_fitted_has_no_deviation() {
+    let mut random = Random(17);
+    let truth = random.model(true);
+    let poses = spread(&mut random, &truth, 12);
+    let three = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Bias3).expect("an answer");
+    assert_eq!(three.sd().matrix, [[0.0; 3]; 3]);
+    let six = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::BiasScale6).expect("an answer");
+    assert_eq!(six.sd().matrix[1][0], 0.0);
+    assert!(six.sd().matrix[0][0] > 0.001);
 }
 
 #[test]

@@ -29,7 +29,7 @@ pub(crate) fn check<'a>(
     }
     let hint = match mean_mps2 {
         m if (0.7..1.4).contains(&m) => UnitHint::G,
-        m if (70.0..135.0).contains(&m) => UnitHint::Mps2TakenForG,
+        m if (85.0..108.0).contains(&m) => UnitHint::Mps2TakenForG,
         m if (700.0..1400.0).contains(&m) => UnitHint::MilliGOrCounts,
         m if m > 100.0 && m < 1e6 => UnitHint::Counts,
         _ => UnitHint::NotGravity,

@@ -170,7 +170,8 @@ impl fmt::Display for Refusal {
                 out.write_str(match hint {
                     UnitHint::G => "which looks like g, not m/s²: multiply by 9.80665",
                     UnitHint::Mps2TakenForG => {
-                        "which looks like m/s² that were taken for g: say m/s² where it says g"
+                        "which looks like m/s² that were taken for g: say m/s² where it says g; or the \
+                         sensitivity is ten times too small"
                     }
                     UnitHint::MilliGOrCounts => {
                         "which looks like mg or counts, not m/s²: multiply mg by 0.00980665, or \

@@ -24,7 +24,7 @@ use wimu_calib::{
 use wimu_link::message::parameter_id;
 use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, TemperatureTerms};
 
-use crate::dataset::{Dataset, OutputUnit};
+use crate::dataset::{Dataset, OutputUnit, RateSource};
 use crate::error::{ErrorCode, HostError, Result};
 
 /// More poses than anyone holds still for.
@@ -198,30 +198,25 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     let mut fitted = found.poses.clone();
     let mut outcome = fit(&fitted);
     let mut sensitivity = known;
-    let mut reason = None;
+    // What the fit says of it, whether or not a board could hold it.
+    let mut fitted_lsb_per_g = None;
     if source == Some(Source::Fit)
         && let Ok(estimate) = &outcome
     {
         // Scaling counts scales A: with the mean scale factor taken out, it is 1.
         let matrix = estimate.model.terms().matrix;
         let mean = (matrix[0][0] + matrix[1][1] + matrix[2][2]) / 3.0;
-        match Sensitivity::from_lsb_per_g(STANDARD_GRAVITY_MPS2 / scale * mean) {
-            Ok(found_sensitivity) => {
-                sensitivity = Some(found_sensitivity);
-                fitted = found.scaled(found_sensitivity.mps2_per_lsb());
-                outcome = fit(&fitted);
-            }
-            Err(error) => reason = Some(format!("the counts make no accelerometer: {error}")),
-        }
+        let lsb_per_g = STANDARD_GRAVITY_MPS2 / scale * mean;
+        sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).ok();
+        fitted_lsb_per_g = Some(lsb_per_g);
+        fitted = found.scaled(STANDARD_GRAVITY_MPS2 / lsb_per_g);
+        outcome = fit(&fitted);
     }
+    let lsb_per_g = sensitivity.map(Sensitivity::lsb_per_g).or(fitted_lsb_per_g);
 
     let (estimate, refusal) = match outcome {
-        Ok(estimate) if reason.is_none() => (Some(estimate), None),
-        Ok(_) => (None, None),
-        Err(refusal) => {
-            reason = Some(refusal.to_string());
-            (None, Some(refusal))
-        }
+        Ok(estimate) => (Some(estimate), None),
+        Err(refusal) => (None, Some(refusal)),
     };
     let parameters = estimate
         .as_ref()
@@ -235,7 +230,8 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
         status: if estimate.is_some() { "ok" } else { "refused" },
-        reason,
+        reason: refusal.as_ref().map(Refusal::to_string),
+        remarks: remarks(data, options, estimate.as_ref(), sensitivity, lsb_per_g),
         source: data.name.clone(),
         method: options.method.name(),
         terms: terms(estimate.as_ref(), options),
@@ -245,8 +241,8 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         gravity_m_s2: gravity.mps2(),
         gravity_sd_m_s2: gravity.sd_mps2(),
         gravity_source,
-        sensitivity_lsb_per_g: sensitivity.map(Sensitivity::lsb_per_g),
-        sensitivity_source: source.filter(|_| sensitivity.is_some()),
+        sensitivity_lsb_per_g: lsb_per_g,
+        sensitivity_source: source.filter(|_| lsb_per_g.is_some()),
         uncalibrated_rms_mm_s2: rms(fitted
             .iter()
             .map(|pose| magnitude(pose.mean_mps2) - gravity.mps2()))
@@ -274,10 +270,9 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .zip(estimate.as_ref())
             .map(|(datasheet, estimate)| {
                 let (used, range) = match data.unit {
-                    OutputUnit::Counts { range_g: known, .. } => (
-                        sensitivity.map(Sensitivity::lsb_per_g),
-                        known.or(sensitivity.map(likely_range_g)),
-                    ),
+                    OutputUnit::Counts { range_g: known, .. } => {
+                        (lsb_per_g, known.or(sensitivity.map(likely_range_g)))
+                    }
                     OutputUnit::Mps2 => (None, None),
                 };
                 DatasheetReport::new(datasheet, estimate, used, range)
@@ -286,6 +281,67 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,
     })
+}
+
+/// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
+const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
+
+/// What the numbers do not show.
+fn remarks(
+    data: &Dataset,
+    options: &CalibrateOptions,
+    estimate: Option<&Estimate>,
+    sensitivity: Option<Sensitivity>,
+    lsb_per_g: Option<f64>,
+) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if data.rate_source == RateSource::Assumed && !data.poses {
+        let timed = data.outputs.iter().any(|output| output.time_s.is_some());
+        remarks.push(format!(
+            "the data have no {}: {} Hz assumed",
+            if timed {
+                "two times within a second of each other (is their unit right?)"
+            } else {
+                "times"
+            },
+            data.rate_hz
+        ));
+    }
+    let Some(estimate) = estimate else {
+        return remarks;
+    };
+    let missing = |parameters: &[Parameter]| {
+        parameters
+            .iter()
+            .all(|parameter| !estimate.fitted.contains(*parameter))
+    };
+    if missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]) {
+        remarks.push("scale factors were not fitted and are taken as 1".to_owned());
+    }
+    if missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]) {
+        remarks.push("misalignments were not fitted and are taken as 0".to_owned());
+    }
+    let left = estimate.rms_mps2 * 1e3;
+    if left > SUSPICIOUS_RMS_MM_S2 && estimate.rejected.as_slice().is_empty() {
+        remarks.push(format!(
+            "what is left, {left:.0} mm/s² rms, is more than poses of a sound sensor leave: the model \
+             is too small, or poses are bad"
+        ));
+    }
+    if let (None, Some(lsb_per_g)) = (sensitivity, lsb_per_g) {
+        remarks.push(format!(
+            "{lsb_per_g:.1} LSB/g is outside what a board can be told (160 to 65536): this calibration \
+             cannot be pushed or exported"
+        ));
+    }
+    let told = options.method == MethodChoice::SixPosition && options.sides.is_some();
+    if !told {
+        remarks.push(
+            "nothing here shows axes that are swapped or mirrored: --method six-position --sides does"
+                .to_owned(),
+        );
+    }
+    remarks
 }
 
 fn poses(data: &Dataset, scale: f64) -> Poses {

@@ -138,6 +138,8 @@ pub struct CalibrationReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
+    /// What the numbers do not show and a user should know.
+    pub remarks: Vec<String>,
     /// The data.
     pub source: String,
     /// `multi-position`, `six-position`, `four-angle` or `three-angle`.
@@ -210,9 +212,6 @@ impl fmt::Display for CalibrationReport {
             self.gravity_m_s2,
             uncertain(self.gravity_sd_m_s2),
         )?;
-        if let (Some(rate), Some(RateSource::Assumed)) = (self.rate_hz, self.rate_source) {
-            writeln!(out, "the data have no times: {rate} Hz assumed")?;
-        }
         if let (Some(sensitivity), Some(source)) =
             (self.sensitivity_lsb_per_g, self.sensitivity_source)
         {
@@ -224,6 +223,9 @@ impl fmt::Display for CalibrationReport {
             writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
         }
         let Some(fit) = &self.fit else {
+            for remark in &self.remarks {
+                writeln!(out, "{remark}")?;
+            }
             write!(
                 out,
                 "refused: {}",
@@ -236,15 +238,19 @@ impl fmt::Display for CalibrationReport {
         };
         let to_mg = 1e3 / STANDARD_GRAVITY_MPS2;
         for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
-            writeln!(
+            write!(
                 out,
-                "{name}: bias {:+.4} ± {:.4} m/s² ({:+.2} mg), scale factor {:.5} ± {:.5}",
+                "{name}: bias {:+.4} ± {:.4} m/s² ({:+.2} mg), ",
                 fit.model.bias_mps2[axis],
                 fit.sd.bias_mps2[axis],
                 fit.model.bias_mps2[axis] * to_mg,
-                fit.model.matrix[axis][axis],
-                fit.sd.matrix[axis][axis],
             )?;
+            let (scale, sd) = (fit.model.matrix[axis][axis], fit.sd.matrix[axis][axis]);
+            if fit.fitted.contains(&format!("scale factor {name}")) {
+                writeln!(out, "scale factor {scale:.5} ± {sd:.5}")?;
+            } else {
+                writeln!(out, "scale factor not fitted")?;
+            }
         }
         let off = |r: usize, c: usize| fit.model.matrix[r][c] * 1e3;
         writeln!(
@@ -322,12 +328,8 @@ impl fmt::Display for CalibrationReport {
                 self.rejected_poses
             )?;
         }
-        if self.method == "multi-position" {
-            writeln!(
-                out,
-                "gravity alone does not show axes that are swapped or mirrored: --method \
-                 six-position --sides does"
-            )?;
+        for remark in &self.remarks {
+            writeln!(out, "{remark}")?;
         }
         match (self.poses_worth_adding, self.next_poses.first()) {
             (0, _) | (_, None) => write!(out, "more poses would change little"),

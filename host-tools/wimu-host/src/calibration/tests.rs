@@ -355,10 +355,11 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
         assert_eq!(report.poses, 13, "{report}");
         let mut json = serde_json::to_value(&report).unwrap();
         let object = json.as_object_mut().unwrap();
-        // Only a board knows its full scale.
+        // Only a board knows its full scale and its rate.
         for field in [
             "source",
             "rate_source",
+            "remarks",
             "parameters",
             "parameter_id",
             "units",

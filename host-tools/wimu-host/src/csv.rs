@@ -125,6 +125,18 @@ impl<R: BufRead> CsvReader<R> {
             )
             .at(name));
         }
+        if let [only] = fields.as_slice()
+            && let Some(separator) = only.chars().find(|c| matches!(c, ';' | '\t' | '|'))
+        {
+            return Err(location(
+                HostError::new(
+                    ErrorCode::CsvNoHeader,
+                    format!("the fields are separated by {separator:?}, not by commas"),
+                    "write commas between the fields, and points in the numbers",
+                ),
+                lines.number,
+            ));
+        }
         let (header, columns) =
             columns::parse(&fields).map_err(|error| location(error, lines.number))?;
         Ok(Self {
@@ -285,7 +297,7 @@ impl<R: BufRead> CsvReader<R> {
                 ErrorCode::CsvTimeBackwards,
                 format!(
                     "time goes back by {} s after line {last_line}",
-                    last.abs_diff(time) as f64 * 1e-9
+                    last.abs_diff(time) as f64 / 1e9
                 ),
                 "sort the rows, or if the file holds several runs choose one with --where",
             )

@@ -160,7 +160,7 @@ codes! {
     UnknownFormat = "unknown_format", 2;
     /// A CSV file without a line.
     CsvEmpty = "csv_empty", 2;
-    /// A CSV file whose first line holds numbers.
+    /// A CSV file whose first line holds numbers, or no commas.
     CsvNoHeader = "csv_no_header", 2;
     /// A column, or an axis of one, that is not there.
     CsvMissingColumn = "csv_missing_column", 2;

@@ -114,6 +114,12 @@ fn bad_input_says_which_line_and_column() {
         ),
         ("\n\n", ErrorCode::CsvEmpty, "a.csv", "empty"),
         (
+            "Time (s);Accelerometer X (g)\n0;1\n",
+            ErrorCode::CsvNoHeader,
+            "a.csv line 1",
+            "';'",
+        ),
+        (
             "1,2,3\n4,5,6\n",
             ErrorCode::CsvNoHeader,
             "a.csv line 1",

@@ -4,7 +4,7 @@
 //! logs. Parameters live in the memory at 0x2100_0000, which QEMU keeps in a file. Words on the
 //! command line: `free-running`, time is that of the machine's timers, or `lockstep`, it is what
 //! the host says that plays the sensor; `power-loss=WORDS` ends the machine when as many words of
-//! flash have been written.
+//! flash have been written; `slow-flash=CYCLES` makes each of them take longer.
 
 #![no_std]
 #![no_main]
@@ -149,6 +149,10 @@ fn options(line: &str) -> bool {
             ("free-running", _) => lockstep = false,
             (_, Some(("power-loss", words))) => match words.parse() {
                 Ok(words) => store::lose_power_after(words),
+                Err(_) => unknown(word),
+            },
+            (_, Some(("slow-flash", cycles))) => match cycles.parse() {
+                Ok(cycles) => store::slow_down(cycles),
                 Err(_) => unknown(word),
             },
             _ => unknown(word),

@@ -21,6 +21,15 @@ const RANGE: Range<u32> = 0..4 * PAGE as u32;
 /// Words that can be written or erased before power is lost.
 static WORDS_LEFT: AtomicU32 = AtomicU32::new(u32::MAX);
 
+/// Cycles that a word takes to be written or erased on top, as the processor counts them at most.
+static SLOWNESS: AtomicU32 = AtomicU32::new(0);
+
+/// Makes writing and erasing as slow as a flash's, or slower, so that a test can kill the machine while
+/// it is at it.
+pub fn slow_down(cycles: u32) {
+    SLOWNESS.store(cycles, Ordering::Relaxed);
+}
+
 /// Ends the machine when `words` more words have been written or erased, so that a test can lose
 /// power at each of them.
 pub fn lose_power_after(words: u32) {
@@ -51,6 +60,7 @@ impl Flash {
         }
         // SAFETY: the aligned address is in the flash.
         unsafe { (address as *mut u32).write_volatile(value) };
+        cortex_m::asm::delay(SLOWNESS.load(Ordering::Relaxed));
     }
 
     fn range(from: u32, length: usize) -> Result<Range<usize>, NorFlashErrorKind> {

@@ -84,6 +84,7 @@ Usage: qemu IMAGE [OPTION VALUE]…
                 memory: None,
                 log: Some(Path::new(image).with_extension("log")),
                 power_loss_after: None,
+                slow_flash: None,
             },
             motion: "twelve-poses,slide".into(),
             seed: 1,

@@ -43,6 +43,8 @@ pub struct Machine {
     pub log: Option<PathBuf>,
     /// It loses power when as many words of its flash have been written or erased.
     pub power_loss_after: Option<u32>,
+    /// Writing a word of its flash takes as many cycles of the processor on top.
+    pub slow_flash: Option<u32>,
 }
 
 impl Machine {
@@ -76,6 +78,9 @@ impl Machine {
         let mut semihosting = format!("enable=on,target=native,arg=wimu,arg={mode}");
         if let Some(words) = self.power_loss_after {
             semihosting.push_str(&format!(",arg=power-loss={words}"));
+        }
+        if let Some(cycles) = self.slow_flash {
+            semihosting.push_str(&format!(",arg=slow-flash={cycles}"));
         }
         command.args(["-semihosting-config", &semihosting]);
         for (name, device) in [
@@ -271,6 +276,11 @@ impl QemuBoard {
     /// How it is made; a change holds from the next restart on.
     pub fn machine(&mut self) -> &mut Machine {
         &mut self.machine
+    }
+
+    /// QEMU's process, to kill it at its work.
+    pub fn process_id(&self) -> u32 {
+        self.lines.process.0.id()
     }
 
     /// The sensor, to break it or to give it other samples.

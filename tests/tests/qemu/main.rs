@@ -37,6 +37,7 @@ fn machine(folder: &Path) -> Machine {
         memory: Some(memory(folder)),
         log: Some(folder.join("log")),
         power_loss_after: None,
+        slow_flash: None,
     }
 }
 

@@ -4,6 +4,9 @@ use std::cell::RefCell;
 use std::fs::{self, File};
 use std::io::Read;
 use std::path::Path;
+use std::process::Command;
+use std::thread;
+use std::time::Duration;
 
 use wimu_host::ErrorCode;
 use wimu_link::LinkRole;
@@ -87,6 +90,71 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
     }
     println!("lost before the new set stood, after, never: {outcomes:?}");
     assert!(outcomes[0] > 20 && outcomes[2] == 1, "{outcomes:?}");
+}
+
+/// Kills QEMU `kills` times, each time while it writes a push into a flash that is slow, at a moment that
+/// nobody chose; after each it must hold the set of before or the new one. Returns how often it held
+/// which, and how often the write was unfinished.
+fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
+    /// In QEMU some milliseconds.
+    const CYCLES: u32 = 3_000_000;
+    let folder = folder();
+    let (board, scene) = started(folder.path());
+    let mut host = Host::connect(&board, scene).expect("a board");
+    let sets = [5, 6].map(parameters);
+    let ids = sets.map(|set| host.cable.push_parameters(&set).expect("pushed").0);
+    let memory = memory(folder.path());
+    let mut holds = ids[1];
+    let mut outcomes = [0; 2];
+    let mut unfinished = 0;
+    let mut state = 1_u64;
+    for kill in 0..kills {
+        board.borrow_mut().machine().slow_flash = Some(CYCLES);
+        host.restart().expect("it starts");
+        let id = board.borrow().process_id().to_string();
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let delay = Duration::from_micros((state >> 33) % 900_000);
+        let before = flash(&memory);
+        let watched = memory.clone();
+        let killer = thread::spawn(move || {
+            while flash(&watched) == before {
+                thread::sleep(Duration::from_micros(300));
+            }
+            thread::sleep(delay);
+            let killed = Command::new("kill").args(["-9", &id]).status();
+            assert!(killed.is_ok_and(|status| status.success()));
+        });
+        let new = usize::from(holds == ids[0]);
+        let pushed = host.cable.push_parameters(&sets[new]);
+        killer.join().expect("killed");
+        let torn = flash(&memory);
+        board.borrow_mut().machine().slow_flash = None;
+        host.restart().expect("it starts again");
+        let found = host.cable.parameters().expect("answered").id;
+        assert!(ids.contains(&found), "{found:08x} after kill {kill}");
+        // A set whose push was said to be done is not lost.
+        assert!(pushed.is_err() || found == ids[new], "kill {kill}");
+        outcomes[usize::from(found == ids[new])] += 1;
+        // The same push, if it has to be done again, writes more than what was there.
+        let again = host.cable.push_parameters(&sets[new]).expect("pushed").0;
+        assert_eq!(again, ids[new]);
+        holds = again;
+        unfinished += u32::from(pushed.is_err() && flash(&memory) != torn);
+    }
+    (outcomes, unfinished)
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
+fn a_machine_killed_while_it_writes_holds_the_old_parameters_or_the_new() {
+    let kills = std::env::var("WIMU_KILLS").map_or(8, |kills| kills.parse().expect("a number"));
+    let ([old, new], unfinished) = killed_while_writing(kills);
+    println!(
+        "kill -9 {kills} times: {unfinished} writes unfinished; the old set {old} times, the new {new}"
+    );
+    assert!(unfinished * 4 > kills, "{unfinished} of {kills}");
 }
 
 /// The flash's bytes in the file that keeps it, complemented: an erased bit is 0.

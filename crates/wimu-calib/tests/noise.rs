@@ -4,7 +4,7 @@ mod common;
 
 use common::Random;
 use proptest::prelude::*;
-use wimu_calib::{AllanVariance, AxisNoise, NoiseRefusal};
+use wimu_calib::{AllanVariance, Measured, NoiseRefusal};
 
 fn run(rate_hz: f64, samples: &[[f64; 3]]) -> AllanVariance {
     let mut allan = AllanVariance::new(rate_hz);
@@ -58,88 +58,177 @@ proptest! {
 
 const RATE: f64 = 100.0;
 
-/// White noise, flicker noise, and a random walk.
-///
-/// Flicker noise is a sum of 20 relaxations with time constants τ_k an octave apart, each of
-/// variance v. One has the density 4 v τ / (1 + (2π f τ)²); a sum over octaves of it is flat in
-/// ln f: v / (f ln 2) one-sided between the corners. Flicker noise of density h/f has Allan variance
-/// 2 ln 2 · h, and B² is π h.
-fn noise(random: &mut Random, n: usize, white: f64, bias: f64, walk: f64) -> Vec<f64> {
-    let sd = bias * (std::f64::consts::LN_2 / std::f64::consts::PI).sqrt();
-    let octaves = if bias > 0.0 { 20 } else { 0 };
-    let mut states: Vec<(f64, f64, f64)> = (0..octaves)
-        .map(|octave| {
-            let keep = (-1.0 / (0.25 * f64::from(1 << octave))).exp();
-            (keep, (1.0 - keep * keep).sqrt(), random.normal())
-        })
+/// What is simulated: σ of white noise a sample, m/s², flicker noise B, m/s², and σ of the steps of a
+/// random walk a sample, m/s².
+#[derive(Clone, Copy)]
+struct Truth {
+    white: f64,
+    flicker: f64,
+    walk: f64,
+}
+
+/// A relaxation process of variance 1 with a time constant of `tau` samples, and its mean over each
+/// sample period.
+struct Relaxation {
+    /// What state and mean keep of the state before, and their own noise: the state's, and the mean's
+    /// with and without it.
+    keep: [f64; 2],
+    new: [f64; 3],
+    /// It moves on every so many samples.
+    every: usize,
+    state: f64,
+    mean: f64,
+}
+
+impl Relaxation {
+    fn new(tau: f64, random: &mut Random) -> Self {
+        // Slow ones move on sixteen times in a time constant.
+        let every = (tau / 16.0).max(1.0) as usize;
+        let tau = tau / every as f64;
+        let rho = (-1.0 / tau).exp();
+        let state = (1.0 - rho * rho).sqrt();
+        let both = tau * (1.0 - rho) * (1.0 - rho) / state;
+        let mean = tau * tau * (2.0 / tau - 3.0 + 4.0 * rho - rho * rho);
+        Self {
+            keep: [rho, tau * (1.0 - rho)],
+            new: [state, both, (mean - both * both).max(0.0).sqrt()],
+            every,
+            state: random.normal(),
+            mean: 0.0,
+        }
+    }
+
+    fn next(&mut self, k: usize, random: &mut Random) -> f64 {
+        if k.is_multiple_of(self.every) {
+            let [own, other] = [random.normal(), random.normal()];
+            self.mean = self.keep[1] * self.state + self.new[1] * own + self.new[2] * other;
+            self.state = self.keep[0] * self.state + self.new[0] * own;
+        }
+        self.mean
+    }
+}
+
+/// Flicker noise is a sum of relaxations with time constants τ_k an octave apart, each of variance v,
+/// averaged over each sample period as σ(τ) has it. One has the density 4 v τ / (1 + (2π f τ)²); a sum
+/// over octaves of it is flat in ln f: v / (f ln 2) one-sided between the corners. Flicker noise of
+/// density h/f has Allan variance 2 ln 2 · h, and B² is π h.
+fn noise(random: &mut Random, n: usize, truth: Truth) -> Vec<f64> {
+    let variance = truth.flicker.powi(2) * std::f64::consts::LN_2 / std::f64::consts::PI;
+    let octaves = if truth.flicker > 0.0 { -3..18 } else { 0..0 };
+    let mut relaxations: Vec<_> = octaves
+        .map(|octave| Relaxation::new(2_f64.powi(octave), random))
         .collect();
+    // The mean of a fast one is white noise of variance 2 τ: here are those of 1/16 and less.
+    let white = (truth.white.powi(2) + variance / 4.0).sqrt();
     let mut position = 0.0;
     (0..n)
-        .map(|_| {
-            let mut sum = white * random.normal();
-            if walk > 0.0 {
-                position += walk * random.normal();
+        .map(|k| {
+            if truth.walk > 0.0 {
+                position += truth.walk * random.normal();
             }
-            for (keep, new, state) in &mut states {
-                *state = *keep * *state + *new * random.normal();
-                sum += sd * *state;
-            }
-            sum + position
+            let flicker: f64 = relaxations.iter_mut().map(|r| r.next(k, random)).sum();
+            white * random.normal() + variance.sqrt() * flicker + position
         })
         .collect()
 }
 
-/// Three independent axes of it.
-fn of(random: &mut Random, n: usize, white: f64, bias: f64, walk: f64) -> [AxisNoise; 3] {
-    let axes = [0; 3].map(|_| noise(random, n, white, bias, walk));
-    let mut allan = AllanVariance::new(RATE);
-    for k in 0..n {
-        allan.push([axes[0][k], axes[1][k], axes[2][k]]);
-    }
-    allan.result().expect("noise")
+/// Of 95 % intervals: how many there were, and how many held the truth.
+#[derive(Default)]
+struct Held {
+    seen: u32,
+    held: u32,
 }
 
-#[test]
-fn white_noise_is_found_within_its_intervals() {
-    let (mut held, mut others) = (0, 0);
-    for seed in 0..150 {
-        for found in of(&mut Random(seed), 8_000, 0.02, 0.0, 0.0) {
-            let walk = found.velocity_random_walk;
-            held += u32::from((walk.value - 0.002).abs() <= 1.96 * walk.sd);
-            let more = [found.bias_instability_mps2, found.acceleration_random_walk];
-            others += u32::from(more.iter().any(Option::is_some));
+impl Held {
+    fn take(&mut self, found: Option<Measured>, truth: f64) {
+        if let Some(found) = found {
+            let [low, high] = found.interval_95();
+            self.seen += 1;
+            self.held += u32::from((low..=high).contains(&truth));
         }
     }
-    let percent = 100.0 * f64::from(held) / 450.0;
-    println!("white noise: {percent:.1} % held, another noise claimed in {others} of 450");
-    assert!((93.0..=97.5).contains(&percent), "{percent}");
-    assert!(others <= 22, "{others}");
+
+    fn percent(&self) -> f64 {
+        100.0 * f64::from(self.held) / f64::from(self.seen.max(1))
+    }
 }
 
-#[test]
-fn flicker_noise_and_a_random_walk_are_found_within_their_intervals() {
-    let (mut bias, mut seen, mut white) = (0, 0, 0);
-    let (mut walk, mut walks) = (0, 0);
-    for seed in 0..20 {
-        for found in of(&mut Random(seed), 60_000, 0.02, 0.003, 0.0) {
-            let n = found.velocity_random_walk;
-            white += u32::from((n.value - 0.002).abs() <= 2.1 * n.sd);
-            if let Some(b) = found.bias_instability_mps2 {
-                seen += 1;
-                bias += u32::from((b.value - 0.003).abs() <= 2.1 * b.sd);
-            }
+/// N, B and K over so many recordings of three axes each.
+fn coverage(recordings: u64, n: usize, truth: Truth) -> [Held; 3] {
+    let mut held: [Held; 3] = Default::default();
+    for seed in 0..recordings {
+        let mut random = Random(seed + 1_000_003 * n as u64);
+        let axes = [0; 3].map(|_| noise(&mut random, n, truth));
+        let mut allan = AllanVariance::new(RATE);
+        for k in 0..n {
+            allan.push([axes[0][k], axes[1][k], axes[2][k]]);
         }
-        for found in of(&mut Random(seed + 1000), 60_000, 0.02, 0.0, 1e-4) {
-            if let Some(k) = found.acceleration_random_walk {
-                walks += 1;
-                // 10⁻⁴ a sample is 10⁻⁴ · √100 m/s²/√s.
-                walk += u32::from((k.value - 1e-3).abs() <= 2.1 * k.sd);
-            }
+        for found in allan.result().expect("noise") {
+            let root = RATE.sqrt();
+            held[0].take(Some(found.velocity_random_walk), truth.white / root);
+            held[1].take(found.bias_instability_mps2, truth.flicker);
+            held[2].take(found.acceleration_random_walk, truth.walk * root);
         }
     }
+    let [n_held, b, k] = &held;
     println!(
-        "flicker: seen {seen}, held {bias}; white beside it held {white}; walk: seen {walks}, held {walk}; of 60"
+        "{recordings} recordings of {:.0} s: N held {:.1} % of {}, B {:.1} % of {}, K {:.1} % of {}",
+        n as f64 / RATE,
+        n_held.percent(),
+        n_held.seen,
+        b.percent(),
+        b.seen,
+        k.percent(),
+        k.seen,
     );
+    held
+}
+
+const WHITE: Truth = Truth {
+    white: 0.02,
+    flicker: 0.0,
+    walk: 0.0,
+};
+const FLICKER: Truth = Truth {
+    flicker: 0.003,
+    ..WHITE
+};
+const WALK: Truth = Truth {
+    walk: 1e-4,
+    ..WHITE
+};
+
+/// Whether intervals that are there hold the truth as often as they say, and noise that is not there
+/// is hardly ever claimed.
+fn assert_honest(held: &[Held; 3], truth: Truth, percent: std::ops::RangeInclusive<f64>) {
+    let there = [truth.white, truth.flicker, truth.walk].map(|size| size > 0.0);
+    for (held, there) in held.iter().zip(there) {
+        if there {
+            assert!(percent.contains(&held.percent()), "{} %", held.percent());
+        }
+        assert!(there || held.seen <= 20, "{} claimed", held.seen);
+    }
+}
+
+#[test]
+fn intervals_hold_the_truth_95_percent_of_the_time() {
+    for (n, truth) in [
+        (1_000, WHITE),
+        (8_000, WHITE),
+        (12_000, FLICKER),
+        (12_000, WALK),
+    ] {
+        assert_honest(&coverage(334, n, truth), truth, 93.0..=97.0);
+    }
+}
+
+/// `cargo test --release -p wimu-calib --test noise long -- --ignored --nocapture`
+#[test]
+#[ignore = "takes minutes"]
+fn intervals_of_long_recordings_hold_the_truth() {
+    for truth in [WHITE, FLICKER, WALK] {
+        assert_honest(&coverage(334, 60_000, truth), truth, 93.0..=97.0);
+    }
 }
 
 #[test]

@@ -18,6 +18,8 @@ pub struct Figure {
     pub value: f64,
     /// Its standard deviation.
     pub sd: f64,
+    /// What holds the truth 95 % of the time.
+    pub interval_95: [f64; 2],
 }
 
 impl From<Measured> for Figure {
@@ -25,6 +27,7 @@ impl From<Measured> for Figure {
         Self {
             value: measured.value,
             sd: measured.sd,
+            interval_95: measured.interval_95(),
         }
     }
 }

@@ -1,0 +1,344 @@
+//! From an Allan deviation to the terms of noise: equation (53).
+
+use nalgebra::{Cholesky, Const, SMatrix, SVector};
+
+use super::{Measured, POINTS, cluster};
+
+/// 2 ln 2 / π: flicker noise of B² has this Allan variance.
+const FLICKER: f64 = 0.441_271_200_305_303_2;
+/// A term is there when it lowers −2 ln of the likelihood by more than this.
+const WORTH: f64 = 10.0;
+/// A set with one term less is as likely with this much more.
+const LIKELY: f64 = 7.0;
+/// By how much sets without a term must be worse for it to be told.
+const SEEN: f64 = 10.0;
+/// Terms: Q, N, B, K.
+const TERMS: usize = 4;
+/// Pairs of terms.
+const PRODUCTS: usize = TERMS * (TERMS + 1) / 2;
+/// Points up to this many octaves apart are known to be correlated; beyond, they hardly are.
+const OCTAVES: usize = 6;
+/// Rounds of weights by what was fitted the round before.
+const ROUNDS: usize = 8;
+/// Least share of a variance that is each point's own.
+const OWN: f64 = 1e-6;
+
+type Information = SMatrix<f64, TERMS, TERMS>;
+type Weights = Cholesky<f64, Const<POINTS>>;
+
+/// Degrees of freedom of σ²(τ) of `n` samples in clusters of `m`: the fewest of white, flicker and
+/// random-walk noise.
+pub(super) fn fewest_edf(n: f64, m: f64) -> f64 {
+    if n < 3.0 * m {
+        return 0.0;
+    }
+    let white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m * m / (4.0 * m * m + 5.0);
+    let flicker = if m < 1.5 {
+        2.0 * (n - 2.0) * (n - 2.0) / (2.3 * n - 4.9)
+    } else {
+        1.25 * n * n / (m * (n + 3.0 * m))
+    };
+    let less = n - 1.0;
+    let walk =
+        (n - 2.0) / m * (less * less - 3.0 * m * less + 4.0 * m * m) / ((n - 3.0) * (n - 3.0));
+    white.min(flicker).min(walk)
+}
+
+/// What Q², N², B² and K² add to the Allan variance at τ: equation (53).
+fn shares(tau_s: f64) -> [f64; TERMS] {
+    [3.0 / (tau_s * tau_s), 1.0 / tau_s, FLICKER, tau_s / 3.0]
+}
+
+fn total(terms: &[f64; TERMS], tau_s: f64) -> f64 {
+    terms.iter().zip(shares(tau_s)).map(|(t, x)| t * x).sum()
+}
+
+/// Generalised covariances of the running sum at a distance of `t` samples, of Q² f², N² f, B²/2π
+/// and K²/12f: whatever fourth differences leave.
+fn covariances(t: i64) -> [f64; TERMS] {
+    let far = t.unsigned_abs() as f64;
+    let quantised = if t == 0 { 1.0 } else { 0.0 };
+    let flicker = if t == 0 {
+        0.0
+    } else {
+        far * far * libm::log(far)
+    };
+    [quantised, -0.5 * far, flicker, far * far * far]
+}
+
+/// Σ over all pairs of second differences at two averaging times of the products of their
+/// covariances by the terms of noise: what decides how well points are known, and how much of it
+/// they share.
+pub(super) struct Spans {
+    /// By the shorter averaging time, how many octaves longer the other is, and pair of terms.
+    sums: [[[f64; PRODUCTS]; OCTAVES]; POINTS],
+}
+
+impl Spans {
+    /// For an unbroken run of `samples`, and `counts` second differences at each averaging time in
+    /// all runs.
+    pub(super) fn new(samples: u64, counts: &[f64; POINTS]) -> Self {
+        let samples = i64::try_from(samples).unwrap_or(i64::MAX / 4);
+        // Step between differences, and how many there are in the run.
+        let step = |place: usize| (cluster(place) / 8).max(1) as i64;
+        let differences = |place: usize| {
+            let left = samples - 2 * cluster(place) as i64;
+            if left < 0 { 0 } else { left / step(place) + 1 }
+        };
+        let mut sums = [[[0.0; PRODUCTS]; OCTAVES]; POINTS];
+        for octaves in 0..OCTAVES {
+            // Averaging times of 8 samples and more are as that of 8, but for their scale.
+            for like in 0..4.min(POINTS) {
+                let (short, long) = (1_i64 << like, 1_i64 << (like + octaves));
+                for lag in -3 * long - 2 * short..=3 * long {
+                    let product = products(lag, short, long);
+                    let last = if like == 3 { POINTS } else { like + 1 };
+                    for place in like..last {
+                        let other = place + octaves;
+                        if other >= POINTS || differences(other) == 0 {
+                            break;
+                        }
+                        let (near, far) = (step(place), step(other));
+                        let apart = lag * near;
+                        // Pairs of differences that are so far apart.
+                        let first = (-apart).max(0) as u64;
+                        let first = first.div_ceil(far as u64) as i64;
+                        let room = (differences(place) - 1) * near - apart;
+                        let last = room.div_euclid(far).min(differences(other) - 1);
+                        let pairs = (last - first + 1).max(0) as f64;
+                        for (sum, product) in sums[place][octaves].iter_mut().zip(product) {
+                            *sum += pairs * product;
+                        }
+                    }
+                }
+            }
+        }
+        for (place, octaves) in sums.iter_mut().enumerate() {
+            let m = cluster(place) as f64;
+            for (octave, sums) in octaves.iter_mut().enumerate() {
+                let other = place + octave;
+                let long = cluster(other) as f64;
+                let (Some(all), true) = (counts.get(other), other < POINTS) else {
+                    continue;
+                };
+                let n = [place, other].map(|place| differences(place) as f64);
+                // What other runs add makes it better known.
+                let runs = n[1] / all.max(1.0);
+                let scale = m / cluster(place.min(3)) as f64;
+                let per = runs / (2.0 * m * m * long * long * n[0] * n[1]);
+                let mut pair = 0;
+                for a in 0..TERMS {
+                    for b in a..TERMS {
+                        let power = libm::pow(scale, (a + b) as f64);
+                        let twice = if a == b { 1.0 } else { 2.0 };
+                        sums[pair] *= twice * power * per;
+                        pair += 1;
+                    }
+                }
+            }
+        }
+        Self { sums }
+    }
+
+    /// Covariance of the Allan variances at two averaging times.
+    fn covariance(&self, short: usize, long: usize, terms: &[f64; TERMS]) -> f64 {
+        let sums = self.sums.get(short).and_then(|s| s.get(long - short));
+        let mut products = sums.into_iter().flatten();
+        let mut covariance = 0.0;
+        for a in 0..TERMS {
+            for b in a..TERMS {
+                covariance += terms[a] * terms[b] * products.next().unwrap_or(&0.0);
+            }
+        }
+        covariance
+    }
+}
+
+/// Products of the covariances of two second differences, of `short` and `long` samples and `lag`
+/// apart, for each pair of terms.
+fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
+    const WEIGHTS: [f64; 3] = [1.0, -2.0, 1.0];
+    let mut found = [0.0; TERMS];
+    for (i, a) in (0..).zip(WEIGHTS) {
+        for (j, b) in (0..).zip(WEIGHTS) {
+            let at = covariances(lag + i * short - j * long);
+            for (found, at) in found.iter_mut().zip(at) {
+                *found += a * b * at;
+            }
+        }
+    }
+    let mut products = [0.0; PRODUCTS];
+    let mut pair = 0;
+    for a in 0..TERMS {
+        for b in a..TERMS {
+            products[pair] = found[a] * found[b];
+            pair += 1;
+        }
+    }
+    products
+}
+
+/// The points of an axis.
+#[derive(Clone, Copy)]
+pub(super) struct Curve {
+    rate_hz: f64,
+    variance: SVector<f64, POINTS>,
+    edf: SVector<f64, POINTS>,
+    used: usize,
+}
+
+/// A set of terms, as bits, their values, and their covariance.
+#[derive(Clone, Copy)]
+struct Fit {
+    set: u32,
+    terms: [f64; TERMS],
+    covariance: Information,
+    chi_square: f64,
+    /// −2 ln of its likelihood, up to a constant.
+    cost: f64,
+}
+
+impl Fit {
+    fn has(&self, term: usize) -> bool {
+        self.set >> term & 1 == 1
+    }
+}
+
+impl Curve {
+    pub(super) fn new(rate_hz: f64) -> Self {
+        Self {
+            rate_hz,
+            variance: SVector::zeros(),
+            edf: SVector::repeat(1.0),
+            used: 0,
+        }
+    }
+
+    /// Adds the next averaging time.
+    pub(super) fn add(&mut self, place: usize, variance: f64, edf: f64) {
+        if let (Some(own), Some(freedom)) = (self.variance.get_mut(place), self.edf.get_mut(place))
+        {
+            *own = variance;
+            *freedom = edf;
+            self.used = place + 1;
+        }
+    }
+
+    fn tau_s(&self, place: usize) -> f64 {
+        cluster(place) as f64 / self.rate_hz
+    }
+
+    /// Terms and their standard deviations, `None` for those that are not seen. Of all sets of
+    /// terms with N and none below zero, the likeliest with a penalty per term; what other sets would
+    /// say is in the standard deviations, as likely as they are.
+    pub(super) fn fit(&self, spans: &Spans) -> Option<[Option<Measured>; TERMS]> {
+        let fits: [Option<Fit>; 1 << TERMS] = core::array::from_fn(|set| {
+            let fit = self
+                .converged(set as u32, spans)
+                .filter(|_| set >> 1 & 1 == 1)?;
+            (0..TERMS)
+                .all(|k| !fit.has(k) || fit.terms[k] > 0.0)
+                .then_some(fit)
+        });
+        let penalised = |fit: &Fit| fit.cost + WORTH * f64::from(fit.set.count_ones());
+        let fits = || fits.iter().flatten();
+        let best = fits().min_by(|a, b| penalised(a).total_cmp(&penalised(b)))?;
+        // What no set of terms explains makes all of them less certain.
+        let freedom = self.used.saturating_sub(best.set.count_ones() as usize);
+        let misfit = (best.chi_square / freedom.max(1) as f64).max(1.0);
+        let worse = |fit: &Fit| {
+            let cost = |fit: &Fit| fit.cost / misfit + LIKELY * f64::from(fit.set.count_ones());
+            (cost(fit) - cost(best)).max(0.0)
+        };
+        Some(core::array::from_fn(|k| {
+            // A term is seen where no set without it does nearly as well.
+            let mut without = fits().filter(|fit| !fit.has(k));
+            let seen = best.has(k) && (k == 1 || without.all(|fit| worse(fit) > SEEN));
+            let (mut weight, mut variance) = (0.0, 0.0);
+            for fit in fits().filter(|fit| fit.has(k)) {
+                let likely = libm::exp(-0.5 * worse(fit));
+                let off = fit.terms[k] - best.terms[k];
+                weight += likely;
+                variance += likely * (misfit * fit.covariance[(k, k)] + off * off);
+            }
+            seen.then(|| {
+                let value = libm::sqrt(best.terms[k]);
+                Measured {
+                    value,
+                    sd: libm::sqrt(variance / weight) / (2.0 * value),
+                }
+            })
+        }))
+    }
+
+    /// The terms of `set` by generalised least squares with the covariance of the points that they
+    /// make themselves.
+    fn converged(&self, set: u32, spans: &Spans) -> Option<Fit> {
+        // What is expected is what was measured, and points are independent, in the first round.
+        let independent = SMatrix::from_diagonal(&self.edf.map(|edf| 2.0 / edf));
+        let mut fit = self.solve(set, &self.variance, &Weights::new(independent)?)?;
+        for _ in 0..ROUNDS {
+            let f = self.rate_hz;
+            let terms = fit.terms.map(|term| term.max(0.0));
+            let [q, n, b, k] = terms;
+            let parts = [q * f * f, n * f, b / core::f64::consts::TAU, k / (12.0 * f)];
+            let mut expected = self.variance;
+            for place in 0..self.used {
+                expected[place] = total(&terms, self.tau_s(place));
+            }
+            let covariance = SMatrix::<f64, POINTS, POINTS>::from_fn(|r, c| {
+                let (short, long) = (r.min(c), r.max(c));
+                if long >= self.used {
+                    return if r == c { 1.0 } else { 0.0 };
+                }
+                let own = if r == c { 1.0 + OWN } else { 1.0 };
+                own * spans.covariance(short, long, &parts) / (expected[r] * expected[c])
+            });
+            let before = fit.terms;
+            fit = self.solve(set, &expected, &Weights::new(covariance)?)?;
+            if (0..TERMS).all(|k| (fit.terms[k] - before[k]).abs() <= 1e-4 * before[k].abs()) {
+                break;
+            }
+        }
+        Some(fit)
+    }
+
+    /// The terms of `set`, the others 0.
+    fn solve(&self, set: u32, expected: &SVector<f64, POINTS>, weights: &Weights) -> Option<Fit> {
+        let inside = |k: usize| set >> k & 1 == 1;
+        // As a share of the noise to be expected, which spans decades.
+        let mut design = SMatrix::<f64, POINTS, TERMS>::zeros();
+        let mut seen = SVector::<f64, POINTS>::zeros();
+        let mut spread = 0.0;
+        let whitener = weights.l();
+        for place in 0..self.used {
+            let shares = shares(self.tau_s(place));
+            for k in (0..TERMS).filter(|k| inside(*k)) {
+                design[(place, k)] = shares[k] / expected[place];
+            }
+            seen[place] = self.variance[place] / expected[place];
+            spread += 2.0 * libm::log(expected[place] * whitener[(place, place)]);
+        }
+        let design = whitener.solve_lower_triangular(&design)?;
+        let seen = whitener.solve_lower_triangular(&seen)?;
+        let mut information = design.tr_mul(&design);
+        for k in (0..TERMS).filter(|k| !inside(*k)) {
+            information[(k, k)] = 1.0;
+        }
+        let scale = information.diagonal().map(|d| 1.0 / libm::sqrt(d));
+        let scaled = Information::from_fn(|r, c| information[(r, c)] * scale[r] * scale[c]);
+        let factor = Cholesky::new(scaled)?;
+        let right = design.tr_mul(&seen).component_mul(&scale);
+        let terms = factor.solve(&right).component_mul(&scale);
+        let inverse = factor.inverse();
+        let off = seen - design * terms;
+        let chi_square = off.norm_squared();
+        Some(Fit {
+            set,
+            terms: core::array::from_fn(|k| if inside(k) { terms[k] } else { 0.0 }),
+            covariance: Information::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c]),
+            chi_square,
+            cost: chi_square + spread,
+        })
+    }
+}

@@ -8,6 +8,8 @@ use wimu_model::{
     RotationCovariance,
 };
 
+use crate::{Rejected, student};
+
 /// Fewest poses: nine parameters of iron, and three to tell how good they are.
 const FEWEST: usize = 12;
 /// Beyond, the poses do not tell the model.
@@ -16,6 +18,16 @@ const MOST_CONDITION: f64 = 30.0;
 const MOST_RMS: f64 = 0.05;
 /// Left-out error per residual's standard deviation, at most.
 const MOST_LEFT_OUT: f64 = 10.0;
+/// The Earth's field is 22 to 67 µT; in buildings it is bent, hardly more than this, nT.
+const EARTHS_NT: core::ops::RangeInclusive<f64> = 1e4..=1.2e5;
+/// An axis that moves less than this share of what all of them do says nothing.
+const LEAST_SHARE: f64 = 0.02;
+/// So many poses at one and the same extreme are clipped.
+const CLIPPED: usize = 4;
+/// Chance that a good set of poses loses one.
+const SIGNIFICANCE: f64 = 1e-3;
+/// At most every fifth pose is doubted.
+const DOUBTED: usize = 5;
 /// Spread of the dip beyond which the axes do not belong together, rad rms.
 const MOST_DIP_RMS: f64 = 0.1;
 
@@ -27,6 +39,16 @@ pub struct MagneticPose {
     pub output_nt: [f64; 3],
     /// Corrected specific force at rest, accelerometer axes, of any length.
     pub up: [f64; 3],
+}
+
+/// A magnetometer's model, and the poses that it does without.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MagneticEstimate {
+    /// The model.
+    pub model: MagnetometerModel,
+    /// Poses that the others contradict: the field was disturbed there.
+    pub rejected: Rejected,
 }
 
 /// Why there is no model of a magnetometer.
@@ -46,6 +68,23 @@ pub enum MagneticRefusal {
         /// Its index.
         pose: usize,
     },
+    /// The field is not of the Earth's size: its unit is another, or it is no field.
+    NotEarths {
+        /// What it seems to be, nT.
+        field_nt: f64,
+    },
+    /// An axis says the same in all poses.
+    Dead {
+        /// 0 = X.
+        axis: usize,
+    },
+    /// An axis stands at its limit in several poses.
+    Clipped {
+        /// 0 = X.
+        axis: usize,
+        /// Its limit, nT.
+        at_nt: f64,
+    },
     /// The poses do not determine hard and soft iron, or a rotation.
     NotObservable {
         /// Condition of the fit; infinite where there is none.
@@ -55,6 +94,8 @@ pub enum MagneticRefusal {
     FieldNotConstant {
         /// What is left, as a share of the field, rms.
         share: f64,
+        /// The pose that departs most.
+        pose: usize,
     },
     /// One pose decides alone.
     PoorPrediction {
@@ -72,6 +113,7 @@ pub enum MagneticRefusal {
 
 impl fmt::Display for MagneticRefusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
         match *self {
             Self::TooFewPoses { have, need } => write!(
                 out,
@@ -81,15 +123,34 @@ impl fmt::Display for MagneticRefusal {
                 out,
                 "pose {pose} (from 0) has a field or a direction that is none: remove it"
             ),
+            Self::NotEarths { field_nt } => write!(
+                out,
+                "the field seems to be {:.3e} µT, the Earth's is 22 to 67: check the unit (1 G is \
+                 100 µT), and that no magnet or motor is near",
+                field_nt * 1e-3
+            ),
+            Self::Dead { axis } => write!(
+                out,
+                "the magnetometer's axis {} says the same in all poses: it is dead, or every pose \
+                 was turned about it; hold the board on other sides",
+                name(axis)
+            ),
+            Self::Clipped { axis, at_nt } => write!(
+                out,
+                "the magnetometer's axis {} stands at {:.1} µT in several poses: it is at its limit; \
+                 take away the magnet that drives it there",
+                name(axis),
+                at_nt * 1e-3
+            ),
             Self::NotObservable { condition } => write!(
                 out,
                 "the poses do not determine hard and soft iron (condition {condition:.0}): add \
                  orientations unlike those you have, upside down and on every side"
             ),
-            Self::FieldNotConstant { share } => write!(
+            Self::FieldNotConstant { share, pose } => write!(
                 out,
-                "the field was not the same in all poses ({:.0} % rms): stay away from iron, \
-                 currents and phones, and turn the sensor about one place",
+                "the field was not the same in all poses ({:.0} % rms, most in pose {pose} from 0): \
+                 stay away from iron, currents and phones, and turn the sensor about one place",
                 share * 100.0
             ),
             Self::PoorPrediction { share } => write!(
@@ -123,7 +184,8 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
 }
 
 /// Hard and soft iron from |B| being the same in all poses, and the rotation to the accelerometer
-/// from its dip being so. Equations (55) to (57) of docs/EQUATIONS.md.
+/// from its dip being so. Equations (55) to (57) of docs/EQUATIONS.md. Poses that the others
+/// contradict are left out, every fifth at most and as long as twelve are left.
 ///
 /// A magnetometer with one axis negated or two swapped looks like a right one in a field of the
 /// opposite dip: a dip that is negative north of the equator says that.
@@ -142,7 +204,9 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
 ///     let field = [0, 1, 2].map(|i| 25_000.0 * north[i] - 43_301.0 * up[i]);
 ///     poses.push(MagneticPose { output_nt: [field[0] + 10_000.0, field[1], field[2]], up });
 /// }
-/// let model = magnetometer(&poses)?;
+/// let found = magnetometer(&poses)?;
+/// let model = found.model;
+/// assert_eq!(found.rejected.as_slice(), []);
 /// assert!((model.terms().hard_iron_nt[0] - 10_000.0).abs() < 1.0);
 /// let mounting = model.terms().to_accelerometer.ok_or("a rotation")?;
 /// assert!((mounting.dip_rad.to_degrees() - 60.0).abs() < 0.01);
@@ -151,36 +215,109 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
 ///
 /// # Errors
 /// [`MagneticRefusal`].
-pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, MagneticRefusal> {
+pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagneticEstimate, MagneticRefusal> {
     let (have, need) = (poses.len(), FEWEST);
     if have < need {
         return Err(MagneticRefusal::TooFewPoses { have, need });
     }
     for (pose, entry) in poses.iter().enumerate() {
         let size = |v: [f64; 3]| Vector3::from(v).norm();
-        if !(size(entry.output_nt) < 1e8 && size(entry.up) > 1e-6 && size(entry.up) < 1e9) {
+        if !(size(entry.output_nt) < 1e300 && size(entry.up) > 1e-6 && size(entry.up) < 1e9) {
             return Err(MagneticRefusal::NotFinite { pose });
         }
     }
+    plausible(poses)?;
+    let mut rejected = Rejected::default();
+    loop {
+        let mut suspect = None;
+        let outcome = model(poses, &rejected, &mut suspect);
+        let left_out = rejected.as_slice().len();
+        let room = left_out < Rejected::MOST
+            && DOUBTED * (left_out + 1) <= have
+            && have - left_out > FEWEST;
+        match suspect {
+            Some(pose) if room => rejected = rejected.with(pose),
+            _ => return outcome.map(|model| MagneticEstimate { model, rejected }),
+        }
+    }
+}
+
+/// Whether the output can be that of a magnetometer turned in the Earth's field.
+fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
+    let mut low = [f64::INFINITY; 3];
+    let mut high = [f64::NEG_INFINITY; 3];
+    for pose in poses {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(pose.output_nt[axis]);
+            high[axis] = high[axis].max(pose.output_nt[axis]);
+        }
+    }
+    let span: [f64; 3] = core::array::from_fn(|axis| high[axis] - low[axis]);
+    let widest = span.iter().fold(0.0, |most: f64, span| most.max(*span));
+    let largest = low
+        .iter()
+        .chain(&high)
+        .fold(0.0, |most: f64, v| most.max(v.abs()));
+    let (fewest, most) = (EARTHS_NT.start(), EARTHS_NT.end());
+    if largest < 0.1 * fewest || widest > 10.0 * most {
+        return Err(MagneticRefusal::NotEarths {
+            field_nt: largest.min(widest),
+        });
+    }
+    if let Some(axis) = (0..3).find(|axis| span[*axis] < LEAST_SHARE * widest) {
+        return Err(MagneticRefusal::Dead { axis });
+    }
+    for (axis, limit) in (0..3).flat_map(|axis| [(axis, low[axis]), (axis, high[axis])]) {
+        let at = || poses.iter().filter(|pose| pose.output_nt[axis] == limit);
+        // An axis that hardly moves has few values.
+        if span[axis] < 0.3 * widest {
+            continue;
+        }
+        // The same orientation over and over is no limit.
+        let elsewhere = |pose: &&MagneticPose| {
+            at().next().is_some_and(|first| {
+                (0..3).any(|other| {
+                    let apart = pose.output_nt[other] - first.output_nt[other];
+                    other != axis && apart.abs() > 0.1 * widest
+                })
+            })
+        };
+        if at().count() >= CLIPPED && at().filter(elsewhere).count() + 1 >= CLIPPED {
+            let at_nt = limit;
+            return Err(MagneticRefusal::Clipped { axis, at_nt });
+        }
+    }
+    Ok(())
+}
+
+/// The model of all poses but those rejected; `suspect` is the pose that the others contradict most,
+/// if one is beyond chance.
+fn model(
+    all: &[MagneticPose],
+    rejected: &Rejected,
+    suspect: &mut Option<usize>,
+) -> Result<MagnetometerModel, MagneticRefusal> {
+    let poses = || {
+        let kept = all.iter().enumerate();
+        kept.filter(|(place, _)| !rejected.contains(*place))
+    };
+    let have = poses().count();
     let n = have as f64;
     let none = MagneticRefusal::NotObservable {
         condition: f64::INFINITY,
     };
     // Centred and scaled, so that all parameters are of order one.
-    let centre = poses
-        .iter()
-        .map(|p| Vector3::from(p.output_nt))
+    let centre = poses()
+        .map(|(_, p)| Vector3::from(p.output_nt))
         .sum::<Vector3<f64>>()
         / n;
-    let spread = poses
-        .iter()
-        .map(|p| (Vector3::from(p.output_nt) - centre).norm_squared());
+    let spread = poses().map(|(_, p)| (Vector3::from(p.output_nt) - centre).norm_squared());
     let unit_nt = libm::sqrt(spread.sum::<f64>() / n);
     if unit_nt < 1.0 {
         return Err(none);
     }
     let point = |pose: &MagneticPose| (Vector3::from(pose.output_nt) - centre) / unit_nt;
-    let mut theta = start(poses, point).ok_or(none)?;
+    let mut theta = start(poses().map(|(_, pose)| point(pose))).ok_or(none)?;
     let row = |theta: &SVector<f64, 9>, m: Vector3<f64>| {
         let w = symmetric(&theta.as_slice()[3..]);
         let off = m - Vector3::new(theta[0], theta[1], theta[2]);
@@ -200,7 +337,7 @@ pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, Magneti
     for _ in 0..50 {
         information = SMatrix::zeros();
         let mut gradient = SVector::<f64, 9>::zeros();
-        for pose in poses {
+        for (_, pose) in poses() {
             let (residual, row) = row(&theta, point(pose));
             information.ger(1.0, &row, &row, 1.0);
             gradient.axpy(residual, &row, 1.0);
@@ -218,16 +355,22 @@ pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, Magneti
         return Err(MagneticRefusal::NotObservable { condition });
     }
     let (mut squares, mut left_out) = (0.0, 0.0);
-    for pose in poses {
+    let mut worst = Worst::default();
+    for (place, pose) in poses() {
         let (residual, row) = row(&theta, point(pose));
-        let leverage = row.dot(&(inverse * row));
+        let left = 1.0 - row.dot(&(inverse * row));
         squares += residual * residual;
-        left_out += (residual / (1.0 - leverage)) * (residual / (1.0 - leverage));
+        left_out += (residual / left) * (residual / left);
+        worst.take(place, residual * residual / left);
     }
+    *suspect = worst.beyond_chance(squares, have, 9);
     let (rms, loo) = (libm::sqrt(squares / n), libm::sqrt(left_out / n));
     let variance = squares / (n - 9.0);
     if rms.is_nan() || rms > MOST_RMS {
-        return Err(MagneticRefusal::FieldNotConstant { share: rms });
+        return Err(MagneticRefusal::FieldNotConstant {
+            share: rms,
+            pose: worst.place,
+        });
     }
     if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
         return Err(MagneticRefusal::PoorPrediction { share: loo });
@@ -254,11 +397,20 @@ pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, Magneti
     }
     let back = s.try_inverse().ok_or(none)?;
     let hard = Vector3::new(theta[0], theta[1], theta[2]);
-    let seen = |pose: &MagneticPose| {
+    let seen = |(place, pose): (usize, &MagneticPose)| {
         let field = back * (point(pose) - hard);
-        (field / field.norm(), Vector3::from(pose.up).normalize())
+        (
+            place,
+            field / field.norm(),
+            Vector3::from(pose.up).normalize(),
+        )
     };
     let field_nt = size * unit_nt;
+    if !EARTHS_NT.contains(&field_nt) {
+        return Err(MagneticRefusal::NotEarths { field_nt });
+    }
+    let (to_accelerometer, bent) = rotation(|| poses().map(seen))?;
+    *suspect = suspect.or(bent);
     let h = centre + hard * unit_nt;
     let terms = MagnetometerTerms {
         hard_iron_nt: [h.x as f32, h.y as f32, h.z as f32],
@@ -271,20 +423,16 @@ pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagnetometerModel, Magneti
         rms_nt: (rms * field_nt) as f32,
         loo_rms_nt: (loo * field_nt) as f32,
         condition: condition.max(1.0) as f32,
-        to_accelerometer: Some(rotation(poses, seen)?),
+        to_accelerometer: Some(to_accelerometer),
     };
     MagnetometerModel::new(terms).map_err(MagneticRefusal::OutOfBounds)
 }
 
 /// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
-fn start(
-    poses: &[MagneticPose],
-    point: impl Fn(&MagneticPose) -> Vector3<f64>,
-) -> Option<SVector<f64, 9>> {
+fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<SVector<f64, 9>> {
     let mut information = SMatrix::<f64, 9, 9>::zeros();
     let mut right = SVector::<f64, 9>::zeros();
-    for pose in poses {
-        let m = point(pose);
+    for m in points {
         let row = SVector::<f64, 9>::from_fn(|k, _| match k {
             0..3 => 2.0 * m[k],
             k => {
@@ -317,12 +465,13 @@ fn start(
     (positive && theta.iter().all(|t| t.is_finite())).then_some(theta)
 }
 
-/// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses.
-fn rotation(
-    poses: &[MagneticPose],
-    seen: impl Fn(&MagneticPose) -> (Vector3<f64>, Vector3<f64>),
-) -> Result<MagnetometerRotation, MagneticRefusal> {
-    let n = poses.len() as f64;
+/// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses: their
+/// places, b and up; and the pose that the others contradict most, if one is beyond chance.
+fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
+    seen: impl Fn() -> I,
+) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
+    let have = seen().count();
+    let n = have as f64;
     let none = MagneticRefusal::NotObservable {
         condition: f64::INFINITY,
     };
@@ -343,8 +492,7 @@ fn rotation(
             let mut information = SMatrix::<f64, 4, 4>::zeros();
             let mut gradient = SVector::<f64, 4>::zeros();
             let mut cost = 0.0;
-            for pose in poses {
-                let (b, up) = seen(pose);
+            for (_, b, up) in seen() {
                 let turned = r * b;
                 let residual = up.dot(&turned) - level;
                 // A small rotation δ of R b adds δ × R b.
@@ -378,14 +526,52 @@ fn rotation(
         return Err(MagneticRefusal::DipNotConstant { spread_rad });
     }
     let variance = cost / (n - 4.0);
+    let mut worst = Worst::default();
+    for (place, b, up) in seen() {
+        let turned = r * b;
+        let slope = turned.cross(&up);
+        let row = SVector::from([slope.x, slope.y, slope.z, -1.0]);
+        let residual = up.dot(&turned) - level;
+        worst.take(
+            place,
+            residual * residual / (1.0 - row.dot(&(inverse * row))),
+        );
+    }
     let covariance: [[f64; 3]; 3] =
         core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));
     let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
-    Ok(MagnetometerRotation {
+    let found = MagnetometerRotation {
         rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none)?,
         covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none)?,
         // Down is minus up.
         dip_rad: -libm::asin(sine) as f32,
         dip_rms_rad: spread_rad as f32,
-    })
+    };
+    Ok((found, worst.beyond_chance(cost, have, 4)))
+}
+
+/// The pose that fits worst.
+#[derive(Default)]
+struct Worst {
+    place: usize,
+    /// Its r²/(1 − h).
+    square: f64,
+}
+
+impl Worst {
+    fn take(&mut self, place: usize, square: f64) {
+        if square > self.square {
+            *self = Self { place, square };
+        }
+    }
+
+    /// It, where it is further from the model of the others than the worst of so many poses is by
+    /// chance: equation (16), with the variance that the others show.
+    fn beyond_chance(&self, squares: f64, poses: usize, parameters: usize) -> Option<usize> {
+        let freedom = poses.checked_sub(parameters + 1).filter(|left| *left > 1)? as f64;
+        let variance = (squares - self.square) / freedom;
+        let most = student::two_sided(SIGNIFICANCE / poses as f64, freedom);
+        // What is rounding is no contradiction.
+        (self.square > 1e-12 && self.square > most * most * variance).then_some(self.place)
+    }
 }

@@ -226,8 +226,9 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_of_long_recordings_hold_the_truth() {
-    for truth in [WHITE, FLICKER, WALK] {
-        assert_honest(&coverage(334, 60_000, truth), truth, 93.0..=97.0);
+    let found = [WHITE, FLICKER, WALK].map(|truth| (coverage(334, 60_000, truth), truth));
+    for (held, truth) in &found {
+        assert_honest(held, *truth, 93.0..=97.0);
     }
 }
 

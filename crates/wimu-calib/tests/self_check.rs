@@ -81,6 +81,70 @@ fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
     assert!(poses - held < poses / 250);
 }
 
+/// How often, of 1000 turn-ons within the ageing, twelve rests tell that the calibration no longer holds
+/// when the bias jumps by `jump_mps2` after the sixth: at one rest, and as a device tells it, at two in a
+/// row. In percent.
+fn told(jump_mps2: f64) -> [f64; 2] {
+    let ageing = Ageing::default();
+    let gravity = Gravity::new(G, 0.0).expect("gravity");
+    let mut counts = [0_u32; 2];
+    const RUNS: u64 = 1000;
+    for seed in 0..RUNS {
+        let mut random = Random(seed + 77_000);
+        let stored = random.model(true);
+        let mut known = [[0.0; 12]; 12];
+        for (k, row) in known.iter_mut().enumerate() {
+            // What is left of 20 poses of 3 mm/s²: 2 mm/s² and 200 ppm.
+            row[k] = if k < 3 { 4e-6 } else { 4e-8 };
+        }
+        let mut today = shifted(&mut random, &stored, ageing.turn_on_mps2);
+        let mut check = SelfCheck::new(&stored, &known, gravity, ageing);
+        let (mut once, mut twice, mut row) = (false, false, 0);
+        for rest in 0..12 {
+            if rest == 6 {
+                let along = random.direction();
+                let mut terms: ErrorTerms = today.into();
+                for (bias, along) in terms.bias_mps2.iter_mut().zip(along) {
+                    *bias += jump_mps2 * along;
+                }
+                today = ErrorModel::new(terms).expect("within bounds");
+            }
+            let up = random.direction();
+            let pose = noisy(&mut random, &today, up, ageing.pose_mps2);
+            let holds = check.push(&pose).expect("a pose").holds;
+            row = if holds { 0 } else { row + 1 };
+            once |= row == 1;
+            twice |= row == 2;
+        }
+        counts[0] += u32::from(once);
+        counts[1] += u32::from(twice);
+    }
+    counts.map(|count| 100.0 * f64::from(count) / RUNS as f64)
+}
+
+#[test]
+fn alarms_are_as_rare_and_jumps_of_the_bias_as_well_seen_as_stated() {
+    let found = [0.0, 0.010, 0.020, 0.030, 0.050, 0.100].map(|jump| {
+        let [once, twice] = told(jump);
+        println!(
+            "jump of {:3.0} mm/s²: told at one rest in {once:.1} %, at two in a row in {twice:.1} % of runs",
+            1e3 * jump
+        );
+        [once, twice]
+    });
+    let [none, _, twenty, thirty, fifty, hundred] = found;
+    // Twelve rests at one in a thousand each.
+    assert!(none[0] < 2.5 && none[1] < 0.3, "{none:?}");
+    assert!(
+        twenty[0] > 30.0 && thirty[0] > 70.0,
+        "{twenty:?} {thirty:?}"
+    );
+    assert!(
+        fifty[0] > 95.0 && hundred[1] > 95.0,
+        "{fifty:?} {hundred:?}"
+    );
+}
+
 #[test]
 fn a_calibration_that_no_longer_holds_is_found_out_and_left_alone() {
     let gravity = Gravity::new(G, 0.0).expect("gravity");

@@ -4,11 +4,13 @@ use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
+use wimu_link::batch::Stream;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use crate::Result;
 use crate::calibration::mps2_per_unit;
 use crate::dataset::{Dataset, RateSource};
+use crate::decode::Event;
+use crate::error::{ErrorCode, HostError, Result};
 use crate::html::{Chart, Report, Series};
 
 /// A number and its standard deviation, 1 σ.
@@ -122,27 +124,155 @@ pub fn noise(data: &Dataset, sensitivity: Option<Sensitivity>) -> NoiseReport {
         }
         allan.push(output.value.map(|axis| axis * scale));
     }
-    let found = allan.result();
-    NoiseReport {
-        schema: NoiseReport::SCHEMA,
-        status: if found.is_ok() { "ok" } else { "refused" },
-        reason: found.as_ref().err().map(ToString::to_string),
-        source: data.name.clone(),
-        samples: allan.samples(),
-        rate_hz: data.rate_hz,
-        rate_source: data.rate_source,
-        points: if found.is_ok() {
-            allan.points().map(PointReport::from).collect()
-        } else {
-            Vec::new()
-        },
-        axes: found.ok().map(|axes| axes.map(AxisReport::from)),
+    NoiseReport::new(&data.name, data.rate_hz, data.rate_source, &allan)
+}
+
+/// The noise of a board at rest, while its samples arrive.
+pub struct NoiseMeter {
+    name: String,
+    given: Option<Sensitivity>,
+    /// Whether the board knows its own sensitivity.
+    known: bool,
+    /// Rate, m/s² per LSB, range, once an epoch has told them.
+    running: Option<(f64, f64, u8)>,
+    allan: Box<AllanVariance>,
+    next_sequence: Option<u32>,
+}
+
+impl NoiseMeter {
+    /// Of a board that errors call `name`; `known` is whether it knows its sensitivity, which counts
+    /// where none is given.
+    pub fn new(name: &str, given: Option<Sensitivity>, known: bool) -> Self {
+        Self {
+            name: name.to_owned(),
+            given,
+            known,
+            running: None,
+            allan: Box::new(AllanVariance::new(1.0)),
+            next_sequence: None,
+        }
+    }
+
+    /// Takes what the link has brought.
+    ///
+    /// # Errors
+    /// `data_refused` when nothing says the sensitivity, or rate or range change.
+    pub fn take(&mut self, event: &Event) -> Result<()> {
+        match event {
+            Event::Restart => self.next_sequence = None,
+            Event::Epoch { epoch, .. } => {
+                let refused = |message: &str, remedy: &str| {
+                    HostError::new(ErrorCode::DataRefused, message, remedy).at(&self.name)
+                };
+                if let Some((rate_hz, _, range_g)) = self.running {
+                    let rate = 1e9 / f64::from(epoch.period_ns.max(1));
+                    if range_g != epoch.range_g || (rate / rate_hz - 1.0).abs() > 0.2 {
+                        return Err(refused(
+                            "range or rate were changed meanwhile",
+                            "leave the board's settings as they are while its noise is measured",
+                        ));
+                    }
+                    return Ok(());
+                }
+                let own = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
+                let sensitivity = self.given.or(own.filter(|_| self.known));
+                let scale = sensitivity.ok_or_else(|| {
+                    refused(
+                        "the board does not know its sensor's sensitivity",
+                        "give it: --sensitivity LSB_PER_G",
+                    )
+                })?;
+                let rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
+                self.running = Some((rate_hz, scale.mps2_per_lsb(), epoch.range_g));
+                *self.allan = AllanVariance::new(rate_hz);
+            }
+            Event::Samples(samples) if samples.stream == Stream::Raw => {
+                let Some((_, scale, _)) = self.running else {
+                    return Ok(());
+                };
+                for sample in samples.iter() {
+                    if self.next_sequence != Some(sample.sequence) {
+                        self.allan.gap();
+                    }
+                    self.next_sequence = Some(sample.sequence.wrapping_add(1));
+                    let output = sample.value.map(|axis| f64::from(axis) * scale);
+                    self.allan.push(output);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.running.map_or(1.0, |(rate_hz, ..)| rate_hz)
+    }
+
+    /// How far it is, in a line.
+    pub fn progress(&self) -> String {
+        let samples = self.allan.samples();
+        let so_far = format!(
+            "{:.0} s, {samples} samples",
+            samples as f64 / self.rate_hz()
+        );
+        match self.allan.result() {
+            Err(refusal) => format!("{so_far}: {refusal}"),
+            Ok(axes) => {
+                let densities = axes.map(|axis| {
+                    let density = axis.noise_density();
+                    let ug = 1e6 / STANDARD_GRAVITY_MPS2;
+                    format!("{:.1} ± {:.1}", density.value * ug, density.sd * ug)
+                });
+                format!("{so_far}: noise density {} µg/√Hz", densities.join(", "))
+            }
+        }
+    }
+
+    /// What was found.
+    ///
+    /// # Errors
+    /// `no_rows` when the link carried no raw samples.
+    pub fn report(&self) -> Result<NoiseReport> {
+        if self.allan.samples() == 0 {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "no raw samples came over the link",
+                "switch the raw stream on with `wimu settings set`, or use the other link",
+            )
+            .at(&self.name));
+        }
+        let source = RateSource::Device;
+        Ok(NoiseReport::new(
+            &self.name,
+            self.rate_hz(),
+            source,
+            &self.allan,
+        ))
     }
 }
 
 impl NoiseReport {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.noise/1";
+
+    fn new(source: &str, rate_hz: f64, rate_source: RateSource, allan: &AllanVariance) -> Self {
+        let found = allan.result();
+        Self {
+            schema: Self::SCHEMA,
+            status: if found.is_ok() { "ok" } else { "refused" },
+            reason: found.as_ref().err().map(ToString::to_string),
+            source: source.to_owned(),
+            samples: allan.samples(),
+            rate_hz,
+            rate_source,
+            points: if found.is_ok() {
+                allan.points().map(PointReport::from).collect()
+            } else {
+                Vec::new()
+            },
+            axes: found.ok().map(|axes| axes.map(AxisReport::from)),
+        }
+    }
 
     /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
     pub fn exit_code(&self) -> u8 {

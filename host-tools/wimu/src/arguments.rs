@@ -373,9 +373,11 @@ Example: wimu align rests.mcap --up z,x -o CAL.json
            it stood level (the body's z up), then on its tail (the body's x up)
          wimu align push.mcap --forward --calibration CAL.json -o ALIGNED.json
            it stood level, was pushed straight ahead, and stood still again
+         wimu align tcp://127.0.0.1:7100 --up z,x --push
+           as soon as the board has stood so
 Push the result with `wimu params push LINK CAL.json`.")]
 pub struct Align {
-    /// A recording, or a CSV file
+    /// A LINK, a recording or a CSV file
     pub input: String,
     /// The body axis that points up at each rest, in order: z is level, -x on its nose
     #[arg(
@@ -389,7 +391,7 @@ pub struct Align {
     /// After the first rest it was moved straight ahead, along the body's x
     #[arg(long)]
     pub forward: bool,
-    /// How the sensor is calibrated; without it, as the recording says
+    /// How the sensor is calibrated; without it, as the recording or the device says
     #[arg(long, value_name = "CAL.json")]
     pub calibration: Option<PathBuf>,
     /// How well the body was placed and pushed, 1 σ
@@ -401,14 +403,21 @@ pub struct Align {
     /// Of which link of a recording; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
+    /// Listen for so long at most (LINK only); without it until it is known, or Ctrl-C
+    #[arg(long = "for", value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+    /// Push the result to the device (LINK only)
+    #[arg(long)]
+    pub push: bool,
 }
 
 #[derive(Args)]
 #[command(after_help = "\
 Example: wimu allan rest.mcap --report noise.html
+         wimu allan tcp://127.0.0.1:7100 --for 600
 Ten minutes at rest tell the noise density, an hour or more the bias instability.")]
 pub struct Allan {
-    /// A recording or a CSV file of a sensor that lies still
+    /// A LINK, a recording or a CSV file of a sensor that lies still
     pub input: String,
     /// Write a report with the curve here
     #[arg(long, value_name = "FILE.html")]
@@ -425,6 +434,9 @@ pub struct Allan {
     /// Of which link of a recording; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
+    /// Listen for so long (LINK only); without it until Ctrl-C
+    #[arg(long = "for", value_name = "SECONDS")]
+    pub seconds: Option<f64>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -3,15 +3,19 @@
 use std::fmt;
 
 use serde::Serialize;
-use wimu_calib::{MagneticPose, Pose, find_poses, magnetometer};
+use wimu_calib::{
+    Guide, MagneticEstimate, MagneticPose, Model, Orientation, Pose, find_poses, magnetometer,
+};
 use wimu_link::message::parameter_id;
 use wimu_model::{
     MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet, SpecificForceMps2,
 };
 
+use super::report::NextPose;
 use super::{HELD_SCHEMA, MAX_POSES, magnitude};
 use crate::dataset::{Dataset, OutputUnit, RateSource};
 use crate::error::{ErrorCode, HostError, Result};
+use crate::html::{Chart, Report, Series};
 
 /// What `wimu calibrate --sensor magnetometer` says, and a file that `wimu params push` reads.
 #[derive(Clone, Debug, Serialize)]
@@ -30,6 +34,12 @@ pub struct MagnetometerReport {
     pub rests: usize,
     /// Those with a magnetic field.
     pub poses: Vec<FieldPose>,
+    /// Poses left out of the fit, by their place from 0: the field was disturbed there.
+    pub rejected_poses: Vec<usize>,
+    /// Orientations that would help most, in this order, each with another side to the north.
+    pub next_poses: Vec<NextPose>,
+    /// How many more orientations are worth taking.
+    pub poses_worth_adding: usize,
     /// Hard and soft iron with their standard deviations, residuals, condition and rotation.
     pub magnetometer: Option<MagnetometerTerms>,
     /// Standard deviation of the rotation's error about the accelerometer's axes, degrees.
@@ -68,8 +78,8 @@ impl MagnetometerReport {
 /// Data that do not support an answer give a report that says so.
 ///
 /// # Errors
-/// `csv_missing_column`, `no_rows` without a magnetic field; `data_refused` when the data were taken
-/// at another range than that of `set`.
+/// `csv_missing_column`, `data_refused` without a magnetic field; `data_refused` when the data were
+/// taken at another range than that of `set`.
 pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<MagnetometerReport> {
     check(data, set)?;
     let scale = match data.unit {
@@ -101,6 +111,7 @@ pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<Magn
         rests
     };
     let mut fitted = Vec::new();
+    let mut guide = Guide::new(Model::Full9);
     let mut poses = Vec::new();
     for rest in &rests {
         let first = rest.first_sample as usize;
@@ -115,6 +126,7 @@ pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<Magn
         let Some(output_nt) = median(&fields) else {
             continue;
         };
+        guide.take(rest.mean_mps2);
         fitted.push(MagneticPose {
             output_nt,
             up: rest.mean_mps2,
@@ -134,6 +146,9 @@ pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<Magn
         sensor: "magnetometer",
         rests: rests.len(),
         poses,
+        rejected_poses: Vec::new(),
+        next_poses: advice(&guide),
+        poses_worth_adding: guide.worth(|_| true),
         magnetometer: None,
         rotation_sd_deg: None,
         dip_deg: None,
@@ -142,7 +157,7 @@ pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<Magn
     };
     match magnetometer(&fitted) {
         Err(refusal) => report.reason = Some(refusal.to_string()),
-        Ok(model) => report.accept(model, set, &fitted),
+        Ok(found) => report.accept(&found, set, &fitted),
     }
     Ok(report)
 }
@@ -151,9 +166,9 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
     if data.outputs.iter().all(|o| o.magnetic_field_nt.is_none()) {
         let error = match data.rate_source {
             RateSource::Device => HostError::new(
-                ErrorCode::NoRows,
-                "no magnetic field came over the link",
-                "record a board that has a magnetometer",
+                ErrorCode::DataRefused,
+                "no magnetic field came over the link: the board has no magnetometer, or does not send it",
+                "use a board that has one, and have its link carry `environment`: see `wimu settings set --help`",
             ),
             _ => HostError::new(
                 ErrorCode::CsvMissingColumn,
@@ -180,6 +195,21 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
     }
 }
 
+/// More orientations than this are not listed.
+const ADVISED: usize = 3;
+
+/// The orientations that add most. Whatever turns gravity to other sides of the board turns the field
+/// too.
+fn advice(guide: &Guide) -> Vec<NextPose> {
+    let mut guide = guide.clone();
+    let next = std::iter::from_fn(|| {
+        let next: Orientation = guide.next(|_| true)?;
+        guide.take(next.up());
+        Some(next.into())
+    });
+    next.take(ADVISED).collect()
+}
+
 /// Per axis: a value that is left over from the motion before does not move it.
 fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
     let last = fields.len().checked_sub(1)?;
@@ -191,7 +221,86 @@ fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
 }
 
 impl MagnetometerReport {
-    fn accept(&mut self, model: MagnetometerModel, set: &ParameterSet, fitted: &[MagneticPose]) {
+    fn say_next(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for pose in &self.next_poses {
+            write!(
+                out,
+                "\nadd a pose with {}: {}; another side to the north than before",
+                pose.text, pose.instruction
+            )?;
+        }
+        Ok(())
+    }
+
+    /// The report as one HTML page: what was printed, |B| of each pose as put out and less the field
+    /// after correction, and a table of the poses.
+    ///
+    /// # Errors
+    /// `file_failed` when a picture cannot be drawn.
+    pub fn page(&self) -> Result<Report> {
+        let mut page = Report::new(format!("Magnetometer of {}", self.source));
+        page.printed(&self.to_string());
+        let numbered = |value: &dyn Fn(&FieldPose) -> Option<f64>| -> Vec<(f64, f64)> {
+            let values = self.poses.iter().enumerate();
+            values
+                .filter_map(|(k, pose)| Some((k as f64, value(pose)?)))
+                .collect()
+        };
+        let before = numbered(&|pose| Some(magnitude(pose.output_ut)));
+        let after = numbered(&|pose| pose.residual_ut);
+        for (title, name, points) in [
+            ("|B| before correction", "before", before),
+            ("|B| less the field after correction", "after", after),
+        ] {
+            if points.is_empty() {
+                continue;
+            }
+            page.chart(&Chart {
+                title: title.to_owned(),
+                x: "pose".to_owned(),
+                y: "µT".to_owned(),
+                log: false,
+                y_range: None,
+                series: vec![Series {
+                    name: name.to_owned(),
+                    points,
+                    dots: true,
+                }],
+            })?;
+        }
+        let rows: Vec<Vec<String>> = self
+            .poses
+            .iter()
+            .enumerate()
+            .map(|(k, pose)| {
+                let [x, y, z] = pose.output_ut;
+                let left_out = self.rejected_poses.contains(&k);
+                vec![
+                    k.to_string(),
+                    format!("{x:+.2} {y:+.2} {z:+.2}"),
+                    pose.fields.to_string(),
+                    pose.residual_ut
+                        .map_or(String::new(), |residual| format!("{residual:+.3}")),
+                    if left_out { "left out" } else { "" }.to_owned(),
+                ]
+            })
+            .collect();
+        page.table(
+            &[
+                "pose",
+                "output, µT",
+                "readings",
+                "|B| less the field, µT",
+                "",
+            ],
+            &rows,
+        );
+        Ok(page)
+    }
+
+    fn accept(&mut self, found: &MagneticEstimate, set: &ParameterSet, fitted: &[MagneticPose]) {
+        let model: MagnetometerModel = found.model;
+        self.rejected_poses = found.rejected.as_slice().to_vec();
         let terms = *model.terms();
         for (pose, fitted) in self.poses.iter_mut().zip(fitted) {
             let length = magnitude(model.correct(MagneticFieldNt(
@@ -225,7 +334,8 @@ impl fmt::Display for MagnetometerReport {
         )?;
         let Some(m) = &self.magnetometer else {
             let reason = self.reason.as_deref().unwrap_or("no reason");
-            return write!(out, "\nrefused: {reason}");
+            write!(out, "\nrefused: {reason}")?;
+            return self.say_next(out);
         };
         let list = |values: &[f32], digits: usize| {
             let each = values.iter().map(|value| format!("{value:+.digits$}"));
@@ -256,6 +366,20 @@ impl fmt::Display for MagnetometerReport {
                 r.dip_rms_rad.to_degrees()
             )?;
         }
-        Ok(())
+        for &pose in &self.rejected_poses {
+            let off = self.poses.get(pose).and_then(|pose| pose.residual_ut);
+            let off = off.unwrap_or_default();
+            write!(
+                out,
+                "\npose {pose} (from 0) left out: the field was disturbed there, |B| by {off:+.2} µT"
+            )?;
+        }
+        match self.poses_worth_adding {
+            0 => write!(out, "\nmore poses would change little"),
+            more => {
+                write!(out, "\n{more} more poses are worth it")?;
+                self.say_next(out)
+            }
+        }
     }
 }

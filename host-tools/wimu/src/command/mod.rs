@@ -8,6 +8,7 @@ pub mod demo;
 pub mod export;
 pub mod info;
 pub mod key;
+mod live;
 pub mod monitor;
 pub mod navigate;
 pub mod params;

@@ -25,7 +25,6 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--placement-sd", arguments.placement_sd.is_some()),
         ("--sides", arguments.sides.is_some()),
         ("--reference", arguments.reference.is_some()),
-        ("--report", arguments.report.is_some()),
         ("--sensor-model", arguments.sensor_model.is_some()),
         ("--format", arguments.format.is_some()),
     ];
@@ -86,6 +85,9 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         && let Some(path) = &arguments.output
     {
         write_report(path, &report)?;
+    }
+    if let Some(path) = &arguments.report {
+        report.page()?.write(path)?;
     }
     if arguments.push
         && let Some(client) = &mut client

@@ -1,0 +1,168 @@
+//! Commands that read a LINK as they read a file.
+
+mod kit;
+
+use std::fs;
+use std::path::Path;
+
+use kit::{Background, Simulator, folder, wimu};
+use wimu_host::calibration::read_parameters;
+
+const SEED: &str = "5";
+
+/// The calibration of the simulated accelerometer of [`SEED`].
+fn calibrated(to: &str) {
+    let motion = ["--motion", "twelve-poses", "--seed", SEED, "--speed", "20"];
+    let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
+    let recording = format!("{to}.mcap");
+    let record = [
+        "record",
+        &board.cable,
+        "-o",
+        &recording,
+        "--reconnect",
+        "0.5",
+    ];
+    Background::start(&record).finish().succeeds();
+    wimu(&["calibrate", &recording, "-o", to]).succeeds();
+}
+
+#[test]
+fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
+    let board = Simulator::start(&["--motion", "rest", "--seed", SEED, "--speed", "20"]);
+    let timed = wimu(&["allan", &board.cable, "--for", "3"]).succeeds();
+    assert_eq!(timed["schema"], "wimu.noise/1");
+    // 220 µg/√Hz and what rounding to 12 bits adds.
+    for axis in timed["axes"].as_array().unwrap() {
+        let density = &axis["noise_density_m_s2_rthz"];
+        let [value, sd] = ["value", "sd"].map(|key| density[key].as_f64().unwrap());
+        assert!(
+            (value - 220e-6 * 9.80665).abs() < 0.15 * value + 4.0 * sd,
+            "{timed}"
+        );
+        let interval = density["interval_95"].as_array().unwrap();
+        assert!(interval[0].as_f64().unwrap() < value && value < interval[1].as_f64().unwrap());
+    }
+    // Interrupted before there is enough: refused, and said what it lacks.
+    let listening = Background::start(&["allan", &board.cable]);
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    #[cfg(unix)]
+    {
+        let ran = listening.signal("-INT");
+        assert!(ran.code == 0 || ran.code == 3, "{ran:?}");
+        assert_eq!(ran.object()["schema"], "wimu.noise/1");
+    }
+    let absent = wimu(&["allan", "tcp://127.0.0.1:1", "--for", "1"]);
+    assert_eq!(absent.code, 1, "{absent:?}");
+    let (file, _folder) = kit::in_folder("rest.csv");
+    fs::write(&file, "Accelerometer X (g)\n").unwrap();
+    wimu(&["allan", &file, "--for", "1"]).fails(2, "usage");
+}
+
+#[test]
+fn align_listens_until_it_knows_and_pushes_what_changes_the_boards_output() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (accelerometer, aligned) = (path("A.json"), path("ALIGNED.json"));
+    calibrated(&accelerometer);
+    let motion = ["--motion", "six-positions", "--seed", SEED, "--speed", "4"];
+    let idle = Simulator::start(&motion);
+    wimu(&["align", &idle.cable, "--up", "z,x"]).fails(2, "usage");
+    // It waits for somebody to listen.
+    let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
+    // The sensor's x is the body's z, its y the body's −x: x up, x down, y up, …
+    let of = [
+        "align",
+        &board.cable,
+        "--up",
+        "z,-z,-x",
+        "--push",
+        "-o",
+        &aligned,
+    ];
+    let report = wimu(&[&of[..], &["--calibration", &accelerometer]].concat()).succeeds();
+    assert!(report["sd_deg"][0].as_f64().unwrap() < 2.0, "{report}");
+    let [before, after] =
+        [&accelerometer, &aligned].map(|p| read_parameters(Path::new(p)).unwrap());
+    assert_eq!(before.model, after.model);
+    for (sensor, body) in [
+        ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+        ([0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]),
+    ] {
+        let found = after.alignment.rotate(sensor);
+        let off = (0..3)
+            .map(|k| (found[k] - body[k]).abs())
+            .fold(0.0, f64::max);
+        assert!(off < 0.1, "{found:?}");
+    }
+    // What it sends is in the body's axes now.
+    let lines = wimu(&["monitor", &board.cable, "--for", "1"]);
+    let objects = lines.objects();
+    let last = objects
+        .iter()
+        .rev()
+        .find(|line| line["schema"] == "wimu.reading/1")
+        .unwrap();
+    assert_eq!(last["parameter_id"], report["parameter_id"]);
+    assert!(last["corrected"].as_bool().unwrap());
+    let force = [0, 1, 2].map(|k| last["specific_force_m_s2"][k].as_f64().unwrap());
+    let counts = [0, 1, 2].map(|k| last["raw_lsb"][k].as_f64().unwrap());
+    let own = [counts[0], counts[1], counts[2]].map(|lsb| lsb / 16384.0 * 9.80665);
+    // z of the body is x of the sensor and x of the body −y, up to its errors.
+    assert!(
+        (force[2] - own[0]).abs() < 1.5 && (force[0] + own[1]).abs() < 1.5,
+        "{last}"
+    );
+}
+
+#[test]
+fn what_leaves_an_alignment_open_is_refused() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let accelerometer = path("A.json");
+    calibrated(&accelerometer);
+    let calibration = ["--calibration", &accelerometer];
+    let recording = path("A.json.mcap");
+    let refused = |arguments: &[&str]| {
+        let ran = wimu(&[&["align", &recording][..], arguments, &calibration].concat());
+        assert_eq!(ran.code, 3, "{ran:?}");
+        let object = ran.object();
+        assert_eq!(object["status"], "refused");
+        object["reason"].as_str().unwrap().to_owned()
+    };
+    // Two directions of one line, three that are not as said, more than there are, no push.
+    assert!(
+        refused(&["--up", "z,z"]).contains("miss") || refused(&["--up", "z,z"]).contains("line")
+    );
+    assert!(refused(&["--up", "z,-z,x,-x"]).contains("misses by"));
+    let many = vec!["z"; 40].join(",");
+    assert!(refused(&["--up", &many]).contains("rests found, 40 are needed"));
+    assert!(!refused(&["--forward"]).is_empty());
+    let wrong = wimu(&["align", &recording, "--up", "z,q"]);
+    wrong.fails(2, "usage");
+    wimu(&["align", &recording, "--up", "z"]).fails(2, "usage");
+    wimu(&["align", &recording, "--up", "z,x", "--push"]).fails(2, "usage");
+    // No rest at all.
+    let shaken = path("shaken.csv");
+    let mut text =
+        "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)".to_owned();
+    for k in 0..2000 {
+        let t = f64::from(k) * 0.01;
+        let wave = |f: f64| 5.0 * (f * t).sin();
+        text += &format!(
+            "\n{t:.2},{:.3},{:.3},{:.3}",
+            wave(9.0),
+            wave(13.0),
+            9.8 + wave(11.0)
+        );
+    }
+    fs::write(&shaken, text).unwrap();
+    let ran = wimu(&[&["align", &shaken, "--up", "z,x"][..], &calibration].concat());
+    assert_eq!(ran.code, 3, "{ran:?}");
+    assert!(
+        ran.object()["reason"]
+            .as_str()
+            .unwrap()
+            .contains("0 rests found")
+    );
+}

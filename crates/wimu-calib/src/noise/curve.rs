@@ -9,7 +9,7 @@ const FLICKER: f64 = 0.441_271_200_305_303_2;
 /// A term is there when it lowers −2 ln of the likelihood by more than this.
 const WORTH: f64 = 10.0;
 /// A set with one term less is as likely with this much more.
-const LIKELY: f64 = 8.0;
+const LIKELY: f64 = 9.0;
 /// By how much sets without a term must be worse for it to be told.
 const SEEN: f64 = 10.0;
 /// Terms: Q, N, B, K.

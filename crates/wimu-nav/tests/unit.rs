@@ -347,10 +347,12 @@ fn a_slide_with_bias_and_a_changed_tilt_is_as_long_as_it_was() {
     let before = Rest {
         force_mps2: [0.05, -0.03, G],
         sd_mps2: 0.001,
+        rate_rad_s: None,
     };
     let after = Rest {
         force_mps2: [0.09, -0.03, G],
         sd_mps2: 0.001,
+        rate_rad_s: None,
     };
     let mut slide = Slide::new(SlideConfig::default(), before);
     let steps = 1000;
@@ -364,9 +366,9 @@ fn a_slide_with_bias_and_a_changed_tilt_is_as_long_as_it_was() {
         } else {
             duration / f64::from(steps)
         };
-        assert!(slide.push(step, [gravity + curve, -0.03, G]));
+        assert!(slide.push(step, [gravity + curve, -0.03, G], None));
     }
-    assert!(!slide.push(f64::NAN, [0.0; 3]) && !slide.push(0.01, [f64::NAN; 3]));
+    assert!(!slide.push(f64::NAN, [0.0; 3], None) && !slide.push(0.01, [f64::NAN; 3], None));
     let done = slide.finish(after);
     assert!((done.length_m - 1.0).abs() < 1e-4, "{done:?}");
     assert!(done.length_sd_m > 1e-3 && done.length_sd_m < 0.05);

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
+use wimu_nav::slide::Rest;
 use wimu_nav::unit::UnitSample;
 
 use crate::csv::CsvReader;
@@ -41,6 +41,17 @@ pub struct MotionRecording {
 }
 
 impl MotionRecording {
+    /// Samples without truth, as many as times.
+    pub fn new(name: impl Into<String>, times_s: Vec<f64>, samples: Vec<UnitSample>) -> Self {
+        Self {
+            name: name.into(),
+            truth: vec![None; samples.len()],
+            times_s,
+            samples,
+            other: Vec::new(),
+        }
+    }
+
     /// Reads a CSV file with times and one accelerometer in g or m/s²; `Gyroscope X (rad/s)` or
     /// `(deg/s)`, the magnetometer and `Truth Position E (m)`, `Truth Quaternion W`, … if there are.
     ///
@@ -204,61 +215,92 @@ pub struct RestSpan {
     pub rest: Rest,
 }
 
-/// Blocks that rests are made of, s.
+/// Blocks that rests are made of, s, and the least samples of one.
 const BLOCK_S: f64 = 0.1;
+const BLOCK_SAMPLES: f64 = 5.0;
 /// Blocks of the shortest rest.
 const REST_BLOCKS: usize = 3;
 /// What a rest may differ by from block to block, m/s², an axis.
 const REST_STEP_MPS2: f64 = 0.12;
+/// What the angular rate of a rest may differ by from the quietest time's, rad/s, an axis.
+const REST_RATE_RAD_S: f64 = 0.03;
 
-/// The rests of a recording, 0.3 s and longer: runs of blocks of 0.1 s that are as quiet as the quietest
-/// tenth (up to 3 times) and agree with each other.
-pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
-    struct Block {
-        first: usize,
-        end: usize,
-        mean: [f64; 3],
-        sd: f64,
+struct Block {
+    first: usize,
+    end: usize,
+    mean: [f64; 3],
+    variance: f64,
+    rate: Option<[f64; 3]>,
+}
+
+fn mean3(values: impl Iterator<Item = [f64; 3]>) -> Option<[f64; 3]> {
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for value in values {
+        for (s, v) in sum.iter_mut().zip(value) {
+            *s += v;
+        }
+        count += 1.0;
     }
+    (count > 0.0).then(|| sum.map(|s| s / count))
+}
+
+fn blocks(times_s: &[f64], samples: &[UnitSample]) -> Vec<Block> {
+    let length = BLOCK_S.max(BLOCK_SAMPLES * median_step_s(times_s));
     let mut blocks = Vec::new();
     let mut first = 0;
     while first < samples.len() {
         let end = times_s
-            .partition_point(|t| *t < times_s[first] + BLOCK_S)
-            .max(first + 1);
-        let part = &samples[first..end.min(samples.len())];
+            .partition_point(|t| *t < times_s[first] + length)
+            .clamp(first + 1, samples.len());
+        let part = &samples[first..end];
         let n = part.len() as f64;
-        let mean: [f64; 3] =
-            std::array::from_fn(|i| part.iter().map(|s| s.force_mps2[i]).sum::<f64>() / n);
+        let mean = mean3(part.iter().map(|s| s.force_mps2)).unwrap_or_default();
         let square = part
             .iter()
             .flat_map(|s| (0..3).map(|i| (s.force_mps2[i] - mean[i]).powi(2)))
             .sum::<f64>();
         if part.len() >= 4 {
-            let sd = (square / (3.0 * (n - 1.0))).sqrt();
             blocks.push(Block {
                 first,
                 end,
                 mean,
-                sd,
+                variance: square / (3.0 * (n - 1.0)),
+                rate: mean3(part.iter().filter_map(|s| s.rate_rad_s)),
             });
         }
         first = end;
     }
-    let mut levels: Vec<f64> = blocks.iter().map(|b| b.sd).collect();
-    levels.sort_by(f64::total_cmp);
-    let Some(level) = levels.get(levels.len() / 10).copied() else {
+    blocks
+}
+
+/// Median time between samples, s; 0 with fewer than two.
+pub fn median_step_s(times_s: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// What looks like a rest in a recording, 0.3 s and longer: runs of blocks of 0.1 s that are as quiet as
+/// the quietest such run (up to 3 times), agree with each other, and turn no more than it does. Even
+/// motion without vibration looks the same.
+pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
+    let blocks = blocks(times_s, samples);
+    let quietest = blocks.windows(REST_BLOCKS).min_by(|a, b| {
+        let sum = |w: &[Block]| w.iter().map(|b| b.variance).sum::<f64>();
+        sum(a).total_cmp(&sum(b))
+    });
+    let Some(quietest) = quietest else {
         return Vec::new();
     };
+    let level = (quietest.iter().map(|b| b.variance).sum::<f64>() / quietest.len() as f64).sqrt();
+    let still = mean3(quietest.iter().filter_map(|b| b.rate));
     let mut found = Vec::new();
     let mut run: Vec<&Block> = Vec::new();
     let mut close = |run: &mut Vec<&Block>| {
         if run.len() >= REST_BLOCKS {
             let (first, end) = (run[0].first, run[run.len() - 1].end);
             let part = &samples[first..end];
-            let n = part.len() as f64;
-            let force_mps2 =
-                std::array::from_fn(|i| part.iter().map(|s| s.force_mps2[i]).sum::<f64>() / n);
+            let force_mps2 = mean3(part.iter().map(|s| s.force_mps2)).unwrap_or_default();
             // Blocks' means say how slow the noise is.
             let scatter = run
                 .iter()
@@ -271,16 +313,23 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
                 rest: Rest {
                     force_mps2,
                     sd_mps2,
+                    rate_rad_s: mean3(part.iter().filter_map(|s| s.rate_rad_s)),
                 },
             });
         }
         run.clear();
     };
     for block in &blocks {
-        let quiet = block.sd < 3.0 * level + 0.02;
-        let agrees = run.last().is_none_or(|last| {
-            (0..3).all(|i| (last.mean[i] - block.mean[i]).abs() < REST_STEP_MPS2)
-        });
+        let apart =
+            |a: [f64; 3], b: [f64; 3], most: f64| (0..3).all(|i| (a[i] - b[i]).abs() < most);
+        let turns = match (block.rate, still) {
+            (Some(rate), Some(still)) => !apart(rate, still, REST_RATE_RAD_S),
+            _ => false,
+        };
+        let quiet = block.variance.sqrt() < 3.0 * level + 0.02 && !turns;
+        let agrees = run
+            .last()
+            .is_none_or(|last| apart(last.mean, block.mean, REST_STEP_MPS2));
         if !quiet || !agrees {
             close(&mut run);
         }
@@ -290,18 +339,4 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
     }
     close(&mut run);
     found
-}
-
-/// The moves between the rests of a recording, each with the sample at which it ends.
-pub fn moves(times_s: &[f64], samples: &[UnitSample], config: SlideConfig) -> Vec<(usize, Move)> {
-    rests(times_s, samples)
-        .windows(2)
-        .map(|pair| {
-            let mut slide = Slide::new(config, pair[0].rest);
-            for k in pair[0].end..pair[1].first.max(pair[0].end) {
-                slide.push(times_s[k] - times_s[k - 1], samples[k].force_mps2);
-            }
-            (pair[1].first, slide.finish(pair[1].rest))
-        })
-        .collect()
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use wimu_calib::Gravity;
 use wimu_host::ErrorCode;
 use wimu_host::array::{ArrayCalibration, ArrayRecording, angular_rate, read_places};
-use wimu_host::inertial::{Choice, Method, navigate};
-use wimu_host::motion::{MotionRecording, Truth, moves};
+use wimu_host::inertial::{Choice, Method, legs, navigate};
+use wimu_host::motion::{MotionRecording, Truth};
 use wimu_nav::slide::SlideConfig;
 use wimu_nav::unit::UnitSample;
 
@@ -43,13 +43,9 @@ fn slide() -> MotionRecording {
 #[test]
 fn a_slide_between_two_rests_is_as_long_as_it_was_and_its_path_agrees_with_the_truth() {
     let recording = slide();
-    let found = moves(
-        &recording.times_s,
-        &recording.samples,
-        SlideConfig::default(),
-    );
+    let found = legs(&recording, SlideConfig::default());
     assert!(
-        (found.iter().map(|m| m.1.length_m).sum::<f64>() - 0.5).abs() < 0.02,
+        (found.iter().map(|leg| leg.done.length_m).sum::<f64>() - 0.5).abs() < 0.02,
         "{found:?}"
     );
     let choice = Choice {
@@ -62,6 +58,57 @@ fn a_slide_between_two_rests_is_as_long_as_it_was_and_its_path_agrees_with_the_t
     assert!((end.position_m[0] - 0.5).abs() < 0.02, "{end:?}");
     let (_, below) = path.consistency().unwrap();
     assert!(below > 0.9, "{below}");
+}
+
+#[test]
+fn even_motion_between_two_pushes_is_not_taken_for_a_rest() {
+    // 0.2 m/s for 3 s, as quiet as a rest: 0.66 m.
+    let mut recording = slide();
+    let rest = |k: usize| f64::from((k as u32 * 7919) % 13) * 0.003 - 0.018;
+    let (mut times, mut samples) = (Vec::new(), Vec::new());
+    for k in 0..700 {
+        let push = match k {
+            150..180 => 0.2 / 0.3,
+            480..510 => -0.2 / 0.3,
+            _ => 0.0,
+        };
+        times.push(k as f64 * 0.01);
+        samples.push(UnitSample {
+            step_s: 0.01,
+            force_mps2: [push + 0.03 + rest(k), -rest(k), 9.80665 + rest(k)],
+            ..recording.samples[0]
+        });
+    }
+    recording = MotionRecording::new("even", times, samples);
+    let found = legs(&recording, SlideConfig::default());
+    assert_eq!(found.len(), 1, "{found:?}");
+    let done = found[0].done;
+    assert!(
+        (done.length_m - 0.66).abs() < 2.0 * done.length_sd_m && done.length_sd_m < 0.1,
+        "{done:?}"
+    );
+    let choice = Choice {
+        method: Method::Slide,
+        ..Choice::default()
+    };
+    let path = navigate(&recording, &choice).unwrap();
+    assert!(path.remarks.iter().any(|r| r.contains("even motion")));
+}
+
+#[test]
+fn samples_that_arrived_late_are_read_at_even_times_where_that_brings_the_velocity_back() {
+    // The first two seconds arrive in half the time.
+    let mut recording = slide();
+    for (k, time) in recording.times_s.iter_mut().enumerate() {
+        *time = k as f64 * 0.01 - if k < 200 { k as f64 * 0.005 } else { 1.0 };
+    }
+    let found = legs(&recording, SlideConfig::default());
+    let done = found.last().unwrap().done;
+    assert!(
+        (done.length_m - 0.5).abs() < 2.0 * done.length_sd_m,
+        "{done:?}"
+    );
+    assert!(done.length_sd_m < 0.2, "{done:?}");
 }
 
 #[test]

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use wimu_host::motion::{MotionRecording, moves, rests};
-use wimu_nav::slide::{Rest, Slide, SlideConfig};
+use wimu_host::inertial::{Choice, Leg, Method, legs, navigate};
+use wimu_host::motion::MotionRecording;
+use wimu_nav::slide::SlideConfig;
 use wimu_nav::unit::UnitSample;
 
 const G: f64 = 9.80665;
@@ -19,9 +20,10 @@ pub fn bench(data: &Path) {
     for (peak, they) in [(8.0, 1.08), (10.0, 1.55)] {
         let (mut errors, mut inside, mut plain) = (Vec::new(), 0, Vec::new());
         for seed in 0..200 {
-            let (times, samples) = robot_run(seed, peak);
-            let found = moves(&times, &samples, SlideConfig::default());
-            for (_, one) in &found {
+            let (times_s, samples) = robot_run(seed, peak);
+            let recording = MotionRecording::new("robot run", times_s, samples);
+            let found = legs(&recording, SlideConfig::default());
+            for one in found.iter().map(|leg| &leg.done) {
                 let error = one.length_m - 0.4;
                 errors.push(error.abs());
                 inside += usize::from(error.abs() < 2.0 * one.length_sd_m);
@@ -119,115 +121,157 @@ fn robot_run(seed: u64, peak: f64) -> (Vec<f64>, Vec<UnitSample>) {
     (times, samples)
 }
 
-/// The truth says when the arm stops (it hardly rests between moves), the accelerometer how far it went.
+/// Where the arm stops and where it turns a corner without stopping its own log says; what lies between
+/// rests is one leg of the path, which the accelerometer and the gyroscope give.
 fn robot_arm(data: &Path) {
-    println!(
-        "\n# motion/robot_arm_linear_mpu9150.csv: straight moves; the arm's own log says when they begin and end"
-    );
-    let file = data.join("motion/robot_arm_linear_mpu9150.csv");
-    if !file.is_file() {
-        println!("skipped: {} is not there", file.display());
-        return;
+    for name in ["robot_arm_linear_mpu9150", "robot_arm_v300_mpu9150"] {
+        for gyroscope in [true, false] {
+            let file = data.join(format!("motion/{name}.csv"));
+            println!(
+                "\n# motion/{name}.csv, {}",
+                if gyroscope {
+                    "with the gyroscope"
+                } else {
+                    "accelerometer and magnetometer"
+                }
+            );
+            if !file.is_file() {
+                println!("skipped: {} is not there", file.display());
+                continue;
+            }
+            let mut recording =
+                MotionRecording::from_csv(&file).expect("the recording is readable");
+            if !gyroscope {
+                for sample in &mut recording.samples {
+                    sample.rate_rad_s = None;
+                }
+            }
+            if name.contains("linear") {
+                straight_moves(&recording);
+            }
+            let choice = Choice {
+                method: Method::Slide,
+                ..Choice::default()
+            };
+            match navigate(&recording, &choice) {
+                Ok(path) => {
+                    if let Some((median, below)) = path.consistency() {
+                        println!(
+                            "the path: {:.0} % of the samples valid; NEES median {median:.2}, below 7.81 in {:.0} %",
+                            100.0 * path.valid_share(),
+                            100.0 * below
+                        );
+                    }
+                    for remark in &path.remarks {
+                        println!("  {remark}");
+                    }
+                }
+                Err(error) => println!("the path: refused: {error}"),
+            }
+        }
     }
-    let recording = MotionRecording::from_csv(&file).expect("the recording is readable");
+}
+
+fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// First and last sample of each straight way of the log: it moves by more than 10 mm/s and not by more than 15°
+/// from the direction at its start.
+fn straight(recording: &MotionRecording) -> Vec<(usize, usize)> {
     let times = &recording.times_s;
     let place = |k: usize| recording.truth[k].expect("truth everywhere").position_m;
-    let apart =
-        |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();
     let count = times.len();
-    let moving: Vec<bool> = (0..count)
-        .map(|k| {
-            let (a, b) = (k.saturating_sub(5), (k + 5).min(count - 1));
-            apart(place(a), place(b)) > 0.01 * (times[b] - times[a])
-        })
-        .collect();
-    let found = rests(times, &recording.samples);
+    let velocity = |k: usize| -> [f64; 3] {
+        let a = times.partition_point(|t| *t < times[k] - 0.1);
+        let b = times
+            .partition_point(|t| *t < times[k] + 0.1)
+            .min(count - 1);
+        let dt = (times[b] - times[a]).max(1e-3);
+        std::array::from_fn(|i| (place(b)[i] - place(a)[i]) / dt)
+    };
+    let size = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let mut found = Vec::new();
+    let mut from: Option<(usize, [f64; 3])> = None;
+    for k in 0..count {
+        let now = velocity(k);
+        let moving = size(now) > 0.01;
+        let goes_on = from.is_some_and(|(_, start)| {
+            let dot: f64 = (0..3).map(|i| start[i] * now[i]).sum();
+            moving && dot > 0.966 * size(start) * size(now)
+        });
+        if let Some((start, _)) = from.filter(|_| !goes_on) {
+            if apart(place(start), place(k)) > 0.1 {
+                found.push((start, k));
+            }
+            from = None;
+        }
+        if from.is_none() && moving {
+            from = Some((k, now));
+        }
+    }
+    found
+}
+
+fn straight_moves(recording: &MotionRecording) {
+    let times = &recording.times_s;
+    let place = |k: usize| recording.truth[k].expect("truth everywhere").position_m;
+    let config = SlideConfig {
+        gravity_mps2: recording.gravity_at_first_rest(),
+        ..SlideConfig::default()
+    };
+    let found = legs(recording, config);
+    for leg in &found {
+        println!(
+            "between the rests at {:.2} and {:.2} s: {:.3} ± {:.3} m, truth {:.3}; turned by {:.0}°, {:.1}° of it open; velocity left {:.3} m/s (1 σ {:.3})",
+            times[leg.before.end - 1],
+            times[leg.after.first],
+            leg.done.length_m,
+            leg.done.length_sd_m,
+            apart(place(leg.before.end - 1), place(leg.after.first)),
+            leg.done.turned_rad.to_degrees(),
+            leg.done.open_rad.to_degrees(),
+            leg.done.left_mps.iter().map(|v| v * v).sum::<f64>().sqrt(),
+            leg.done.left_sd_mps,
+        );
+    }
     println!(
         "{:>6}{:>9}{:>12}{:>12}{:>11}{:>10}{:>10}",
         "from", "to, s", "true, m", "found, m", "error, m", "sd, m", "error/sd"
     );
-    let mut spans = Vec::new();
-    let mut from = None;
-    for k in 1..count {
-        match (moving[k - 1], moving[k], from) {
-            (false, true, _) => from = Some(k),
-            (true, false, Some(start)) if apart(place(start), place(k)) > 0.1 => {
-                spans.push((start, k));
-                from = None;
-            }
-            _ => {}
-        }
-    }
-    for (index, (start, end)) in spans.iter().enumerate() {
-        let truth = apart(place(*start), place(*end));
-        // From the middle of the stop before to the middle of the stop after, 0.2 s at the most.
-        let before = index.checked_sub(1).map_or(0.0, |i| times[spans[i].1]);
-        let after = spans
-            .get(index + 1)
-            .map_or(times[count - 1], |s| times[s.0]);
-        let begin = times[*start] - (0.5 * (times[*start] - before)).min(0.2);
-        let finish = times[*end] + (0.5 * (after - times[*end])).min(0.2);
-        row(&recording, &found, begin, finish, truth);
-    }
-}
-
-fn row(
-    recording: &MotionRecording,
-    rests: &[wimu_host::motion::RestSpan],
-    from: f64,
-    to: f64,
-    truth: f64,
-) {
-    let times = &recording.times_s;
-    let [from, to] =
-        [from, to].map(|at| times.partition_point(|t| *t < at).clamp(1, times.len() - 1));
-    let nearest = |at: usize| {
-        rests.iter().min_by(|a, b| {
-            let gap = |r: &wimu_host::motion::RestSpan| {
-                let t = times[at];
-                (times[r.first] - t)
-                    .max(t - times[r.end.min(times.len()) - 1])
-                    .max(0.0)
-            };
-            gap(a).total_cmp(&gap(b))
-        })
+    // How much of a way lies in a leg, in samples.
+    let shared = |leg: &Leg, from: usize, to: usize| {
+        (to.min(leg.after.first)).saturating_sub(from.max(leg.before.end))
     };
-    let (Some(before), Some(after)) = (nearest(from), nearest(to)) else {
+    for (from, to) in straight(recording) {
+        let truth = apart(place(from), place(to));
+        let leg = found
+            .iter()
+            .max_by_key(|leg| shared(leg, from, to))
+            .filter(|leg| 2 * shared(leg, from, to) > to - from);
+        let Some(leg) = leg else {
+            println!(
+                "{:>6.2}{:>9.2}{truth:>12.3}   no rest that agrees on both sides",
+                times[from], times[to]
+            );
+            continue;
+        };
+        let Some((way, p)) = leg.way(from, to) else {
+            continue;
+        };
+        let length = way.iter().map(|w| w * w).sum::<f64>().sqrt();
+        let along = way.map(|w| w / length.max(1e-9));
+        let variance: f64 = (0..3)
+            .flat_map(|i| (0..3).map(move |j| (i, j)))
+            .map(|(i, j)| along[i] * p[i][j] * along[j])
+            .sum();
+        let sd = variance.max(0.0).sqrt();
+        let error = length - truth;
         println!(
-            "{:>6.2}{:>9.2}{truth:>12.3}   no rest to take gravity from",
-            times[from], times[to]
+            "{:>6.2}{:>9.2}{truth:>12.3}{length:>12.3}{error:>11.3}{sd:>10.3}{:>10.1}",
+            times[from],
+            times[to],
+            error / sd
         );
-        return;
-    };
-    // Gravity from a rest some seconds away is worse known than at the ends of the move.
-    let stale = |rest: Rest, near: bool| Rest {
-        sd_mps2: if near { rest.sd_mps2 } else { 0.05 },
-        ..rest
-    };
-    let close = |r: &wimu_host::motion::RestSpan, at: usize| {
-        times[r.first] - times[at] < 0.3 && times[at] - times[r.end.min(times.len()) - 1] < 0.3
-    };
-    let mut slide = Slide::new(
-        SlideConfig::default(),
-        stale(before.rest, close(before, from)),
-    );
-    for k in from..to {
-        slide.push(times[k] - times[k - 1], recording.samples[k].force_mps2);
     }
-    let found = slide.finish(stale(after.rest, close(after, to)));
-    let error = found.length_m - truth;
-    let turned = found.turned_rad.to_degrees();
-    let said = if turned > 1.0 {
-        format!("  turned by {turned:.0}°: not a slide")
-    } else {
-        String::new()
-    };
-    println!(
-        "{:>6.2}{:>9.2}{truth:>12.3}{:>12.3}{error:>11.3}{:>10.3}{:>10.1}{said}",
-        times[from],
-        times[to],
-        found.length_m,
-        found.length_sd_m,
-        error / found.length_sd_m
-    );
 }

@@ -20,16 +20,20 @@
 //! # Ok::<(), wimu_host::HostError>(())
 //! ```
 
+mod slide;
+
+pub use slide::{Leg, legs};
+
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
 use wimu_calib::Gravity;
-use wimu_nav::slide::{Move, Slide, SlideConfig};
+use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
 use crate::array::{ArrayCalibration, ArrayRecording, angular_rate};
 use crate::html::{Chart, Report, Series};
-use crate::motion::{MotionRecording, nees, rests};
+use crate::motion::{MotionRecording, nees};
 use crate::{ErrorCode, HostError, Result};
 
 /// How the path is found.
@@ -261,7 +265,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                 "give --geometry FILE",
             ));
         }
-        Method::Slide => slide(recording, choice)?,
+        Method::Slide => slide::slide(recording, choice)?,
         Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
             return refused(
                 "there is no angular rate in it",
@@ -399,111 +403,6 @@ fn filter(
         remarks,
         nees: Vec::new(),
     }
-}
-
-/// Moves between rests, corrected backwards from the rest at the end of each.
-fn slide(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
-    let (times, samples) = (&recording.times_s, &recording.samples);
-    let found = rests(times, samples);
-    let Some(first) = found.first().filter(|_| found.len() > 1) else {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            "a slide lies between two rests of 0.3 s and more, and there are fewer",
-            "hold the unit still before and after each move",
-        )
-        .at(&recording.name));
-    };
-    let config = SlideConfig {
-        gravity_mps2: recording.gravity_at_first_rest(),
-        ..SlideConfig::default()
-    };
-    // Axes: up from the first rest, body x as east.
-    let norm = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
-    let up = first
-        .rest
-        .force_mps2
-        .map(|f| f / norm(first.rest.force_mps2));
-    let pick = if up[0].abs() < 0.9 { 0 } else { 1 };
-    let mut east: [f64; 3] =
-        std::array::from_fn(|i| f64::from(u8::from(i == pick)) - up[pick] * up[i]);
-    east = east.map(|e| e / norm(east));
-    let north = [
-        up[1] * east[2] - up[2] * east[1],
-        up[2] * east[0] - up[0] * east[2],
-        up[0] * east[1] - up[1] * east[0],
-    ];
-    let turned =
-        |v: [f64; 3]| [east, north, up].map(|axis| (0..3).map(|i| axis[i] * v[i]).sum::<f64>());
-    let quaternion = quaternion([east, north, up]);
-    let mut points: Vec<PathPoint> = Vec::with_capacity(times.len());
-    let mut moves = Vec::new();
-    let mut remarks = Vec::new();
-    let (mut at, mut variance, mut sound) = ([0.0; 3], 0.0, true);
-    let put =
-        |k: usize, position: [f64; 3], velocity: [f64; 3], variance: f64, sound: bool| PathPoint {
-            time_s: times[k],
-            position_m: position,
-            velocity_mps: velocity,
-            quaternion,
-            rate_rad_s: [0.0; 3],
-            covariance_m2: std::array::from_fn(|i| {
-                std::array::from_fn(|j| if i == j { variance } else { 0.0 })
-            }),
-            valid: sound && (3.0 * variance).sqrt() <= choice.limit_m,
-        };
-    for k in 0..first.end {
-        points.push(put(k, at, [0.0; 3], variance, k >= first.first));
-    }
-    for pair in found.windows(2) {
-        let (from, to) = (pair[0].end, pair[1].first.max(pair[0].end));
-        let mut slide = Slide::new(config, pair[0].rest);
-        let mut raw = Vec::with_capacity(to - from);
-        for k in from..to {
-            slide.push(times[k] - times[k - 1], samples[k].force_mps2);
-            raw.push(slide);
-        }
-        let done = slide.finish(pair[1].rest);
-        if done.turned_rad > 0.02 {
-            sound = false;
-            remarks.push(format!(
-                "the unit turned by {:.1}° in the move that ends at {:.2} s: no slide, position is not valid from there on",
-                done.turned_rad.to_degrees(),
-                times[to.min(times.len() - 1)]
-            ));
-        }
-        let change: [f64; 3] =
-            std::array::from_fn(|i| pair[1].rest.force_mps2[i] - pair[0].rest.force_mps2[i]);
-        for (offset, state) in raw.iter().enumerate() {
-            let (position, velocity) = state.corrected(&done, change);
-            let share = state.time_s() / done.duration_s.max(1e-9);
-            let grown = variance + share * done.length_sd_m * done.length_sd_m / 3.0;
-            let place = turned(position);
-            points.push(put(
-                from + offset,
-                std::array::from_fn(|i| at[i] + place[i]),
-                turned(velocity),
-                grown,
-                sound,
-            ));
-        }
-        let moved = turned(done.displacement_m);
-        at = std::array::from_fn(|i| at[i] + moved[i]);
-        variance += done.length_sd_m * done.length_sd_m / 3.0;
-        for k in to..pair[1].end {
-            points.push(put(k, at, [0.0; 3], variance, sound));
-        }
-        moves.push(done);
-    }
-    for k in points.len()..times.len() {
-        points.push(put(k, at, [0.0; 3], variance, false));
-    }
-    Ok(InertialPath {
-        method: Method::Slide,
-        points,
-        moves,
-        remarks,
-        nees: Vec::new(),
-    })
 }
 
 /// Of the rotation whose rows are given, W X Y Z.

@@ -147,7 +147,7 @@ struct Doubt<R> {
 /// Variance of the integral between two times of a velocity whose variance grows as Q and is zero at the
 /// `whole`'s end, in units of Q there.
 fn bridge<R: Real>(a: Doubt<R>, b: Doubt<R>, b_s: R, whole: Doubt<R>) -> R {
-    if !(whole.now > R::default()) {
+    if whole.now <= R::default() {
         return R::default();
     }
     let (area, moment) = (b.area - a.area, b.moment - a.moment);

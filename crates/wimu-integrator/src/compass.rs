@@ -171,7 +171,7 @@ impl Compass {
             to_body,
             hard_iron_nt: terms.hard_iron_nt,
             field_nt: terms.field_nt,
-            up_nt: -terms.field_nt * libm::sinf(dip),
+            up_nt: -terms.field_nt * sine(dip),
             mounting: turned(
                 single(set.alignment.matrix()),
                 single(mounting.covariance.matrix()),
@@ -219,6 +219,22 @@ impl Compass {
     }
 }
 
+/// Sine of an angle of a right angle at most, to 10⁻⁷: a tenth of the code of one for all angles.
+fn sine(rad: f32) -> f32 {
+    let square = rad * rad;
+    let series = [
+        -2.505_210_8e-8,
+        2.755_731_9e-6,
+        -1.984_127e-4,
+        8.333_333e-3,
+        -0.166_666_67,
+    ];
+    let sum = series
+        .into_iter()
+        .fold(0.0, |sum, term| sum * square + term);
+    rad + rad * square * sum
+}
+
 /// R C Rᵀ.
 fn turned(r: Matrix, c: Matrix) -> Matrix {
     let half = r.map(|row| apply(&c, row));
@@ -255,3 +271,16 @@ fn square(x: f32) -> f32 {
 }
 
 const _: () = assert!(DIRECTION_BITS == 30, "the doc of MagneticHeading says so");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sine_is_that_of_libm_over_every_dip() {
+        for thousandth in -1571..=1571 {
+            let rad = thousandth as f32 * 1e-3;
+            assert!((sine(rad) - libm::sinf(rad)).abs() < 2e-7, "{rad}");
+        }
+    }
+}

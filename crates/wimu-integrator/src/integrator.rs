@@ -4,7 +4,7 @@ use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
 use crate::attitude::{Attitude, unit};
 use crate::compass::MagneticHeading;
-use crate::segment::Segment;
+use crate::segment::{Segment, billionth};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
 use crate::stillness::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
 
@@ -268,8 +268,7 @@ impl Integrator {
                 velocity.0[axis].saturating_add(state.base_velocity_nmps[axis])
             })),
             position: PositionNm(core::array::from_fn(|axis| {
-                let coasted =
-                    i128::from(state.base_velocity_nmps[axis]) * elapsed_ns / 1_000_000_000;
+                let coasted = billionth(i128::from(state.base_velocity_nmps[axis]) * elapsed_ns);
                 position.0[axis]
                     .saturating_add(state.base_position_nm[axis])
                     .saturating_add(saturate(coasted))
@@ -420,7 +419,7 @@ impl Integrator {
         let left = self.at(end);
         let leg_ns = i128::from(self.since_rest_ns(end));
         for axis in 0..3 {
-            let correction = i128::from(left.velocity.0[axis]) * leg_ns / 2_000_000_000;
+            let correction = billionth(i128::from(left.velocity.0[axis]) * leg_ns / 2);
             self.state.base_position_nm[axis] =
                 left.position.0[axis].saturating_sub(saturate(correction));
         }

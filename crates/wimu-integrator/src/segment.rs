@@ -74,7 +74,7 @@ impl Segment {
             let period = i128::from(period.0);
             // 2⁻³⁴ Δt² m → nm: Δt² in ns² is Δt² · 10¹⁸. Dividing in between keeps within 128
             // bits and costs less than 0.1 nm.
-            round_shift(exact * period / 1_000_000_000 * period, 34)
+            round_shift(billionth(exact * period) * period, 34)
         })
     }
 
@@ -102,6 +102,12 @@ impl Segment {
             }),
         }
     }
+}
+
+/// A value over 10⁹, towards zero. 800 bytes of code wherever it is, so it is here alone.
+#[inline(never)]
+pub(crate) fn billionth(value: i128) -> i128 {
+    value / 1_000_000_000
 }
 
 /// `value` · 2^−`bits`, rounded to nearest, saturating to 64 bits.

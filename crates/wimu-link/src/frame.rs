@@ -26,7 +26,8 @@
 use core::fmt;
 
 use cobs::{CobsEncoder, DecodeResult, DecoderState};
-use crc::{CRC_32_ISCSI, Crc, Table};
+
+use crate::checksum::{Digest, crc_32c};
 
 /// The version of the wire that this crate speaks. The crate's own version is another matter.
 pub const WIRE_VERSION: u8 = 1;
@@ -40,27 +41,6 @@ pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;
 /// Kind byte, body, CRC.
 const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
 const CRC_BYTES: usize = 4;
-
-/// A host has room for 16 KiB of tables, a microcontroller has not.
-#[cfg(target_pointer_width = "64")]
-type Tables = Table<16>;
-#[cfg(not(target_pointer_width = "64"))]
-type Tables = Table<1>;
-
-/// A running CRC-32C.
-pub(crate) type Digest = crc::Digest<'static, u32, Tables>;
-
-static CRC_32C: Crc<u32, Tables> = Crc::<u32, Tables>::new(&CRC_32_ISCSI);
-
-/// CRC-32C of `bytes`.
-pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
-    CRC_32C.checksum(bytes)
-}
-
-/// A running CRC-32C.
-pub(crate) fn crc_32c_digest() -> Digest {
-    CRC_32C.digest()
-}
 
 /// What a frame's body is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -106,7 +86,7 @@ impl Kind {
 /// # Errors
 /// [`EncodeError`] when `body` exceeds [`MAX_BODY`] or the frame does not fit `frame`.
 pub fn encode(kind: Kind, body: &[u8], frame: &mut [u8]) -> Result<usize, EncodeError> {
-    build(kind, frame, |writer| writer.push(body))
+    build(kind, frame, &mut |writer| writer.push(body))
 }
 
 /// Builds a frame whose body `write` pushes piece by piece, so that a message needs no buffer of
@@ -114,11 +94,11 @@ pub fn encode(kind: Kind, body: &[u8], frame: &mut [u8]) -> Result<usize, Encode
 pub(crate) fn build(
     kind: Kind,
     frame: &mut [u8],
-    write: impl FnOnce(&mut BodyWriter) -> Result<(), EncodeError>,
+    write: &mut dyn FnMut(&mut BodyWriter) -> Result<(), EncodeError>,
 ) -> Result<usize, EncodeError> {
     let mut writer = BodyWriter {
         cobs: CobsEncoder::new(frame),
-        digest: crc_32c_digest(),
+        digest: Digest::new(),
         body: 0,
     };
     writer.code(&[(WIRE_VERSION << 4) | kind as u8])?;

@@ -7,6 +7,7 @@ use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
 use crate::auth::{DeviceKey, KeyState, Lock, Session};
 use crate::batch::{self, Batch, Stream};
+use crate::checksum::crc_32c;
 use crate::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
 use crate::hello::{self, Hello, LinkRole, WhoAreYou};
 use crate::message::{
@@ -298,7 +299,7 @@ pub fn requests(data: &[u8]) {
             let mut frame = [0; MAX_FRAME];
             let frame = responder.reply(&answer, &mut frame);
             assert!(!frame.is_empty());
-            replied[session][id] = Some(frame::crc_32c(frame));
+            replied[session][id] = Some(crc_32c(frame));
         }
         if source.byte() % 16 == 0 {
             let garbage = source.slice();
@@ -334,7 +335,7 @@ pub fn requests(data: &[u8]) {
                     pending = Some((session, id));
                 }
                 Decision::Send(frame) => {
-                    let answer = frame::crc_32c(frame);
+                    let answer = crc_32c(frame);
                     let stale = {
                         let mut reply = None;
                         with_body(frame, |body| reply = Reply::decode(body).ok());

@@ -2,9 +2,13 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod auth;
 pub mod batch;
 mod bits;
+mod checksum;
 pub mod frame;
 #[doc(hidden)]
 pub mod fuzz;

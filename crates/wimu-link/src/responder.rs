@@ -3,7 +3,8 @@
 use serde::Serialize;
 
 use crate::auth::{KeyState, Lock, Session, Sessions, Standing};
-use crate::frame::{FrameBuffer, crc_32c};
+use crate::checksum::crc_32c;
+use crate::frame::FrameBuffer;
 use crate::hello::LinkRole;
 use crate::message::{
     Answer, Command, EncodedParameters, Head, Payload, Refusal, Reply, Signature,

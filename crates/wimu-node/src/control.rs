@@ -360,8 +360,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             return Err(Refusal::NothingStaged);
         }
         let wire = desk.set.get().and_then(|set| set.decode().ok());
-        let wire = wire.ok_or(Refusal::NothingStaged)?;
+        let mut wire = wire.ok_or(Refusal::NothingStaged)?;
         let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;
+        wire.take_rotations(&set);
         if set.range_g != plan.settings.range_g {
             return Err(Refusal::WrongRange {
                 parameters_g: set.range_g,
@@ -377,7 +378,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 device_lsb_per_g: plan.sensitivity.lsb_per_g(),
             });
         }
-        Ok(desk.set.encode(&set))
+        Ok(desk.set.encode(&wire))
     }
 
     /// Compares a rest with what the parameters promise, and reports if they no longer hold.

@@ -14,7 +14,7 @@ use wimu_link::message::{
     Status, Streams, Telemetry, WireParameters,
 };
 use wimu_link::{Hello, LinkRole, Responder};
-use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId, ParameterSet};
+use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId};
 
 use crate::accelerometer::{Plan, SensorFault};
 use crate::queue::{FrameQueue, PIECE};
@@ -118,8 +118,8 @@ impl Set {
     }
 
     /// Takes the wire form of `set`; returns its id.
-    pub(crate) fn encode(&mut self, set: &ParameterSet) -> ParameterId {
-        let length = WireParameters::from(set).encode(&mut self.bytes);
+    pub(crate) fn encode(&mut self, set: &WireParameters) -> ParameterId {
+        let length = set.encode(&mut self.bytes);
         self.length = length.unwrap_or(0) as u16;
         self.get()
             .map_or(ParameterId::UNCALIBRATED, EncodedParameters::id)

@@ -142,7 +142,7 @@ impl Hello {
             0
         };
         // Each piece is as long as its place in the table.
-        frame::build(Kind::Hello, frame, |body| {
+        frame::build(Kind::Hello, frame, &mut |body| {
             body.push(&MAGIC)?;
             body.push(&[
                 HELLO_LENGTH as u8,
@@ -260,7 +260,7 @@ impl WhoAreYou {
     /// # Errors
     /// [`EncodeError::NoRoom`] when the frame does not fit.
     pub fn encode(&self, frame: &mut [u8]) -> Result<usize, EncodeError> {
-        frame::build(Kind::WhoAreYou, frame, |body| {
+        frame::build(Kind::WhoAreYou, frame, &mut |body| {
             body.push(&MAGIC)?;
             body.push(&[WHO_LENGTH as u8, self.wire_version])
         })

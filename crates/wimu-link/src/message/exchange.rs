@@ -2,7 +2,7 @@
 //! bytes on the wire. One function a message, whichever way it goes: a microcontroller has it once.
 
 use super::MessageError;
-use crate::frame::Digest;
+use crate::checksum::Digest;
 
 /// One end of an exchange.
 pub(super) trait Wire {

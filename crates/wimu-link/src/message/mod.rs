@@ -15,7 +15,7 @@ use hmac::digest::Update;
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 
-use crate::frame::{self, BodyWriter, EncodeError, Kind};
+use crate::frame::{self, EncodeError, Kind};
 
 mod exchange;
 mod parameters;
@@ -58,17 +58,13 @@ framed!(Request, Request);
 framed!(Reply<P>, Reply);
 
 fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usize, EncodeError> {
-    frame::build(kind, frame, |body| {
-        let mut failure = None;
-        let sink = FrameSink {
-            body,
-            failure: &mut failure,
-        };
-        let outcome = postcard::serialize_with_flavor(message, sink);
-        match (outcome, failure) {
-            (Ok(()), None) => Ok(()),
-            (_, failure) => Err(failure.unwrap_or(EncodeError::BodyTooLong)),
-        }
+    frame::build(kind, frame, &mut |body| {
+        let mut outcome = Ok(());
+        let written = serialize(message, &mut |bytes| {
+            outcome = body.push(bytes);
+            outcome.is_ok()
+        });
+        outcome.and(written.map_err(|_| EncodeError::BodyTooLong))
     })
 }
 
@@ -89,41 +85,32 @@ fn decode_beginning<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, Message
 /// Gives `message`'s wire form to `mac`.
 pub(crate) fn feed<T: Serialize>(message: &T, mac: &mut impl Update) {
     // Neither the sink nor plain numbers can fail.
-    let _ = postcard::serialize_with_flavor(message, UpdateSink(mac));
+    let _ = serialize(message, &mut |bytes| {
+        mac.update(bytes);
+        true
+    });
 }
 
-struct UpdateSink<'a, M>(&'a mut M);
+/// Gives `message`'s wire form to `sink`, which says whether it has taken it. One sink for all that
+/// is done with messages, so that there is one serializer of each.
+fn serialize<T: Serialize>(
+    message: &T,
+    sink: &mut dyn FnMut(&[u8]) -> bool,
+) -> postcard::Result<()> {
+    postcard::serialize_with_flavor(message, Sink(sink))
+}
 
-impl<M: Update> Flavor for UpdateSink<'_, M> {
+struct Sink<'a>(&'a mut dyn FnMut(&[u8]) -> bool);
+
+impl Flavor for Sink<'_> {
     type Output = ();
 
     fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
-        self.0.update(data);
-        Ok(())
-    }
-
-    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
-        self.try_extend(&[data])
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
-    }
-}
-
-struct FrameSink<'s, 'b> {
-    body: &'s mut BodyWriter<'b>,
-    failure: &'s mut Option<EncodeError>,
-}
-
-impl Flavor for FrameSink<'_, '_> {
-    type Output = ();
-
-    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
-        self.body.push(data).map_err(|error| {
-            *self.failure = Some(error);
-            postcard::Error::SerializeBufferFull
-        })
+        if (self.0)(data) {
+            Ok(())
+        } else {
+            Err(postcard::Error::SerializeBufferFull)
+        }
     }
 
     fn try_push(&mut self, data: u8) -> postcard::Result<()> {

@@ -14,7 +14,8 @@ use wimu_model::{
 use super::MessageError;
 use super::exchange::{Reader, Wire, Writer, at_the_end, byte, doubles, floats, option};
 use super::quality::{WireMagnetometer, WireQuality};
-use crate::frame::{EncodeError, crc_32c, crc_32c_digest};
+use crate::checksum::{Digest, crc_32c};
+use crate::frame::EncodeError;
 use crate::hello::sensor;
 
 /// A [`ParameterSet`] as it travels: plain numbers, in this order, not checked yet.
@@ -126,6 +127,18 @@ impl WireParameters {
             WireMagnetometer::BLANK,
             WireMagnetometer::exchange,
         )
+    }
+
+    /// Takes the rotations of `set`, which was made from it: they are of length 1 there.
+    pub fn take_rotations(&mut self, set: &ParameterSet) {
+        self.alignment_wxyz = set.alignment.quaternion();
+        let theirs = set.magnetometer.as_ref();
+        let theirs = theirs.and_then(|model| model.terms().to_accelerometer.as_ref());
+        let ours = self.magnetometer.as_mut();
+        let ours = ours.and_then(|model| model.to_accelerometer.as_mut());
+        if let (Some(ours), Some(theirs)) = (ours, theirs) {
+            ours.rotation_wxyz = theirs.rotation.quaternion();
+        }
     }
 
     /// Writes its wire form to `bytes`, of which [`MAX`](Self::MAX) are enough; returns its length.
@@ -332,7 +345,7 @@ pub(super) fn rotation_covariance(factor: [f32; 6]) -> Result<RotationCovariance
 
 /// The id of `set`: CRC-32C of its wire form, 1 in place of 0, which is the uncalibrated set's.
 pub fn parameter_id(set: &ParameterSet) -> ParameterId {
-    let mut digest = crc_32c_digest();
+    let mut digest = Digest::new();
     // A digest takes whatever it is given.
     let _ = WireParameters::from(set).exchange(&mut digest);
     ParameterId(digest.finalize().max(1))

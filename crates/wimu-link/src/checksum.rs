@@ -1,0 +1,95 @@
+//! CRC-32C (CRC-32/ISCSI), of frames and parameter sets.
+
+// One of the two is the target's.
+#![cfg_attr(not(test), allow(dead_code))]
+
+#[cfg(target_pointer_width = "64")]
+pub(crate) use self::Fast as Digest;
+
+#[cfg(not(target_pointer_width = "64"))]
+pub(crate) use self::Small as Digest;
+
+/// CRC-32C of `bytes`.
+pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
+    let mut digest = Digest::new();
+    digest.update(bytes);
+    digest.finalize()
+}
+
+static TABLES: crc::Crc<u32, crc::Table<16>> =
+    crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISCSI);
+
+/// A running CRC-32C for a host, which has room for 16 KiB of tables.
+pub(crate) struct Fast(crc::Digest<'static, u32, crc::Table<16>>);
+
+impl Fast {
+    pub(crate) fn new() -> Self {
+        Self(TABLES.digest())
+    }
+
+    pub(crate) fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    pub(crate) fn finalize(self) -> u32 {
+        self.0.finalize()
+    }
+}
+
+/// A running CRC-32C for a microcontroller: 64 bytes of table, half a byte at a time.
+pub(crate) struct Small(u32);
+
+impl Small {
+    /// What the low half of a byte makes of the bits above it.
+    const TABLE: [u32; 16] = {
+        const POLYNOMIAL: u32 = 0x82F6_3B78;
+        let mut table = [0; 16];
+        let mut index = 0;
+        while index < 16 {
+            let mut crc = index as u32;
+            let mut bit = 0;
+            while bit < 4 {
+                crc = (crc >> 1) ^ if crc & 1 == 1 { POLYNOMIAL } else { 0 };
+                bit += 1;
+            }
+            table[index] = crc;
+            index += 1;
+        }
+        table
+    };
+
+    pub(crate) fn new() -> Self {
+        Self(u32::MAX)
+    }
+
+    pub(crate) fn update(&mut self, bytes: &[u8]) {
+        let half = |crc: u32| (crc >> 4) ^ Self::TABLE[(crc & 15) as usize];
+        for &byte in bytes {
+            self.0 = half(half(self.0 ^ u32::from(byte)));
+        }
+    }
+
+    pub(crate) fn finalize(self) -> u32 {
+        !self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    proptest! {
+        #[test]
+        fn both_ways_agree_on_any_bytes_in_any_pieces(bytes: Vec<u8>, cut: prop::sample::Index) {
+            let (first, second) = bytes.split_at(cut.index(bytes.len() + 1));
+            let (mut fast, mut small) = (Fast::new(), Small::new());
+            for piece in [first, second] {
+                fast.update(piece);
+                small.update(piece);
+            }
+            prop_assert_eq!(fast.finalize(), small.finalize());
+        }
+    }
+}

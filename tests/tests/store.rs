@@ -283,6 +283,56 @@ fn what_a_node_keeps_fits_at_its_longest_and_can_be_changed_for_ever() {
     }
 }
 
+/// The boards' geometry: four pages of 4 KiB, words of 4 bytes.
+#[test]
+fn a_full_store_wears_its_pages_evenly_and_slowly() {
+    const LONGEST_SET: usize = 854;
+    let storage = Storage::in_memory();
+    let mut store = start(&storage, 4);
+    let mut source = Seeded(13);
+    let mut save = |key: Key, length: usize| {
+        let record = source.bytes(length);
+        assert_eq!(done(store.save(key, &record)), Some(Ok(())), "{key:?}");
+    };
+    let sets = [2, 4, 8, 16].map(|range_g| Key::Parameters { range_g });
+    for (key, length) in [
+        (Key::Settings, 40),
+        (Key::BootCount, 12),
+        (Key::DeviceKey, 40),
+        (Key::CableRate, 12),
+        (Key::WirelessRate, 12),
+    ] {
+        save(key, length);
+    }
+    for key in sets {
+        save(key, LONGEST_SET);
+    }
+    let worn = |before: [u32; 4]| {
+        let erases = storage.erases();
+        let each = [0, 1, 2, 3].map(|page| erases[page] - before[page]);
+        let (least, most) = (each.iter().min().copied(), each.iter().max().copied());
+        assert!(
+            most <= least.map(|least| least + 1) && most > Some(0),
+            "{each:?}"
+        );
+        most.map_or(0.0, f64::from)
+    };
+    let before = storage.erases();
+    for push in 0..800 {
+        save(sets[push % 4], LONGEST_SET);
+    }
+    let pushes = 800.0 / worn(before);
+    let before = storage.erases();
+    for _ in 0..4000 {
+        save(Key::BootCount, 12);
+    }
+    let starts = 4000.0 / worn(before);
+    println!(
+        "full store, four pages: a page is erased once in {pushes:.1} pushes or {starts:.1} starts"
+    );
+    assert!(pushes >= 8.0 && starts >= 50.0, "{pushes} {starts}");
+}
+
 #[test]
 fn worn_out_flash_refuses_writes_and_keeps_what_it_holds() {
     let storage = Storage::in_memory();

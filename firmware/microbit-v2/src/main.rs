@@ -50,8 +50,8 @@ type Memory = FlashStore<Flash>;
 type Receiver = BufferedUarteRx<'static>;
 type Transmitter = BufferedUarteTx<'static>;
 
-/// The last 8 KiB: memory.x leaves them out.
-const LAYOUT: FlashLayout<Flash> = FlashLayout::new(0x7E000..0x80000);
+/// The last 16 KiB: memory.x leaves them out.
+const LAYOUT: FlashLayout<Flash> = FlashLayout::new(0x7C000..0x80000);
 /// The flash's longest erase of a page, ms.
 const PAUSE_MS: u16 = 90;
 /// Two seconds of 32,768 Hz: how long nobody may feed the watchdog.

@@ -1,4 +1,4 @@
-//! The last 8 KiB of the flash.
+//! The last 16 KiB of the flash.
 //!
 //! While the flash is erased or written, nothing can be read from it, code neither: interrupts are
 //! off and the routine runs from RAM. The functions that do it are in the chip's ROM.
@@ -13,7 +13,7 @@ use wimu_node::FlashLayout;
 /// Bytes of a Pico's flash.
 const CHIP: usize = 2 << 20;
 /// Bytes that are for the store: memory.x leaves them out.
-const SIZE: usize = 2 * ERASE_SIZE;
+const SIZE: usize = 4 * ERASE_SIZE;
 const START: usize = CHIP - SIZE;
 /// The second stage of the bootloader, which makes the flash readable.
 const BOOT2_WORDS: usize = 64;

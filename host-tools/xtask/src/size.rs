@@ -9,6 +9,18 @@ use crate::workspace::Workspace;
 
 /// Crates below this many bytes are added up.
 const WORTH_A_LINE: u32 = 1024;
+/// What signs and checks writes: whatever has one of these in its name. What the compiler has put into
+/// its callers is not among it.
+const AUTHENTICATION: [&str; 6] = [
+    "wimu_link::auth::",
+    "sha2::",
+    "hmac::",
+    "digest::",
+    "block_buffer::",
+    "crypto_common::",
+];
+/// The most flash, bytes, that authentication may take in an image.
+const MOST_AUTHENTICATION: u32 = 12 << 10;
 /// Where the RAM of Cortex-M begins.
 const RAM: std::ops::Range<u32> = 0x2000_0000..0x4000_0000;
 
@@ -38,7 +50,16 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
         heading(name);
         print!("{}", table(size));
     }
-    Ok(())
+    match found
+        .iter()
+        .find(|(_, size)| size.authentication > MOST_AUTHENTICATION)
+    {
+        Some((name, size)) => Err(format!(
+            "authentication takes {} bytes of flash in {name}, at most {MOST_AUTHENTICATION} are allowed",
+            size.authentication
+        )),
+        None => Ok(()),
+    }
 }
 
 /// Bytes.
@@ -47,6 +68,8 @@ struct Size {
     flash: u32,
     /// Without the stack.
     ram: u32,
+    /// Flash of [`AUTHENTICATION`].
+    authentication: u32,
     /// What has a name, by the crate that it is from.
     crates: BTreeMap<String, Share>,
 }
@@ -129,13 +152,17 @@ impl Size {
             }
             let name = elf.get(names + word(elf, at)? as usize..)?;
             let name = name.split(|&byte| byte == 0).next()?;
-            let of = crate_of(std::str::from_utf8(name).ok()?);
+            let name = std::str::from_utf8(name).ok()?;
+            let of = crate_of(name);
             let share = self.crates.entry(of).or_default();
             let (address, bytes) = (word(elf, at + 4)?, word(elf, at + 8)?);
             if RAM.contains(&address) {
                 share.ram += bytes;
             } else {
                 share.flash += bytes;
+                if authenticates(name) {
+                    self.authentication += bytes;
+                }
             }
         }
         Some(())
@@ -175,6 +202,13 @@ fn crate_of(symbol: &str) -> String {
     .into()
 }
 
+/// Whether a mangled name is of what signs and checks writes.
+fn authenticates(symbol: &str) -> bool {
+    let name = rustc_demangle::demangle(symbol);
+    let name = format!("{name:#}");
+    AUTHENTICATION.iter().any(|part| name.contains(part))
+}
+
 fn table(size: &Size) -> String {
     let mut text = format!(
         "in all       flash {:>7}  RAM {:>6} and the stack, bytes\n",
@@ -196,12 +230,18 @@ fn table(size: &Size) -> String {
         }
     }
     line("in all others", others);
+    let authentication = Share {
+        flash: size.authentication,
+        ram: 0,
+    };
     let named: u32 = size.crates.values().map(|share| share.flash).sum();
     let unnamed = Share {
         flash: size.flash.saturating_sub(named),
         ram: 0,
     };
     line("without a name: texts, tables, initial values", unnamed);
+    let most = format!("of all this authentication, {MOST_AUTHENTICATION} at most");
+    line(&most, authentication);
     text
 }
 
@@ -230,6 +270,20 @@ mod tests {
     }
 
     #[test]
+    fn authentication_is_told_by_its_names() {
+        for (symbol, is) in [
+            ("_ZN9wimu_link4auth8Sessions4note17h7acac7af30088277E", true),
+            ("_ZN4sha26sha25615compress_blocks17h7acac7af30088277E", true),
+            (
+                "_ZN9wimu_link5batch11encode_axis17h7acac7af30088277E",
+                false,
+            ),
+        ] {
+            assert_eq!(authenticates(symbol), is, "{symbol}");
+        }
+    }
+
+    #[test]
     fn what_is_no_elf_file_has_no_size() {
         assert_eq!(Size::of(b""), None);
         assert_eq!(Size::of(b"\x7fELF\x01\x01"), None);
@@ -241,6 +295,7 @@ mod tests {
         let size = Size {
             flash: 5000,
             ram: 12,
+            authentication: 321,
             crates: [("big", 4000), ("a", 10), ("b", 20)]
                 .map(|(name, flash)| (name.to_owned(), Share { flash, ram: 4 }))
                 .into(),
@@ -248,7 +303,8 @@ mod tests {
         let text = table(&size);
         assert!(
             text.contains("4000  RAM      4  big")
-                && text.contains("30  RAM      8  in all others"),
+                && text.contains("30  RAM      8  in all others")
+                && text.contains("321  RAM      0  of all this authentication, 12288 at most"),
             "{text}"
         );
     }

@@ -44,6 +44,17 @@ pub(crate) struct Evaluated<'a, R: Real> {
 /// leads to one was too long.
 #[inline(always)]
 fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
+    let (zero, one) = (R::zero(), R::one());
+    if a[(0, 1)] == zero && a[(0, 2)] == zero && a[(1, 2)] == zero {
+        // Lower triangular, as gravity alone tells it: its divisions do not wait for each other.
+        let [x, y, z] = [one / a[(0, 0)], one / a[(1, 1)], one / a[(2, 2)]];
+        let yx = -a[(1, 0)] * x * y;
+        let zy = -a[(2, 1)] * y * z;
+        let zx = -(a[(2, 0)] * x + a[(2, 1)] * yx) * z;
+        let size = x * y * z;
+        let inverse = Matrix3::new(x, zero, zero, yx, y, zero, zx, zy, z);
+        return (size > zero && size.is_finite()).then_some(inverse);
+    }
     let minor = |r: usize, c: usize| {
         let (i, j) = ((r + 1) % 3, (r + 2) % 3);
         let (k, l) = ((c + 1) % 3, (c + 2) % 3);
@@ -52,8 +63,8 @@ fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     let minors = Matrix3::from_fn(|r, c| minor(c, r));
     let determinant =
         a[(0, 0)] * minors[(0, 0)] + a[(0, 1)] * minors[(1, 0)] + a[(0, 2)] * minors[(2, 0)];
-    let factor = R::one() / determinant;
-    (determinant > R::zero() && factor.is_finite()).then(|| minors * factor)
+    let factor = one / determinant;
+    (determinant > zero && factor.is_finite()).then(|| minors * factor)
 }
 
 /// One pose under a model.

@@ -39,6 +39,7 @@ pub use gravity::{Gravity, GravityError};
 pub use magnetometer::{MagneticEstimate, MagneticPose, MagneticRefusal, magnetometer};
 pub use multi_position::{
     Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
+    multi_position_with_f32,
 };
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal};
 pub use orientation::{Face, Instruction, Orientation};

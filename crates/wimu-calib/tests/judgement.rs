@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use wimu_calib::{
     Face, Gravity, Guide, Model, MultiPosition, Orientation, Parameter, Placement, Pose, Refusal,
     Term, Terms, best_model, four_angle, multi_position, multi_position_f32, multi_position_with,
-    six_position, three_angle,
+    multi_position_with_f32, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
@@ -328,6 +328,132 @@ fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
     }
     println!("bad poses found {found}, missed {missed}; good ones left out {wrongly} of 5700");
     assert!(missed == 0 && wrongly <= 6);
+}
+
+#[test]
+fn f32_carries_terms_and_bad_poses_within_a_fraction_of_what_is_known() {
+    let mut worst = [0.0_f64; 5];
+    let mut conditions = [0.0_f64; 5];
+    let mut differ = 0;
+    for seed in 0..60 {
+        let mut random = Random(seed);
+        let truth = random.model(true);
+        let mut poses: Vec<Pose> = ups(&mut random, 28)
+            .into_iter()
+            .enumerate()
+            .map(|(k, up)| Pose {
+                time_s: k as f64,
+                temperature_c: Some(20.0 + (k as f64 * 7.3) % 15.0),
+                ..pose(&truth, G, up)
+            })
+            .collect();
+        for pose in &mut poses {
+            jitter(&mut random, pose, 0.003);
+        }
+        let longer = poses[7].mean_mps2.map(|y| 1.03 * y);
+        poses[7].mean_mps2 = longer;
+        let cases = [None, Some(Term::Drift), Some(Term::BiasTemperature)]
+            .into_iter()
+            .chain([Some(Term::ScaleTemperature), Some(Term::Quadratic)]);
+        for (case, term) in cases.enumerate() {
+            let what = MultiPosition {
+                terms: term.into_iter().collect(),
+                ..rejecting()
+            };
+            let double = multi_position_with(&poses, exact(), what).expect("an answer");
+            let single = multi_position_with_f32(&poses, exact(), what).expect("an answer");
+            if single.rejected != double.rejected {
+                differ += 1;
+                continue;
+            }
+            let pairs = parameters(&double.model)
+                .into_iter()
+                .zip(parameters(&single.model));
+            for ((a, b), parameter) in pairs.zip(Parameter::ALL) {
+                if double.fitted.contains(parameter) {
+                    let apart = (a - b).abs() / double.covariance.sd(parameter);
+                    worst[case] = worst[case].max(apart);
+                }
+            }
+            conditions[case] = conditions[case].max(double.condition);
+            let loo = [&double, &single].map(|e| e.loo_rms_mps2.expect("it has"));
+            assert!((loo[0] / loo[1] - 1.0).abs() < 0.01, "{loo:?}");
+        }
+    }
+    println!(
+        "f32 against f64, in standard deviations at the most: none {:.4}, drift {:.4}, bias and \
+         scale factor with temperature {:.4} {:.4}, quadratic {:.4}; conditions up to {:.0?}; another \
+         choice of bad poses {differ} times of 300",
+        worst[0], worst[1], worst[2], worst[3], worst[4], conditions
+    );
+    assert!(worst.iter().all(|apart| *apart < 0.01) && differ <= 3);
+}
+
+#[test]
+fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
+    let (mut answered, mut honest) = (0, 0);
+    for seed in 0..240 {
+        let mut random = Random(seed);
+        let truth = random.model(true);
+        let count = 12 + (seed as usize * 7) % 30;
+        let mut poses: Vec<Pose> = ups(&mut random, count - 12)
+            .into_iter()
+            .map(|up| pose(&truth, G, up))
+            .collect();
+        for pose in &mut poses {
+            jitter(&mut random, pose, 0.003);
+        }
+        // From one to half of them: alike, each otherwise, grossly, or mirrored.
+        let bad = 1 + (seed as usize / 4) % (count / 2);
+        for k in 0..bad {
+            let pose = &mut poses[(k * 5 + 2) % count];
+            pose.mean_mps2 = match seed % 4 {
+                0 => pose.mean_mps2.map(|y| 1.05 * y),
+                1 => pose.mean_mps2.map(|y| y + random.normal()),
+                2 => pose.mean_mps2.map(|y| y * (20.0 * random.uniform())),
+                _ => {
+                    let [x, y, z] = pose.mean_mps2;
+                    [x, y, -z]
+                }
+            };
+        }
+        for model in Model::ALL {
+            let what = MultiPosition {
+                model,
+                ..rejecting()
+            };
+            let Ok(estimate) = multi_position_with(&poses, exact(), what) else {
+                continue;
+            };
+            let rejected = estimate.rejected.as_slice();
+            let spare = (count / 5)
+                .min(count.saturating_sub(model.parameters() + 3))
+                .min(16);
+            assert!(rejected.len() <= spare, "{seed}: {rejected:?} of {count}");
+            assert_eq!(estimate.poses + rejected.len(), count);
+            assert!(estimate.worst_sd_mps2.is_finite() && estimate.condition.is_finite());
+            let mut once = rejected.to_vec();
+            once.sort_unstable();
+            once.dedup();
+            assert_eq!(once.len(), rejected.len());
+            if model == Model::Full9 {
+                answered += 1;
+                // Truth within five standard deviations of unseen orientations, or within figures that
+                // say so.
+                let error = (0..20)
+                    .map(|_| {
+                        estimate
+                            .residual_mps2(&pose(&truth, G, random.direction()))
+                            .abs()
+                    })
+                    .fold(0.0, f64::max);
+                let said = (5.0 * estimate.worst_sd_mps2).max(estimate.rms_mps2);
+                honest += usize::from(error <= said);
+            }
+        }
+    }
+    println!("nine parameters answered {answered} of 240 times, honestly {honest} times");
+    assert!(answered > 60 && honest * 100 >= answered * 97);
 }
 
 #[test]

@@ -269,3 +269,45 @@ fn a_linear_drift_and_the_model_with_the_least_left_out_error_reach_the_referenc
         assert!(sums[0] <= drift_bar && sums[2] <= auto_bar, "{sums:?}");
     }
 }
+
+#[test]
+fn a_quadratic_term_is_of_no_use_to_real_sensors_at_1_g() {
+    let Some(rows) = recording("calibration/mpu9150_array_pose_means.csv") else {
+        return;
+    };
+    let with = |terms| MultiPosition {
+        terms,
+        ..MultiPosition::default()
+    };
+    let quadratic = Terms::NONE.with(Term::Quadratic);
+    let (mut better, mut sensors, mut ratio) = (0, 0, 0.0);
+    let mut largest = 0.0_f64;
+    for run in ["1", "2", "7", "8"] {
+        for imu in 0..8 {
+            let poses: Vec<Pose> = rows
+                .iter()
+                .filter(|row| row[0] == run && row[1] == imu.to_string())
+                .map(|row| Pose::from_mean(vector(row, 5, SCALE_2048)))
+                .collect();
+            let fit = |terms| multi_position_with(&poses, array_gravity(), with(terms));
+            let (plain, bent) = (
+                fit(Terms::NONE).expect("nine"),
+                fit(quadratic).expect("twelve"),
+            );
+            sensors += 1;
+            better += usize::from(loo_mm(&bent) < loo_mm(&plain));
+            ratio += loo_mm(&bent) / loo_mm(&plain);
+            for axis in 0..3 {
+                let deviate =
+                    bent.model.terms().nonlinearity[axis] / bent.term_sd.nonlinearity[axis];
+                largest = largest.max(deviate.abs());
+            }
+        }
+    }
+    println!(
+        "quadratic terms: left-out error {:.2} times as large on average, smaller in {better} of \
+         {sensors} runs; largest term {largest:.1} standard deviations",
+        ratio / f64::from(sensors)
+    );
+    assert!(ratio > f64::from(sensors));
+}

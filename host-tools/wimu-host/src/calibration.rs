@@ -6,6 +6,7 @@ mod magnetometer;
 mod page;
 mod reference;
 mod report;
+mod update;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, to_c, to_kalibr, to_rust};
@@ -15,6 +16,8 @@ pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
     describe, read_parameters, write_report,
 };
+
+pub use update::{RestReport, UpdateReport, update};
 
 use wimu_calib::{
     Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation,

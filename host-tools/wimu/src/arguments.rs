@@ -308,13 +308,13 @@ pub struct Calibrate {
     /// vertical too, beside a calibrated accelerometer
     #[arg(long, value_enum, default_value_t = Calibrated::Accelerometer)]
     pub sensor: Calibrated,
-    /// How the accelerometer beside the magnetometer is calibrated; without it, as the recording or
-    /// the device says
+    /// The calibration to update, or of the accelerometer beside the magnetometer; without it, as the
+    /// recording or the device says
     #[arg(long, value_name = "CAL.json")]
     pub with: Option<PathBuf>,
     /// How: from gravity's magnitude in any poses, from six known ones, from turns about level axes
     /// in steps of 90° or 120°, or against a reference that moves along: the cable's samples, or
-    /// another accelerometer of a CSV file
+    /// another accelerometer of a CSV file; or a stored one, updated by later rests
     #[arg(long, value_enum, default_value_t = Method::MultiPosition)]
     pub method: Method,
     /// How many parameters: 9 = bias, scale and misalignment (default), 6 without misalignment,
@@ -452,6 +452,8 @@ pub enum Method {
     FourAngle,
     ThreeAngle,
     Reference,
+    /// A stored calibration (--with) checked by later rests and brought up to date
+    Update,
 }
 
 #[derive(Subcommand)]

@@ -167,6 +167,68 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
     }
 }
 
+#[test]
+fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (cal, rests) = (path("CAL.json"), path("rests.csv"));
+    fs::write(path("many.csv"), table(&many())).unwrap();
+    let calibrated = [
+        "calibrate",
+        &path("many.csv"),
+        "--poses",
+        "--model",
+        "9+temperature",
+    ];
+    wimu(&[&calibrated[..], &["--sensitivity", "16384", "-o", &cal]].concat()).succeeds();
+    // The next run: the bias is 10 mm/s² off on X, as from one start to the next.
+    let off = |by: f64, rests: &str| {
+        let text = table(&many()[..30]);
+        let shifted = text.lines().enumerate().map(|(k, line)| {
+            let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if k > 0 {
+                let x: f64 = fields[2].parse().unwrap();
+                fields[2] = (x + by * LSB).to_string();
+            }
+            fields.join(",") + "\n"
+        });
+        fs::write(rests, shifted.collect::<String>()).unwrap();
+    };
+    let update = [
+        "calibrate",
+        &rests,
+        "--poses",
+        "--method",
+        "update",
+        "--with",
+        &cal,
+    ];
+    off(0.010, &rests);
+    let newer = path("NEW.json");
+    let report = wimu(&[&update[..], &["-o", &newer]].concat()).succeeds();
+    assert_eq!(report["contradictions"], 0);
+    assert_eq!(report["rests"].as_array().unwrap().len(), 30);
+    let change = report["bias_change_m_s2"][0].as_f64().unwrap();
+    let sd = report["sd"][0].as_f64().unwrap();
+    assert!(
+        (change - 0.010).abs() < 3.0 * sd && sd < 0.005,
+        "{change} {sd}"
+    );
+    // The newer file is a calibration like any other.
+    let set = read_parameters(Path::new(&newer)).unwrap();
+    let quality = set.quality.unwrap();
+    assert_eq!(quality.terms().poses as usize, many().len() + 30);
+    wimu(&["export", &newer, "--format", "c", "-o", &path("c")]).succeeds();
+    // A sensor that was knocked: refused.
+    off(0.3, &rests);
+    let refused = wimu(&update);
+    assert_eq!(refused.code, 3, "{refused:?}");
+    let reason = refused.object()["reason"].to_string();
+    assert!(reason.contains("does not hold any more"), "{reason}");
+    wimu(&update[..5]).fails(2, "usage");
+    wimu(&[&update[..], &["--model", "9"]].concat()).fails(2, "usage");
+}
+
 fn computes_the_same(header: &str, set: &ParameterSet, flags: &[&str]) {
     let samples = [
         [0, 0, 16384],

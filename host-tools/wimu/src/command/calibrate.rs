@@ -29,11 +29,14 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     if arguments.sensor == Calibrated::Magnetometer {
         return magnetometer::run(arguments, output);
     }
+    if arguments.method == Method::Update {
+        return updated(arguments, output);
+    }
     if arguments.with.is_some() {
         return Err(HostError::new(
             ErrorCode::Usage,
-            "--with goes with --sensor magnetometer only",
-            "leave it out, or add --sensor magnetometer",
+            "--with goes with --sensor magnetometer or --method update only",
+            "leave it out, or add one of them",
         ));
     }
     if arguments.method == Method::Reference {
@@ -164,6 +167,74 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     Ok(report.exit_code())
 }
 
+/// A stored calibration by later rests.
+fn updated(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let others = [
+        ("--model", arguments.model.is_some()),
+        ("--sensitivity", arguments.sensitivity.is_some()),
+        ("--sensor-model", arguments.sensor_model.is_some()),
+        ("--placement-sd", arguments.placement_sd.is_some()),
+        ("--sides", arguments.sides.is_some()),
+        ("--reference", arguments.reference.is_some()),
+        ("--report", arguments.report.is_some()),
+        ("--format", arguments.format.is_some()),
+        ("--push", arguments.push),
+    ];
+    if let Some((flag, _)) = others.into_iter().find(|(_, given)| *given) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("{flag} does not go with --method update"),
+            "leave it out; push the result with `wimu params push LINK CAL.json`",
+        ));
+    }
+    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
+    let given = arguments
+        .with
+        .as_deref()
+        .map(calibration::read_parameters)
+        .transpose()?;
+    let load = LoadOptions {
+        filter: arguments.filter.as_deref().map(str::parse).transpose()?,
+        accelerometer: arguments.accelerometer,
+        poses: arguments.poses,
+        role: arguments.link.map(Into::into),
+    };
+    let (data, recorded) = match Input::parse(&arguments.input)? {
+        Input::Csv(path) => (Dataset::from_csv(&path, &load)?, None),
+        Input::Recording(path) => {
+            let recording = Recording::load(&path)?;
+            let link = recording.link(load.role)?;
+            (
+                Dataset::from_link(link, &recording.name)?,
+                link.last_parameters()?,
+            )
+        }
+        Input::Link(_) => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "--method update needs a recording or a CSV file",
+                "record with `wimu record LINK -o FILE.mcap` first",
+            ));
+        }
+    };
+    let stored = given.or(recorded).ok_or_else(|| {
+        HostError::new(
+            ErrorCode::Usage,
+            "there is no calibration to update",
+            "give it with --with CAL.json",
+        )
+    })?;
+    let report = calibration::update(&data, &stored, arguments.gravity, utc_s())?;
+    output.say(report.to_string());
+    if report.exit_code() == 0
+        && let Some(path) = &arguments.output
+    {
+        calibration::write_report(path, &report)?;
+    }
+    output.object(&report);
+    Ok(report.exit_code())
+}
+
 /// Now, s since 1970 UTC.
 fn utc_s() -> Option<u64> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
@@ -175,7 +246,7 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         Method::SixPosition => MethodChoice::SixPosition,
         Method::FourAngle => MethodChoice::FourAngle,
         Method::ThreeAngle => MethodChoice::ThreeAngle,
-        Method::MultiPosition | Method::Reference => MethodChoice::MultiPosition,
+        Method::MultiPosition | Method::Reference | Method::Update => MethodChoice::MultiPosition,
     };
     let usage = |message: String, remedy: &str| HostError::new(ErrorCode::Usage, message, remedy);
     let text = arguments.model.as_deref().unwrap_or_default();

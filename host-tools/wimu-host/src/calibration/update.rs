@@ -1,0 +1,219 @@
+//! A stored calibration against later rests: whether it still holds, and what it is by now.
+
+use std::fmt;
+
+use serde::Serialize;
+use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
+use wimu_link::message::parameter_id;
+use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms};
+
+use super::{CalibrationReport, poses};
+use crate::dataset::{Dataset, OutputUnit};
+use crate::error::{ErrorCode, HostError, Result};
+
+/// What a rest says about the stored calibration.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct RestReport {
+    /// Sample or row with which it begins, from 0.
+    pub first_sample: u64,
+    /// |f| − g before it was taken into account, mm/s².
+    pub residual_mm_s2: f64,
+    /// Its standard deviation if the calibration holds, mm/s².
+    pub expected_sd_mm_s2: f64,
+    /// Whether it holds as far as this rest tells: one in a thousand says no by chance.
+    pub holds: bool,
+}
+
+/// What `wimu calibrate --method update` says, and the file that `wimu params push` reads.
+#[derive(Clone, Debug, Serialize)]
+pub struct UpdateReport {
+    /// [`CalibrationReport::SCHEMA`].
+    pub schema: &'static str,
+    /// `ok` or `refused`.
+    pub status: &'static str,
+    /// Why it was refused, and what to do.
+    pub reason: Option<String>,
+    /// The data.
+    pub source: String,
+    /// `update`.
+    pub method: &'static str,
+    /// Id of the calibration that was checked.
+    pub stored_id: String,
+    /// Gravity, m/s².
+    pub gravity_m_s2: f64,
+    /// Rests that were found or given.
+    pub poses: usize,
+    /// How many contradict the calibration; they change nothing.
+    pub contradictions: u32,
+    /// Each rest, in order.
+    pub rests: Vec<RestReport>,
+    /// By how much the bias moved, m/s².
+    pub bias_change_m_s2: Option<[f64; 3]>,
+    /// The error model by now.
+    pub model: Option<ErrorTerms>,
+    /// Standard deviations of the bias, then A row by row.
+    pub sd: Option<[f64; Parameter::COUNT]>,
+    /// What a board takes.
+    pub parameters: Option<ParameterSet>,
+    /// Id of that set.
+    pub parameter_id: Option<String>,
+}
+
+impl UpdateReport {
+    /// Exit code of a command that ends with it: 0, or 3 when the calibration does not hold or the
+    /// data do not tell.
+    pub fn exit_code(&self) -> u8 {
+        if self.model.is_some() { 0 } else { 3 }
+    }
+}
+
+/// Checks `stored` by every rest in the data, which may be in any orientations, one is enough, and
+/// brings it up to date. Its bias may have moved by what [`Ageing`] says since it was made.
+///
+/// # Errors
+/// `usage` when gravity is out of bounds; `data_refused` when nothing says how good `stored` is.
+pub fn update(
+    data: &Dataset,
+    stored: &ParameterSet,
+    gravity_mps2: Option<f64>,
+    utc_s: Option<u64>,
+) -> Result<UpdateReport> {
+    let gravity = match gravity_mps2 {
+        Some(mps2) => Gravity::new(mps2, 0.0).map_err(|error| {
+            HostError::new(ErrorCode::Usage, error.to_string(), "check --gravity")
+        })?,
+        None => Gravity::UNKNOWN_PLACE,
+    };
+    let check = SelfCheck::of(stored, gravity, Ageing::default());
+    let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            "nothing says how well the stored calibration is known",
+            "give one that `wimu calibrate … -o CAL.json` wrote, with --with CAL.json",
+        ));
+    };
+    let scale = match data.unit {
+        OutputUnit::Mps2 => 1.0,
+        OutputUnit::Counts { .. } => stored.sensitivity.mps2_per_lsb(),
+    };
+    let found = poses(data, scale).poses;
+    let rest = |pose: &Pose| {
+        let said = check.push(pose)?;
+        Some(RestReport {
+            first_sample: pose.first_sample,
+            residual_mm_s2: said.residual_mps2 * 1e3,
+            expected_sd_mm_s2: said.expected_sd_mps2 * 1e3,
+            holds: said.holds,
+        })
+    };
+    let rests: Vec<RestReport> = found.iter().filter_map(rest).collect();
+    let contradictions = check.contradictions();
+    let mut report = UpdateReport {
+        schema: CalibrationReport::SCHEMA,
+        status: "refused",
+        reason: None,
+        source: data.name.clone(),
+        method: "update",
+        stored_id: parameter_id(stored).to_string(),
+        gravity_m_s2: gravity.mps2(),
+        poses: found.len(),
+        contradictions,
+        rests,
+        bias_change_m_s2: None,
+        model: None,
+        sd: None,
+        parameters: None,
+        parameter_id: None,
+    };
+    let unusable = found.len() - report.rests.len();
+    // One of many may be disturbed.
+    let allowed = found.len() / 10;
+    report.reason = if found.is_empty() {
+        Some("no rest was found: hold the sensor still for two seconds or more".to_owned())
+    } else if unusable > allowed {
+        Some(format!(
+            "{unusable} of {} rests are nowhere near gravity: is it this sensor, and this unit?",
+            found.len()
+        ))
+    } else if contradictions as usize > allowed {
+        Some(format!(
+            "the calibration does not hold any more: {contradictions} of {} rests contradict it; \
+             calibrate again",
+            found.len()
+        ))
+    } else {
+        None
+    };
+    if report.reason.is_some() {
+        return Ok(report);
+    }
+    let model = match check.model() {
+        Ok(model) => model,
+        Err(error) => {
+            report.reason = Some(format!("by now it is no accelerometer's: {error}"));
+            return Ok(report);
+        }
+    };
+    let covariance = check.covariance();
+    let squares: f64 = report.rests.iter().map(|r| r.residual_mm_s2.powi(2)).sum();
+    let rms_mps2 = (squares / report.rests.len() as f64).sqrt() * 1e-3;
+    let terms = QualityTerms {
+        utc_s: utc_s.or(quality.terms().utc_s),
+        poses: quality.terms().poses.saturating_add(check.poses()),
+        rms_mps2: rms_mps2 as f32,
+        loo_rms_mps2: None,
+        covariance: ModelCovariance::from_matrix(covariance.matrix())
+            .unwrap_or(quality.terms().covariance),
+        ..*quality.terms()
+    };
+    let set = ParameterSet {
+        model,
+        quality: CalibrationQuality::new(terms).ok(),
+        ..*stored
+    };
+    let before = stored.model.terms().bias_mps2;
+    let now = model.terms().bias_mps2;
+    report.status = "ok";
+    report.bias_change_m_s2 = Some([0, 1, 2].map(|axis| now[axis] - before[axis]));
+    report.model = Some(*model.terms());
+    report.sd = Some(Parameter::ALL.map(|parameter| covariance.sd(parameter)));
+    report.parameter_id = Some(parameter_id(&set).to_string());
+    report.parameters = Some(set);
+    Ok(report)
+}
+
+impl fmt::Display for UpdateReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "{}: {} rests against calibration {}, g = {} m/s²",
+            self.source, self.poses, self.stored_id, self.gravity_m_s2
+        )?;
+        for (k, rest) in self.rests.iter().enumerate().take(20) {
+            writeln!(
+                out,
+                "rest {k}: |f| − g {:+.2} mm/s², {:.2} expected (1 σ){}",
+                rest.residual_mm_s2,
+                rest.expected_sd_mm_s2,
+                if rest.holds { "" } else { ": contradicts" }
+            )?;
+        }
+        if let Some(more) = self.rests.len().checked_sub(20).filter(|more| *more > 0) {
+            writeln!(out, "and {more} more")?;
+        }
+        match (&self.reason, &self.bias_change_m_s2) {
+            (Some(reason), _) => write!(out, "refused: {reason}"),
+            (None, Some(change)) => {
+                let [x, y, z] = change.map(|c| c * 1e3);
+                let sd = self.sd.unwrap_or_default();
+                let [u, v, w] = [sd[0], sd[1], sd[2]].map(|s| s * 1e3);
+                write!(
+                    out,
+                    "it holds; the bias is by now {x:+.2} {y:+.2} {z:+.2} mm/s² from where it was, \
+                     ± {u:.2} {v:.2} {w:.2}"
+                )
+            }
+            (None, None) => Ok(()),
+        }
+    }
+}

@@ -323,10 +323,10 @@ fn fit<R: Real, const N: usize>(
         Model::Bias3 | Model::BiasScale6 => None,
     };
     let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
-        input::dead_axis(poses).map_or_else(
-            || knowledge.refusal(what, &problem.free),
-            |axis| Refusal::AxisStuck { axis },
-        )
+        let dead = || input::dead_axis(poses).map(|axis| Refusal::AxisStuck { axis });
+        input::mixed_units(poses)
+            .or_else(dead)
+            .unwrap_or_else(|| knowledge.refusal(what, &problem.free))
     };
     let not_converged = || input::mixed_units(poses).unwrap_or(Refusal::NotConverged);
     let squares = [ellipsoid, Some(perfect)]

@@ -210,8 +210,9 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     assert_eq!(report["rests"].as_array().unwrap().len(), 30);
     let change = report["bias_change_m_s2"][0].as_f64().unwrap();
     let sd = report["sd"][0].as_f64().unwrap();
+    // Ageing lets the bias move with every change of temperature.
     assert!(
-        (change - 0.010).abs() < 3.0 * sd && sd < 0.005,
+        (change - 0.010).abs() < 2.0 * sd && sd < 0.03,
         "{change} {sd}"
     );
     // The newer file is a calibration like any other.

@@ -8,7 +8,7 @@ use embedded_storage_async::nor_flash::{
 };
 use sequential_storage::Error;
 use sequential_storage::cache::{Cache, Uncached};
-use sequential_storage::map::{MapConfig, MapStorage};
+use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 
@@ -95,14 +95,12 @@ impl<F: NorFlash> FlashLayout<F> {
 /// }
 /// ```
 ///
-/// 3 KB of RAM.
+/// 1.2 KB of RAM.
 pub struct FlashStore<F: NorFlash> {
     map: MapStorage<u8, Checked<F>, Cache<Uncached, Uncached, Uncached, u8>>,
     buffer: Buffer,
     /// What has been saved and removed; `None` before it has been read.
     directory: Option<Directory>,
-    /// A record that is to be written.
-    item: [u8; GENERATION + MAX_RECORD],
     pause_ms: u16,
     /// Bytes of all items that fit for certain.
     capacity: usize,
@@ -126,7 +124,6 @@ impl<F: NorFlash> FlashStore<F> {
             map: MapStorage::new(Checked(flash), MapConfig::new(range), Cache::new_uncached()),
             buffer: Buffer([0; _]),
             directory: None,
-            item: [0; _],
             pause_ms,
         }
     }
@@ -211,17 +208,15 @@ impl<F: NorFlash> FlashStore<F> {
 
     /// Appends an item and reads it back.
     async fn append(&mut self, key: u8, generation: u32, record: &[u8]) -> Result<(), StoreFault> {
-        let length = GENERATION + record.len();
-        let item = self.item.get_mut(..length).ok_or(StoreFault)?;
-        let (head, body) = item.split_at_mut(GENERATION);
-        head.copy_from_slice(&generation.to_le_bytes());
-        body.copy_from_slice(record);
+        let item = Item {
+            generation: generation.to_le_bytes(),
+            record,
+        };
         for _ in 0..ATTEMPTS {
-            let item = self.item.get(..length).ok_or(StoreFault)?;
             let stored = self.map.store_item(&mut self.buffer.0, &key, &item).await;
-            let found = self.map.fetch_item::<&[u8]>(&mut self.buffer.0, &key).await;
+            let found = self.map.fetch_item::<Item>(&mut self.buffer.0, &key).await;
             // Even if writing failed somewhere: what counts is what will be read.
-            if found.is_ok_and(|found| found == Some(item)) {
+            if found.is_ok_and(|found| found.as_ref() == Some(&item)) {
                 return Ok(());
             }
             if matches!(stored, Err(Error::FullStorage | Error::ItemTooBig)) {
@@ -390,6 +385,34 @@ impl<F: NorFlash> Store for FlashStore<F> {
         }
         self.directory = None;
         Err(StoreFault)
+    }
+}
+
+/// What is stored under a key.
+#[derive(PartialEq)]
+struct Item<'a> {
+    generation: [u8; GENERATION],
+    record: &'a [u8],
+}
+
+impl<'a> Value<'a> for Item<'a> {
+    fn serialize_into(&self, buffer: &mut [u8]) -> Result<usize, SerializationError> {
+        let length = GENERATION + self.record.len();
+        let place = buffer.get_mut(..length);
+        let (head, body) = place
+            .and_then(|place| place.split_first_chunk_mut())
+            .ok_or(SerializationError::BufferTooSmall)?;
+        *head = self.generation;
+        body.copy_from_slice(self.record);
+        Ok(length)
+    }
+
+    fn deserialize_from(buffer: &'a [u8]) -> Result<(Self, usize), SerializationError> {
+        let (generation, record) = buffer
+            .split_first_chunk()
+            .ok_or(SerializationError::BufferTooSmall)?;
+        let generation = *generation;
+        Ok((Self { generation, record }, buffer.len()))
     }
 }
 

@@ -104,14 +104,38 @@ impl Segment {
     }
 }
 
-/// A value over 10⁹, towards zero. 800 bytes of code wherever it is, so it is here alone.
+/// A value over 10⁹, towards zero. By hand, in digits of 32 bits: a division of 128 bits is 1.3 KB of
+/// code on a microcontroller, or 0.8 KB wherever the compiler unrolls it.
 #[inline(never)]
 pub(crate) fn billionth(value: i128) -> i128 {
-    value / 1_000_000_000
+    let magnitude = value.unsigned_abs();
+    let mut quotient = 0;
+    let mut rest = 0;
+    for digit in [96, 64, 32, 0] {
+        let part = (rest << 32) | u64::from((magnitude >> digit) as u32);
+        quotient = (quotient << 32) | i128::from(part / 1_000_000_000);
+        rest = part % 1_000_000_000;
+    }
+    if value < 0 { -quotient } else { quotient }
 }
 
 /// `value` · 2^−`bits`, rounded to nearest, saturating to 64 bits.
 pub(crate) fn round_shift(value: i128, bits: u32) -> i64 {
     let rounded = (value + (1 << (bits - 1))) >> bits;
     rounded.clamp(i128::from(i64::MIN), i128::from(i64::MAX)) as i64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_billionth_is_that_of_a_division(value: i128, shift in 0..127_u32) {
+            for value in [value, value >> shift] {
+                prop_assert_eq!(billionth(value), value / 1_000_000_000);
+            }
+        }
+    }
 }

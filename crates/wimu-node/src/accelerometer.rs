@@ -50,6 +50,10 @@ pub struct Surroundings {
 /// Counts are 16-bit, sensor axes; a sensor of fewer bits gives them left-justified.
 #[allow(async_fn_in_trait)] // Nodes are polled where they are built; nothing needs `Send`.
 pub trait Accelerometer {
+    /// Whether there can be a magnetic field among its surroundings: without one, a node has no code
+    /// for headings.
+    const MAGNETOMETER: bool = true;
+
     /// How the sensor would run under `wanted`, or the nearest settings that it can do.
     ///
     /// # Errors

@@ -135,6 +135,8 @@ fn format(range: Range, resolution: Resolution) -> DataFormat {
 }
 
 impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
+    const MAGNETOMETER: bool = false;
+
     fn plan(wanted: &Settings) -> Result<Plan, Settings> {
         let nearest_range = RANGES
             .iter()

@@ -621,7 +621,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             corrector: Corrector::compile(set, self.latched).map_err(invalid)?,
             parameters,
             temperature: self.latched,
-            compass: Compass::new(set),
+            compass: if A::MAGNETOMETER {
+                Compass::new(set)
+            } else {
+                None
+            },
         })
     }
 

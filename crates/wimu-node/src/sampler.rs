@@ -293,7 +293,9 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             // Of a sensor without: nothing is said rather than invented.
             Ok(nothing) if nothing == Surroundings::default() => {}
             Ok(surroundings) => {
-                if let Some(field) = surroundings.magnetic_field {
+                if A::MAGNETOMETER
+                    && let Some(field) = surroundings.magnetic_field
+                {
                     running.take_field(field);
                 }
                 if let Some(temperature) = surroundings.temperature {

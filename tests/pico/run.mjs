@@ -36,6 +36,7 @@ for (const action of actions) {
   }
   switch (action.do) {
     case undefined:
+    case '':
       break;
     case 'unplug':
       pico.absent = true;

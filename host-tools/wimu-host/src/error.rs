@@ -144,12 +144,24 @@ codes! {
     NoAnswer = "no_answer", 1;
     /// The board holds other parameters than those sent.
     VerifyFailed = "verify_failed", 1;
+    /// No debug probe.
+    ProbeAbsent = "probe_absent", 1;
+    /// A debug probe that this user may not open, or that another program has.
+    ProbePermission = "probe_permission", 1;
+    /// A chip that is locked: unlocking erases it.
+    ChipLocked = "chip_locked", 1;
+    /// Writing a board's flash failed.
+    FlashFailed = "flash_failed", 1;
     /// Reading or writing a file failed half-way.
     FileFailed = "file_failed", 1;
     /// A text that is no LINK.
     BadLink = "bad_link", 2;
     /// A LINK of a kind that this build leaves out.
     LinkKindMissing = "link_kind_missing", 2;
+    /// Something that this build leaves out.
+    FeatureMissing = "feature_missing", 2;
+    /// A firmware image of another board.
+    WrongImage = "wrong_image", 2;
     /// A wrong flag or value.
     Usage = "usage", 2;
     /// A file that is absent or may not be read.

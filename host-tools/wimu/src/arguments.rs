@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::command::flash::Board;
+
 /// A wireless IMU from an ordinary accelerometer: stream, record, calibrate, push back, navigate.
 ///
 /// LINK is tcp://127.0.0.1:7100, serial:///dev/ttyACM0?baud=115200, a port (COM5, /dev/rfcomm0) or
@@ -66,6 +68,34 @@ pub enum Command {
     Compare(Compare),
     /// Velocity and position: the device's own, and recomputed from its raw samples
     Navigate(Navigate),
+    /// Write the firmware onto a board through its debug probe
+    Flash(Flash),
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu flash microbit-v2
+         wimu flash --list
+         wimu flash pico-adxl345 --image my.elf --probe 2e8a:000c
+
+Without a probe: copy the image onto the drive that the board shows. The calibration stays, unless
+the chip is locked and --erase-all unlocks it.")]
+pub struct Flash {
+    /// The board
+    #[arg(value_enum)]
+    pub board: Option<Board>,
+    /// Its image, as ELF, Intel HEX or UF2; by default what `cargo xtask firmware` has written
+    #[arg(long, value_name = "FILE")]
+    pub image: Option<PathBuf>,
+    /// Which debug probe, where there are several
+    #[arg(long, value_name = "VENDOR:PRODUCT[:SERIAL]")]
+    pub probe: Option<String>,
+    /// Print the debug probes that are plugged in
+    #[arg(long)]
+    pub list: bool,
+    /// Unlock a locked chip, which erases all that is on it: firmware, calibration, key
+    #[arg(long)]
+    pub erase_all: bool,
 }
 
 #[derive(Args)]

@@ -41,6 +41,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Record(arguments) => command::record::run(&arguments, output),
         Command::Info(arguments) => command::info::run(&arguments, output),
         Command::Compare(arguments) => command::compare::run(&arguments, output),
+        Command::Flash(arguments) => command::flash::run(&arguments, output),
         Command::Export(arguments) => command::export::run(&arguments, output),
         Command::Params { action } => command::params::run(&action, output),
         Command::Key { action } => command::key::run(&action, output),

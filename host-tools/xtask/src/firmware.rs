@@ -15,8 +15,6 @@ const QEMU_TARGET: &str = "thumbv7em-none-eabihf";
 
 /// The board that is emulated with a sensor on its bus.
 const PICO: &str = "firmware/pico-adxl345";
-/// Where its emulator is.
-const PICO_EMULATOR: &str = "tests/pico";
 
 /// Builds every board, and writes the files that boards take without a probe.
 ///
@@ -83,27 +81,14 @@ pub fn flash(workspace: &Workspace, name: &str) -> Result<(), String> {
     CommandLine::new("probe-rs reset --chip").word(chip).run()
 }
 
-/// The Pico's image on an emulated RP2040; skipped, saying so, where there is no Node.js.
+/// The Pico's image on an emulated RP2040; skipped, saying so, where the emulator cannot be had.
 ///
 /// # Errors
 /// Says what is missing or which command failed.
 pub fn pico(workspace: &Workspace) -> Result<(), String> {
-    let there = |line: &str| CommandLine::new(line).output().is_some();
-    if !there("node --version") || !there("npm --version") {
-        println!(
-            "skipped: the emulator runs on Node.js (https://nodejs.org), which is not installed"
-        );
+    if let Err(why) = setup::emulator() {
+        println!("skipped: {why}");
         return Ok(());
-    }
-    let emulator = Path::new(PICO_EMULATOR);
-    if !emulator.join("node_modules/rp2040js").is_dir() {
-        let installed = CommandLine::new("npm ci --no-audit --no-fund")
-            .inside(emulator)
-            .run();
-        if let Err(problem) = installed {
-            println!("skipped: the emulator could not be installed: {problem}");
-            return Ok(());
-        }
     }
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     let folder = Path::new(PICO);

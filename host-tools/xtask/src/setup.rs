@@ -1,5 +1,5 @@
 //! Finds or installs what the tests need beyond cargo: the formatter, the linter, `core` for two
-//! microcontrollers, and an emulator of one.
+//! microcontrollers, and emulators of two.
 
 use std::path::Path;
 
@@ -44,10 +44,36 @@ pub fn run() -> Result<(), String> {
     for need in [Need::Components, Need::Targets, Need::Qemu] {
         provide(need, &mut ThisMachine)?;
     }
-    // Without it a step is left out, no more.
+    // Without one of these a step is left out, no more.
     if let Err(why) = provide(Need::Oldest, &mut ThisMachine) {
         println!("{why}");
     }
+    if let Err(why) = emulator() {
+        println!("{why}");
+    }
+    Ok(())
+}
+
+/// Where the emulator of the Pico is.
+pub const PICO_EMULATOR: &str = "tests/pico";
+
+/// Finds the emulator of the Pico, or has npm install it.
+///
+/// # Errors
+/// Says what to install or run.
+pub fn emulator() -> Result<(), String> {
+    let there = |line: &str| CommandLine::new(line).output().is_some();
+    let folder = Path::new(PICO_EMULATOR);
+    if !there("node --version") {
+        return Err("the Pico's emulator: missing; it runs on Node.js 18 or newer (https://nodejs.org)".into());
+    }
+    if !folder.join("node_modules/rp2040js").is_dir() {
+        let install = CommandLine::new("npm ci --no-audit --no-fund").inside(folder);
+        install.run().map_err(|problem| {
+            format!("the Pico's emulator: missing, and could not be installed: {problem}; with a network run\n    {install}")
+        })?;
+    }
+    println!("the Pico's emulator: installed");
     Ok(())
 }
 

@@ -19,7 +19,7 @@ pub struct Step {
 pub const STEPS: [Step; 12] = [
     Step {
         name: "setup",
-        about: "rustfmt, clippy, the microcontroller targets and QEMU are installed",
+        about: "rustfmt, clippy, the microcontroller targets and the emulators are installed",
         run: |_| setup::run(),
     },
     Step {
@@ -94,11 +94,11 @@ pub const STEPS: [Step; 12] = [
     },
     Step {
         name: "standalone",
-        about: "`cargo wimu` builds without C libraries",
+        about: "`cargo wimu` builds without C libraries, and so does what writes boards through probes",
         run: |_| {
-            cargo("build --release -p wimu")
-                .with("PKG_CONFIG", "false")
-                .run()
+            let commands = ["build --release -p wimu", "check -p wimu --features flash"];
+            let without = |command| cargo(command).with("PKG_CONFIG", "false");
+            all(commands.map(without).into())
         },
     },
 ];

@@ -1,11 +1,11 @@
 //! What the flash keeps.
 
-use wimu_link::message::{Event, parameter_id};
-use wimu_link::{Command, LinkRole};
+use wimu_link::message::{Event, Payload, SensorStatus, Status, parameter_id};
+use wimu_link::{Answer, Command, LinkRole, Settings};
 use wimu_model::{ParameterId, ParameterSet, Sensitivity};
-use wimu_tests::ROLES;
+use wimu_tests::{ROLES, who_are_you};
 
-use crate::run::{CABLE, cut, happens, request, run, send};
+use crate::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
 
 fn set(lsb_per_g: f64) -> ParameterSet {
     let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).expect("in range");
@@ -85,4 +85,76 @@ fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one
         "{outcomes:?}"
     );
     assert!(outcomes.is_sorted_by_key(|id| *id == new), "{outcomes:?}");
+}
+
+/// A run at `rate_hz` in which both links are too slow for what is asked of them and `pushes` sets
+/// are pushed, two a second, on a flash that erases in the time `flash` says.
+fn pushed_at(rate_hz: u16, pushes: u32, flash: &str) -> Run {
+    let settings = Settings {
+        rate_hz,
+        ..Settings::default()
+    };
+    let slow = |id, role: LinkRole| {
+        let link = role.number();
+        request(id, Command::SetLineRate { link, baud: 9600 })
+    };
+    let mut script = vec![
+        happens(0, flash),
+        send(700, CABLE, &slow(1, LinkRole::Wireless)),
+        rate(800, WIRELESS, 9600),
+        send(1_000, CABLE, &request(2, Command::SetSettings(settings))),
+        send(1_500, CABLE, &slow(3, LinkRole::Cable)),
+        rate(2_500, CABLE, 9600),
+        send(2_600, CABLE, &who_are_you()),
+    ];
+    for k in 0..pushes {
+        let [stage, commit] = push(&set(16_000.0 + f64::from(k)), 10 + 2 * k);
+        let at = 5_000 + k * 1_000;
+        script.extend([send(at, CABLE, &stage), send(at + 500, CABLE, &commit)]);
+    }
+    let end = 7_000 + pushes * 1_000;
+    script.push(send(end, CABLE, &request(900, Command::GetStatus)));
+    run(f64::from(end) / 1_000.0 + 1.0, &script)
+}
+
+/// Its last status, after everything was accepted and both links have shed.
+fn status(run: &Run) -> Status {
+    let replies = run.link(LinkRole::Cable).replies();
+    for reply in replies {
+        assert!(matches!(reply.answer, Answer::Accepted(_)), "{reply:?}");
+    }
+    let Some(Answer::Accepted(Payload::Status(status))) = replies.last().map(|last| last.answer) else {
+        panic!("{:?}", replies.last());
+    };
+    for link in [status.cable, status.wireless] {
+        let link = link.expect("two links");
+        assert!(link.telemetry_shed > 0, "{link:?}");
+    }
+    status
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_being_written() {
+    let run = pushed_at(800, 1, "");
+    let status = status(&run);
+    let SensorStatus { samples, missed, overruns, bus_errors } = status.sensor;
+    println!("800 Hz: {samples} samples, {missed} missed, {overruns} overruns");
+    assert_eq!((missed, overruns, bus_errors), (0, 0, 0));
+    assert_eq!(run.report["overruns"], 0);
+    assert!(samples > 5_000, "{samples}");
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn what_the_fifo_cannot_hold_while_the_flash_is_erased_is_counted_to_the_sample() {
+    // Enough sets that the store erases a page: 45 ms, or the flash's worst, 400 ms.
+    for (rate_hz, flash, loses) in [(100, "", false), (400, "slow_flash", true)] {
+        let run = pushed_at(rate_hz, 12, flash);
+        let sensor = status(&run).sensor;
+        let overwritten = run.report["overruns"].as_u64().expect("a number");
+        println!("{rate_hz} Hz, {flash}: {} missed of {overwritten} overwritten", sensor.missed);
+        assert_eq!(overwritten > 0, loses, "{rate_hz} Hz");
+        assert!(u64::from(sensor.missed).abs_diff(overwritten) <= 2, "{sensor:?}, {overwritten}");
+    }
 }

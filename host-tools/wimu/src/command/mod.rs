@@ -6,6 +6,7 @@ pub mod calibrate;
 pub mod compare;
 pub mod demo;
 pub mod export;
+pub mod flash;
 pub mod info;
 pub mod key;
 mod live;

@@ -1,0 +1,161 @@
+//! `wimu flash`.
+
+mod image;
+#[cfg(feature = "flash")]
+mod probe;
+
+use std::ops::Range;
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use wimu_host::{ErrorCode, HostError, Result};
+
+use crate::arguments::Flash;
+use crate::output::Output;
+
+/// Boards that are written through a debug probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Board {
+    /// BBC micro:bit v2
+    MicrobitV2,
+    /// Raspberry Pi Pico with an ADXL345
+    #[value(name = "pico-adxl345")]
+    PicoAdxl345,
+}
+
+/// What a chip is called and where it has what.
+struct Chip {
+    /// As probe-rs calls it.
+    name: &'static str,
+    flash: Range<u32>,
+    ram: Range<u32>,
+    /// Where an image has its vectors.
+    vectors: u32,
+}
+
+impl Board {
+    fn name(self) -> &'static str {
+        match self {
+            Self::MicrobitV2 => "microbit-v2",
+            Self::PicoAdxl345 => "pico-adxl345",
+        }
+    }
+
+    fn chip(self) -> Chip {
+        match self {
+            Self::MicrobitV2 => Chip {
+                name: "nRF52833_xxAA",
+                flash: 0..0x8_0000,
+                ram: 0x2000_0000..0x2002_0000,
+                vectors: 0,
+            },
+            Self::PicoAdxl345 => Chip {
+                name: "RP2040",
+                flash: 0x1000_0000..0x1020_0000,
+                ram: 0x2000_0000..0x2004_2000,
+                vectors: 0x1000_0100,
+            },
+        }
+    }
+
+    /// The image that `cargo xtask firmware` writes, and the drive that takes it without a probe.
+    fn file_and_drive(self) -> (&'static str, &'static str) {
+        match self {
+            Self::MicrobitV2 => ("target/firmware/microbit-v2.hex", "MICROBIT"),
+            Self::PicoAdxl345 => ("target/firmware/pico-adxl345.uf2", "RPI-RP2"),
+        }
+    }
+}
+
+/// An image that is for its board.
+struct Image {
+    board: Board,
+    file: PathBuf,
+    segments: Vec<image::Segment>,
+}
+
+pub fn run(arguments: &Flash, output: Output) -> Result<()> {
+    if arguments.list {
+        return list(output);
+    }
+    let board = arguments.board.ok_or_else(|| {
+        HostError::new(
+            ErrorCode::Usage,
+            "no board is named",
+            "name one: `wimu flash microbit-v2` or `wimu flash pico-adxl345`",
+        )
+    })?;
+    let image = read(board, arguments.image.clone())?;
+    write(&image, arguments, output)
+}
+
+fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
+    let file = file.unwrap_or_else(|| board.file_and_drive().0.into());
+    let place = file.display().to_string();
+    let bytes = std::fs::read(&file).map_err(|error| {
+        HostError::new(
+            ErrorCode::FileUnreadable,
+            format!("the image cannot be read: {error}"),
+            "make it with `cargo xtask firmware`, in the folder of wimu's source, or name one with --image",
+        )
+        .at(&place)
+    })?;
+    let segments = image::segments(&bytes).ok_or_else(|| {
+        HostError::new(
+            ErrorCode::UnknownFormat,
+            "this is no whole firmware image",
+            "give an ELF file for ARM, an Intel HEX file or a UF2 file; `cargo xtask firmware` makes them",
+        )
+        .at(&place)
+    })?;
+    match image::objection(board, &segments) {
+        None => Ok(Image {
+            board,
+            file,
+            segments,
+        }),
+        Some(why) => Err(HostError::new(
+            ErrorCode::WrongImage,
+            format!("this image is not for a {}: {why}", board.name()),
+            format!(
+                "give the board's own: `cargo xtask firmware` writes {}",
+                board.file_and_drive().0
+            ),
+        )
+        .at(&place)),
+    }
+}
+
+#[cfg(feature = "flash")]
+use probe::{list, write};
+
+#[cfg(not(feature = "flash"))]
+fn list(_: Output) -> Result<()> {
+    Err(left_out("flash --list", ""))
+}
+
+#[cfg(not(feature = "flash"))]
+fn write(image: &Image, arguments: &Flash, _: Output) -> Result<()> {
+    // What the other build would do with them.
+    let Flash {
+        probe: _,
+        erase_all: _,
+        ..
+    } = arguments;
+    debug_assert!(!image.segments.is_empty());
+    let (_, drive) = image.board.file_and_drive();
+    let without = format!(
+        "; or copy {} onto the board's drive {drive}",
+        image.file.display()
+    );
+    Err(left_out(&format!("flash {}", image.board.name()), &without))
+}
+
+#[cfg(not(feature = "flash"))]
+fn left_out(command: &str, otherwise: &str) -> HostError {
+    HostError::new(
+        ErrorCode::FeatureMissing,
+        "this wimu was built without debug probes",
+        format!("cargo run --release -p wimu --features flash -- {command}{otherwise}"),
+    )
+}

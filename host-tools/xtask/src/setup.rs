@@ -65,7 +65,10 @@ pub fn emulator() -> Result<(), String> {
     let there = |line: &str| CommandLine::new(line).output().is_some();
     let folder = Path::new(PICO_EMULATOR);
     if !there("node --version") {
-        return Err("the Pico's emulator: missing; it runs on Node.js 18 or newer (https://nodejs.org)".into());
+        return Err(
+            "the Pico's emulator: missing; it runs on Node.js 18 or newer (https://nodejs.org)"
+                .into(),
+        );
     }
     if !folder.join("node_modules/rp2040js").is_dir() {
         let install = CommandLine::new("npm ci --no-audit --no-fund").inside(folder);

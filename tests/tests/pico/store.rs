@@ -123,7 +123,8 @@ fn status(run: &Run) -> Status {
     for reply in replies {
         assert!(matches!(reply.answer, Answer::Accepted(_)), "{reply:?}");
     }
-    let Some(Answer::Accepted(Payload::Status(status))) = replies.last().map(|last| last.answer) else {
+    let Some(Answer::Accepted(Payload::Status(status))) = replies.last().map(|last| last.answer)
+    else {
         panic!("{:?}", replies.last());
     };
     for link in [status.cable, status.wireless] {
@@ -138,7 +139,12 @@ fn status(run: &Run) -> Status {
 fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_being_written() {
     let run = pushed_at(800, 1, "");
     let status = status(&run);
-    let SensorStatus { samples, missed, overruns, bus_errors } = status.sensor;
+    let SensorStatus {
+        samples,
+        missed,
+        overruns,
+        bus_errors,
+    } = status.sensor;
     println!("800 Hz: {samples} samples, {missed} missed, {overruns} overruns");
     assert_eq!((missed, overruns, bus_errors), (0, 0, 0));
     assert_eq!(run.report["overruns"], 0);
@@ -153,8 +159,14 @@ fn what_the_fifo_cannot_hold_while_the_flash_is_erased_is_counted_to_the_sample(
         let run = pushed_at(rate_hz, 12, flash);
         let sensor = status(&run).sensor;
         let overwritten = run.report["overruns"].as_u64().expect("a number");
-        println!("{rate_hz} Hz, {flash}: {} missed of {overwritten} overwritten", sensor.missed);
+        println!(
+            "{rate_hz} Hz, {flash}: {} missed of {overwritten} overwritten",
+            sensor.missed
+        );
         assert_eq!(overwritten > 0, loses, "{rate_hz} Hz");
-        assert!(u64::from(sensor.missed).abs_diff(overwritten) <= 2, "{sensor:?}, {overwritten}");
+        assert!(
+            u64::from(sensor.missed).abs_diff(overwritten) <= 2,
+            "{sensor:?}, {overwritten}"
+        );
     }
 }

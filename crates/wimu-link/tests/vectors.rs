@@ -2,7 +2,8 @@
 //! says what it is. They keep the wire from changing unnoticed, and other hosts can be tested on
 //! them.
 //!
-//! `WRITE_VECTORS=1 cargo test -p wimu-link --test vectors` writes them anew.
+//! Those of version 1 are frozen: `WRITE_VECTORS=1 cargo test -p wimu-link --test vectors` adds frames that
+//! are new, and changes none.
 
 use std::fmt::Write as _;
 use std::num::NonZeroU8;
@@ -15,8 +16,8 @@ use wimu_link::message::{
     ARITHMETIC_REVISION, ActiveParameters, Answer, BusFault, Command, Environment, Epoch,
     EpochReason, Event, LinkStatus, Navigation, ParameterFault, Payload, Refusal, Reply, Request,
     Resolution, SensorStatus, Settings, Signature, Status, Streams, Telemetry, WireMagnetometer,
-    WireMagnetometerRotation, WireMethod, WireParameters, WirePhase, WireQuality, WireRun,
-    WireSegment, WireState, WireTerm, WireWindow,
+    WireMagnetometerFault, WireMagnetometerRotation, WireMethod, WireParameters, WirePhase,
+    WireQuality, WireQualityFault, WireRun, WireSegment, WireState, WireTerm, WireWindow,
 };
 use wimu_link::{Batch, Deframer, Hello, Kind, MAX_FRAME, WIRE_VERSION, WhoAreYou, batch};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceQ16};
@@ -47,49 +48,110 @@ impl Vectors {
         self.frames.push((what.into(), line[..length].to_vec()));
     }
 
-    /// Compares with the file, and returns the bodies of its frames.
+    /// Makes sure that the file has each frame, and none that is not made any more; returns their
+    /// bodies.
     fn check(self) -> Vec<Vec<u8>> {
         let path = folder().join(self.name).with_extension("hex");
-        let mut text = String::new();
-        for (what, frame) in &self.frames {
-            let hex = frame.iter().fold(String::new(), |mut hex, byte| {
-                write!(hex, "{byte:02x}").unwrap();
-                hex
-            });
-            writeln!(text, "# {what}\n{hex}").unwrap();
+        let mut golden = std::fs::read_to_string(&path).unwrap();
+        let made: Vec<String> = self.frames.iter().map(|(_, frame)| hex(frame)).collect();
+        for ((what, _), digits) in self.frames.iter().zip(&made) {
+            let is_new = !frames_of(&golden).any(|kept| kept == digits);
+            if is_new && std::env::var_os("WRITE_VECTORS").is_some() {
+                writeln!(golden, "# {what}\n{digits}").unwrap();
+                std::fs::write(&path, &golden).unwrap();
+            } else {
+                assert!(!is_new, "{} has no {what}: {digits}", path.display());
+            }
         }
-        if std::env::var_os("WRITE_VECTORS").is_some() {
-            std::fs::create_dir_all(folder()).unwrap();
-            std::fs::write(&path, &text).unwrap();
+        for kept in frames_of(&golden) {
+            assert!(made.iter().any(|digits| digits == kept), "no more: {kept}");
         }
-        let golden = std::fs::read_to_string(&path).unwrap();
-        for (made, kept) in text.lines().zip(golden.lines()) {
-            assert_eq!(made, kept, "{}", path.display());
+        let body = |(_, frame): &(String, Vec<u8>)| {
+            let (kind, body) = opened(frame);
+            assert_eq!(kind, self.kind);
+            body
+        };
+        self.frames.iter().map(body).collect()
+    }
+}
+
+fn hex(frame: &[u8]) -> String {
+    frame.iter().fold(String::new(), |mut hex, byte| {
+        write!(hex, "{byte:02x}").unwrap();
+        hex
+    })
+}
+
+fn frames_of(text: &str) -> impl Iterator<Item = &str> {
+    text.lines().filter(|line| !line.starts_with('#'))
+}
+
+/// Kind and body of a frame of this version.
+fn opened(frame: &[u8]) -> (Kind, Vec<u8>) {
+    let mut deframer = Deframer::new();
+    let mut bytes = frame;
+    let frame = deframer.next(&mut bytes).unwrap().unwrap();
+    assert_eq!(frame.version, WIRE_VERSION);
+    (frame.kind, frame.body.to_vec())
+}
+
+/// The frames of version 1 as they were frozen: the first so many of each file, and the CRC-32C of
+/// their hex digits. Whoever has to change a number here makes another version of the wire.
+const FROZEN: [(&str, usize, u32); 6] = [
+    ("batch", 9, 0xe476_f54d),
+    ("hello", 2, 0x981e_9c73),
+    ("reply", 51, 0xabe2_2c4d),
+    ("request", 12, 0x8197_c3da),
+    ("telemetry", 30, 0xa9e1_79c3),
+    ("who_are_you", 1, 0xb2fa_aa2e),
+];
+
+#[test]
+fn what_was_frozen_is_what_it_was_and_is_read() {
+    for (name, count, crc) in FROZEN {
+        let path = folder().join(name).with_extension("hex");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let frozen: Vec<&str> = frames_of(&text).take(count).collect();
+        assert_eq!(frozen.len(), count, "{name}: frames are gone");
+        let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(frozen.concat().as_bytes());
+        assert_eq!(found, crc, "{name}: frames have changed");
+        for digits in frozen {
+            let bytes: Vec<u8> = (0..digits.len() / 2)
+                .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
+                .collect();
+            let (kind, body) = opened(&bytes);
+            let mut line = [0; MAX_FRAME];
+            let length = match kind {
+                Kind::Hello => Hello::decode(&body).unwrap().encode(&mut line),
+                Kind::WhoAreYou => WhoAreYou::decode(&body).unwrap().encode(&mut line),
+                Kind::Telemetry => Telemetry::decode(&body).unwrap().encode(&mut line),
+                Kind::Request => Request::decode(&body).unwrap().encode(&mut line),
+                Kind::Reply => Reply::decode(&body).unwrap().encode(&mut line),
+                // Others may pack the same samples in another way.
+                _ => {
+                    Batch::decode(&body).unwrap();
+                    continue;
+                }
+            };
+            // Said again, it may have gained fields behind what it had.
+            let (_, again) = opened(&line[..length.unwrap()]);
+            assert!(again.starts_with(&body), "{name}: {digits}");
         }
-        assert_eq!(text.lines().count(), golden.lines().count());
-        golden
-            .lines()
-            .filter(|line| !line.starts_with('#'))
-            .map(|line| {
-                let bytes: Vec<u8> = (0..line.len() / 2)
-                    .map(|at| u8::from_str_radix(&line[2 * at..2 * at + 2], 16).unwrap())
-                    .collect();
-                let mut deframer = Deframer::new();
-                bytes
-                    .iter()
-                    .find_map(|&byte| {
-                        let frame = deframer.push(byte)?.unwrap();
-                        assert_eq!((frame.version, frame.kind), (WIRE_VERSION, self.kind));
-                        Some(frame.body.to_vec())
-                    })
-                    .unwrap()
-            })
-            .collect()
     }
 }
 
 fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/vectors/v1")
+}
+
+/// Flash as firmware of each version left it, which later firmware reads (a test of whole boards does).
+#[test]
+fn stored_images_are_what_they_were() {
+    for (name, crc) in [("v0.hex", 0x3cc0_c1bc), ("v1.hex", 0x0dfb_02da)] {
+        let image = std::fs::read(folder().join("../store").join(name)).unwrap();
+        let found = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(&image);
+        assert_eq!(found, crc, "{name} has changed");
+    }
 }
 
 #[test]
@@ -399,6 +461,16 @@ fn telemetry_is_as_it_was() {
         }),
         Telemetry::Environment(Environment::default()),
         Telemetry::Parameters(ActiveParameters {
+            id: 0x1234_5678,
+            active: Some(WireParameters {
+                alignment_factor: None,
+                quality: None,
+                magnetometer: None,
+                sensor: None,
+                ..parameters()
+            }),
+        }),
+        Telemetry::Parameters(ActiveParameters {
             active: Some(parameters()),
             id: 0xdead_beef,
         }),
@@ -436,6 +508,7 @@ fn telemetry_is_as_it_was() {
             Event::ModelRejected(ParameterFault::Overflow),
             Event::SettingsAdjusted,
             Event::Pause { longest_ms: 400 },
+            Event::Marked { count: 300 },
             Event::CalibrationContradicted {
                 residual_um_s2: -56_000,
                 expected_um_s2: 9_000,
@@ -570,6 +643,20 @@ fn replies_are_as_they_were() {
             ParameterFault::Alignment(3.0),
             ParameterFault::Overflow,
             ParameterFault::SingularAtTemperature,
+            ParameterFault::Covariance,
+            ParameterFault::Quality(WireQualityFault::Temperature),
+            ParameterFault::Quality(WireQualityFault::Residual),
+            ParameterFault::Quality(WireQualityFault::Condition),
+            ParameterFault::Quality(WireQualityFault::Deviation),
+            ParameterFault::Magnetometer(WireMagnetometerFault::HardIron),
+            ParameterFault::Magnetometer(WireMagnetometerFault::SoftIron),
+            ParameterFault::Magnetometer(WireMagnetometerFault::Field),
+            ParameterFault::Magnetometer(WireMagnetometerFault::Quality),
+            ParameterFault::Magnetometer(WireMagnetometerFault::Dip),
+            ParameterFault::OtherSensor {
+                parameters: 2,
+                device: 1,
+            },
         ])
         .map(|fault| Answer::Refused(Refusal::InvalidParameters(fault))),
     );

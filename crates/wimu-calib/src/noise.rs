@@ -18,6 +18,8 @@ const KEPT: usize = 2 * LENGTH + 1;
 const POINTS: usize = 3 + LEVELS;
 /// Fewest samples.
 const FEWEST: u64 = 500;
+/// Noise leaves no more χ² per degree of freedom than this.
+const MOST_MISFIT: f64 = 5.0;
 /// A point with fewer degrees of freedom says too little.
 const LEAST_EDF: f64 = 4.0;
 
@@ -85,9 +87,17 @@ pub struct AxisNoise {
     pub floor_mps2: f64,
     /// The τ that it is at, s.
     pub floor_tau_s: f64,
+    /// χ² per degree of freedom that the terms leave of the curve: 1 for noise as described; where it
+    /// is much more, vibration, repeated samples or a drift is in it, and the terms are rough.
+    pub misfit: f64,
 }
 
 impl AxisNoise {
+    /// Whether the curve is one of noise: hum and samples that come twice are not.
+    pub fn is_noise(&self) -> bool {
+        self.misfit <= MOST_MISFIT
+    }
+
     /// One-sided noise density √2 N, m/s²/√Hz, as datasheets give it.
     pub fn noise_density(&self) -> Measured {
         let root = core::f64::consts::SQRT_2;
@@ -390,7 +400,7 @@ impl AllanVariance {
                 (floor_mps2, floor_tau_s) = (deviation, point.tau_s);
             }
         }
-        let fitted = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
+        let (fitted, misfit) = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
         let [quantisation, white, flicker, walk] = fitted;
         Ok(AxisNoise {
             velocity_random_walk: white.unwrap_or(Measured {
@@ -402,6 +412,7 @@ impl AllanVariance {
             quantisation_mps: quantisation,
             floor_mps2,
             floor_tau_s,
+            misfit,
         })
     }
 }

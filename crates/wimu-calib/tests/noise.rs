@@ -56,6 +56,35 @@ proptest! {
     }
 }
 
+/// What `allantools.oadev` 2024.06 (PyPI), data of frequency, says of the same numbers. Up to eight samples
+/// it takes the same differences; beyond it takes all of them, and ours every (m/8)-th.
+#[test]
+fn the_deviation_is_that_of_allantools() {
+    let samples: Vec<[f64; 3]> = (0..4000_u64)
+        .map(|k| {
+            let x = ((k * k * 7919 + k * 104_729) % 1009) as f64 / 1009.0;
+            [x + (k % 1500) as f64 * 1e-4, 0.0, 0.0]
+        })
+        .collect();
+    let expected = [
+        (1, 0.301478181434),
+        (2, 0.206617597957),
+        (4, 0.131566799185),
+        (8, 0.107853191289),
+        (16, 0.078219350444),
+        (32, 0.051999250508),
+        (64, 0.030196154117),
+        (128, 0.032351890646),
+        (256, 0.032122513529),
+    ];
+    let allan = run(50.0, &samples);
+    for (point, (m, deviation)) in allan.points().zip(expected) {
+        assert_eq!((point.tau_s * 50.0).round() as u32, m);
+        let off = point.deviation_mps2[0] / deviation - 1.0;
+        assert!(off.abs() < if m <= 8 { 1e-9 } else { 0.02 }, "{m}: {off}");
+    }
+}
+
 const RATE: f64 = 100.0;
 
 /// What is simulated: σ of white noise a sample, m/s², flicker noise B, m/s², and σ of the steps of a
@@ -229,6 +258,27 @@ fn intervals_of_long_recordings_hold_the_truth() {
     let found = [WHITE, FLICKER, WALK].map(|truth| (coverage(334, 60_000, truth), truth));
     for (held, truth) in &found {
         assert_honest(held, *truth, 93.0..=97.0);
+    }
+}
+
+#[test]
+fn hum_and_samples_that_come_twice_are_no_noise() {
+    let mut random = Random(11);
+    let mut rest = || [0; 3].map(|_| 0.02 * random.normal());
+    let plain: Vec<_> = (0..20_000).map(|_| rest()).collect();
+    let mut hum = plain.clone();
+    for (k, sample) in hum.iter_mut().enumerate() {
+        sample[0] += 0.1 * (k as f64 * 0.46).sin();
+    }
+    let twice: Vec<_> = (0..20_000).map(|k| plain[k / 2]).collect();
+    for (samples, noise) in [
+        (plain, [true; 3]),
+        (hum, [false, true, true]),
+        (twice, [false; 3]),
+    ] {
+        let found = run(RATE, &samples).result().expect("noise");
+        let misfits = found.map(|axis| axis.misfit);
+        assert_eq!(found.map(|axis| axis.is_noise()), noise, "{misfits:?}");
     }
 }
 

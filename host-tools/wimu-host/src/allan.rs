@@ -51,6 +51,10 @@ pub struct AxisReport {
     pub floor_m_s2: f64,
     /// The averaging time that it is at, s.
     pub floor_tau_s: f64,
+    /// χ² per degree of freedom that the terms leave of the curve; 1 for noise.
+    pub misfit: f64,
+    /// False where something else is in it: hum, samples that come twice, a drift.
+    pub is_noise: bool,
 }
 
 impl From<AxisNoise> for AxisReport {
@@ -63,6 +67,8 @@ impl From<AxisNoise> for AxisReport {
             quantisation_m_s: noise.quantisation_mps.map(Figure::from),
             floor_m_s2: noise.floor_mps2,
             floor_tau_s: noise.floor_tau_s,
+            misfit: noise.misfit,
+            is_noise: noise.is_noise(),
         }
     }
 }
@@ -370,6 +376,14 @@ impl fmt::Display for NoiseReport {
                     ", acceleration random walk {:.2} ± {:.2} µg/√s",
                     k.value * ug,
                     k.sd * ug
+                )?;
+            }
+            if !axis.is_noise {
+                write!(
+                    out,
+                    "\n   this is no noise alone (χ² {:.0} times too large): hum, vibration, samples that \
+                     come twice or a drift; see the curve, and take the numbers as rough",
+                    axis.misfit
                 )?;
             }
         }

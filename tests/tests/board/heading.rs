@@ -9,6 +9,7 @@ use wimu_model::ParameterSet;
 use wimu_sim::board::BoardConfig;
 use wimu_sim::motion;
 use wimu_sim::scene::World;
+use wimu_sim::truth::{Gauge, SensorTruth};
 use wimu_tests::{ROLES, Rig, assert_replays, sensor};
 
 /// What a session in many orientations finds of the sensor of `seed`.
@@ -39,9 +40,15 @@ fn off_rad(epoch: &Epoch, attitude: wimu_sim::attitude::Attitude) -> f64 {
 
 #[test]
 fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_deviation() {
-    let mut deviations = Vec::new();
+    let (mut deviations, mut iron) = (Vec::new(), Vec::new());
     for seed in 1..=6 {
         let set = calibrated(seed);
+        let truth = SensorTruth::random(seed, Gauge::LowerTriangular).magnetometer;
+        let found = *set.magnetometer.expect("calibrated").terms();
+        for axis in 0..3 {
+            let off = f64::from(found.hard_iron_nt[axis]) - truth.hard_iron_nt[axis];
+            iron.push(off / f64::from(found.hard_iron_sd_nt[axis]));
+        }
         let motion = "rest,tilts";
         let mut rig = Rig::new(
             BoardConfig::default(),
@@ -78,6 +85,14 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
             assert_replays(rig.boot(role));
         }
     }
+    let iron_within = |bound: f64| iron.iter().filter(|off| off.abs() <= bound).count();
+    println!(
+        "hard iron of {} axes: {} within 2 σ, {} within 3 σ",
+        iron.len(),
+        iron_within(2.0),
+        iron_within(3.0)
+    );
+    assert!(iron_within(2.0) >= 15 && iron_within(4.0) == iron.len());
     let within = |bound: f64| {
         let inside = deviations.iter().filter(|d| d.abs() <= bound).count();
         inside as f64 / deviations.len() as f64

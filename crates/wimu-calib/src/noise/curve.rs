@@ -231,7 +231,8 @@ impl Curve {
     /// Terms and their standard deviations, `None` for those that are not seen. Of all sets of
     /// terms with N and none below zero, the likeliest with a penalty per term; what other sets would
     /// say is in the standard deviations, as likely as they are.
-    pub(super) fn fit(&self, spans: &Spans) -> Option<[Option<Measured>; TERMS]> {
+    /// Beside it χ² per degree of freedom.
+    pub(super) fn fit(&self, spans: &Spans) -> Option<([Option<Measured>; TERMS], f64)> {
         let fits: [Option<Fit>; 1 << TERMS] = core::array::from_fn(|set| {
             let fit = self
                 .converged(set as u32, spans)
@@ -245,12 +246,13 @@ impl Curve {
         let best = fits().min_by(|a, b| penalised(a).total_cmp(&penalised(b)))?;
         // What no set of terms explains makes all of them less certain.
         let freedom = self.used.saturating_sub(best.set.count_ones() as usize);
-        let misfit = (best.chi_square / freedom.max(1) as f64).max(1.0);
+        let left = best.chi_square / freedom.max(1) as f64;
+        let misfit = left.max(1.0);
         let worse = |fit: &Fit| {
             let cost = |fit: &Fit| fit.cost / misfit + LIKELY * f64::from(fit.set.count_ones());
             (cost(fit) - cost(best)).max(0.0)
         };
-        Some(core::array::from_fn(|k| {
+        let terms = core::array::from_fn(|k| {
             // A term is seen where no set without it does nearly as well.
             let mut without = fits().filter(|fit| !fit.has(k));
             let seen = best.has(k) && (k == 1 || without.all(|fit| worse(fit) > SEEN));
@@ -268,7 +270,8 @@ impl Curve {
                     sd: libm::sqrt(variance / weight) / (2.0 * value),
                 }
             })
-        }))
+        });
+        Some((terms, left))
     }
 
     /// The terms of `set` by generalised least squares with the covariance of the points that they

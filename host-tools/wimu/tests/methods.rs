@@ -162,7 +162,7 @@ fn the_noise_of_a_sensor_at_rest_is_told_and_motion_is_refused() {
             .contains("not at rest")
     );
     wimu(&["allan", &csv, "--sensitivity", "0"]).fails(2, "usage");
-    wimu(&["allan", "tcp://127.0.0.1:1"]).fails(2, "usage");
+    wimu(&["allan", "tcp://127.0.0.1:1"]).fails(1, "link_refused");
 }
 
 /// The calibration file of a perfect sensor of 1000 LSB per m/s².

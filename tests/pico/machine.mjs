@@ -30,11 +30,18 @@ const CHIP_RESET = 0x40064;
 const BY_POWER = 1 << 8;
 const BY_PIN = 1 << 16;
 
+/** Where the stack begins in memory: the firmware leaves the rest out. */
+const STACK_TOP = 256 * 1024;
+
+/** What memory holds when power comes. */
+const chance = (index) => ((index * 2654435761) >>> 13) & 0xff;
+
 export class Pico {
   constructor() {
     this.clock = new RP2040().clock;
     this.complaints = [];
     this.resets = 0;
+    this.deepest = 0;
     this.received = [[], []];
     this.levels = new Map();
     /** At what rate the other ends of the UARTs are, bits/s. */
@@ -79,6 +86,7 @@ export class Pico {
     const reset = chip.peripherals[CHIP_RESET];
     reset.readUint32 = () => this.resetBy;
     if (before) {
+      this.deepest = this.deepestStack(before);
       chip.flash.set(before.flash);
       this.resets += 1;
     }
@@ -90,7 +98,7 @@ export class Pico {
     if (cause === 'power') {
       // Memory holds what it likes.
       chip.sram.forEach((_, index) => {
-        chip.sram[index] = (index * 2654435761) >>> 13;
+        chip.sram[index] = chance(index);
       });
       this.sensor?.powerUp();
     } else {
@@ -123,6 +131,17 @@ export class Pico {
     // The second stage of the bootloader sits at the start of the flash.
     chip.core.reset();
     chip.core.PC = FLASH;
+  }
+
+  /** The most bytes that the stack has had so far: below them memory is as power left it. */
+  deepestStack({ sram } = this.chip) {
+    let used = 0;
+    for (let deep = 1, alike = 0; alike < 8192 && deep <= STACK_TOP; deep += 1) {
+      const index = STACK_TOP - deep;
+      alike = sram[index] === chance(index) ? alike + 1 : 0;
+      used = alike === 0 ? deep : used;
+    }
+    return Math.max(used, this.deepest);
   }
 
   /** Sets the level of a pin. */

@@ -90,6 +90,7 @@ writeFileSync(
     taken_at_ns: sensor.takenAt,
     overruns: sensor.overruns,
     resets: pico.resets,
+    stack_bytes: pico.deepestStack(),
     complaints: pico.complaints.slice(0, 20),
     led: pico.chip.gpio[25].value,
   }),

@@ -419,7 +419,9 @@ impl Integrator {
         let left = self.at(end);
         let leg_ns = i128::from(self.since_rest_ns(end));
         for axis in 0..3 {
-            let correction = billionth(i128::from(left.velocity.0[axis]) * leg_ns / 2);
+            let twice = billionth(i128::from(left.velocity.0[axis]) * leg_ns);
+            // Half of it, towards zero. A `/ 2` would be a division of 128 bits.
+            let correction = (twice - (twice >> 127)) >> 1;
             self.state.base_position_nm[axis] =
                 left.position.0[axis].saturating_sub(saturate(correction));
         }

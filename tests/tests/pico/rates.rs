@@ -41,7 +41,10 @@ fn both_ends_of_the_cable_change_their_rate_and_the_board_keeps_it_over_a_power_
     // What is heard of the second start, all of it at the new rate, is whole.
     let boot = &run.boots(LinkRole::Cable)[1];
     assert!(boot.raw.len() > 200, "{}", boot.raw.len());
-    assert!(cable.record().statistics.frames_damaged < 40);
+    // Half a second of it is heard at another rate than it is sent, and every zero in that ends a
+    // damaged frame.
+    let damaged = cable.record().statistics.frames_damaged;
+    assert!(damaged < 80, "{damaged}");
 }
 
 #[test]

@@ -7,6 +7,10 @@ use wimu_tests::{ROLES, who_are_you};
 
 use crate::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
 
+/// What the image needs beside its static memory, bytes: staging, storing and reading a set on top of
+/// what its start leaves there.
+const MOST_STACK: u64 = 24_576;
+
 fn set(lsb_per_g: f64) -> ParameterSet {
     let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).expect("in range");
     ParameterSet::uncalibrated(2, sensitivity)
@@ -32,8 +36,12 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
             send(1_000, CABLE, &stage),
             send(1_300, CABLE, &commit),
             happens(2_500, "power"),
+            send(3_300, CABLE, &request(1, Command::GetParameters)),
         ],
     );
+    let stack = run.report["stack_bytes"].as_u64().expect("a number");
+    println!("stack: {stack} bytes at most");
+    assert!(stack <= MOST_STACK, "{stack}");
     for role in ROLES {
         let ids: Vec<_> = run
             .boots(role)

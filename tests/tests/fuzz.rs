@@ -48,6 +48,7 @@ fn anything(seeded: &mut Seeded, rig: &mut Rig) -> Vec<u8> {
         3 => {
             let command = [
                 Command::GetStatus,
+                Command::GetTime,
                 Command::GetParameters,
                 Command::FactoryReset,
                 Command::CommitParameters { hash: 5 },

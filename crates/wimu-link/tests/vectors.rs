@@ -546,6 +546,7 @@ fn requests_are_as_they_were() {
         Command::GetKeyStatus,
         Command::SetKey(DeviceKey::new(core::array::from_fn(|at| at as u8))),
         Command::ForgetKey,
+        Command::GetTime,
     ]
     .map(|command| Request {
         session: 0x1234_5678,
@@ -581,6 +582,9 @@ fn replies_are_as_they_were() {
         Payload::KeyStatus { key: None },
         Payload::KeyStatus {
             key: Some(KeyId([0xde, 0xad, 0xbe, 0xef])),
+        },
+        Payload::Time {
+            uptime_us: 90_000_000_000,
         },
     ]
     .map(Answer::Accepted)

@@ -312,6 +312,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 self.take_key(KeyState::None);
                 Ok(self.key_status())
             }
+            Command::GetTime => Ok(Payload::Time {
+                uptime_us: self.timer.now().0,
+            }),
             Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
             Command::StageParameters(()) => {
                 let mut desk = self.shared.desk.lock().await;

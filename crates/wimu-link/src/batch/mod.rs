@@ -431,22 +431,53 @@ impl Axis {
             return Ok(());
         };
         first_sample[axis] = stream.wrap(first << shift);
+        // The bits first and then the values: neither waits for the other.
+        let mut residuals = [0; MAX_BATCH - 1];
+        let residuals = residuals.get_mut(..rest.len()).unwrap_or_default();
         let mut all = 0;
         let mut bits = *reader;
-        for (index, (sample, &weight)) in rest.iter_mut().zip(&MEAN_WEIGHTS).enumerate() {
-            // A raw residual has 28 bits at most, a corrected one 44.
-            if stream == Stream::Corrected || index % 2 == 0 {
-                bits.refill();
-            }
+        let mut pull = |residual: &mut i32, bits: &mut BitReader<'_>| {
             let folded = bits.pull_rice(k, ESCAPE, width);
             all |= folded;
-            let value = stream.wrap(past.predict().wrapping_add(unfold(folded as u32)));
-            sample[axis] = value;
-            past.add(value, weight);
+            *residual = unfold(folded as u32);
+        };
+        // A raw residual has 28 bits at most, a corrected one 44.
+        let (pairs, last) = residuals.as_chunks_mut::<2>();
+        for [one, other] in pairs {
+            bits.refill();
+            pull(one, &mut bits);
+            if stream == Stream::Corrected {
+                bits.refill();
+            }
+            pull(other, &mut bits);
+        }
+        for residual in last {
+            bits.refill();
+            pull(residual, &mut bits);
         }
         *reader = bits;
         if all >> width != 0 {
             return Err(BatchError::Value);
+        }
+        let start = past;
+        let mut wrapped = 0;
+        for ((sample, &residual), &weight) in rest.iter_mut().zip(&*residuals).zip(&MEAN_WEIGHTS) {
+            let sum = past.predict().wrapping_add(residual);
+            let value = stream.wrap(sum);
+            wrapped |= value ^ sum;
+            sample[axis] = value;
+            past.go_on(residual, weight);
+        }
+        if wrapped != 0 {
+            // The next prediction needs the value then.
+            past = start;
+            for ((sample, &residual), &weight) in
+                rest.iter_mut().zip(&*residuals).zip(&MEAN_WEIGHTS)
+            {
+                let value = stream.wrap(past.predict().wrapping_add(residual));
+                sample[axis] = value;
+                past.add(value, weight);
+            }
         }
         if shift > 0 {
             for sample in rest {

@@ -26,13 +26,16 @@ impl Coding {
 }
 
 /// The past of an axis, and what it foretells: equation (21).
-pub(super) trait Past {
+pub(super) trait Past: Copy {
     fn of(first: i32) -> Self;
 
     fn predict(&self) -> i32;
 
     /// Takes the next value; `weight` is one of [`MEAN_WEIGHTS`].
     fn add(&mut self, value: i32, weight: i32);
+
+    /// The same for the value that is predicted and `residual`, without waiting for it.
+    fn go_on(&mut self, residual: i32, weight: i32);
 }
 
 impl Past for Mean {
@@ -49,11 +52,17 @@ impl Past for Mean {
     #[inline]
     fn add(&mut self, value: i32, weight: i32) {
         let missed = value.wrapping_sub(self.rounded());
-        self.0 = self.0.wrapping_add(missed.wrapping_mul(weight));
+        self.go_on(missed, weight);
+    }
+
+    #[inline]
+    fn go_on(&mut self, residual: i32, weight: i32) {
+        self.0 = self.0.wrapping_add(residual.wrapping_mul(weight));
     }
 }
 
 /// The line through the two values before.
+#[derive(Clone, Copy)]
 pub(super) struct Linear {
     previous: i32,
     slope: i32,
@@ -77,6 +86,12 @@ impl Past for Linear {
     fn add(&mut self, value: i32, _weight: i32) {
         self.slope = value.wrapping_sub(self.previous);
         self.previous = value;
+    }
+
+    #[inline]
+    fn go_on(&mut self, residual: i32, _weight: i32) {
+        self.slope = self.slope.wrapping_add(residual);
+        self.previous = self.previous.wrapping_add(self.slope);
     }
 }
 

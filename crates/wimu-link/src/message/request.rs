@@ -164,6 +164,8 @@ pub enum Command<P = WireParameters> {
     SetKey(DeviceKey),
     /// Forget the key, on the cable only: [`Payload::KeyStatus`].
     ForgetKey,
+    /// The time on the device's clock: [`Payload::Time`].
+    GetTime,
 }
 
 impl<'a> Command<EncodedParameters<'a>> {
@@ -208,6 +210,7 @@ impl<P> Command<P> {
             Self::GetKeyStatus => Command::GetKeyStatus,
             Self::SetKey(key) => Command::SetKey(key),
             Self::ForgetKey => Command::ForgetKey,
+            Self::GetTime => Command::GetTime,
         })
     }
 
@@ -218,7 +221,8 @@ impl<P> Command<P> {
             | Self::GetSettings
             | Self::GetStatus
             | Self::OpenSession
-            | Self::GetKeyStatus => false,
+            | Self::GetKeyStatus
+            | Self::GetTime => false,
             Self::StageParameters(_)
             | Self::CommitParameters { .. }
             | Self::FactoryReset
@@ -322,6 +326,11 @@ pub enum Payload<P = WireParameters> {
     KeyStatus {
         /// Its name; `None` if the device has no key.
         key: Option<KeyId>,
+    },
+    /// The time on the device's clock when it took the request.
+    Time {
+        /// µs since the device's start.
+        uptime_us: u64,
     },
 }
 

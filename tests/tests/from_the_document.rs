@@ -1,0 +1,348 @@
+//! Another host, written from docs/PROTOCOL.md alone: it reads every example message and must find what
+//! stands above it. Nothing of wimu is used here. (Batches are read by the document's own Python.)
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The messages as the document has them. A line is a name and what it holds, one after another:
+/// fields for a struct; for an enum `|` before each variant. `T?` may be absent, `T*3` is three of them.
+const DOCUMENT: &str = "
+Telemetry: | Epoch Epoch | Environment u64 i32*3? i16? | Navigation u32 i64*3 i64*3 u32 Phase u8 u16? | Parameters u32 Parameters? | Settings Settings | Status Status | Event u64 Event
+Epoch: Reason u8 u32 u64 u32 u8 f64 i16 u32 i16? u8 State
+Reason: | Start | Periodic | Gap | Stillness | Temperature | Settings | Parameters | Heading
+State: u32 bool u32 Phase u8 i64*3 i32*3 i64*3 i64*3 u64 Segment Window Run? u16?
+Segment: u32 i64*3 i64*3 i32*3?
+Window: Segment u16 i32*3 i32*3 u64
+Run: u16 i64*3 i64*3 Segment
+Phase: | Searching | Resting | Moving
+Parameters: u8 f64 f64*3 f64*9 f64 f64*3 f64*3 f64*3 f64*3 f64*4 f32*6? Quality? Magnetometer? sensor
+Quality: Method u64? f32*3? u32 u32 f32 f32? f32? f32*78 f32*12
+Method: | MultiPosition | SixPosition | FourAngle | ThreeAngle | Reference | Updated
+Magnetometer: f32*3 f32*3 f32*6 f32*6 f32 u32 f32 f32 f32 Mounting?
+Mounting: f64*4 f32*6 f32 f32
+Settings: u8 u16 Resolution bool u32 Streams Streams
+Resolution: | Low | Normal | High
+Streams: bool bool bool bool u8 u8
+Status: u64 LinkStatus? LinkStatus? SensorStatus u32? u32?
+LinkStatus: u32 u64 u32 u32 u32
+SensorStatus: u32 u32 u32 u32
+Event: | SensorLost Lost | SensorFound | WrongSensor u8 u8 | StoreUnreadable | ModelRejected ParameterFault | SettingsAdjusted | Pause u16 | Marked u16 | CalibrationContradicted i32 u32
+Lost: | NoAnswer | Transfer | Timeout
+ParameterFault: | NotFinite Term u8 | OutOfBounds Term u8 f64 f64 f64 | Singular f64 | Sensitivity f64 | Alignment f64 | Overflow | SingularAtTemperature | Covariance | Quality QualityFault | Magnetometer MagnetometerFault | OtherSensor u16 u16
+QualityFault: | Temperature | Residual | Condition | Deviation
+MagnetometerFault: | HardIron | SoftIron | Field | Quality | Dip
+Term: | Bias | Scale | Misalignment | ReferenceTemperature | BiasSlope | BiasCurvature | ScaleSlope | Nonlinearity
+Request: u32 u32 signature Command
+Command: | GetParameters | StageParameters Parameters | CommitParameters u32 | FactoryReset | GetSettings | SetSettings Settings | GetStatus | SetLineRate u8 u32 | OpenSession | GetKeyStatus | SetKey key | ForgetKey | GetTime
+Reply: u32 u32 signature Answer
+Answer: | Accepted Payload | Refused Refusal | Unknown
+Payload: | None | Parameters u32 Parameters? | Staged u32 | Settings Settings | Status Status | Session u32 u8*16 | KeyStatus KeyId? | Time u64
+KeyId: u8*4
+Refusal: | KeyNeeded | Locked | InvalidParameters ParameterFault | WrongRange u8 u8 | NothingStaged | HashMismatch u32 | UnsupportedSettings Settings | StoreFailed | SensorFailed | Stale | WrongSensitivity f64 f64 | FixedLineRate | AdapterLineRate | UnsupportedLineRate u32 | SignatureNeeded | WrongSignature | SessionEnded | CableOnly
+";
+
+/// Names that the examples give their structs, which the wire does not know.
+const STRUCTS: [&str; 15] = [
+    "ActiveParameters",
+    "DeviceKey",
+    "Environment",
+    "Epoch",
+    "KeyId",
+    "LinkStatus",
+    "Navigation",
+    "Part",
+    "Reply",
+    "Request",
+    "SensorStatus",
+    "Settings",
+    "Signature",
+    "Status",
+    "Streams",
+];
+
+fn definition(name: &str) -> Option<&'static str> {
+    DOCUMENT
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))
+}
+
+/// Section 1.
+fn crc_32c(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| {
+            crc >> 1 ^ if crc & 1 == 1 { 0x82F6_3B78 } else { 0 }
+        })
+    })
+}
+
+/// First byte and body of a frame with its zero.
+fn plain(frame: &[u8]) -> (u8, Vec<u8>) {
+    let (end, mut coded) = frame.split_last().expect("a frame");
+    assert_eq!(*end, 0);
+    let mut plain = Vec::new();
+    while let Some((&code, rest)) = coded.split_first() {
+        let (run, rest) = rest.split_at(usize::from(code) - 1);
+        plain.extend_from_slice(run);
+        if code < 255 && !rest.is_empty() {
+            plain.push(0);
+        }
+        coded = rest;
+    }
+    let crc = plain.split_off(plain.len() - 4);
+    assert_eq!(crc_32c(&plain).to_le_bytes()[..], crc);
+    (plain[0], plain[1..].to_vec())
+}
+
+/// Section 5: reads a body and writes down what is in it.
+struct Reader<'a> {
+    rest: &'a [u8],
+    found: Vec<String>,
+}
+
+impl Reader<'_> {
+    fn bytes<const N: usize>(&mut self) -> [u8; N] {
+        let (bytes, rest) = self.rest.split_first_chunk().expect("the body is longer");
+        self.rest = rest;
+        *bytes
+    }
+
+    fn varint(&mut self) -> u64 {
+        let (mut value, mut shift) = (0, 0);
+        loop {
+            let [byte] = self.bytes();
+            value |= u64::from(byte & 127) << shift;
+            shift += 7;
+            if byte < 128 {
+                return value;
+            }
+        }
+    }
+
+    fn note(&mut self, what: impl ToString) {
+        self.found.push(what.to_string());
+    }
+
+    fn read(&mut self, of: &str) {
+        if let Some(of) = of.strip_suffix('?') {
+            return match self.bytes() {
+                [0] => self.note("None"),
+                [1] => {
+                    self.note("Some");
+                    self.read(of);
+                }
+                [other] => panic!("{other} is neither there nor not"),
+            };
+        }
+        if let Some((of, count)) = of.split_once('*') {
+            return (0..count.parse().expect("a number")).for_each(|_| self.read(of));
+        }
+        match of {
+            "u8" => {
+                let [byte] = self.bytes();
+                self.note(byte);
+            }
+            "bool" => {
+                let [byte] = self.bytes();
+                self.note(byte == 1);
+            }
+            "u16" | "u32" | "u64" => {
+                let value = self.varint();
+                self.note(value);
+            }
+            "i16" | "i32" | "i64" => {
+                let folded = self.varint();
+                self.note((folded >> 1) as i64 ^ -((folded & 1) as i64));
+            }
+            "f32" => {
+                let value = f32::from_le_bytes(self.bytes());
+                self.note(format!("{value:?}"));
+            }
+            "f64" => {
+                let value = f64::from_le_bytes(self.bytes());
+                self.note(format!("{value:?}"));
+            }
+            "signature" => {
+                let length = self.varint();
+                self.note(length);
+                // The examples show it filled up.
+                for at in 0..8 {
+                    match at < length {
+                        true => self.read("u8"),
+                        false => self.note(0),
+                    }
+                }
+            }
+            // A set that does not say its sensor ends before it, and so does the message.
+            "sensor" if self.rest.is_empty() => self.note("None"),
+            "sensor" => {
+                let number = u16::from_le_bytes(self.bytes());
+                self.note(format!("Some({number})"));
+            }
+            // The examples do not show it.
+            "key" => self.rest = &self.rest[32..],
+            name => self.read_named(name),
+        }
+    }
+
+    fn read_named(&mut self, name: &str) {
+        let definition = definition(name).unwrap_or_else(|| panic!("{name} is not defined"));
+        let Some(variants) = definition.trim().strip_prefix('|') else {
+            return definition.split_whitespace().for_each(|of| self.read(of));
+        };
+        let number = self.varint() as usize;
+        let variant = variants.split('|').nth(number);
+        let mut parts = variant
+            .unwrap_or_else(|| panic!("{name} has no variant {number}"))
+            .split_whitespace();
+        self.note(parts.next().expect("a name"));
+        parts.for_each(|of| self.read(of));
+    }
+}
+
+/// The words and numbers of an example's description, without the names of fields and structs.
+fn said(text: &str) -> Vec<String> {
+    let mut words = Vec::new();
+    let mut rest = text;
+    while let Some(start) = rest.find(|c: char| c.is_alphanumeric() || c == '-' || c == '"') {
+        rest = &rest[start..];
+        let inside = |c: char| c.is_alphanumeric() || "_-.+".contains(c);
+        let end = match rest.strip_prefix('"') {
+            Some(quoted) => quoted.find('"').expect("an end") + 2,
+            None => rest.find(|c| !inside(c)).unwrap_or(rest.len()),
+        };
+        let (word, behind) = rest.split_at(end);
+        rest = behind;
+        let of_struct = word.starts_with("Wire") || STRUCTS.contains(&word);
+        let is_struct =
+            of_struct && (behind.starts_with(" {") || word.ends_with("Id") || word == "DeviceKey");
+        if !behind.starts_with(": ") && !is_struct {
+            words.push(word.to_owned());
+        }
+    }
+    words
+}
+
+fn folder() -> PathBuf {
+    let vectors = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors");
+    let folders = fs::read_dir(vectors).expect("the examples");
+    let latest = folders.map(|folder| folder.expect("a folder").path()).max();
+    latest.expect("examples of a version")
+}
+
+/// What is said of each example in a file, and its frame.
+fn examples(name: &str) -> Vec<(String, Vec<u8>)> {
+    let path = folder().join(name).with_extension("hex");
+    let text = fs::read_to_string(path).expect("the examples");
+    let lines: Vec<&str> = text.lines().collect();
+    let byte = |pair: &[u8]| {
+        let pair = std::str::from_utf8(pair).expect("hex");
+        u8::from_str_radix(pair, 16).expect("hex")
+    };
+    lines
+        .chunks_exact(2)
+        .map(|pair| {
+            let frame = pair[1].as_bytes().chunks_exact(2).map(byte).collect();
+            (pair[0].trim_start_matches("# ").to_owned(), frame)
+        })
+        .collect()
+}
+
+#[test]
+fn every_telemetry_request_and_reply_reads_as_the_document_says() {
+    for (file, kind, name) in [
+        ("telemetry", 4, "Telemetry"),
+        ("request", 5, "Request"),
+        ("reply", 6, "Reply"),
+    ] {
+        let examples = examples(file);
+        assert!(examples.len() > 10, "{file}");
+        for (text, frame) in examples {
+            let (first, body) = plain(&frame);
+            assert_eq!(first & 15, kind, "{text}");
+            let mut reader = Reader {
+                rest: &body,
+                found: Vec::new(),
+            };
+            reader.read(name);
+            assert!(reader.rest.is_empty(), "{text}");
+            assert_eq!(said(&reader.found.join(" ")), said(&text), "{text}");
+        }
+    }
+}
+
+#[test]
+fn a_greeting_and_its_question_read_as_the_document_says() {
+    for (text, frame) in examples("hello") {
+        let (first, body) = plain(&frame);
+        assert_eq!((first & 15, &body[..4]), (1, &b"WIMU"[..]));
+        let number = |at: usize, length: usize| {
+            let bytes = body[at..at + length].iter().rev();
+            bytes.fold(0_u64, |value, &byte| value << 8 | u64::from(byte))
+        };
+        let name = |at: usize| {
+            let length = usize::from(body[at]);
+            let name = std::str::from_utf8(&body[at + 1..at + 1 + length]).expect("ASCII");
+            format!("{name:?}")
+        };
+        let one_of = |names: &[&str], at: usize| names[usize::from(body[at])].to_owned();
+        let decimal = |at, length| number(at, length).to_string();
+        let resets = [
+            "Unknown", "PowerOn", "Pin", "Watchdog", "Software", "BrownOut", "Fault",
+        ];
+        let mut found = vec![
+            "Hello".to_owned(),
+            decimal(5, 1),
+            one_of(&["", "Cable", "Wireless"], 6),
+            one_of(&["Open", "Key", "Locked"], 7),
+            decimal(8, 8),
+            decimal(16, 4),
+            format!("Capabilities({})", number(20, 4)),
+            format!("ParameterId({})", number(24, 4)),
+            decimal(28, 8),
+            decimal(36, 2),
+            decimal(38, 2),
+            decimal(40, 2),
+            one_of(&resets, 42),
+            "None".to_owned(),
+            (body[43] & 1 == 1).to_string(),
+            decimal(44, 2),
+            name(48),
+            decimal(46, 2),
+            name(64),
+        ];
+        // Extensions, of which the examples have none.
+        assert_eq!(body.len(), usize::from(body[4]));
+        found = said(&found.join(" "));
+        assert_eq!(found, said(&text), "{text}");
+    }
+    for (_, frame) in examples("who_are_you") {
+        let (first, body) = plain(&frame);
+        assert_eq!((first & 15, &body[..4], body[4]), (2, &b"WIMU"[..], 6));
+        assert_eq!(body.len(), 6);
+    }
+}
+
+/// The document's Python on the document's batches.
+#[test]
+fn every_batch_reads_as_the_document_says() {
+    let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/PROTOCOL.md");
+    let text = fs::read_to_string(document).expect("the document");
+    let code = text.split("```python\n").nth(1).expect("Python");
+    let code = code.split("```").next().expect("its end");
+    let python = std::process::Command::new("python3")
+        .args(["-c", code])
+        .arg(folder().join("batch.hex"))
+        .output();
+    let Ok(ran) = python else {
+        println!("skipped: there is no python3");
+        return;
+    };
+    let said = String::from_utf8_lossy(&ran.stdout).into_owned();
+    assert!(
+        ran.status.success(),
+        "{}",
+        String::from_utf8_lossy(&ran.stderr)
+    );
+    assert_eq!(said.lines().count(), examples("batch").len(), "{said}");
+    assert!(said.lines().all(|line| line.starts_with("ok ")), "{said}");
+}

@@ -6,6 +6,7 @@
 //! Most run in lockstep: what they hold does not depend on how fast this computer is.
 #![cfg(unix)]
 
+mod comparison;
 mod links;
 mod storage;
 

@@ -1,0 +1,168 @@
+//! Long recordings: what reads them needs no more memory for them than for short ones.
+
+use std::path::Path;
+
+use wimu_host::compare::compare;
+use wimu_host::export::{ExportStream, to_csv};
+use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
+use wimu_host::overview::Overview;
+use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
+use wimu_model::{Counts, DeviceTimeUs};
+
+const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+/// A recording of both links at 100 Hz for so many minutes, in a file: frames as a board sends them,
+/// every tenth of the wireless ones lost.
+fn long_file(minutes: u32) -> std::path::PathBuf {
+    let path =
+        std::env::temp_dir().join(format!("wimu-long-{}-{minutes}.mcap", std::process::id()));
+    let _ = std::fs::remove_file(&path);
+    let anchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_795_222_920_000_000_000,
+    };
+    let mut writer = RecordingWriter::create(&path, anchor).unwrap();
+    let mut frame = [0; MAX_FRAME];
+    let mut write = |role, at_ns: u64, frame: &[u8]| writer.append(role, at_ns, frame).unwrap();
+    for role in ROLES {
+        let hello = Hello {
+            boot_count: 1,
+            ..Hello::new(role)
+        };
+        let length = hello.encode(&mut frame).unwrap();
+        write(role, 0, &frame[..length]);
+    }
+    for batch in 0..minutes * 375 {
+        let (first, time_us) = (batch * 16, u64::from(batch) * 160_000);
+        let samples: [Counts; 16] = std::array::from_fn(|k| {
+            let phase = f64::from(first + k as u32) * 0.07;
+            Counts([
+                (9000.0 * phase.sin()) as i16,
+                (7000.0 * phase.cos()) as i16,
+                900,
+            ])
+        });
+        for role in ROLES {
+            let noise = u64::from(batch.wrapping_mul(2_654_435_761) >> 8);
+            let late_ns = match role {
+                LinkRole::Cable => 200_000 + noise % 100_000,
+                _ => 15_000_000 + noise % 50_000_000,
+            };
+            let at_ns = (time_us + 150_000) * 1000 + late_ns;
+            if batch % 6 == 0 {
+                let epoch = <Telemetry>::Epoch(Epoch {
+                    reason: EpochReason::Periodic,
+                    number: (batch / 6) as u8,
+                    sequence: first,
+                    time_us,
+                    period_ns: 10_000_000,
+                    range_g: 2,
+                    sensitivity_lsb_per_g: 16384.0,
+                    full_scale: 32752,
+                    parameters: 0,
+                    temperature_centi_c: None,
+                    state: WireState::default(),
+                });
+                let length = epoch.encode(&mut frame).unwrap();
+                write(role, at_ns, &frame[..length]);
+            }
+            if role == LinkRole::Cable || batch % 10 != 3 {
+                let length = batch::encode(first, DeviceTimeUs(time_us), &samples, &mut frame);
+                write(role, at_ns, &frame[..length.unwrap()]);
+            }
+        }
+    }
+    writer.finish().unwrap();
+    path
+}
+
+/// Most memory that this process has had, MB.
+fn peak_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with("VmHWM"));
+    let kb = line.and_then(|line| line.split_whitespace().nth(1)?.parse::<f64>().ok());
+    kb.unwrap_or(0.0) / 1024.0
+}
+
+/// What reads recordings.
+const READERS: [&str; 3] = ["compare", "info", "export"];
+/// Name the reader and the file for a process that only reads: writing keeps an index in memory.
+const READER: &str = "WIMU_TEST_READER";
+const FILE: &str = "WIMU_TEST_LONG_FILE";
+
+/// Reads the file as `reader` does; how many samples were there.
+fn read(reader: &str, path: &Path) -> u64 {
+    match reader {
+        "compare" => {
+            let found = compare(|| RecordingReader::open(path), "a.mcap").unwrap();
+            assert_eq!(found.identical, found.pairs);
+            found.pairs
+        }
+        "info" => Overview::read(path).unwrap().links[1].raw() as u64,
+        _ => {
+            let table = path.with_extension("csv");
+            let wireless = Some(LinkRole::Wireless);
+            let rows = to_csv(path, wireless, None, ExportStream::Raw, &table)
+                .unwrap()
+                .0;
+            std::fs::remove_file(table).unwrap();
+            rows as u64
+        }
+    }
+}
+
+/// Most memory that each reader needs for so many minutes, MB, in a process of its own.
+fn peaks_mb(test: &str, minutes: u32) -> [f64; 3] {
+    let path = long_file(minutes);
+    let peaks = READERS.map(|reader| {
+        let ran = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--include-ignored", "--exact", "--nocapture", test])
+            .env(READER, reader)
+            .env(FILE, &path)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&ran.stdout);
+        let line = text.lines().find_map(|line| line.split_once("PEAK "));
+        let (peak, samples) = line
+            .unwrap_or_else(|| panic!("{text}"))
+            .1
+            .split_once(' ')
+            .unwrap();
+        println!(
+            "{reader}, {minutes} min: {samples} samples of the wireless link, {peak} MB at most"
+        );
+        // Nine of ten batches arrived.
+        let samples: f64 = samples.parse().unwrap();
+        assert!((samples / f64::from(minutes * 375 * 16) - 0.9).abs() < 0.01);
+        peak.parse::<f64>().unwrap()
+    });
+    std::fs::remove_file(&path).unwrap();
+    peaks
+}
+
+/// That no reader needs more for a long file than for a short one, but for what the clock keeps.
+fn memory_is_the_same(test: &str, minutes: [u32; 2]) {
+    if let (Ok(reader), Ok(path)) = (std::env::var(READER), std::env::var(FILE)) {
+        let samples = read(&reader, path.as_ref());
+        println!("PEAK {} {samples}", peak_mb());
+        return;
+    }
+    let [short, long] = minutes.map(|minutes| peaks_mb(test, minutes));
+    for ((reader, short), long) in READERS.into_iter().zip(short).zip(long) {
+        assert!(long < short + 4.0, "{reader}: {short} MB, then {long} MB");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_does_not_grow_with_the_recording() {
+    memory_is_the_same("memory_does_not_grow_with_the_recording", [20, 80]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "writes and reads files of 1 and 24 hours"]
+fn memory_is_the_same_for_an_hour_and_for_a_day() {
+    memory_is_the_same("memory_is_the_same_for_an_hour_and_for_a_day", [60, 1440]);
+}

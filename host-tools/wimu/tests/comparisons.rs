@@ -1,0 +1,292 @@
+//! `wimu compare` on recordings that leave something to be desired. Their frames are made here, as a
+//! board sends them.
+
+mod kit;
+
+use std::fs;
+use std::path::Path;
+
+use kit::{folder, wimu};
+use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
+use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
+use wimu_model::{Counts, DeviceTimeUs};
+
+const CABLE: LinkRole = LinkRole::Cable;
+const WIRELESS: LinkRole = LinkRole::Wireless;
+/// Samples of a batch.
+const BATCH: u32 = 16;
+
+/// A stretch of a board's life: a second of samples and more.
+#[derive(Clone, Copy)]
+struct Stretch {
+    device_id: u64,
+    boot: u32,
+    /// Batches from and to.
+    batches: (u32, u32),
+    rate_hz: u32,
+    range_g: u8,
+    /// Host time at which the device's time was 0, s.
+    began_s: f64,
+    /// Every so many batches the two next ones change places.
+    swaps: bool,
+}
+
+impl Default for Stretch {
+    fn default() -> Self {
+        Self {
+            device_id: 0x5157_0001,
+            boot: 1,
+            batches: (0, 100),
+            rate_hz: 100,
+            range_g: 2,
+            began_s: 0.0,
+            swaps: false,
+        }
+    }
+}
+
+/// What a link brought, with host times, ns.
+type Brought = Vec<(LinkRole, u64, Vec<u8>)>;
+
+impl Stretch {
+    fn on(&self, role: LinkRole) -> Brought {
+        let mut frame = [0; MAX_FRAME];
+        let mut brought = Vec::new();
+        let hello = Hello {
+            boot_count: self.boot,
+            device_id: self.device_id,
+            ..Hello::new(role)
+        };
+        let late_ns = if role == CABLE { 200_000 } else { 20_000_000 };
+        let host_ns = |time_us: u64| (self.began_s * 1e9) as u64 + time_us * 1000 + late_ns;
+        let period_us = 1_000_000 / u64::from(self.rate_hz);
+        let time_us = |batch: u32| 1_000_000 + u64::from(batch * BATCH) * period_us;
+        let (from, to) = self.batches;
+        let length = hello.encode(&mut frame).unwrap();
+        let start_ns = host_ns(time_us(from));
+        brought.push((role, start_ns, frame[..length].to_vec()));
+        for number in from..to {
+            let first = number * BATCH;
+            if number == from || number % 6 == 0 {
+                let epoch = <Telemetry>::Epoch(Epoch {
+                    reason: EpochReason::Periodic,
+                    number: (number / 6) as u8,
+                    sequence: first,
+                    time_us: time_us(number),
+                    period_ns: (period_us * 1000) as u32,
+                    range_g: self.range_g,
+                    sensitivity_lsb_per_g: 32_768.0 / f64::from(self.range_g),
+                    full_scale: 32_752,
+                    parameters: 0,
+                    temperature_centi_c: None,
+                    state: WireState::default(),
+                });
+                let length = epoch.encode(&mut frame).unwrap();
+                brought.push((role, host_ns(time_us(number)), frame[..length].to_vec()));
+            }
+            let samples: [Counts; BATCH as usize] = std::array::from_fn(|k| {
+                let phase = f64::from(first + k as u32) * 0.11;
+                let lsb = |wave: f64| (8000.0 * wave / f64::from(self.range_g)) as i16;
+                Counts([lsb(phase.sin()), lsb(phase.cos()), lsb((0.7 * phase).sin())])
+            });
+            let time = DeviceTimeUs(time_us(number));
+            let length = batch::encode(first, time, &samples, &mut frame).unwrap();
+            let at_ns = host_ns(time_us(number + 1));
+            brought.push((role, at_ns, frame[..length].to_vec()));
+        }
+        if self.swaps {
+            for pair in brought[8..].chunks_exact_mut(9) {
+                let [(.., one), (.., other)] = &mut pair[..2] else {
+                    continue;
+                };
+                std::mem::swap(one, other);
+            }
+        }
+        brought
+    }
+
+    fn on_both(&self) -> Brought {
+        [self.on(CABLE), self.on(WIRELESS)].concat()
+    }
+}
+
+/// A recording of it, in `folder`.
+fn file(folder: &Path, mut brought: Brought) -> String {
+    let path = folder.join("made.mcap");
+    let _ = fs::remove_file(&path);
+    let anchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_795_222_920_000_000_000,
+    };
+    let mut writer = RecordingWriter::create(&path, anchor).unwrap();
+    brought.sort_by_key(|(_, host_ns, _)| *host_ns);
+    for (role, host_ns, bytes) in brought {
+        writer.append(role, host_ns, &bytes).unwrap();
+    }
+    writer.finish().unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+/// That `wimu compare` refuses it with exit code 3, naming this.
+fn is_refused(brought: Brought, named: &str) {
+    let folder = folder();
+    let failure = wimu(&["compare", &file(folder.path(), brought)]).fails(3, "data_refused");
+    let message = failure["message"].as_str().unwrap();
+    assert!(message.contains(named), "{message}");
+}
+
+/// What `wimu compare` finds, all pairs identical.
+fn is_compared(brought: Brought) -> serde_json::Value {
+    let folder = folder();
+    let found = wimu(&["compare", &file(folder.path(), brought)]).succeeds();
+    assert_eq!(found["schema"], "wimu.compare/1");
+    assert_eq!(found["pairs"], found["identical"], "{found}");
+    found
+}
+
+#[test]
+fn a_recording_of_one_link_is_refused_naming_the_other() {
+    is_refused(Stretch::default().on(CABLE), "the wireless link is missing");
+    is_refused(Stretch::default().on(WIRELESS), "the cable link is missing");
+    is_refused(Vec::new(), "missing");
+}
+
+#[test]
+fn links_of_two_boards_are_refused_naming_them() {
+    let stranger = Stretch {
+        device_id: 0xabcd,
+        ..Stretch::default()
+    };
+    let brought = [Stretch::default().on(CABLE), stranger.on(WIRELESS)].concat();
+    is_refused(brought, "000000000000abcd");
+}
+
+#[test]
+fn links_that_were_never_there_at_once_are_refused() {
+    let later = Stretch {
+        batches: (200, 260),
+        ..Stretch::default()
+    };
+    let brought = [Stretch::default().on(CABLE), later.on(WIRELESS)].concat();
+    is_refused(brought, "no sample in common");
+}
+
+#[test]
+fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_other() {
+    let again = Stretch {
+        boot: 2,
+        began_s: 30.0,
+        ..Stretch::default()
+    };
+    let found = is_compared([Stretch::default().on_both(), again.on_both()].concat());
+    assert_eq!(
+        (&found["starts"], &found["pairs"]),
+        (&2.into(), &3200.into())
+    );
+    for link in found["links"].as_array().unwrap() {
+        assert_eq!(link["lost"], 0, "{link}");
+    }
+}
+
+#[test]
+fn samples_out_of_order_make_no_wrong_pair() {
+    let swapped = Stretch {
+        swaps: true,
+        ..Stretch::default()
+    };
+    let found = is_compared([Stretch::default().on(CABLE), swapped.on(WIRELESS)].concat());
+    // What comes late counts as lost: nothing is held back for it.
+    let wireless = &found["links"][1];
+    let lost = wireless["lost"].as_u64().unwrap();
+    assert!((1..700).contains(&lost), "{wireless}");
+    let pairs = found["pairs"].as_u64().unwrap();
+    assert_eq!(pairs + lost, 1600, "{found}");
+}
+
+#[test]
+fn range_and_rate_may_change_on_the_way() {
+    let first = Stretch::default();
+    let wider = Stretch {
+        batches: (100, 160),
+        range_g: 8,
+        ..first
+    };
+    // 100 batches at 100 Hz took 16 s; the next 60 at 400 Hz begin where they ended.
+    let faster = Stretch {
+        batches: (160, 320),
+        rate_hz: 400,
+        began_s: 25.6 - 6.4,
+        range_g: 8,
+        ..first
+    };
+    let parts = [first, wider, faster].map(|part| part.on_both());
+    let found = is_compared(parts.concat());
+    assert!(found["pairs"].as_u64().unwrap() >= 2560, "{found}");
+    let values = &found["values"]["axes"][0];
+    assert!(
+        values["rms_before_mps2"].as_f64().unwrap() < 1e-9,
+        "{found}"
+    );
+}
+
+/// A table of a motion: every axis a wave, `scale` of it, at `rate_hz` from `start_s` on.
+fn table(path: &Path, unit: &str, scale: f64, rate_hz: f64, start_s: f64) -> String {
+    let mut text = format!(
+        "Time (s),Accelerometer X ({unit}),Accelerometer Y ({unit}),Accelerometer Z ({unit})\n"
+    );
+    for k in 0..(40.0 * rate_hz) as u32 {
+        let time = f64::from(k) / rate_hz;
+        let at = start_s + time;
+        let wave = |hz: f64| (hz * at).sin() + 0.5 * (2.7 * hz * at + at * at / 40.0).cos();
+        let [x, y, z] = [0.9, 1.3, 1.9].map(|hz| scale * wave(hz));
+        text += &format!("{time},{x},{y},{z}\n");
+    }
+    fs::write(path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn two_tables_of_different_ranges_and_rates_are_compared() {
+    let folder = folder();
+    let reference = table(&folder.path().join("a.csv"), "m/s²", 5.0, 100.0, 0.0);
+    // The other in g, half as fast, begun 1.3 s later, 2 % more sensitive.
+    let scale = 5.0 * 1.02 / 9.80665;
+    let other = table(&folder.path().join("b.csv"), "g", scale, 50.0, 1.3);
+    let found = wimu(&["compare", &reference, &other]).succeeds();
+    for axis in found["axes"].as_array().unwrap() {
+        let scale = axis["line"]["scale"].as_f64().unwrap();
+        assert!((scale - 1.02).abs() < 0.005, "{found}");
+    }
+}
+
+#[test]
+fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
+    let folder = folder();
+    let session = file(folder.path(), Stretch::default().on_both());
+    let pictures = folder.path().join("pictures");
+    let page = folder.path().join("page.html");
+    wimu(&[
+        "compare",
+        &session,
+        "--pictures",
+        pictures.to_str().unwrap(),
+        "--report",
+        page.to_str().unwrap(),
+    ])
+    .succeeds();
+    for name in [
+        "both",
+        "both-corrected",
+        "gap",
+        "gap-corrected",
+        "error",
+        "latency",
+        "loss",
+    ] {
+        let read = |extension| fs::read(pictures.join(name).with_extension(extension)).unwrap();
+        assert!(read("png").starts_with(b"\x89PNG"), "{name}");
+        assert!(read("svg").starts_with(b"<svg"), "{name}");
+    }
+    assert_eq!(fs::read_to_string(page).unwrap().matches("<svg").count(), 7);
+}

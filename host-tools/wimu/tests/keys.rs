@@ -1,0 +1,90 @@
+//! `wimu key`: who may write, and with what.
+#![cfg(target_os = "linux")]
+
+mod kit;
+
+use std::fs;
+use std::path::Path;
+
+use kit::{Background, Simulator, folder};
+
+#[test]
+fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let folder = folder();
+    let store = folder.path().join("board.store");
+    let arguments = ["--store", store.to_str().unwrap(), "--motion", "rest"];
+    let [owner, other] = ["owner", "other"].map(|name| folder.path().join(name));
+    let run_as = |user: &Path, arguments: &[&str]| Background::start_as(user, arguments).finish();
+    let board = Simulator::start(&arguments);
+    let set = |user: &Path, link: &str, rate: &str| {
+        run_as(user, &["settings", "set", link, "--rate", rate])
+    };
+    set(&owner, &board.wireless, "50").fails(4, "key_needed");
+    // A key never travels over the radio.
+    run_as(&owner, &["key", "set", &board.wireless]).fails(4, "key_needed");
+    let status = run_as(&owner, &["key", "status", &board.cable]).succeeds();
+    assert_eq!(
+        (&status["set"], &status["ours"]),
+        (&false.into(), &false.into())
+    );
+
+    let ran = run_as(&owner, &["key", "set", &board.cable]);
+    let status = ran.succeeds();
+    assert_eq!(
+        (&status["set"], &status["ours"]),
+        (&true.into(), &true.into())
+    );
+    let keys = owner.join("wimu/keys");
+    let file = keys.join(format!("{}.key", status["device_id"].as_str().unwrap()));
+    assert_eq!(
+        fs::metadata(&file).unwrap().permissions().mode() & 0o777,
+        0o600
+    );
+    assert_eq!(fs::read_dir(&keys).unwrap().count(), 1);
+    let key = fs::read_to_string(&file).unwrap();
+    for said in [&ran.stdout, &ran.stderr] {
+        assert!(!said.contains(key.trim()), "the key is told");
+    }
+    for link in [&board.wireless, &board.cable] {
+        assert_eq!(set(&owner, link, "200").succeeds()["rate_hz"], 200);
+        set(&other, link, "50").fails(4, "key_needed");
+    }
+    run_as(&other, &["key", "set", &board.cable]).fails(4, "key_needed");
+    run_as(&other, &["key", "rotate", &board.cable]).fails(4, "key_needed");
+    run_as(&other, &["key", "forget", &board.cable]).fails(4, "key_needed");
+    let status = run_as(&other, &["key", "status", &board.wireless]).succeeds();
+    assert_eq!(
+        (&status["set"], &status["ours"]),
+        (&true.into(), &false.into())
+    );
+
+    // It outlives a restart, and is exchanged for another.
+    drop(board);
+    let board = Simulator::start(&arguments);
+    assert_eq!(
+        set(&owner, &board.wireless, "100").succeeds()["rate_hz"],
+        100
+    );
+    run_as(&owner, &["key", "rotate", &board.cable]).succeeds();
+    assert_ne!(fs::read_to_string(&file).unwrap(), key);
+    assert_eq!(set(&owner, &board.wireless, "50").succeeds()["rate_hz"], 50);
+    // The old one is worth nothing.
+    fs::create_dir_all(other.join("wimu/keys")).unwrap();
+    let copy = other.join("wimu/keys").join(file.file_name().unwrap());
+    fs::write(&copy, &key).unwrap();
+    fs::set_permissions(&copy, fs::Permissions::from_mode(0o600)).unwrap();
+    set(&other, &board.wireless, "100").fails(4, "key_needed");
+    // A file that holds no key is named.
+    fs::write(&copy, &key[1..]).unwrap();
+    let failure = set(&other, &board.wireless, "100").fails(2, "file_unreadable");
+    assert!(failure["where"].as_str().unwrap().ends_with(".key"));
+
+    let status = run_as(&owner, &["key", "forget", &board.cable]).succeeds();
+    assert_eq!(status["set"], false);
+    assert!(!file.exists());
+    set(&other, &board.cable, "100").fails(2, "file_unreadable");
+    fs::remove_file(&copy).unwrap();
+    set(&other, &board.cable, "100").succeeds();
+}

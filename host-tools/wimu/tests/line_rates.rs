@@ -1,0 +1,96 @@
+//! `wimu settings set LINK --baud N` and `LINK?baud=auto` on a serial port: a pseudo-terminal with a
+//! simulated board behind it, whose line garbles what comes at another rate than its own.
+#![cfg(target_os = "linux")]
+
+mod kit;
+
+use std::io::{Read, Write};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use kit::wimu;
+use serialport::{SerialPort, TTYPort};
+use wimu_link::LinkRole;
+use wimu_sim::board::{Board, BoardConfig};
+use wimu_sim::motion;
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::source::Physics;
+use wimu_sim::truth::{Gauge, SensorTruth};
+
+/// A board's link on a serial port; it hears nothing at the rates that `deaf` names. Runs until the
+/// test ends; returns the port.
+fn port(role: LinkRole, deaf: fn(u32) -> bool) -> String {
+    let (tell, told) = mpsc::channel();
+    thread::spawn(move || {
+        let (mut ours, theirs) = TTYPort::pair().expect("a pseudo-terminal");
+        ours.set_timeout(Duration::ZERO).expect("ours");
+        let _ = tell.send(theirs.name().expect("a name"));
+        drop(theirs);
+        let scene = Scene::new(World::default());
+        scene.play(0.0, motion::named("rest", 1).expect("a known motion"));
+        let truth = SensorTruth::random(1, Gauge::LowerTriangular);
+        let source = Physics::new(truth, scene, 1);
+        let mut board = Board::start(BoardConfig::default(), source);
+        let start = Instant::now();
+        loop {
+            let baud = ours.baud_rate().unwrap_or(115_200);
+            let link = board.link(role);
+            if link.baud() != Some(baud) {
+                link.set_baud(baud);
+            }
+            let mut bytes = [0; 1024];
+            if let Ok(count @ 1..) = ours.read(&mut bytes)
+                && !deaf(baud)
+            {
+                link.push(&bytes[..count]);
+            }
+            board.run_until(start.elapsed().as_micros() as u64);
+            let said = board.link(role).pull();
+            // Nobody may have opened the port.
+            let _ = ours.write_all(&said);
+            thread::sleep(Duration::from_millis(1));
+        }
+    });
+    told.recv().expect("a port")
+}
+
+fn at(port: &str, baud: &str) -> String {
+    format!("serial://{port}?baud={baud}")
+}
+
+#[test]
+fn both_ends_change_their_rate_and_a_host_that_does_not_know_it_finds_it() {
+    let port = port(LinkRole::Cable, |_| false);
+    let set = ["settings", "set", &at(&port, "115200"), "--baud", "57600"];
+    let ran = wimu(&set);
+    ran.succeeds();
+    assert!(ran.stderr.contains("baud=57600"), "{ran:?}");
+    let known = wimu(&["info", &at(&port, "57600")]).succeeds();
+    assert_eq!(known["role"], "cable");
+    wimu(&["info", &at(&port, "115200")]).fails(1, "not_a_wimu_board");
+    let found = wimu(&["info", &at(&port, "auto")]).succeeds();
+    assert_eq!(found["device_id"], known["device_id"]);
+}
+
+#[test]
+fn a_rate_at_which_the_host_is_not_heard_is_gone_back_from_at_both_ends() {
+    let port = port(LinkRole::Cable, |baud| baud == 460_800);
+    let set = ["settings", "set", &at(&port, "115200"), "--baud", "460800"];
+    let failure = wimu(&set).fails(1, "no_answer");
+    let message = failure["message"].as_str().unwrap();
+    assert!(message.contains("back at 115200"), "{message}");
+    wimu(&["settings", "get", &at(&port, "115200")]).succeeds();
+}
+
+#[test]
+fn the_rate_behind_a_radio_adapter_is_refused_with_the_adapters_own_recipe() {
+    // By the board's word, and by the port's name before anything is opened.
+    let port = at(&port(LinkRole::Wireless, |_| false), "115200");
+    for link in [port.as_str(), "/dev/rfcomm7"] {
+        let failure = wimu(&["settings", "set", link, "--baud", "9600"]).fails(2, "usage");
+        let remedy = failure["remedy"].as_str().unwrap();
+        assert!(remedy.contains("AT+UART=9600,0,0"), "{remedy}");
+        assert_eq!(failure["where"], link);
+    }
+}

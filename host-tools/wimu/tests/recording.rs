@@ -1,0 +1,266 @@
+//! `wimu record`: links that end, come back or are cut off, and what others read in its files.
+
+mod kit;
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
+
+use kit::{Background, Simulator, folder, wimu};
+use serde_json::Value;
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_closes_a_recording_and_a_kill_loses_a_second_at_most() {
+    let folder = folder();
+    let board = Simulator::start(&["--motion", "rest"]);
+    for (name, signal, truncated) in [("whole.mcap", "-INT", false), ("cut.mcap", "-KILL", true)] {
+        let path = folder.path().join(name);
+        let file = path.to_str().unwrap();
+        let record = Background::start(&["record", &board.wireless, "-o", file]);
+        let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 20_000);
+        kit::wait_until("the recording grows", enough);
+        let ran = record.signal(signal);
+        if !truncated {
+            assert_eq!(ran.code, 0, "{ran:?}");
+            assert_eq!(ran.object()["schema"], "wimu.record/1");
+        }
+        let info = wimu(&["info", file]).succeeds();
+        assert_eq!(info["truncated"], truncated, "{name}");
+        assert!(info["links"][0]["raw_samples"].as_u64().unwrap() > 100);
+    }
+    // Cut off anywhere behind its head, it reads up to the cut.
+    let whole = fs::read(folder.path().join("whole.mcap")).unwrap();
+    let cut = folder.path().join("cut-again.mcap");
+    for tenths in [3, 5, 7, 9] {
+        fs::write(&cut, &whole[..whole.len() * tenths / 10]).unwrap();
+        let info = wimu(&["info", cut.to_str().unwrap()]).succeeds();
+        assert_eq!(info["truncated"], true);
+        let table = folder.path().join(format!("{tenths}.csv"));
+        let exported = wimu(&[
+            "export",
+            cut.to_str().unwrap(),
+            "-o",
+            table.to_str().unwrap(),
+        ]);
+        assert!([0, 2].contains(&exported.code), "{exported:?}");
+        if exported.code == 2 {
+            exported.fails(2, "no_rows");
+        }
+    }
+}
+
+#[test]
+fn a_link_that_ends_while_recording_keeps_what_it_brought() {
+    let folder = folder();
+    let path = folder.path().join("lost.mcap");
+    let file = path.to_str().unwrap();
+    let board = Simulator::start(&["--motion", "rest"]);
+    let record = Background::start(&["record", &board.wireless, "-o", file, "--reconnect", "1"]);
+    let enough = || fs::metadata(&path).is_ok_and(|data| data.len() > 20_000);
+    kit::wait_until("the recording grows", enough);
+    drop(board);
+    let recorded = record.finish().succeeds();
+    assert_eq!(recorded["ended"]["code"], "link_refused", "{recorded}");
+    let info = wimu(&["info", file]).succeeds();
+    assert_eq!(info["truncated"], false);
+    assert!(info["links"][0]["raw_samples"].as_u64().unwrap() > 100);
+}
+
+/// A relay to a board's link that hangs up once, after so many bytes; its LINK.
+fn hangs_up_once(link: &str, after: usize) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let relay = format!("tcp://{}", listener.local_addr().unwrap());
+    let target = link.trim_start_matches("tcp://").to_owned();
+    std::thread::spawn(move || {
+        for (number, client) in listener.incoming().enumerate() {
+            let client = client.unwrap();
+            let Ok(board) = TcpStream::connect(&target) else {
+                return;
+            };
+            let (mut up_in, mut up_out) = (client.try_clone().unwrap(), board.try_clone().unwrap());
+            let up = std::thread::spawn(move || std::io::copy(&mut up_in, &mut up_out));
+            let (mut from, mut to) = (board.try_clone().unwrap(), client.try_clone().unwrap());
+            let (mut buffer, mut carried) = ([0; 512], 0);
+            while let Ok(count @ 1..) = from.read(&mut buffer) {
+                carried += count;
+                if to.write_all(&buffer[..count]).is_err() || (number == 0 && carried > after) {
+                    break;
+                }
+            }
+            let _ = client.shutdown(Shutdown::Both);
+            let _ = board.shutdown(Shutdown::Both);
+            let _ = up.join();
+        }
+    });
+    relay
+}
+
+#[test]
+fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
+    let folder = folder();
+    let path = folder.path().join("gap.mcap");
+    let file = path.to_str().unwrap();
+    let board = Simulator::start(&["--motion", "hand"]);
+    let relay = hangs_up_once(&board.wireless, 4000);
+    let arguments = ["record", &relay, "--cable", &board.cable, "-o", file];
+    let recorded = wimu(&[&arguments[..], &["--for", "7"]].concat()).succeeds();
+    let info = wimu(&["info", file]).succeeds();
+    for links in [&recorded["links"], &info["links"]] {
+        for link in links.as_array().unwrap() {
+            let statistics = link.get("statistics").unwrap_or(link);
+            let (missing, damaged) = match link["role"].as_str() {
+                Some("wireless") => (10..200, 1),
+                _ => (0..1, 0),
+            };
+            let lost = u64::from(link["role"] == "wireless");
+            assert_eq!(statistics["interruptions"], lost, "{statistics}");
+            let count = |value: &Value| value.as_u64().unwrap();
+            assert!(
+                missing.contains(&count(&statistics["raw"]["missing"])),
+                "{statistics}"
+            );
+            assert!(
+                count(&statistics["frames_damaged"]) <= damaged,
+                "{statistics}"
+            );
+            // It brought more afterwards than before.
+            assert!(count(&statistics["raw"]["received"]) > 400, "{statistics}");
+        }
+    }
+    for link in recorded["links"].as_array().unwrap() {
+        // Simulated time is host time.
+        let clock = &link["clock"];
+        assert!(clock["exchanges"].as_u64().unwrap() > 10, "{clock}");
+        let rate = clock["rate_ppm"].as_f64().unwrap();
+        let sd = clock["rate_sd_ppm"].as_f64().unwrap();
+        assert!(rate.abs() < 5.0 * sd + 100.0, "{clock}");
+    }
+}
+
+/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason said, without one.
+fn python_with_rosbags() -> Option<std::path::PathBuf> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
+    let python = folder.join("bin/python");
+    let works = |command: &mut std::process::Command| {
+        let ran = command.output();
+        ran.is_ok_and(|ran| ran.status.success())
+    };
+    let mut import = std::process::Command::new(&python);
+    if works(import.args(["-c", "import rosbags"])) {
+        return Some(python);
+    }
+    let mut make = std::process::Command::new("python3");
+    let mut install = std::process::Command::new(&python);
+    let made = works(make.args(["-m", "venv"]).arg(&folder))
+        && works(install.args(["-m", "pip", "install", "--quiet", "rosbags"]));
+    if !made {
+        println!("skipped: python3 with venv, pip and a network is needed for `rosbags`");
+    }
+    made.then_some(python)
+}
+
+/// Reads every message with `rosbags`, which knows ROS's message types by itself, and prints a line
+/// a topic.
+const READ_WITH_ROSBAGS: &str = r#"
+import sys, math
+from pathlib import Path
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+with AnyReader([Path(sys.argv[1])], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+    topics = {}
+    for connection, received, raw in reader.messages():
+        message = reader.deserialize(raw, connection.msgtype)
+        count, first, last, norm = topics.get(connection.topic, (0, None, 0, 0.0))
+        if "/imu/" in connection.topic:
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            assert message.header.frame_id == "imu_link"
+            assert -2_000_000 < received - stamp < 2_000_000_000, (received, stamp)
+            assert stamp > last, (connection.topic, stamp, last)
+            first, last = first or stamp, stamp
+        if connection.msgtype == "sensor_msgs/msg/Imu":
+            assert message.orientation_covariance[0] == -1
+            assert message.angular_velocity_covariance[0] == -1
+            assert message.linear_acceleration_covariance[0] == 0
+            a = message.linear_acceleration
+            norm += math.sqrt(a.x * a.x + a.y * a.y + a.z * a.z)
+        if connection.msgtype == "sensor_msgs/msg/MagneticField":
+            b = message.magnetic_field
+            field = math.sqrt(b.x * b.x + b.y * b.y + b.z * b.z)
+            # The simulated magnetometer is read once before its first conversion.
+            assert count == 0 or 1e-6 < field < 1e-3, field
+        if connection.msgtype == "sensor_msgs/msg/Temperature":
+            assert -40 < message.temperature < 85
+        topics[connection.topic] = (count + 1, first, last, norm)
+    for topic, (count, first, last, norm) in sorted(topics.items()):
+        print(topic, count, (last - (first or last)) / 1e9, norm / count)
+"#;
+
+#[test]
+fn rosbags_reads_the_decoded_topics_of_both_links() {
+    let folder = folder();
+    let path = folder.path().join("decoded.mcap");
+    let file = path.to_str().unwrap();
+    let board = Simulator::start(&["--motion", "rest"]);
+    let arguments = [
+        "record",
+        &board.wireless,
+        "--cable",
+        &board.cable,
+        "-o",
+        file,
+    ];
+    wimu(&[&arguments[..], &["--for", "6", "--decoded"]].concat()).succeeds();
+    // It is still a recording, and decodes again to the same.
+    let info = wimu(&["info", file]).succeeds();
+    let raw = info["links"][0]["raw_samples"].as_u64().unwrap();
+    let again = folder.path().join("again.mcap");
+    let arguments = [
+        "export",
+        file,
+        "--format",
+        "mcap",
+        "-o",
+        again.to_str().unwrap(),
+    ];
+    let exported = wimu(&arguments).succeeds();
+    assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
+
+    let Some(python) = python_with_rosbags() else {
+        return;
+    };
+    let read = std::process::Command::new(python)
+        .args(["-c", READ_WITH_ROSBAGS, file])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&read.stdout).into_owned();
+    assert!(
+        read.status.success(),
+        "{}",
+        String::from_utf8_lossy(&read.stderr)
+    );
+    for topic in ["data_raw", "data", "mag", "temperature"] {
+        for role in ["cable", "wireless"] {
+            let topic = format!("/{role}/imu/{topic} ");
+            let line = text.lines().find(|line| line.starts_with(&topic));
+            let line = line.unwrap_or_else(|| panic!("{topic}: {text}"));
+            let numbers: Vec<f64> = line[topic.len()..]
+                .split(' ')
+                .map(|number| number.parse().unwrap())
+                .collect();
+            let [count, seconds, norm] = numbers[..] else {
+                panic!("{line}");
+            };
+            assert!(count >= 4.0 && (3.0..8.0).contains(&seconds), "{line}");
+            if topic.contains("data") {
+                assert!((norm - 9.8).abs() < 1.0, "{line}");
+            }
+        }
+    }
+    assert!(
+        text.contains(&format!("/cable/imu/data_raw {raw} ")),
+        "{text}"
+    );
+}

@@ -1,0 +1,261 @@
+//! From a board to a calibration on it: the whole loop, as a user goes through it.
+
+mod kit;
+
+use std::fs;
+use std::path::Path;
+
+use kit::{Background, Simulator, folder, wimu};
+use serde_json::Value;
+
+/// Whether an object has these keys, none of them null.
+fn has(object: &Value, keys: &[&str]) {
+    for key in keys {
+        assert!(!object[*key].is_null(), "{key} in {object}");
+    }
+}
+
+#[test]
+fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (session, cal, table) = (path("session.mcap"), path("CAL.json"), path("session.csv"));
+    let board = Simulator::start(&["--motion", "twelve-poses,slide", "--speed", "15"]);
+
+    // Both links at once, byte for byte.
+    let recorded = wimu(&[
+        "record",
+        &board.wireless,
+        "--cable",
+        &board.cable,
+        "-o",
+        &session,
+        "--for",
+        "6",
+    ])
+    .succeeds();
+    assert_eq!(recorded["schema"], "wimu.record/1");
+    let links = recorded["links"].as_array().unwrap();
+    assert_eq!(links.len(), 2);
+    for link in links {
+        assert!(link["raw"]["received"].as_u64().unwrap() > 7000, "{link}");
+        assert_eq!(link["raw"]["missing"], 0, "{link}");
+        assert_eq!(link["frames_damaged"], 0, "{link}");
+    }
+    // A recording is not overwritten.
+    wimu(&["record", &board.wireless, "-o", &session, "--for", "1"]).fails(2, "file_exists");
+
+    let info = wimu(&["info", &session]).succeeds();
+    assert_eq!(info["schema"], "wimu.info/1");
+    assert_eq!(info["truncated"], false);
+    assert_eq!(info["links"].as_array().unwrap().len(), 2);
+
+    let exported = wimu(&["export", &session, "-o", &table]).succeeds();
+    let rows = exported["rows"].as_u64().unwrap();
+    let text = fs::read_to_string(&table).unwrap();
+    assert_eq!(text.lines().count() as u64, rows + 1);
+    assert!(
+        text.starts_with("Time ("),
+        "{}",
+        text.lines().next().unwrap()
+    );
+    for stream in ["corrected", "navigation"] {
+        let out = path(&format!("{stream}.csv"));
+        wimu(&["export", &session, "-o", &out, "--stream", stream]).succeeds();
+    }
+
+    // What came over both links is the same, sample by sample.
+    let against = wimu(&["calibrate", &session, "--method", "reference"]).succeeds();
+    assert_eq!(against["method"], "reference");
+    for axis in 0..3 {
+        assert_eq!(against["model"]["bias_m_s2"][axis], 0.0);
+        assert_eq!(against["model"]["matrix"][axis][axis], 1.0);
+    }
+
+    let report = wimu(&["calibrate", &session, "-o", &cal]).succeeds();
+    assert_eq!(report["schema"], "wimu.calibration/1");
+    has(
+        &report,
+        &[
+            "method",
+            "terms",
+            "poses",
+            "dof",
+            "gravity_m_s2",
+            "gravity_source",
+            "rms_mm_s2",
+            "max_mm_s2",
+            "loo_rms_mm_s2",
+            "condition",
+            "model",
+            "sd",
+            "rejected_poses",
+            "next_poses",
+            "temperature_c",
+        ],
+    );
+    assert!(report["poses"].as_u64().unwrap() >= 12);
+    assert!(report["rms_mm_s2"].as_f64().unwrap() < 5.0);
+    // The exported table says the same as the recording.
+    let from_table = wimu(&["calibrate", &table, "--sensitivity", "16384"]).succeeds();
+    assert_eq!(from_table["model"], report["model"]);
+
+    // Only the cable writes, and says what it would change.
+    let dry = wimu(&["params", "push", &board.cable, &cal, "--dry-run"]);
+    assert_eq!(dry.succeeds()["calibrated"], false);
+    assert!(dry.stderr.contains("nothing was written"), "{dry:?}");
+    let failure = wimu(&["params", "push", &board.wireless, &cal]).fails(4, "key_needed");
+    assert!(failure["remedy"].as_str().unwrap().contains("cable"));
+    let held = wimu(&["params", "push", &board.cable, &cal]).succeeds();
+    assert_eq!(held["parameter_id"], report["parameter_id"]);
+    let again = path("held.json");
+    let held = wimu(&["params", "get", &board.wireless, "-o", &again]).succeeds();
+    assert_eq!(held["parameters"], report["parameters"]);
+    // All that the calibration says of itself is there.
+    let quality = &held["parameters"]["quality"];
+    assert_eq!(quality["method"], "multi-position");
+    assert_eq!(quality["poses"], report["poses"]);
+    has(
+        quality,
+        &["utc_s", "temperature", "dof", "loo_rms_mps2", "covariance"],
+    );
+    let held = wimu(&["params", "push", &board.cable, &again]).succeeds();
+    assert_eq!(held["parameter_id"], report["parameter_id"]);
+
+    let navigated = wimu(&["navigate", &session]).succeeds();
+    let replay = &navigated["starts"][0]["replay"];
+    assert!(
+        replay["corrected_compared"].as_u64().unwrap() > 7000,
+        "{replay}"
+    );
+    for differ in ["corrected_differ", "navigation_differ", "states_differ"] {
+        assert_eq!(replay[differ], 0, "{replay}");
+    }
+    wimu(&["navigate", &session, "--calibration", &cal, "--zupt", "off"]).succeeds();
+
+    // Settings: refused with the nearest, then taken.
+    let failure =
+        wimu(&["settings", "set", &board.cable, "--rate", "333"]).fails(4, "device_refused");
+    assert!(failure["remedy"].as_str().unwrap().contains("400 Hz"));
+    wimu(&["settings", "set", &board.wireless, "--rate", "200"]).fails(4, "key_needed");
+    let set = wimu(&[
+        "settings",
+        "set",
+        &board.cable,
+        "--rate",
+        "200",
+        "--zupt",
+        "off",
+    ])
+    .succeeds();
+    assert_eq!(
+        (&set["rate_hz"], &set["zupt"]),
+        (&200.into(), &false.into())
+    );
+
+    let monitored = wimu(&["monitor", &board.cable, "--for", "1"]);
+    assert_eq!(monitored.code, 0, "{monitored:?}");
+    let lines = monitored.objects();
+    assert!(lines.len() > 500, "{} readings", lines.len());
+    for line in &lines {
+        assert_eq!(line["schema"], "wimu.reading/1");
+        has(line, &["sequence", "time_s", "specific_force_m_s2"]);
+    }
+    assert_eq!(lines[lines.len() - 1]["corrected"], true);
+
+    let held = wimu(&["params", "factory-reset", &board.cable]).succeeds();
+    assert_eq!(held["calibrated"], false);
+    let settings = wimu(&["settings", "get", &board.cable]).succeeds();
+    assert_eq!(settings["rate_hz"], 100);
+}
+
+#[test]
+fn a_calibration_is_kept_in_the_store_file_over_a_restart() {
+    let folder = folder();
+    let store = folder.path().join("board.store");
+    let arguments = ["--store", store.to_str().unwrap(), "--motion", "rest"];
+    let set = |board: &Simulator| {
+        wimu(&["settings", "set", &board.cable, "--range", "8"]).succeeds();
+    };
+    let board = Simulator::start(&arguments);
+    set(&board);
+    drop(board);
+    let board = Simulator::start(&arguments);
+    let settings = wimu(&["settings", "get", &board.wireless]).succeeds();
+    assert_eq!(settings["range_g"], 8);
+    assert_eq!(wimu(&["info", &board.cable]).succeeds()["boot_count"], 2);
+    drop(board);
+    // The count of starts is the latest record in the flash, before the directory of 112 bytes.
+    let mut bytes = fs::read(&store).unwrap();
+    let end = bytes.iter().rposition(|&byte| byte != 0xFF).unwrap();
+    bytes[end - 112 - 4] ^= 0x10;
+    fs::write(&store, &bytes).unwrap();
+    let board = Simulator::start(&arguments);
+    let settings = wimu(&["settings", "get", &board.wireless]).succeeds();
+    assert_eq!(settings["range_g"], 8);
+    assert_eq!(wimu(&["info", &board.cable]).succeeds()["boot_count"], 0);
+}
+
+/// Six static positions of a sensor of about 2048 LSB/g, with a little of everything wrong.
+fn six_positions() -> String {
+    let mut text = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
+    for (axis, sign) in [(0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)] {
+        for k in 0..400 {
+            let mut counts = [20 + k % 3, -31 + k % 2, 7 - k % 4];
+            counts[axis] += sign * (2040 + 7 * axis as i32);
+            counts[(axis + 1) % 3] += sign * 9;
+            let [x, y, z] = counts;
+            text += &format!("{x},{y},{z}\n");
+        }
+    }
+    text
+}
+
+#[test]
+fn a_replayed_file_calibrates_as_the_file_itself() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let real = Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../../shared/data/calibration/six_position_sections.csv"
+    ));
+    let made = path("made.csv");
+    fs::write(&made, six_positions()).unwrap();
+    let mut files = vec![made];
+    if real.exists() {
+        files.push(real.to_str().unwrap().to_owned());
+    } else {
+        println!("skipped: {} is absent", real.display());
+    }
+    for (number, file) in files.iter().enumerate() {
+        let session = path(&format!("{number}.mcap"));
+        let board = Simulator::start(&["--replay", file, "--speed", "50", "--exit-when-done"]);
+        let wireless = board.wireless.as_str();
+        let record = Background::start(&["record", wireless, "-o", &session, "--reconnect", "0.5"]);
+        // The board goes when it is done; what came is in the file.
+        record.finish().succeeds();
+        let rows = fs::read_to_string(file).unwrap().lines().count() - 1;
+        let info = wimu(&["info", &session]).succeeds();
+        assert_eq!(info["links"][0]["raw_samples"], rows);
+        let strip = |mut report: Value| {
+            let object = report.as_object_mut().unwrap();
+            for key in [
+                "source",
+                "rate_source",
+                "parameters",
+                "parameter_id",
+                "units",
+                "remarks",
+            ] {
+                object.remove(key);
+            }
+            report.to_string()
+        };
+        let method = ["--method", "six-position"];
+        let [ours, theirs] = [&session, file].map(|input| {
+            let arguments = [&["calibrate", input][..], &method[..]].concat();
+            strip(wimu(&arguments).succeeds())
+        });
+        assert_eq!(ours, theirs);
+    }
+}

@@ -8,10 +8,11 @@ use wimu_link::batch::Stream;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::calibration::mps2_per_unit;
+use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, RateSource};
 use crate::decode::Event;
 use crate::error::{ErrorCode, HostError, Result};
-use crate::html::{Chart, Report, Series};
+use crate::html::Report;
 
 /// A number and its standard deviation, 1 σ.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -310,6 +311,7 @@ impl NoiseReport {
             y: "σ(τ), m/s²".to_owned(),
             log: true,
             y_range: None,
+            bands: Vec::new(),
             series: series.collect(),
         })?;
         let rows: Vec<Vec<String>> = self

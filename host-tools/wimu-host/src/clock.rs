@@ -18,8 +18,11 @@ use wimu_model::DeviceTimeUs;
 use crate::decode::{Arrival, Event};
 
 mod envelope;
+mod pace;
 
-use envelope::{Class, Folded, PARTS, Transfer};
+use envelope::{Class, Folded, Transfer};
+
+pub use pace::Pace;
 
 /// Device time of a block of transfers, s.
 const BLOCK_S: f64 = 64.0;
@@ -31,19 +34,16 @@ const REACH: usize = 4;
 const MAX_LINES: usize = 4096;
 /// No host tells when bytes came better than this, ns.
 const HOST_SD_NS: f64 = 50_000.0;
+/// Delays that look the same to this, ns, may drift by it over the time that they are looked at.
+const LEAST_ERROR_NS: f64 = 20_000.0;
 /// Questions that may wait for their answer.
-const MAX_ASKED: usize = 64;
+const MAX_ASKED: usize = 256;
 /// How much longer than its answer a question may be, or shorter.
 const MAX_UNEQUAL_BYTES: usize = 6;
 /// Below this span the rate is not estimated, s.
 const MIN_SPAN_S: f64 = 5.0;
 /// How far a clock may be off whose rate was not estimated, ppm.
 const UNKNOWN_RATE_PPM: f64 = 10_000.0;
-/// From the scatter of the parts' estimates to the standard deviation of the whole's: the error
-/// of a least value falls at best as one over the number of transfers (1/4), at worst as one over
-/// its root.
-const SD_PER_SCATTER: f64 = 2.0 / PARTS as f64;
-
 /// What links tell about a device's clock between one start of the device and the next: give it
 /// one link for that link's own view, or both for the best. Memory does not grow with time.
 #[derive(Clone, Debug, Default)]
@@ -57,6 +57,8 @@ pub struct ClockEstimator {
     next_line: usize,
     /// When each question was sent, and its length.
     asked: HashMap<(u32, u32), (u64, usize)>,
+    /// Length of the latest question on each link, and how often it has changed.
+    question: [(usize, u32); envelope::LINKS],
     transfers: u64,
     exchanges: u64,
 }
@@ -72,6 +74,8 @@ struct Line {
     /// ns/s.
     rate: f64,
     rate_sd: f64,
+    /// Of y and rate, ns²/s.
+    covariance: f64,
     lower: Option<f64>,
     upper: f64,
 }
@@ -79,6 +83,14 @@ struct Line {
 impl Line {
     fn at(&self, x: f64) -> f64 {
         self.y + self.rate * (x - self.x)
+    }
+
+    fn sd_at(&self, x: f64) -> f64 {
+        let away = x - self.x;
+        let least = HOST_SD_NS * HOST_SD_NS;
+        let both = 2.0 * self.covariance * away;
+        let variance = self.y_sd.powi(2) + both + (self.rate_sd * away).powi(2);
+        variance.max(least).sqrt()
     }
 }
 
@@ -89,8 +101,8 @@ impl ClockEstimator {
     }
 
     /// Takes what has arrived on the link of `role`: batches of samples, and answers to questions that
-    /// [`asked`](Self::asked) knows.
-    pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) {
+    /// [`asked`](Self::asked) knows: how long both took then, ns.
+    pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) -> Option<u64> {
         let link = usize::from(role != LinkRole::Cable);
         match &arrival.event {
             Event::Samples(samples) => {
@@ -103,25 +115,34 @@ impl ClockEstimator {
                 }
             }
             Event::Reply { reply, .. } => {
-                let Answer::Accepted(Payload::Status(status)) = &reply.answer else {
-                    return;
+                let Answer::Accepted(Payload::Time { uptime_us }) = reply.answer else {
+                    return None;
                 };
-                let asked = self.asked.remove(&(reply.session, reply.id));
-                let Some((asked_ns, length)) = asked else {
-                    return;
-                };
+                let (asked_ns, length) = self.asked.remove(&(reply.session, reply.id))?;
+                let trip = arrival.host_ns.checked_sub(asked_ns)?;
                 // Of unequal lengths, the directions take unequally long.
                 if length.abs_diff(wire_length(reply)) > MAX_UNEQUAL_BYTES {
-                    return;
+                    return Some(trip);
                 }
-                let time = DeviceTimeUs(status.uptime_us);
+                let (known, changes) = &mut self.question[link];
+                if *known != length {
+                    *known = length;
+                    *changes += 1;
+                }
+                let question = match *changes % 2 {
+                    0 => Class::OtherQuestion,
+                    _ => Class::Question,
+                };
+                let time = DeviceTimeUs(uptime_us);
                 self.exchanges += 1;
-                self.transfer(link, Class::Question, time, asked_ns);
+                self.transfer(link, question, time, asked_ns);
                 self.transfer(link, Class::AnswerBegins, time, arrival.began_ns);
                 self.transfer(link, Class::Answer, time, arrival.host_ns);
+                return Some(trip);
             }
             _ => {}
         }
+        None
     }
 
     /// Takes what the host sent at `host_ns`, whole frames, on any link. Questions count that are as
@@ -152,11 +173,7 @@ impl ClockEstimator {
             link,
             class,
             x: device_us as f64 * 1e-6,
-            v: if class == Class::Question {
-                -difference
-            } else {
-                difference
-            },
+            v: class.sign() * difference,
         };
         let full = self
             .open
@@ -226,41 +243,27 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
     };
     let x = 0.5 * (start + end);
     let span = near.last()?.span.1 - near.first()?.span.0;
-    let free = envelope::fit(near, None, x, None)?;
+    let free = envelope::fit(near, x, None)?;
     // No oscillator runs off so far: the device's time is simulated, or there is too little of it.
     let known = span >= MIN_SPAN_S && free.rate.abs() < 0.99 * envelope::MAX_RATE;
-    let given = (!known).then_some(0.0);
-    let whole = envelope::fit(near, None, x, given)?;
-    let parts: Vec<_> = (0..PARTS)
-        .filter_map(|part| envelope::fit(near, Some(part), x, given))
-        .collect();
-    let scatter = |of: &dyn Fn(&envelope::Fit) -> Option<f64>, whole: f64| {
-        let (count, squares) = parts
-            .iter()
-            .filter_map(of)
-            .fold((0, 0.0), |(n, sum), part| {
-                (n + 1, sum + (part - whole).powi(2))
-            });
-        (count > 0).then(|| SD_PER_SCATTER * (squares / f64::from(count)).sqrt())
+    let fit = if known {
+        free
+    } else {
+        envelope::fit(near, x, Some(0.0))?
     };
-    let (lower, upper) = whole.bounds();
-    let upper = upper?;
-    // Without exchanges the fastest transfer is taken to have taken no time.
-    let link = whole.best_link();
-    let centre = |fit: &envelope::Fit| fit.centre(link?);
-    let (y, y_sd) = match centre(&whole) {
-        Some(y) => (y, scatter(&centre, y)),
-        None => (upper, scatter(&|fit| fit.bounds().1, upper)),
-    };
+    let upper = fit.upper?;
     Some(Line {
         x,
-        y,
-        y_sd: y_sd.unwrap_or(f64::INFINITY).hypot(HOST_SD_NS),
-        rate: whole.rate,
-        rate_sd: scatter(&|fit| Some(fit.rate), whole.rate)
-            .filter(|_| known)
-            .unwrap_or(UNKNOWN_RATE_PPM * 1e3),
-        lower,
+        y: fit.middle,
+        y_sd: fit.middle_variance.sqrt().hypot(HOST_SD_NS),
+        rate: fit.rate,
+        rate_sd: if known {
+            fit.rate_variance.sqrt().hypot(LEAST_ERROR_NS / span)
+        } else {
+            UNKNOWN_RATE_PPM * 1e3
+        },
+        covariance: fit.covariance,
+        lower: fit.lower,
         upper,
     })
 }
@@ -334,7 +337,7 @@ impl ClockModel {
 
     /// Standard deviation of [`host_ns`](Self::host_ns), ns, if both directions take equally long.
     pub fn sd_ns(&self, time: DeviceTimeUs) -> f64 {
-        self.blend(time, |line, x| line.y_sd.hypot(line.rate_sd * (x - line.x)))
+        self.blend(time, Line::sd_at)
     }
 
     /// How far the true host time may lie before and behind [`host_ns`](Self::host_ns), ns,

@@ -446,7 +446,12 @@ impl Decoder {
         let last = (samples.values.len() as u32).saturating_sub(1) * every;
         let last = samples.first_sequence.wrapping_add(last);
         self.latest[index] = Some((last, samples.every));
-        each(received.with(Event::Samples(samples)));
+        // Built where it goes: events are large.
+        each(Arrival {
+            host_ns: received.host_ns,
+            began_ns: received.began_ns,
+            event: Event::Samples(samples),
+        });
     }
 }
 

@@ -1,21 +1,34 @@
 //! A recording as a table.
 
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
-use wimu_model::{DeviceTimeUs, SpecificForceQ16};
+use wimu_link::LinkRole;
+use wimu_link::batch::Stream;
+use wimu_link::message::{Environment, Navigation};
+use wimu_model::{DeviceTimeUs, STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
+use crate::clock::ClockModel;
+use crate::compare::LinkModel;
 use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
-use crate::history::{Boot, LinkHistory};
-use crate::mcap_file::ClockAnchor;
+use crate::decode::{Arrival, Decoder, Event, TimedSample};
+use crate::history::Boot;
+use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader};
+use crate::overview::{BootOverview, Overview};
 use crate::{ErrorCode, HostError, Result};
 
 /// The column that says whether the magnetic field is corrected.
 const FIELD_CALIBRATED: &str = "Field Calibrated";
-
 /// The column of the heading's standard deviation, empty where it is uncalibrated.
 const HEADING_SD: &str = "Heading SD (deg)";
+/// Samples wait so long for what belongs to them and arrives later, µs of device time.
+const WAIT_US: u64 = 3_000_000;
+/// Times of samples that are kept for the positions computed from them; what waits for its sample,
+/// at most.
+const MAX_TIMES: usize = 16_384;
+const MAX_WAITING: usize = 4096;
 
 /// What a table holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,37 +44,76 @@ pub enum ExportStream {
     Navigation,
 }
 
-/// Writes a stream of `link` as a CSV file; times are UTC where `anchor` tells it, device time
-/// elsewhere. Returns how many rows were written.
+/// Writes a stream of a recording's link as a CSV file: of the link of `role`, or without one of the
+/// cable if it has raw samples, else of the one with most. Times are UTC where the recording tells
+/// it, device time elsewhere. A link model is taken off. Returns how many rows of which link were
+/// written. Reads the recording twice; memory does not grow with its length.
 ///
 /// # Errors
-/// `no_rows` when the link carried no such stream; `file_failed`, `file_unreadable`.
+/// Those of [`Overview::read`]; `no_rows` when the link carried no such stream; `data_refused` when
+/// the link model is another device's or link's; `file_failed`, `file_unreadable`.
 pub fn to_csv(
-    link: &LinkHistory,
-    anchor: Option<ClockAnchor>,
+    recording: &Path,
+    role: Option<LinkRole>,
+    link_model: Option<&LinkModel>,
     stream: ExportStream,
     path: &Path,
-) -> Result<usize> {
-    let name = path.display().to_string();
-    let rows: Vec<Row> = link
-        .boots
-        .iter()
-        .flat_map(|boot| rows(boot, anchor, stream))
-        .collect();
-    if rows.is_empty() {
+) -> Result<(usize, LinkRole)> {
+    let overview = Overview::read(recording)?;
+    let link = overview
+        .link(role)
+        .map_err(|error| error.at(recording.display().to_string()))?;
+    let role = link.role;
+    let count = |boot: &BootOverview| match stream {
+        ExportStream::Raw => boot.raw,
+        ExportStream::Corrected => boot.corrected,
+        ExportStream::Navigation => boot.navigation,
+    };
+    if link.boots.iter().map(count).sum::<usize>() == 0 {
         return Err(HostError::new(
             ErrorCode::NoRows,
-            format!("the {} link carried no such samples", link.role),
+            format!("the {role} link carried no such samples"),
             "export another stream or the other link, or switch the stream on with `wimu settings set`",
         ));
     }
-    let file = File::create(path).map_err(|error| HostError::file(&name, "create", &error))?;
-    let mut writer = CsvWriter::new(BufWriter::new(file), &name, header(stream))?;
-    for row in &rows {
-        writer.write(row)?;
+    if let Some(model) = link_model {
+        model.check_role(role)?;
+        if let Some(hello) = &link.hello {
+            model.check_device(hello.device_id)?;
+        }
     }
-    writer.finish()?;
-    Ok(rows.len())
+    let name = path.display().to_string();
+    let file = File::create(path).map_err(|error| HostError::file(&name, "create", &error))?;
+    let mut clocks = link.boots.iter().map(|boot| boot.clock.as_ref());
+    let mut table = Table {
+        stream,
+        anchor: overview.anchor,
+        link_model,
+        clock: clocks.next().flatten(),
+        writer: CsvWriter::new(BufWriter::new(file), &name, header(stream))?,
+        rows: 0,
+        start: Start::default(),
+    };
+    let mut reader = RecordingReader::open(recording)?;
+    let mut decoder = Decoder::new();
+    while let Some(entry) = reader.next_entry()? {
+        match entry {
+            Recorded::Received(received) if received.role == role => {
+                let mut outcome = Ok(());
+                decoder.push(received.host_ns, &received.bytes, |arrival| {
+                    if outcome.is_ok() {
+                        outcome = table.take(&arrival, &mut clocks);
+                    }
+                });
+                outcome?;
+            }
+            Recorded::Lost { role: lost, .. } if lost == role => decoder.interrupt(),
+            _ => {}
+        }
+    }
+    table.write_until(u64::MAX)?;
+    table.writer.finish()?;
+    Ok((table.rows, role))
 }
 
 fn header(stream: ExportStream) -> Header {
@@ -102,79 +154,203 @@ fn header(stream: ExportStream) -> Header {
     }
 }
 
-fn rows(boot: &Boot, anchor: Option<ClockAnchor>, stream: ExportStream) -> Vec<Row> {
-    let time_ns = |time: DeviceTimeUs| {
-        let utc = anchor
-            .zip(boot.host_ns(time))
-            .map(|(anchor, host_ns)| anchor.to_utc_ns(host_ns));
-        i64::try_from(utc.unwrap_or(time.0.saturating_mul(1000))).ok()
-    };
-    let mut slow = boot.environment.iter().peekable();
-    let mut temperature_c = None;
-    let mut field_ut = None;
-    let mut field_calibrated = false;
-    let mut row = |time: DeviceTimeUs, sequence: u32, value: [f64; 3]| {
-        while let Some(next) = slow.next_if(|next| next.time_us <= time.0) {
-            temperature_c = next
+/// What the device has sent since its start, as far as it is still of use.
+#[derive(Default)]
+struct Start {
+    samples: VecDeque<TimedSample>,
+    navigation: VecDeque<Navigation>,
+    environment: VecDeque<Environment>,
+    /// When samples were taken, by number.
+    times: BTreeMap<u32, DeviceTimeUs>,
+    /// Parameters and latest epochs: how samples and field are to be read.
+    boot: Boot,
+    /// The latest device time, µs.
+    latest_us: u64,
+    /// What samples go with from now on.
+    temperature_c: Option<f64>,
+    field_ut: Option<[f64; 3]>,
+    field_calibrated: bool,
+}
+
+struct Table<'a> {
+    stream: ExportStream,
+    anchor: Option<ClockAnchor>,
+    link_model: Option<&'a LinkModel>,
+    clock: Option<&'a ClockModel>,
+    writer: CsvWriter<BufWriter<File>>,
+    rows: usize,
+    start: Start,
+}
+
+impl<'a> Table<'a> {
+    /// Takes what has arrived; `clocks` are those of the starts that follow.
+    fn take(
+        &mut self,
+        arrival: &Arrival,
+        clocks: &mut impl Iterator<Item = Option<&'a ClockModel>>,
+    ) -> Result<()> {
+        let start = &mut self.start;
+        match &arrival.event {
+            Event::Restart => {
+                // As the overview has it.
+                if !start.boot.is_empty() {
+                    self.write_until(u64::MAX)?;
+                    self.clock = clocks.next().flatten();
+                    self.start = Start::default();
+                }
+            }
+            Event::Hello(hello) => start.boot.hello = Some(*hello),
+            Event::Epoch { epoch, .. } => {
+                start.latest_us = start.latest_us.max(epoch.time_us);
+                let before = start.latest_us.saturating_sub(2 * WAIT_US);
+                start.boot.add_epoch(&arrival.event, before);
+            }
+            Event::Environment(environment) => {
+                start.environment.push_back(*environment);
+                if start.environment.len() > MAX_WAITING {
+                    start.environment.pop_front();
+                }
+            }
+            Event::Navigation(navigation) if self.stream == ExportStream::Navigation => {
+                start.navigation.push_back(*navigation);
+            }
+            Event::Samples(samples) => {
+                let wanted = match samples.stream {
+                    Stream::Raw => ExportStream::Raw,
+                    Stream::Corrected => ExportStream::Corrected,
+                };
+                if wanted == ExportStream::Raw {
+                    // One tells that the device has started.
+                    start.boot.raw.clear();
+                    start.boot.raw.extend(samples.iter().next());
+                }
+                if self.stream == wanted {
+                    start.samples.extend(samples.iter());
+                } else if self.stream == ExportStream::Navigation {
+                    let times = samples.iter().map(|sample| (sample.sequence, sample.time));
+                    start.times.extend(times);
+                }
+                if let Some(last) = samples.iter().last() {
+                    start.latest_us = start.latest_us.max(last.time.0);
+                }
+                let until_us = start.latest_us.saturating_sub(WAIT_US);
+                self.write_until(until_us)?;
+            }
+            event => start.boot.take_parameters(event),
+        }
+        Ok(())
+    }
+
+    /// Writes the samples before a device time, µs, and the positions whose time is known; at the end
+    /// of time all.
+    fn write_until(&mut self, until_us: u64) -> Result<()> {
+        let all = until_us == u64::MAX;
+        let due = |sample: &TimedSample| all || sample.time.0 < until_us;
+        while let Some(sample) = pop_if(&mut self.start.samples, due) {
+            self.sample(sample)?;
+        }
+        while let Some(navigation) = self.start.navigation.front().copied() {
+            let start = &mut self.start;
+            let time = start.times.get(&navigation.sequence).copied();
+            if time.is_none() && !all && start.navigation.len() <= MAX_WAITING {
+                // Its sample may still come; those behind it wait, too.
+                let passed = navigation.sequence.saturating_add(MAX_WAITING as u32);
+                if start.times.range(passed..).next().is_none() {
+                    break;
+                }
+            }
+            start.navigation.pop_front();
+            self.position(&navigation, time)?;
+        }
+        while self.start.times.len() > MAX_TIMES {
+            self.start.times.pop_first();
+        }
+        Ok(())
+    }
+
+    fn sample(&mut self, sample: TimedSample) -> Result<()> {
+        let start = &mut self.start;
+        let passed = |next: &Environment| next.time_us <= sample.time.0;
+        while let Some(next) = pop_if(&mut start.environment, passed) {
+            start.temperature_c = next
                 .temperature_centi_c
                 .map(|centi| f64::from(centi) / 100.0);
-            let corrected = match stream {
-                ExportStream::Corrected => boot.corrected_field_nt(next),
+            let corrected = match self.stream {
+                ExportStream::Corrected => start.boot.corrected_field_nt(&next),
                 _ => None,
             };
-            field_calibrated = corrected.is_some();
-            field_ut = corrected
+            start.field_calibrated = corrected.is_some();
+            start.field_ut = corrected
                 .or_else(|| Some(next.magnetic_field_nt?.map(f64::from)))
                 .map(|nt| nt.map(|axis| axis / 1000.0));
         }
-        let mut other = vec![sequence.to_string()];
-        if stream == ExportStream::Corrected {
-            other.push(u8::from(field_calibrated).to_string());
-        }
-        Row {
-            time_ns: time_ns(time),
+        let mut other = vec![sample.sequence.to_string()];
+        let value = if self.stream == ExportStream::Corrected {
+            other.push(u8::from(start.field_calibrated).to_string());
+            let unit = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
+            let value = match self.link_model {
+                Some(model) => model.correct_lsb(sample.value, unit),
+                None => sample.value,
+            };
+            SpecificForceQ16(value).to_mps2().0
+        } else {
+            let epoch = start.boot.epoch_of(sample.sequence);
+            let value = match (self.link_model, epoch) {
+                (Some(model), Some(epoch)) => {
+                    let unit = STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g;
+                    model.correct_lsb(sample.value, unit)
+                }
+                _ => sample.value,
+            };
+            value.map(f64::from)
+        };
+        let row = Row {
+            time_ns: self.time_ns(sample.time),
             accelerations: vec![value],
-            magnetic_field_ut: field_ut,
-            temperature_c,
+            magnetic_field_ut: self.start.field_ut,
+            temperature_c: self.start.temperature_c,
             other,
             ..Row::default()
-        }
-    };
-    match stream {
-        ExportStream::Raw => boot
-            .raw
-            .iter()
-            .map(|sample| row(sample.time, sample.sequence, sample.value.map(f64::from)))
-            .collect(),
-        ExportStream::Corrected => boot
-            .corrected
-            .iter()
-            .map(|sample| {
-                let force = SpecificForceQ16(sample.value).to_mps2();
-                row(sample.time, sample.sequence, force.0)
-            })
-            .collect(),
-        ExportStream::Navigation => boot
-            .navigation
-            .iter()
-            .map(|navigation| {
-                let metres = |nm: [i64; 3]| nm.map(|nm| (nm as f64 * 1e-9).to_string());
-                let mut other = metres(navigation.position_nm).to_vec();
-                other.extend(metres(navigation.velocity_nmps));
-                other.push((f64::from(navigation.since_rest_ms) / 1000.0).to_string());
-                other.push(u8::from(navigation.flags == 0).to_string());
-                let heading_sd = navigation
-                    .heading_sd_mrad
-                    .map(|mrad| f64::from(mrad) * 1e-3);
-                other
-                    .push(heading_sd.map_or(String::new(), |sd| format!("{:.2}", sd.to_degrees())));
-                other.push(navigation.sequence.to_string());
-                Row {
-                    time_ns: boot.time_of(navigation.sequence).and_then(time_ns),
-                    other,
-                    ..Row::default()
-                }
-            })
-            .collect(),
+        };
+        self.write(&row)
     }
+
+    fn position(&mut self, navigation: &Navigation, time: Option<DeviceTimeUs>) -> Result<()> {
+        let metres = |nm: [i64; 3]| nm.map(|nm| (nm as f64 * 1e-9).to_string());
+        let mut other = metres(navigation.position_nm).to_vec();
+        other.extend(metres(navigation.velocity_nmps));
+        other.push((f64::from(navigation.since_rest_ms) / 1000.0).to_string());
+        other.push(u8::from(navigation.flags == 0).to_string());
+        let heading_sd = navigation
+            .heading_sd_mrad
+            .map(|mrad| f64::from(mrad) * 1e-3);
+        other.push(heading_sd.map_or(String::new(), |sd| format!("{:.2}", sd.to_degrees())));
+        other.push(navigation.sequence.to_string());
+        let row = Row {
+            time_ns: time.and_then(|time| self.time_ns(time)),
+            other,
+            ..Row::default()
+        };
+        self.write(&row)
+    }
+
+    fn write(&mut self, row: &Row) -> Result<()> {
+        self.rows += 1;
+        self.writer.write(row)
+    }
+
+    fn time_ns(&self, time: DeviceTimeUs) -> Option<i64> {
+        let utc = self
+            .anchor
+            .zip(self.clock)
+            .map(|(anchor, clock)| anchor.to_utc_ns(clock.host_ns(time)));
+        i64::try_from(utc.unwrap_or(time.0.saturating_mul(1000))).ok()
+    }
+}
+
+fn pop_if<T>(queue: &mut VecDeque<T>, wanted: impl Fn(&T) -> bool) -> Option<T> {
+    queue
+        .front()
+        .is_some_and(wanted)
+        .then(|| queue.pop_front())?
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use wimu_link::{Command, Deframer, Hello, Kind, LinkRole, Request};
 
 use crate::client::{Client, ConnectOptions};
-use crate::clock::{ClockEstimator, ClockSummary};
+use crate::clock::{ClockEstimator, ClockSummary, Pace};
 use crate::decode::{Event, LinkStatistics};
 use crate::mcap_file::{ClockAnchor, Received, Recorded, RecordingWriter};
 use crate::transport::{self, Transport};
@@ -19,10 +19,6 @@ use crate::{ErrorCode, HostError, LinkUrl, Result};
 const GLANCE: Duration = Duration::from_millis(20);
 /// How often a lost link is tried.
 const TRY_EVERY: Duration = Duration::from_millis(500);
-/// How often the board is asked for its time at first, at most, and from when on in the long run.
-const ASK_EVERY: Duration = Duration::from_millis(100);
-const SETTLED: Duration = Duration::from_secs(60);
-const ASK_EVERY_SETTLED: Duration = Duration::from_secs(1);
 
 /// What has been recorded so far, or in all.
 #[derive(Clone, Debug, Default)]
@@ -250,18 +246,19 @@ impl Listener {
         let now = self.client.transport().now();
         if self.pace.is_due(now) {
             self.pace.asked(now);
-            self.client.ask_status()?;
+            self.client.ask_time()?;
             self.note_sent();
         }
         let look_up = now + 5 * GLANCE;
         while let Some(arrival) = self.client.next_event(GLANCE)? {
-            match &arrival.event {
-                Event::Restart => self.clock = ClockEstimator::new(),
-                Event::Reply { .. } => self.pace.answered(arrival.host_ns),
-                _ => {}
+            if let Event::Restart = arrival.event {
+                self.clock = ClockEstimator::new();
             }
-            self.clock.heard(self.role, &arrival);
+            let trip = self.clock.heard(self.role, &arrival);
             let now = self.client.transport().now();
+            if let Some(trip) = trip {
+                self.pace.answered(now, Duration::from_nanos(trip));
+            }
             if now >= look_up || self.pace.is_due(now) {
                 break;
             }
@@ -329,50 +326,6 @@ impl Listener {
                 return;
             }
         }
-    }
-}
-
-/// When to ask for the time: often at first, on a slow link less, and seldom in the long run.
-#[derive(Default)]
-struct Pace {
-    first: Option<Duration>,
-    latest: Option<Duration>,
-    answered: bool,
-    least_trip: Option<Duration>,
-}
-
-impl Pace {
-    fn is_due(&self, now: Duration) -> bool {
-        let (Some(first), Some(latest)) = (self.first, self.latest) else {
-            return true;
-        };
-        let trip = self.least_trip.unwrap_or_default();
-        let every = if now.saturating_sub(first) < SETTLED {
-            (2 * trip).clamp(ASK_EVERY, ASK_EVERY_SETTLED)
-        } else {
-            ASK_EVERY_SETTLED
-        };
-        let every = if self.answered {
-            every
-        } else {
-            ASK_EVERY_SETTLED
-        };
-        now.saturating_sub(latest) >= every
-    }
-
-    fn asked(&mut self, now: Duration) {
-        self.first.get_or_insert(now);
-        self.latest = Some(now);
-        self.answered = false;
-    }
-
-    fn answered(&mut self, host_ns: u64) {
-        let Some(asked) = self.latest.filter(|_| !self.answered) else {
-            return;
-        };
-        let trip = Duration::from_nanos(host_ns).saturating_sub(asked);
-        self.least_trip = Some(self.least_trip.map_or(trip, |least| least.min(trip)));
-        self.answered = true;
     }
 }
 

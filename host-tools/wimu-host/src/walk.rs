@@ -178,7 +178,9 @@ impl Clocks {
         let single = self.single.entry((role.number(), start)).or_default();
         for clock in [joint, single] {
             match step {
-                Step::Arrival(arrival) => clock.heard(role, arrival),
+                Step::Arrival(arrival) => {
+                    clock.heard(role, arrival);
+                }
                 Step::Sent { host_ns, bytes } => clock.asked(*host_ns, bytes),
                 Step::Lost { .. } => {}
             }

@@ -333,7 +333,10 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     }
 
     /// Everything received so far as a recording's bytes.
-    fn file(&mut self) -> Result<Vec<u8>> {
+    ///
+    /// # Errors
+    /// Those of writing a recording.
+    pub fn file(&mut self) -> Result<Vec<u8>> {
         self.keep();
         self.heard.sort_by_key(Recorded::host_ns);
         let anchor = ClockAnchor {

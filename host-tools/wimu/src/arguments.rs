@@ -240,6 +240,9 @@ pub struct Compare {
     /// Write a page with pictures here
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
+    /// Write each picture into this folder, as SVG and as PNG
+    #[arg(long, value_name = "FOLDER")]
+    pub pictures: Option<PathBuf>,
 }
 
 #[derive(Args)]

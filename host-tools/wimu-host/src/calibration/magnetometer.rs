@@ -13,9 +13,10 @@ use wimu_model::{
 
 use super::report::NextPose;
 use super::{HELD_SCHEMA, MAX_POSES, magnitude};
+use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, OutputUnit, RateSource};
 use crate::error::{ErrorCode, HostError, Result};
-use crate::html::{Chart, Report, Series};
+use crate::html::Report;
 
 /// What `wimu calibrate --sensor magnetometer` says, and a file that `wimu params push` reads.
 #[derive(Clone, Debug, Serialize)]
@@ -261,6 +262,7 @@ impl MagnetometerReport {
                 y: "µT".to_owned(),
                 log: false,
                 y_range: None,
+                bands: Vec::new(),
                 series: vec![Series {
                     name: name.to_owned(),
                     points,

@@ -1,8 +1,9 @@
 //! A calibration's report with its pictures.
 
 use super::{CalibrationReport, DatasheetReport};
+use crate::chart::{Chart, Series};
 use crate::error::Result;
-use crate::html::{Chart, Report, Series};
+use crate::html::Report;
 
 impl CalibrationReport {
     /// The report as one HTML page: what was printed, |f| − g of each pose before and after, and a
@@ -41,6 +42,7 @@ impl CalibrationReport {
                 y: "mm/s²".to_owned(),
                 log: false,
                 y_range: None,
+                bands: Vec::new(),
                 series: vec![series],
             })?;
         }

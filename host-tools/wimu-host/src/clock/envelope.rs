@@ -1,19 +1,31 @@
-//! The line under one-sided delays: equations (60) to (62).
+//! The line under one-sided delays: equations (60) to (63).
 
 use std::cmp::Ordering;
 
-/// Independent parts of the transfers, by which the estimate judges itself.
-pub(super) const PARTS: usize = 4;
-/// How long a part listens before the next one does, s: delays close in time are alike.
-const PART_S: f64 = 1.0;
 /// Links that one clock is seen through.
 pub(super) const LINKS: usize = 2;
-const CLASSES: usize = 5;
+const CLASSES: usize = 6;
 const KINDS: usize = CLASSES * LINKS;
 /// Mean delays below this are taken as this, ns.
 const LEAST_MEAN_NS: f64 = 1000.0;
 /// No oscillator is worse, ns/s.
 pub(super) const MAX_RATE: f64 = 5e7;
+/// The least delayed transfers of a kind and stretch that are kept.
+const KEPT: usize = 64;
+/// Those of them that tell where the least delay lies; the share of all that they are, at most.
+const EDGE: usize = 48;
+const EDGE_SHARE: f64 = 0.5;
+/// The delays' edge is looked at no closer than this, ns: no host tells when bytes came better.
+const LEAST_WINDOW_NS: f64 = 20_000.0;
+/// How steeply the density of delays may rise from the least: as e^(α − 1).
+const SHAPES: [f64; 6] = [1.0, 1.4, 2.0, 2.8, 4.0, 5.6];
+/// Places of the least delay below the least seen, where its likelihood is summed up.
+const DEPTHS: usize = 24;
+/// Frames that come together share a delay; the likelihood takes them for two. By so much that makes
+/// the slope's variance too small.
+const SHARED: f64 = 1.5;
+/// Slopes at which the likelihood is summed up.
+const SLOPES: usize = 41;
 
 /// What is delayed. Transfers of a class take the same least time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,22 +36,27 @@ pub(super) enum Class {
     Corrected,
     /// That of an answer to a question.
     AnswerBegins,
-    /// A whole answer.
+    /// A whole answer: its two ends are the same delay twice, so that it tells no rate of its own.
     Answer,
     /// A host's whole question.
     Question,
+    /// The same, of another length than before.
+    OtherQuestion,
 }
 
 impl Class {
-    /// −1 towards the device: there the clocks' difference shortens what it lengthens here.
-    fn sign(self) -> f64 {
-        if self == Self::Question { -1.0 } else { 1.0 }
+    /// Whether it goes to the device.
+    fn is_question(self) -> bool {
+        matches!(self, Self::Question | Self::OtherQuestion)
     }
 
-    /// Whether it takes equally long whatever its length: questions and answers grow by a byte now
-    /// and then, which would look like a rate.
+    /// −1 towards the device: there the clocks' difference shortens what it lengthens here.
+    pub(super) fn sign(self) -> f64 {
+        if self.is_question() { -1.0 } else { 1.0 }
+    }
+
     fn shows_rate(self) -> bool {
-        !matches!(self, Self::Answer | Self::Question)
+        self != Self::Answer
     }
 }
 
@@ -62,58 +79,40 @@ impl Transfer {
     }
 }
 
-/// Transfers of one kind and part: how many, the sum of their times, and those that can touch a
-/// line from above.
+/// Transfers of one kind: how many, the sums of their times and delays, those that can touch a line
+/// from above, and the least delayed.
 #[derive(Clone, Debug, Default)]
 struct Cell {
     count: f64,
     sum_x: f64,
     sum_v: f64,
     hull: Vec<Transfer>,
+    least: Vec<Transfer>,
 }
 
-/// A stretch of transfers, reduced to its lower convex hulls.
+/// A stretch of transfers, reduced to those that tell something.
 #[derive(Clone, Debug)]
 pub(super) struct Folded {
     /// Times of the first and last transfer, s.
     pub span: (f64, f64),
-    cells: [[Cell; PARTS]; KINDS],
+    cells: [Cell; KINDS],
 }
 
-/// A line under the delays, about `x`.
+/// What is known of the clocks' difference about `x`: means, and how uncertain they are.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit {
-    /// Slope, ns/s.
+    /// Slope, ns/s, and its variance.
     pub rate: f64,
-    /// Least delay of each kind of transfer, ns.
-    floor: [Option<f64>; KINDS],
-    /// Certain bounds of the clocks' difference at `x` by each link, given the slope, ns.
-    lower: [Option<f64>; LINKS],
-    upper: [Option<f64>; LINKS],
-}
-
-impl Fit {
+    pub rate_variance: f64,
+    /// Difference at `x` by exchanges over the link that bounds it best, if both directions take
+    /// equally long: equation (62). Else by the fastest transfer. ns.
+    pub middle: f64,
+    pub middle_variance: f64,
+    /// Of slope and middle.
+    pub covariance: f64,
     /// Certain bounds of the clocks' difference at `x`, given the slope, ns.
-    pub fn bounds(&self) -> (Option<f64>, Option<f64>) {
-        let lower = self.lower.iter().flatten().copied().reduce(f64::max);
-        let upper = self.upper.iter().flatten().copied().reduce(f64::min);
-        (lower, upper)
-    }
-
-    /// The link that bounds the difference most narrowly.
-    pub fn best_link(&self) -> Option<usize> {
-        let width = |link: &usize| Some(self.upper[*link]? - self.lower[*link]?);
-        (0..LINKS)
-            .filter(|link| width(link).is_some())
-            .min_by(|a, b| width(a).partial_cmp(&width(b)).unwrap_or(Ordering::Equal))
-    }
-
-    /// The clocks' difference at `x` by exchanges over `link`, ns, if both directions take
-    /// equally long: equation (62).
-    pub fn centre(&self, link: usize) -> Option<f64> {
-        let floor = |class: Class| self.floor[CLASSES * link + class as usize];
-        Some((floor(Class::Answer)? - floor(Class::Question)?) / 2.0)
-    }
+    pub lower: Option<f64>,
+    pub upper: Option<f64>,
 }
 
 impl Folded {
@@ -124,120 +123,198 @@ impl Folded {
         for transfer in transfers {
             span = (span.0.min(transfer.x), span.1.max(transfer.x));
         }
-        let mut cells: [[Cell; PARTS]; KINDS] = Default::default();
+        let mut cells: [Cell; KINDS] = Default::default();
         for transfer in transfers {
-            let part = (transfer.x / PART_S).floor().rem_euclid(PARTS as f64) as usize;
-            let cell = &mut cells[transfer.kind()][part];
+            let cell = &mut cells[transfer.kind()];
             cell.count += 1.0;
             cell.sum_x += transfer.x;
             cell.sum_v += transfer.v;
-            cell.hull.push(*transfer);
+            cell.least.push(*transfer);
         }
-        for cell in cells.iter_mut().flatten() {
-            cell.hull = hull(std::mem::take(&mut cell.hull));
+        for cell in &mut cells {
+            cell.hull = hull(cell.least.clone());
         }
-        Some(Self { span, cells })
+        let mut folded = Self { span, cells };
+        let middle = 0.5 * (span.0 + span.1);
+        let rate = likeliest_rate(&edges(&[&folded], middle));
+        for cell in &mut folded.cells {
+            keep_least(&mut cell.least, rate, KEPT);
+        }
+        Some(folded)
     }
-}
 
-#[cfg(test)]
-impl Folded {
     /// Transfers kept.
+    #[cfg(test)]
     pub fn points(&self) -> usize {
         self.cells
             .iter()
-            .flatten()
-            .map(|cell| cell.hull.len())
+            .map(|cell| cell.hull.len() + cell.least.len())
             .sum()
     }
 }
 
-/// The best line about `x` under the transfers of `blocks`, of one part or of all; with the slope
-/// `given`, if there is one. `None` without transfers.
-pub(super) fn fit(
-    blocks: &[&Folded],
-    part: Option<usize>,
-    x: f64,
-    given: Option<f64>,
-) -> Option<Fit> {
-    let mut lines = Vec::new();
-    for kind in 0..KINDS {
-        let cells = || {
-            blocks.iter().flat_map(|block| {
-                let cells = &block.cells[kind];
-                match part {
-                    Some(part) => &cells[part..=part],
-                    None => &cells[..],
-                }
-            })
-        };
-        let points: Vec<_> = cells()
-            .flat_map(|cell| &cell.hull)
-            .map(|transfer| Transfer {
-                x: transfer.x - x,
-                ..*transfer
-            })
-            .collect();
-        if !points.is_empty() {
-            lines.push(Line {
-                count: cells().map(|cell| cell.count).sum(),
-                sum_x: cells().map(|cell| cell.sum_x - cell.count * x).sum(),
-                sum_v: cells().map(|cell| cell.sum_v).sum(),
-                weight: 1.0,
-                points,
-            });
-        }
+/// Keeps the `most` transfers that are delayed least over a line of slope `rate`.
+fn keep_least(transfers: &mut Vec<Transfer>, rate: f64, most: usize) {
+    let delay = |transfer: &Transfer| transfer.v - transfer.class.sign() * rate * transfer.x;
+    let order = |a: &Transfer, b: &Transfer| delay(a).total_cmp(&delay(b));
+    if transfers.len() > most {
+        transfers.select_nth_unstable_by(most, order);
+        transfers.truncate(most);
     }
-    if lines.is_empty() {
+    transfers.sort_by(order);
+}
+
+/// What the transfers of `blocks` tell about `x`; with the slope `given`, if there is one. `None`
+/// without transfers.
+pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit> {
+    let mut edges = edges(blocks, x);
+    if edges.is_empty() {
         return None;
     }
-    let (mut steady, rest): (Vec<_>, Vec<_>) = lines
-        .into_iter()
-        .partition(|line| line.points[0].class.shows_rate());
-    let mut rate = given.unwrap_or_else(|| best_rate(&steady));
-    for line in &mut steady {
-        let above =
-            (line.sum_v - line.sign() * rate * line.sum_x) / line.count - line.floor(rate).0;
-        line.weight = 1.0 / above.max(LEAST_MEAN_NS);
-    }
-    if steady.len() > 1 && given.is_none() {
-        rate = best_rate(&steady);
-    }
-    let mut fit = Fit {
-        rate,
-        floor: [None; KINDS],
-        lower: [None; LINKS],
-        upper: [None; LINKS],
-    };
-    for line in steady.iter().chain(&rest) {
-        let Transfer { link, class, .. } = line.points[0];
-        let bound = line.floor(rate).0;
-        fit.floor[CLASSES * link + class as usize] = Some(bound);
-        if class == Class::Question {
-            fit.lower[link] = Some(-bound);
-        } else {
-            fit.upper[link] = Some(fit.upper[link].map_or(bound, |upper| bound.min(upper)));
+    let summed = match given {
+        Some(rate) => {
+            edges.iter_mut().for_each(|edge| edge.narrow(rate));
+            vec![Terms::new(&edges, rate)]
         }
+        None => {
+            let mut rate = likeliest_rate(&edges);
+            let mut summed = Vec::new();
+            // Which delays are the least depends on the slope.
+            for _ in 0..4 {
+                edges.iter_mut().for_each(|edge| edge.narrow(rate));
+                summed = slopes(&edges, rate)?;
+                let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
+                let moved = (mean - rate).abs();
+                rate = mean.clamp(-MAX_RATE, MAX_RATE);
+                if moved < variance.sqrt() {
+                    break;
+                }
+            }
+            summed
+        }
+    };
+    let (rate, rate_variance) = moments(&summed, |term| (term.rate, 0.0))?;
+    let (lower, upper) = bounds(&edges, rate);
+    let link = best_link(&edges, rate);
+    let of = |term: &Terms| term.centre(link?);
+    let (middle, middle_variance, covariance) = if summed.iter().all(|term| of(term).is_some()) {
+        let of = |term: &Terms| of(term).unwrap_or_default();
+        let (middle, variance) = moments(&summed, of)?;
+        let (_, sum) = moments(&summed, |term| {
+            let (mean, variance) = of(term);
+            (mean + term.rate * SCALE, variance)
+        })?;
+        let both = sum - variance - rate_variance * SCALE * SCALE;
+        (middle, variance, 0.5 * both / SCALE)
+    } else {
+        let least = |term: &Terms| term.fastest(&edges);
+        let (mean, variance) = moments(&summed, least)?;
+        let touched = upper.unwrap_or(mean);
+        (touched, variance + (touched - mean).powi(2), 0.0)
+    };
+    Some(Fit {
+        rate,
+        rate_variance: SHARED * rate_variance,
+        middle,
+        middle_variance,
+        covariance,
+        lower,
+        upper,
+    })
+}
+
+/// The likelihood over the slopes about `centre` where it is: neither much more nor less.
+fn slopes(edges: &[Edge], mut centre: f64) -> Option<Vec<Terms>> {
+    let mut half = spread(edges).max(1e-3);
+    let mut summed = Vec::new();
+    for _ in 0..16 {
+        let step = half / (SLOPES / 2) as f64;
+        summed = (0..SLOPES)
+            .map(|k| Terms::new(edges, centre + step * (k as f64 - (SLOPES / 2) as f64)))
+            .collect();
+        let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
+        let sd = variance.sqrt();
+        if (4.0..9.0).contains(&(half / sd)) && (mean - centre).abs() < sd {
+            break;
+        }
+        centre = mean.clamp(-MAX_RATE, MAX_RATE);
+        half = (6.0 * sd).clamp(half / 8.0, half * 2.5).max(1e-6);
     }
-    Some(fit)
+    Some(summed)
+}
+
+/// Makes a slope, ns/s, comparable with a difference, ns: s.
+const SCALE: f64 = 100.0;
+
+/// Mean and variance of what has at each slope a mean and a variance, over all slopes.
+fn moments(terms: &[Terms], of: impl Fn(&Terms) -> (f64, f64)) -> Option<(f64, f64)> {
+    let most = terms
+        .iter()
+        .map(|term| term.log_likelihood)
+        .reduce(f64::max)?;
+    let weight = |term: &Terms| (term.log_likelihood - most).exp();
+    let all: f64 = terms.iter().map(weight).sum();
+    let mean = terms
+        .iter()
+        .map(|term| weight(term) * of(term).0)
+        .sum::<f64>()
+        / all;
+    let variance = terms
+        .iter()
+        .map(|term| {
+            let (value, variance) = of(term);
+            weight(term) * ((value - mean).powi(2) + variance)
+        })
+        .sum::<f64>()
+        / all;
+    mean.is_finite().then_some((mean, variance))
 }
 
 /// The transfers of a kind, at least one, times about the middle.
-struct Line {
+struct Edge {
+    link: usize,
+    class: Class,
     count: f64,
     sum_x: f64,
     sum_v: f64,
-    /// One over the mean delay above the floor, 1/ns.
-    weight: f64,
-    points: Vec<Transfer>,
+    hull: Vec<Transfer>,
+    /// Those that may be near the line.
+    candidates: Vec<Transfer>,
+    /// Those nearest to it, and where they end: v of the end at x = 0, and its slope.
+    least: Vec<Transfer>,
+    end: (f64, f64),
 }
 
-impl Line {
+fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
+    let about = |transfer: &Transfer| Transfer {
+        x: transfer.x - x,
+        ..*transfer
+    };
+    let kind = |kind: usize| {
+        let cells = || blocks.iter().map(|block| &block.cells[kind]);
+        let hull: Vec<_> = cells().flat_map(|cell| &cell.hull).map(about).collect();
+        let Transfer { link, class, .. } = *hull.first()?;
+        Some(Edge {
+            link,
+            class,
+            count: cells().map(|cell| cell.count).sum(),
+            sum_x: cells().map(|cell| cell.sum_x - cell.count * x).sum(),
+            sum_v: cells().map(|cell| cell.sum_v).sum(),
+            hull,
+            candidates: cells().flat_map(|cell| &cell.least).map(about).collect(),
+            least: Vec::new(),
+            end: (0.0, 0.0),
+        })
+    };
+    (0..KINDS).filter_map(kind).collect()
+}
+
+impl Edge {
     /// Least delay above a line of slope `rate`, and the transfer that has it.
     fn floor(&self, rate: f64) -> (f64, &Transfer) {
-        let slope = self.sign() * rate;
-        let mut least = (f64::INFINITY, &self.points[0]);
-        for point in &self.points {
+        let slope = self.class.sign() * rate;
+        let mut least = (f64::INFINITY, &self.hull[0]);
+        for point in &self.hull {
             let delay = point.v - slope * point.x;
             if delay < least.0 {
                 least = (delay, point);
@@ -246,34 +323,232 @@ impl Line {
         least
     }
 
-    fn sign(&self) -> f64 {
-        self.points[0].class.sign()
+    /// Leaves the transfers that are delayed least over a line of slope `rate`.
+    fn narrow(&mut self, rate: f64) {
+        let slope = self.class.sign() * rate;
+        let few = (self.count * EDGE_SHARE) as usize;
+        let most = EDGE.min(few).max(1);
+        self.least.clone_from(&self.candidates);
+        keep_least(&mut self.least, rate, most + 1);
+        let delay = |point: &Transfer| point.v - slope * point.x;
+        let floor = self.floor(rate).0;
+        let last = self.least.last().map_or(floor, delay);
+        self.end = (last.max(floor + LEAST_WINDOW_NS), slope);
+        if self.least.len() > most {
+            self.least.pop();
+        }
+    }
+
+    /// Width of the window about its middle, ns.
+    fn window(&self) -> f64 {
+        self.end.0 - self.floor(self.class.sign() * self.end.1).0
+    }
+
+    /// The likelihood of slope `rate`, summed up over the places where the least delay may lie
+    /// and how the delays rise from it: its logarithm; mean and variance of the place.
+    fn likelihood(&self, rate: f64) -> (f64, f64, f64) {
+        let slope = self.class.sign() * rate;
+        let floor = self.floor(rate).0;
+        let window = self.window();
+        let count = self.least.len() as f64;
+        // Equally far apart as logarithms.
+        let (nearest, farthest) = (0.02 * window / count, 6.0 * window);
+        let ratio = (farthest / nearest).powf(1.0 / (DEPTHS - 1) as f64);
+        let mut depth = nearest;
+        let mut found = [(0.0, 0.0); DEPTHS];
+        for (index, found) in found.iter_mut().enumerate() {
+            let place = floor - depth;
+            let (mut delays, mut windows) = (LogProduct::new(), LogProduct::new());
+            for point in &self.least {
+                delays.times(point.v - slope * point.x - place);
+                let end = self.end.0 + self.end.1 * point.x;
+                // A slope that is far out lets the line cross the window's end.
+                windows.times((end - slope * point.x - place).max(1.0));
+            }
+            let (delays, windows) = (delays.log(), windows.log());
+            let of = |shape: &f64| count * shape.ln() + (shape - 1.0) * delays - shape * windows;
+            let all = log_sum(SHAPES.iter().map(of));
+            // The nearest stands for all that is nearer, too.
+            let width = if index == 0 {
+                depth
+            } else {
+                depth * ratio.ln()
+            };
+            *found = (all + width.ln(), depth);
+            depth *= ratio;
+        }
+        let all = log_sum(found.iter().map(|(log, _)| *log));
+        let mean: f64 = found.iter().map(|(log, at)| (log - all).exp() * at).sum();
+        let variance = found
+            .iter()
+            .map(|(log, at)| (log - all).exp() * (at - mean).powi(2))
+            .sum();
+        (all, floor - mean, variance)
     }
 }
 
-/// Derivative of the likelihood by the slope; it falls as the slope grows.
-fn gradient(lines: &[Line], rate: f64) -> f64 {
-    lines
+/// How far from the likeliest slope others are likely, ns/s: about.
+fn spread(edges: &[Edge]) -> f64 {
+    let of = |edge: &Edge| {
+        let xs = edge.least.iter().map(|point| point.x);
+        let span = xs.clone().fold(0.0, f64::max) - xs.fold(0.0, f64::min);
+        32.0 * edge.window() / edge.least.len() as f64 / span.max(1e-3)
+    };
+    let steady = edges.iter().filter(|edge| edge.class.shows_rate());
+    steady.map(of).fold(MAX_RATE, f64::min)
+}
+
+/// What the transfers say if the slope is `rate`.
+struct Terms {
+    rate: f64,
+    log_likelihood: f64,
+    /// Mean and variance of the least delay of each kind.
+    floors: [Option<(f64, f64)>; KINDS],
+}
+
+impl Terms {
+    fn new(edges: &[Edge], rate: f64) -> Self {
+        let mut terms = Self {
+            rate,
+            log_likelihood: 0.0,
+            floors: [None; KINDS],
+        };
+        for edge in edges {
+            let (log, mean, variance) = edge.likelihood(rate);
+            if edge.class.shows_rate() {
+                terms.log_likelihood += log;
+            }
+            terms.floors[CLASSES * edge.link + edge.class as usize] = Some((mean, variance));
+        }
+        terms
+    }
+
+    fn floor(&self, link: usize, class: Class) -> Option<(f64, f64)> {
+        self.floors[CLASSES * link + class as usize]
+    }
+
+    /// The clocks' difference by exchanges over `link`, with its variance.
+    fn centre(&self, link: usize) -> Option<(f64, f64)> {
+        let (answer, answer_variance) = self.floor(link, Class::Answer)?;
+        let questions = [Class::Question, Class::OtherQuestion];
+        let questions = questions
+            .into_iter()
+            .filter_map(|class| self.floor(link, class));
+        let (question, variance) = questions.min_by(|a, b| a.1.total_cmp(&b.1))?;
+        Some((
+            0.5 * (answer - question),
+            0.25 * (answer_variance + variance),
+        ))
+    }
+
+    /// The same by the fastest transfer, taken to have taken no time.
+    fn fastest(&self, edges: &[Edge]) -> (f64, f64) {
+        let to_host = edges.iter().filter(|edge| !edge.class.is_question());
+        let floors = to_host.filter_map(|edge| self.floor(edge.link, edge.class));
+        floors
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .unwrap_or((0.0, 0.0))
+    }
+}
+
+/// Certain bounds of the clocks' difference by the transfers that `of` chooses.
+fn bounds_by(edges: &[Edge], rate: f64, of: impl Fn(&Edge) -> bool) -> (Option<f64>, Option<f64>) {
+    let bound = |questions: bool| {
+        let chosen = edges
+            .iter()
+            .filter(|edge| of(edge) && edge.class.is_question() == questions);
+        chosen.map(|edge| edge.floor(rate).0).reduce(f64::min)
+    };
+    (bound(true).map(|bound| -bound), bound(false))
+}
+
+fn bounds(edges: &[Edge], rate: f64) -> (Option<f64>, Option<f64>) {
+    bounds_by(edges, rate, |_| true)
+}
+
+/// The link that bounds the difference most narrowly.
+fn best_link(edges: &[Edge], rate: f64) -> Option<usize> {
+    let width = |link: &usize| {
+        let (lower, upper) = bounds_by(edges, rate, |edge| edge.link == *link);
+        Some(upper? - lower?)
+    };
+    (0..LINKS)
+        .filter(|link| width(link).is_some())
+        .min_by(|a, b| width(a).partial_cmp(&width(b)).unwrap_or(Ordering::Equal))
+}
+
+/// Derivative of the likelihood of exponential delays by the slope; it falls as the slope grows.
+fn gradient(edges: &[(f64, &Edge)], rate: f64) -> f64 {
+    edges
         .iter()
-        .map(|line| {
-            let touched = line.floor(rate).1.x;
-            line.weight * line.sign() * (line.sum_x - line.count * touched)
+        .map(|(weight, edge)| {
+            let touched = edge.floor(rate).1.x;
+            weight * edge.class.sign() * (edge.sum_x - edge.count * touched)
         })
         .sum()
 }
 
-/// The slope of greatest likelihood: equation (61).
-fn best_rate(lines: &[Line]) -> f64 {
-    let (mut low, mut high) = (-MAX_RATE, MAX_RATE);
-    for _ in 0..48 {
-        let middle = 0.5 * (low + high);
-        if gradient(lines, middle) > 0.0 {
-            low = middle;
-        } else {
-            high = middle;
+/// The slope of greatest likelihood for exponential delays: equation (61).
+fn likeliest_rate(edges: &[Edge]) -> f64 {
+    let solve = |edges: &[(f64, &Edge)]| {
+        let (mut low, mut high) = (-MAX_RATE, MAX_RATE);
+        for _ in 0..48 {
+            let middle = 0.5 * (low + high);
+            if gradient(edges, middle) > 0.0 {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        0.5 * (low + high)
+    };
+    let steady = edges.iter().filter(|edge| edge.class.shows_rate());
+    let mut weighted: Vec<_> = steady.map(|edge| (1.0, edge)).collect();
+    let mut rate = solve(&weighted);
+    if weighted.len() > 1 {
+        // The better the slope, the less the delays of the better link look.
+        for _ in 0..3 {
+            for (weight, edge) in &mut weighted {
+                let mean = (edge.sum_v - edge.class.sign() * rate * edge.sum_x) / edge.count;
+                *weight = 1.0 / (mean - edge.floor(rate).0).max(LEAST_MEAN_NS);
+            }
+            rate = solve(&weighted);
         }
     }
-    0.5 * (low + high)
+    rate
+}
+
+/// The logarithm of a product of many, without that of each.
+struct LogProduct {
+    log: f64,
+    product: f64,
+}
+
+impl LogProduct {
+    fn new() -> Self {
+        Self {
+            log: 0.0,
+            product: 1.0,
+        }
+    }
+
+    fn times(&mut self, factor: f64) {
+        self.product *= factor;
+        if !(1e-150..1e150).contains(&self.product) {
+            self.log += self.product.ln();
+            self.product = 1.0;
+        }
+    }
+
+    fn log(&self) -> f64 {
+        self.log + self.product.ln()
+    }
+}
+
+/// The logarithm of the sum of what has these logarithms.
+fn log_sum(logs: impl Iterator<Item = f64> + Clone) -> f64 {
+    let most = logs.clone().fold(f64::NEG_INFINITY, f64::max);
+    most + logs.map(|log| (log - most).exp()).sum::<f64>().ln()
 }
 
 /// The lower convex hull of v over time.

@@ -7,6 +7,31 @@ enum Jitter {
     Uniform(f64),
     /// With this mean, ns.
     Exponential(f64),
+    /// The sum of two exponential ones with this mean each, ns: none of them is short.
+    Gamma(f64),
+    /// The size of a normal one with this standard deviation, ns.
+    HalfNormal(f64),
+    /// None, but for every tenth: up to so much, ns.
+    Rare(f64),
+}
+
+impl Jitter {
+    fn draw(self, random: &mut Random) -> f64 {
+        let mut exponential = || -(1.0 - random.next()).ln();
+        match self {
+            Self::Exponential(mean) => mean * exponential(),
+            Self::Gamma(mean) => mean * (exponential() + exponential()),
+            Self::HalfNormal(sd) => {
+                let length = (2.0 * exponential()).sqrt();
+                sd * length * (std::f64::consts::TAU * random.next()).cos().abs()
+            }
+            Self::Uniform(most) => most * random.next(),
+            Self::Rare(most) => {
+                let late = random.next() < 0.1;
+                f64::from(u8::from(late)) * most * random.next()
+            }
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -31,10 +56,10 @@ impl Default for Link {
     fn default() -> Self {
         Self {
             jitter: Jitter::Uniform(50e6),
-            least: [20e6, 20e6],
+            least: [15e6, 15e6],
             byte: 1e10 / 115_200.0,
             rate_ppm: 37.0,
-            ask_every_s: 0.2,
+            ask_every_s: 0.055,
             duration_s: 60.0,
             wander_ppm_h: 0.0,
             asks: true,
@@ -56,6 +81,10 @@ impl Random {
 }
 
 const START_NS: f64 = 5e12;
+/// Bytes that share a delay.
+const PACKET: u64 = 64;
+/// Length of a question and of its answer, bytes.
+const QUESTION: f64 = 22.0;
 
 impl Link {
     /// Host time of a device time, ns.
@@ -64,8 +93,8 @@ impl Link {
         START_NS + device_s * 1e9 + (self.rate_ppm * device_s + drift) * 1e3
     }
 
-    /// An estimator after a session: batches of 16 at 100 Hz in order, a fifth of the frames
-    /// lost, longer ones in the second half, a stall of 3 s.
+    /// An estimator after a session: batches of 16 at 100 Hz and what travels beside them, all in
+    /// order, an eighth of the frames lost, longer ones in the second half, a stall of 3 s.
     fn session(&self, seed: u64) -> ClockEstimator {
         let mut clock = ClockEstimator::new();
         self.play(1, seed, &mut clock);
@@ -74,71 +103,65 @@ impl Link {
 
     fn play(&self, number: usize, seed: u64, clock: &mut ClockEstimator) {
         let mut random = Random(seed * 1000 + 1);
-        let mut jitter = || match self.jitter {
-            Jitter::Uniform(most) => most * random.next(),
-            Jitter::Exponential(mean) => -mean * (1.0 - random.next()).ln(),
-        };
-        let mut lost = Random(seed * 1000 + 2);
-        // (device time it is ready, class, bytes, asked).
+        let mut other = Random(seed * 1000 + 2);
+        // When it is ready by the device's clock, what it is, bytes, when it was asked for.
         let mut frames = Vec::new();
-        let mut time = 0.16;
-        while time < self.duration_s {
-            let long = if time > self.duration_s / 2.0 {
-                25.0
-            } else {
-                0.0
-            };
-            frames.push((
-                time,
-                Class::Raw,
-                45.0 + long + (10.0 * lost.next()).floor(),
-                0.0,
-            ));
-            time += 0.16;
+        for (every, class, bytes) in [(0.16, Some(Class::Raw), 45.0), (0.1, None, 50.0)] {
+            let mut time = every;
+            while time < self.duration_s {
+                let long = match class {
+                    Some(_) if time > self.duration_s / 2.0 => 25.0,
+                    _ => 0.0,
+                };
+                let bytes = bytes + long + (10.0 * other.next()).floor();
+                frames.push((time, class, bytes, 0.0));
+                time += every;
+            }
         }
-        let mut time = 0.03;
+        let (mut time, mut line_free, mut heard) = (0.03, 0.0_f64, 0.0_f64);
         while self.asks && time < self.duration_s {
-            let bytes = 62.0;
             let asked = self.truth(time);
-            let heard = asked + self.least[1] + self.byte * 62.0 + jitter();
+            line_free = line_free.max(asked) + self.byte * QUESTION;
+            heard = heard.max(line_free + self.least[1] + self.jitter.draw(&mut random));
             let heard_s = time + (heard - asked) * 1e-9;
-            frames.push((heard_s, Class::Answer, bytes, asked));
-            time += self.ask_every_s;
+            if other.next() >= 0.125 {
+                frames.push((heard_s, Some(Class::Answer), QUESTION, asked));
+            }
+            time += self.ask_every_s * (0.8 + 0.4 * other.next());
         }
         frames.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut arrived = 0.0_f64;
-        let mut line_free = 0.0_f64;
+        let (mut arrived, mut line_free, mut place) = (0.0_f64, 0.0_f64, 0);
+        let mut late = self.jitter.draw(&mut random);
+        let stall = (self.truth(40.0), self.truth(43.0));
         for (ready_s, class, bytes, asked) in frames {
-            let ready = self.truth(ready_s);
-            line_free = line_free.max(ready) + self.byte * bytes;
-            let mut at = line_free + self.least[0] + jitter();
-            let stall = (self.truth(40.0), self.truth(43.0));
-            if (stall.0..stall.1).contains(&at) {
-                at = stall.1;
+            line_free = line_free.max(self.truth(ready_s));
+            let mut began = None;
+            for _ in 0..bytes as u64 {
+                line_free += self.byte;
+                let mut at = line_free + self.least[0] + late;
+                if (stall.0..stall.1).contains(&at) {
+                    at = stall.1;
+                }
+                arrived = arrived.max(at);
+                began.get_or_insert(arrived);
+                place += 1;
+                if place % PACKET == 0 {
+                    late = self.jitter.draw(&mut random);
+                }
             }
-            arrived = arrived.max(at);
-            if lost.next() < 0.2 {
+            let Some(class) = class.filter(|_| other.next() >= 0.125) else {
                 continue;
-            }
+            };
             let time = DeviceTimeUs((ready_s * 1e6).round() as u64);
+            let mut add = |class, ns: f64| clock.transfer(number, class, time, ns as u64);
+            let began = began.unwrap_or(arrived);
             if class == Class::Answer {
-                let began = arrived - self.byte * bytes;
-                clock.transfer(number, Class::AnswerBegins, time, began as u64);
-                clock.transfer(number, Class::Question, time, asked as u64);
-            }
-            clock.transfer(
-                number,
-                class,
-                time,
-                (arrived
-                    - if class == Class::Raw {
-                        self.byte * bytes
-                    } else {
-                        0.0
-                    }) as u64,
-            );
-            if class == Class::Answer {
+                add(Class::Question, asked);
+                add(Class::AnswerBegins, began);
+                add(Class::Answer, arrived);
                 clock.exchanges += 1;
+            } else {
+                add(class, began);
             }
         }
     }
@@ -162,19 +185,161 @@ impl Link {
     }
 }
 
+const SHAPES: [Jitter; 6] = [
+    Jitter::Uniform(50e6),
+    Jitter::Exponential(50e6),
+    Jitter::Gamma(15e6),
+    Jitter::HalfNormal(30e6),
+    Jitter::Rare(80e6),
+    Jitter::Uniform(1e5),
+];
+
+/// What many sessions over a link say of a quantity.
+#[derive(Default)]
+struct Errors {
+    all: Vec<f64>,
+    stated: f64,
+    covered: [usize; 2],
+}
+
+impl Errors {
+    fn add(&mut self, error: f64, sd: f64) {
+        self.all.push(error.abs());
+        self.stated += sd * sd;
+        self.covered[0] += usize::from(error.abs() <= sd);
+        self.covered[1] += usize::from(error.abs() <= 1.96 * sd);
+    }
+
+    /// Root mean square, and that of the stated standard deviations.
+    fn rms(&self) -> [f64; 2] {
+        let count = self.all.len() as f64;
+        let squares: f64 = self.all.iter().map(|error| error * error).sum();
+        [squares, self.stated].map(|sum| (sum / count).sqrt())
+    }
+
+    /// Percentages: error within `bar`, within one and 1.96 stated standard deviations.
+    fn shares(&self, bar: f64) -> [f64; 3] {
+        let within = self.all.iter().filter(|error| **error <= bar).count();
+        [within, self.covered[0], self.covered[1]]
+            .map(|count| 100.0 * count as f64 / self.all.len() as f64)
+    }
+}
+
+/// Offset in the middle, ms, and rate, ppm, over many sessions.
+fn errors(link: &Link, seeds: u64) -> [Errors; 2] {
+    let [mut offsets, mut rates] = <[Errors; 2]>::default();
+    for seed in 0..seeds {
+        let model = link.session(seed).model().unwrap();
+        let (rate, rate_sd) = model.rate_ppm();
+        rates.add(rate - link.rate_ppm, rate_sd);
+        let sd = model.sd_ns(link.middle());
+        offsets.add(link.error(&model) * 1e-6, sd * 1e-6);
+    }
+    [offsets, rates]
+}
+
 #[test]
-fn after_a_minute_the_offset_is_known_within_a_millisecond_on_a_bad_link() {
-    for jitter in [Jitter::Uniform(50e6), Jitter::Exponential(20e6)] {
+fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
+    for jitter in SHAPES {
         let link = Link {
             jitter,
-            ask_every_s: 0.1,
             ..Link::default()
         };
-        for seed in 0..20 {
-            let error = link.error(&link.session(seed).model().unwrap());
-            assert!(error.abs() < 1e6, "{jitter:?} {seed}: {error} ns");
+        let found = errors(&link, 60);
+        for (name, errors) in ["offset", "rate"].into_iter().zip(&found) {
+            let [_, one, two] = errors.shares(0.0);
+            println!("{jitter:?}, {name}: {one:.0} % within 1 sd, {two:.0} % within 1.96 sd");
+            // 95 % of 60 are less than 53 once in 100 times.
+            assert!(two >= 87.0 && one >= 50.0, "{jitter:?} {name}: {one} {two}");
+            // Not by saying nothing.
+            let [error, stated] = errors.rms();
+            let least = if name == "offset" {
+                HOST_SD_NS * 1e-6
+            } else {
+                0.3
+            };
+            assert!(stated < 3.0 * error.max(least), "{name}: {error} {stated}");
         }
     }
+}
+
+/// The least uncertain slope that anybody can tell, ppm: its error over so many sessions, for
+/// delays that are known to be spread evenly from an unknown least one, 50 ms wide, `each` of them
+/// towards the host and as many towards the device, all independent: equation (61a).
+fn oracle(each: usize, duration_s: f64, seeds: u64) -> Errors {
+    const WIDE: f64 = 50e6;
+    let mut errors = Errors::default();
+    for seed in 0..seeds {
+        let mut random = Random(seed * 7919 + 5);
+        let mut sides: Vec<Vec<(f64, f64)>> = vec![Vec::new(); 2];
+        for side in &mut sides {
+            for _ in 0..each {
+                let x = duration_s * (random.next() - 0.5);
+                side.push((x, WIDE * random.next()));
+            }
+            // Others never touch the line: slopes beyond 100 ppm are out of the question.
+            let near = 1e5 * duration_s + WIDE * 20.0 / each as f64;
+            side.retain(|(_, delay)| *delay < near);
+        }
+        let (mut all, mut sum, mut squares) = (0.0, 0.0, 0.0);
+        for step in -400..=400 {
+            let slope = 100.0 * f64::from(step);
+            let floor = |(sign, side): (f64, &Vec<(f64, f64)>)| {
+                let delays = side.iter().map(|(x, delay)| delay - sign * slope * x);
+                delays.fold(f64::INFINITY, f64::min)
+            };
+            let floors: f64 = [1.0, -1.0].into_iter().zip(&sides).map(floor).sum();
+            let weight = (each as f64 / WIDE * floors - 8.0).exp();
+            all += weight;
+            sum += weight * slope;
+            squares += weight * slope * slope;
+        }
+        let mean = sum / all;
+        errors.add(mean * 1e-3, (squares / all - mean * mean).sqrt() * 1e-3);
+    }
+    errors
+}
+
+#[test]
+#[ignore = "prints the figures of many sessions"]
+fn figures() {
+    for (seconds, each) in [(60.0, 1200), (120.0, 2400)] {
+        let errors = oracle(each, seconds, 1000);
+        println!(
+            "{seconds} s, best possible with 2 x {each} independent delays of 0 to 50 ms: rate {:.2} ppm rms, {:.0} % within 2 ppm",
+            errors.rms()[0],
+            errors.shares(2.0)[0],
+        );
+    }
+    for jitter in SHAPES {
+        for duration_s in [60.0, 120.0, 180.0] {
+            let link = Link {
+                jitter,
+                duration_s,
+                ..Link::default()
+            };
+            let [offsets, rates] = errors(&link, 400);
+            let [rate, rate_sd] = rates.rms();
+            let [within_2_ppm, _, rate_covered] = rates.shares(2.0);
+            let [offset, offset_sd] = offsets.rms();
+            let [within_1_ms, _, offset_covered] = offsets.shares(1.0);
+            println!(
+                "{jitter:?} ns, {duration_s} s: rate {rate:.2} ppm rms (stated {rate_sd:.2}), {within_2_ppm:.0} % within 2 ppm, 95 % intervals hold {rate_covered:.0} %; \
+                 offset {offset:.3} ms (stated {offset_sd:.3}), {within_1_ms:.0} % within 1 ms, held {offset_covered:.0} %"
+            );
+        }
+    }
+}
+
+#[test]
+fn after_two_minutes_on_a_bad_link_offset_and_rate_are_known() {
+    let link = Link {
+        duration_s: 120.0,
+        ..Link::default()
+    };
+    let [offsets, rates] = errors(&link, 40);
+    assert!(offsets.shares(1.0)[0] >= 95.0);
+    assert!(rates.rms()[0] < 2.0, "{:?}", rates.rms());
 }
 
 #[test]
@@ -188,33 +353,6 @@ fn the_cable_tells_the_rate_that_the_wireless_link_has_not_told_yet() {
         assert!((rate - 37.0).abs() < 2.0, "{seed}: {rate} ± {sd}");
         let error = Link::default().error(&model);
         assert!(error.abs() < 1e5, "{seed}: {error} ns");
-    }
-}
-
-#[test]
-fn two_standard_deviations_hold_the_truth_nine_times_of_ten() {
-    let links = [
-        Link::default(),
-        Link::cable(),
-        Link {
-            jitter: Jitter::Exponential(50e6),
-            ..Link::default()
-        },
-        Link {
-            duration_s: 300.0,
-            ..Link::default()
-        },
-    ];
-    for link in links {
-        let (mut offsets, mut rates) = (0, 0);
-        for seed in 0..40 {
-            let model = link.session(seed).model().unwrap();
-            let (rate, rate_sd) = model.rate_ppm();
-            offsets += u32::from(link.error(&model).abs() <= 2.0 * model.sd_ns(link.middle()));
-            rates += u32::from((rate - link.rate_ppm).abs() <= 2.0 * rate_sd);
-        }
-        println!("{link:?}: of 40 offsets {offsets} covered, of 40 rates {rates}");
-        assert!(offsets >= 36 && rates >= 35, "{link:?}: {offsets}, {rates}");
     }
 }
 
@@ -246,7 +384,7 @@ fn without_questions_times_are_late_by_the_fastest_transfer_and_say_so() {
     assert_eq!(model.bounds_ns(link.middle()).0, None);
     assert_eq!(model.summary().offset_bound_ms, None);
     let error = link.error(&model);
-    assert!((20e6..26e6).contains(&error), "{error}");
+    assert!((14e6..22e6).contains(&error), "{error}");
     assert!((model.rate_ppm().0 - 37.0).abs() < 2.0);
 }
 
@@ -277,8 +415,8 @@ fn little_gives_a_wide_answer_and_nothing_gives_none() {
     let mut clock = ClockEstimator::new();
     clock.transfer(0, Class::Raw, DeviceTimeUs(500), 7_000_000);
     let model = clock.model().unwrap();
-    assert_eq!(model.host_ns(DeviceTimeUs(500)), 7_000_000);
-    assert_eq!(model.host_ns(DeviceTimeUs(0)), 6_500_000);
+    assert!(model.host_ns(DeviceTimeUs(500)).abs_diff(7_000_000) < 200_000);
+    assert!(model.host_ns(DeviceTimeUs(0)).abs_diff(6_500_000) < 200_000);
     assert!(model.rate_ppm().1 >= 10_000.0);
     // The ends of what 64 bits hold.
     clock.transfer(1, Class::Answer, DeviceTimeUs(u64::MAX), 0);

@@ -5,9 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use wimu_calib::Transfer;
 use wimu_link::LinkRole;
-use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
-use crate::history::LinkHistory;
 use crate::{ErrorCode, HostError, Result};
 
 /// Bias and scale factor of a link's values against the reference link's, equation (65). It
@@ -77,40 +75,19 @@ impl LinkModel {
         ))
     }
 
-    /// Takes it off everything that its link brought.
+    /// That it is this link's.
     ///
     /// # Errors
-    /// `data_refused` when it is another device's or link's.
-    pub fn take_off(&self, link: &mut LinkHistory) -> Result<()> {
-        if !self.is_of(link.role) {
-            return Err(HostError::new(
-                ErrorCode::DataRefused,
-                format!("the link model is of the {} link", self.link),
-                format!("choose it with --link {}", self.link),
-            ));
+    /// `data_refused` when it is another's.
+    pub fn check_role(&self, role: LinkRole) -> Result<()> {
+        if self.is_of(role) {
+            return Ok(());
         }
-        for boot in &mut link.boots {
-            if let Some(hello) = &boot.hello {
-                self.check_device(hello.device_id)?;
-            }
-            let mut epochs = boot.epochs.iter().peekable();
-            let mut unit = None;
-            for sample in &mut boot.raw {
-                while let Some(mark) =
-                    epochs.next_if(|mark| unit.is_none() || mark.epoch.sequence <= sample.sequence)
-                {
-                    unit = Some(STANDARD_GRAVITY_MPS2 / mark.epoch.sensitivity_lsb_per_g);
-                }
-                if let Some(unit) = unit {
-                    sample.value = self.correct_lsb(sample.value, unit);
-                }
-            }
-            let unit = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
-            for sample in &mut boot.corrected {
-                sample.value = self.correct_lsb(sample.value, unit);
-            }
-        }
-        Ok(())
+        Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!("the link model is of the {} link", self.link),
+            format!("choose it with --link {}", self.link),
+        ))
     }
 
     /// What the reference link would have brought for `value`, m/s².

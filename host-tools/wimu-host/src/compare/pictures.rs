@@ -1,8 +1,11 @@
 //! The comparison in pictures.
 
+use std::path::{Path, PathBuf};
+
 use super::{Comparison, History, Values};
-use crate::Result;
-use crate::html::{Band, Chart, Report, Series};
+use crate::chart::{Band, Chart, Series};
+use crate::html::Report;
+use crate::{HostError, Result};
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// The clock is not known better than this, ms: what is faster is shown as this.
@@ -27,6 +30,33 @@ impl Comparison {
     /// # Errors
     /// `file_failed` when one cannot be drawn.
     pub fn pictures(&self, report: &mut Report) -> Result<()> {
+        for (_, chart) in self.charts() {
+            report.chart(&chart)?;
+        }
+        Ok(())
+    }
+
+    /// Writes every picture into a folder, which is made if it is not there, as SVG and as PNG;
+    /// returns the files.
+    ///
+    /// # Errors
+    /// `file_failed`, `file_unreadable`.
+    pub fn write_pictures(&self, folder: &Path) -> Result<Vec<PathBuf>> {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| HostError::file(&folder.display().to_string(), "create", &error))?;
+        let mut files = Vec::new();
+        for (name, chart) in self.charts() {
+            for extension in ["svg", "png"] {
+                let file = folder.join(name).with_extension(extension);
+                chart.write(&file)?;
+                files.push(file);
+            }
+        }
+        Ok(files)
+    }
+
+    /// The pictures, with what their files are called.
+    fn charts(&self) -> Vec<(&'static str, Chart)> {
         let history = &self.history;
         let axis = self.shown_axis();
         let sides = |pairs: &[(f64, [[f64; 3]; 2])], wireless: &str| {
@@ -38,26 +68,33 @@ impl Comparison {
             vec![side(1, wireless), side(0, "cable")]
         };
         let name = AXES[axis];
-        report.chart(&chart(
-            format!("{name} as both links brought it ({})", self.stream),
-            "m/s²",
-            sides(&history.excerpt, "wireless"),
-        ))?;
+        let mut charts = vec![(
+            "both",
+            chart(
+                format!("{name} as both links brought it ({})", self.stream),
+                "m/s²",
+                sides(&history.excerpt, "wireless"),
+            ),
+        )];
         if let Some(values) = &self.values {
             let corrected: Vec<_> = history
                 .excerpt
                 .iter()
                 .map(|(time, [c, w])| (*time, [*c, values.model.correct(*w)]))
                 .collect();
-            report.chart(&chart(
-                format!("{name} with the link's error model taken off"),
-                "m/s²",
-                sides(&corrected, "wireless, corrected"),
-            ))?;
-            gap(report, history, values)?;
+            charts.push((
+                "both-corrected",
+                chart(
+                    format!("{name} with the link's error model taken off"),
+                    "m/s²",
+                    sides(&corrected, "wireless, corrected"),
+                ),
+            ));
+            charts.extend(gap(history, values));
         }
-        evolution(report, history)?;
-        over_time(report, history)
+        charts.push(("error", evolution(history)));
+        charts.extend(over_time(history));
+        charts
     }
 
     /// The axis whose links are furthest apart.
@@ -78,9 +115,8 @@ fn chart(title: String, y: &str, series: Vec<Series>) -> Chart {
         title,
         x: "time (s)".to_owned(),
         y: y.to_owned(),
-        log: false,
-        y_range: None,
         series,
+        ..Chart::default()
     }
 }
 
@@ -91,11 +127,12 @@ fn thin(points: impl ExactSizeIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
 }
 
 /// Wireless less cable, before and under the model.
-fn gap(report: &mut Report, history: &History, values: &Values) -> Result<()> {
-    for (title, corrected) in [
-        ("Gap between the links: wireless less cable", false),
-        ("The same under the model", true),
-    ] {
+fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
+    [
+        ("gap", "Gap between the links: wireless less cable", false),
+        ("gap-corrected", "The same under the model", true),
+    ]
+    .map(|(name, title, corrected)| {
         let series = (0..3)
             .map(|axis| Series {
                 name: AXES[axis].to_owned(),
@@ -110,13 +147,12 @@ fn gap(report: &mut Report, history: &History, values: &Values) -> Result<()> {
                 dots: false,
             })
             .collect();
-        report.chart(&chart(title.to_owned(), "mm/s²", series))?;
-    }
-    Ok(())
+        (name, chart(title.to_owned(), "mm/s²", series))
+    })
 }
 
 /// The estimated offset as the recording grows, with two standard deviations.
-fn evolution(report: &mut Report, history: &History) -> Result<()> {
+fn evolution(history: &History) -> Chart {
     let line = |axis: usize| Series {
         name: AXES[axis].to_owned(),
         points: history
@@ -137,17 +173,18 @@ fn evolution(report: &mut Report, history: &History) -> Result<()> {
             })
             .collect(),
     };
-    let picture = chart(
-        "Estimated error of the wireless link as the recording grows, ± 2 σ".to_owned(),
-        "mm/s²",
-        (0..3).map(line).collect(),
-    );
-    report.chart_with_bands(&picture, &[band(0), band(1), band(2)])?;
-    Ok(())
+    Chart {
+        bands: (0..3).map(band).collect(),
+        ..chart(
+            "Estimated error of the wireless link as the recording grows, ± 2 σ".to_owned(),
+            "mm/s²",
+            (0..3).map(line).collect(),
+        )
+    }
 }
 
 /// Latency and loss over time.
-fn over_time(report: &mut Report, history: &History) -> Result<()> {
+fn over_time(history: &History) -> [(&'static str, Chart); 2] {
     let links = ["cable", "wireless"];
     let time = |slice: usize| (slice as f64 + 0.5) * history.slice_s;
     let mut series = Vec::new();
@@ -168,14 +205,14 @@ fn over_time(report: &mut Report, history: &History) -> Result<()> {
             });
         }
     }
-    report.chart(&Chart {
+    let latency = Chart {
         log: true,
         ..chart(
             "Latency from the newest sample of a batch to its arrival".to_owned(),
             "ms",
             series,
         )
-    })?;
+    };
     let lost = |slices: &[super::link::Slice], link: &str| Series {
         name: link.to_owned(),
         points: slices
@@ -189,10 +226,10 @@ fn over_time(report: &mut Report, history: &History) -> Result<()> {
         dots: false,
     };
     let [cable, wireless] = &history.slices;
-    report.chart(&chart(
+    let loss = chart(
         "Samples that did not arrive".to_owned(),
         "%",
         vec![lost(wireless, "wireless"), lost(cable, "cable")],
-    ))?;
-    Ok(())
+    );
+    [("latency", latency), ("loss", loss)]
 }

@@ -32,7 +32,8 @@ use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
 use crate::array::{ArrayCalibration, ArrayRecording, angular_rate};
-use crate::html::{Chart, Report, Series};
+use crate::chart::{Chart, Series};
+use crate::html::Report;
 use crate::motion::{MotionRecording, nees};
 use crate::{ErrorCode, HostError, Result};
 
@@ -209,6 +210,7 @@ impl InertialPath {
             y: y.to_owned(),
             log,
             y_range: None,
+            bands: Vec::new(),
             series,
         };
         let mut report = Report::new(format!("Path of {source}"));

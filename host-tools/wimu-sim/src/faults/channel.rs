@@ -7,8 +7,10 @@ use super::values::ValueChanger;
 use super::{DEFAULT_BUFFER, Jitter, LinkFaults, nanoseconds};
 use crate::random::Random;
 
-/// Bytes that share one draw of jitter.
+/// Bytes that share one draw of jitter, at most: a radio sends what it has when it is full or the line
+/// pauses.
 const PACKET: u64 = 64;
+const PAUSE_NS: u64 = 3_000_000;
 /// Longest piece that comes in between, bytes.
 const LONGEST_SPLICE: u64 = 64;
 /// Longest piece that comes again, bytes.
@@ -35,8 +37,7 @@ pub struct Channel {
     splices: Events,
     duplicates: Events,
     delays: Random,
-    /// The packet that a byte is in, and its jitter, ns.
-    packet: (u64, u64),
+    packet: Packet,
     /// Bytes that came in so far.
     place: u64,
     /// The latest time at which a byte reaches the receiver.
@@ -50,6 +51,16 @@ pub struct Channel {
     frame: FrameUnderWay,
     counts: FaultCounts,
     log: Option<Vec<FrameTruth>>,
+}
+
+/// The bytes that the radio sends at once.
+#[derive(Debug, Default)]
+struct Packet {
+    number: u64,
+    bytes: u64,
+    /// When the latest of them came in.
+    latest_ns: u64,
+    jitter_ns: u64,
 }
 
 /// The frame that the sender is at.
@@ -75,7 +86,7 @@ impl Channel {
             splices: Events::new(faults.splice_rate, Random::new(seed, SPLICES)),
             duplicates: Events::new(faults.duplicate_rate, Random::new(seed, DUPLICATES)),
             delays: Random::new(seed, DELAYS),
-            packet: (u64::MAX, 0),
+            packet: Packet::default(),
             place: 0,
             latest_ns: 0,
             under_way: VecDeque::new(),
@@ -236,7 +247,7 @@ impl Channel {
             self.counts.bytes_overflowed += 1;
             return None;
         }
-        let jitter_ns = self.jitter_ns();
+        let jitter_ns = self.jitter_ns(now_ns);
         let delayed = now_ns + nanoseconds(self.faults.latency) + jitter_ns;
         let mut due_ns = delayed.max(self.latest_ns);
         // One stall may end in another; ones without end between them are given up.
@@ -269,12 +280,18 @@ impl Channel {
         Some(due_ns)
     }
 
-    fn jitter_ns(&mut self) -> u64 {
-        let packet = self.place.saturating_sub(1) / PACKET;
-        if self.packet.0 != packet {
-            self.packet = (packet, self.draw_jitter_ns(packet));
+    fn jitter_ns(&mut self, now_ns: u64) -> u64 {
+        let Packet {
+            bytes, latest_ns, ..
+        } = self.packet;
+        if bytes == 0 || bytes == PACKET || now_ns > latest_ns + PAUSE_NS {
+            self.packet.number += 1;
+            self.packet.bytes = 0;
+            self.packet.jitter_ns = self.draw_jitter_ns(self.packet.number);
         }
-        self.packet.1
+        self.packet.bytes += 1;
+        self.packet.latest_ns = now_ns;
+        self.packet.jitter_ns
     }
 
     fn draw_jitter_ns(&self, packet: u64) -> u64 {

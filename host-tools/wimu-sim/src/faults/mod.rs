@@ -37,7 +37,7 @@ pub const DEFAULT_BUFFER: usize = 65_536;
 /// |---|---|---|
 /// | `baud` | 300 to 4000000 | rate of the simulated UART, bits/s, ten to a byte |
 /// | `latency` | `20ms` | delay of every byte |
-/// | `jitter` | `50ms`, `exp:50ms` | delay added to every packet of 64 bytes: uniform up to that, or exponential with that mean |
+/// | `jitter` | `50ms`, `exp:50ms` | delay added to every packet (64 bytes, or what came before a pause of 3 ms): uniform up to that, or exponential with that mean |
 /// | `loss` | `2%` | part of the bytes lost, in runs (Gilbert and Elliott's two states) |
 /// | `burst` | `20` | mean length of a run, bytes |
 /// | `bits` | `1e-4` | part of the bits flipped |

@@ -28,10 +28,13 @@ pub fn run(arguments: &Compare, output: Output) -> Result<()> {
             let Input::Csv(other) = kind(other)? else {
                 return Err(wrong(other));
             };
-            if arguments.output.is_some() || arguments.report.is_some() {
+            if arguments.output.is_some()
+                || arguments.report.is_some()
+                || arguments.pictures.is_some()
+            {
                 return Err(HostError::new(
                     ErrorCode::Usage,
-                    "-o and --report are for a recording of two links",
+                    "-o, --report and --pictures are for a recording of two links",
                     "leave them out",
                 ));
             }
@@ -74,6 +77,10 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
     if let Some(file) = &arguments.report {
         found.page(&text)?.write(file)?;
         output.say(format!("pictures: {}", file.display()));
+    }
+    if let Some(folder) = &arguments.pictures {
+        let files = found.write_pictures(folder)?;
+        output.say(format!("{}: {} pictures", folder.display(), files.len()));
     }
     output.object(&Answer {
         schema: "wimu.compare/1",

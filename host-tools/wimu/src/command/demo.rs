@@ -3,8 +3,9 @@
 use std::time::Instant;
 
 use serde::Serialize;
+use wimu_host::chart::{Chart, Series};
 use wimu_host::compare::{Comparison, compare};
-use wimu_host::html::{Chart, Report, Series};
+use wimu_host::html::Report;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
 use wimu_host::{ErrorCode, HostError, Result};
@@ -207,6 +208,7 @@ fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
         y: "mm/s²".to_owned(),
         log: true,
         y_range: Some((0.01, 2000.0)),
+        bands: Vec::new(),
         series: vec![
             tilt(0, "as the sensor puts it out"),
             tilt(1, "corrected on the board"),
@@ -235,6 +237,7 @@ fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
         y: "distance from the start (m)".to_owned(),
         log: false,
         y_range: Some((0.0, 3.0)),
+        bands: Vec::new(),
         series: vec![
             path(&outcome.uncalibrated_path, "uncalibrated"),
             path(&outcome.calibrated_path, "calibrated"),

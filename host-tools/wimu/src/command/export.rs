@@ -4,7 +4,6 @@ use serde::Serialize;
 use wimu_host::calibration::{KalibrNoise, read_parameters, to_c, to_kalibr, to_rust};
 use wimu_host::compare::LinkModel;
 use wimu_host::export::{self, ExportStream};
-use wimu_host::history::Recording;
 use wimu_host::mimu4444::Capture;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{ErrorCode, HostError, Result};
@@ -86,18 +85,20 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             (capture.write_csv(&arguments.output)?, None)
         }
         ExportFormat::Csv => {
-            let recording = Recording::load(&arguments.input)?;
-            let mut link = recording.link(arguments.link.map(Into::into))?.clone();
-            if let Some(model) = &model {
-                model.take_off(&mut link)?;
-            }
             let stream = match arguments.stream {
                 Stream::Raw => ExportStream::Raw,
                 Stream::Corrected => ExportStream::Corrected,
                 Stream::Navigation => ExportStream::Navigation,
             };
-            let rows = export::to_csv(&link, recording.anchor, stream, &arguments.output)?;
-            (rows, Some(link.role.to_string()))
+            let role = arguments.link.map(Into::into);
+            let (rows, role) = export::to_csv(
+                &arguments.input,
+                role,
+                model.as_ref(),
+                stream,
+                &arguments.output,
+            )?;
+            (rows, Some(role.to_string()))
         }
     };
     let of = link

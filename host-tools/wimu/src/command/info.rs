@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
-use wimu_host::history::Recording;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::mimu4444::{Capture, Summary};
+use wimu_host::overview::{BootOverview, Overview};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
@@ -39,6 +39,7 @@ struct Link {
     parameter_ids: Vec<String>,
     events: Vec<String>,
     sampling: Option<Sampling>,
+    more_events: u64,
     statistics: LinkStatistics,
 }
 
@@ -226,41 +227,24 @@ fn capture(path: &Path, output: Output) -> Result<()> {
 }
 
 fn recording(path: &Path, output: Output) -> Result<()> {
-    let recording = Recording::load(path)?;
+    let recording = Overview::read(path)?;
     let links: Vec<Link> = recording
         .links
-        .iter()
+        .into_iter()
         .map(|link| {
-            let boots = &link.boots;
-            let mut parameter_ids: Vec<String> = boots
-                .iter()
-                .flat_map(|boot| &boot.epochs)
-                .map(|mark| mark.epoch.parameter_id().to_string())
-                .collect();
-            parameter_ids.dedup();
+            let sum = |of: fn(&BootOverview) -> usize| link.boots.iter().map(of).sum();
             Link {
                 role: link.role.to_string(),
-                device: boots
-                    .iter()
-                    .rev()
-                    .find_map(|boot| boot.hello.as_ref())
-                    .map(Device::from),
-                starts: boots.len(),
-                raw_samples: boots.iter().map(|boot| boot.raw.len()).sum(),
-                corrected_samples: boots.iter().map(|boot| boot.corrected.len()).sum(),
-                epochs: boots.iter().map(|boot| boot.epochs.len()).sum(),
-                navigation: boots.iter().map(|boot| boot.navigation.len()).sum(),
-                parameter_ids,
-                events: boots
-                    .iter()
-                    .flat_map(|boot| &boot.events)
-                    .map(|(time, event)| format!("{:.2} s: {event}", time.to_seconds()))
-                    .collect(),
-                sampling: boots
-                    .iter()
-                    .rev()
-                    .find_map(|boot| boot.status.as_ref())
-                    .map(Sampling::from),
+                device: link.hello.as_ref().map(Device::from),
+                starts: link.boots.len(),
+                raw_samples: sum(|boot| boot.raw),
+                corrected_samples: sum(|boot| boot.corrected),
+                epochs: sum(|boot| boot.epochs),
+                navigation: sum(|boot| boot.navigation),
+                parameter_ids: link.parameter_ids.iter().map(ToString::to_string).collect(),
+                events: link.events,
+                more_events: link.more_events,
+                sampling: link.status.as_ref().map(Sampling::from),
                 statistics: link.statistics,
             }
         })
@@ -309,6 +293,9 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         }
         for event in &link.events {
             output.say(format!("         {event}"));
+        }
+        if link.more_events > 0 {
+            output.say(format!("         and {} events more", link.more_events));
         }
     }
     output.object(&contents);

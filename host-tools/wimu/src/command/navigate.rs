@@ -129,7 +129,14 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         .at(&recording.name));
     }
     if let Some(path) = &arguments.output {
-        let rows = export::to_csv(link, recording.anchor, ExportStream::Navigation, path)?;
+        let rows = export::to_csv(
+            &arguments.input,
+            Some(link.role),
+            None,
+            ExportStream::Navigation,
+            path,
+        )?
+        .0;
         output.say(format!("{}: {rows} rows", path.display()));
     }
     output.object(&Navigated {

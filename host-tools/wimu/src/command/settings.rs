@@ -30,12 +30,12 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
     let settings = match action {
         arguments::Settings::Get { link } => connect(link)?.settings()?,
         arguments::Settings::Set { link, change } => {
+            // A port of a radio has a rate of its own, whatever it says.
+            if let Some(baud) = change.baud.filter(|_| link.contains("rfcomm")) {
+                return Err(adapter_decides(link, baud));
+            }
             let mut client = connect_to_write(link)?;
             if let Some(baud) = change.baud {
-                // A port of a radio has a rate of its own, whatever it says.
-                if link.contains("rfcomm") {
-                    return Err(adapter_decides(link, baud));
-                }
                 client.set_line_rate(baud)?;
                 output.say(format!(
                     "the line runs at {baud} baud from now on: add ?baud={baud} to the link"

@@ -1,0 +1,281 @@
+//! Pictures of series over an axis, as SVG and as PNG, drawn with nothing but Rust.
+
+use std::path::Path;
+use std::sync::OnceLock;
+
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
+use plotters::prelude::*;
+use plotters::style::register_font;
+
+use crate::{ErrorCode, HostError, Result};
+
+/// Size of a picture, px.
+const SIZE: (u32, u32) = (860, 380);
+/// Pixels of a PNG for each of those: for print and dense screens.
+const FINER: u32 = 2;
+const FONT: &str = "sans-serif";
+/// Colours that are told apart also without seeing red and green.
+const COLOURS: [RGBColor; 4] = [
+    RGBColor(213, 94, 0),
+    RGBColor(0, 114, 178),
+    RGBColor(0, 158, 115),
+    RGBColor(90, 90, 90),
+];
+const INK: RGBColor = RGBColor(40, 40, 40);
+const GRID: RGBColor = RGBColor(225, 225, 225);
+
+/// A line, or points, in a [`Chart`].
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// Its name in the legend.
+    pub name: String,
+    /// x and y.
+    pub points: Vec<(f64, f64)>,
+    /// Points instead of a line.
+    pub dots: bool,
+}
+
+/// A picture of some series over one x axis.
+#[derive(Clone, Debug, Default)]
+pub struct Chart {
+    /// What it shows.
+    pub title: String,
+    /// The x axis with its unit.
+    pub x: String,
+    /// The y axis with its unit.
+    pub y: String,
+    /// Logarithmic y axis; values must be positive.
+    pub log: bool,
+    /// y from and to, where the data's own range hides what matters.
+    pub y_range: Option<(f64, f64)>,
+    /// The series.
+    pub series: Vec<Series>,
+    /// Where they may lie.
+    pub bands: Vec<Band>,
+}
+
+/// Where a series of a [`Chart`] may lie.
+#[derive(Clone, Debug)]
+pub struct Band {
+    /// Index of the series.
+    pub series: usize,
+    /// x, lowest y and highest.
+    pub points: Vec<(f64, f64, f64)>,
+}
+
+impl Chart {
+    /// The picture as SVG text.
+    ///
+    /// # Errors
+    /// `file_failed` when it cannot be drawn.
+    pub fn svg(&self) -> Result<String> {
+        let mut svg = String::new();
+        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        self.draw(&area, 1)?;
+        drop(area);
+        Ok(svg)
+    }
+
+    /// Writes the picture to a file, in place of one that is there: as SVG or PNG, by its extension.
+    ///
+    /// # Errors
+    /// `usage` for another extension; `file_failed`, `file_unreadable`.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let name = path.display().to_string();
+        let extension = path.extension().and_then(|extension| extension.to_str());
+        match extension {
+            Some("svg") => std::fs::write(path, self.svg()?)
+                .map_err(|error| HostError::file(&name, "write", &error)),
+            Some("png") => {
+                let size = (FINER * SIZE.0, FINER * SIZE.1);
+                let area = BitMapBackend::new(path, size).into_drawing_area();
+                self.draw(&area, FINER).map_err(|error| error.at(name))
+            }
+            _ => Err(HostError::new(
+                ErrorCode::Usage,
+                "a picture is an SVG or a PNG",
+                "give a name that ends in .svg or .png",
+            )
+            .at(name)),
+        }
+    }
+
+    fn ranges(&self) -> (std::ops::Range<f64>, std::ops::Range<f64>) {
+        let all = || self.series.iter().flat_map(|series| &series.points);
+        let span = |values: &mut dyn Iterator<Item = f64>| {
+            let (low, high) = values
+                .filter(|value| value.is_finite())
+                .fold((f64::MAX, f64::MIN), |(low, high), value| {
+                    (low.min(value), high.max(value))
+                });
+            if low < high {
+                (low, high)
+            } else if low == high {
+                (low - 0.5, high + 0.5)
+            } else {
+                (0.0, 1.0)
+            }
+        };
+        let (left, right) = span(&mut all().map(|point| point.0));
+        let side = 0.03 * (right - left);
+        let (low, high) = self
+            .y_range
+            .unwrap_or_else(|| span(&mut all().map(|point| point.1)));
+        let room = if self.log { 0.0 } else { 0.05 * (high - low) };
+        let stretch = if self.log { 1.5 } else { 1.0 };
+        (
+            left - side..right + side,
+            low / stretch - room..high * stretch + room,
+        )
+    }
+
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Result<()> {
+        let (x, y) = self.ranges();
+        let drawn = have_font().and_then(|()| {
+            if self.log {
+                self.draw_on(area, fine, x, (y.start.max(1e-9)..y.end).log_scale())
+            } else {
+                self.draw_on(area, fine, x, y)
+            }
+        });
+        drawn.map_err(|reason| {
+            HostError::new(
+                ErrorCode::FileFailed,
+                format!("a picture cannot be drawn: {reason}"),
+                "check the file's folder; if it is there, report this as a fault of wimu",
+            )
+        })
+    }
+
+    fn draw_on<B: DrawingBackend, Y>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        fine: u32,
+        x: std::ops::Range<f64>,
+        y: Y,
+    ) -> std::result::Result<(), String>
+    where
+        Y: AsRangedCoord<Value = f64>,
+        Y::CoordDescType: ValueFormatter<f64>,
+    {
+        let say = |error: &dyn std::fmt::Display| error.to_string();
+        let font = |size: u32| (FONT, size * fine).into_font().color(&INK);
+        area.fill(&WHITE).map_err(|e| say(&e))?;
+        let mut chart = ChartBuilder::on(area)
+            .caption(&self.title, font(18))
+            .margin(12 * fine)
+            .x_label_area_size(42 * fine)
+            .y_label_area_size(68 * fine)
+            .build_cartesian_2d(x, y)
+            .map_err(|e| say(&e))?;
+        chart
+            .configure_mesh()
+            .x_desc(&self.x)
+            .y_desc(&self.y)
+            .light_line_style(WHITE)
+            .bold_line_style(GRID.stroke_width(fine))
+            .axis_style(INK.stroke_width(fine))
+            .set_all_tick_mark_size(4 * fine)
+            .label_style(font(13))
+            .draw()
+            .map_err(|e| say(&e))?;
+        for band in &self.bands {
+            let colour = COLOURS[band.series % COLOURS.len()].mix(0.15);
+            let finite = || {
+                band.points
+                    .iter()
+                    .filter(|(_, low, high)| low.is_finite() && high.is_finite())
+            };
+            let outline: Vec<_> = finite()
+                .map(|&(x, low, _)| (x, low))
+                .chain(finite().rev().map(|&(x, _, high)| (x, high)))
+                .collect();
+            chart
+                .draw_series([Polygon::new(outline, colour.filled())])
+                .map_err(|e| say(&e))?;
+        }
+        for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
+            let style = colour.stroke_width(2 * fine);
+            let annotation = if series.dots {
+                chart.draw_series(
+                    series
+                        .points
+                        .iter()
+                        .map(|&point| Circle::new(point, 5 * fine, colour.filled())),
+                )
+            } else {
+                chart.draw_series(LineSeries::new(series.points.iter().copied(), style))
+            };
+            let length = 18 * fine as i32;
+            annotation
+                .map_err(|e| say(&e))?
+                .label(&series.name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + length, y)], style));
+        }
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::LowerRight)
+            .background_style(WHITE.mix(0.85))
+            .border_style(GRID)
+            .margin(10 * fine)
+            .legend_area_size(24 * fine)
+            .label_font(font(13))
+            .draw()
+            .map_err(|e| say(&e))?;
+        area.present().map_err(|e| say(&e))
+    }
+}
+
+/// Brings a font of our own: what a system has needs more than Rust to be found.
+fn have_font() -> std::result::Result<(), String> {
+    static DONE: OnceLock<bool> = OnceLock::new();
+    let done = DONE
+        .get_or_init(|| register_font(FONT, FontStyle::Normal, dejavu::sans::regular()).is_ok());
+    let known = done.then_some(());
+    known.ok_or_else(|| "the font cannot be read".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chart(points: Vec<(f64, f64)>, log: bool) -> Chart {
+        Chart {
+            title: "a < b".to_owned(),
+            x: "t (s)".to_owned(),
+            y: "p (m)".to_owned(),
+            log,
+            y_range: None,
+            series: vec![Series {
+                name: "one".to_owned(),
+                points,
+                dots: log,
+            }],
+            bands: vec![Band {
+                series: 0,
+                points: vec![(0.0, f64::NAN, 1.0), (0.0, 0.5, 1.0), (1.0, 0.5, 1.5)],
+            }],
+        }
+    }
+
+    #[test]
+    fn any_points_can_be_drawn() {
+        for points in [
+            vec![],
+            vec![(1.0, 2.0)],
+            vec![(0.0, 1.0), (1.0, 1.0)],
+            vec![(0.0, f64::NAN), (1.0, f64::INFINITY)],
+            vec![(0.0, 1e-3), (1.0, 1e3)],
+        ] {
+            for log in [false, true] {
+                let svg = chart(points.clone(), log).svg().unwrap();
+                assert!(svg.contains("</svg>") && svg.contains("t (s)"));
+                let folder = tempfile::tempdir().unwrap();
+                let path = folder.path().join("a.png");
+                chart(points.clone(), log).write(&path).unwrap();
+                assert!(std::fs::read(path).unwrap().starts_with(b"\x89PNG"));
+            }
+        }
+    }
+}

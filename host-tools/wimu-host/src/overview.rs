@@ -1,0 +1,287 @@
+//! What is in a recording, without holding it: memory does not grow with its length.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::Path;
+
+use wimu_link::batch::Stream;
+use wimu_link::message::{Answer, Payload, Status};
+use wimu_link::{Hello, LinkRole, WIRE_VERSION};
+use wimu_model::ParameterId;
+
+use crate::clock::{ClockEstimator, ClockModel};
+use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
+use crate::error::{ErrorCode, HostError, Result};
+use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
+
+/// Events of a link that are kept as text.
+const MAX_EVENTS: usize = 500;
+/// Changes of parameters of a link that are kept.
+const MAX_PARAMETERS: usize = 500;
+
+/// A recording in short.
+#[derive(Clone, Debug)]
+pub struct Overview {
+    /// Its links, the cable first.
+    pub links: Vec<LinkOverview>,
+    /// Host's monotonic clock to UTC.
+    pub anchor: Option<ClockAnchor>,
+    /// Host time from the first bytes to the last, ns.
+    pub duration_ns: u64,
+    /// How whole the file is.
+    pub wholeness: Wholeness,
+}
+
+/// What one link has brought, in short.
+#[derive(Clone, Debug)]
+pub struct LinkOverview {
+    /// Which link.
+    pub role: LinkRole,
+    /// Who the device is, as it said last.
+    pub hello: Option<Hello>,
+    /// One for each start of the device, the latest last; at least one.
+    pub boots: Vec<BootOverview>,
+    /// The parameters in use, one after the other: the first 500.
+    pub parameter_ids: Vec<ParameterId>,
+    /// What happened on the device, with when: the first 500.
+    pub events: Vec<String>,
+    /// How many events there were more.
+    pub more_events: u64,
+    /// How it was, as it said last.
+    pub status: Option<Status>,
+    /// What it carried and lost.
+    pub statistics: LinkStatistics,
+}
+
+/// What a link has brought from one start of the device to the next.
+#[derive(Clone, Debug, Default)]
+pub struct BootOverview {
+    /// Raw samples.
+    pub raw: usize,
+    /// Corrected samples.
+    pub corrected: usize,
+    /// Epochs.
+    pub epochs: usize,
+    /// Velocities and positions.
+    pub navigation: usize,
+    /// The device's clock by all of it.
+    pub clock: Option<ClockModel>,
+    greeted: bool,
+    estimator: ClockEstimator,
+}
+
+impl Overview {
+    /// Reads a recording. One that was cut off gives what it has.
+    ///
+    /// # Errors
+    /// Those of [`RecordingReader`]; `bad_recording` when all that boards say in it is of another
+    /// wire version.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let heard = listen(RecordingReader::open(path)?, &name, LinkOverview::new)?;
+        Ok(Self {
+            links: heard.links,
+            anchor: heard.anchor,
+            duration_ns: heard.duration_ns,
+            wholeness: heard.wholeness,
+        })
+    }
+
+    /// The link of a role; without one, the cable if it has raw samples, else the one with most.
+    ///
+    /// # Errors
+    /// `no_rows` when there is none.
+    pub fn link(&self, role: Option<LinkRole>) -> Result<&LinkOverview> {
+        choose(&self.links, role, |link| (link.role, link.raw()))
+    }
+}
+
+impl LinkOverview {
+    fn new(role: LinkRole) -> Self {
+        Self {
+            role,
+            hello: None,
+            boots: vec![BootOverview::default()],
+            parameter_ids: Vec::new(),
+            events: Vec::new(),
+            more_events: 0,
+            status: None,
+            statistics: LinkStatistics::default(),
+        }
+    }
+
+    /// Raw samples of all starts.
+    pub fn raw(&self) -> usize {
+        self.boots.iter().map(|boot| boot.raw).sum()
+    }
+
+    fn latest(&mut self) -> &mut BootOverview {
+        if self.boots.is_empty() {
+            self.boots.push(BootOverview::default());
+        }
+        let last = self.boots.len() - 1;
+        &mut self.boots[last]
+    }
+}
+
+impl Listen for LinkOverview {
+    fn take(&mut self, arrival: &Arrival) {
+        let role = self.role;
+        let boot = self.latest();
+        boot.estimator.heard(role, arrival);
+        match &arrival.event {
+            Event::Restart => {
+                if boot.greeted || boot.raw + boot.epochs > 0 {
+                    self.boots.push(BootOverview::default());
+                }
+            }
+            Event::Hello(hello) => {
+                boot.greeted = true;
+                self.hello = Some(*hello);
+            }
+            Event::Samples(samples) => match samples.stream {
+                Stream::Raw => boot.raw += samples.values.len(),
+                Stream::Corrected => boot.corrected += samples.values.len(),
+            },
+            Event::Epoch { epoch, .. } => {
+                boot.epochs += 1;
+                let id = epoch.parameter_id();
+                if self.parameter_ids.last() != Some(&id)
+                    && self.parameter_ids.len() < MAX_PARAMETERS
+                {
+                    self.parameter_ids.push(id);
+                }
+            }
+            Event::Navigation(_) => boot.navigation += 1,
+            Event::Status(status) => self.status = Some(*status),
+            Event::Reply { reply, .. } => {
+                if let Answer::Accepted(Payload::Status(status)) = reply.answer {
+                    self.status = Some(status);
+                }
+            }
+            Event::Device { time, event } => {
+                // What is wrong is told again to whoever asks who is there.
+                let text = format!("{:.2} s: {event}", time.to_seconds());
+                if self.events.contains(&text) {
+                } else if self.events.len() < MAX_EVENTS {
+                    self.events.push(text);
+                } else {
+                    self.more_events += 1;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn asked(&mut self, host_ns: u64, bytes: &[u8]) {
+        self.latest().estimator.asked(host_ns, bytes);
+    }
+
+    fn has_epochs(&self) -> bool {
+        self.boots.iter().any(|boot| boot.epochs > 0)
+    }
+
+    fn finish(&mut self, statistics: LinkStatistics) {
+        self.statistics = statistics;
+        for boot in &mut self.boots {
+            boot.clock = boot.estimator.model();
+        }
+    }
+}
+
+/// What takes in what a link brings.
+pub(crate) trait Listen {
+    fn take(&mut self, arrival: &Arrival);
+    /// The host has sent this.
+    fn asked(&mut self, host_ns: u64, bytes: &[u8]);
+    /// Whether anything could be read.
+    fn has_epochs(&self) -> bool;
+    /// Nothing follows.
+    fn finish(&mut self, statistics: LinkStatistics);
+}
+
+/// What was heard of a recording.
+pub(crate) struct Heard<L> {
+    /// The cable first.
+    pub links: Vec<L>,
+    pub anchor: Option<ClockAnchor>,
+    pub duration_ns: u64,
+    pub wholeness: Wholeness,
+}
+
+/// Reads a recording from start to end, each link into what `new` makes for it.
+pub(crate) fn listen<R: Read, L: Listen>(
+    mut reader: RecordingReader<R>,
+    name: &str,
+    new: impl Fn(LinkRole) -> L,
+) -> Result<Heard<L>> {
+    let anchor = reader.anchor()?;
+    let mut links: BTreeMap<u8, (L, Decoder)> = BTreeMap::new();
+    let mut span: Option<(u64, u64)> = None;
+    while let Some(entry) = reader.next_entry()? {
+        let (link, decoder) = links
+            .entry(entry.role().number())
+            .or_insert_with(|| (new(entry.role()), Decoder::new()));
+        match entry {
+            Recorded::Received(received) => {
+                decoder.push(received.host_ns, &received.bytes, |arrival| {
+                    link.take(&arrival)
+                });
+                let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
+                span = Some((first.min(received.host_ns), last.max(received.host_ns)));
+            }
+            Recorded::Sent { host_ns, bytes, .. } => link.asked(host_ns, &bytes),
+            Recorded::Lost { .. } => decoder.interrupt(),
+            Recorded::Connected { .. } => {}
+        }
+    }
+    let foreign =
+        |(link, decoder): &(L, Decoder)| decoder.foreign_version().filter(|_| !link.has_epochs());
+    if !links.is_empty()
+        && let Some(versions) = links.values().map(foreign).collect::<Option<Vec<u8>>>()
+    {
+        return Err(HostError::new(
+            ErrorCode::BadRecording,
+            format!(
+                "the board spoke version {} of the protocol, this wimu reads version {WIRE_VERSION}",
+                versions[0]
+            ),
+            "read it with the wimu that recorded it",
+        )
+        .at(name));
+    }
+    let finished = links.into_values().map(|(mut link, decoder)| {
+        link.finish(decoder.statistics());
+        link
+    });
+    Ok(Heard {
+        links: finished.collect(),
+        anchor,
+        duration_ns: span.map_or(0, |(first, last)| last - first),
+        wholeness: reader.wholeness(),
+    })
+}
+
+/// The link of a role; without one, the cable if it has raw samples, else the one with most. `of`
+/// tells a link's role and raw samples.
+pub(crate) fn choose<L>(
+    links: &[L],
+    role: Option<LinkRole>,
+    of: impl Fn(&L) -> (LinkRole, usize),
+) -> Result<&L> {
+    let found = match role {
+        Some(role) => links.iter().find(|link| of(link).0 == role),
+        None => links
+            .iter()
+            .find(|link| of(link).0 == LinkRole::Cable && of(link).1 > 0)
+            .or_else(|| links.iter().max_by_key(|link| of(link).1)),
+    };
+    found.ok_or_else(|| {
+        let what = role.map_or("any link".to_owned(), |role| format!("the {role} link"));
+        HostError::new(
+            ErrorCode::NoRows,
+            format!("nothing was recorded on {what}"),
+            "record again, or name the other link",
+        )
+    })
+}

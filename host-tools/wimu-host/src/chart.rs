@@ -162,8 +162,10 @@ impl Chart {
         let say = |error: &dyn std::fmt::Display| error.to_string();
         let font = |size: u32| (FONT, size * fine).into_font().color(&INK);
         area.fill(&WHITE).map_err(|e| say(&e))?;
-        let mut chart = ChartBuilder::on(area)
-            .caption(&self.title, font(18))
+        let area = area.titled(&self.title, font(18)).map_err(|e| say(&e))?;
+        // Above the picture, where it hides nothing.
+        let (legend, below) = area.split_vertically(24 * fine);
+        let mut chart = ChartBuilder::on(&below)
             .margin(12 * fine)
             .x_label_area_size(42 * fine)
             .y_label_area_size(68 * fine)
@@ -197,7 +199,7 @@ impl Chart {
         }
         for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
             let style = colour.stroke_width(2 * fine);
-            let annotation = if series.dots {
+            let drawn = if series.dots {
                 chart.draw_series(
                     series
                         .points
@@ -207,23 +209,41 @@ impl Chart {
             } else {
                 chart.draw_series(LineSeries::new(series.points.iter().copied(), style))
             };
-            let length = 18 * fine as i32;
-            annotation
-                .map_err(|e| say(&e))?
-                .label(&series.name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + length, y)], style));
+            drawn.map_err(|e| say(&e))?;
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::LowerRight)
-            .background_style(WHITE.mix(0.85))
-            .border_style(GRID)
-            .margin(10 * fine)
-            .legend_area_size(24 * fine)
-            .label_font(font(13))
-            .draw()
-            .map_err(|e| say(&e))?;
+        self.name_series(&legend, fine)?;
         area.present().map_err(|e| say(&e))
+    }
+
+    /// Lines and names of the series, one beside the other in the middle of `area`.
+    fn name_series<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        fine: u32,
+    ) -> std::result::Result<(), String> {
+        let say = |error: &dyn std::fmt::Display| error.to_string();
+        let font = (FONT, 13 * fine).into_font().color(&INK);
+        let (line, gap) = (24 * fine as i32, 8 * fine as i32);
+        let mut widths = Vec::new();
+        for series in &self.series {
+            let size = area.estimate_text_size(&series.name, &font);
+            let (width, _) = size.map_err(|e| say(&e))?;
+            widths.push(line + gap + width as i32 + 3 * gap);
+        }
+        let (width, height) = area.dim_in_pixel();
+        let mut x = (width as i32 - widths.iter().sum::<i32>()).max(0) / 2;
+        let y = height as i32 / 2;
+        for ((series, width), colour) in self.series.iter().zip(widths).zip(COLOURS.iter().cycle())
+        {
+            let style = colour.stroke_width(2 * fine);
+            area.draw(&PathElement::new([(x, y), (x + line, y)], style))
+                .map_err(|e| say(&e))?;
+            let place = (x + line + gap, y - 7 * fine as i32);
+            area.draw(&Text::new(series.name.clone(), place, font.clone()))
+                .map_err(|e| say(&e))?;
+            x += width;
+        }
+        Ok(())
     }
 }
 

@@ -191,13 +191,11 @@ impl<'a> Table<'a> {
     ) -> Result<()> {
         let start = &mut self.start;
         match &arrival.event {
-            Event::Restart => {
-                // As the overview has it.
-                if !start.boot.is_empty() {
-                    self.write_until(u64::MAX)?;
-                    self.clock = clocks.next().flatten();
-                    self.start = Start::default();
-                }
+            // As the overview has it.
+            Event::Restart if !start.boot.is_empty() => {
+                self.write_until(u64::MAX)?;
+                self.clock = clocks.next().flatten();
+                self.start = Start::default();
             }
             Event::Hello(hello) => start.boot.hello = Some(*hello),
             Event::Epoch { epoch, .. } => {

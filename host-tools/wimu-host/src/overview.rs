@@ -130,10 +130,8 @@ impl Listen for LinkOverview {
         let boot = self.latest();
         boot.estimator.heard(role, arrival);
         match &arrival.event {
-            Event::Restart => {
-                if boot.greeted || boot.raw + boot.epochs > 0 {
-                    self.boots.push(BootOverview::default());
-                }
+            Event::Restart if boot.greeted || boot.raw + boot.epochs > 0 => {
+                self.boots.push(BootOverview::default());
             }
             Event::Hello(hello) => {
                 boot.greeted = true;
@@ -162,11 +160,12 @@ impl Listen for LinkOverview {
             Event::Device { time, event } => {
                 // What is wrong is told again to whoever asks who is there.
                 let text = format!("{:.2} s: {event}", time.to_seconds());
-                if self.events.contains(&text) {
-                } else if self.events.len() < MAX_EVENTS {
-                    self.events.push(text);
-                } else {
-                    self.more_events += 1;
+                if !self.events.contains(&text) {
+                    if self.events.len() < MAX_EVENTS {
+                        self.events.push(text);
+                    } else {
+                        self.more_events += 1;
+                    }
                 }
             }
             _ => {}

@@ -114,7 +114,20 @@ impl<R: Real, const N: usize> Fit<R, N> {
     }
 }
 
-impl<const N: usize> Magnitude<'_, N> {
+impl<'a, const N: usize> Magnitude<'a, N> {
+    /// The same poses with bias and scale factors alone.
+    pub fn smaller(&self) -> Magnitude<'a, 6> {
+        Magnitude {
+            poses: self.poses,
+            gravity_mps2: self.gravity_mps2,
+            conditions: self.conditions,
+            weighting: self.weighting,
+            rejected: self.rejected,
+            free: [0, 1, 2, 3, 7, 11].map(|i| Slot::ALL[i]),
+            terms: false,
+        }
+    }
+
     #[inline(always)]
     fn applied<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> Applied<R> {
         at.apply(

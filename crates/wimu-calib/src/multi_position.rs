@@ -34,8 +34,9 @@ pub enum Model {
 /// Beyond, in standard deviations of a residual, a pose left out is not predicted: some pose
 /// decides alone. Twelve well spread poses give 2 to 3.
 const MOST_LEFT_OUT: f64 = 10.0;
-/// A fit that leaves more than this, m/s² rms, is not one of static poses.
-const MOST_RMS_MPS2: f64 = 0.5;
+/// A fit that leaves more than this, m/s² rms, is not one of static poses: with fewer than nine
+/// parameters, with nine (10 mg, as a cold start leaves), and with terms on top of them.
+const MOST_RMS_MPS2: [f64; 3] = [0.5, 0.1, 0.05];
 /// Beyond, a sound sensor in sound poses is unlikely: 5 mg.
 const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
 /// Where least squares finds nothing, residuals beyond this pull ever less, m/s².
@@ -226,6 +227,7 @@ pub fn best_model(
     reject: bool,
 ) -> Result<Estimate, Refusal> {
     let mut best: Option<Estimate> = None;
+    let mut nine = None;
     for terms in Terms::every().filter(|terms| terms.include(least)) {
         for model in Model::ALL {
             let what = MultiPosition {
@@ -233,14 +235,26 @@ pub fn best_model(
                 terms,
                 reject,
             };
-            let Ok(estimate) = multi_position_with(poses, gravity, what) else {
-                continue;
+            let estimate = match multi_position_with(poses, gravity, what) {
+                Ok(estimate) => estimate,
+                Err(refusal) => {
+                    nine = nine.or(Some(refusal).filter(|_| model == Model::Full9));
+                    continue;
+                }
             };
             let loo = |estimate: &Estimate| estimate.loo_rms_mps2.unwrap_or(f64::INFINITY);
             if best.as_ref().is_none_or(|best| loo(&estimate) < loo(best)) {
                 best = Some(estimate);
             }
         }
+    }
+    // Fewer parameters do not mend what nine, known well enough, do not fit.
+    if let Some(refusal @ (Refusal::PoorFit { .. } | Refusal::Saturated { .. })) = nine
+        && best
+            .as_ref()
+            .is_some_and(|best| best.method != Method::MultiPosition(Model::Full9))
+    {
+        return Err(refusal);
     }
     best.map_or_else(
         || {
@@ -329,6 +343,15 @@ fn fit<R: Real, const N: usize>(
             .unwrap_or_else(|| knowledge.refusal(what, &problem.free))
     };
     let not_converged = || input::mixed_units(poses).unwrap_or(Refusal::NotConverged);
+    let unsolved = |problem: &Magnitude<N>| {
+        // What the poses tell where they nearly are: by the bias and scale factors that fit them.
+        let smaller = problem.smaller().solve(&perfect, None);
+        let near = smaller.map_or(perfect, |fit| fit.theta);
+        match problem.knowledge_at(&near) {
+            Some(knowledge) if !knowledge.suffices() => not_observable(&knowledge, problem),
+            _ => not_converged(),
+        }
+    };
     let squares = [ellipsoid, Some(perfect)]
         .into_iter()
         .flatten()
@@ -337,18 +360,11 @@ fn fit<R: Real, const N: usize>(
     let robust = |problem: &Magnitude<N>| problem.solve_robust(&perfect, FAR_OFF_MPS2);
     let converged = squares.is_some();
     let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
-        let knowledge = problem
-            .knowledge_at(&perfect)
-            .ok_or(Refusal::NotConverged)?;
-        return Err(if knowledge.suffices() {
-            not_converged()
-        } else {
-            not_observable(&knowledge, &problem)
-        });
+        return Err(unsolved(&problem));
     };
     let fit = refine(&mut problem, first, what)?;
     if !converged && problem.rejected.as_slice().is_empty() {
-        return Err(not_converged());
+        return Err(unsolved(&problem));
     }
     let knowledge = problem.knowledge(&fit).ok_or(Refusal::NotConverged)?;
     if !knowledge.suffices() {
@@ -429,7 +445,12 @@ fn result<R: Real, const N: usize>(
     {
         return Err(Refusal::Saturated { axis });
     }
-    if kept.rms_mps2() > MOST_RMS_MPS2 {
+    let most_rms = match (what.model, what.terms) {
+        (Model::Full9, Terms::NONE) => MOST_RMS_MPS2[1],
+        (Model::Full9, _) => MOST_RMS_MPS2[2],
+        _ => MOST_RMS_MPS2[0],
+    };
+    if kept.rms_mps2() > most_rms {
         return Err(input::mixed_units(poses).unwrap_or(Refusal::PoorFit {
             rms_mps2: kept.rms_mps2(),
             pose: kept.worst_pose,

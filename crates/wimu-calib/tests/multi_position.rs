@@ -336,6 +336,25 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
         "{parameters}"
     );
     multi_position(&faces, exact(), Model::BiasScale6).expect("the smaller model is determined");
+    // The same of a sensor whose axes are not square, and with noise: no fit converges.
+    let mut random = Random(18);
+    let truth = random.model(true);
+    let mut faces: Vec<Pose> = faces
+        .iter()
+        .map(|face| pose(&truth, G, face.mean_mps2.map(|y| y / G)))
+        .collect();
+    add_noise(&mut random, &mut faces, 0.002);
+    for reject in [false, true] {
+        let what = MultiPosition {
+            reject,
+            ..MultiPosition::default()
+        };
+        let refusal = multi_position_with(&faces, exact(), what).expect_err("a refusal");
+        assert!(
+            matches!(refusal, Refusal::NotObservable { .. }),
+            "{refusal:?}"
+        );
+    }
 }
 
 #[test]

@@ -199,7 +199,10 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         }
     };
     let mut fitted = found.poses.clone();
-    let mut outcome = fit(&fitted);
+    let mut outcome = match wrong_unit(data, &found, gravity) {
+        Some(refusal) => Err(refusal),
+        None => fit(&fitted),
+    };
     let mut sensitivity = known;
     // What the fit says of it, whether or not a board could hold it.
     let mut fitted_lsb_per_g = None;
@@ -286,6 +289,29 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     })
 }
 
+/// Samples among which hardly a pose is found may be in another unit than is said: then their noise
+/// passes for motion. Those of unknown worth have none.
+fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal> {
+    let known = match data.unit {
+        OutputUnit::Mps2 => true,
+        OutputUnit::Counts { nominal, .. } => nominal.is_some(),
+    };
+    if !known || data.poses || found.poses.len() > 3 {
+        return None;
+    }
+    let typical = Pose::from_mean([median_magnitude(data) * found.scale, 0.0, 0.0]);
+    multi_position_with(
+        &[typical; 4],
+        gravity,
+        MultiPosition {
+            model: Model::Bias3,
+            ..MultiPosition::default()
+        },
+    )
+    .err()
+    .filter(|refusal| matches!(refusal, Refusal::UnexpectedMagnitude { .. }))
+}
+
 /// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 
@@ -340,7 +366,8 @@ fn remarks(
     let told = options.method == MethodChoice::SixPosition && options.sides.is_some();
     if !told {
         remarks.push(
-            "nothing here shows axes that are swapped or mirrored: --method six-position --sides does"
+            "nothing here shows axes that are swapped, mirrored or inverted: --method six-position \
+             --sides does"
                 .to_owned(),
         );
     }

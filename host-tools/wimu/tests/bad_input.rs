@@ -196,11 +196,7 @@ fn counts_stuck_at_full_scale_and_dead_axes_are_refused_or_left_out() {
 fn swapped_and_mirrored_axes_are_found_where_sides_are_told_and_the_doubt_is_said_elsewhere() {
     let swapped = changed(30, |_, [x, y, z]| [y, x, z]);
     let object = calibrate(&table("m/s²", &swapped), &["--poses"]).succeeds();
-    assert!(
-        object["remarks"]
-            .to_string()
-            .contains("swapped or mirrored")
-    );
+    assert!(object["remarks"].to_string().contains("swapped, mirrored"));
     let faces: Vec<_> = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         .into_iter()
         .flat_map(|up| [up, up.map(|c: f64| -c)])
@@ -285,6 +281,10 @@ fn recordings_in_motion_and_broken_files_say_so() {
     let object = calibrate(&good, &[]).succeeds();
     near_truth(&object, 0.01);
     refused(&recording(&poses(20), 3.0), &[], "no static pose");
+    // mg where it says g: not motion, but another unit.
+    let in_mg = changed(20, |_, y| y.map(|c| c * 1000.0 / G));
+    let in_mg = recording(&in_mg, 0.0).replace("(m/s²)", "(g)");
+    refused(&in_mg, &[], "looks like counts");
     // Poses that were not still, as means.
     let moving = {
         let mut random = Random(5);

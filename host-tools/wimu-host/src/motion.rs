@@ -94,12 +94,20 @@ impl MotionRecording {
                 .iter()
                 .position(|n| n.starts_with(&format!("Gyroscope {axis} (")))
         });
-        let degrees = rate[0]
-            .is_some_and(|k| header.other[k].contains("deg/s") || header.other[k].contains("dps"));
-        let unit = if degrees {
-            std::f64::consts::PI / 180.0
-        } else {
-            1.0
+        let unit = match rate[0].map(|k| header.other[k].as_str()) {
+            None => 1.0,
+            Some(name) if name.contains("(rad/s)") => 1.0,
+            Some(name) if name.contains("(deg/s)") || name.contains("(dps)") => {
+                std::f64::consts::PI / 180.0
+            }
+            Some(column) => {
+                return Err(HostError::new(
+                    ErrorCode::UnknownFormat,
+                    format!("the unit of `{column}` is not known"),
+                    "give the angular rate in rad/s, deg/s or dps",
+                )
+                .at(format!("{} line 1", recording.name)));
+            }
         };
         let find = |start: &str| header.other.iter().position(|n| n.starts_with(start));
         let position = ["E", "N", "U"].map(|a| find(&format!("Truth Position {a}")));

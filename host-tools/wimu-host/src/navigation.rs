@@ -3,10 +3,13 @@
 use wimu_integrator::{Config, Integrator, Navigation, Phase};
 use wimu_link::message::{self, WirePhase};
 use wimu_model::{
-    CentiCelsius, Corrector, Counts, DeviceTimeUs, ParameterSet, PeriodNs, PositionNm, VelocityNmps,
+    CentiCelsius, Corrector, Counts, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
+    PositionNm, SpecificForceQ16, VelocityNmps,
 };
+use wimu_nav::unit::UnitSample;
 
 use crate::history::Boot;
+use crate::motion::MotionRecording;
 use crate::replay::{Replay, Step};
 use crate::{ErrorCode, HostError, Result};
 
@@ -124,6 +127,89 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
             }
         })
         .collect())
+}
+
+/// The samples of a start for [`crate::inertial::navigate`], and its magnetic field where the
+/// magnetometer is calibrated: corrected by the device, or with other parameters.
+///
+/// # Errors
+/// `no_rows` with fewer than two samples; `data_refused` when the parameters cannot be compiled.
+pub fn motion(
+    name: &str,
+    boot: &Boot,
+    parameters: Option<&ParameterSet>,
+) -> Result<MotionRecording> {
+    let forces: Vec<(DeviceTimeUs, SpecificForceQ16)> = match parameters {
+        Some(parameters) => {
+            let temperature = boot
+                .environment
+                .iter()
+                .find_map(|e| e.temperature_centi_c)
+                .map(CentiCelsius);
+            let corrector = Corrector::compile(parameters, temperature).map_err(|error| {
+                HostError::new(
+                    ErrorCode::DataRefused,
+                    error.to_string(),
+                    "give the calibration of this sensor",
+                )
+            })?;
+            let counts = boot
+                .raw
+                .iter()
+                .map(|raw| (raw.time, Counts(raw.value.map(|axis| axis as i16))));
+            counts
+                .map(|(time, counts)| (time, corrector.correct(counts)))
+                .collect()
+        }
+        None if boot.epochs.is_empty() || boot.raw.is_empty() => boot
+            .corrected
+            .iter()
+            .map(|sent| (sent.time, SpecificForceQ16(sent.value)))
+            .collect(),
+        None => Replay::new(boot, 0)
+            .filter_map(|step| match step {
+                Step::Sample(sample) => Some((sample.raw.time, sample.force)),
+                _ => None,
+            })
+            .collect(),
+    };
+    if forces.len() < 2 {
+        return Err(HostError::new(
+            ErrorCode::NoRows,
+            "there are fewer than two samples that can be corrected",
+            "record for longer than a second",
+        )
+        .at(name));
+    }
+    let mut fields = boot
+        .environment
+        .iter()
+        .filter_map(|e| {
+            let field_nt = match parameters {
+                Some(set) => set.correct_field(MagneticFieldNt(e.magnetic_field_nt?)),
+                None => boot.corrected_field_nt(e),
+            }?;
+            Some((e.time_us, field_nt.map(|b| b * 1e-3)))
+        })
+        .peekable();
+    let mut times_s = Vec::with_capacity(forces.len());
+    let mut samples = Vec::with_capacity(forces.len());
+    for (time, force) in &forces {
+        // Each field goes with the first sample after it.
+        let mut field_ut = None;
+        while let Some((_, field)) = fields.next_if(|(at, _)| *at <= time.0) {
+            field_ut = Some(field);
+        }
+        let now = time.to_seconds();
+        samples.push(UnitSample {
+            step_s: now - times_s.last().copied().unwrap_or(now),
+            force_mps2: force.to_mps2().0,
+            field_ut,
+            rate_rad_s: None,
+        });
+        times_s.push(now);
+    }
+    Ok(MotionRecording::new(name, times_s, samples))
 }
 
 /// Length of the path through `points`, m, over those that are valid.

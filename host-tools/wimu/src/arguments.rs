@@ -647,9 +647,12 @@ Example: wimu navigate session.mcap -o path.csv
 pub struct Navigate {
     /// A recording, or a CSV file of corrected samples
     pub input: PathBuf,
-    /// How a CSV file is navigated
+    /// How the path is found
     #[arg(long, value_enum, default_value_t = NavigateMethod::Auto)]
     pub method: NavigateMethod,
+    /// How the bias settles is fitted to this CSV file: the same unit at rest, from its switching on
+    #[arg(long, value_name = "STATIC.csv")]
+    pub drift: Option<PathBuf>,
     /// Places of an array's accelerometers: a line `X (m),Y (m),Z (m)`, then one for each
     #[arg(long, value_name = "FILE")]
     pub geometry: Option<PathBuf>,
@@ -668,7 +671,7 @@ pub struct Navigate {
     /// Recompute with this calibration instead of the device's own
     #[arg(long, value_name = "CAL.json")]
     pub calibration: Option<PathBuf>,
-    /// Recompute with or without zero-velocity updates; without this, as the device did
+    /// With or without zero velocity at rests; without this on, and the device's own as it did
     #[arg(long, value_enum)]
     pub zupt: Option<Switch>,
     /// Of which link; without it, the cable if it was recorded
@@ -676,7 +679,7 @@ pub struct Navigate {
     pub link: Option<Role>,
 }
 
-/// How `wimu navigate` finds the path in a CSV file.
+/// How `wimu navigate` finds the path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum NavigateMethod {
     /// `array` with --geometry, `strapdown` where there is a gyroscope, `tilt` otherwise

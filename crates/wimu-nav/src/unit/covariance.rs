@@ -35,6 +35,15 @@ impl<R: Real> Covariance<R> {
         core::array::from_fn(|i| core::array::from_fn(|j| self.0[row.0 + i][column.0 + j]))
     }
 
+    /// Puts a block's own covariance.
+    pub fn set(&mut self, at: Block, value: &Matrix<R>) {
+        for i in 0..3 {
+            for j in 0..3 {
+                self.0[at.0 + i][at.0 + j] = value[i][j];
+            }
+        }
+    }
+
     /// Variances of a block.
     pub fn variance(&self, at: Block) -> [R; 3] {
         core::array::from_fn(|i| self.0[at.0 + i][at.0 + i])

@@ -24,6 +24,8 @@ const FAST_SHARE: f64 = 0.03;
 const SQUARE_TIME_S: f64 = 0.134;
 /// Tilt variance beyond which second order says no more, rad².
 const SQUARE_MOST: f64 = 0.25;
+/// A level push does not show in |f| − g: it is believed within this time, s.
+const PUSH_MEMORY_S: f64 = 1.0;
 /// Acceleration that is seen at rest, m/s², and angular rate, rad/s.
 const REST_MPS2: f64 = 0.02;
 const REST_RAD_S: f64 = 1e-3;
@@ -51,7 +53,7 @@ const ZUPT_MPS: f64 = 0.005;
 /// A velocity beyond so many variances at a seeming rest is even motion ...
 const EVEN_GATE: f64 = 9.0;
 /// ... of which the filter begins to doubt in this time, s.
-const EVEN_S: f64 = 30.0;
+const EVEN_S: f64 = 10.0;
 
 impl<R: Real> UnitFilter<R> {
     pub(super) fn update(&mut self) {
@@ -66,16 +68,23 @@ impl<R: Real> UnitFilter<R> {
             // What |f| − g shows, and what the filter takes for acceleration now.
             let now = self.part(ACCELERATION);
             let now = dot(now, now) * R::from_f64(1.0 / 3.0);
+            if now > self.motion {
+                // It is remembered as that is.
+                let share = dt * R::from_f64(1.0 / PUSH_MEMORY_S);
+                let share = if share < one { share } else { one };
+                self.motion += (now - self.motion) * share;
+            }
             let square = if now > self.motion { now } else { self.motion };
             square.sqrt() + R::from_f64(REST_MPS2)
         };
-        self.predict(force, dt, motion, group.rated > R::from_f64(0.5) * dt);
+        let rated = group.rated > R::from_f64(0.5) * dt;
+        self.predict(force, dt, motion, rated);
         self.see_gravity(force, motion);
         if group.fields > R::default() {
             self.see_field(scale(group.field, one / group.fields));
         }
         if resting && self.config.zupt {
-            self.see_rest(dt);
+            self.see_rest(dt, rated);
         }
         self.fold();
     }
@@ -220,15 +229,22 @@ impl<R: Real> UnitFilter<R> {
 
     /// What looks like a rest is one, unless the velocity is known to be another. Then both may be
     /// true, even motion and a wrong velocity: until it has lasted, the velocity is doubted more and
-    /// more.
-    fn see_rest(&mut self, dt: R) {
+    /// more. Without an angular rate the velocity's error came and went with a tilt that nobody knows:
+    /// it says nothing about the way before, and position and its covariance stay as they are.
+    fn see_rest(&mut self, dt: R, rated: bool) {
         let velocity = self.part(VELOCITY);
         let one = diagonal(R::from_f64(1.0));
         let rows = |row: usize| [(VELOCITY, one[row])];
         let variance = R::from_f64(ZUPT_MPS * ZUPT_MPS);
         // A velocity after a gap is not known.
         let gate = self.valid.then_some(EVEN_GATE);
+        let position = self.part(POSITION);
+        let covariance = self.cov.block(POSITION, POSITION);
         if self.measure(rows, scale(velocity, R::from_f64(-1.0)), variance, gate) {
+            if !rated {
+                self.put(POSITION, position);
+                self.cov.set(POSITION, &covariance);
+            }
             self.since_rest_s = R::default();
             self.valid = true;
         } else {

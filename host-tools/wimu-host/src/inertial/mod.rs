@@ -28,6 +28,7 @@ use std::io::Write as _;
 use std::path::Path as FilePath;
 
 use wimu_calib::Gravity;
+use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
@@ -61,6 +62,8 @@ pub struct Choice {
     pub zupt: bool,
     /// Position is of use as long as its standard deviation is below this, m.
     pub limit_m: f64,
+    /// How the bias settles after switching on: the recording's start. Not for [`Method::Slide`].
+    pub drift: Option<Drift>,
 }
 
 impl Default for Choice {
@@ -69,6 +72,7 @@ impl Default for Choice {
             method: Method::Tilt,
             zupt: true,
             limit_m: 1.0,
+            drift: None,
         }
     }
 }
@@ -283,6 +287,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             let config = UnitConfig {
                 gravity_mps2: recording.gravity_at_first_rest(),
                 zupt: choice.zupt,
+                drift: choice.drift,
                 ..UnitConfig::default()
             };
             filter(&recording.times_s, &samples, config, choice, method)
@@ -296,6 +301,25 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     }
     compare(&mut path, recording);
     Ok(path)
+}
+
+/// How the bias settles, from a recording at rest that begins at the switching on.
+///
+/// # Errors
+/// `data_refused`: it moved, nothing drifts, or it had not settled at the end.
+pub fn settling(recording: &MotionRecording) -> Result<DriftFit> {
+    let mut estimator = DriftEstimator::new();
+    for (time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
+        estimator.push(*time_s, sample.force_mps2);
+    }
+    estimator.fit().map_err(|error| {
+        HostError::new(
+            ErrorCode::DataRefused,
+            error.to_string(),
+            "record the unit at rest from the moment it is switched on, or leave --drift out",
+        )
+        .at(&recording.name)
+    })
 }
 
 /// Navigates an array with the angular rate that it shows.
@@ -332,6 +356,7 @@ pub fn navigate_array(
         / (3 * motion.rate_sd_rad_s.len()) as f64;
     let config = UnitConfig {
         zupt: choice.zupt,
+        drift: choice.drift,
         // An error of the rate lasts about as long as the smoother looks.
         angle_walk: (variance * 10.0 * period).sqrt().max(0.005),
         ..UnitConfig::default()
@@ -391,6 +416,10 @@ fn filter(
     );
     remark(backwards, "samples whose time stood still: left out");
     remark(bad, "samples that were no numbers: left out");
+    remark(
+        filter.state().even,
+        "updates at what looked like a rest while the velocity was not zero: even motion, or a wrong velocity",
+    );
     remark(
         filter.state().disturbed,
         "times the magnetic field was disturbed: left out",

@@ -4,8 +4,7 @@ mod inertial;
 
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
-use wimu_host::export::{self, ExportStream};
-use wimu_host::history::{Boot, Recording};
+use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::navigation::{self, Point};
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
@@ -23,6 +22,8 @@ struct Navigated {
     link: String,
     /// One for each start of the device.
     starts: Vec<Start>,
+    /// The path of the longest start with its uncertainty; null where there is none.
+    path: Option<inertial::Found>,
 }
 
 #[derive(Serialize)]
@@ -84,18 +85,18 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     if extension.is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         return inertial::run(arguments, output);
     }
-    for (given, flag) in [
-        (arguments.geometry.is_some(), "--geometry"),
-        (arguments.report.is_some(), "--report"),
-        (arguments.method != NavigateMethod::Auto, "--method"),
-    ] {
-        if given {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                format!("{flag} is for a CSV file; a recording is navigated as the device did"),
-                "export it first: `wimu export FILE --stream corrected -o samples.csv`",
-            ));
-        }
+    inertial::check(arguments)?;
+    if arguments.geometry.is_some()
+        || matches!(
+            arguments.method,
+            NavigateMethod::Array | NavigateMethod::Strapdown
+        )
+    {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "a board has one accelerometer and no gyroscope",
+            "use --method tilt or slide; arrays and gyroscopes are read from CSV files",
+        ));
     }
     let recording = Recording::load(&arguments.input)?;
     let link = recording.link(arguments.link.map(Into::into))?;
@@ -128,25 +129,50 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         )
         .at(&recording.name));
     }
-    if let Some(path) = &arguments.output {
-        let rows = export::to_csv(
-            &arguments.input,
-            Some(link.role),
-            None,
-            ExportStream::Navigation,
-            path,
-        )?
-        .0;
-        output.say(format!("{}: {rows} rows", path.display()));
-    }
+    let path = path(link, arguments, &recording.name, output)?;
     output.object(&Navigated {
         schema: "wimu.navigation/1",
         status: "ok",
         source: recording.name.clone(),
         link: link.role.to_string(),
         starts,
+        path,
     });
     Ok(())
+}
+
+/// The filter's path through the longest start. Where nothing but the device's own was asked for, it may be
+/// absent.
+fn path(
+    link: &LinkHistory,
+    arguments: &Navigate,
+    name: &str,
+    output: Output,
+) -> Result<Option<inertial::Found>> {
+    let Some(boot) = link
+        .boots
+        .iter()
+        .max_by_key(|boot| boot.raw.len().max(boot.corrected.len()))
+    else {
+        return Ok(None);
+    };
+    let parameters = match &arguments.calibration {
+        Some(file) => Some(read_parameters(file)?),
+        None => None,
+    };
+    let asked = arguments.method != NavigateMethod::Auto
+        || arguments.output.is_some()
+        || arguments.report.is_some();
+    let found = navigation::motion(name, boot, parameters.as_ref())
+        .and_then(|motion| inertial::one_unit(arguments, &motion, name.to_owned(), output));
+    match found {
+        Ok(found) => Ok(Some(found)),
+        Err(error) if asked => Err(error),
+        Err(error) => {
+            output.say(format!("no path with its uncertainty: {error}"));
+            Ok(None)
+        }
+    }
 }
 
 fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 use wimu_host::array::{ArrayRecording, read_places};
-use wimu_host::inertial::{Choice, InertialPath, Method, navigate, navigate_array};
+use wimu_host::inertial::{Choice, InertialPath, Method, navigate, navigate_array, settling};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{ErrorCode, HostError, Result};
 
@@ -12,8 +12,9 @@ use crate::arguments::{Navigate, NavigateMethod, Switch};
 use crate::command::not_over_input;
 use crate::output::Output;
 
+/// What `--json` says of a path.
 #[derive(Serialize)]
-struct Found {
+pub struct Found {
     schema: &'static str,
     status: &'static str,
     source: String,
@@ -23,7 +24,9 @@ struct Found {
     distance_m: f64,
     final_position_m: [f64; 3],
     final_sigma_m: [f64; 3],
+    final_valid: bool,
     valid_share: f64,
+    drift: Option<Settling>,
     horizon: Horizon,
     nees: Option<Nees>,
     moves: Vec<MoveFound>,
@@ -54,60 +57,136 @@ struct MoveFound {
     turned_deg: f64,
 }
 
-pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
-    not_over_input(&arguments.input, arguments.report.as_deref())?;
+/// How the bias settles.
+#[derive(Serialize)]
+struct Settling {
+    rise_m_s2: [f64; 3],
+    rise_sd_m_s2: [f64; 3],
+    time_s: f64,
+    time_sd_s: f64,
+}
+
+fn usage<T>(message: &str, remedy: &str) -> Result<T> {
+    Err(HostError::new(ErrorCode::Usage, message, remedy))
+}
+
+/// Checks what does not need the files.
+pub fn check(arguments: &Navigate) -> Result<()> {
+    for file in [&arguments.report, &arguments.output] {
+        not_over_input(&arguments.input, file.as_deref())?;
+    }
     if !(arguments.limit > 0.0 && arguments.limit.is_finite() && arguments.sensitivity > 0.0) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
+        return usage(
             "the limit and the sensitivity must be positive numbers",
             "for example --limit 0.5",
-        ));
+        );
     }
+    if arguments.drift.is_some() && arguments.method == NavigateMethod::Slide {
+        return usage(
+            "--drift is not for slides: the rests at both ends show the bias",
+            "leave one of the two out",
+        );
+    }
+    Ok(())
+}
+
+/// A CSV file of corrected samples, or of an array's.
+pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+    check(arguments)?;
     if arguments.calibration.is_some() || arguments.link.is_some() {
-        return Err(HostError::new(
-            ErrorCode::Usage,
+        return usage(
             "--calibration and --link are for recordings: a CSV file holds corrected samples",
             "leave them out",
-        ));
+        );
     }
-    let mut choice = Choice {
-        method: Method::Tilt,
-        zupt: arguments.zupt != Some(Switch::Off),
-        limit_m: arguments.limit,
-    };
-    let as_array = arguments.geometry.is_some();
-    let path = match (arguments.method, &arguments.geometry) {
+    let source = arguments.input.display().to_string();
+    let found = match (arguments.method, &arguments.geometry) {
         (NavigateMethod::Auto | NavigateMethod::Array, Some(geometry)) => {
-            choice.method = Method::Array;
+            let (choice, settling) = choice(arguments, Method::Array, output)?;
             let places = read_places(geometry)?;
             let recording = ArrayRecording::from_csv(&arguments.input, arguments.sensitivity)?;
-            navigate_array(&recording, &places, &choice)?
+            let path = navigate_array(&recording, &places, &choice)?;
+            let found = present(arguments, &path, &choice, settling, source, output)?;
+            output.say("the angular rate is from all samples, later ones too; position is causal");
+            found
         }
         (NavigateMethod::Array, None) | (_, Some(_)) => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
+            return usage(
                 "the method array and --geometry go together",
                 "give --geometry FILE with --method array, and neither otherwise",
-            ));
+            );
         }
-        (method, None) => {
-            let recording = MotionRecording::from_csv(&arguments.input)?;
-            let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
-            choice.method = match method {
-                NavigateMethod::Strapdown => Method::Strapdown,
-                NavigateMethod::Slide => Method::Slide,
-                NavigateMethod::Auto if rated => Method::Strapdown,
-                _ => Method::Tilt,
-            };
-            navigate(&recording, &choice)?
-        }
+        (_, None) => one_unit(
+            arguments,
+            &MotionRecording::from_csv(&arguments.input)?,
+            source,
+            output,
+        )?,
     };
-    let source = arguments.input.display().to_string();
-    let text = text(&path, &choice);
+    output.object(&found);
+    Ok(())
+}
+
+/// The path of one unit: said and written; returns what `--json` says.
+pub fn one_unit(
+    arguments: &Navigate,
+    recording: &MotionRecording,
+    source: String,
+    output: Output,
+) -> Result<Found> {
+    let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
+    let method = match arguments.method {
+        NavigateMethod::Strapdown => Method::Strapdown,
+        NavigateMethod::Slide => Method::Slide,
+        NavigateMethod::Auto if rated => Method::Strapdown,
+        _ => Method::Tilt,
+    };
+    let (choice, settling) = choice(arguments, method, output)?;
+    let path = navigate(recording, &choice)?;
+    present(arguments, &path, &choice, settling, source, output)
+}
+
+fn choice(
+    arguments: &Navigate,
+    method: Method,
+    output: Output,
+) -> Result<(Choice, Option<Settling>)> {
+    let mut choice = Choice {
+        method,
+        zupt: arguments.zupt != Some(Switch::Off),
+        limit_m: arguments.limit,
+        drift: None,
+    };
+    let Some(file) = &arguments.drift else {
+        return Ok((choice, None));
+    };
+    let fit = settling(&MotionRecording::from_csv(file)?)?;
+    choice.drift = Some(fit.drift.settling());
+    let [x, y, z] = fit.drift.rise_mps2;
+    let [sx, sy, sz] = fit.drift.rise_sd_mps2;
+    output.say(format!(
+        "the bias settles by {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s² in {:.0} ± {:.0} s",
+        fit.drift.time_s, fit.time_sd_s
+    ));
+    let settling = Settling {
+        rise_m_s2: fit.drift.rise_mps2,
+        rise_sd_m_s2: fit.drift.rise_sd_mps2,
+        time_s: fit.drift.time_s,
+        time_sd_s: fit.time_sd_s,
+    };
+    Ok((choice, Some(settling)))
+}
+
+fn present(
+    arguments: &Navigate,
+    path: &InertialPath,
+    choice: &Choice,
+    settling: Option<Settling>,
+    source: String,
+    output: Output,
+) -> Result<Found> {
+    let text = text(path, choice);
     output.say(text.trim_end());
-    if as_array {
-        output.say("the angular rate is from all samples, later ones too; position is causal");
-    }
     if let Some(file) = &arguments.output {
         path.write_csv(file)?;
         output.say(format!("{}: {} rows", file.display(), path.points.len()));
@@ -116,11 +195,15 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         path.report(&source, &text, file)?;
         output.say(format!("{}: written", file.display()));
     }
-    output.object(&found(&path, &choice, source));
-    Ok(())
+    Ok(found(path, choice, settling, source))
 }
 
-fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
+fn found(
+    path: &InertialPath,
+    choice: &Choice,
+    settling: Option<Settling>,
+    source: String,
+) -> Found {
     let last = path.points.last();
     Found {
         schema: "wimu.path/1",
@@ -132,7 +215,9 @@ fn found(path: &InertialPath, choice: &Choice, source: String) -> Found {
         distance_m: path.distance_m(),
         final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
         final_sigma_m: last.map(|p| p.sigma_m()).unwrap_or_default(),
+        final_valid: last.is_some_and(|p| p.valid),
         valid_share: path.valid_share(),
+        drift: settling,
         horizon: Horizon {
             to_0_1_m_s: path.horizon_s(0.1),
             to_1_m_s: path.horizon_s(1.0),

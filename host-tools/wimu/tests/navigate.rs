@@ -1,0 +1,398 @@
+//! `wimu navigate` as scripts use it: columns, keys, reports and what is refused.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use kit::{Background, Simulator, folder, wimu};
+use serde_json::Value;
+
+const G: f64 = 9.80665;
+
+/// A recording of 8 s at 100 Hz: rest, 0.5 m along x in 1.5 s, rest.
+#[derive(Clone, Copy)]
+struct Made {
+    field: bool,
+    gyroscope: bool,
+    truth: bool,
+    /// From here on the field is another, s.
+    magnet_s: f64,
+    /// Shaken from the start on.
+    shaken: bool,
+}
+
+const PLAIN: Made = Made {
+    field: true,
+    gyroscope: false,
+    truth: true,
+    magnet_s: f64::INFINITY,
+    shaken: false,
+};
+
+impl Made {
+    fn header(self) -> String {
+        let mut text = String::from("Time (s)");
+        let mut columns = |name: &str, axes: &[&str], unit: &str| {
+            for axis in axes {
+                write!(text, ",{name} {axis}{unit}").unwrap();
+            }
+        };
+        let axes = ["X", "Y", "Z"];
+        columns("Accelerometer", &axes, " (m/s²)");
+        if self.gyroscope {
+            columns("Gyroscope", &axes, " (deg/s)");
+        }
+        if self.field {
+            columns("Magnetometer", &axes, " (µT)");
+        }
+        if self.truth {
+            columns("Truth Position", &["E", "N", "U"], " (m)");
+            columns("Truth Quaternion", &["W", "X", "Y", "Z"], "");
+        }
+        text
+    }
+
+    fn row(self, k: u32) -> String {
+        let t = f64::from(k) * 0.01;
+        let tau = ((t - 3.0) / 1.5).clamp(0.0, 1.0);
+        let push = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) * 0.5 / 2.25;
+        let way = 0.5 * tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
+        let noise = f64::from((k * 7919) % 13) * 0.004 - 0.024;
+        let shake = if self.shaken {
+            4.0 * (9.0 * t).sin()
+        } else {
+            0.0
+        };
+        let mut text = format!("{t:.2},{},{},{}", push + noise + shake, -noise, G + noise);
+        if self.gyroscope {
+            write!(text, ",{},0,{}", noise, -noise).unwrap();
+        }
+        if self.field {
+            let other = if t < self.magnet_s { 0.0 } else { 150.0 };
+            write!(
+                text,
+                ",{},{},{}",
+                noise + other,
+                20.0 + noise,
+                -44.0 - other
+            )
+            .unwrap();
+        }
+        if self.truth {
+            write!(text, ",{way},0,0,1,0,0,0").unwrap();
+        }
+        text
+    }
+
+    fn text(self) -> String {
+        let rows = (0..800).map(|k| self.row(k));
+        let all: Vec<String> = std::iter::once(self.header()).chain(rows).collect();
+        all.join("\n") + "\n"
+    }
+
+    fn write(self, folder: &Path, name: &str) -> String {
+        let path = folder.join(name);
+        fs::write(&path, self.text()).unwrap();
+        path.display().to_string()
+    }
+}
+
+fn number(value: &Value, pointer: &str) -> f64 {
+    let found = value.pointer(pointer).and_then(Value::as_f64);
+    found.unwrap_or_else(|| panic!("{pointer} of {value}"))
+}
+
+#[test]
+fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
+    let folder = folder();
+    let made = Made {
+        gyroscope: true,
+        ..PLAIN
+    };
+    let csv = made.write(folder.path(), "in.csv");
+    let out = folder.path().join("path.csv").display().to_string();
+    let page = folder.path().join("page.html").display().to_string();
+    for (method, found) in [
+        ("auto", "strapdown"),
+        ("strapdown", "strapdown"),
+        ("tilt", "tilt"),
+        ("slide", "slide"),
+    ] {
+        let arguments = ["navigate", &csv, "--method", method, "--limit", "0.5"];
+        let files = ["-o", &out, "--report", &page];
+        let ran = wimu(&[&arguments[..], &files].concat());
+        let said = ran.succeeds();
+        assert_eq!(said["schema"], "wimu.path/1");
+        assert_eq!(
+            (said["status"].as_str(), said["method"].as_str()),
+            (Some("ok"), Some(found))
+        );
+        assert!((number(&said, "/duration_s") - 7.99).abs() < 1e-9);
+        // Over the samples that are known to the limit.
+        assert!((0.1..1.5).contains(&number(&said, "/distance_m")), "{said}");
+        for axis in 0..3 {
+            number(&said, &format!("/final_position_m/{axis}"));
+            assert!(number(&said, &format!("/final_sigma_m/{axis}")) >= 0.0);
+        }
+        assert!(said["final_valid"].is_boolean());
+        assert!((0.0..=1.0).contains(&number(&said, "/valid_share")));
+        assert_eq!(number(&said, "/horizon/limit_m"), 0.5);
+        for key in ["to_0_1_m_s", "to_1_m_s", "to_limit_s"] {
+            let value = &said["horizon"][key];
+            assert!(
+                value.is_null() || value.as_f64().is_some_and(|s| s > 0.0),
+                "{said}"
+            );
+        }
+        assert!(number(&said, "/nees/samples") > 100.0);
+        assert!(number(&said, "/nees/share_below_7_81") > 0.85, "{said}");
+        number(&said, "/nees/median");
+        assert!(said["remarks"].is_array() && said["drift"].is_null());
+        for limit in ["0.1 m", "1 m", "0.5 m"] {
+            let said = ran
+                .stderr
+                .lines()
+                .any(|line| line.starts_with("horizon: 1 σ") && line.contains(limit));
+            assert!(said, "{}", ran.stderr);
+        }
+
+        let text = fs::read_to_string(&out).unwrap();
+        assert_eq!(
+            text.lines().next().unwrap(),
+            "Time (s),Position E (m),Position N (m),Position U (m),Velocity E (m/s),\
+             Velocity N (m/s),Velocity U (m/s),Quaternion W,Quaternion X,Quaternion Y,\
+             Quaternion Z,Angular Rate X (rad/s),Angular Rate Y (rad/s),Angular Rate Z (rad/s),\
+             Sigma E (m),Sigma N (m),Sigma U (m),Valid"
+        );
+        let rows: Vec<Vec<f64>> = text
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect())
+            .collect();
+        assert_eq!(rows.len(), 800);
+        for row in &rows {
+            assert_eq!(row.len(), 18);
+            let sigma = row[14..17].iter().map(|s| s * s).sum::<f64>().sqrt();
+            assert!(row[17] == 0.0 || row[17] == 1.0 && sigma <= 0.5001);
+            let length = row[7..11].iter().map(|q| q * q).sum::<f64>();
+            assert!((length - 1.0).abs() < 1e-4);
+        }
+        if method == "slide" {
+            let length = number(&said, "/moves/0/length_m");
+            let sd = number(&said, "/moves/0/length_sd_m");
+            assert!((length - 0.5).abs() < 2.0 * sd && sd < 0.05, "{said}");
+        }
+        let page = fs::read_to_string(&page).unwrap();
+        assert!(
+            page.matches("<svg").count() >= 3,
+            "{method}: position, its σ and the plan"
+        );
+    }
+}
+
+#[test]
+fn zero_velocity_at_rests_can_be_switched_off_and_then_the_path_is_lost() {
+    let folder = folder();
+    let csv = PLAIN.write(folder.path(), "in.csv");
+    let sigma = |zupt: &str| {
+        let said = wimu(&["navigate", &csv, "--zupt", zupt]).succeeds();
+        assert_eq!(said["zupt"], zupt == "on");
+        (0..3)
+            .map(|i| number(&said, &format!("/final_sigma_m/{i}")))
+            .sum::<f64>()
+    };
+    assert!(sigma("off") > 1.5 * sigma("on"));
+}
+
+#[test]
+fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_said() {
+    let folder = folder();
+    let remark = |made: Made, name: &str, text: &str| {
+        let csv = made.write(folder.path(), name);
+        let said = wimu(&["navigate", &csv, "--method", "tilt"]).succeeds();
+        let remarks = said["remarks"].to_string();
+        assert!(remarks.contains(text), "{remarks}");
+        said
+    };
+    let without = Made {
+        field: false,
+        ..PLAIN
+    };
+    remark(without, "without.csv", "no magnetometer");
+    let magnet = Made {
+        magnet_s: 5.5,
+        ..PLAIN
+    };
+    remark(magnet, "magnet.csv", "magnetic field was disturbed");
+    let shaken = Made {
+        shaken: true,
+        ..PLAIN
+    };
+    let csv = shaken.write(folder.path(), "shaken.csv");
+    let ran = wimu(&["navigate", &csv, "--method", "tilt"]);
+    if ran.code == 0 {
+        let said = ran.succeeds();
+        assert!(number(&said, "/horizon/to_1_m_s") < 5.0, "{said}");
+    } else {
+        ran.fails(3, "data_refused");
+    }
+    wimu(&["navigate", &csv, "--method", "slide"]).fails(3, "data_refused");
+}
+
+#[test]
+fn gaps_and_time_that_stands_still_are_said_and_damaged_files_refused_with_their_line() {
+    let folder = folder();
+    let text = PLAIN.text();
+    let lines: Vec<&str> = text.lines().collect();
+    let write = |name: &str, lines: &[&str]| {
+        let path = folder.path().join(name);
+        fs::write(&path, lines.join("\n")).unwrap();
+        path.display().to_string()
+    };
+    let gap = write("gap.csv", &[&lines[..320], &lines[370..]].concat());
+    let said = wimu(&["navigate", &gap]).succeeds();
+    assert!(
+        said["remarks"].to_string().contains("1 gaps longer"),
+        "{said}"
+    );
+    assert!(number(&said, "/valid_share") < 0.95);
+    let still = write("still.csv", &[&lines[..320], &lines[319..]].concat());
+    let said = wimu(&["navigate", &still]).succeeds();
+    assert!(
+        said["remarks"].to_string().contains("time stood still"),
+        "{said}"
+    );
+
+    let back = write("back.csv", &[&lines[..320], &lines[100..]].concat());
+    let failure = wimu(&["navigate", &back]).fails(2, "csv_time_backwards");
+    assert!(
+        failure["where"].as_str().unwrap().contains("line 321"),
+        "{failure}"
+    );
+    let broken = lines[300].replacen(",", ",NaN,", 1);
+    let nan = write(
+        "nan.csv",
+        &[&lines[..300], &[&broken[..]], &lines[301..]].concat(),
+    );
+    let failure = wimu(&["navigate", &nan]).fails(2, "csv_field_count");
+    assert!(
+        failure["where"].as_str().unwrap().contains("line 301"),
+        "{failure}"
+    );
+    let mut cells: Vec<&str> = lines[300].split(',').collect();
+    cells[2] = "NaN";
+    let nan = write(
+        "nan2.csv",
+        &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat(),
+    );
+    let failure = wimu(&["navigate", &nan]).fails(2, "csv_bad_number");
+    assert!(
+        failure["where"].as_str().unwrap().contains("line 301"),
+        "{failure}"
+    );
+    let short = write("short.csv", &lines[..2]);
+    wimu(&["navigate", &short]).fails(2, "no_rows");
+    let counts = lines[0].replace("(m/s²)", "(LSB)");
+    let raw = write("raw.csv", &[&[&counts[..]], &lines[1..]].concat());
+    wimu(&["navigate", &raw]).fails(2, "unknown_format");
+    let unit = Made {
+        gyroscope: true,
+        ..PLAIN
+    };
+    let text = unit.text().replacen("(deg/s)", "(LSB)", 3);
+    let unit = write("unit.csv", &[text.trim_end()]);
+    wimu(&["navigate", &unit]).fails(2, "unknown_format");
+}
+
+#[test]
+fn what_cannot_go_together_is_wrong_usage_and_says_what_to_do() {
+    let folder = folder();
+    let csv = PLAIN.write(folder.path(), "in.csv");
+    let usage = |more: &[&str]| {
+        let failure = wimu(&[&["navigate", &csv], more].concat()).fails(2, "usage");
+        assert!(!failure["remedy"].as_str().unwrap().is_empty());
+    };
+    usage(&["--limit", "0"]);
+    usage(&["--limit", "NaN"]);
+    usage(&["--method", "array"]);
+    usage(&["--method", "slide", "--geometry", &csv]);
+    usage(&["--method", "slide", "--drift", &csv]);
+    usage(&["--calibration", "CAL.json"]);
+    usage(&["--link", "cable"]);
+    usage(&["-o", &csv]);
+    usage(&["--report", &csv]);
+    usage(&["--method", "magic"]);
+    wimu(&["navigate", &csv, "--method", "strapdown"]).fails(3, "data_refused");
+}
+
+#[test]
+fn how_the_bias_settles_is_fitted_to_a_recording_at_rest_and_taken_out() {
+    let folder = folder();
+    let csv = PLAIN.write(folder.path(), "in.csv");
+    let path = folder.path().join("static.csv").display().to_string();
+    let write = |rise: f64| {
+        let head = "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)";
+        let mut text = String::from(head);
+        for k in 0..6000_u32 {
+            let t = f64::from(k) * 0.1;
+            let noise = f64::from(k.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 24) - 0.5;
+            let x = rise * (1.0 - (-t / 90.0).exp()) + 0.1 * noise;
+            write!(text, "\n{t:.1},{x},{},{}", 0.1 * noise, G - 0.1 * noise).unwrap();
+        }
+        fs::write(&path, text).unwrap();
+    };
+    write(0.08);
+    let said = wimu(&["navigate", &csv, "--drift", &path]).succeeds();
+    let (rise, sd) = (
+        number(&said, "/drift/rise_m_s2/0"),
+        number(&said, "/drift/rise_sd_m_s2/0"),
+    );
+    assert!((rise - 0.08).abs() < 4.0 * sd && sd < 0.01, "{said}");
+    let (time, sd) = (
+        number(&said, "/drift/time_s"),
+        number(&said, "/drift/time_sd_s"),
+    );
+    assert!((time - 90.0).abs() < 4.0 * sd && sd < 30.0, "{said}");
+    write(0.0);
+    let failure = wimu(&["navigate", &csv, "--drift", &path]).fails(3, "data_refused");
+    assert!(
+        failure["message"]
+            .as_str()
+            .unwrap()
+            .contains("no axis drifts")
+    );
+}
+
+#[test]
+fn a_boards_recording_is_navigated_by_every_method_that_it_supports() {
+    let folder = folder();
+    let session = folder.path().join("s.mcap").display().to_string();
+    let out = folder.path().join("path.csv").display().to_string();
+    let page = folder.path().join("page.html").display().to_string();
+    let motion = ["--motion", "slide", "--seed", "4"];
+    let pace = ["--speed", "10", "--exit-when-done"];
+    let board = Simulator::start(&[&motion[..], &pace].concat());
+    let record = ["record", &board.cable, "-o", &session, "--reconnect", "0.5"];
+    Background::start(&record).finish().succeeds();
+    let said = wimu(&["navigate", &session]).succeeds();
+    assert!(said["starts"][0]["replay"].is_object(), "{said}");
+    assert_eq!(said["path"]["method"], "tilt");
+    for method in ["tilt", "slide"] {
+        let files = ["-o", &out, "--report", &page];
+        let arguments = ["navigate", &session, "--method", method];
+        let said = wimu(&[&arguments[..], &files].concat()).succeeds();
+        assert_eq!(said["path"]["method"], method);
+        assert!(number(&said, "/path/duration_s") > 3.0);
+        let text = fs::read_to_string(&out).unwrap();
+        assert!(text.starts_with("Time (s),Position E (m)") && text.contains("Sigma E (m)"));
+        assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
+    }
+    let limits = wimu(&["navigate", &session, "--limit", "0.3", "--zupt", "off"]).succeeds();
+    assert_eq!(number(&limits, "/path/horizon/limit_m"), 0.3);
+    for method in ["strapdown", "array"] {
+        wimu(&["navigate", &session, "--method", method]).fails(2, "usage");
+    }
+    wimu(&["navigate", &session, "--geometry", &out]).fails(2, "usage");
+}

@@ -2,14 +2,18 @@
 //! specific force without a gyroscope.
 //!
 //! [`Geometry`] says where they are, [`ArraySolver`] takes one sample of all of them, and
-//! [`Array`] does so while leaving out those that are dead or saturated. [`track`] follows the angular
-//! rate through a recording.
+//! [`Array`] does so while leaving out those that are dead or saturated. [`ArrayFilter`] navigates
+//! with them; [`track`] follows the angular rate through a whole recording, looking ahead too.
 
+mod filter;
 mod geometry;
+mod hypothesis;
+mod matrix;
 mod monitor;
 mod solver;
 mod track;
 
+pub use filter::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState};
 pub use geometry::{Axis, Geometry, GeometryError, Triad};
 pub use monitor::{Array, Dropped, Update};
 pub use solver::{ArraySolver, Hypothesis, Linear, Roots, Solution};

@@ -299,6 +299,18 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         &self.theta_covariance
     }
 
+    /// Mean variance of the axes in use, (m/s²)².
+    pub fn variance_mps2(&self) -> R {
+        let mut sum = R::default();
+        let mut count = R::default();
+        let one = R::from_f64(1.0);
+        for weight in self.weights.iter().filter(|w| **w > R::default()) {
+            sum += one / (*weight * *weight);
+            count += one;
+        }
+        sum / count
+    }
+
     /// Root mean square distance of the sensors from their centre, m.
     pub fn arm_m(&self) -> f64 {
         self.arm_m
@@ -349,39 +361,13 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
 
     /// What z should be at `rate_rad_s`, and its derivatives.
     pub fn expected_z(&self, rate_rad_s: [R; 3]) -> ([R; 6], [[R; 3]; 6]) {
-        let q = monomials(rate_rad_s);
-        let [x, y, z] = rate_rad_s;
-        let mut value = [R::default(); 6];
-        let mut slope = [[R::default(); 3]; 6];
-        for row in 0..self.rank.min(6) {
-            let u = &self.u[row];
-            value[row] = inner(u, &q);
-            slope[row] = [
-                (u[0] + u[0]) * x + u[4] * z + u[5] * y,
-                (u[1] + u[1]) * y + u[3] * z + u[5] * x,
-                (u[2] + u[2]) * z + u[3] * y + u[4] * x,
-            ];
-        }
-        (value, slope)
+        let rows = self.u.iter().take(self.rank);
+        at_rate(rows, rate_rad_s)
     }
 
-    /// What centripetal acceleration at `rate_rad_s` adds to the ω̇ of [`Linear::theta`], and its
-    /// derivatives.
-    pub fn expected_turn(&self, rate_rad_s: [R; 3]) -> ([R; 3], [[R; 3]; 3]) {
-        let q = monomials(rate_rad_s);
-        let [x, y, z] = rate_rad_s;
-        let mut value = [R::default(); 3];
-        let mut slope = [[R::default(); 3]; 3];
-        for row in 0..3 {
-            let u = &self.quadratic_theta[row];
-            value[row] = inner(u, &q);
-            slope[row] = [
-                (u[0] + u[0]) * x + u[4] * z + u[5] * y,
-                (u[1] + u[1]) * y + u[3] * z + u[5] * x,
-                (u[2] + u[2]) * z + u[3] * y + u[4] * x,
-            ];
-        }
-        (value, slope)
+    /// What centripetal acceleration at `rate_rad_s` adds to [`Linear::theta`], and its derivatives.
+    pub fn expected_theta(&self, rate_rad_s: [R; 3]) -> ([R; 6], [[R; 3]; 6]) {
+        at_rate(self.quadratic_theta.iter(), rate_rad_s)
     }
 
     /// All angular rates that fit a sample, by [`ArraySolver::reduce`] and [`ArraySolver::roots_of`].
@@ -535,6 +521,26 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         }
         state
     }
+}
+
+/// Combinations of the monomials at `rate`, and their derivatives.
+fn at_rate<'a, R: Real + 'a>(
+    rows: impl Iterator<Item = &'a [R; 6]>,
+    rate: [R; 3],
+) -> ([R; 6], [[R; 3]; 6]) {
+    let q = monomials(rate);
+    let [x, y, z] = rate;
+    let mut value = [R::default(); 6];
+    let mut slope = [[R::default(); 3]; 6];
+    for ((u, value), slope) in rows.zip(&mut value).zip(&mut slope) {
+        *value = inner(u, &q);
+        *slope = [
+            (u[0] + u[0]) * x + u[4] * z + u[5] * y,
+            (u[1] + u[1]) * y + u[3] * z + u[5] * x,
+            (u[2] + u[2]) * z + u[3] * y + u[4] * x,
+        ];
+    }
+    (value, slope)
 }
 
 struct State<R> {

@@ -392,7 +392,7 @@ impl<const M: usize> Filter<'_, M> {
         let mut expected = SVector::zeros();
         let mut noise = SMatrix::zeros();
         let (z, z_slope) = self.solver.expected_z(step.at);
-        let (turn, turn_slope) = self.solver.expected_turn(step.at);
+        let (turn, turn_slope) = self.solver.expected_theta(step.at);
         for row in 0..MEASURED {
             let slope = if row < 6 {
                 z_slope[row]

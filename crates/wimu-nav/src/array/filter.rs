@@ -1,0 +1,748 @@
+//! Inertial navigation with an array alone: equations (71) to (76) and (88) to (91).
+
+use core::fmt;
+
+use super::geometry::{Geometry, GeometryError};
+use super::hypothesis::{
+    Candidate, FORCE_BIAS, Hypothesis, MEASURED, Noise, OMEGA, PHI, POSITION, STATES, TURN,
+    TURN_BIAS, TURNING, VELOCITY, View, Z_BIAS, block, couple, dot, part, quaternion, r,
+    scaled_identity,
+};
+use super::matrix::{cross_matrix, product, rotation};
+use super::monitor::{Array, Dropped};
+use super::solver::{ArraySolver, Linear, Roots};
+use crate::Real;
+
+/// Hypotheses kept from sample to sample.
+const MOST: usize = 4;
+/// Those that a sample may bring: each one's own, its opposite and all roots of the sample.
+const CANDIDATES: usize = MOST * 6;
+
+/// A hypothesis less likely than the best by this factor is given up, as a logarithm.
+const GIVEN_UP: f64 = 20.0;
+
+/// Share of the sample's own excess in its noise, the rest is that of the samples before it.
+const OWN_SHARE: f64 = 0.8;
+/// Samples over which the excess is remembered.
+const EXCESS_SAMPLES: f64 = 5.0;
+/// An excess up to this is noise, more of it is vibration.
+const EXCESS_OF_NOISE: f64 = 2.0;
+/// How long the size of ω̇ is remembered, s.
+const ACTIVITY_S: f64 = 0.25;
+/// ω̇ changes by 4 times its size in √s: a motion is another one after 1/16 s.
+const TURN_WALK: f64 = 4.0;
+/// A body at rest may begin to turn, rad/s² per √s.
+const TURN_WALK_AT_REST: f64 = 20.0;
+/// Part of ω̇ that lasts for one sample only.
+const TURN_FAST: f64 = 0.2;
+/// ω̇ of a vibration, and how far ω strays with it in √s, in units of vibration / arm.
+const VIBRATION_TURN: f64 = 1.5;
+const VIBRATION_RATE: f64 = 0.2;
+/// Noise of ω̇ that is always there, rad/s².
+const TURN_NOISE: f64 = 1.0;
+
+/// The first attitude is from so much, s.
+const ALIGN_S: f64 = 0.5;
+/// A pause longer than this is a gap: what happened in it is not known.
+const GAP_S: f64 = 0.25;
+/// A rest shows less than this, m/s² in each direction, for this long, s; |s| is near gravity then.
+const REST_MPS2: f64 = 0.15;
+/// A rest shows ω̇ and centripetal acceleration below so many variances.
+const REST_SIGMA2: f64 = 20.0;
+const REST_NEAR_GRAVITY_MPS2: f64 = 0.3;
+const REST_S: f64 = 0.5;
+/// Speed, angular rate and acceleration, and departure from gravity that a rest may have over 0.5 s.
+const REST_SPEED_MPS: f64 = 0.005;
+const REST_RATE_RAD_S: f64 = 0.02;
+const REST_TURN_RAD_S2: f64 = 0.1;
+const REST_FORCE_MPS2: f64 = 0.02;
+
+/// How an array is used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArrayConfig {
+    /// Local gravity, m/s².
+    pub gravity_mps2: f64,
+    /// Whether a rest is taken for zero velocity and zero angular rate: accelerometers cannot tell it
+    /// from uniform motion, nor an array from a slow turn.
+    pub zupt: bool,
+    /// Output at which an axis saturates, m/s².
+    pub range_mps2: f64,
+    /// Standard deviation of each axis's bias, m/s², and its random walk, m/s² per √s.
+    pub bias_mps2: f64,
+    /// Random walk of the biases, m/s² per √s.
+    pub bias_walk: f64,
+    /// Error of s that the outputs do not show (scale, vibration), m/s² in each sample.
+    pub force_noise_mps2: f64,
+}
+
+impl Default for ArrayConfig {
+    fn default() -> Self {
+        Self {
+            gravity_mps2: 9.80665,
+            zupt: true,
+            range_mps2: 155.0,
+            bias_mps2: 0.02,
+            bias_walk: 1e-4,
+            force_noise_mps2: 0.05,
+        }
+    }
+}
+
+/// What was wrong with a sample. The filter goes on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum ArrayFault {
+    /// Too few sensors are left for ω̇ and s: the angular rate is carried on, the position is not
+    /// valid until the next rest.
+    Blind(GeometryError),
+    /// Time went back, stood still or is not finite: the sample was left out.
+    NoTime,
+    /// Longer than 0.25 s since the sample before: the position is not valid until the next rest.
+    Gap,
+}
+
+impl fmt::Display for ArrayFault {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Blind(why) => write!(out, "too few sensors can be used: {why}"),
+            Self::NoTime => {
+                out.write_str("time did not go on: the sample was left out; check its time")
+            }
+            Self::Gap => out.write_str(
+                "no sample for 0.25 s: the position is not valid until the body rests again",
+            ),
+        }
+    }
+}
+
+impl core::error::Error for ArrayFault {}
+
+/// What is known after a sample. Means and covariances are those of all hypotheses together, each
+/// with its probability.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArrayState<R> {
+    /// ω, rad/s, body axes.
+    pub rate_rad_s: [R; 3],
+    /// Its covariance, (rad/s)². It grows at rest where no ZUPT is made: an array knows nothing of ω
+    /// there.
+    pub rate_covariance: [[R; 3]; 3],
+    /// ω̇ without what lasts for one sample only, rad/s², body axes.
+    pub angular_acceleration_rad_s2: [R; 3],
+    /// Body to navigation axes (east-north-up; heading is that of the body at the start), W X Y Z.
+    pub quaternion: [R; 4],
+    /// Covariance of the attitude, turns about east, north and up, rad².
+    pub attitude_covariance: [[R; 3]; 3],
+    /// Velocity of the sensors' centre, m/s.
+    pub velocity_mps: [R; 3],
+    /// Its covariance, (m/s)².
+    pub velocity_covariance: [[R; 3]; 3],
+    /// Position of the sensors' centre, m.
+    pub position_m: [R; 3],
+    /// Its covariance, m².
+    pub position_covariance: [[R; 3]; 3],
+    /// Probability of the likeliest hypothesis: 1 where nothing is ambiguous.
+    pub certainty: R,
+    /// Seconds since velocity was last known to be zero (or given).
+    pub since_rest_s: R,
+    /// Whether it is at rest now.
+    pub resting: bool,
+    /// False before the first alignment, and after a gap until the next rest.
+    pub valid: bool,
+}
+
+impl<R: Real> ArrayState<R> {
+    /// Standard deviation of the position in space, m.
+    pub fn position_sd_m(&self) -> R {
+        let p = &self.position_covariance;
+        (p[0][0] + p[1][1] + p[2][2]).abs().sqrt()
+    }
+}
+
+/// The filter of one array: ω, ω̇, attitude, velocity, position and biases, with every root of ω kept
+/// as a hypothesis of its own until the data decide.
+///
+/// About 23 kB in f64 and 12 kB in f32, and twice that on the stack while it works: for a host or a
+/// large microcontroller.
+///
+/// ```
+/// use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
+///
+/// let board = Geometry::eight_triads_board(0.02, 0.005, 0.01)?;
+/// let mut filter = ArrayFilter::<f32, 24>::new(board, ArrayConfig::default())?;
+/// // At rest, z up.
+/// for k in 0..200 {
+///     let noise = if k % 2 == 0 { 0.01 } else { -0.01 };
+///     let sample = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise } else { noise });
+///     filter.push(0.01, &sample).unwrap();
+/// }
+/// let state = filter.state();
+/// assert!(state.valid && state.resting && state.position_sd_m() < 0.05);
+/// # Ok::<(), wimu_nav::array::GeometryError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct ArrayFilter<R, const M: usize> {
+    config: ArrayConfig,
+    array: Array<R, M>,
+    hypotheses: [Option<Hypothesis<R>>; MOST],
+    /// Sensors left out when the biases were last begun.
+    dropped: Dropped,
+    excess: f64,
+    /// Mean square of ω̇.
+    activity: f64,
+    align: ([R; 3], f64, f64, f64),
+    quiet_mean: [R; 3],
+    quiet_s: f64,
+    since_rest_s: f64,
+    started: bool,
+    valid: bool,
+}
+
+impl<R: Real, const M: usize> ArrayFilter<R, M> {
+    /// A filter that has seen nothing.
+    ///
+    /// # Errors
+    /// As [`Array::new`].
+    pub fn new(geometry: Geometry<M>, config: ArrayConfig) -> Result<Self, GeometryError> {
+        Ok(Self {
+            array: Array::new(geometry, r(config.range_mps2))?,
+            config,
+            hypotheses: [None; MOST],
+            dropped: Dropped::default(),
+            excess: 1.0,
+            activity: 0.0,
+            align: ([R::default(); 3], 0.0, 0.0, 0.0),
+            quiet_mean: [R::default(); 3],
+            quiet_s: 0.0,
+            since_rest_s: 0.0,
+            started: false,
+            valid: false,
+        })
+    }
+
+    /// The solver of the sensors that are in use now.
+    pub fn solver(&self) -> &ArraySolver<R, M> {
+        self.array.solver()
+    }
+
+    /// The angular rates that are still possible, rad/s, each with its probability: the likeliest
+    /// first, more than one while the data do not decide.
+    pub fn hypotheses(&self) -> impl Iterator<Item = (R, [R; 3])> {
+        self.hypotheses
+            .iter()
+            .flatten()
+            .map(|h| (r(libm::exp(h.weight)), part(&h.mean, OMEGA)))
+    }
+
+    /// Takes one sample: the outputs of all axes, m/s², `step_s` seconds after the one before.
+    /// Returns the sensors that were left out.
+    ///
+    /// # Errors
+    /// [`ArrayFault`].
+    pub fn push(&mut self, step_s: f64, output_mps2: &[R; M]) -> Result<Dropped, ArrayFault> {
+        let late = self.started && step_s <= 0.0;
+        if !step_s.is_finite() || step_s < 0.0 || late {
+            return Err(ArrayFault::NoTime);
+        }
+        self.started = true;
+        let gap = step_s > GAP_S;
+        self.since_rest_s += step_s;
+        let step = step_s.min(GAP_S);
+        let update = self.array.update(output_mps2);
+        if gap {
+            self.pause(step_s);
+        }
+        let linear = match &update {
+            Ok(update) => Some(update.linear),
+            Err(_) => None,
+        };
+        if let Ok(update) = &update
+            && update.dropped != self.dropped
+        {
+            self.dropped = update.dropped;
+            self.forget_biases();
+        }
+        match linear {
+            Some(linear) => self.take(step, output_mps2, &linear),
+            None => {
+                self.valid = false;
+                self.quiet_s = 0.0;
+                self.carry(step);
+            }
+        }
+        match update {
+            Err(why) => Err(ArrayFault::Blind(why)),
+            Ok(_) if gap => Err(ArrayFault::Gap),
+            Ok(update) => Ok(update.dropped),
+        }
+    }
+
+    fn take(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) {
+        let noise = self.weigh(step, output, linear);
+        // Centripetal acceleration is nothing where a rest is looked for.
+        let force = [linear.theta[3], linear.theta[4], linear.theta[5]];
+        self.judge_rest(step, force, linear);
+        if self.hypotheses[0].is_none() {
+            self.align_with(step, force);
+            return;
+        }
+        self.predict(step, &noise);
+        self.update(linear, &noise);
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            hypothesis.advance(step, linear, self.array.solver(), &noise, &self.config);
+        }
+        if self.resting() && self.config.zupt {
+            self.rest(step);
+        }
+        self.merge();
+    }
+
+    fn resting(&self) -> bool {
+        self.quiet_s >= REST_S
+    }
+
+    /// The sample's noise from its excess, equation (76), and the size of ω̇.
+    fn weigh(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) -> Noise<R> {
+        let solver = self.array.solver();
+        let own = solver
+            .excess(output, linear)
+            .map_or(1.0, |e| e.to_f64())
+            .min(1e9);
+        let steadied = OWN_SHARE * own + (1.0 - OWN_SHARE) * self.excess;
+        self.excess += (own - self.excess) / EXCESS_SAMPLES;
+        let factor = steadied.max(1.0);
+        let variance = solver.variance_mps2().to_f64();
+        let vibration = variance * (steadied - EXCESS_OF_NOISE).max(0.0);
+        let covariance = solver.covariance();
+        let [x, y, z, ..] = linear.theta.map(|v| v.to_f64());
+        let seen = (x * x + y * y + z * z) / 3.0;
+        let noise = (0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0 * factor;
+        let size = (seen - 2.0 * noise).max(0.0);
+        self.activity += (size - self.activity) * (step / ACTIVITY_S).min(1.0);
+        let arm = solver.arm_m();
+        let fast = TURN_NOISE * TURN_NOISE
+            + TURN_FAST * TURN_FAST * self.activity
+            + VIBRATION_TURN * VIBRATION_TURN * vibration / (arm * arm);
+        Noise {
+            factor: r(factor),
+            fast: r(fast),
+            vibration: r(vibration),
+        }
+    }
+
+    fn judge_rest(&mut self, step: f64, force: [R; 3], linear: &Linear<R>) {
+        let first = self.quiet_mean == [R::default(); 3];
+        let share = r::<R>(if first { 1.0 } else { (step / 0.2).min(1.0) });
+        let away: [R; 3] = core::array::from_fn(|i| force[i] - self.quiet_mean[i]);
+        for (mean, away) in self.quiet_mean.iter_mut().zip(away) {
+            *mean += away * share;
+        }
+        let size = dot(&self.quiet_mean, &self.quiet_mean).sqrt().to_f64();
+        let near = (size - self.config.gravity_mps2).abs() < REST_NEAR_GRAVITY_MPS2;
+        let calm = dot(&away, &away).to_f64() < 3.0 * REST_MPS2 * REST_MPS2;
+        // Neither ω̇ nor centripetal acceleration beyond noise and biases.
+        let solver = self.array.solver();
+        let variance = self.config.bias_mps2 * self.config.bias_mps2
+            / solver.variance_mps2().to_f64()
+            + self.excess.max(1.0);
+        let within = |value: R, one: f64| {
+            let value = value.to_f64();
+            value * value < REST_SIGMA2 * variance * one
+        };
+        let covariance = solver.covariance();
+        let turns = (0..3).any(|i| !within(linear.theta[i], covariance[i][i]))
+            || linear.z.iter().any(|z| !within(*z, 1.0));
+        if near && calm && !turns {
+            self.quiet_s += step;
+        } else {
+            self.quiet_s = 0.0;
+        }
+    }
+
+    /// Static alignment, equation (81) without a magnetometer.
+    fn align_with(&mut self, step: f64, force: [R; 3]) {
+        let (sum, square, count, time) = &mut self.align;
+        for (sum, force) in sum.iter_mut().zip(force) {
+            *sum += force;
+        }
+        *square += dot(&force, &force).to_f64();
+        *count += 1.0;
+        *time += step;
+        if *time < ALIGN_S || *count < 2.0 {
+            return;
+        }
+        let mean = sum.map(|v| v.to_f64() / *count);
+        let norm = libm::sqrt(mean.iter().map(|v| v * v).sum());
+        let spread = (*square / *count - norm * norm).max(0.0);
+        self.align = ([R::default(); 3], 0.0, 0.0, 0.0);
+        if !(norm > 1.0 && norm.is_finite()) {
+            return;
+        }
+        let up = mean.map(|v| v / norm);
+        let first = if up[0].abs() < 0.9 { 0 } else { 1 };
+        let mut east: [f64; 3] =
+            core::array::from_fn(|i| if i == first { 1.0 } else { 0.0 } - up[first] * up[i]);
+        let length = libm::sqrt(east.iter().map(|v| v * v).sum());
+        east = east.map(|v| v / length);
+        let north = [
+            up[1] * east[2] - up[2] * east[1],
+            up[2] * east[0] - up[0] * east[2],
+            up[0] * east[1] - up[1] * east[0],
+        ];
+        let g = self.config.gravity_mps2;
+        let moved = spread + (norm - g) * (norm - g);
+        let solver = self.array.solver();
+        let mut hypothesis = Hypothesis {
+            weight: 0.0,
+            attitude: [east, north, up].map(|row| row.map(r)),
+            acceleration: [R::default(); 3],
+            mean: [R::default(); STATES],
+            cov: [[R::default(); STATES]; STATES],
+        };
+        let bias = self.config.bias_mps2 * self.config.bias_mps2 / solver.variance_mps2().to_f64();
+        let tilt = moved * 0.25 / (g * g) + bias * solver.covariance()[3][3] / (g * g) + 1e-6;
+        for i in 0..3 {
+            let mut set = |at: usize, variance: f64| hypothesis.cov[at + i][at + i] = r(variance);
+            set(PHI, if i == 2 { 1e-8 } else { tilt });
+            set(VELOCITY, 1e-6);
+            set(OMEGA, 100.0);
+            set(TURN, 1e4);
+        }
+        hypothesis.begin_biases(solver, self.config.bias_mps2);
+        self.hypotheses = [None; MOST];
+        self.hypotheses[0] = Some(hypothesis);
+        self.since_rest_s = 0.0;
+        self.valid = true;
+    }
+
+    fn forget_biases(&mut self) {
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            hypothesis.begin_biases(self.array.solver(), self.config.bias_mps2);
+        }
+    }
+
+    /// What a pause does to what is known.
+    fn pause(&mut self, step_s: f64) {
+        self.valid = false;
+        self.quiet_s = 0.0;
+        let step = step_s.min(1e3);
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            for i in 0..3 {
+                let mut add = |at: usize, variance: f64| {
+                    hypothesis.cov[at + i][at + i] += r(variance);
+                };
+                add(PHI, 0.25 * step.min(10.0));
+                add(VELOCITY, 4.0 * step);
+                add(POSITION, 4.0 * step);
+                add(OMEGA, 100.0);
+                add(TURN, 1e4);
+            }
+        }
+    }
+
+    /// A sample without a usable output: ω goes on as it was.
+    fn carry(&mut self, step: f64) {
+        let noise = Noise {
+            factor: r(1.0),
+            fast: r(1.0),
+            vibration: r(self.array.solver().variance_mps2().to_f64() * self.excess),
+        };
+        self.predict(step, &noise);
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            // As little is known of the acceleration as a hand's motion has of it.
+            for i in 0..3 {
+                let (v, p) = (VELOCITY + i, POSITION + i);
+                hypothesis.cov[v][v] += r(2500.0 * step * step);
+                hypothesis.mean[p] += hypothesis.mean[v] * r(step);
+            }
+            couple(
+                &mut hypothesis.cov,
+                POSITION,
+                VELOCITY,
+                &scaled_identity(r(step)),
+            );
+        }
+        self.merge();
+    }
+
+    /// ω and ω̇ one step ahead, and attitude with them: equation (88).
+    fn predict(&mut self, step: f64, noise: &Noise<R>) {
+        let arm = self.array.solver().arm_m();
+        let walk = TURN_WALK_AT_REST * TURN_WALK_AT_REST + TURN_WALK * TURN_WALK * self.activity;
+        let stray = VIBRATION_RATE * VIBRATION_RATE * noise.vibration.to_f64() / (arm * arm);
+        let bias = self.config.bias_walk * self.config.bias_walk * step
+            / self.array.solver().variance_mps2().to_f64();
+        let rank = self.array.solver().rank();
+        let covariance = *self.array.solver().covariance();
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            let dt = r::<R>(step);
+            let half = r::<R>(0.5 * step);
+            let turn = part(&hypothesis.mean, TURN);
+            let rate = part(&hypothesis.mean, OMEGA);
+            let by: [R; 3] = core::array::from_fn(|i| (rate[i] + turn[i] * half) * dt);
+            let attitude = hypothesis.attitude;
+            hypothesis.attitude = product(&attitude, &rotation(by));
+            let cov = &mut hypothesis.cov;
+            couple(cov, PHI, OMEGA, &attitude.map(|row| row.map(|v| v * dt)));
+            couple(
+                cov,
+                PHI,
+                TURN,
+                &attitude.map(|row| row.map(|v| v * dt * half)),
+            );
+            couple(cov, OMEGA, TURN, &scaled_identity(dt));
+            for i in 0..3 {
+                hypothesis.mean[OMEGA + i] += turn[i] * dt;
+                let (w, t) = (OMEGA + i, TURN + i);
+                cov[PHI + i][PHI + i] += r(stray * step * step * step / 3.0);
+                cov[w][w] += r(walk * step * step * step / 3.0 + stray * step);
+                cov[w][t] += r(walk * step * step / 2.0);
+                cov[t][w] += r(walk * step * step / 2.0);
+                cov[t][t] += r(walk * step);
+                for j in 0..3 {
+                    let crossed = attitude[i][j] * r(stray * step * step / 2.0);
+                    cov[PHI + i][OMEGA + j] += crossed;
+                    cov[OMEGA + j][PHI + i] += crossed;
+                    cov[TURN_BIAS + i][TURN_BIAS + j] += r(bias * covariance[i][j]);
+                    cov[FORCE_BIAS + i][FORCE_BIAS + j] += r(bias * covariance[3 + i][3 + j]);
+                }
+            }
+            for i in 0..rank.min(6) {
+                cov[Z_BIAS + i][Z_BIAS + i] += r(bias);
+            }
+        }
+    }
+
+    /// Every hypothesis meets every root: equation (89).
+    fn update(&mut self, linear: &Linear<R>, noise: &Noise<R>) {
+        let solver = self.array.solver();
+        let mut measured = [R::default(); MEASURED];
+        measured[..3].copy_from_slice(&linear.theta[..3]);
+        measured[3..].copy_from_slice(&linear.z);
+        let mut roots = None;
+        let mut candidates: [Option<Candidate<R>>; CANDIDATES] = [None; CANDIDATES];
+        let mut count = 0;
+        for (parent, hypothesis) in self.hypotheses.iter().enumerate() {
+            let Some(hypothesis) = hypothesis else {
+                continue;
+            };
+            let Some(view) = View::of(hypothesis, solver, noise) else {
+                continue;
+            };
+            let mut put = |found: Option<([R; TURNING], f64)>| {
+                let (turning, weight) = found?;
+                let weight = hypothesis.weight + weight;
+                let twin = candidates.iter_mut().flatten().find(|other| {
+                    other.parent == parent && view.apart(&other.turning, &turning) < 0.01
+                });
+                if let Some(twin) = twin {
+                    if weight > twin.weight {
+                        twin.weight = weight;
+                        twin.turning = turning;
+                    }
+                } else if let Some(slot) = candidates.get_mut(count) {
+                    *slot = Some(Candidate {
+                        parent,
+                        turning,
+                        weight,
+                    });
+                    count += 1;
+                }
+                Some(turning)
+            };
+            let own = put(view.refine(solver, &measured, view.mean));
+            let mut start = own.unwrap_or(view.mean);
+            for w in start.iter_mut().take(3) {
+                *w = -*w;
+            }
+            if !view.within_reach(&start) && solver.roots() == Roots::Two {
+                continue;
+            }
+            put(view.refine(solver, &measured, start));
+            let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
+            for root in roots.hypotheses() {
+                start[..3].copy_from_slice(&root.rate_rad_s);
+                if view.within_reach(&start) {
+                    put(view.refine(solver, &measured, start));
+                }
+            }
+        }
+        candidates.sort_unstable_by(|a, b| {
+            let weight = |c: &Option<Candidate<R>>| c.map_or(f64::NEG_INFINITY, |c| c.weight);
+            weight(b).total_cmp(&weight(a))
+        });
+        let Some(Some(best)) = candidates.first() else {
+            return;
+        };
+        let least = best.weight - GIVEN_UP;
+        let before = self.hypotheses;
+        self.hypotheses = [None; MOST];
+        let mut slots = self.hypotheses.iter_mut();
+        for candidate in candidates.iter().flatten().filter(|c| c.weight > least) {
+            let Some(Some(parent)) = before.get(candidate.parent) else {
+                continue;
+            };
+            if let Some(next) = parent.measured(solver, &measured, noise, candidate)
+                && let Some(slot) = slots.next()
+            {
+                *slot = Some(next);
+            }
+        }
+        if self.hypotheses[0].is_none() {
+            self.hypotheses = before;
+        }
+    }
+
+    /// Velocity and angular rate are zero, gravity is vertical.
+    fn rest(&mut self, step: f64) {
+        // A rest's departures last as long as it was looked at.
+        let slower = (REST_S / step.max(1e-3)).max(1.0);
+        let g = self.config.gravity_mps2;
+        let solver = self.array.solver();
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            let before = hypothesis.mean;
+            let mut fit = 0.0;
+            for i in 0..3 {
+                let mut row = [R::default(); STATES];
+                row[VELOCITY + i] = r(1.0);
+                let rest = -hypothesis.mean[VELOCITY + i];
+                fit += hypothesis.absorb(&row, rest, r(REST_SPEED_MPS * REST_SPEED_MPS * slower));
+                row = [R::default(); STATES];
+                row[TURN + i] = r(1.0);
+                let rest = -hypothesis.mean[TURN + i];
+                fit +=
+                    hypothesis.absorb(&row, rest, r(REST_TURN_RAD_S2 * REST_TURN_RAD_S2 * slower));
+                row = [R::default(); STATES];
+                row[OMEGA + i] = r(1.0);
+                let rest = -hypothesis.mean[OMEGA + i];
+                fit += hypothesis.absorb(&row, rest, r(REST_RATE_RAD_S * REST_RATE_RAD_S * slower));
+            }
+            let lever = cross_matrix([R::default(), R::default(), r(g)]);
+            let variance = r::<R>(REST_FORCE_MPS2 * REST_FORCE_MPS2 * slower)
+                + r::<R>(solver.covariance()[3][3]);
+            for i in 0..3 {
+                let mut row = [R::default(); STATES];
+                row[PHI..PHI + 3].copy_from_slice(&lever[i]);
+                row[FORCE_BIAS..FORCE_BIAS + 3].copy_from_slice(&hypothesis.attitude[i]);
+                // Less what the components before this one have explained.
+                let learnt: [R; STATES] = core::array::from_fn(|k| hypothesis.mean[k] - before[k]);
+                let rest = hypothesis.acceleration[i] - dot(&row, &learnt);
+                fit += hypothesis.absorb(&row, rest, variance);
+            }
+            hypothesis.weight -= 0.5 * fit;
+            hypothesis.fold();
+        }
+        self.since_rest_s = 0.0;
+        self.valid = self.hypotheses[0].is_some();
+    }
+
+    /// Probabilities that add to 1, and hypotheses that have become the same as one.
+    fn merge(&mut self) {
+        for i in 0..MOST {
+            for j in i + 1..MOST {
+                let (Some(a), Some(b)) = (self.hypotheses[i], self.hypotheses[j]) else {
+                    continue;
+                };
+                if a.same(&b) {
+                    self.hypotheses[i] = Some(a.joined(&b));
+                    self.hypotheses[j] = None;
+                }
+            }
+        }
+        let weight = |h: &Option<Hypothesis<R>>| h.map_or(f64::NEG_INFINITY, |h| h.weight);
+        self.hypotheses
+            .sort_unstable_by(|a, b| weight(b).total_cmp(&weight(a)));
+        let most = weight(&self.hypotheses[0]);
+        for slot in &mut self.hypotheses {
+            if weight(slot) < most - GIVEN_UP {
+                *slot = None;
+            }
+        }
+        let sum: f64 = self
+            .hypotheses
+            .iter()
+            .flatten()
+            .map(|h| libm::exp(h.weight - most))
+            .sum();
+        let total = most + libm::log(sum);
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            hypothesis.weight -= total;
+        }
+    }
+
+    /// Sets position (m), velocity (m/s) and their standard deviations from outside.
+    pub fn set_start(&mut self, position_m: [R; 3], velocity_mps: [R; 3], sd: [f64; 2]) {
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            for i in 0..3 {
+                let pairs = [
+                    (POSITION, position_m, sd[0]),
+                    (VELOCITY, velocity_mps, sd[1]),
+                ];
+                for (at, value, sd) in pairs {
+                    for k in 0..STATES {
+                        hypothesis.cov[at + i][k] = R::default();
+                        hypothesis.cov[k][at + i] = R::default();
+                    }
+                    hypothesis.mean[at + i] = value[i];
+                    hypothesis.cov[at + i][at + i] = r(sd * sd);
+                }
+            }
+        }
+        self.since_rest_s = 0.0;
+    }
+
+    /// What is known now.
+    pub fn state(&self) -> ArrayState<R> {
+        let zero = [R::default(); 3];
+        let none = [zero; 3];
+        let mut state = ArrayState {
+            rate_rad_s: zero,
+            rate_covariance: none,
+            angular_acceleration_rad_s2: zero,
+            quaternion: [r(1.0), R::default(), R::default(), R::default()],
+            attitude_covariance: none,
+            velocity_mps: zero,
+            velocity_covariance: none,
+            position_m: zero,
+            position_covariance: none,
+            certainty: R::default(),
+            since_rest_s: r(self.since_rest_s),
+            resting: self.resting(),
+            valid: self.valid,
+        };
+        let mut all: Option<Hypothesis<R>> = None;
+        for hypothesis in self.hypotheses.iter().flatten() {
+            all = Some(match all {
+                Some(all) => all.joined(hypothesis),
+                None => *hypothesis,
+            });
+        }
+        let (Some(all), Some(best)) = (all, &self.hypotheses[0]) else {
+            return state;
+        };
+        state.rate_rad_s = part(&all.mean, OMEGA);
+        state.rate_covariance = block(&all.cov, OMEGA, OMEGA);
+        state.angular_acceleration_rad_s2 = part(&all.mean, TURN);
+        state.quaternion = quaternion(&all.attitude);
+        state.attitude_covariance = block(&all.cov, PHI, PHI);
+        state.velocity_mps = part(&all.mean, VELOCITY);
+        state.velocity_covariance = block(&all.cov, VELOCITY, VELOCITY);
+        state.position_m = part(&all.mean, POSITION);
+        state.position_covariance = block(&all.cov, POSITION, POSITION);
+        state.certainty = r(libm::exp(best.weight));
+        state
+    }
+
+    /// Biases of the likeliest hypothesis and their standard deviations: of ω̇ (rad/s²), of s (m/s²),
+    /// and of [`Linear::z`] (in its units): the common six and those residual ones that rotation shows.
+    pub fn biases(&self) -> [(R, R); 12] {
+        let mut out = [(R::default(), R::default()); 12];
+        if let Some(best) = &self.hypotheses[0] {
+            for (k, (value, sd)) in out.iter_mut().enumerate() {
+                let at = TURN_BIAS + k;
+                *value = best.mean[at];
+                *sd = best.cov[at][at].abs().sqrt();
+            }
+        }
+        out
+    }
+}

@@ -61,6 +61,11 @@ impl Boot {
         self.model.as_ref().map(|model| model.host_ns(time))
     }
 
+    /// Standard deviation of [`host_ns`](Self::host_ns), ns. See [`ClockModel::sd_ns`].
+    pub fn clock_sd_ns(&self, time: DeviceTimeUs) -> Option<f64> {
+        self.model.as_ref().map(|model| model.sd_ns(time))
+    }
+
     /// When a sample was taken, if it has arrived raw or corrected.
     pub fn time_of(&self, sequence: u32) -> Option<DeviceTimeUs> {
         [&self.raw, &self.corrected]

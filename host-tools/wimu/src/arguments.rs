@@ -647,15 +647,29 @@ Example: wimu navigate session.mcap -o path.csv
 pub struct Navigate {
     /// A recording, or a CSV file of corrected samples
     pub input: PathBuf,
+    /// The recordings of further boards on the same body: together one array, in the order of --geometry
+    #[arg(value_name = "BOARD")]
+    pub boards: Vec<PathBuf>,
     /// How the path is found
     #[arg(long, value_enum, default_value_t = NavigateMethod::Auto)]
     pub method: NavigateMethod,
     /// How the bias settles is fitted to this CSV file: the same unit at rest, from its switching on
     #[arg(long, value_name = "STATIC.csv")]
     pub drift: Option<PathBuf>,
-    /// Places of an array's accelerometers: a line `X (m),Y (m),Z (m)`, then one for each
+    /// Places of an array's accelerometers: a line `X (m),Y (m),Z (m)`, then one for each; or what
+    /// --refine wrote, which may also hold axes and delays
     #[arg(long, value_name = "FILE")]
     pub geometry: Option<PathBuf>,
+    /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write
+    /// them here
+    #[arg(long, value_name = "GEOMETRY.json", requires = "geometry")]
+    pub refine: Option<PathBuf>,
+    /// How well --geometry knows a place, mm (1 standard deviation)
+    #[arg(long, value_name = "MM", default_value_t = 0.5)]
+    pub place_sd: f64,
+    /// How well --geometry knows a delay, µs
+    #[arg(long, value_name = "US", default_value_t = 300.0)]
+    pub delay_sd: f64,
     /// Sensitivity of an array's counts
     #[arg(long, value_name = "LSB_PER_G", default_value_t = 2048.0)]
     pub sensitivity: f64,

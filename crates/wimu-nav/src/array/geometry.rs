@@ -54,6 +54,21 @@ impl<const M: usize> Geometry<M> {
         Self::new(axes.iter().copied(), axes.len(), 1)
     }
 
+    /// From single axes of which `group` consecutive ones belong to one sensor and fail together: the
+    /// proof masses of one chip are not at one place.
+    ///
+    /// # Errors
+    /// As [`Geometry::from_axes`]; [`GeometryError::BadGroup`] where the axes do not come out even.
+    pub fn from_grouped_axes(axes: &[Axis], group: usize) -> Result<Self, GeometryError> {
+        if group == 0 || !axes.len().is_multiple_of(group) {
+            return Err(GeometryError::BadGroup {
+                have: axes.len(),
+                group,
+            });
+        }
+        Self::new(axes.iter().copied(), axes.len(), group)
+    }
+
     /// From triads; output 3 k + i of a sample is axis i of triad k.
     ///
     /// # Errors
@@ -197,6 +212,13 @@ pub enum GeometryError {
         /// The index of its axis; a triad has three.
         axis: usize,
     },
+    /// Axes that do not make whole sensors.
+    BadGroup {
+        /// How many axes there are.
+        have: usize,
+        /// How many make a sensor.
+        group: usize,
+    },
     /// Fewer usable axes than unknowns.
     TooFew {
         /// How many there are.
@@ -236,6 +258,10 @@ impl fmt::Display for GeometryError {
                 out,
                 "axis {axis} (from 0) has no positive, finite noise: give the standard deviation of a \
                  sample in m/s²"
+            ),
+            Self::BadGroup { have, group } => write!(
+                out,
+                "{have} axes do not make sensors of {group}: give all axes of each sensor"
             ),
             Self::TooFew { have, need } => write!(
                 out,

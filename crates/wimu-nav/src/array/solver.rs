@@ -337,6 +337,23 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         Some(sum / R::from_f64(free as f64))
     }
 
+    /// P y, in which neither ω̇ nor s is left, equation (72): what a calibration of the array works on.
+    pub fn project(&self, output_mps2: &[R; M]) -> [R; M] {
+        let mut theta = [R::default(); 6];
+        for (value, row) in theta.iter_mut().zip(&self.to_theta) {
+            *value = inner(row, output_mps2);
+        }
+        core::array::from_fn(|index| {
+            let weight = self.weights[index];
+            (output_mps2[index] - inner(&self.rows[index], &theta)) * weight * weight
+        })
+    }
+
+    /// Derivatives of [`Linear::z`] by the outputs.
+    pub fn z_rows(&self) -> &[[R; M]; 6] {
+        &self.to_z
+    }
+
     /// The linear part of the work, equations (71) and (72): all that a sample says.
     pub fn reduce(&self, output_mps2: &[R; M]) -> Linear<R> {
         let mut linear = Linear::default();

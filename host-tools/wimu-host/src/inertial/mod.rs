@@ -27,12 +27,11 @@ pub use slide::{Leg, legs};
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
-use wimu_calib::Gravity;
 use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
-use crate::array::{ArrayCalibration, ArrayRecording, angular_rate};
+use crate::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
 use crate::chart::{Chart, Series};
 use crate::html::Report;
 use crate::motion::{MotionRecording, nees};
@@ -322,56 +321,62 @@ pub fn settling(recording: &MotionRecording) -> Result<DriftFit> {
     })
 }
 
-/// Navigates an array with the angular rate that it shows.
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]).
 ///
 /// # Errors
-/// Those of [`ArrayCalibration::of`] and [`angular_rate`].
+/// Those of [`navigated`].
 pub fn navigate_array(
     recording: &ArrayRecording,
-    places_m: &[[f64; 3]],
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let calibration = ArrayCalibration::of(recording, Gravity::UNKNOWN_PLACE)?;
-    let motion = angular_rate(recording, places_m, &calibration)?;
-    let period = recording.period_s();
-    let mut last = recording.times_s[0];
-    let samples: Vec<UnitSample> = (0..recording.times_s.len())
-        .map(|k| {
-            let step_s = recording.times_s[k] - last;
-            last = recording.times_s[k];
-            UnitSample {
-                step_s,
-                force_mps2: motion.force_mps2[k],
-                field_ut: None,
-                rate_rad_s: Some(motion.rate_rad_s[k]),
-            }
-        })
-        .collect();
-    let variance = motion
-        .rate_sd_rad_s
-        .iter()
-        .flatten()
-        .map(|s| s * s)
-        .sum::<f64>()
-        / (3 * motion.rate_sd_rad_s.len()) as f64;
-    let config = UnitConfig {
-        zupt: choice.zupt,
-        drift: choice.drift,
-        // An error of the rate lasts about as long as the smoother looks.
-        angle_walk: (variance * 10.0 * period).sqrt().max(0.005),
-        ..UnitConfig::default()
+    let gravity = if calibration.uncalibrated.is_some() {
+        calibration.mean_rest_mps2(recording)
+    } else {
+        wimu_model::STANDARD_GRAVITY_MPS2
     };
-    let mut path = filter(&recording.times_s, &samples, config, choice, Method::Array);
-    if motion.saturated > 0 {
+    let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let mut path = InertialPath {
+        method: Method::Array,
+        points: states
+            .iter()
+            .zip(&recording.times_s)
+            .map(|(state, time_s)| PathPoint {
+                time_s: *time_s,
+                position_m: state.position_m,
+                velocity_mps: state.velocity_mps,
+                quaternion: state.quaternion,
+                rate_rad_s: state.rate_rad_s,
+                covariance_m2: state.position_covariance,
+                valid: state.valid && state.position_sd_m() <= choice.limit_m,
+            })
+            .collect(),
+        moves: Vec::new(),
+        remarks: recording.remarks.clone(),
+        nees: Vec::new(),
+    };
+    path.remarks.extend(remarks);
+    let ambiguous = states
+        .iter()
+        .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
+        .count();
+    if ambiguous > 0 {
         path.remarks.push(format!(
-            "{} samples with a sensor at its limit: the angular rate is carried over them",
-            motion.saturated
+            "{ambiguous} samples fit several angular rates; rate and position are the means of all, with \
+             their spread"
         ));
     }
     if let Some(why) = &calibration.uncalibrated {
         path.remarks
             .push(format!("the array is not calibrated: {why}"));
     }
+    for (sensor, why) in &calibration.left_out {
+        path.remarks
+            .push(format!("sensor {sensor} (from 0) is left out: {why}"));
+    }
+    path.remarks
+        .push("no magnetometer: heading is that of the body at the start".to_owned());
     Ok(path)
 }
 

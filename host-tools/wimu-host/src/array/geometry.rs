@@ -1,0 +1,176 @@
+//! Where the sensors of an array are, which way they point, and how late they sample.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{ErrorCode, HostError, Result};
+
+/// One triad of an array.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArraySensor {
+    /// Place of each sensing axis, m, body axes: the proof masses of one chip are not at one place.
+    pub places_m: [[f64; 3]; 3],
+    /// Direction of its X, Y and Z axis, body axes: unit vectors at right angles.
+    #[serde(default = "aligned")]
+    pub axes: [[f64; 3]; 3],
+    /// Its samples are taken so much later than their times say, µs.
+    #[serde(default)]
+    pub delay_us: f64,
+}
+
+fn aligned() -> [[f64; 3]; 3] {
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+}
+
+impl ArraySensor {
+    /// One whose axes are the body's and lie at one place, m.
+    pub fn at(place_m: [f64; 3]) -> Self {
+        Self {
+            places_m: [place_m; 3],
+            axes: aligned(),
+            delay_us: 0.0,
+        }
+    }
+
+    /// Its output in body axes.
+    pub fn in_body_axes(&self, output: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|i| (0..3).map(|axis| self.axes[axis][i] * output[axis]).sum())
+    }
+}
+
+/// The sensors of an array, in the order of a recording's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArrayGeometry {
+    schema: String,
+    /// The sensors.
+    pub sensors: Vec<ArraySensor>,
+}
+
+impl ArrayGeometry {
+    /// Name of the JSON object.
+    pub const SCHEMA: &'static str = "wimu.array/1";
+
+    /// Of these sensors.
+    pub fn new(sensors: Vec<ArraySensor>) -> Self {
+        Self {
+            schema: Self::SCHEMA.to_owned(),
+            sensors,
+        }
+    }
+
+    /// Of triads in body axes at these places, m.
+    pub fn at(places_m: &[[f64; 3]]) -> Self {
+        Self::new(places_m.iter().copied().map(ArraySensor::at).collect())
+    }
+
+    /// Reads a JSON object as [`write`](Self::write) writes it, or places in m as a CSV table: three
+    /// rows `x`, `y`, `z` with one column a sensor, or one row a sensor with columns `X (m)`, `Y (m)`,
+    /// `Z (m)`.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `csv_bad_number`, `csv_missing_column`, `bad_calibration`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+        if !text.trim_start().starts_with('{') {
+            return places(&text, &name).map(|places| Self::at(&places));
+        }
+        let bad = |message: String| {
+            HostError::new(
+                ErrorCode::BadCalibration,
+                message,
+                "give a file that `wimu navigate --refine` wrote, or a table of places in m",
+            )
+            .at(&name)
+        };
+        let geometry: Self = serde_json::from_str(&text).map_err(|e| bad(e.to_string()))?;
+        if geometry.schema != Self::SCHEMA {
+            return Err(bad(format!(
+                "its schema is `{}`, not `{}`",
+                geometry.schema,
+                Self::SCHEMA
+            )));
+        }
+        for (index, sensor) in geometry.sensors.iter().enumerate() {
+            let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
+            let [x, y, z] = sensor.axes;
+            let square = [dot(x, x) - 1.0, dot(y, y) - 1.0, dot(z, z) - 1.0];
+            let crossed = [dot(x, y), dot(y, z), dot(z, x)];
+            let sound = square.iter().chain(&crossed).all(|v| v.abs() < 1e-3);
+            let finite = sensor.places_m.iter().flatten().all(|v| v.is_finite());
+            if !(sound && finite && sensor.delay_us.is_finite()) {
+                return Err(bad(format!(
+                    "sensor {index} (from 0) has a place or delay that is no number, or axes that are \
+                     not of length 1 and at right angles"
+                )));
+            }
+        }
+        Ok(geometry)
+    }
+
+    /// Writes it as JSON.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let name = path.display().to_string();
+        let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
+        text.push('\n');
+        std::fs::write(path, text).map_err(|e| HostError::file(&name, "write", &e))
+    }
+}
+
+fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
+    let rows: Vec<(usize, Vec<&str>)> = text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty())
+        .map(|(number, line)| (number + 1, line.split(',').map(str::trim).collect()))
+        .collect();
+    let number = |row: &(usize, Vec<&str>), column: usize| {
+        let text = row.1.get(column).copied().unwrap_or("");
+        text.parse::<f64>()
+            .ok()
+            .filter(|v| v.is_finite())
+            .ok_or_else(|| {
+                HostError::new(
+                    ErrorCode::CsvBadNumber,
+                    format!("`{text}` is not a finite number"),
+                    "give places in m",
+                )
+                .at(format!("{name} line {}", row.0))
+            })
+    };
+    let missing = || {
+        HostError::new(
+            ErrorCode::CsvMissingColumn,
+            "it does not say where the sensors are",
+            "write a line `X (m),Y (m),Z (m)` and a line with three numbers for each sensor",
+        )
+        .at(name)
+    };
+    let head = rows.first().ok_or_else(missing)?;
+    let row_of = |axis: &str| {
+        rows.iter()
+            .find(|(_, row)| row.first().is_some_and(|f| f.eq_ignore_ascii_case(axis)))
+    };
+    if let (Some(x), Some(y), Some(z)) = (row_of("x"), row_of("y"), row_of("z")) {
+        return (1..head.1.len())
+            .map(|sensor| Ok([number(x, sensor)?, number(y, sensor)?, number(z, sensor)?]))
+            .collect();
+    }
+    let column = |axis: &str| {
+        head.1
+            .iter()
+            .position(|field| field.eq_ignore_ascii_case(&format!("{axis} (m)")))
+            .ok_or_else(missing)
+    };
+    let [x, y, z] = [column("X")?, column("Y")?, column("Z")?];
+    rows.iter()
+        .skip(1)
+        .map(|row| Ok([number(row, x)?, number(row, y)?, number(row, z)?]))
+        .collect()
+}

@@ -1,0 +1,269 @@
+//! The motion of a body with an array: its angular rate, and where it is.
+
+use wimu_nav::array::{
+    ArrayConfig, ArrayFault, ArrayFilter, ArraySolver, ArrayState, Axis, Geometry, Observation,
+    Spread, Step, track,
+};
+
+use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use crate::{ErrorCode, HostError, Result};
+
+/// Output that stands for a sensor at its limit, m/s².
+const AT_LIMIT_MPS2: f64 = 1e6;
+/// Bias that is left of a calibrated axis, m/s².
+const BIAS_MPS2: f64 = 0.02;
+
+/// The angular rate of a body through a recording, from accelerometers alone.
+#[derive(Clone, Debug)]
+pub struct ArrayMotion {
+    /// ω from all samples, rad/s, body axes.
+    pub rate_rad_s: Vec<[f64; 3]>,
+    /// Standard deviation of each component, rad/s.
+    pub rate_sd_rad_s: Vec<[f64; 3]>,
+    /// How the angular rate moves, found from the recording.
+    pub spread: Spread,
+    /// Mean NIS per degree of freedom.
+    pub nis: f64,
+}
+
+/// Calls a function for the room that the sensors need.
+macro_rules! with_room {
+    ($sensors:expr, $function:ident ( $($argument:expr),* )) => {
+        match $sensors {
+            0..=4 => $function::<12>($($argument),*),
+            5..=8 => $function::<24>($($argument),*),
+            9..=16 => $function::<48>($($argument),*),
+            many => Err(HostError::new(
+                ErrorCode::Usage,
+                format!("{many} sensors are more than 16"),
+                "leave some out",
+            )),
+        }
+    };
+}
+pub(super) use with_room;
+
+/// The angular rate of `recording` from all of it, later samples too; it is in body axes
+/// ([`ArrayRecording::arranged`]).
+///
+/// # Errors
+/// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry
+/// shows no angular rate.
+pub fn angular_rate(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
+) -> Result<ArrayMotion> {
+    check(recording, geometry)?;
+    with_room!(
+        geometry.sensors.len(),
+        smoothed(recording, geometry, calibration)
+    )
+}
+
+/// What the filter of the array knows after each sample, from the samples up to it, and what it met on
+/// the way. `gravity_mps2` is the length of gravity in the recording's own scale.
+///
+/// # Errors
+/// As [`angular_rate`].
+pub fn navigated(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
+    gravity_mps2: f64,
+    zupt: bool,
+) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
+    check(recording, geometry)?;
+    with_room!(
+        geometry.sensors.len(),
+        filtered(recording, geometry, calibration, gravity_mps2, zupt)
+    )
+}
+
+fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
+    if geometry.sensors.len() == recording.sensors() {
+        return Ok(());
+    }
+    Err(HostError::new(
+        ErrorCode::Usage,
+        format!(
+            "the geometry has {} sensors, the recording {}",
+            geometry.sensors.len(),
+            recording.sensors()
+        ),
+        "give the geometry of this array",
+    )
+    .at(&recording.name))
+}
+
+pub(super) fn refused(message: impl ToString) -> HostError {
+    HostError::new(
+        ErrorCode::DataRefused,
+        message.to_string(),
+        "four triads and more, not in a plane, show the angular rate best",
+    )
+}
+
+/// The axes as the solver wants them: those of sensor k at 3 k.
+pub(super) fn axes<const M: usize>(
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
+) -> Result<Geometry<M>> {
+    let axes: Vec<Axis> = geometry
+        .sensors
+        .iter()
+        .zip(&calibration.noise_mps2)
+        .flat_map(|(sensor, noise)| {
+            (0..3).map(|axis| Axis {
+                place_m: sensor.places_m[axis],
+                direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
+                noise_mps2: *noise,
+            })
+        })
+        .collect();
+    Geometry::from_grouped_axes(&axes, 3).map_err(refused)
+}
+
+/// One sample of all axes, corrected; a sensor that is not used is not a number, one at its limit far
+/// beyond any.
+pub(super) fn sample<const M: usize>(
+    recording: &ArrayRecording,
+    calibration: &ArrayCalibration,
+    index: usize,
+) -> [f64; M] {
+    let mut output = [0.0; M];
+    for (sensor, value) in recording.outputs[index].iter().enumerate() {
+        let force = if !calibration.uses(sensor) {
+            [f64::NAN; 3]
+        } else if recording.saturated[index] >> sensor & 1 == 1 {
+            [AT_LIMIT_MPS2; 3]
+        } else {
+            calibration.force(sensor, *value, index)
+        };
+        output[3 * sensor..3 * sensor + 3].copy_from_slice(&force);
+    }
+    output
+}
+
+fn smoothed<const M: usize>(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
+) -> Result<ArrayMotion> {
+    let axes = axes::<M>(geometry, calibration)?;
+    let solver =
+        ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let mut last = recording.times_s[0];
+    let observations: Vec<Observation> = (0..recording.times_s.len())
+        .map(|index| {
+            let mut output = sample::<M>(recording, calibration, index);
+            let sound = (0..recording.sensors()).all(|sensor| {
+                let used = calibration.uses(sensor);
+                let axes = &mut output[3 * sensor..3 * sensor + 3];
+                let good = axes.iter().all(|v| v.abs() < AT_LIMIT_MPS2);
+                if !used {
+                    axes.fill(0.0);
+                }
+                good || !used
+            });
+            let linear = solver.reduce(&output);
+            let step_s = recording.times_s[index] - last;
+            last = recording.times_s[index];
+            Observation {
+                step_s,
+                linear: sound.then_some(linear),
+                excess: solver
+                    .excess(&output, &linear)
+                    .filter(|_| sound)
+                    .unwrap_or(1.0),
+            }
+        })
+        .collect();
+    let mut steps = vec![Step::default(); observations.len()];
+    let found = track(&solver, solver.variance_mps2(), &observations, &mut steps)
+        .ok_or_else(|| refused("the sensors' places show no angular rate"))?;
+    Ok(ArrayMotion {
+        rate_rad_s: steps.iter().map(|s| s.rate_rad_s).collect(),
+        rate_sd_rad_s: steps
+            .iter()
+            .map(|s| core::array::from_fn(|i| s.covariance[i][i].max(0.0).sqrt()))
+            .collect(),
+        spread: found.spread,
+        nis: found.nis,
+    })
+}
+
+fn filtered<const M: usize>(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
+    gravity_mps2: f64,
+    zupt: bool,
+) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
+    let axes = axes::<M>(geometry, calibration)?;
+    // What is missing is said before anything is done.
+    ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let config = ArrayConfig {
+        gravity_mps2,
+        zupt,
+        range_mps2: AT_LIMIT_MPS2,
+        bias_mps2: BIAS_MPS2,
+        ..ArrayConfig::default()
+    };
+    let mut filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
+    let mut states = Vec::with_capacity(recording.times_s.len());
+    let (mut gaps, mut backwards, mut blind) = (0_usize, 0_usize, 0_usize);
+    let mut saturated = 0_usize;
+    let mut without = vec![0_usize; recording.sensors()];
+    let mut last = recording.times_s[0];
+    for (index, time) in recording.times_s.iter().enumerate() {
+        let output = sample::<M>(recording, calibration, index);
+        let pushed = filter.push(time - last, &output);
+        last = last.max(*time);
+        match pushed {
+            Ok(dropped) => {
+                saturated += usize::from(dropped.saturated != 0);
+                for (sensor, count) in without.iter_mut().enumerate() {
+                    *count += (dropped.dead >> sensor & 1) as usize;
+                }
+            }
+            Err(ArrayFault::Gap) => gaps += 1,
+            Err(ArrayFault::NoTime) => backwards += 1,
+            Err(_) => blind += 1,
+        }
+        states.push(filter.state());
+    }
+    let mut remarks = Vec::new();
+    let mut remark = |count: usize, what: &str| {
+        if count > 0 {
+            remarks.push(format!("{count} {what}"));
+        }
+    };
+    remark(
+        gaps,
+        "gaps longer than 0.25 s: position is not valid after one until the next rest",
+    );
+    remark(
+        backwards,
+        "samples whose time stood still or went back: left out",
+    );
+    remark(
+        saturated,
+        "samples without the sensors that were at their limit",
+    );
+    remark(
+        blind,
+        "samples with too few sensors: the angular rate is carried over them",
+    );
+    for (sensor, count) in without.iter().enumerate() {
+        if calibration.uses(sensor) {
+            remark(
+                *count,
+                &format!(
+                    "samples without sensor {sensor} (from 0), which gave none or stood still"
+                ),
+            );
+        }
+    }
+    Ok((states, remarks))
+}

@@ -1,0 +1,514 @@
+//! A recording of several accelerometers: of one table, or of several boards brought to one time.
+
+use std::path::{Path, PathBuf};
+
+use wimu_link::LinkRole;
+use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
+
+use super::ArrayGeometry;
+use crate::csv::{AccelerationUnit, CsvReader};
+use crate::history::{Boot, Recording};
+use crate::{ErrorCode, HostError, Result};
+
+/// Counts of a 16-bit sensor from which on an axis is at its limit.
+const LIMIT_COUNTS: f64 = 32_700.0;
+/// Part of a board's range from which on an axis counts as being at its limit.
+const LIMIT_SHARE: f64 = 0.995;
+/// Four samples that are farther apart than this many periods have a gap between them.
+const GAP_PERIODS: f64 = 5.0;
+/// A recording's sensors are counted in the bits of a word.
+const MOST_SENSORS: usize = 32;
+
+/// Samples of several accelerometers at common times.
+#[derive(Clone, Debug, Default)]
+pub struct ArrayRecording {
+    /// Time of each sample, s.
+    pub times_s: Vec<f64>,
+    /// X, Y, Z of each sensor, m/s², sample by sample; not a number where a sensor has none.
+    pub outputs: Vec<Vec<[f64; 3]>>,
+    /// Sensors that were at their limit: bit k for sensor k.
+    pub saturated: Vec<u32>,
+    /// The file's other columns, by name.
+    pub other: Vec<(String, Vec<f64>)>,
+    /// What errors call it.
+    pub name: String,
+    /// What was noticed on the way.
+    pub remarks: Vec<String>,
+}
+
+impl ArrayRecording {
+    /// Reads a CSV file with columns `Accelerometer 0 X (…)`, `Accelerometer 1 X (…)`, …. Counts are
+    /// scaled by `sensitivity_lsb_per_g`.
+    ///
+    /// # Errors
+    /// Those of [`CsvReader`]; `csv_missing_column` without times or with one accelerometer only.
+    pub fn from_csv(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
+        let table = Table::read(path, sensitivity_lsb_per_g)?;
+        let sensors = table.recording.sensors();
+        if !(2..=MOST_SENSORS).contains(&sensors) {
+            return Err(HostError::new(
+                ErrorCode::CsvMissingColumn,
+                format!("an array has 2 to {MOST_SENSORS} accelerometers, not {sensors}"),
+                "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …",
+            )
+            .at(format!("{} line 1", table.recording.name)));
+        }
+        Ok(table.recording)
+    }
+
+    /// Brings the samples of several boards to common times: those of the slowest one, each of the
+    /// others interpolated between the four samples around (cubic).
+    ///
+    /// # Errors
+    /// `usage` for fewer than two boards or more than 32; `data_refused` where their times do not
+    /// overlap.
+    pub fn from_boards(boards: &[Board]) -> Result<Self> {
+        if !(2..=MOST_SENSORS).contains(&boards.len()) {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!(
+                    "an array is made of 2 to {MOST_SENSORS} boards, not {}",
+                    boards.len()
+                ),
+                "give the recording of each board, in the order of the geometry",
+            ));
+        }
+        let origin = boards.iter().map(|b| b.origin_ns).min().unwrap_or_default();
+        let series: Vec<Series> = boards.iter().map(|b| b.series(origin)).collect();
+        let slowest = series
+            .iter()
+            .max_by(|a, b| a.period_s.total_cmp(&b.period_s));
+        let from = series.iter().filter_map(|s| s.times_s.first().copied());
+        let to = series.iter().filter_map(|s| s.times_s.last().copied());
+        let (from, to) = (from.fold(0.0, f64::max), to.fold(f64::INFINITY, f64::min));
+        let times_s: Vec<f64> = slowest.map_or(Vec::new(), |s| {
+            let within = |t: &f64| (from..=to).contains(t);
+            s.times_s.iter().copied().filter(within).collect()
+        });
+        if times_s.len() < 4 {
+            return Err(HostError::new(
+                ErrorCode::DataRefused,
+                format!(
+                    "the boards' recordings have no time in common: from the first, the last begins \
+                     after {from:.1} s and one ends after {to:.1} s"
+                ),
+                "record all boards at once, on one computer or on computers whose clocks agree",
+            ));
+        }
+        let names: Vec<&str> = boards.iter().map(|b| b.name.as_str()).collect();
+        let mut recording = Self::interpolated(&series, times_s);
+        recording.name = names.join(", ");
+        for (board, series) in boards.iter().zip(&series) {
+            recording.remarks.push(format!(
+                "{}: {:.2} Hz, its clock known to {:.0} µs",
+                board.name,
+                1.0 / series.period_s,
+                board.clock_sd_s * 1e6
+            ));
+        }
+        let jerk = recording.jerk_rms();
+        let clock = boards.iter().map(|b| b.clock_sd_s).fold(0.0, f64::max);
+        recording.remarks.push(format!(
+            "at the motion's jerk of {jerk:.0} m/s³ the clocks add up to {:.3} m/s²",
+            jerk * clock
+        ));
+        Ok(recording)
+    }
+
+    /// Each series at the same times.
+    fn interpolated(series: &[Series], times_s: Vec<f64>) -> Self {
+        let mut recording = Self {
+            outputs: vec![Vec::with_capacity(series.len()); times_s.len()],
+            saturated: vec![0; times_s.len()],
+            ..Self::default()
+        };
+        let (mut squares, mut count, mut missing) = (0.0, 0.0, 0_usize);
+        for (sensor, series) in series.iter().enumerate() {
+            let mut at = 0;
+            for (k, time) in times_s.iter().enumerate() {
+                while at + 1 < series.times_s.len() && series.times_s[at + 1] <= *time {
+                    at += 1;
+                }
+                let (value, doubt, limit) = series.between(at, *time);
+                recording.outputs[k].push(value);
+                recording.saturated[k] |= u32::from(limit) << sensor;
+                if value[0].is_nan() {
+                    missing += 1;
+                } else {
+                    squares += doubt * doubt;
+                    count += 1.0;
+                }
+            }
+        }
+        if count > 0.0 {
+            recording.remarks.push(format!(
+                "interpolated to common times: at most {:.4} m/s² rms wrong, {missing} values missing",
+                f64::sqrt(squares / count)
+            ));
+        }
+        recording.times_s = times_s;
+        recording
+    }
+
+    /// The same in body axes, with the delays of the sensors taken off, as `geometry` says.
+    ///
+    /// # Errors
+    /// `usage` when the numbers of sensors differ.
+    pub fn arranged(mut self, geometry: &ArrayGeometry) -> Result<Self> {
+        let sensors = &geometry.sensors;
+        if sensors.len() != self.sensors() {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!(
+                    "the geometry has {} sensors, the recording {}",
+                    sensors.len(),
+                    self.sensors()
+                ),
+                "give the geometry of this array",
+            )
+            .at(&self.name));
+        }
+        for row in &mut self.outputs {
+            for (output, sensor) in row.iter_mut().zip(sensors) {
+                *output = sensor.in_body_axes(*output);
+            }
+        }
+        if sensors.iter().all(|s| s.delay_us == 0.0) {
+            return Ok(self);
+        }
+        let period_s = self.period_s();
+        let series: Vec<Series> = (0..sensors.len())
+            .map(|sensor| Series {
+                times_s: self
+                    .times_s
+                    .iter()
+                    .map(|t| t + sensors[sensor].delay_us * 1e-6)
+                    .collect(),
+                values: self.outputs.iter().map(|row| row[sensor]).collect(),
+                saturated: self
+                    .saturated
+                    .iter()
+                    .map(|s| s >> sensor & 1 == 1)
+                    .collect(),
+                period_s,
+            })
+            .collect();
+        let moved = Self::interpolated(&series, std::mem::take(&mut self.times_s));
+        self.remarks.extend(moved.remarks);
+        Ok(Self {
+            times_s: moved.times_s,
+            outputs: moved.outputs,
+            saturated: moved.saturated,
+            ..self
+        })
+    }
+
+    /// How many accelerometers there are.
+    pub fn sensors(&self) -> usize {
+        self.outputs.first().map_or(0, Vec::len)
+    }
+
+    /// Median time between samples, s.
+    pub fn period_s(&self) -> f64 {
+        period_s(&self.times_s)
+    }
+
+    /// Root mean square change of the outputs, m/s³ an axis.
+    fn jerk_rms(&self) -> f64 {
+        let (mut squares, mut count) = (0.0, 0.0);
+        for k in 1..self.outputs.len() {
+            let dt = self.times_s[k] - self.times_s[k - 1];
+            for (a, b) in self.outputs[k].iter().zip(&self.outputs[k - 1]) {
+                for axis in 0..3 {
+                    let jerk = (a[axis] - b[axis]) / dt;
+                    if jerk.is_finite() {
+                        squares += jerk * jerk;
+                        count += 1.0;
+                    }
+                }
+            }
+        }
+        f64::sqrt(squares / f64::max(count, 1.0))
+    }
+}
+
+fn period_s(times_s: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied().unwrap_or(1.0).max(1e-6)
+}
+
+/// A table of accelerometers.
+struct Table {
+    recording: ArrayRecording,
+    first_ns: i64,
+}
+
+impl Table {
+    fn read(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
+        let reader = CsvReader::open(path)?;
+        let header = reader.header().clone();
+        let name = reader.name().to_owned();
+        if !header.time || header.accelerometers.is_empty() {
+            return Err(HostError::new(
+                ErrorCode::CsvMissingColumn,
+                "an array needs times and accelerometers",
+                "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …",
+            )
+            .at(format!("{name} line 1")));
+        }
+        let counts = header.acceleration_unit == AccelerationUnit::Lsb;
+        let factor = header
+            .acceleration_unit
+            .mps2()
+            .unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
+        let mut recording = ArrayRecording {
+            name,
+            other: header
+                .other
+                .iter()
+                .map(|n| (n.clone(), Vec::new()))
+                .collect(),
+            ..ArrayRecording::default()
+        };
+        let mut first_ns = None;
+        for row in reader {
+            let row = row?;
+            let time_ns = row.time_ns.unwrap_or_default();
+            let first = *first_ns.get_or_insert(time_ns);
+            recording.times_s.push((time_ns - first) as f64 * 1e-9);
+            let mut bits = 0;
+            for (sensor, value) in row.accelerations.iter().enumerate().take(MOST_SENSORS) {
+                let at_limit = counts && value.iter().any(|axis| axis.abs() >= LIMIT_COUNTS);
+                bits |= u32::from(at_limit) << sensor;
+            }
+            recording.saturated.push(bits);
+            recording.outputs.push(
+                row.accelerations
+                    .iter()
+                    .map(|sensor| sensor.map(|axis| axis * factor))
+                    .collect(),
+            );
+            for ((_, values), text) in recording.other.iter_mut().zip(&row.other) {
+                values.push(text.parse().unwrap_or(f64::NAN));
+            }
+        }
+        if recording.times_s.len() < 4 {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "there are fewer than four samples",
+                "check the file",
+            )
+            .at(&recording.name));
+        }
+        Ok(Self {
+            recording,
+            first_ns: first_ns.unwrap_or_default(),
+        })
+    }
+}
+
+/// How a board's recording is read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoardOptions {
+    /// Sensitivity of counts where the recording does not say it.
+    pub sensitivity_lsb_per_g: f64,
+    /// Of which link; without it, the cable if it was recorded.
+    pub link: Option<LinkRole>,
+}
+
+/// One board of an array: a triad in its own axes, at host time.
+#[derive(Clone, Debug)]
+pub struct Board {
+    /// What remarks call it.
+    pub name: String,
+    /// Host time of `times_s` = 0, ns UTC.
+    pub origin_ns: i64,
+    /// Host time of each sample by the clock model of its link, s since the origin.
+    pub times_s: Vec<f64>,
+    /// Its output, m/s².
+    pub values: Vec<[f64; 3]>,
+    /// Whether an axis was at its limit.
+    pub saturated: Vec<bool>,
+    /// Standard deviation of the times, s: common to all of them, for the most part.
+    pub clock_sd_s: f64,
+}
+
+impl Board {
+    /// Reads a recording (corrected samples where it has them, raw ones otherwise; of the device's
+    /// start with most of them), or a CSV file with one accelerometer whose times are the host's.
+    ///
+    /// # Errors
+    /// Those of [`Recording::load`] and [`CsvReader`]; `no_rows`; `data_refused` where nothing tells
+    /// the board's clock.
+    pub fn read(path: &Path, options: &BoardOptions) -> Result<Self> {
+        if path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
+        {
+            let table = Table::read(path, options.sensitivity_lsb_per_g)?;
+            let recording = table.recording;
+            if recording.sensors() != 1 {
+                return Err(HostError::new(
+                    ErrorCode::Usage,
+                    format!("it has {} accelerometers", recording.sensors()),
+                    "one of several boards has one; give a table of all by itself",
+                )
+                .at(recording.name));
+            }
+            return Ok(Self {
+                name: recording.name,
+                origin_ns: table.first_ns,
+                times_s: recording.times_s,
+                values: recording.outputs.iter().map(|row| row[0]).collect(),
+                saturated: recording.saturated.iter().map(|s| *s != 0).collect(),
+                clock_sd_s: 0.0,
+            });
+        }
+        let recording = Recording::load(path)?;
+        let link = recording.link(options.link)?;
+        let samples = |boot: &Boot| boot.corrected.len().max(boot.raw.len());
+        let no_rows = || {
+            HostError::new(
+                ErrorCode::NoRows,
+                format!("no samples came over the {} link", link.role),
+                "switch a stream on with `wimu settings set`, or use the other link",
+            )
+            .at(&recording.name)
+        };
+        let boot = link
+            .boots
+            .iter()
+            .max_by_key(|boot| samples(boot))
+            .ok_or_else(no_rows)?;
+        let corrected = !boot.corrected.is_empty();
+        let chosen = if corrected {
+            &boot.corrected
+        } else {
+            &boot.raw
+        };
+        let (Some(first), Some(last)) = (chosen.first(), chosen.last()) else {
+            return Err(no_rows());
+        };
+        let lsb = boot
+            .nominal_sensitivity()
+            .map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g());
+        let factor = STANDARD_GRAVITY_MPS2 / lsb;
+        let range = boot.epochs.first().map_or(f64::INFINITY, |mark| {
+            f64::from(mark.epoch.range_g) * STANDARD_GRAVITY_MPS2
+        });
+        let host = |time| {
+            let host_ns = boot.host_ns(time)?;
+            let utc = recording.anchor.map_or(host_ns, |a| a.to_utc_ns(host_ns));
+            i64::try_from(utc).ok()
+        };
+        let no_clock = || {
+            HostError::new(
+                ErrorCode::DataRefused,
+                "nothing in it tells when its samples were taken by the host's clock",
+                "record for some seconds at the least",
+            )
+            .at(&recording.name)
+        };
+        let origin_ns = host(first.time).ok_or_else(no_clock)?;
+        let mut board = Self {
+            name: recording.name.clone(),
+            origin_ns,
+            times_s: Vec::with_capacity(chosen.len()),
+            values: Vec::with_capacity(chosen.len()),
+            saturated: Vec::with_capacity(chosen.len()),
+            clock_sd_s: boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9,
+        };
+        for sample in chosen {
+            let time_ns = host(sample.time).ok_or_else(no_clock)?;
+            let value = if corrected {
+                SpecificForceQ16(sample.value).to_mps2().0
+            } else {
+                sample.value.map(|count| f64::from(count) * factor)
+            };
+            let time_s = (time_ns - origin_ns) as f64 * 1e-9;
+            if board.times_s.last().is_none_or(|last| time_s > *last) {
+                board.times_s.push(time_s);
+                board.values.push(value);
+                let at_limit = |axis: &f64| axis.abs() >= LIMIT_SHARE * range;
+                board.saturated.push(value.iter().any(at_limit));
+            }
+        }
+        Ok(board)
+    }
+
+    /// Reads several.
+    ///
+    /// # Errors
+    /// Those of [`Board::read`].
+    pub fn read_all(paths: &[PathBuf], options: &BoardOptions) -> Result<Vec<Self>> {
+        paths.iter().map(|path| Self::read(path, options)).collect()
+    }
+
+    fn series(&self, origin_ns: i64) -> Series {
+        let later = (self.origin_ns - origin_ns) as f64 * 1e-9;
+        Series {
+            times_s: self.times_s.iter().map(|t| t + later).collect(),
+            values: self.values.clone(),
+            saturated: self.saturated.clone(),
+            period_s: period_s(&self.times_s),
+        }
+    }
+}
+
+/// One sensor's samples at its own times.
+struct Series {
+    times_s: Vec<f64>,
+    values: Vec<[f64; 3]>,
+    saturated: Vec<bool>,
+    period_s: f64,
+}
+
+impl Series {
+    /// The value at `time`, which lies between samples `at` and `at + 1`: cubic through the four
+    /// around; by how much the parabolas through three of them differ; and whether one was at its
+    /// limit. Not a number next to a gap and at the ends.
+    fn between(&self, at: usize, time: f64) -> ([f64; 3], f64, bool) {
+        let nothing = ([f64::NAN; 3], 0.0, false);
+        if self.times_s.get(at).is_some_and(|t| *t == time) {
+            return (self.values[at], 0.0, self.saturated[at]);
+        }
+        let (Some(from), to) = (at.checked_sub(1), at + 3) else {
+            return nothing;
+        };
+        let Some(times) = self.times_s.get(from..to) else {
+            return nothing;
+        };
+        if time < times[1] || time > times[2] || times[3] - times[0] > GAP_PERIODS * self.period_s {
+            return nothing;
+        }
+        let weights = |used: &[usize]| {
+            let mut weights = [0.0; 4];
+            for i in used {
+                weights[*i] = used
+                    .iter()
+                    .filter(|j| *j != i)
+                    .map(|j| (time - times[*j]) / (times[*i] - times[*j]))
+                    .product();
+            }
+            weights
+        };
+        let values = &self.values[from..to];
+        let sum = |weights: [f64; 4], axis: usize| -> f64 {
+            weights.iter().zip(values).map(|(w, v)| w * v[axis]).sum()
+        };
+        let (all, left, right) = (
+            weights(&[0, 1, 2, 3]),
+            weights(&[0, 1, 2]),
+            weights(&[1, 2, 3]),
+        );
+        let doubt = (0..3)
+            .map(|a| (sum(left, a) - sum(right, a)).abs())
+            .fold(0.0, f64::max);
+        (
+            std::array::from_fn(|axis| sum(all, axis)),
+            doubt / 2.0,
+            self.saturated[from..to].contains(&true),
+        )
+    }
+}

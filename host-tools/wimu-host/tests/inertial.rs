@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use wimu_calib::Gravity;
 use wimu_host::ErrorCode;
-use wimu_host::array::{ArrayCalibration, ArrayRecording, angular_rate, read_places};
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, angular_rate};
 use wimu_host::inertial::{Choice, Method, legs, navigate};
 use wimu_host::motion::{MotionRecording, Truth};
 use wimu_nav::slide::SlideConfig;
@@ -193,7 +193,7 @@ fn still_array(sensors: usize) -> ArrayRecording {
         let noise = |s: usize| ((k * 31 + s * 17) % 11) as f64 * 0.004 - 0.02;
         let sample = (0..sensors).map(|s| [noise(s), -noise(s + 3), 9.8 + noise(s + 5)]);
         recording.outputs.push(sample.collect());
-        recording.saturated.push(false);
+        recording.saturated.push(0);
     }
     recording
 }
@@ -207,11 +207,11 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     let table =
         "axes, IMU 1, IMU 2, IMU 3, IMU 4\nx, 0.01, 0, 0, 0\ny, 0, 0.01, 0, 0\nz, 0, 0, 0.01, 0\n";
     let columns = file("columns.csv", table);
-    let places = read_places(&rows).unwrap();
-    assert_eq!(places, read_places(&columns).unwrap());
-    assert_eq!(places.len(), 4);
+    let places = ArrayGeometry::read(&rows).unwrap();
+    assert_eq!(places, ArrayGeometry::read(&columns).unwrap());
+    assert_eq!(places.sensors.len(), 4);
     let bad = file("bad.csv", "X (m),Y (m),Z (m)\n0.01,zero,0\n");
-    let error = read_places(&bad).unwrap_err();
+    let error = ArrayGeometry::read(&bad).unwrap_err();
     assert!(error.code() == ErrorCode::CsvBadNumber && error.to_string().contains("line 2"));
     for path in [rows, columns, bad] {
         std::fs::remove_file(path).unwrap();
@@ -223,11 +223,17 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
         calibration.uncalibrated.is_some(),
         "one pose is not enough to calibrate"
     );
-    let refused = |wrong: &[[f64; 3]]| {
+    let refused = |wrong: &ArrayGeometry| {
         let error = angular_rate(&recording, wrong, &calibration).unwrap_err();
         error.to_string()
     };
-    assert!(refused(&places[..3]).contains("the geometry has 3 sensors, the recording 4"));
-    assert!(refused(&[[0.01, 0.0, 0.0]; 4]).contains("all sensors are at one place"));
+    assert!(
+        refused(&ArrayGeometry::new(places.sensors[..3].to_vec()))
+            .contains("the geometry has 3 sensors, the recording 4")
+    );
+    assert!(
+        refused(&ArrayGeometry::at(&[[0.01, 0.0, 0.0]; 4]))
+            .contains("all sensors are at one place")
+    );
     assert!(angular_rate(&recording, &places, &calibration).is_ok());
 }

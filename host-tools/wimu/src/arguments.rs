@@ -643,7 +643,8 @@ pub enum Carried {
 #[command(after_help = "\
 Example: wimu navigate session.mcap -o path.csv
          wimu navigate walk.csv --method tilt --zupt off --report path.html
-         wimu navigate board.csv --geometry places.csv -o path.csv")]
+         wimu navigate board.csv --geometry places.csv -o path.csv
+         wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json --refine refined.json")]
 pub struct Navigate {
     /// A recording, or a CSV file of corrected samples
     pub input: PathBuf,

@@ -5,7 +5,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayCalibration, ArrayRecording, angular_rate, read_places};
+use wimu_host::array::{
+    ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate, navigated, refine,
+};
+use wimu_nav::array::ArrayState;
 
 /// LSB per deg/s of the gyroscopes.
 const GYROSCOPE: f64 = 16.4;
@@ -20,7 +23,7 @@ pub fn bench(data: &Path) {
         return;
     }
     let recording = ArrayRecording::from_csv(&file, 2048.0).expect("the recording is readable");
-    let places = read_places(&data.join("array/mimu4444_positions.csv")).expect("places");
+    let drawn = ArrayGeometry::read(&data.join("array/mimu4444_positions.csv")).expect("places");
     let calibration =
         ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).expect("the array has rests");
     println!(
@@ -30,20 +33,72 @@ pub fn bench(data: &Path) {
         calibration.noise_mps2.iter().sum::<f64>() / calibration.noise_mps2.len() as f64 * 1e3
     );
     let start = Instant::now();
-    let motion = angular_rate(&recording, &places, &calibration).expect("an angular rate");
+    let found = refine(&recording, &drawn, &calibration, &RefineOptions::default())
+        .expect("places and delays");
     println!(
-        "{} samples in {:.1} s; {:.0?}; NIS {:.2} a degree of freedom",
+        "places and delays from {} samples in {:.1} s: what no motion explains falls from {:.3} to {:.3} m/s²",
+        found.samples,
+        start.elapsed().as_secs_f64(),
+        found.residual_mps2[0],
+        found.residual_mps2[1]
+    );
+    let mean = |sensors: [usize; 4], axis: usize, c: usize| {
+        sensors
+            .iter()
+            .map(|s| found.moved_m[*s][axis][c])
+            .sum::<f64>()
+            / 4.0
+            * 1e3
+    };
+    for (name, sensors) in [("upper", [0, 2, 4, 6]), ("lower", [1, 3, 5, 7])] {
+        println!(
+            "{name} chips: z axes at {:+.2} mm in x and {:+.2} in y from where they are drawn (± {:.2})",
+            mean(sensors, 2, 0),
+            mean(sensors, 2, 1),
+            found.place_sd_m[sensors[0]][2][0] * 1e3
+        );
+    }
+    let largest = (0..8).max_by(|a, b| found.delay_s[*a].abs().total_cmp(&found.delay_s[*b].abs()));
+    let largest = largest.unwrap_or_default();
+    println!(
+        "largest delay of a chip: {:+.0} ± {:.0} µs",
+        found.delay_s[largest] * 1e6,
+        found.delay_sd_s[largest] * 1e6
+    );
+    let start = Instant::now();
+    let motion = angular_rate(&recording, &drawn, &calibration).expect("an angular rate");
+    println!(
+        "smoother: {} samples in {:.1} s; {:.0?}; NIS {:.2} a degree of freedom",
         motion.rate_rad_s.len(),
         start.elapsed().as_secs_f64(),
         motion.spread,
         motion.nis
     );
+    let start = Instant::now();
+    let filter = |geometry| {
+        let gravity = wimu_model::STANDARD_GRAVITY_MPS2;
+        navigated(&recording, geometry, &calibration, gravity, true)
+            .expect("a motion")
+            .0
+    };
+    let as_drawn = filter(&drawn);
+    println!(
+        "filter: {:.0} samples a second",
+        as_drawn.len() as f64 / start.elapsed().as_secs_f64()
+    );
+    // Places only: a delay is taken off with the help of later samples.
+    let mut places = found.geometry.clone();
+    for sensor in &mut places.sensors {
+        sensor.delay_us = 0.0;
+    }
+    let as_found = filter(&places);
 
     let (truth, clipped) = gyroscopes(&recording);
     let count = truth.len();
     let near: Vec<bool> = (0..count)
         .map(|k| {
-            (k.saturating_sub(1)..(k + 2).min(count)).any(|j| clipped[j] || recording.saturated[j])
+            (k.saturating_sub(1)..(k + 2).min(count))
+                .any(|j| clipped[j] || recording.saturated[j] != 0)
         })
         .collect();
     let norm = |v: [f64; 3]| v.iter().map(|a| a * a).sum::<f64>().sqrt();
@@ -84,31 +139,38 @@ pub fn bench(data: &Path) {
             100.0 * wrong as f64 / scored.len() as f64
         );
     };
-    score("all samples (smoother)", &motion.rate_rad_s, &truth);
-    score("up to now (likeliest root)", &motion.causal_rad_s, &truth);
+    let rates = |states: &[ArrayState<f64>]| -> Vec<[f64; 3]> {
+        states.iter().map(|s| s.rate_rad_s).collect()
+    };
+    let (drawn_rate, found_rate) = (rates(&as_drawn), rates(&as_found));
+    score("filter (up to now), places as drawn", &drawn_rate, &truth);
+    score("filter (up to now), places as found", &found_rate, &truth);
+    score(
+        "smoother (all samples), places as drawn",
+        &motion.rate_rad_s,
+        &truth,
+    );
     for later_ms in [0.5, 1.0, 1.5, 2.0] {
         let moved = interpolated(&truth, later_ms * 1e-3 / period);
         score(
-            &format!("smoother, gyroscopes taken {later_ms} ms earlier"),
-            &motion.rate_rad_s,
+            &format!("filter, gyroscopes taken {later_ms} ms earlier"),
+            &found_rate,
             &moved,
         );
     }
     let mut nees: Vec<f64> = scored
         .iter()
         .map(|k| {
-            (0..3)
-                .map(|i| {
-                    let d = motion.rate_rad_s[*k][i] - truth[*k][i];
-                    d * d / motion.rate_sd_rad_s[*k][i].powi(2)
-                })
-                .sum::<f64>()
+            let error = std::array::from_fn(|i| as_found[*k].rate_rad_s[i] - truth[*k][i]);
+            wimu_host::motion::nees(error, as_found[*k].rate_covariance)
         })
         .collect();
     nees.sort_by(f64::total_cmp);
+    let below = nees.iter().filter(|n| **n < 7.81).count();
     println!(
-        "median of Σ (error / sd)²: {:.2} (2.37 if right and uncorrelated)",
-        nees[nees.len() / 2]
+        "NEES of the filter's rate: median {:.2} (2.37 is right), below 7.81 in {:.0} % (95 is right)",
+        nees[nees.len() / 2],
+        100.0 * below as f64 / nees.len() as f64
     );
 }
 

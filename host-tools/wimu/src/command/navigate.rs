@@ -1,5 +1,6 @@
 //! `wimu navigate`.
 
+mod array;
 mod inertial;
 
 use serde::Serialize;
@@ -82,20 +83,19 @@ impl Track {
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     not_over_input(&arguments.input, arguments.output.as_deref())?;
     let extension = arguments.input.extension();
-    if extension.is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
+    let is_table = extension.is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    if is_table || arguments.geometry.is_some() || !arguments.boards.is_empty() {
         return inertial::run(arguments, output);
     }
     inertial::check(arguments)?;
-    if arguments.geometry.is_some()
-        || matches!(
-            arguments.method,
-            NavigateMethod::Array | NavigateMethod::Strapdown
-        )
-    {
+    if matches!(
+        arguments.method,
+        NavigateMethod::Array | NavigateMethod::Strapdown
+    ) {
         return Err(HostError::new(
             ErrorCode::Usage,
             "a board has one accelerometer and no gyroscope",
-            "use --method tilt or slide; arrays and gyroscopes are read from CSV files",
+            "use --method tilt or slide, several boards with --geometry, or a CSV file",
         ));
     }
     let recording = Recording::load(&arguments.input)?;

@@ -3,11 +3,11 @@
 use std::fmt::Write as _;
 
 use serde::Serialize;
-use wimu_host::array::{ArrayRecording, read_places};
-use wimu_host::inertial::{Choice, InertialPath, Method, navigate, navigate_array, settling};
+use wimu_host::inertial::{Choice, InertialPath, Method, navigate, settling};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{ErrorCode, HostError, Result};
 
+use super::array::{self, Refined};
 use crate::arguments::{Navigate, NavigateMethod, Switch};
 use crate::command::not_over_input;
 use crate::output::Output;
@@ -30,6 +30,7 @@ pub struct Found {
     horizon: Horizon,
     nees: Option<Nees>,
     moves: Vec<MoveFound>,
+    refined: Option<Refined>,
     remarks: Vec<String>,
 }
 
@@ -93,27 +94,40 @@ pub fn check(arguments: &Navigate) -> Result<()> {
 /// A CSV file of corrected samples, or of an array's.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     check(arguments)?;
-    if arguments.calibration.is_some() || arguments.link.is_some() {
+    if arguments.calibration.is_some()
+        || (arguments.link.is_some() && arguments.geometry.is_none())
+    {
         return usage(
-            "--calibration and --link are for recordings: a CSV file holds corrected samples",
+            "--calibration and --link are for a recording by itself: a CSV file holds corrected samples, \
+             an array is calibrated from its rests",
             "leave them out",
         );
     }
     let source = arguments.input.display().to_string();
     let found = match (arguments.method, &arguments.geometry) {
         (NavigateMethod::Auto | NavigateMethod::Array, Some(geometry)) => {
+            if arguments.drift.is_some() {
+                return usage(
+                    "--drift is not for arrays: their biases are found at each rest",
+                    "leave it out",
+                );
+            }
             let (choice, settling) = choice(arguments, Method::Array, output)?;
-            let places = read_places(geometry)?;
-            let recording = ArrayRecording::from_csv(&arguments.input, arguments.sensitivity)?;
-            let path = navigate_array(&recording, &places, &choice)?;
-            let found = present(arguments, &path, &choice, settling, source, output)?;
-            output.say("the angular rate is from all samples, later ones too; position is causal");
+            let (path, refined) = array::path(arguments, geometry, &choice, output)?;
+            let mut found = present(arguments, &path, &choice, settling, source, output)?;
+            found.refined = refined;
             found
         }
         (NavigateMethod::Array, None) | (_, Some(_)) => {
             return usage(
-                "the method array and --geometry go together",
-                "give --geometry FILE with --method array, and neither otherwise",
+                "the method array, several boards and --geometry go together",
+                "give --geometry FILE with --method array, and none of them otherwise",
+            );
+        }
+        (_, None) if !arguments.boards.is_empty() => {
+            return usage(
+                "several boards need --geometry: where each one is on the body",
+                "write a line `X (m),Y (m),Z (m)` and one line for each board, in their order",
             );
         }
         (_, None) => one_unit(
@@ -239,6 +253,7 @@ fn found(
                 turned_deg: m.turned_rad.to_degrees(),
             })
             .collect(),
+        refined: None,
         remarks: path.remarks.clone(),
     }
 }

@@ -346,6 +346,22 @@ fn bad_input_is_said_and_survived() {
     y[9] = f64::NAN;
     let dropped = filter.push(DT, &y).unwrap();
     assert_eq!((dropped.saturated, dropped.dead), (1 << 1, 1 << 3));
+    // The others still show a turn.
+    let mut turned = filter.clone();
+    for k in 0..50 {
+        let x = f64::from(k + 1) / 50.0;
+        let mut y = outputs(
+            &board(),
+            [10.0 * x, 0.0, 0.0],
+            [20.0, 0.0, 0.0],
+            [0.0, 0.0, G],
+        );
+        y = y.map(|v| v + NOISE * random.normal());
+        y[9] = f64::NAN;
+        turned.push(DT, &y).unwrap();
+    }
+    let rate = turned.state().rate_rad_s;
+    assert!((rate[0] - 10.0).abs() < 1.0, "{rate:?}");
     // All of them: carried on, not valid.
     let fault = filter.push(DT, &[f64::NAN; 24]).unwrap_err();
     assert_eq!(

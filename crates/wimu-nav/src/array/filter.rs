@@ -21,6 +21,9 @@ const CANDIDATES: usize = MOST * 6;
 /// A hypothesis less likely than the best by this factor is given up, as a logarithm.
 const GIVEN_UP: f64 = 20.0;
 
+/// χ² from which on no hypothesis can be right, and how far ω may then be from what was thought, rad/s.
+const LOST: f64 = 300.0;
+const LOST_RATE_RAD_S: f64 = 20.0;
 /// Share of the sample's own excess in its noise, the rest is that of the samples before it.
 const OWN_SHARE: f64 = 0.8;
 /// Samples over which the excess is remembered.
@@ -56,6 +59,9 @@ const REST_SPEED_MPS: f64 = 0.005;
 const REST_RATE_RAD_S: f64 = 0.02;
 const REST_TURN_RAD_S2: f64 = 0.1;
 const REST_FORCE_MPS2: f64 = 0.02;
+
+/// A rest's departure beyond so many variances shows that the covariance is wrong.
+const ASTRAY: f64 = 50.0;
 
 /// How an array is used.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -514,57 +520,23 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 
     /// Every hypothesis meets every root: equation (89).
     fn update(&mut self, linear: &Linear<R>, noise: &Noise<R>) {
-        let solver = self.array.solver();
         let mut measured = [R::default(); MEASURED];
         measured[..3].copy_from_slice(&linear.theta[..3]);
         measured[3..].copy_from_slice(&linear.z);
-        let mut roots = None;
-        let mut candidates: [Option<Candidate<R>>; CANDIDATES] = [None; CANDIDATES];
-        let mut count = 0;
-        for (parent, hypothesis) in self.hypotheses.iter().enumerate() {
-            let Some(hypothesis) = hypothesis else {
-                continue;
-            };
-            let Some(view) = View::of(hypothesis, solver, noise) else {
-                continue;
-            };
-            let mut put = |found: Option<([R; TURNING], f64)>| {
-                let (turning, weight) = found?;
-                let weight = hypothesis.weight + weight;
-                let twin = candidates.iter_mut().flatten().find(|other| {
-                    other.parent == parent && view.apart(&other.turning, &turning) < 0.01
-                });
-                if let Some(twin) = twin {
-                    if weight > twin.weight {
-                        twin.weight = weight;
-                        twin.turning = turning;
-                    }
-                } else if let Some(slot) = candidates.get_mut(count) {
-                    *slot = Some(Candidate {
-                        parent,
-                        turning,
-                        weight,
-                    });
-                    count += 1;
-                }
-                Some(turning)
-            };
-            let own = put(view.refine(solver, &measured, view.mean));
-            let mut start = own.unwrap_or(view.mean);
-            for w in start.iter_mut().take(3) {
-                *w = -*w;
-            }
-            if !view.within_reach(&start) && solver.roots() == Roots::Two {
-                continue;
-            }
-            put(view.refine(solver, &measured, start));
-            let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
-            for root in roots.hypotheses() {
-                start[..3].copy_from_slice(&root.rate_rad_s);
-                if view.within_reach(&start) {
-                    put(view.refine(solver, &measured, start));
+        let mut candidates = self.candidates(linear, &measured, noise);
+        let misfit = |all: &[Option<Candidate<R>>]| {
+            let found = all.iter().flatten().map(|c| c.misfit);
+            found.fold(f64::INFINITY, f64::min)
+        };
+        if misfit(&candidates) > LOST {
+            // None of the histories can be right: every root is possible again.
+            for hypothesis in self.hypotheses.iter_mut().flatten() {
+                for i in 0..3 {
+                    hypothesis.cov[OMEGA + i][OMEGA + i] += r(LOST_RATE_RAD_S * LOST_RATE_RAD_S);
+                    hypothesis.cov[TURN + i][TURN + i] += r(self.activity + 1.0);
                 }
             }
+            candidates = self.candidates(linear, &measured, noise);
         }
         candidates.sort_unstable_by(|a, b| {
             let weight = |c: &Option<Candidate<R>>| c.map_or(f64::NEG_INFINITY, |c| c.weight);
@@ -574,6 +546,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             return;
         };
         let least = best.weight - GIVEN_UP;
+        let solver = self.array.solver();
         let before = self.hypotheses;
         self.hypotheses = [None; MOST];
         let mut slots = self.hypotheses.iter_mut();
@@ -592,41 +565,113 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
+    /// What each hypothesis makes of a sample: its own, its opposite, and where the plane of an array
+    /// mirrors them, the roots of the sample.
+    fn candidates(
+        &self,
+        linear: &Linear<R>,
+        measured: &[R; MEASURED],
+        noise: &Noise<R>,
+    ) -> [Option<Candidate<R>>; CANDIDATES] {
+        let solver = self.array.solver();
+        let mut roots = None;
+        let mut candidates: [Option<Candidate<R>>; CANDIDATES] = [None; CANDIDATES];
+        let mut count = 0;
+        for (parent, hypothesis) in self.hypotheses.iter().enumerate() {
+            let Some(hypothesis) = hypothesis else {
+                continue;
+            };
+            let Some(view) = View::of(hypothesis, solver, noise) else {
+                continue;
+            };
+            let mut put = |start: [R; TURNING]| {
+                let found = view.refine(solver, measured, start)?;
+                let candidate = Candidate {
+                    parent,
+                    turning: found.turning,
+                    weight: hypothesis.weight + found.weight,
+                    misfit: found.misfit,
+                };
+                let twin = candidates.iter_mut().flatten().find(|other| {
+                    other.parent == parent && view.apart(&other.turning, &found.turning) < 0.01
+                });
+                if let Some(twin) = twin {
+                    if candidate.weight > twin.weight {
+                        *twin = candidate;
+                    }
+                } else if let Some(slot) = candidates.get_mut(count) {
+                    *slot = Some(candidate);
+                    count += 1;
+                }
+                Some(found.turning)
+            };
+            let mut start = put(view.mean).unwrap_or(view.mean);
+            for w in start.iter_mut().take(3) {
+                *w = -*w;
+            }
+            if !view.within_reach(&start) && solver.roots() == Roots::Two {
+                continue;
+            }
+            put(start);
+            let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
+            for root in roots.hypotheses() {
+                start[..3].copy_from_slice(&root.rate_rad_s);
+                if view.within_reach(&start) {
+                    put(start);
+                }
+            }
+        }
+        candidates
+    }
+
     /// Velocity and angular rate are zero, gravity is vertical.
     fn rest(&mut self, step: f64) {
         // A rest's departures last as long as it was looked at.
         let slower = (REST_S / step.max(1e-3)).max(1.0);
+        let variance = |sd: f64| r::<R>(sd * sd * slower);
         let g = self.config.gravity_mps2;
-        let solver = self.array.solver();
+        let of_force = variance(REST_FORCE_MPS2) + r::<R>(self.array.solver().covariance()[3][3]);
         for hypothesis in self.hypotheses.iter_mut().flatten() {
+            let lever = cross_matrix([R::default(), R::default(), r(g)]);
+            let gravity = |attitude: &[[R; 3]; 3], i: usize| {
+                let mut row = [R::default(); STATES];
+                row[PHI..PHI + 3].copy_from_slice(&lever[i]);
+                row[FORCE_BIAS..FORCE_BIAS + 3].copy_from_slice(&attitude[i]);
+                row
+            };
+            let unit = |at: usize| {
+                let mut row = [R::default(); STATES];
+                row[at] = r(1.0);
+                row
+            };
+            // A departure that the covariance cannot explain is no measurement of anything else:
+            // velocity and attitude begin anew.
+            let astray = (0..3).any(|i| {
+                let v = hypothesis.mean[VELOCITY + i];
+                let a = hypothesis.acceleration[i];
+                hypothesis.departs(&unit(VELOCITY + i), v, variance(REST_SPEED_MPS)) > ASTRAY
+                    || hypothesis.departs(&gravity(&hypothesis.attitude, i), a, of_force) > ASTRAY
+            });
+            if astray {
+                hypothesis.begin_again(g, self.since_rest_s);
+            }
             let before = hypothesis.mean;
             let mut fit = 0.0;
             for i in 0..3 {
-                let mut row = [R::default(); STATES];
-                row[VELOCITY + i] = r(1.0);
-                let rest = -hypothesis.mean[VELOCITY + i];
-                fit += hypothesis.absorb(&row, rest, r(REST_SPEED_MPS * REST_SPEED_MPS * slower));
-                row = [R::default(); STATES];
-                row[TURN + i] = r(1.0);
-                let rest = -hypothesis.mean[TURN + i];
-                fit +=
-                    hypothesis.absorb(&row, rest, r(REST_TURN_RAD_S2 * REST_TURN_RAD_S2 * slower));
-                row = [R::default(); STATES];
-                row[OMEGA + i] = r(1.0);
-                let rest = -hypothesis.mean[OMEGA + i];
-                fit += hypothesis.absorb(&row, rest, r(REST_RATE_RAD_S * REST_RATE_RAD_S * slower));
+                for (at, sd) in [
+                    (VELOCITY + i, REST_SPEED_MPS),
+                    (TURN + i, REST_TURN_RAD_S2),
+                    (OMEGA + i, REST_RATE_RAD_S),
+                ] {
+                    fit += hypothesis.absorb(&unit(at), -hypothesis.mean[at], variance(sd));
+                }
             }
-            let lever = cross_matrix([R::default(), R::default(), r(g)]);
-            let variance = r::<R>(REST_FORCE_MPS2 * REST_FORCE_MPS2 * slower)
-                + r::<R>(solver.covariance()[3][3]);
             for i in 0..3 {
-                let mut row = [R::default(); STATES];
-                row[PHI..PHI + 3].copy_from_slice(&lever[i]);
-                row[FORCE_BIAS..FORCE_BIAS + 3].copy_from_slice(&hypothesis.attitude[i]);
+                let row = gravity(&hypothesis.attitude, i);
                 // Less what the components before this one have explained.
                 let learnt: [R; STATES] = core::array::from_fn(|k| hypothesis.mean[k] - before[k]);
                 let rest = hypothesis.acceleration[i] - dot(&row, &learnt);
-                fit += hypothesis.absorb(&row, rest, variance);
+                fit += hypothesis.absorb(&row, rest, of_force);
             }
             hypothesis.weight -= 0.5 * fit;
             hypothesis.fold();

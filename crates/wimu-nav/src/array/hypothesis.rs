@@ -48,8 +48,19 @@ pub(super) struct Hypothesis<R> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate<R> {
     pub(super) parent: usize,
+    pub(super) misfit: f64,
     pub(super) turning: [R; TURNING],
     pub(super) weight: f64,
+}
+
+/// ω and ω̇ that a sample and a hypothesis agree on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Found<R> {
+    pub(super) turning: [R; TURNING],
+    /// Logarithm of the probability.
+    pub(super) weight: f64,
+    /// χ² of what is left of both.
+    pub(super) misfit: f64,
 }
 
 /// Noise of a sample.
@@ -230,7 +241,7 @@ impl<R: Real> View<R> {
         solver: &ArraySolver<R, M>,
         measured: &[R; MEASURED],
         start: [R; TURNING],
-    ) -> Option<([R; TURNING], f64)> {
+    ) -> Option<Found<R>> {
         let cost = |x: &[R; TURNING], residual: &[R; MEASURED]| {
             self.apart(x, &self.mean) + dot(residual, &times(&self.precision, residual)).to_f64()
         };
@@ -273,7 +284,11 @@ impl<R: Real> View<R> {
         let narrowed = log_determinant(&cholesky(&hessian)?) + self.log_determinant;
         let spread = (WEIGHT_FREEDOM + self.freedom) * libm::log1p(best / WEIGHT_FREEDOM);
         let weight = -0.5 * (spread + narrowed);
-        weight.is_finite().then_some((x, weight))
+        weight.is_finite().then_some(Found {
+            turning: x,
+            weight,
+            misfit: best,
+        })
     }
 
     fn hessian(&self, jacobian: &[[R; TURNING]; MEASURED]) -> [[R; TURNING]; TURNING] {
@@ -447,6 +462,33 @@ impl<R: Real> Hypothesis<R> {
             for j in 0..3 {
                 self.cov[VELOCITY + i][VELOCITY + j] += input[i][j];
             }
+        }
+    }
+
+    /// The square of a departure, in variances of what was expected.
+    pub(super) fn departs(&self, row: &[R; STATES], rest: R, variance: R) -> f64 {
+        let total = dot(&times(&self.cov, row), row) + variance;
+        (rest * rest / total).to_f64()
+    }
+
+    /// Velocity and attitude are not what was thought: at a rest they are known again from it, the
+    /// position is not, nor the heading.
+    pub(super) fn begin_again(&mut self, gravity_mps2: f64, since_s: f64) {
+        let [x, y, z] = self.acceleration.map(|a| a.to_f64());
+        let tilt = ((x * x + y * y + z * z) / (gravity_mps2 * gravity_mps2)).min(1.0) + 1e-4;
+        for i in 0..3 {
+            let strayed = self.mean[VELOCITY + i].to_f64() * since_s;
+            let position = self.cov[POSITION + i][POSITION + i];
+            for at in [PHI + i, VELOCITY + i, POSITION + i] {
+                for k in 0..STATES {
+                    self.cov[at][k] = R::default();
+                    self.cov[k][at] = R::default();
+                }
+            }
+            self.mean[VELOCITY + i] = R::default();
+            self.cov[PHI + i][PHI + i] = r(tilt);
+            self.cov[VELOCITY + i][VELOCITY + i] = r(1e-4);
+            self.cov[POSITION + i][POSITION + i] = position + r((strayed * strayed).min(1e9));
         }
     }
 

@@ -119,7 +119,8 @@ impl<R: Real, const M: usize> Array<R, M> {
             } else if value.abs() >= self.range_mps2 {
                 dropped.saturated |= bit;
             }
-            if value != self.last[index] {
+            // One at its limit does not move either.
+            if value != self.last[index] || dropped.saturated & bit != 0 {
                 self.unmoved[index] = 0;
             } else if moved * 2 > used {
                 self.unmoved[index] = self.unmoved[index].saturating_add(1);

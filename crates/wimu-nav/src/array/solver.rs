@@ -324,13 +324,14 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         let mut sum = R::default();
         for index in 0..M {
             let weight = self.weights[index];
+            if weight <= R::default() {
+                continue;
+            }
             let force = inner(&self.rows[index], &linear.theta);
             let mut rest = (output_mps2[index] - force) * weight;
             for row in 0..self.rank.min(6) {
                 // The columns of V are the rows of `to_z` without their weight.
-                if weight > R::default() {
-                    rest -= self.to_z[row][index] / weight * linear.z[row];
-                }
+                rest -= self.to_z[row][index] / weight * linear.z[row];
             }
             sum += rest * rest;
         }

@@ -1,0 +1,289 @@
+//! `wimu navigate` with several accelerometers on one body: what it takes, and what it refuses.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use kit::{Background, Ran, Simulator, folder, wimu};
+
+const PLACES: [[f64; 3]; 4] = [
+    [0.05, 0.05, 0.05],
+    [0.05, -0.05, -0.05],
+    [-0.05, 0.05, -0.05],
+    [-0.05, -0.05, 0.05],
+];
+
+/// A table of places.
+fn geometry(folder: &Path, places: &[[f64; 3]]) -> String {
+    let mut text = "X (m),Y (m),Z (m)\n".to_owned();
+    for [x, y, z] in places {
+        writeln!(text, "{x},{y},{z}").unwrap();
+    }
+    written(folder, "places.csv", &text)
+}
+
+fn written(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+/// Four sensors at rest for 4 s at 100 Hz; `change` may spoil the values of a sample, or drop it.
+fn recording(folder: &Path, change: impl Fn(usize, &mut Vec<String>) -> bool) -> String {
+    let mut text = "Time (s)".to_owned();
+    for sensor in 0..4 {
+        for axis in ["X", "Y", "Z"] {
+            write!(text, ",Accelerometer {sensor} {axis} (m/s²)").unwrap();
+        }
+    }
+    text.push('\n');
+    for k in 0..400_usize {
+        let mut fields = vec![format!("{:.3}", k as f64 * 0.01)];
+        for sensor in 0..4 {
+            let noise = |s: usize| ((k * 31 + (s + sensor) * 17) % 11) as f64 * 0.004 - 0.02;
+            let [x, y, z] = [noise(0), -noise(3), 9.8 + noise(5)];
+            fields.extend([x, y, z].map(|v| format!("{v:.4}")));
+        }
+        if change(k, &mut fields) {
+            writeln!(text, "{}", fields.join(",")).unwrap();
+        }
+    }
+    written(folder, "board.csv", &text)
+}
+
+fn navigate(recording: &str, geometry: &str) -> Ran {
+    wimu(&["navigate", recording, "--geometry", geometry])
+}
+
+fn remarks(ran: &Ran) -> String {
+    let object = ran.succeeds();
+    let all = object["remarks"].as_array().unwrap();
+    let texts: Vec<&str> = all.iter().map(|r| r.as_str().unwrap()).collect();
+    texts.join("; ")
+}
+
+#[test]
+fn an_array_at_rest_is_navigated_with_its_horizon() {
+    let folder = folder();
+    let places = geometry(folder.path(), &PLACES);
+    let board = recording(folder.path(), |_, _| true);
+    let path = folder.path().join("path.csv");
+    let path = path.to_str().unwrap();
+    let geometry = ["--geometry", &places, "-o", path];
+    let ran = wimu(&[&["navigate", &board, "--method", "array"][..], &geometry].concat());
+    let object = ran.succeeds();
+    assert_eq!(object["method"], "array");
+    assert!(object["horizon"]["to_1_m_s"].is_null() && object["valid_share"].as_f64() > Some(0.8));
+    assert!(remarks(&ran).contains("not calibrated"), "{ran:?}");
+    let table = fs::read_to_string(path).unwrap();
+    assert!(table.starts_with("Time (s),Position E (m)") && table.lines().count() == 401);
+    // Without ZUPT nothing holds it.
+    let free = [&["navigate", &board, "--zupt", "off"][..], &geometry[..2]].concat();
+    let object = wimu(&free).succeeds();
+    let horizon = object["horizon"]["to_0_1_m_s"].as_f64().unwrap();
+    assert!((0.3..4.0).contains(&horizon), "{horizon}");
+}
+
+#[test]
+fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
+    let folder = folder();
+    let board = recording(folder.path(), |_, _| true);
+    let cases: [(&[[f64; 3]], i32, &str, &str); 4] = [
+        (&PLACES[..3], 2, "usage", "3 sensors, the recording 4"),
+        (
+            &[[0.1, 0.0, 0.0]; 4],
+            3,
+            "data_refused",
+            "all sensors are at one place",
+        ),
+        (
+            &[[0.0; 3], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.4, 0.0, 0.0]],
+            3,
+            "data_refused",
+            "one line; add one off it",
+        ),
+        (&[], 2, "usage", "the geometry has 0 sensors"),
+    ];
+    for (places, exit, code, message) in cases {
+        let places = geometry(folder.path(), places);
+        let object = navigate(&board, &places).fails(exit, code);
+        let text = object["message"].as_str().unwrap();
+        assert!(text.contains(message), "{text}");
+    }
+    for (text, code) in [
+        ("X (m),Y (m),Z (m)\n0.01,zero,0\n", "csv_bad_number"),
+        ("X (m),Y (m)\n0.01,0\n", "csv_missing_column"),
+        (
+            "{\"schema\":\"wimu.array/9\",\"sensors\":[]}",
+            "bad_calibration",
+        ),
+        ("{\"schema\":", "bad_calibration"),
+        (
+            "{\"schema\":\"wimu.array/1\",\"sensors\":[{\"places_m\":[[0,0,0],[0,0,0],[0,0,0]],\
+             \"axes\":[[1,0,0],[1,0,0],[0,0,1]]}]}",
+            "bad_calibration",
+        ),
+    ] {
+        let wrong = written(folder.path(), "wrong.txt", text);
+        navigate(&board, &wrong).fails(2, code);
+    }
+    let places = geometry(folder.path(), &PLACES);
+    wimu(&["navigate", &board, "--method", "array"]).fails(2, "usage");
+    wimu(&["navigate", &board, &board]).fails(2, "usage");
+    wimu(&[
+        "navigate",
+        &board,
+        "--geometry",
+        &places,
+        "--method",
+        "tilt",
+    ])
+    .fails(2, "usage");
+    let refine = ["--refine", &places];
+    wimu(&[&["navigate", &board, "--geometry", &places][..], &refine].concat()).fails(2, "usage");
+    // At rest nothing shows where the sensors are.
+    let out = folder.path().join("refined.json");
+    let refine = ["--refine", out.to_str().unwrap()];
+    let ran = wimu(&[&["navigate", &board, "--geometry", &places][..], &refine].concat());
+    let object = ran.fails(3, "data_refused");
+    assert!(
+        object["message"]
+            .as_str()
+            .unwrap()
+            .contains("0 samples only"),
+        "{object}"
+    );
+    assert!(!out.exists());
+}
+
+#[test]
+fn dead_saturated_and_missing_sensors_are_said() {
+    let folder = folder();
+    let places = geometry(folder.path(), &PLACES);
+    // Three others are in a plane and suffice for ω̇ and s.
+    let board = recording(folder.path(), |_, fields| {
+        for field in &mut fields[7..10] {
+            *field = "0".to_owned();
+        }
+        true
+    });
+    let said = remarks(&navigate(&board, &places));
+    assert!(
+        said.contains("sensor 2 (from 0) is left out: its output never moves"),
+        "{said}"
+    );
+    let board = recording(folder.path(), |k, fields| {
+        if (200..210).contains(&k) {
+            fields[4] = "1000000".to_owned();
+        }
+        true
+    });
+    let said = remarks(&navigate(&board, &places));
+    assert!(
+        said.contains("10 samples without the sensors that were at their limit"),
+        "{said}"
+    );
+    let board = recording(folder.path(), |_, fields| {
+        for field in &mut fields[4..] {
+            *field = "0".to_owned();
+        }
+        true
+    });
+    let object = navigate(&board, &places).fails(3, "data_refused");
+    assert!(
+        object["message"]
+            .as_str()
+            .unwrap()
+            .contains("3 usable axes, 6 are needed"),
+        "{object}"
+    );
+}
+
+#[test]
+fn gaps_times_that_jump_and_what_is_no_number_are_said() {
+    let folder = folder();
+    let places = geometry(folder.path(), &PLACES);
+    let board = recording(folder.path(), |k, _| !(150..200).contains(&k));
+    let said = remarks(&navigate(&board, &places));
+    assert!(said.contains("1 gaps longer than 0.25 s"), "{said}");
+    let board = recording(folder.path(), |k, fields| {
+        if k == 100 {
+            fields[0] = "0.5".to_owned();
+        }
+        true
+    });
+    let object = navigate(&board, &places).fails(2, "csv_time_backwards");
+    assert!(
+        object["where"].as_str().unwrap().contains("line 102"),
+        "{object}"
+    );
+    let board = recording(folder.path(), |k, fields| {
+        if k == 100 {
+            fields[5] = "NaN".to_owned();
+        }
+        true
+    });
+    let object = navigate(&board, &places).fails(2, "csv_bad_number");
+    assert!(
+        object["where"].as_str().unwrap().contains("line 102"),
+        "{object}"
+    );
+    let board = recording(folder.path(), |k, fields| {
+        if k == 100 {
+            fields[0] = fields[0].replace("1.000", "0.990");
+        }
+        true
+    });
+    let said = remarks(&navigate(&board, &places));
+    assert!(said.contains("1 samples whose time stood still"), "{said}");
+    // It never rests.
+    let board = recording(folder.path(), |k, fields| {
+        for (i, field) in fields[1..].iter_mut().enumerate() {
+            *field = format!("{:.3}", 5.0 * ((k * (i + 3)) as f64 * 0.7).sin() + 6.0);
+        }
+        true
+    });
+    let object = navigate(&board, &places).fails(3, "data_refused");
+    assert!(
+        object["message"].as_str().unwrap().contains("no rest"),
+        "{object}"
+    );
+}
+
+#[test]
+fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
+    let folder = folder();
+    let boards: Vec<Simulator> = ["50", "-80"]
+        .map(|ppm| Simulator::start(&["--motion", "rest", "--clock-ppm", ppm]))
+        .into();
+    let files: Vec<String> = ["a.mcap", "b.mcap"]
+        .map(|name| folder.path().join(name).to_str().unwrap().to_owned())
+        .into();
+    let recorders: Vec<Background> = boards
+        .iter()
+        .zip(&files)
+        .map(|(board, file)| {
+            Background::start(&["record", &board.wireless, "-o", file, "--for", "5"])
+        })
+        .collect();
+    for recorder in recorders {
+        recorder.finish().succeeds();
+    }
+    let places = geometry(folder.path(), &PLACES);
+    let (a, b) = (files[0].as_str(), files[1].as_str());
+    let ran = wimu(&["navigate", a, b, a, b, "--geometry", &places]);
+    let object = ran.succeeds();
+    assert_eq!(object["method"], "array");
+    assert!(object["duration_s"].as_f64().unwrap() > 3.0, "{object}");
+    assert!(object["valid_share"].as_f64().unwrap() > 0.6, "{object}");
+    let said = remarks(&ran);
+    assert!(
+        said.contains("b.mcap: ") && said.contains("its clock known to"),
+        "{said}"
+    );
+    assert!(said.contains("interpolated to common times"), "{said}");
+    wimu(&["navigate", a, b]).fails(2, "usage");
+    wimu(&["navigate", a, b, "--geometry", &places]).fails(2, "usage");
+}

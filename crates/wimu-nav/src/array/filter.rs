@@ -1,4 +1,4 @@
-//! Inertial navigation with an array alone: equations (71) to (76) and (88) to (91).
+//! Inertial navigation with an array alone: equations (71) to (76) and (96) to (98).
 
 use core::fmt;
 
@@ -470,7 +470,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         self.merge();
     }
 
-    /// ω and ω̇ one step ahead, and attitude with them: equation (88).
+    /// ω and ω̇ one step ahead, and attitude with them: equation (96).
     fn predict(&mut self, step: f64, noise: &Noise<R>) {
         let arm = self.array.solver().arm_m();
         let walk = TURN_WALK_AT_REST * TURN_WALK_AT_REST + TURN_WALK * TURN_WALK * self.activity;
@@ -518,7 +518,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
-    /// Every hypothesis meets every root: equation (89).
+    /// Every hypothesis meets every root: equation (97).
     fn update(&mut self, linear: &Linear<R>, noise: &Noise<R>) {
         let mut measured = [R::default(); MEASURED];
         measured[..3].copy_from_slice(&linear.theta[..3]);

@@ -1,4 +1,4 @@
-//! One history of an array's body, and what a sample makes of it: equations (88) to (90).
+//! One history of an array's body, and what a sample makes of it: equations (96) to (98).
 
 use super::filter::ArrayConfig;
 use super::matrix::{
@@ -407,7 +407,7 @@ impl<R: Real> Hypothesis<R> {
             .then_some(next)
     }
 
-    /// Velocity and position over one sample: equation (90).
+    /// Velocity and position over one sample: equation (98).
     pub(super) fn advance<const M: usize>(
         &mut self,
         step: f64,

@@ -1,8 +1,8 @@
 //! One sample of an array: equations (70) to (75).
 
-use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 
-use super::geometry::{Geometry, GeometryError};
+use super::geometry::{Axis, Geometry, GeometryError};
 use crate::Real;
 
 /// Least singular value against the largest, of the linear part with arms scaled to 1, below which
@@ -180,39 +180,25 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         if !(arm > farthest * 1e-9 && arm > 1e-9) {
             return Err(GeometryError::Coincident);
         }
-        // Rows weighted by 1/σ; ω̇ and ω² in units of 1/arm, so that all columns are alike.
-        let mut linear = SMatrix::<f64, M, 6>::zeros();
-        let mut quadratic = SMatrix::<f64, M, 6>::zeros();
-        for (row, axis) in axes() {
-            let r = (Vector3::from(axis.place_m) - centre) / arm;
-            let d = Vector3::from(axis.direction);
-            let turn = r.cross(&d);
-            let along = d.dot(&r);
-            let (dx, dy, dz, rx, ry, rz) = (d.x, d.y, d.z, r.x, r.y, r.z);
-            let h = [turn.x, turn.y, turn.z, dx, dy, dz];
-            let k = [
-                dx * rx - along,
-                dy * ry - along,
-                dz * rz - along,
-                dy * rz + dz * ry,
-                dx * rz + dz * rx,
-                dx * ry + dy * rx,
-            ];
-            for column in 0..6 {
-                linear[(row, column)] = h[column] / axis.noise_mps2;
-                quadratic[(row, column)] = k[column] / axis.noise_mps2;
-            }
+        // Rows weighted by 1/σ; ω̇ and ω² in units of 1/arm, so that all columns are alike. They are worked
+        // out twice: small processors have no room for all of them.
+        let row = |axis: &Axis| weighted_row(axis, &centre, arm);
+        let mut information = Matrix6::<f64>::zeros();
+        let mut mixed = Matrix6::<f64>::zeros();
+        let mut quadratic = Matrix6::<f64>::zeros();
+        for (_, axis) in axes() {
+            let (h, k) = row(axis);
+            information.ger(1.0, &h, &h, 1.0);
+            mixed.ger(1.0, &h, &k, 1.0);
+            quadratic.ger(1.0, &k, &k, 1.0);
         }
-        let information = linear.tr_mul(&linear);
         let inverse = checked_inverse(information, &quadratic)?;
-        let fit = inverse * linear.transpose();
-        let quadratic_theta = fit * quadratic;
-        let projected = quadratic - linear * quadratic_theta;
-        let eigen = projected.tr_mul(&projected).symmetric_eigen();
+        let quadratic_theta = inverse * mixed;
+        let eigen = (quadratic - mixed.tr_mul(&quadratic_theta)).symmetric_eigen();
         let mut order = [0, 1, 2, 3, 4, 5];
         let value = |i: usize| eigen.eigenvalues.get(i).copied().unwrap_or(0.0);
         order.sort_unstable_by(|a, b| value(*b).total_cmp(&value(*a)));
-        let size = quadratic.tr_mul(&quadratic).trace();
+        let size = quadratic.trace();
         let mut solver = Self {
             to_z: [[R::default(); M]; 6],
             to_theta: [[R::default(); M]; 6],
@@ -227,16 +213,27 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             arm_m: arm,
             centre_m: centre.into(),
         };
-        for (index, axis) in axes() {
-            solver.weights[index] = R::from_f64(1.0 / axis.noise_mps2);
-            for column in 0..6 {
-                let unit = if column < 3 { arm } else { 1.0 };
-                let value = linear[(index, column)] * unit * axis.noise_mps2;
-                solver.rows[index][column] = R::from_f64(value);
-            }
-        }
         // ω̇ = scaled / arm, q(ω) = scaled / arm.
         let unit = |row: usize| if row < 3 { 1.0 / arm } else { 1.0 };
+        for (index, axis) in axes() {
+            let (h, k) = row(axis);
+            let weight = 1.0 / axis.noise_mps2;
+            solver.weights[index] = R::from_f64(weight);
+            let fit = inverse * h;
+            for column in 0..6 {
+                solver.rows[index][column] = R::from_f64(h[column] / (unit(column) * weight));
+                solver.to_theta[column][index] = R::from_f64(fit[column] * unit(column) * weight);
+            }
+            let projected = k - quadratic_theta.tr_mul(&h);
+            for (row, from) in order.into_iter().enumerate() {
+                let lambda = value(from);
+                if lambda <= size * QUADRATIC_RANK * QUADRATIC_RANK {
+                    break;
+                }
+                let along = projected.dot(&eigen.eigenvectors.column(from));
+                solver.to_z[row][index] = R::from_f64(along / libm::sqrt(lambda) * weight);
+            }
+        }
         for (row, from) in order.into_iter().enumerate() {
             let lambda = value(from);
             if lambda <= size * QUADRATIC_RANK * QUADRATIC_RANK {
@@ -244,21 +241,13 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             }
             solver.rank = row + 1;
             let root = libm::sqrt(lambda);
-            let vector: Vector6<f64> = eigen.eigenvectors.column(from).into_owned();
-            let along: SVector<f64, M> = projected * vector / root;
-            for (index, axis) in axes() {
-                solver.to_z[row][index] = R::from_f64(along[index] / axis.noise_mps2);
-            }
             for column in 0..6 {
-                solver.u[row][column] = R::from_f64(root * vector[column] * arm);
-                solver.u_inverse[column][row] = R::from_f64(vector[column] / (root * arm));
+                let along = eigen.eigenvectors[(column, from)];
+                solver.u[row][column] = R::from_f64(root * along * arm);
+                solver.u_inverse[column][row] = R::from_f64(along / (root * arm));
             }
         }
         for row in 0..6 {
-            for (index, axis) in axes() {
-                solver.to_theta[row][index] =
-                    R::from_f64(fit[(row, index)] * unit(row) / axis.noise_mps2);
-            }
             for column in 0..6 {
                 solver.quadratic_theta[row][column] =
                     R::from_f64(quadratic_theta[(row, column)] * unit(row) * arm);
@@ -610,10 +599,28 @@ fn closed_form<R: Real>(q: &[R; 6]) -> [R; 3] {
     }
 }
 
-/// (HᵀQ⁻¹H)⁻¹, or which component does not show.
-fn checked_inverse<const M: usize>(
+/// Rows of H and K of one axis, equation (70), over its noise; `arm` is the unit of length.
+fn weighted_row(axis: &Axis, centre: &Vector3<f64>, arm: f64) -> (Vector6<f64>, Vector6<f64>) {
+    let r = (Vector3::from(axis.place_m) - centre) / arm;
+    let d = Vector3::from(axis.direction);
+    let turn = r.cross(&d);
+    let along = d.dot(&r);
+    let h = Vector6::new(turn.x, turn.y, turn.z, d.x, d.y, d.z);
+    let k = Vector6::new(
+        d.x * r.x - along,
+        d.y * r.y - along,
+        d.z * r.z - along,
+        d.y * r.z + d.z * r.y,
+        d.x * r.z + d.z * r.x,
+        d.x * r.y + d.y * r.x,
+    );
+    (h / axis.noise_mps2, k / axis.noise_mps2)
+}
+
+/// (HᵀQ⁻¹H)⁻¹, or which component does not show; `quadratic` is KᵀQ⁻¹K.
+fn checked_inverse(
     information: Matrix6<f64>,
-    quadratic: &SMatrix<f64, M, 6>,
+    quadratic: &Matrix6<f64>,
 ) -> Result<Matrix6<f64>, GeometryError> {
     let eigen = information.symmetric_eigen();
     let largest = eigen.eigenvalues.max();
@@ -645,7 +652,7 @@ fn checked_inverse<const M: usize>(
     // On one line along `about`, a turn about it has no arm: its square shows nowhere.
     let [x, y, z]: [f64; 3] = about.into();
     let square = Vector6::new(x * x, y * y, z * z, y * z, x * z, x * y);
-    let collinear = (quadratic * square).norm() < 1e-3 * quadratic.norm();
+    let collinear = square.dot(&(quadratic * square)) < 1e-6 * quadratic.trace();
     Err(GeometryError::NoTurn {
         about: about.into(),
         collinear,

@@ -1,5 +1,5 @@
 //! Places and delays of an array's sensors, from what the sensors disagree by while the body turns:
-//! equation (92).
+//! equation (99).
 
 use wimu_nav::array::ArraySolver;
 

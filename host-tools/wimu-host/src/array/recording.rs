@@ -43,16 +43,7 @@ impl ArrayRecording {
     /// # Errors
     /// Those of [`CsvReader`]; `csv_missing_column` without times or with one accelerometer only.
     pub fn from_csv(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
-        let table = Table::read(path, sensitivity_lsb_per_g)?;
-        let sensors = table.recording.sensors();
-        if !(2..=MOST_SENSORS).contains(&sensors) {
-            return Err(HostError::new(
-                ErrorCode::CsvMissingColumn,
-                format!("an array has 2 to {MOST_SENSORS} accelerometers, not {sensors}"),
-                "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …",
-            )
-            .at(format!("{} line 1", table.recording.name)));
-        }
+        let table = Table::read(path, sensitivity_lsb_per_g, 2)?;
         Ok(table.recording)
     }
 
@@ -245,14 +236,18 @@ struct Table {
 }
 
 impl Table {
-    fn read(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
+    fn read(path: &Path, sensitivity_lsb_per_g: f64, least: usize) -> Result<Self> {
         let reader = CsvReader::open(path)?;
         let header = reader.header().clone();
         let name = reader.name().to_owned();
-        if !header.time || header.accelerometers.is_empty() {
+        let sensors = header.accelerometers.len();
+        if !header.time || !(least..=MOST_SENSORS).contains(&sensors) {
             return Err(HostError::new(
                 ErrorCode::CsvMissingColumn,
-                "an array needs times and accelerometers",
+                format!(
+                    "an array needs times and {least} to {MOST_SENSORS} accelerometers; there are \
+                     {sensors}"
+                ),
                 "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …",
             )
             .at(format!("{name} line 1")));
@@ -346,7 +341,7 @@ impl Board {
             .extension()
             .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
         {
-            let table = Table::read(path, options.sensitivity_lsb_per_g)?;
+            let table = Table::read(path, options.sensitivity_lsb_per_g, 1)?;
             let recording = table.recording;
             if recording.sensors() != 1 {
                 return Err(HostError::new(

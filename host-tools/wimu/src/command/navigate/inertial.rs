@@ -94,8 +94,7 @@ pub fn check(arguments: &Navigate) -> Result<()> {
 /// A CSV file of corrected samples, or of an array's.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     check(arguments)?;
-    if arguments.calibration.is_some()
-        || (arguments.link.is_some() && arguments.geometry.is_none())
+    if arguments.calibration.is_some() || (arguments.link.is_some() && arguments.geometry.is_none())
     {
         return usage(
             "--calibration and --link are for a recording by itself: a CSV file holds corrected samples, \

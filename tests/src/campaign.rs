@@ -133,8 +133,9 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
                 _ => 0,
             };
             outcome.longest_resynchronisation = outcome.longest_resynchronisation.max(fused);
-            // The kind is the first byte after COBS's code.
-            let is_epoch = frame.bytes.get(1) == Some(&(wimu_link::Kind::Telemetry as u8));
+            // The first byte after COBS's code: the kind in the low half, the wire's version above.
+            let kind = frame.bytes.get(1).map(|byte| byte & 0x0F);
+            let is_epoch = kind == Some(wimu_link::Kind::Telemetry as u8);
             if frame.fate == Fate::Intact && !is_epoch {
                 outcome.samples_intact += u64::from(BATCH);
             }

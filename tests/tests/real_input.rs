@@ -37,7 +37,7 @@ fn replayed(counts: &[Counts]) -> Recording {
 fn essence(report: &CalibrationReport) -> Value {
     let mut json = serde_json::to_value(report).unwrap();
     let object = json.as_object_mut().unwrap();
-    for key in ["source", "rate_source", "parameter_id"] {
+    for key in ["source", "rate_source", "remarks", "parameter_id"] {
         object.remove(key).unwrap();
     }
     object.remove("units");

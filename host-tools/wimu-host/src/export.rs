@@ -84,16 +84,17 @@ pub fn to_csv(
     }
     let name = path.display().to_string();
     let file = File::create(path).map_err(|error| HostError::file(&name, "create", &error))?;
-    let mut clocks = link.boots.iter().map(|boot| boot.clock.as_ref());
+    let mut boots = link.boots.iter();
     let mut table = Table {
         stream,
         anchor: overview.anchor,
         link_model,
-        clock: clocks.next().flatten(),
+        clock: None,
         writer: CsvWriter::new(BufWriter::new(file), &name, header(stream))?,
         rows: 0,
         start: Start::default(),
     };
+    table.begin(boots.next());
     let mut reader = RecordingReader::open(recording)?;
     let mut decoder = Decoder::new();
     while let Some(entry) = reader.next_entry()? {
@@ -102,7 +103,7 @@ pub fn to_csv(
                 let mut outcome = Ok(());
                 decoder.push(received.host_ns, &received.bytes, |arrival| {
                     if outcome.is_ok() {
-                        outcome = table.take(&arrival, &mut clocks);
+                        outcome = table.take(&arrival, &mut boots);
                     }
                 });
                 outcome?;
@@ -183,19 +184,25 @@ struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Takes what has arrived; `clocks` are those of the starts that follow.
+    /// Begins with a start of the device.
+    fn begin(&mut self, boot: Option<&'a BootOverview>) {
+        self.start = Start::default();
+        self.clock = boot.and_then(|boot| boot.clock.as_ref());
+        self.start.boot.parameters = boot.map_or_else(Vec::new, |boot| boot.parameters.clone());
+    }
+
+    /// Takes what has arrived; `boots` are the starts that follow.
     fn take(
         &mut self,
         arrival: &Arrival,
-        clocks: &mut impl Iterator<Item = Option<&'a ClockModel>>,
+        boots: &mut impl Iterator<Item = &'a BootOverview>,
     ) -> Result<()> {
         let start = &mut self.start;
         match &arrival.event {
             // As the overview has it.
             Event::Restart if !start.boot.is_empty() => {
                 self.write_until(u64::MAX)?;
-                self.clock = clocks.next().flatten();
-                self.start = Start::default();
+                self.begin(boots.next());
             }
             Event::Hello(hello) => start.boot.hello = Some(*hello),
             Event::Epoch { epoch, .. } => {
@@ -234,7 +241,7 @@ impl<'a> Table<'a> {
                 let until_us = start.latest_us.saturating_sub(WAIT_US);
                 self.write_until(until_us)?;
             }
-            event => start.boot.take_parameters(event),
+            _ => {}
         }
         Ok(())
     }

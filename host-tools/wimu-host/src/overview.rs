@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use wimu_link::batch::Stream;
-use wimu_link::message::{Answer, Payload, Status};
+use wimu_link::message::{ActiveParameters, Answer, Payload, Status};
 use wimu_link::{Hello, LinkRole, WIRE_VERSION};
 use wimu_model::ParameterId;
 
@@ -66,8 +66,19 @@ pub struct BootOverview {
     pub navigation: usize,
     /// The device's clock by all of it.
     pub clock: Option<ClockModel>,
+    /// The parameter sets in use, each once, as the device said them: the first 500. A set is often
+    /// told after the first samples that it made.
+    pub parameters: Vec<ActiveParameters>,
     greeted: bool,
     estimator: ClockEstimator,
+}
+
+impl BootOverview {
+    fn use_parameters(&mut self, set: ActiveParameters) {
+        if !self.parameters.contains(&set) && self.parameters.len() < MAX_PARAMETERS {
+            self.parameters.push(set);
+        }
+    }
 }
 
 impl Overview {
@@ -152,11 +163,12 @@ impl Listen for LinkOverview {
             }
             Event::Navigation(_) => boot.navigation += 1,
             Event::Status(status) => self.status = Some(*status),
-            Event::Reply { reply, .. } => {
-                if let Answer::Accepted(Payload::Status(status)) = reply.answer {
-                    self.status = Some(status);
-                }
-            }
+            Event::Reply { reply, .. } => match reply.answer {
+                Answer::Accepted(Payload::Status(status)) => self.status = Some(status),
+                Answer::Accepted(Payload::Parameters(set)) => boot.use_parameters(set),
+                _ => {}
+            },
+            Event::Parameters(set) => boot.use_parameters(*set),
             Event::Device { time, event } => {
                 // What is wrong is told again to whoever asks who is there.
                 let text = format!("{:.2} s: {event}", time.to_seconds());

@@ -3,12 +3,13 @@
 //!
 //! Ten thousand of them: `cargo test --release -p wimu-tests --test pushes -- --ignored --nocapture`.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::time::Duration;
 
 use wimu_host::ErrorCode;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event;
+use wimu_host::transport::Transport;
 use wimu_link::LinkRole;
 use wimu_link::auth::DeviceKey;
 use wimu_link::message::{EpochReason, Settings, Streams, parameter_id};
@@ -40,7 +41,31 @@ fn options(session: u32) -> ConnectOptions {
     }
 }
 
-fn push_over(faults: &str, seed: u64, pushes: u32) -> Counts {
+/// A link whose host's clock leaps by an hour, as after a computer's sleep, each time it has been
+/// read `leap_every` times.
+struct Leaping<T> {
+    link: T,
+    leap_every: Option<u32>,
+    asked: Cell<u32>,
+}
+
+impl<T: Transport> Transport for Leaping<T> {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> wimu_host::Result<usize> {
+        self.link.read(buffer, timeout)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> wimu_host::Result<()> {
+        self.link.write_all(bytes)
+    }
+
+    fn now(&self) -> Duration {
+        self.asked.set(self.asked.get() + 1);
+        let leaps = self.leap_every.map_or(0, |every| self.asked.get() / every);
+        self.link.now() + leaps * Duration::from_secs(3600)
+    }
+}
+
+fn push_over(faults: &str, leap_every: Option<u32>, seed: u64, pushes: u32) -> Counts {
     let config = BoardConfig {
         wireless_faults: faults.parse().expect("faults"),
         fault_seed: seed,
@@ -65,7 +90,13 @@ fn push_over(faults: &str, seed: u64, pushes: u32) -> Counts {
     };
     cable.set_settings(settings).expect("set");
     let wireless = SimLink::new(&board, LinkRole::Wireless);
+    let wireless = Leaping {
+        link: wireless,
+        leap_every: None,
+        asked: Cell::new(0),
+    };
     let mut wireless = Client::connect(wireless, "wireless", options(2)).expect("a board");
+    wireless.transport().leap_every = leap_every;
     wireless.use_key(Some(KEY));
 
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("the sensor's");
@@ -132,16 +163,30 @@ fn push_over(faults: &str, seed: u64, pushes: u32) -> Counts {
 
 #[test]
 fn a_push_over_a_bad_link_is_applied_once_or_reported_failed() {
-    let counts = push_over(FAULTS, 1, 120);
+    let counts = push_over(FAULTS, None, 1, 120);
     println!("{counts:?}");
     assert!(counts.applied > 60, "{counts:?}");
 }
 
 #[test]
 fn a_push_over_a_hopeless_link_is_reported_failed_and_nobody_is_mistaken() {
-    let counts = push_over("loss=12%,burst=30,bits=4e-4,duplicate=1e-4", 2, 60);
+    let counts = push_over("loss=12%,burst=30,bits=4e-4,duplicate=1e-4", None, 2, 60);
     println!("{counts:?}");
     assert!(counts.failed + counts.unknown > 2, "{counts:?}");
+}
+
+#[test]
+fn a_host_clock_that_leaps_costs_a_retry_and_nobody_is_mistaken() {
+    let counts = push_over("", Some(40), 3, 60);
+    println!("{counts:?}");
+    assert_eq!(counts.applied, 60, "{counts:?}");
+    // So often that it runs out of tries: it has to say so.
+    let counts = push_over("", Some(7), 3, 60);
+    println!("{counts:?}");
+    assert!(counts.failed + counts.unknown > 0, "{counts:?}");
+    let counts = push_over(FAULTS, Some(50), 4, 60);
+    println!("{counts:?}");
+    assert!(counts.applied > 30, "{counts:?}");
 }
 
 #[test]
@@ -149,7 +194,7 @@ fn a_push_over_a_hopeless_link_is_reported_failed_and_nobody_is_mistaken() {
 fn ten_thousand_pushes_over_a_bad_link() {
     let mut all = Counts::default();
     for seed in 0..10 {
-        let counts = push_over(FAULTS, 10 + seed, 1000);
+        let counts = push_over(FAULTS, None, 10 + seed, 1000);
         println!("seed {seed}: {counts:?}");
         all.pushes += counts.pushes;
         all.applied += counts.applied;

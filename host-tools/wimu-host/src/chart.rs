@@ -1,6 +1,7 @@
 //! Pictures of series over an axis, as SVG and as PNG, drawn with nothing but Rust.
 
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use plotters::coord::Shift;
@@ -24,6 +25,25 @@ const COLOURS: [RGBColor; 4] = [
 ];
 const INK: RGBColor = RGBColor(40, 40, 40);
 const GRID: RGBColor = RGBColor(225, 225, 225);
+
+/// Writes every picture under its name into a folder, which is made if it is not there, as SVG and
+/// as PNG; returns the files.
+///
+/// # Errors
+/// `file_failed`, `file_unreadable`.
+pub fn write_all(folder: &Path, charts: &[(&str, Chart)]) -> Result<Vec<PathBuf>> {
+    std::fs::create_dir_all(folder)
+        .map_err(|error| HostError::file(&folder.display().to_string(), "create", &error))?;
+    let mut files = Vec::new();
+    for (name, chart) in charts {
+        for extension in ["svg", "png"] {
+            let file = folder.join(name).with_extension(extension);
+            chart.write(&file)?;
+            files.push(file);
+        }
+    }
+    Ok(files)
+}
 
 /// A line, or points, in a [`Chart`].
 #[derive(Clone, Debug)]
@@ -101,7 +121,7 @@ impl Chart {
         }
     }
 
-    fn ranges(&self) -> (std::ops::Range<f64>, std::ops::Range<f64>) {
+    fn ranges(&self) -> (Range<f64>, Range<f64>) {
         let all = || self.series.iter().flat_map(|series| &series.points);
         let span = |values: &mut dyn Iterator<Item = f64>| {
             let (low, high) = values
@@ -133,10 +153,12 @@ impl Chart {
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Result<()> {
         let (x, y) = self.ranges();
         let drawn = have_font().and_then(|()| {
+            let range = y.clone();
             if self.log {
-                self.draw_on(area, fine, x, (y.start.max(1e-9)..y.end).log_scale())
+                let y = (y.start.max(1e-9)..y.end).log_scale();
+                self.draw_on(area, fine, x, y, &range)
             } else {
-                self.draw_on(area, fine, x, y)
+                self.draw_on(area, fine, x, y, &range)
             }
         });
         drawn.map_err(|reason| {
@@ -152,8 +174,9 @@ impl Chart {
         &self,
         area: &DrawingArea<B, Shift>,
         fine: u32,
-        x: std::ops::Range<f64>,
+        x: Range<f64>,
         y: Y,
+        shown: &Range<f64>,
     ) -> std::result::Result<(), String>
     where
         Y: AsRangedCoord<Value = f64>,
@@ -162,6 +185,7 @@ impl Chart {
         let say = |error: &dyn std::fmt::Display| error.to_string();
         let font = |size: u32| (FONT, size * fine).into_font().color(&INK);
         area.fill(&WHITE).map_err(|e| say(&e))?;
+        let area = area.margin(6 * fine, 0, 0, 0);
         let area = area.titled(&self.title, font(18)).map_err(|e| say(&e))?;
         // Above the picture, where it hides nothing.
         let (legend, below) = area.split_vertically(24 * fine);
@@ -199,17 +223,17 @@ impl Chart {
         }
         for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
             let style = colour.stroke_width(2 * fine);
-            let drawn = if series.dots {
-                chart.draw_series(
-                    series
-                        .points
-                        .iter()
-                        .map(|&point| Circle::new(point, 5 * fine, colour.filled())),
-                )
+            if series.dots {
+                let dots = series.points.iter();
+                let drawn =
+                    chart.draw_series(dots.map(|&dot| Circle::new(dot, 5 * fine, colour.filled())));
+                drawn.map_err(|e| say(&e))?;
             } else {
-                chart.draw_series(LineSeries::new(series.points.iter().copied(), style))
-            };
-            drawn.map_err(|e| say(&e))?;
+                for piece in within(&series.points, shown) {
+                    let drawn = chart.draw_series(LineSeries::new(piece, style));
+                    drawn.map_err(|e| say(&e))?;
+                }
+            }
         }
         self.name_series(&legend, fine)?;
         area.present().map_err(|e| say(&e))
@@ -247,6 +271,32 @@ impl Chart {
     }
 }
 
+/// The pieces of a line that lie in this range of y, cut where it leaves it.
+fn within(points: &[(f64, f64)], range: &Range<f64>) -> Vec<Vec<(f64, f64)>> {
+    let inside = |point: (f64, f64)| (range.start..=range.end).contains(&point.1);
+    // Where the way from a point inside to one outside crosses the edge.
+    let edge = |from: (f64, f64), to: (f64, f64)| {
+        let y = to.1.clamp(range.start, range.end);
+        (from.0 + (y - from.1) / (to.1 - from.1) * (to.0 - from.0), y)
+    };
+    let (mut pieces, mut piece) = (Vec::new(), Vec::new());
+    let mut last: Option<(f64, f64)> = None;
+    for &point in points {
+        let before = last.replace(point);
+        if inside(point) {
+            let from = before.filter(|&before| !inside(before) && before.1.is_finite());
+            piece.extend(from.map(|from| edge(point, from)));
+            piece.push(point);
+        } else if !piece.is_empty() {
+            let to = before.filter(|_| point.1.is_finite());
+            piece.extend(to.map(|before| edge(before, point)));
+            pieces.push(std::mem::take(&mut piece));
+        }
+    }
+    pieces.push(piece);
+    pieces
+}
+
 /// Brings a font of our own: what a system has needs more than Rust to be found.
 fn have_font() -> std::result::Result<(), String> {
     static DONE: OnceLock<bool> = OnceLock::new();
@@ -277,6 +327,25 @@ mod tests {
                 points: vec![(0.0, f64::NAN, 1.0), (0.0, 0.5, 1.0), (1.0, 0.5, 1.5)],
             }],
         }
+    }
+
+    #[test]
+    fn a_line_ends_where_it_leaves_the_picture() {
+        let points = [
+            (0.0, 0.0),
+            (1.0, 2.0),
+            (2.0, 2.0),
+            (3.0, 0.0),
+            (4.0, f64::NAN),
+            (5.0, 0.5),
+        ];
+        let pieces = within(&points, &(0.0..1.0));
+        let expected = [
+            vec![(0.0, 0.0), (0.5, 1.0)],
+            vec![(2.5, 1.0), (3.0, 0.0)],
+            vec![(5.0, 0.5)],
+        ];
+        assert_eq!(pieces, expected);
     }
 
     #[test]

@@ -111,6 +111,9 @@ pub struct Demo {
         default_value = "wimu-demo-report.html"
     )]
     pub report: PathBuf,
+    /// Write the pictures of tilts and slide into this folder, as SVG and as PNG
+    #[arg(long, value_name = "FOLDER")]
+    pub pictures: Option<PathBuf>,
 }
 
 #[derive(Args)]

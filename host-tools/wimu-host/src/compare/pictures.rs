@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::{Comparison, History, Values};
-use crate::chart::{Band, Chart, Series};
+use crate::Result;
+use crate::chart::{self, Band, Chart, Series};
 use crate::html::Report;
-use crate::{HostError, Result};
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// The clock is not known better than this, ms: what is faster is shown as this.
@@ -42,17 +42,7 @@ impl Comparison {
     /// # Errors
     /// `file_failed`, `file_unreadable`.
     pub fn write_pictures(&self, folder: &Path) -> Result<Vec<PathBuf>> {
-        std::fs::create_dir_all(folder)
-            .map_err(|error| HostError::file(&folder.display().to_string(), "create", &error))?;
-        let mut files = Vec::new();
-        for (name, chart) in self.charts() {
-            for extension in ["svg", "png"] {
-                let file = folder.join(name).with_extension(extension);
-                chart.write(&file)?;
-                files.push(file);
-            }
-        }
-        Ok(files)
+        chart::write_all(folder, &self.charts())
     }
 
     /// The pictures, with what their files are called.

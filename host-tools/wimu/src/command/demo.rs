@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use serde::Serialize;
-use wimu_host::chart::{Chart, Series};
+use wimu_host::chart::{self, Chart, Series};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::html::Report;
 use wimu_host::mcap_file::RecordingReader;
@@ -66,9 +66,13 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     let recording = arguments.report.with_extension("mcap");
     std::fs::write(&recording, &outcome.recording)
         .map_err(|error| HostError::file(&recording.display().to_string(), "write", &error))?;
-    let mut page = report(&outcome, &story)?;
+    let charts = charts(&outcome);
+    let mut page = report(&outcome, &charts, &story)?;
     links.pictures(&mut page)?;
     page.write(&arguments.report)?;
+    if let Some(folder) = &arguments.pictures {
+        chart::write_all(folder, &charts)?;
+    }
     output.say(format!(
         "{:.0} s of a board's life in {:.1} s. Pictures: {}; the recording: {} (try `wimu navigate` on it).",
         outcome.duration_s,
@@ -188,10 +192,8 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
     ]
 }
 
-fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
-    let mut report = Report::new("wimu demo");
-    report.text("A simulated board with hidden errors is streamed, recorded, calibrated and corrected. Everything below is what the board itself sent.");
-    report.printed(&story.join("\n"));
+/// The demo's own pictures, with what their files are called.
+fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
     let tilt = |which: usize, name: &str| Series {
         name: name.to_owned(),
         points: outcome
@@ -202,7 +204,7 @@ fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
             .collect(),
         dots: true,
     };
-    report.chart(&Chart {
+    let tilts = Chart {
         title: "Ten tilts that were not fitted: how far |f| is off g".to_owned(),
         x: "tilt".to_owned(),
         y: "mm/s²".to_owned(),
@@ -213,7 +215,7 @@ fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
             tilt(0, "as the sensor puts it out"),
             tilt(1, "corrected on the board"),
         ],
-    })?;
+    };
     let path = |points: &[Point], name: &str| {
         let start = points.first().map_or(0.0, |point| point.time.to_seconds());
         let from = points
@@ -231,7 +233,7 @@ fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
             dots: false,
         }
     };
-    report.chart(&Chart {
+    let slide = Chart {
         title: "A slide of 1 m in 3 s between two rests: how far the board says it went".to_owned(),
         x: "time (s)".to_owned(),
         y: "distance from the start (m)".to_owned(),
@@ -243,7 +245,17 @@ fn report(outcome: &Outcome, story: &[String]) -> Result<Report> {
             path(&outcome.calibrated_path, "calibrated"),
             path(&outcome.zupt_path, "calibrated, zero velocity at rests"),
         ],
-    })?;
+    };
+    [("tilts", tilts), ("slide", slide)]
+}
+
+fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Result<Report> {
+    let mut report = Report::new("wimu demo");
+    report.text("A simulated board with hidden errors is streamed, recorded, calibrated and corrected. Everything below is what the board itself sent.");
+    report.printed(&story.join("\n"));
+    for (_, chart) in charts {
+        report.chart(chart)?;
+    }
     if let Some(fit) = &outcome.report.fit {
         let truth = outcome.truth.model.terms();
         let rows: Vec<Vec<String>> = (0..3)

@@ -26,15 +26,26 @@ pub type Node = wimu_node::Node<
     Transmitter,
     M,
 >;
+type Board =
+    wimu_node::Board<Sensor, BoardTimer, Memory, Receiver, Transmitter, Receiver, Transmitter>;
 type Keeper = RateKeeper<'static, Rate, BoardTimer, M>;
 
 /// The rate at which the UARTs are opened, bits/s, 8N1.
 pub const BAUD: u32 = 115_200;
 
-/// Spawns the node's tasks: the sampler above all others.
-pub fn spawn(node: Node, [cable, wireless]: [Keeper; 2], above: SendSpawner, others: Spawner) {
+/// The node of a board, where its tasks find it.
+pub fn place(board: Board, shared: &'static Shared<M>) -> &'static mut Node {
     static NODE: StaticCell<Node> = StaticCell::new();
-    let node = NODE.init(node);
+    NODE.init_with(|| board.split(shared))
+}
+
+/// Spawns the node's tasks: the sampler above all others.
+pub fn spawn(
+    node: &'static mut Node,
+    [cable, wireless]: [Keeper; 2],
+    above: SendSpawner,
+    others: Spawner,
+) {
     // Each is spawned as often as it has room for.
     above.spawn(sample(&mut node.sampler).unwrap());
     others.spawn(control(&mut node.control).unwrap());

@@ -21,6 +21,7 @@ mod sampler;
 #[cfg(feature = "self-check")]
 mod self_check;
 mod shared;
+mod slot;
 mod store;
 mod timer;
 

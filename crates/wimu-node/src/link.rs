@@ -11,6 +11,7 @@ use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
 use crate::shared::Shared;
+use crate::slot::Slot;
 use crate::timer::Timer;
 
 /// A host that asks who is there more often has been answered.
@@ -92,7 +93,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                         if let Command::StageParameters(set) = command {
                             let mut desk = self.shared.desk.lock().await;
                             desk.set.put(Some(set));
-                            desk.from = Some(self.role);
+                            desk.from = Slot::Full(self.role);
                             desk.id = None;
                         }
                         // The set lies on the desk.

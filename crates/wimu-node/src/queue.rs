@@ -10,7 +10,6 @@ pub(crate) const PIECE: usize = 64;
 
 /// What waits for one link: telemetry, of which the oldest is shed when room runs out, and frames
 /// that are kept, which go first.
-#[derive(Default)]
 pub(crate) struct FrameQueue {
     kept: Ring<KEPT_BYTES>,
     telemetry: Ring<TELEMETRY_BYTES>,
@@ -25,6 +24,18 @@ pub(crate) struct FrameQueue {
 }
 
 impl FrameQueue {
+    pub(crate) const fn new() -> Self {
+        Self {
+            kept: Ring::new(),
+            telemetry: Ring::new(),
+            shed: 0,
+            frames_sent: 0,
+            bytes_sent: 0,
+            overflowed: false,
+            sending: false,
+        }
+    }
+
     /// Queues a frame that may be shed.
     pub(crate) fn push_telemetry(&mut self, frame: &[u8]) {
         while !self.telemetry.push(frame) {
@@ -80,8 +91,8 @@ struct Ring<const N: usize> {
     begun: usize,
 }
 
-impl<const N: usize> Default for Ring<N> {
-    fn default() -> Self {
+impl<const N: usize> Ring<N> {
+    const fn new() -> Self {
         Self {
             bytes: [0; N],
             start: 0,
@@ -89,9 +100,7 @@ impl<const N: usize> Default for Ring<N> {
             begun: 0,
         }
     }
-}
 
-impl<const N: usize> Ring<N> {
     /// Appends a frame if there is room.
     fn push(&mut self, frame: &[u8]) -> bool {
         let Ok(length) = u16::try_from(frame.len()) else {
@@ -186,7 +195,7 @@ mod tests {
 
     #[test]
     fn the_oldest_telemetry_is_shed_first_and_counted() {
-        let mut queue = FrameQueue::default();
+        let mut queue = FrameQueue::new();
         for id in 0..30 {
             queue.push_telemetry(&[id; 100]);
         }
@@ -198,7 +207,7 @@ mod tests {
 
     #[test]
     fn kept_frames_go_first_and_survive_a_flood_of_telemetry() {
-        let mut queue = FrameQueue::default();
+        let mut queue = FrameQueue::new();
         queue.push_telemetry(&[1; 50]);
         for id in 100..105 {
             queue.push_kept(&[id; 200]);
@@ -213,7 +222,7 @@ mod tests {
 
     #[test]
     fn a_stalled_link_starts_over_with_the_newest_kept_frame() {
-        let mut queue = FrameQueue::default();
+        let mut queue = FrameQueue::new();
         for id in 0..20 {
             queue.push_kept(&[id; 200]);
         }
@@ -224,7 +233,7 @@ mod tests {
 
     #[test]
     fn frames_come_out_as_they_went_in_across_the_wrap() {
-        let mut queue = FrameQueue::default();
+        let mut queue = FrameQueue::new();
         for round in 0_u32..500 {
             let length = 1 + (round as usize * 37) % 300;
             let sent: std::vec::Vec<u8> = (0..length).map(|i| (i as u32 * round) as u8).collect();
@@ -236,7 +245,7 @@ mod tests {
     #[test]
     fn a_frame_that_has_been_begun_comes_out_whole_whatever_is_shed_behind_it() {
         for first in [65, 130, 400] {
-            let mut queue = FrameQueue::default();
+            let mut queue = FrameQueue::new();
             let sent: std::vec::Vec<u8> = (0..first).map(|i| i as u8).collect();
             for _ in 0..3 {
                 queue.push_telemetry(&sent);

@@ -18,6 +18,7 @@ use wimu_model::{CentiCelsius, Corrector, DeviceTimeUs, ParameterId};
 
 use crate::accelerometer::{Plan, SensorFault};
 use crate::queue::{FrameQueue, PIECE};
+use crate::slot::Slot;
 
 /// The longest message that may be shed: a status, with what is around it.
 const MAX_SHED: usize = 192;
@@ -48,16 +49,34 @@ pub struct Shared<M: RawMutex> {
     /// Mean specific force of a rest that has begun, 2⁻³² m/s², body axes, and the parameters it
     /// was corrected with.
     pub(crate) rest: Signal<M, ([i64; 3], ParameterId)>,
-    published: Mutex<M, RefCell<Published>>,
+    /// From the first that is said.
+    published: Mutex<M, RefCell<Slot<Published>>>,
 }
 
 struct LinkShared<M: RawMutex> {
     outbox: Mutex<M, RefCell<FrameQueue>>,
     waiting: Signal<M, ()>,
-    inbox: Mutex<M, RefCell<Inbox>>,
+    /// From the first that comes.
+    inbox: Mutex<M, RefCell<Slot<Inbox>>>,
     rate: RateSignals<M>,
     /// The nearest rate that the line can run at, if it can be set.
     nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
+}
+
+impl<M: RawMutex> LinkShared<M> {
+    const fn new() -> Self {
+        Self {
+            outbox: Mutex::new(RefCell::new(FrameQueue::new())),
+            waiting: Signal::new(),
+            inbox: Mutex::new(RefCell::new(Slot::Empty)),
+            rate: RateSignals {
+                order: Signal::new(),
+                heard: Signal::new(),
+                noise: Signal::new(),
+            },
+            nearest_rate: Mutex::new(Cell::new(None)),
+        }
+    }
 }
 
 /// The rate nearest to one, bits/s, that a line can run at.
@@ -89,16 +108,25 @@ pub(crate) struct Inbox {
     epoch_wanted: bool,
 }
 
+impl Inbox {
+    fn new(role: LinkRole) -> Self {
+        Self {
+            responder: Responder::new(role),
+            damaged: 0,
+            epoch_wanted: false,
+        }
+    }
+}
+
 /// The parameter set that a host has sent, and then the one that is staged. Who has written it must
 /// find it as it was: it may be held over a wait.
 pub(crate) type Desk<M> = embassy_sync::mutex::Mutex<M, Staged>;
 
 /// A set on the desk.
-#[derive(Default)]
 pub(crate) struct Staged {
     pub(crate) set: Set,
     /// The link that it came on, and that has not been told what becomes of it.
-    pub(crate) from: Option<LinkRole>,
+    pub(crate) from: Slot<LinkRole>,
     /// Its id, once it has been found good.
     pub(crate) id: Option<ParameterId>,
 }
@@ -111,6 +139,11 @@ pub(crate) struct Set {
 }
 
 impl Set {
+    const NONE: Self = Self {
+        bytes: [0; _],
+        length: 0,
+    };
+
     /// The set; `None` if there is none.
     pub(crate) fn get(&self) -> Option<EncodedParameters<'_>> {
         let bytes = self.bytes.get(..self.length.into())?;
@@ -135,15 +168,6 @@ impl Set {
     }
 }
 
-impl Default for Set {
-    fn default() -> Self {
-        Self {
-            bytes: [0; _],
-            length: 0,
-        }
-    }
-}
-
 /// What the sampler is told.
 #[allow(clippy::large_enum_variant)] // One of them exists.
 pub(crate) enum Order {
@@ -156,15 +180,15 @@ pub(crate) enum Order {
 /// One order at a time. It stays where it is until it has been obeyed: nobody else needs room for
 /// it while the sensor is configured.
 pub(crate) struct Orders<M: RawMutex> {
-    order: Mutex<M, RefCell<Option<Order>>>,
+    order: Mutex<M, RefCell<Slot<Order>>>,
     pub(crate) given: Signal<M, ()>,
     taken: Signal<M, ()>,
 }
 
 impl<M: RawMutex> Orders<M> {
-    fn new() -> Self {
+    const fn new() -> Self {
         Self {
-            order: Mutex::new(RefCell::new(None)),
+            order: Mutex::new(RefCell::new(Slot::Empty)),
             given: Signal::new(),
             taken: Signal::new(),
         }
@@ -172,19 +196,20 @@ impl<M: RawMutex> Orders<M> {
 
     /// Waits until the order before has been obeyed.
     pub(crate) async fn room(&self) {
-        while self.order.lock(|order| order.borrow().is_some()) {
+        while self.order.lock(|order| order.borrow().as_ref().is_some()) {
             self.taken.wait().await;
         }
     }
 
     pub(crate) fn give(&self, new: Order) {
-        self.order.lock(|order| *order.borrow_mut() = Some(new));
+        self.order
+            .lock(|order| *order.borrow_mut() = Slot::Full(new));
         self.given.signal(());
     }
 
     /// How the sensor is to run, if that is what is ordered.
     pub(crate) fn plan(&self) -> Option<Plan> {
-        self.order.lock(|order| match &*order.borrow() {
+        self.order.lock(|order| match order.borrow().as_ref() {
             Some(Order::Configure(plan, _)) => Some(*plan),
             _ => None,
         })
@@ -255,46 +280,41 @@ pub(crate) struct Published {
     pub(crate) ready: bool,
 }
 
-impl<M: RawMutex> Shared<M> {
-    /// Memory for one node.
-    pub fn new() -> Self {
-        let link = |role| LinkShared {
-            outbox: Mutex::new(RefCell::default()),
-            waiting: Signal::new(),
-            inbox: Mutex::new(RefCell::new(Inbox {
-                responder: Responder::new(role),
-                damaged: 0,
-                epoch_wanted: false,
-            })),
-            rate: RateSignals {
-                order: Signal::new(),
-                heard: Signal::new(),
-                noise: Signal::new(),
-            },
-            nearest_rate: Mutex::new(Cell::new(None)),
-        };
+impl Published {
+    fn new() -> Self {
         Self {
-            links: ROLES.map(link),
+            hello: Hello::new(LinkRole::Cable),
+            lock: Lock::default(),
+            settings: Settings::default(),
+            parameters: ParameterId::UNCALIBRATED,
+            sensor: SensorStatus::default(),
+            measured_period_ns: None,
+            jitter_ns: None,
+            troubles: [None; Trouble::COUNT],
+            ready: false,
+        }
+    }
+}
+
+impl<M: RawMutex> Shared<M> {
+    /// Memory for one node: zeros all of it, which a `static` of it takes no flash for.
+    pub const fn new() -> Self {
+        Self {
+            links: [const { LinkShared::new() }; 2],
             orders: Orders::new(),
             configured: Signal::new(),
             temperature: Signal::new(),
             requests: Channel::new(),
-            desk: Desk::new(Staged::default()),
-            active: Mutex::new(RefCell::default()),
+            desk: Desk::new(Staged {
+                set: Set::NONE,
+                from: Slot::Empty,
+                id: None,
+            }),
+            active: Mutex::new(RefCell::new(Set::NONE)),
             key_lost: Signal::new(),
             rates: Channel::new(),
             rest: Signal::new(),
-            published: Mutex::new(RefCell::new(Published {
-                hello: Hello::new(LinkRole::Cable),
-                lock: Lock::default(),
-                settings: Settings::default(),
-                parameters: ParameterId::UNCALIBRATED,
-                sensor: SensorStatus::default(),
-                measured_period_ns: None,
-                jitter_ns: None,
-                troubles: [None; Trouble::COUNT],
-                ready: false,
-            })),
+            published: Mutex::new(RefCell::new(Slot::Empty)),
         }
     }
 
@@ -330,20 +350,24 @@ impl<M: RawMutex> Shared<M> {
     }
 
     pub(crate) fn lock(&self) -> Lock {
-        self.published.lock(|published| published.borrow().lock)
+        self.with_published(|published| published.lock)
     }
 
     pub(crate) fn published(&self) -> Published {
-        self.published.lock(|published| *published.borrow())
+        self.with_published(|published| *published)
     }
 
     pub(crate) fn settings(&self) -> Settings {
-        self.published.lock(|published| published.borrow().settings)
+        self.with_published(|published| published.settings)
     }
 
     pub(crate) fn publish(&self, change: impl FnOnce(&mut Published)) {
+        self.with_published(change);
+    }
+
+    fn with_published<R>(&self, f: impl FnOnce(&mut Published) -> R) -> R {
         self.published
-            .lock(|published| change(&mut published.borrow_mut()));
+            .lock(|published| f(published.borrow_mut().or_new(Published::new)))
     }
 
     /// The set in use, of which only its user has a copy; of no length without one.
@@ -359,9 +383,13 @@ impl<M: RawMutex> Shared<M> {
     }
 
     pub(crate) fn with_inbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut Inbox) -> R) -> R {
+        let new = match role {
+            LinkRole::Cable => || Inbox::new(LinkRole::Cable),
+            _ => || Inbox::new(LinkRole::Wireless),
+        };
         self.link(role)
             .inbox
-            .lock(|inbox| f(&mut inbox.borrow_mut()))
+            .lock(|inbox| f(inbox.borrow_mut().or_new(new)))
     }
 
     fn with_outbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut FrameQueue) -> R) -> R {
@@ -412,6 +440,11 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
+    /// Queues a message on one link; never shed.
+    fn tell(&self, role: LinkRole, message: &Message) {
+        self.announce(message, ROLES.map(|other| other == role));
+    }
+
     /// Tells both links what has happened.
     pub(crate) fn report(&self, now: DeviceTimeUs, event: Event) {
         let time_us = now.0;
@@ -454,23 +487,13 @@ impl<M: RawMutex> Shared<M> {
         if let Ok(length) = hello.encode(&mut frame) {
             self.keep(role, frame.get(..length).unwrap_or_default());
         }
+        self.tell(role, &Telemetry::Settings(published.settings));
         let active = self.active();
-        let known = [
-            Telemetry::Settings(published.settings),
-            Telemetry::Parameters(active_parameters(&active)),
-            Telemetry::Status(self.status(now)),
-        ];
-        let troubles =
-            published
-                .troubles
-                .iter()
-                .flatten()
-                .map(|&(since, event)| Telemetry::Event {
-                    time_us: since.0,
-                    event,
-                });
-        for message in known.into_iter().chain(troubles) {
-            self.announce(&message, ROLES.map(|other| other == role));
+        self.tell(role, &Telemetry::Parameters(active_parameters(&active)));
+        self.tell(role, &Telemetry::Status(self.status(now)));
+        for &(since, event) in published.troubles.iter().flatten() {
+            let time_us = since.0;
+            self.tell(role, &Telemetry::Event { time_us, event });
         }
         self.want_epoch(role);
     }
@@ -503,8 +526,7 @@ impl<M: RawMutex> Shared<M> {
 
     /// How the device is, in short: for its lamps.
     pub fn health(&self) -> Health {
-        self.published.lock(|published| {
-            let published = published.borrow();
+        self.with_published(|published| {
             let shed = ROLES.map(|role| {
                 let outbox = &self.link(role).outbox;
                 outbox.lock(|outbox| outbox.borrow().shed)

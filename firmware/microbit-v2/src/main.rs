@@ -15,7 +15,7 @@ mod tasks;
 
 use cortex_m_rt::entry;
 use embassy_embedded_hal::adapter::BlockingAsync;
-use embassy_executor::{Executor, InterruptExecutor};
+use embassy_executor::{Executor, InterruptExecutor, Spawner};
 use embassy_nrf::buffered_uarte::{self, BufferedUarte, BufferedUarteRx, BufferedUarteTx};
 use embassy_nrf::config::{Config, HfclkSource};
 use embassy_nrf::gpio::{AnyPin, Input, Level, Output, OutputDrive, Pull};
@@ -121,7 +121,13 @@ unsafe fn EGU1_SWI1() {
 #[entry]
 fn main() -> ! {
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    static SHARED: StaticCell<Shared<M>> = StaticCell::new();
+    EXECUTOR.init(Executor::new()).run(start)
+}
+
+/// A function of its own, so that what it builds leaves the stack before the tasks run.
+#[inline(never)]
+fn start(spawner: Spawner) {
+    static SHARED: Shared<M> = Shared::new();
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
@@ -182,13 +188,13 @@ fn main() -> ! {
         c,
         d,
     );
-    let shared = &*SHARED.init(Shared::new());
+    let shared = &SHARED;
     let mut entropy = [0; 16];
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
     let rates = [pac::UARTE0, pac::UARTE1].map(Rate);
     let keepers = tasks::keepers(rates, shared);
     let [low, high] = [0, 1].map(|word| u64::from(pac::FICR.deviceid(word).read()));
-    let node = Board {
+    let board = Board {
         hello: tasks::hello(
             high << 32 | low,
             reason(),
@@ -204,8 +210,8 @@ fn main() -> ! {
         entropy,
         cable: cable.split(),
         wireless: wireless.split(),
-    }
-    .split(shared);
+    };
+    let node = tasks::place(board, shared);
 
     let led = |pin: Peri<'static, AnyPin>| Output::new(pin, Level::Low, OutputDrive::Standard);
     let matrix = Matrix {
@@ -238,11 +244,9 @@ fn main() -> ! {
     };
 
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
-    EXECUTOR.init(Executor::new()).run(|spawner| {
-        tasks::spawn(node, keepers, sampling, spawner);
-        // Spawned once: there is room.
-        spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
-    })
+    tasks::spawn(node, keepers, sampling, spawner);
+    // Spawned once: there is room.
+    spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
 }
 
 /// Starts the chip anew.

@@ -15,7 +15,7 @@ mod sender;
 mod tasks;
 
 use cortex_m_rt::entry;
-use embassy_executor::{Executor, InterruptExecutor};
+use embassy_executor::{Executor, InterruptExecutor, Spawner};
 use embassy_rp::clocks::RoscRng;
 use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
@@ -69,7 +69,13 @@ unsafe fn SWI_IRQ_1() {
 #[entry]
 fn main() -> ! {
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    static SHARED: StaticCell<Shared<M>> = StaticCell::new();
+    EXECUTOR.init(Executor::new()).run(start)
+}
+
+/// A function of its own, so that what it builds leaves the stack before the tasks run.
+#[inline(never)]
+fn start(spawner: Spawner) {
+    static SHARED: Shared<M> = Shared::new();
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
 
     let chip = embassy_rp::init(Default::default());
@@ -117,10 +123,10 @@ fn main() -> ! {
             },
         ),
     };
-    let shared = &*SHARED.init(Shared::new());
+    let shared = &SHARED;
     let rates = [pac::UART1, pac::UART0].map(Rate);
     let keepers = tasks::keepers(rates, shared);
-    let node = board.split(shared);
+    let node = tasks::place(board, shared);
     watchdog.start(WATCHDOG_TIME);
 
     interrupt::IO_IRQ_BANK0.set_priority(Priority::P0);
@@ -132,10 +138,8 @@ fn main() -> ! {
     let sampling = SAMPLING.start(interrupt::SWI_IRQ_1);
     let lamp = Output::new(chip.PIN_25, Level::Low);
     let key_lost = Input::new(chip.PIN_22, Pull::Up);
-    EXECUTOR.init(Executor::new()).run(|spawner| {
-        tasks::spawn(node, keepers, sampling, spawner);
-        spawner.spawn(show(shared, lamp, key_lost, watchdog).unwrap());
-    })
+    tasks::spawn(node, keepers, sampling, spawner);
+    spawner.spawn(show(shared, lamp, key_lost, watchdog).unwrap());
 }
 
 /// Says how the device is, and that it runs: two seconds without it and the watchdog restarts it.

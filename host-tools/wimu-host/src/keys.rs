@@ -1,18 +1,19 @@
 //! The keys of the user's devices, in the user's configuration folder.
 
 use std::fs::{self, OpenOptions};
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use wimu_link::auth::DeviceKey;
+use wimu_link::auth::{DeviceKey, KeyId};
 
 use crate::error::{ErrorCode, HostError, Result};
 
 /// A folder of keys, one file a device: 64 hexadecimal digits, for the user's eyes only (mode 0600
 /// in a folder of mode 0700, where there are modes).
 ///
-/// A key that is on its way to a device lies in a second file until the device has confirmed it, so
-/// that neither a program that is killed nor a lost answer loses it.
+/// A key that is on its way to a device lies in a second file until the device has confirmed it, and
+/// the one that it replaced stays in a third, so that neither a program that is killed, nor a lost
+/// answer, nor a full disk loses the key that the device has.
 #[derive(Clone, Debug)]
 pub struct KeyFolder(PathBuf);
 
@@ -52,63 +53,99 @@ impl KeyFolder {
         Self(path.to_path_buf())
     }
 
-    fn file(&self, device_id: u64) -> PathBuf {
-        self.0.join(format!("{device_id:016x}.key"))
+    /// Where a device's key lies.
+    pub fn file(&self, device_id: u64) -> PathBuf {
+        self.named(device_id, "key")
     }
 
     fn pending(&self, device_id: u64) -> PathBuf {
-        self.0.join(format!("{device_id:016x}.new.key"))
+        self.named(device_id, "new.key")
     }
 
-    /// The keys that a device may have: the one that it confirmed, and one that was on its way.
+    fn replaced(&self, device_id: u64) -> PathBuf {
+        self.named(device_id, "old.key")
+    }
+
+    fn named(&self, device_id: u64, ending: &str) -> PathBuf {
+        self.0.join(format!("{device_id:016x}.{ending}"))
+    }
+
+    /// The keys that a device may have: the one that it confirmed, one that was on its way, and the
+    /// one before.
     ///
     /// # Errors
-    /// `file_unreadable` when a file is there and holds no key, or others can read it.
+    /// `file_unreadable` when the device's file is there and holds no key, or when others can read
+    /// a key or change the folder.
     pub fn candidates(&self, device_id: u64) -> Result<Vec<DeviceKey>> {
-        let files = [self.file(device_id), self.pending(device_id)];
-        let keys = files.iter().map(|path| read(path));
-        keys.filter_map(Result::transpose).collect()
+        self.is_ours_alone()?;
+        let mut keys = Vec::new();
+        match read(&self.file(device_id))? {
+            Found::Key(key) => keys.push(key),
+            Found::Nothing => {}
+            Found::Damaged(error) => return Err(error),
+        }
+        for path in [self.pending(device_id), self.replaced(device_id)] {
+            // What is cut short here never reached the device, or is no longer its key.
+            if let Found::Key(key) = read(&path)? {
+                keys.push(key);
+            }
+        }
+        Ok(keys)
+    }
+
+    /// That of a device's keys whose name is `held`, as the device says. If it is the one that was on
+    /// its way, the device has confirmed it by that.
+    ///
+    /// # Errors
+    /// Those of [`KeyFolder::candidates`] and [`KeyFolder::confirm`].
+    pub fn settle(&self, device_id: u64, held: KeyId) -> Result<Option<DeviceKey>> {
+        let known = self.candidates(device_id)?;
+        let ours = known.into_iter().find(|key| key.id() == held);
+        if let (Some(key), Found::Key(pending)) = (ours, read(&self.pending(device_id))?)
+            && key == pending
+        {
+            self.confirm(device_id)?;
+        }
+        Ok(ours)
     }
 
     /// Keeps a key that is about to be sent to a device.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When it cannot be written; then all is as before.
     pub fn prepare(&self, device_id: u64, key: &DeviceKey) -> Result<()> {
         let path = self.pending(device_id);
         let failed = |error| HostError::file(&path.display().to_string(), "write", &error);
         let mut folder = fs::DirBuilder::new();
         folder.recursive(true);
-        let mut file = OpenOptions::new();
-        file.write(true).create_new(true);
         #[cfg(unix)]
-        {
-            use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
-            folder.mode(0o700);
-            file.mode(0o600);
-        }
+        std::os::unix::fs::DirBuilderExt::mode(&mut folder, 0o700);
         folder.create(&self.0).map_err(failed)?;
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => return Err(failed(error)),
-            _ => {}
-        }
+        self.is_ours_alone()?;
         let digits = key.expose().iter().map(|byte| format!("{byte:02x}"));
         let text = digits.collect::<String>() + "\n";
-        file.open(&path)
-            .and_then(|mut file| {
-                file.write_all(text.as_bytes())?;
-                file.sync_all()
-            })
-            .map_err(failed)
+        // Not in its place before it is whole.
+        let draft = self.named(device_id, "draft");
+        let written = write_new(&draft, &text).and_then(|()| fs::rename(&draft, &path));
+        if written.is_err() {
+            let _ = fs::remove_file(&draft);
+        }
+        written.and_then(|()| self.sync()).map_err(failed)
     }
 
     /// The device has confirmed the key that was on its way: it takes the place of the one before.
     ///
     /// # Errors
-    /// When the file cannot be renamed.
+    /// When a file cannot be renamed; no key is lost by that.
     pub fn confirm(&self, device_id: u64) -> Result<()> {
-        let path = self.pending(device_id);
-        fs::rename(&path, self.file(device_id))
+        let (file, path) = (self.file(device_id), self.pending(device_id));
+        let replaced = match fs::rename(&file, self.replaced(device_id)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        };
+        replaced
+            .and_then(|()| fs::rename(&path, &file))
+            .and_then(|()| self.sync())
             .map_err(|error| HostError::file(&path.display().to_string(), "rename", &error))
     }
 
@@ -117,12 +154,37 @@ impl KeyFolder {
         let _ = fs::remove_file(self.pending(device_id));
     }
 
+    /// Whoever can write into the folder can exchange the keys in it.
+    fn is_ours_alone(&self) -> Result<()> {
+        #[cfg(unix)]
+        if let Ok(found) = fs::metadata(&self.0) {
+            let mode = std::os::unix::fs::PermissionsExt::mode(&found.permissions());
+            if mode & 0o022 != 0 {
+                return Err(HostError::new(
+                    ErrorCode::FileUnreadable,
+                    "others can change this folder of keys",
+                    "set its mode to 700 (chmod 700)",
+                )
+                .at(self.0.display().to_string()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings the folder's entries onto the disk.
+    fn sync(&self) -> io::Result<()> {
+        #[cfg(unix)]
+        fs::File::open(&self.0)?.sync_all()?;
+        Ok(())
+    }
+
     /// Forgets all keys of a device.
     ///
     /// # Errors
     /// When a file cannot be removed.
     pub fn forget(&self, device_id: u64) -> Result<()> {
-        for path in [self.file(device_id), self.pending(device_id)] {
+        let files = [Self::file, Self::pending, Self::replaced];
+        for path in files.map(|file| file(self, device_id)) {
             match fs::remove_file(&path) {
                 Err(error) if error.kind() != ErrorKind::NotFound => {
                     let path = path.display().to_string();
@@ -156,12 +218,35 @@ pub(crate) fn random(bytes: &mut [u8]) -> Result<()> {
     })
 }
 
-/// The key in a file; `None` if there is no such file.
-fn read(path: &Path) -> Result<Option<DeviceKey>> {
+/// Writes a file for the user's eyes only onto the disk.
+fn write_new(path: &Path, text: &str) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut file = OpenOptions::new();
+    file.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut file, 0o600);
+    let mut file = file.open(path)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()
+}
+
+/// What a file of the folder holds.
+enum Found {
+    Key(DeviceKey),
+    /// There is no such file.
+    Nothing,
+    /// No key, and why.
+    Damaged(HostError),
+}
+
+fn read(path: &Path) -> Result<Found> {
     let name = path.display().to_string();
-    let text = match fs::read_to_string(path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+    let bytes = match fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Found::Nothing),
         Err(error) => return Err(HostError::file(&name, "read", &error)),
     };
     #[cfg(unix)]
@@ -180,25 +265,32 @@ fn read(path: &Path) -> Result<Option<DeviceKey>> {
             .at(name));
         }
     }
-    let digits = text.trim();
-    let byte = |at| u8::from_str_radix(digits.get(at..at + 2)?, 16).ok();
-    let bytes = (0..DeviceKey::LENGTH).map(|place| byte(2 * place));
-    let bytes: Option<Vec<u8>> = bytes.collect();
-    let key = bytes
-        .filter(|_| digits.len() == 2 * DeviceKey::LENGTH)
-        .and_then(|bytes| bytes.try_into().ok());
-    key.map(DeviceKey::new).map(Some).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::FileUnreadable,
-            format!(
-                "a key is {} hexadecimal digits, this file holds {} characters",
-                2 * DeviceKey::LENGTH,
-                digits.chars().count()
-            ),
-            "put the right file back; if there is none, erase the key at the board",
-        )
-        .at(name)
+    let digits = bytes.trim_ascii();
+    let pairs = digits.as_chunks::<2>().0.iter();
+    let key: Vec<u8> = pairs
+        .filter_map(|&[high, low]| Some(digit(high)? << 4 | digit(low)?))
+        .collect();
+    Ok(match key.try_into() {
+        Ok(key) if digits.len() == 2 * DeviceKey::LENGTH => Found::Key(DeviceKey::new(key)),
+        _ => Found::Damaged(
+            HostError::new(
+                ErrorCode::FileUnreadable,
+                format!(
+                    "a key is {} hexadecimal digits, this file holds {} bytes that are not",
+                    2 * DeviceKey::LENGTH,
+                    digits.len()
+                ),
+                "put the right file back; if there is none, remove this one, have the board forget \
+                 its key by the gesture that its page describes, and run wimu key set",
+            )
+            .at(name),
+        ),
     })
+}
+
+fn digit(character: u8) -> Option<u8> {
+    let value = char::from(character).to_digit(16)?;
+    u8::try_from(value).ok()
 }
 
 #[cfg(test)]
@@ -233,6 +325,45 @@ mod tests {
     }
 
     #[test]
+    fn a_key_that_the_device_has_outlives_whatever_comes_between() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = KeyFolder::at(folder.path());
+        let [first, second, third] = [1, 2, 3].map(|byte| DeviceKey::new([byte; 32]));
+        // Killed between the device's answer and its being noted; then a rotation that never
+        // reaches the device.
+        keys.prepare(7, &first).expect("written");
+        assert_eq!(keys.settle(7, second.id()), Ok(None));
+        assert_eq!(keys.settle(7, first.id()), Ok(Some(first)));
+        keys.prepare(7, &second).expect("written");
+        assert_eq!(keys.settle(7, first.id()), Ok(Some(first)));
+        // An answer in the device's name, but not by it.
+        keys.confirm(7).expect("renamed");
+        assert_eq!(keys.settle(7, first.id()), Ok(Some(first)));
+        keys.prepare(7, &third).expect("written");
+        assert_eq!(keys.candidates(7), Ok(vec![second, third, first]));
+        // A disk that was full, by a version that wrote in place.
+        fs::write(keys.pending(7), "").expect("written");
+        assert_eq!(keys.candidates(7), Ok(vec![second, first]));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_others_can_change_is_not_trusted() {
+        use std::os::unix::fs::PermissionsExt;
+
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = KeyFolder::at(folder.path());
+        let open = |mode| fs::set_permissions(folder.path(), fs::Permissions::from_mode(mode));
+        open(0o777).expect("changed");
+        let error = keys.candidates(7).expect_err("others can write there");
+        assert!(error.to_string().contains("chmod 700"), "{error}");
+        let key = DeviceKey::new([1; 32]);
+        assert!(keys.prepare(7, &key).is_err());
+        open(0o700).expect("changed");
+        keys.prepare(7, &key).expect("written");
+    }
+
+    #[test]
     fn a_file_that_holds_no_key_says_what_is_wrong_and_never_what_it_holds() {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = KeyFolder::at(folder.path());
@@ -246,6 +377,7 @@ mod tests {
             &whole[1..],
             &format!("c5{whole}"),
             &whole.replace('5', "x"),
+            &whole.replace("c5", "+5"),
             "µ",
         ] {
             fs::write(keys.file(7), text).expect("written");

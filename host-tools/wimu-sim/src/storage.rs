@@ -76,12 +76,11 @@ impl Storage {
     /// the node finds out.
     pub fn in_file(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
-        let mut file = options
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)?;
+        options.read(true).write(true).create(true).truncate(false);
+        // The board's key is in it.
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let mut file = options.open(path)?;
         let mut image = Vec::new();
         file.read_to_end(&mut image)?;
         let storage = Self::from_image(&image);

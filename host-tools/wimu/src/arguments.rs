@@ -146,6 +146,9 @@ pub struct Simulate {
     /// Keep the board's memory in this file; without it, it ends with the program
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
+    /// Begin with the gesture of an owner who has lost the key: the board forgets key and settings
+    #[arg(long)]
+    pub forget_key: bool,
     /// Where the cable listens
     #[arg(long, default_value = "127.0.0.1:7100", value_name = "ADDRESS")]
     pub cable: SocketAddr,

@@ -88,3 +88,43 @@ fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
     fs::remove_file(&copy).unwrap();
     set(&other, &board.cable, "100").succeeds();
 }
+
+#[test]
+fn a_device_that_cannot_read_its_own_key_says_so_until_it_has_forgotten_it() {
+    let folder = folder();
+    let store = folder.path().join("board.store");
+    let arguments = ["--store", store.to_str().unwrap(), "--motion", "rest"];
+    let user = folder.path().join("user");
+    let key = |action: &str, board: &Simulator| {
+        Background::start_as(&user, &["key", action, &board.cable]).finish()
+    };
+    let board = Simulator::start(&arguments);
+    key("set", &board).succeeds();
+    drop(board);
+    let file = fs::read_dir(user.join("wimu/keys"))
+        .unwrap()
+        .next()
+        .unwrap();
+    let digits = fs::read_to_string(file.unwrap().path()).unwrap();
+    let first: Vec<u8> = (0..4)
+        .map(|at| u8::from_str_radix(&digits[2 * at..2 * at + 2], 16).unwrap())
+        .collect();
+    let mut image = fs::read(&store).unwrap();
+    let place = image.windows(4).position(|bytes| bytes == first);
+    image[place.expect("the key in the store")] ^= 1;
+    fs::write(&store, image).unwrap();
+
+    let board = Simulator::start(&arguments);
+    let status = key("status", &board);
+    assert!(status.stderr.contains("cannot read"), "{status:?}");
+    for action in ["set", "rotate", "forget"] {
+        let failure = key(action, &board).fails(4, "device_refused");
+        assert!(
+            failure["remedy"].as_str().unwrap().contains("gesture"),
+            "{failure}"
+        );
+    }
+    drop(board);
+    let board = Simulator::start(&[&arguments[..], &["--forget-key"]].concat());
+    key("set", &board).succeeds();
+}

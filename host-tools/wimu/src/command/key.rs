@@ -6,6 +6,7 @@ use wimu_host::keys::{self, KeyFolder};
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
+use wimu_link::hello::{LinkRole, WriteAccess};
 
 use crate::arguments::Key;
 use crate::command::connect;
@@ -35,11 +36,21 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
     let mut client = connect(link)?;
     let device = client.hello().device_id;
     let held = client.key_status()?;
-    let known = folder.candidates(device)?;
-    let ours = known.iter().find(|key| Some(key.id()) == held).copied();
+    let ours = match held {
+        Some(held) => folder.settle(device, held)?,
+        None => None,
+    };
     client.use_key(ours);
     match (action, held, ours) {
         (Key::Status { .. }, ..) => {}
+        (_, None, _) if is_lost(&client) => {
+            return Err(HostError::new(
+                ErrorCode::DeviceRefused,
+                "the device cannot read its own key, and takes nothing from anyone",
+                "have it forget the key by the gesture that its page describes, then run wimu key set",
+            )
+            .at(link.clone()));
+        }
         (Key::Set { .. }, Some(_), Some(_)) => {
             output.say(
                 "the device has this computer's key already; wimu key rotate gives it a new one",
@@ -47,10 +58,17 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
         }
         (Key::Forget { .. }, None, _) => output.say("the device has no key"),
         (_, Some(_), None) => {
+            let file = folder.file(device);
+            let what = if file.exists() {
+                format!("the device has another key than {}", file.display())
+            } else {
+                "the device has a key, and this computer does not".to_owned()
+            };
             return Err(HostError::new(
                 ErrorCode::KeyNeeded,
-                "the device has a key, and this computer does not",
-                "use the computer that has it, or erase it at the board",
+                what,
+                "use the computer that has it, or have the board forget it by the gesture that its \
+                 page describes",
             )
             .at(link.clone()));
         }
@@ -94,12 +112,21 @@ fn give<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, device: u64) -
     }
 }
 
+/// Whether the device has a key and cannot read it: without one, the cable would be open.
+fn is_lost<T: Transport>(client: &Client<T>) -> bool {
+    let hello = client.hello();
+    hello.role == LinkRole::Cable && hello.access == WriteAccess::Locked
+}
+
 fn show<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, output: Output) -> Result<()> {
     let hello = *client.hello();
     let held = client.key_status()?;
     let known = folder.candidates(hello.device_id)?;
     let ours = known.iter().any(|key| Some(key.id()) == held);
     output.say(match (held, ours) {
+        (None, _) if is_lost(client) => {
+            "a key that the device itself cannot read: nobody writes".to_owned()
+        }
         (None, _) => "no key: the cable writes, the wireless link does not".to_owned(),
         (Some(id), true) => format!("key {id}, which this computer has: both links write, signed"),
         (Some(id), false) => format!("key {id}, which this computer does not have"),

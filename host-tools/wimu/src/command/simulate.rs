@@ -123,6 +123,9 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             (Board::start(config, physics), Some((scene, motion)))
         }
     };
+    if arguments.forget_key {
+        board.forget_key();
+    }
     let mut server = Server::bind(board, arguments.cable, arguments.wireless)
         .map_err(|(address, error)| {
             HostError::new(

@@ -67,13 +67,14 @@ impl Noise {
         libm::sqrt(self.variance / 3.0)
     }
 
+    /// The step of the output, m/s²; 0 where none was seen, or one that is no count's.
+    fn step(&self) -> f64 {
+        if self.step < 1.0 { self.step } else { 0.0 }
+    }
+
     /// Variance of rounding to the output's step, over three axes.
     fn rounding(&self) -> f64 {
-        if self.step < 1.0 {
-            self.step * self.step / 4.0
-        } else {
-            0.0
-        }
+        self.step() * self.step() / 4.0
     }
 
     fn most_variance(&self) -> f64 {
@@ -139,11 +140,16 @@ impl Moments {
             .sum()
     }
 
-    fn pose(&self, rate_hz: f64) -> Pose {
+    /// Equation (59) says what rounding to the sensor's step leaves in the mean.
+    fn pose(&self, rate_hz: f64, noise: &Noise) -> Pose {
         let freedom = f64::from(self.samples.saturating_sub(1).max(1));
+        let step = noise.step() * noise.step();
         Pose {
             mean_mps2: self.mean,
             sd_mps2: self.squares.map(|s| libm::sqrt(s / freedom)),
+            rounding_sd_mps2: self
+                .squares
+                .map(|s| libm::sqrt((step / 12.0 - s / freedom / 3.0).max(0.0))),
             samples: self.samples,
             temperature_c: (self.celsius_samples > 0)
                 .then(|| self.celsius / f64::from(self.celsius_samples)),
@@ -295,7 +301,8 @@ impl PoseFinder {
 
     /// The hold under way as a pose, if it ended now; `None` while the sensor moves.
     pub fn held(&self) -> Option<Pose> {
-        self.hold.map(|hold| hold.inner.pose(self.rate_hz))
+        self.hold
+            .map(|hold| hold.inner.pose(self.rate_hz, &self.noise))
     }
 
     /// Takes one sample y, m/s², sensor axes. A sample that is not finite counts as motion.
@@ -335,8 +342,11 @@ impl PoseFinder {
     pub fn finish(&mut self) -> Option<Pose> {
         self.filled = 0;
         self.block = Block::default();
-        self.end_hold()
-            .or_else(|| self.candidate.take().map(|found| found.pose(self.rate_hz)))
+        self.end_hold().or_else(|| {
+            self.candidate
+                .take()
+                .map(|found| found.pose(self.rate_hz, &self.noise))
+        })
     }
 
     fn push_block(&mut self, block: Moments) -> Option<Pose> {
@@ -370,7 +380,9 @@ impl PoseFinder {
             return None;
         }
         self.away_blocks = 0;
-        self.candidate.take().map(|found| found.pose(self.rate_hz))
+        self.candidate
+            .take()
+            .map(|found| found.pose(self.rate_hz, &self.noise))
     }
 
     /// Whether the last blocks are those of a sensor at rest; learns the noise from them.
@@ -440,7 +452,7 @@ impl PoseFinder {
             return None;
         }
         self.candidate = Some(found);
-        Some(before.pose(self.rate_hz))
+        Some(before.pose(self.rate_hz, &self.noise))
     }
 }
 

@@ -11,7 +11,8 @@ pub(crate) fn check<'a>(
     let mut count = 0.0;
     for (pose, entry) in poses.enumerate() {
         let finite = entry.mean_mps2.iter().all(|y| y.is_finite())
-            && entry.sd_mps2.iter().all(|sd| sd.is_finite());
+            && entry.sd_mps2.iter().all(|sd| sd.is_finite())
+            && entry.rounding_sd_mps2.iter().all(|sd| sd.is_finite());
         if !finite {
             return Err(Refusal::NotFinite { pose });
         }
@@ -22,19 +23,25 @@ pub(crate) fn check<'a>(
         return Ok(());
     }
     let mean_mps2 = sum / count;
-    // Bias and scale factor within the error model's bounds move |y| by less than this.
-    let ratio = mean_mps2 / gravity.mps2();
-    if (0.4..=2.1).contains(&ratio) {
-        return Ok(());
+    match unit(mean_mps2, gravity.mps2()) {
+        Some(hint) => Err(Refusal::UnexpectedMagnitude { mean_mps2, hint }),
+        None => Ok(()),
     }
-    let hint = match mean_mps2 {
+}
+
+/// What |y| of this mean size looks like where it cannot be gravity in m/s².
+pub(crate) fn unit(mean_mps2: f64, gravity_mps2: f64) -> Option<UnitHint> {
+    // Bias and scale factor within the error model's bounds move |y| by less than this.
+    if (0.4..=2.1).contains(&(mean_mps2 / gravity_mps2)) {
+        return None;
+    }
+    Some(match mean_mps2 {
         m if (0.7..1.4).contains(&m) => UnitHint::G,
         m if (85.0..108.0).contains(&m) => UnitHint::Mps2TakenForG,
         m if (700.0..1400.0).contains(&m) => UnitHint::MilliGOrCounts,
         m if m > 100.0 && m < 1e6 => UnitHint::Counts,
         _ => UnitHint::NotGravity,
-    };
-    Err(Refusal::UnexpectedMagnitude { mean_mps2, hint })
+    })
 }
 
 /// An axis whose reading changes by less than this over all poses, m/s², is not turned, 0.6°.

@@ -36,7 +36,9 @@ pub use design::Guide;
 pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
-pub use magnetometer::{MagneticEstimate, MagneticPose, MagneticRefusal, magnetometer};
+pub use magnetometer::{
+    MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
+};
 pub use multi_position::{
     Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
     multi_position_with_f32,

@@ -1,5 +1,7 @@
 //! A magnetometer from the magnitude of the field and its dip, in orientations that nobody knows.
 
+mod consensus;
+
 use core::fmt;
 
 use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3};
@@ -30,6 +32,10 @@ const SIGNIFICANCE: f64 = 1e-3;
 const DOUBTED: usize = 5;
 /// Spread of the dip beyond which the axes do not belong together, rad rms.
 const MOST_DIP_RMS: f64 = 0.1;
+/// A dip nearer to level than this has no sign to tell a mirrored axis by, rad: 5°.
+const LEVEL_RAD: f64 = 0.087;
+/// Axes this near to parallel are, but for the board's turning them over, rad: 20°.
+const PARALLEL_RAD: f64 = 0.35;
 
 /// What magnetometer and accelerometer said in one orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,8 +100,8 @@ pub enum MagneticRefusal {
     FieldNotConstant {
         /// What is left, as a share of the field, rms.
         share: f64,
-        /// The pose that departs most.
-        pose: usize,
+        /// The poses that depart from what most have in common, or the one that departs most.
+        disturbed: Rejected,
     },
     /// One pose decides alone.
     PoorPrediction {
@@ -106,14 +112,59 @@ pub enum MagneticRefusal {
     DipNotConstant {
         /// Its spread, rad rms.
         spread_rad: f64,
+        /// The pose that departs most.
+        pose: usize,
+    },
+    /// The dip is opposite to that of the place: the axes are left-handed.
+    Mirrored {
+        /// What it seems to be, rad, positive down.
+        dip_rad: f64,
+        /// What makes them so, where the magnetometer's axes are parallel to the accelerometer's.
+        axes: MirroredAxes,
     },
     /// The result is no magnetometer's.
     OutOfBounds(MagnetometerError),
 }
 
+/// What is wrong with a left-handed magnetometer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum MirroredAxes {
+    /// This axis is negated: 0 = X.
+    One(usize),
+    /// All axes are negated.
+    All,
+    /// These two are exchanged.
+    Exchanged(usize, usize),
+    /// One is negated or two are exchanged; the magnetometer is not mounted parallel to the
+    /// accelerometer, so that nothing tells which.
+    Unknown,
+}
+
+impl fmt::Display for MirroredAxes {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::One(axis) => write!(out, "the magnetometer's axis {} is negated", name(axis)),
+            Self::All => out.write_str("all axes of the magnetometer are negated"),
+            Self::Exchanged(a, b) => write!(
+                out,
+                "the magnetometer's axes {} and {} are exchanged",
+                name(a),
+                name(b)
+            ),
+            Self::Unknown => {
+                out.write_str("an axis of the magnetometer is negated, or two are exchanged")
+            }
+        }
+    }
+}
+
+fn name(axis: usize) -> &'static str {
+    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
+}
+
 impl fmt::Display for MagneticRefusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
         match *self {
             Self::TooFewPoses { have, need } => write!(
                 out,
@@ -147,22 +198,50 @@ impl fmt::Display for MagneticRefusal {
                 "the poses do not determine hard and soft iron (condition {condition:.0}): add \
                  orientations unlike those you have, upside down and on every side"
             ),
-            Self::FieldNotConstant { share, pose } => write!(
-                out,
-                "the field was not the same in all poses ({:.0} % rms, most in pose {pose} from 0): \
-                 stay away from iron, currents and phones, and turn the sensor about one place",
-                share * 100.0
-            ),
+            Self::FieldNotConstant { share, disturbed } => {
+                write!(
+                    out,
+                    "the field was not the same in all poses ({:.0} % rms): it was disturbed",
+                    share * 100.0
+                )?;
+                let poses = disturbed.as_slice();
+                for (k, pose) in poses.iter().enumerate() {
+                    let before = match k {
+                        0 if poses.len() == 1 => " in pose ",
+                        0 => " in poses ",
+                        _ => ", ",
+                    };
+                    write!(out, "{before}{pose}")?;
+                }
+                if !poses.is_empty() {
+                    out.write_str(" (from 0)")?;
+                }
+                if poses.len() == Rejected::MOST {
+                    out.write_str(" and more")?;
+                }
+                out.write_str(
+                    "; take these again away from iron, currents and phones, and turn the sensor \
+                     about one place",
+                )
+            }
             Self::PoorPrediction { share } => write!(
                 out,
                 "a pose left out is missed by {:.0} % rms: one decides alone; add orientations",
                 share * 100.0
             ),
-            Self::DipNotConstant { spread_rad } => write!(
+            Self::DipNotConstant { spread_rad, pose } => write!(
                 out,
-                "the dip is not the same in all poses ({:.1}° rms): the field was disturbed, or \
-                 field and direction are not of the same time",
+                "the dip is not the same in all poses ({:.1}° rms, most in pose {pose} from 0): the \
+                 field was disturbed, or field and direction are not of the same time; take the poses \
+                 again away from iron, currents and phones",
                 spread_rad.to_degrees()
+            ),
+            Self::Mirrored { dip_rad, axes } => write!(
+                out,
+                "the field's dip seems to be {:+.0}°, opposite to that of the place: {axes}; mend the \
+                 order and signs of its axes where they are read, or say the dip of the place where \
+                 that is no error (negative south of the magnetic equator)",
+                dip_rad.to_degrees()
             ),
             Self::OutOfBounds(error) => write!(out, "the result is no magnetometer's: {error}"),
         }
@@ -187,8 +266,9 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
 /// from its dip being so. Equations (55) to (57) of docs/EQUATIONS.md. Poses that the others
 /// contradict are left out, every fifth at most and as long as twelve are left.
 ///
-/// A magnetometer with one axis negated or two swapped looks like a right one in a field of the
-/// opposite dip: a dip that is negative north of the equator says that.
+/// A magnetometer with one axis negated or two exchanged looks like a right one in a field of the
+/// opposite dip, turned over: only the dip of the place, `dip_rad`, positive down, tells them apart.
+/// Its sign suffices. Without it the field points down, as north of the magnetic equator.
 ///
 /// ```
 /// use wimu_calib::{MagneticPose, magnetometer};
@@ -204,18 +284,23 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
 ///     let field = [0, 1, 2].map(|i| 25_000.0 * north[i] - 43_301.0 * up[i]);
 ///     poses.push(MagneticPose { output_nt: [field[0] + 10_000.0, field[1], field[2]], up });
 /// }
-/// let found = magnetometer(&poses)?;
+/// let found = magnetometer(&poses, None)?;
 /// let model = found.model;
 /// assert_eq!(found.rejected.as_slice(), []);
 /// assert!((model.terms().hard_iron_nt[0] - 10_000.0).abs() < 1.0);
 /// let mounting = model.terms().to_accelerometer.ok_or("a rotation")?;
 /// assert!((mounting.dip_rad.to_degrees() - 60.0).abs() < 0.01);
+/// // In Australia the field points up: there, the same readings are those of a mirrored sensor.
+/// assert!(magnetometer(&poses, Some(-60_f64.to_radians())).is_err());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
 /// [`MagneticRefusal`].
-pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagneticEstimate, MagneticRefusal> {
+pub fn magnetometer(
+    poses: &[MagneticPose],
+    dip_rad: Option<f64>,
+) -> Result<MagneticEstimate, MagneticRefusal> {
     let (have, need) = (poses.len(), FEWEST);
     if have < need {
         return Err(MagneticRefusal::TooFewPoses { have, need });
@@ -227,19 +312,83 @@ pub fn magnetometer(poses: &[MagneticPose]) -> Result<MagneticEstimate, Magnetic
         }
     }
     plausible(poses)?;
-    let mut rejected = Rejected::default();
+    let found = without_suspects(poses, Rejected::default()).or_else(|refusal| {
+        // Several disturbed poses bend the fit so far that none of them stands out.
+        let Some((share, disturbed, count)) = consensus::disturbed(poses) else {
+            return Err(refusal);
+        };
+        let few = count <= disturbed.as_slice().len() && spares(have, count);
+        let again = few.then(|| without_suspects(poses, disturbed));
+        again
+            .and_then(Result::ok)
+            .ok_or(MagneticRefusal::FieldNotConstant { share, disturbed })
+    })?;
+    handedness(&found.model, dip_rad)?;
+    Ok(found)
+}
+
+/// Whether so many of `have` poses may be left out.
+fn spares(have: usize, left_out: usize) -> bool {
+    left_out <= Rejected::MOST && DOUBTED * left_out <= have && have - left_out >= FEWEST
+}
+
+/// Leaves out one pose after the other that the rest contradicts.
+fn without_suspects(
+    poses: &[MagneticPose],
+    mut rejected: Rejected,
+) -> Result<MagneticEstimate, MagneticRefusal> {
     loop {
         let mut suspect = None;
         let outcome = model(poses, &rejected, &mut suspect);
-        let left_out = rejected.as_slice().len();
-        let room = left_out < Rejected::MOST
-            && DOUBTED * (left_out + 1) <= have
-            && have - left_out > FEWEST;
         match suspect {
-            Some(pose) if room => rejected = rejected.with(pose),
+            Some(pose) if spares(poses.len(), rejected.as_slice().len() + 1) => {
+                rejected = rejected.with(pose);
+            }
             _ => return outcome.map(|model| MagneticEstimate { model, rejected }),
         }
     }
+}
+
+/// Refuses a dip that is opposite to that of the place.
+fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), MagneticRefusal> {
+    let Some(mounting) = model.terms().to_accelerometer else {
+        return Ok(());
+    };
+    let dip_rad = f64::from(mounting.dip_rad);
+    let place_rad = place_rad.unwrap_or(core::f64::consts::FRAC_PI_4);
+    let level = dip_rad.abs().min(place_rad.abs()) < LEVEL_RAD;
+    if level || dip_rad * place_rad > 0.0 {
+        return Ok(());
+    }
+    // A mirror image M of the axes comes out as turned by −M.
+    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        .map(|axis| Vector3::from(mounting.rotation.rotate(axis)));
+    let turn = Matrix3::from_columns(&columns);
+    let near = |mirror: &Matrix3<f64>| {
+        let cosine = 0.5 * ((turn.transpose() * -mirror).trace() - 1.0);
+        cosine > libm::cos(PARALLEL_RAD)
+    };
+    let one = |axis: usize| {
+        let mut mirror = Matrix3::identity();
+        mirror[(axis, axis)] = -1.0;
+        mirror
+    };
+    let exchanged = |a: usize, b: usize| {
+        let mut mirror = Matrix3::identity();
+        mirror.swap_columns(a, b);
+        mirror
+    };
+    let pairs = [(0, 1), (1, 2), (0, 2)];
+    let axes = if near(&-Matrix3::identity()) {
+        MirroredAxes::All
+    } else if let Some(axis) = (0..3).find(|axis| near(&one(*axis))) {
+        MirroredAxes::One(axis)
+    } else if let Some((a, b)) = pairs.into_iter().find(|(a, b)| near(&exchanged(*a, *b))) {
+        MirroredAxes::Exchanged(a, b)
+    } else {
+        MirroredAxes::Unknown
+    };
+    Err(MagneticRefusal::Mirrored { dip_rad, axes })
 }
 
 /// Whether the output can be that of a magnetometer turned in the Earth's field.
@@ -369,7 +518,7 @@ fn model(
     if rms.is_nan() || rms > MOST_RMS {
         return Err(MagneticRefusal::FieldNotConstant {
             share: rms,
-            pose: worst.place,
+            disturbed: Rejected::default().with(worst.place),
         });
     }
     if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
@@ -522,9 +671,6 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
     let sine = level.clamp(-1.0, 1.0);
     let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
     let spread_rad = libm::sqrt(cost / n) / cosine;
-    if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
-        return Err(MagneticRefusal::DipNotConstant { spread_rad });
-    }
     let variance = cost / (n - 4.0);
     let mut worst = Worst::default();
     for (place, b, up) in seen() {
@@ -536,6 +682,10 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
             place,
             residual * residual / (1.0 - row.dot(&(inverse * row))),
         );
+    }
+    if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
+        let pose = worst.place;
+        return Err(MagneticRefusal::DipNotConstant { spread_rad, pose });
     }
     let covariance: [[f64; 3]; 3] =
         core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));

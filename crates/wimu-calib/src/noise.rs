@@ -7,6 +7,9 @@ use core::fmt;
 
 use curve::{Curve, Spans, fewest_edf};
 use rest::Rest;
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+use crate::{UnitHint, input};
 
 /// Octaves of averaging time.
 const LEVELS: usize = 26;
@@ -90,12 +93,22 @@ pub struct AxisNoise {
     /// χ² per degree of freedom that the terms leave of the curve: 1 for noise as described; where it
     /// is much more, vibration, repeated samples or a drift is in it, and the terms are rough.
     pub misfit: f64,
+    /// Standard deviation from one sample to the next, σ(τ) of the shortest τ, m/s².
+    pub sample_sd_mps2: f64,
+    /// Smallest step of the output, m/s²: one count, where it is in counts.
+    pub step_mps2: f64,
 }
 
 impl AxisNoise {
     /// Whether the curve is one of noise: hum and samples that come twice are not.
     pub fn is_noise(&self) -> bool {
         self.misfit <= MOST_MISFIT
+    }
+
+    /// Whether rounding to the output's step is as large as the noise: then the terms are those of
+    /// rounding, above or below the sensor's own.
+    pub fn is_coarse(&self) -> bool {
+        self.step_mps2 > self.sample_sd_mps2
     }
 
     /// One-sided noise density √2 N, m/s²/√Hz, as datasheets give it.
@@ -132,6 +145,13 @@ pub enum NoiseRefusal {
         /// 0 = X.
         axis: usize,
     },
+    /// The mean output is not gravity in m/s².
+    UnexpectedMagnitude {
+        /// Its size, m/s² if the unit were right.
+        mean_mps2: f64,
+        /// What the numbers look like.
+        hint: UnitHint,
+    },
 }
 
 impl fmt::Display for NoiseRefusal {
@@ -155,6 +175,9 @@ impl fmt::Display for NoiseRefusal {
                  one count; choose a smaller range or a higher resolution",
                 name(axis)
             ),
+            Self::UnexpectedMagnitude { mean_mps2, hint } => {
+                write!(out, "the mean output is {mean_mps2:.4}, {hint}")
+            }
         }
     }
 }
@@ -263,6 +286,11 @@ pub struct AllanVariance {
     /// By averaging time.
     squares: [Squares; POINTS],
     rest: Rest,
+    /// Σ of all samples less the first.
+    total: [f64; 3],
+    /// The sample before, and the least change from one to the next.
+    last: [f64; 3],
+    step: [f64; 3],
 }
 
 impl AllanVariance {
@@ -283,6 +311,9 @@ impl AllanVariance {
             levels: [Level::EMPTY; LEVELS],
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz),
+            total: [0.0; 3],
+            last: [0.0; 3],
+            step: [f64::INFINITY; 3],
         }
     }
 
@@ -296,9 +327,15 @@ impl AllanVariance {
             self.start();
         }
         let off: [f64; 3] = core::array::from_fn(|axis| sample_mps2[axis] - origin[axis]);
-        for (sum, off) in self.sum.iter_mut().zip(off) {
-            *sum += off;
+        for axis in 0..3 {
+            self.sum[axis] += off[axis];
+            self.total[axis] += off[axis];
+            let step = (off[axis] - self.last[axis]).abs();
+            if step > 0.0 {
+                self.step[axis] = self.step[axis].min(step);
+            }
         }
+        self.last = off;
         self.samples += 1;
         self.run += 1;
         self.longest_run = self.longest_run.max(self.run);
@@ -369,14 +406,23 @@ impl AllanVariance {
     /// The noise of X, Y and Z.
     ///
     /// # Errors
-    /// [`NoiseRefusal`] when there are too few samples, the sensor was not at rest, or an axis is
-    /// dead.
+    /// [`NoiseRefusal`] when there are too few samples, the mean output is not gravity in m/s², the
+    /// sensor was not at rest, or an axis is dead.
     pub fn result(&self) -> Result<[AxisNoise; 3], NoiseRefusal> {
         if self.longest_run < FEWEST {
             return Err(NoiseRefusal::TooShort {
                 have: self.longest_run,
                 need: FEWEST,
             });
+        }
+        let mean = |axis: usize| {
+            let origin = self.origin.map_or(0.0, |origin| origin[axis]);
+            origin + self.total[axis] / self.samples.max(1) as f64
+        };
+        let squares: f64 = (0..3).map(|axis| mean(axis) * mean(axis)).sum();
+        let mean_mps2 = libm::sqrt(squares);
+        if let Some(hint) = input::unit(mean_mps2, STANDARD_GRAVITY_MPS2) {
+            return Err(NoiseRefusal::UnexpectedMagnitude { mean_mps2, hint });
         }
         if let Some((at_s, axis)) = self.rest.moved() {
             return Err(NoiseRefusal::NotAtRest { at_s, axis });
@@ -390,10 +436,14 @@ impl AllanVariance {
     fn axis(&self, axis: usize, spans: &Spans) -> Result<AxisNoise, NoiseRefusal> {
         let mut curve = Curve::new(self.rate_hz);
         let (mut floor_mps2, mut floor_tau_s) = (f64::INFINITY, 0.0);
+        let mut sample_sd_mps2 = 0.0;
         for (place, point) in self.points().enumerate() {
             let deviation = point.deviation_mps2[axis];
             if deviation <= 0.0 || deviation.is_nan() {
                 return Err(NoiseRefusal::Dead { axis });
+            }
+            if place == 0 {
+                sample_sd_mps2 = deviation;
             }
             curve.add(place, deviation * deviation, point.edf);
             if deviation < floor_mps2 {
@@ -413,6 +463,8 @@ impl AllanVariance {
             floor_mps2,
             floor_tau_s,
             misfit,
+            sample_sd_mps2,
+            step_mps2: self.step[axis],
         })
     }
 }

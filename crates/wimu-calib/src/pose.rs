@@ -8,6 +8,9 @@ pub struct Pose {
     pub mean_mps2: [f64; 3],
     /// Standard deviation of one sample per axis, m/s²; 0 where it is not known.
     pub sd_mps2: [f64; 3],
+    /// What rounding to the sensor's counts leaves in the mean per axis, m/s², 1 σ: holding it longer
+    /// does not lower it. 0 where noise dithers it away, and where it is not known.
+    pub rounding_sd_mps2: [f64; 3],
     /// How many samples the mean is of; 0 counts as 1.
     pub samples: u32,
     /// Mean temperature while it was held, °C, where one was given.
@@ -29,10 +32,16 @@ impl Pose {
         }
     }
 
-    /// Variance of the mean from the sensor's noise, mean of the axes, (m/s²)²; 0 where unknown.
+    /// Variance of the mean of an axis from the sensor's noise and rounding, (m/s²)²; 0 where
+    /// unknown. Equation (59).
+    pub(crate) fn noise(&self, axis: usize) -> f64 {
+        let of = |sd: &[f64; 3]| sd.get(axis).map_or(0.0, |sd| sd * sd);
+        of(&self.sd_mps2) / self.weight() + of(&self.rounding_sd_mps2)
+    }
+
+    /// The same, mean of the axes.
     pub(crate) fn mean_noise(&self) -> f64 {
-        let variance: f64 = self.sd_mps2.iter().map(|sd| sd * sd).sum();
-        variance / (3.0 * self.weight())
+        (0..3).map(|axis| self.noise(axis)).sum::<f64>() / 3.0
     }
 
     /// How much the pose counts in a mean over poses.

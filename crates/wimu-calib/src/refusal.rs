@@ -141,6 +141,30 @@ pub enum UnitHint {
     NotGravity,
 }
 
+/// What it looks like, and what to do.
+impl fmt::Display for UnitHint {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::G => "which looks like g, not m/s²: multiply by 9.80665",
+            Self::Mps2TakenForG => {
+                "which looks like m/s² that were taken for g: say m/s² where it says g; or the \
+                 sensitivity is ten times too small"
+            }
+            Self::MilliGOrCounts => {
+                "which looks like mg or counts, not m/s²: multiply mg by 0.00980665, or divide by the \
+                 sensitivity in LSB per m/s²"
+            }
+            Self::Counts => {
+                "which looks like counts, not m/s²: divide by the sensitivity in LSB per m/s²"
+            }
+            Self::NotGravity => {
+                "not gravity in m/s²: check the unit, the sensitivity, and that the sensor measures \
+                 on all axes"
+            }
+        })
+    }
+}
+
 impl fmt::Display for Refusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
@@ -166,25 +190,7 @@ impl fmt::Display for Refusal {
                 "pose {pose} (from 0) has a value that is not a finite number: remove it"
             ),
             Self::UnexpectedMagnitude { mean_mps2, hint } => {
-                write!(out, "the poses' mean magnitude is {mean_mps2:.4}, ")?;
-                out.write_str(match hint {
-                    UnitHint::G => "which looks like g, not m/s²: multiply by 9.80665",
-                    UnitHint::Mps2TakenForG => {
-                        "which looks like m/s² that were taken for g: say m/s² where it says g; or the \
-                         sensitivity is ten times too small"
-                    }
-                    UnitHint::MilliGOrCounts => {
-                        "which looks like mg or counts, not m/s²: multiply mg by 0.00980665, or \
-                         divide by the sensitivity in LSB per m/s²"
-                    }
-                    UnitHint::Counts => {
-                        "which looks like counts, not m/s²: divide by the sensitivity in LSB per m/s²"
-                    }
-                    UnitHint::NotGravity => {
-                        "not gravity in m/s²: check the unit, the sensitivity, and that the sensor \
-                         measures on all axes"
-                    }
-                })
+                write!(out, "the poses' mean magnitude is {mean_mps2:.4}, {hint}")
             }
             Self::NotObservable {
                 model,

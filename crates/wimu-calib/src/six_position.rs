@@ -166,7 +166,7 @@ struct Side {
     /// Σ w² over the poses.
     weight_squares: f64,
     sum: [f64; 3],
-    /// Σ w² sd² / samples.
+    /// Σ w² times the noise of its mean.
     noise: [f64; 3],
 }
 
@@ -178,7 +178,7 @@ impl Side {
         self.weight_squares += sign * w * w;
         for axis in 0..3 {
             self.sum[axis] += sign * w * pose.mean_mps2[axis];
-            self.noise[axis] += sign * w * pose.sd_mps2[axis] * pose.sd_mps2[axis];
+            self.noise[axis] += sign * w * w * pose.noise(axis);
         }
     }
 

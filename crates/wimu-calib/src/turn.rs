@@ -251,10 +251,6 @@ fn plane<const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 2]> {
 fn one_axis<const N: usize>(turn: &[Pose; N], axis: usize, g: f64, placement: Placement) -> Axis {
     let n = N as f64;
     let readings = turn.each_ref().map(|pose| pose.mean_mps2[axis]);
-    let noise = |pose: &Pose| {
-        let sd = pose.sd_mps2[axis];
-        sd * sd / pose.weight()
-    };
     let harmonic = Harmonic::of(readings);
     let amplitude = harmonic.size();
     let begin = -harmonic.phase();
@@ -267,7 +263,7 @@ fn one_axis<const N: usize>(turn: &[Pose; N], axis: usize, g: f64, placement: Pl
         // Of one reading: a step that is off, an axis that is not level, noise.
         let variance = tilt * amplitude * amplitude * s * s
             + tilt * CROSS_AXIS * CROSS_AXIS * g * g
-            + noise(pose);
+            + pose.noise(axis);
         found.bias_variance += variance / (n * n);
         found.scale_variance += 4.0 / (n * n) * c * c * variance / (g * g);
         found.both += 2.0 / (n * n) * c * variance / g;

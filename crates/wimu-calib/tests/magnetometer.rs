@@ -3,7 +3,7 @@
 mod common;
 
 use common::Random;
-use wimu_calib::{MagneticPose, MagneticRefusal, magnetometer};
+use wimu_calib::{MagneticPose, MagneticRefusal, MirroredAxes, magnetometer};
 use wimu_model::Alignment;
 
 const FIELD: f64 = 48_000.0;
@@ -61,7 +61,7 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
     for seed in 0..1000 {
         let mut random = Random(seed);
         let (soft, hard, rotation, poses) = sensor(&mut random, 40, 150.0);
-        let Ok(found) = magnetometer(&poses) else {
+        let Ok(found) = magnetometer(&poses, None) else {
             continue;
         };
         lost += found.rejected.as_slice().len();
@@ -110,18 +110,18 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
 fn what_tells_no_magnetometer_is_refused() {
     let mut random = Random(7);
     let (.., poses) = sensor(&mut random, 40, 100.0);
-    assert!(magnetometer(&poses).is_ok());
-    let few = magnetometer(&poses[..8]);
+    assert!(magnetometer(&poses, None).is_ok());
+    let few = magnetometer(&poses[..8], None);
     assert_eq!(few, Err(MagneticRefusal::TooFewPoses { have: 8, need: 12 }));
     let mut bad = poses.clone();
     bad[3].output_nt[1] = f64::NAN;
     assert_eq!(
-        magnetometer(&bad),
+        magnetometer(&bad, None),
         Err(MagneticRefusal::NotFinite { pose: 3 })
     );
     let same = vec![poses[0]; 40];
     assert!(matches!(
-        magnetometer(&same),
+        magnetometer(&same, None),
         Err(MagneticRefusal::NotObservable { .. })
     ));
     let mirrored: Vec<_> = poses
@@ -131,17 +131,23 @@ fn what_tells_no_magnetometer_is_refused() {
             ..*p
         })
         .collect();
-    // A mirrored one passes for a field of the opposite dip.
-    let model = magnetometer(&mirrored).expect("a model").model;
+    // It passes for a right one turned over, in a field of the opposite dip: the place tells.
+    assert!(matches!(
+        magnetometer(&mirrored, None),
+        Err(MagneticRefusal::Mirrored { dip_rad, .. }) if (dip_rad + DIP).abs() < 0.01
+    ));
+    let model = magnetometer(&mirrored, Some(-DIP)).expect("a model").model;
     let dip = model.terms().to_accelerometer.expect("a rotation").dip_rad;
     assert!((f64::from(dip) + DIP).abs() < 0.01, "{dip}");
+    assert!(magnetometer(&poses, Some(-DIP)).is_err());
+    assert!(magnetometer(&poses, Some(0.5 * DIP)).is_ok());
     let others: Vec<_> = (0..40)
         .map(|k| MagneticPose {
             up: poses[(k + 1) % 40].up,
             ..poses[k]
         })
         .collect();
-    let refused = magnetometer(&others);
+    let refused = magnetometer(&others, None);
     assert!(
         matches!(refused, Err(MagneticRefusal::DipNotConstant { .. })),
         "{refused:?}"
@@ -150,7 +156,105 @@ fn what_tells_no_magnetometer_is_refused() {
     for (k, pose) in disturbed.iter_mut().enumerate() {
         pose.output_nt[k % 3] += 30_000.0 * (k as f64).sin();
     }
-    assert!(magnetometer(&disturbed).is_err());
+    assert!(magnetometer(&disturbed, None).is_err());
+}
+
+/// A chip whose axes are parallel to the accelerometer's, in `count` orientations, after `change`.
+fn parallel(count: u32, change: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<MagneticPose> {
+    let mut random = Random(21);
+    (0..count)
+        .map(|_| {
+            let up = random.direction();
+            let side = common::unit(common::cross(up, random.direction()));
+            let output = std::array::from_fn(|i| {
+                FIELD * (DIP.cos() * side[i] - DIP.sin() * up[i])
+                    + [9_000.0, -4_000.0, 12_000.0][i]
+                    + 100.0 * random.normal()
+            });
+            MagneticPose {
+                output_nt: change(output),
+                up,
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn a_negated_or_exchanged_axis_is_named() {
+    type Change = fn([f64; 3]) -> [f64; 3];
+    let changes: [(Change, MirroredAxes); 6] = [
+        (|[x, y, z]| [-x, y, z], MirroredAxes::One(0)),
+        (|[x, y, z]| [x, -y, z], MirroredAxes::One(1)),
+        (|[x, y, z]| [x, y, -z], MirroredAxes::One(2)),
+        (|[x, y, z]| [-x, -y, -z], MirroredAxes::All),
+        (|[x, y, z]| [y, x, z], MirroredAxes::Exchanged(0, 1)),
+        (|[x, y, z]| [x, z, y], MirroredAxes::Exchanged(1, 2)),
+    ];
+    for (change, expected) in changes {
+        match magnetometer(&parallel(30, change), None) {
+            Err(MagneticRefusal::Mirrored { axes, dip_rad }) => {
+                assert_eq!(axes, expected);
+                assert!((dip_rad + DIP).abs() < 0.02);
+            }
+            other => panic!("{expected:?}: {other:?}"),
+        }
+    }
+    // Turned by quarters or over, as boards mount it, it is right.
+    let turns: [Change; 3] = [|m| m, |[x, y, z]| [y, -x, z], |[x, y, z]| [-x, -y, z]];
+    for turned in turns {
+        assert!(magnetometer(&parallel(30, turned), None).is_ok());
+    }
+}
+
+/// What a magnet or iron that stays beside the board adds in the first poses.
+#[test]
+fn many_disturbed_poses_are_left_out_or_named_as_such() {
+    let (mut left_out, mut named, mut wrong) = (0, 0, 0);
+    for seed in 0..30 {
+        let mut random = Random(seed);
+        let (_, hard, _, clean) = sensor(&mut random, 40, 150.0);
+        let push = common::unit([0; 3].map(|_| random.normal())).map(|p| 15_000.0 * p);
+        let disturbed = |count: usize| {
+            let mut poses = clean.clone();
+            for pose in &mut poses[..count] {
+                for (axis, push) in pose.output_nt.iter_mut().zip(push) {
+                    *axis += push;
+                }
+            }
+            magnetometer(&poses, None)
+        };
+        let mut off = |found: &wimu_calib::MagneticEstimate| {
+            let terms = found.model.terms();
+            wrong += u32::from((0..3).any(|k| {
+                let off = f64::from(terms.hard_iron_nt[k]) - hard[k];
+                off.abs() > 5.0 * f64::from(terms.hard_iron_sd_nt[k])
+            }));
+        };
+        // As many as may be left out.
+        match disturbed(6) {
+            Ok(found) => {
+                off(&found);
+                left_out += 1;
+            }
+            Err(MagneticRefusal::FieldNotConstant { .. }) => {}
+            other => panic!("seed {seed}: {other:?}"),
+        }
+        // More than that: named, unless some of them hardly show.
+        match disturbed(10) {
+            Ok(found) => off(&found),
+            Err(MagneticRefusal::FieldNotConstant { disturbed, .. }) => {
+                let poses = disturbed.as_slice();
+                let right = poses.iter().filter(|pose| **pose < 10).count();
+                named += u32::from(right >= 7 && right == poses.len());
+            }
+            Err(MagneticRefusal::DipNotConstant { .. }) => {}
+            other => panic!("seed {seed}: {other:?}"),
+        }
+    }
+    println!(
+        "6 of 40 left out in {left_out} of 30, {wrong} wrong; 10 of 40 named in {named} of 30"
+    );
+    assert!(left_out >= 27 && wrong <= 1 && named >= 15);
 }
 
 #[test]
@@ -162,7 +266,7 @@ fn poses_beside_iron_are_named_as_far_as_they_show() {
         // An eighth of the field: along it that is length, across it dip or, in a few, hardly either.
         poses[3].output_nt[0] += 6_000.0;
         poses[17].output_nt[2] -= 6_000.0;
-        let found = magnetometer(&poses).expect("a model");
+        let found = magnetometer(&poses, None).expect("a model");
         let named = found.rejected.as_slice();
         assert!(
             named.iter().all(|pose| [3, 17].contains(pose)),
@@ -190,7 +294,7 @@ fn other_units_dead_and_clipped_axes_and_a_turn_about_one_axis_are_named() {
         for (k, pose) in poses.iter_mut().enumerate() {
             change(k, &mut pose.output_nt);
         }
-        magnetometer(&poses).unwrap_err()
+        magnetometer(&poses, None).unwrap_err()
     };
     // µT taken for T, G for µT, mG for µT, T for µT, and a motor's field.
     for factor in [1e6, 0.01, 10.0, 1e-6, 100.0] {
@@ -231,7 +335,7 @@ fn other_units_dead_and_clipped_axes_and_a_turn_about_one_axis_are_named() {
             }
         })
         .collect();
-    let refused = magnetometer(&level);
+    let refused = magnetometer(&level, None);
     assert!(
         matches!(refused, Err(MagneticRefusal::NotObservable { .. })),
         "{refused:?}"

@@ -4,7 +4,7 @@ mod common;
 
 use common::Random;
 use proptest::prelude::*;
-use wimu_calib::{AllanVariance, Measured, NoiseRefusal};
+use wimu_calib::{AllanVariance, Measured, NoiseRefusal, UnitHint};
 
 fn run(rate_hz: f64, samples: &[[f64; 3]]) -> AllanVariance {
     let mut allan = AllanVariance::new(rate_hz);
@@ -190,7 +190,7 @@ fn coverage(recordings: u64, n: usize, truth: Truth) -> [Held; 3] {
         let axes = [0; 3].map(|_| noise(&mut random, n, truth));
         let mut allan = AllanVariance::new(RATE);
         for k in 0..n {
-            allan.push([axes[0][k], axes[1][k], axes[2][k]]);
+            allan.push([axes[0][k], axes[1][k], 9.81 + axes[2][k]]);
         }
         for found in allan.result().expect("noise") {
             let root = RATE.sqrt();
@@ -264,7 +264,7 @@ fn intervals_of_long_recordings_hold_the_truth() {
 #[test]
 fn hum_and_samples_that_come_twice_are_no_noise() {
     let mut random = Random(11);
-    let mut rest = || [0; 3].map(|_| 0.02 * random.normal());
+    let mut rest = || [0.0, 0.0, 9.81].map(|f| f + 0.02 * random.normal());
     let plain: Vec<_> = (0..20_000).map(|_| rest()).collect();
     let mut hum = plain.clone();
     for (k, sample) in hum.iter_mut().enumerate() {
@@ -279,6 +279,58 @@ fn hum_and_samples_that_come_twice_are_no_noise() {
         let found = run(RATE, &samples).result().expect("noise");
         let misfits = found.map(|axis| axis.misfit);
         assert_eq!(found.map(|axis| axis.is_noise()), noise, "{misfits:?}");
+    }
+}
+
+#[test]
+fn a_rest_that_is_not_gravity_in_si_is_refused_with_the_unit_it_looks_like() {
+    let mut random = Random(7);
+    let mut rest = |size: f64| {
+        let samples: Vec<_> = (0..2000)
+            .map(|_| [0.3, -0.2, 0.93].map(|f| size * (f + 0.002 * random.normal())))
+            .collect();
+        run(RATE, &samples).result()
+    };
+    for (size, expected) in [
+        (1.0, UnitHint::G),
+        (9.81 * 9.80665, UnitHint::Mps2TakenForG),
+        (1000.0, UnitHint::MilliGOrCounts),
+        (16384.0, UnitHint::Counts),
+        (0.01, UnitHint::NotGravity),
+    ] {
+        match rest(size) {
+            Err(NoiseRefusal::UnexpectedMagnitude { hint, .. }) => assert_eq!(hint, expected),
+            other => panic!("{size}: {other:?}"),
+        }
+    }
+    assert!(rest(9.81).is_ok());
+}
+
+#[test]
+fn counts_coarser_than_the_noise_are_told_from_finer_ones() {
+    let mut random = Random(8);
+    let mut rest = |step: f64| {
+        let samples: Vec<_> = (0..5000)
+            .map(|_| {
+                [0.013, -0.021, 9.81].map(|f| {
+                    let y = f + 0.02 * random.normal();
+                    if step > 0.0 {
+                        (y / step).round() * step
+                    } else {
+                        y
+                    }
+                })
+            })
+            .collect();
+        run(RATE, &samples).result().expect("noise")
+    };
+    for (step, coarse) in [(0.0, false), (0.01, false), (0.06, true)] {
+        for axis in rest(step) {
+            assert_eq!(axis.is_coarse(), coarse, "{step}: {axis:?}");
+            if step > 0.0 {
+                assert!((axis.step_mps2 / step - 1.0).abs() < 1e-9, "{axis:?}");
+            }
+        }
     }
 }
 

@@ -49,7 +49,9 @@ impl std::str::FromStr for BodyAxis {
 pub struct AlignOptions {
     /// The body axis that points up at each rest, in order.
     pub up: Vec<BodyAxis>,
-    /// After the first rest it was moved straight along the body's x.
+    /// Which rests these are, from 0, in order; where it is not said, there must be no others.
+    pub rests: Option<Vec<usize>>,
+    /// After the first of them it was moved straight along the body's x.
     pub forward: bool,
     /// How well the body was placed and pushed, rad, 1 σ.
     pub placement_sd_rad: f64,
@@ -68,6 +70,8 @@ pub struct AlignmentReport {
     pub source: String,
     /// Rests found.
     pub rests: usize,
+    /// Which they are, the first 64.
+    pub found: Vec<FoundRest>,
     /// Sensor axes to body axes, quaternion W, X, Y, Z.
     pub alignment_wxyz: Option<[f64; 4]>,
     /// Standard deviation of its error about the body's axes, degrees.
@@ -78,6 +82,17 @@ pub struct AlignmentReport {
     pub parameters: Option<ParameterSet>,
     /// Its id.
     pub parameter_id: Option<String>,
+}
+
+/// A rest that was found.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct FoundRest {
+    /// When it begins, s from the first sample.
+    pub from_s: f64,
+    /// When it ends.
+    pub to_s: f64,
+    /// Mean corrected specific force, m/s², sensor axes: it points up.
+    pub up_m_s2: [f64; 3],
 }
 
 impl AlignmentReport {
@@ -115,6 +130,14 @@ pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> 
         reason: None,
         source: data.name.clone(),
         rests: found,
+        found: rests
+            .iter()
+            .map(|rest| FoundRest {
+                from_s: rest.first_sample as f64 / data.rate_hz,
+                to_s: (rest.first_sample + u64::from(rest.samples)) as f64 / data.rate_hz,
+                up_m_s2: rest.mean_mps2,
+            })
+            .collect(),
         alignment_wxyz: None,
         sd_deg: None,
         residual_deg: None,
@@ -154,18 +177,32 @@ fn directions(
             rests.len()
         ));
     }
-    let mut known: Vec<KnownDirection> = options
-        .up
-        .iter()
-        .zip(rests)
-        .map(|(up, rest)| KnownDirection {
+    let chosen: Vec<usize> = match &options.rests {
+        Some(chosen) => chosen.clone(),
+        None if rests.len() > needed => {
+            return Err(format!(
+                "{} rests found, --up names {needed}: name all in order, or choose those it names with \
+                 --rests, counted from 0",
+                rests.len()
+            ));
+        }
+        None => (0..needed).collect(),
+    };
+    let mut known = Vec::new();
+    for (up, chosen) in options.up.iter().zip(&chosen) {
+        let rest = rests.get(*chosen).ok_or_else(|| {
+            let last = rests.len() - 1;
+            format!("there is no rest {chosen}: they are 0 to {last}")
+        })?;
+        known.push(KnownDirection {
             sensor: rest.mean_mps2,
             body: up.0,
             sd_rad: options.placement_sd_rad,
-        })
-        .collect();
+        });
+    }
     if options.forward {
-        let (sensor, sd) = push(forces, rests, rate_hz)?;
+        let first = chosen.first().copied().unwrap_or(0);
+        let (sensor, sd) = push(forces, rests.get(first..).unwrap_or(&[]), rate_hz)?;
         known.push(KnownDirection {
             sensor,
             body: [1.0, 0.0, 0.0],
@@ -233,6 +270,14 @@ impl fmt::Display for AlignmentReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}: {} rests", self.source, self.rests)?;
         let Some(set) = &self.parameters else {
+            for (k, rest) in self.found.iter().enumerate() {
+                let [x, y, z] = rest.up_m_s2;
+                write!(
+                    out,
+                    "\nrest {k}: {:.1} to {:.1} s, up is {x:+.2} {y:+.2} {z:+.2} m/s² in sensor axes",
+                    rest.from_s, rest.to_s
+                )?;
+            }
             return write!(
                 out,
                 "\nrefused: {}",

@@ -56,6 +56,12 @@ pub struct AxisReport {
     pub misfit: f64,
     /// False where something else is in it: hum, samples that come twice, a drift.
     pub is_noise: bool,
+    /// Standard deviation from one sample to the next, m/s².
+    pub sample_sd_m_s2: f64,
+    /// Smallest step of the output, m/s²: one count, where it is in counts.
+    pub step_m_s2: f64,
+    /// Whether that step is larger than the noise: then the figures are those of rounding.
+    pub is_coarse: bool,
 }
 
 impl From<AxisNoise> for AxisReport {
@@ -70,6 +76,9 @@ impl From<AxisNoise> for AxisReport {
             floor_tau_s: noise.floor_tau_s,
             misfit: noise.misfit,
             is_noise: noise.is_noise(),
+            sample_sd_m_s2: noise.sample_sd_mps2,
+            step_m_s2: noise.step_mps2,
+            is_coarse: noise.is_coarse(),
         }
     }
 }
@@ -104,6 +113,8 @@ pub struct NoiseReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
+    /// What the numbers do not show.
+    pub remarks: Vec<String>,
     /// The data.
     pub source: String,
     /// Samples at rest.
@@ -258,16 +269,49 @@ impl NoiseMeter {
     }
 }
 
+/// What the numbers do not show.
+fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if source == RateSource::Assumed {
+        remarks.push(format!(
+            "the data have no times: {rate_hz} Hz assumed; every figure goes with its root"
+        ));
+    }
+    for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes.into_iter().flatten()) {
+        if axis.is_coarse {
+            remarks.push(format!(
+                "{name}: one step of the output is {:.2} mm/s², {:.1} times its noise: this is the \
+                 noise of rounding, not the sensor's; choose a smaller range or a higher resolution",
+                axis.step_m_s2 * 1e3,
+                axis.step_m_s2 / axis.sample_sd_m_s2
+            ));
+        } else if !axis.is_noise {
+            remarks.push(format!(
+                "{name}: this is no noise alone (χ² {:.0} times too large): hum, vibration, samples \
+                 that come twice or a drift; see the curve, and take the numbers as rough",
+                axis.misfit
+            ));
+        }
+    }
+    remarks
+}
+
 impl NoiseReport {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.noise/1";
 
     fn new(source: &str, rate_hz: f64, rate_source: RateSource, allan: &AllanVariance) -> Self {
         let found = allan.result();
+        let axes = found
+            .as_ref()
+            .ok()
+            .copied()
+            .map(|axes| axes.map(AxisReport::from));
         Self {
             schema: Self::SCHEMA,
             status: if found.is_ok() { "ok" } else { "refused" },
             reason: found.as_ref().err().map(ToString::to_string),
+            remarks: remarks(rate_hz, rate_source, axes.as_ref()),
             source: source.to_owned(),
             samples: allan.samples(),
             rate_hz,
@@ -277,7 +321,7 @@ impl NoiseReport {
             } else {
                 Vec::new()
             },
-            axes: found.ok().map(|axes| axes.map(AxisReport::from)),
+            axes,
         }
     }
 
@@ -338,9 +382,6 @@ impl fmt::Display for NoiseReport {
             self.samples as f64 / self.rate_hz,
             self.rate_hz
         )?;
-        if self.rate_source == RateSource::Assumed {
-            write!(out, " (assumed: the data have no times)")?;
-        }
         let Some(axes) = &self.axes else {
             return write!(
                 out,
@@ -380,14 +421,9 @@ impl fmt::Display for NoiseReport {
                     k.sd * ug
                 )?;
             }
-            if !axis.is_noise {
-                write!(
-                    out,
-                    "\n   this is no noise alone (χ² {:.0} times too large): hum, vibration, samples that \
-                     come twice or a drift; see the curve, and take the numbers as rough",
-                    axis.misfit
-                )?;
-            }
+        }
+        for remark in &self.remarks {
+            write!(out, "\n{remark}")?;
         }
         Ok(())
     }

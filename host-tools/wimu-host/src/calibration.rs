@@ -114,6 +114,7 @@ impl Poses {
         let scaled = |pose: &Pose| Pose {
             mean_mps2: pose.mean_mps2.map(|axis| axis * change),
             sd_mps2: pose.sd_mps2.map(|axis| axis * change),
+            rounding_sd_mps2: pose.rounding_sd_mps2.map(|axis| axis * change),
             ..*pose
         };
         self.poses.iter().map(scaled).collect()
@@ -236,7 +237,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
         status: if estimate.is_some() { "ok" } else { "refused" },
-        reason: refusal.as_ref().map(Refusal::to_string),
+        reason: refusal.as_ref().map(|refusal| reason(refusal, &fitted)),
         remarks: remarks(data, options, estimate.as_ref(), sensitivity, lsb_per_g),
         source: data.name.clone(),
         method: options.method.name(),
@@ -289,6 +290,25 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     })
 }
 
+/// Why it was refused; six sides have a method of their own.
+fn reason(refusal: &Refusal, poses: &[Pose]) -> String {
+    let mut reason = refusal.to_string();
+    let sides = Face::ALL
+        .iter()
+        .all(|face| poses.iter().any(|pose| Face::of(pose) == Some(*face)));
+    let lacks = matches!(
+        refusal,
+        Refusal::TooFewPoses { .. }
+            | Refusal::NotObservable { .. }
+            | Refusal::PoorPrediction { .. }
+    );
+    if sides && lacks {
+        reason += "; the six sides are all there: if they were squared, --method six-position gives \
+                   all 12 parameters";
+    }
+    reason
+}
+
 /// Samples among which hardly a pose is found may be in another unit than is said: then their noise
 /// passes for motion. Those of unknown worth have none.
 fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal> {
@@ -314,6 +334,10 @@ fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal
 
 /// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
+
+/// Why a calibration cannot go to a board.
+const NO_SENSITIVITY: &str = "the data are in m/s²: to push or export this calibration, calibrate \
+     again with --sensitivity, the nominal LSB/g of the board's range";
 
 /// What the numbers do not show.
 fn remarks(
@@ -362,6 +386,9 @@ fn remarks(
             "{lsb_per_g:.1} LSB/g is outside what a board can be told (160 to 65536): this calibration \
              cannot be pushed or exported"
         ));
+    }
+    if lsb_per_g.is_none() {
+        remarks.push(NO_SENSITIVITY.to_owned());
     }
     let told = options.method == MethodChoice::SixPosition && options.sides.is_some();
     if !told {

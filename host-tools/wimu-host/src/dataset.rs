@@ -303,6 +303,12 @@ fn choose(name: &str, sensors: &[Option<u32>], wanted: Option<u32>) -> Result<us
             format!("choose one with --accelerometer: {}", list()),
         )
         .at(name)),
+        ([None], Some(number)) => Err(HostError::new(
+            ErrorCode::Usage,
+            format!("its one accelerometer has no number, and is not accelerometer {number}"),
+            "leave --accelerometer out",
+        )
+        .at(name)),
         (_, Some(number)) => sensors
             .iter()
             .position(|sensor| *sensor == Some(number))

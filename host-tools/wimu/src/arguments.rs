@@ -332,8 +332,10 @@ impl From<Role> for wimu_link::LinkRole {
 Example: wimu calibrate session.mcap -o CAL.json
          wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
          wimu calibrate session.csv --model auto+drift --report report.html
+         wimu calibrate sides.csv --method six-position --sides x,-x,y,-y,z,-z --placement-sd 0.5
          wimu calibrate turns.csv --method four-angle --placement-sd 0.5
          wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
+         wimu calibrate later.csv --method update --with CAL.json -o NOW.json
          wimu calibrate session.mcap --method reference           (wireless against cable)
          wimu calibrate two.csv --method reference --reference 0 --accelerometer 1
          wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json")]
@@ -382,7 +384,8 @@ pub struct Calibrate {
     /// Which accelerometer of a CSV file is the reference; without it the first (method reference)
     #[arg(long, value_name = "N")]
     pub reference: Option<u32>,
-    /// How exactly six positions or steps of a turn were placed, 1 σ; without it 1
+    /// How exactly six positions or steps of a turn were placed, 1 σ; without it 1 (six-position,
+    /// four-angle, three-angle)
     #[arg(long, value_name = "DEG")]
     pub placement_sd: Option<f64>,
     /// Which side was up in each pose, in order, such as "x,-x,y,-y,z,-z" (six-position): finds
@@ -395,9 +398,13 @@ pub struct Calibrate {
     /// Of which link of a recording; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
-    /// How many poses to capture from a live board
-    #[arg(long, value_name = "N", default_value_t = 12)]
-    pub count: usize,
+    /// How many poses to capture (LINK only); without it 12
+    #[arg(long, value_name = "N")]
+    pub count: Option<usize>,
+    /// The dip of the Earth's field at the place, negative south of the magnetic equator; its sign
+    /// tells a mirrored axis, and without it the field points down (magnetometer)
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub dip: Option<f64>,
     /// The input is another maker's file; choose with --accelerometer
     #[arg(long, value_enum)]
     pub format: Option<Foreign>,
@@ -410,6 +417,8 @@ pub struct Calibrate {
 #[command(after_help = "\
 Example: wimu align rests.mcap --up z,x -o CAL.json
            it stood level (the body's z up), then on its tail (the body's x up)
+         wimu align rests.mcap --up z,x --rests 0,2
+           the second of three rests was an accident
          wimu align push.mcap --forward --calibration CAL.json -o ALIGNED.json
            it stood level, was pushed straight ahead, and stood still again
          wimu align tcp://127.0.0.1:7100 --up z,x --push
@@ -427,7 +436,10 @@ pub struct Align {
         allow_hyphen_values = true
     )]
     pub up: Vec<String>,
-    /// After the first rest it was moved straight ahead, along the body's x
+    /// Which rests these are, from 0, where it rested more often than --up names
+    #[arg(long, value_name = "N", value_delimiter = ',')]
+    pub rests: Option<Vec<usize>>,
+    /// After the first of these rests it was moved straight ahead, along the body's x
     #[arg(long)]
     pub forward: bool,
     /// How the sensor is calibrated; without it, as the recording or the device says

@@ -95,6 +95,8 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
         assert_eq!(code, 0, "{unit}: {report}");
         assert!(near(&hard_iron(&report)), "{unit}: {report}");
         assert!((report["dip_deg"].as_f64().unwrap() - 65.6).abs() < 0.5);
+        let remark = report["remarks"][0].as_str().unwrap();
+        assert!(remark.contains("--dip"), "{report}");
     }
     assert!(fs::read_to_string(&page).unwrap().contains("|B|"));
 
@@ -148,8 +150,46 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
         let told = report["reason"].as_str().unwrap();
         assert!(code == 3 && told.contains(reason), "{reason}: {report}");
         assert!(report["parameters"].is_null());
-        assert!(!report["next_poses"].as_array().unwrap().is_empty());
     }
+
+    // A phone beside eleven poses of thirty: these are named, and no pose is advised that mends nothing.
+    let (code, report) = run(
+        &changed(&|k, field| field[0] += if k < 11 { 14.0 } else { 0.0 }),
+        "µT",
+        &page,
+    );
+    let told = report["reason"].as_str().unwrap();
+    assert!(
+        code == 3 && told.contains("disturbed in poses") && told.contains(", 8, 9, 10 (from 0)"),
+        "{report}"
+    );
+    assert_eq!(report["next_poses"].as_array().unwrap().len(), 0);
+
+    // An axis that the driver negates, and the same readings south of the magnetic equator.
+    let negated = changed(&|_, field| field[1] = -field[1]);
+    let (code, report) = run(&negated, "µT", &page);
+    let told = report["reason"].as_str().unwrap();
+    assert!(
+        code == 3 && told.contains("axis Y is negated") && told.contains("--dip -66"),
+        "{report}"
+    );
+    let dipping = |place: &str| {
+        let with = [
+            "--sensor",
+            "magnetometer",
+            "--with",
+            &accelerometer,
+            "--dip",
+            place,
+        ];
+        wimu(&[&of[..], &[both.as_str()], &with].concat())
+    };
+    let south = dipping("-60").succeeds();
+    assert_eq!(south["remarks"].as_array().unwrap().len(), 0, "{south}");
+    let bent = dipping("-30").succeeds();
+    assert!(bent["remarks"][0].as_str().unwrap().contains("bends"));
+    assert_eq!(dipping("60").code, 3);
+    dipping("100").fails(2, "usage");
 
     // Too few, and which to add.
     let (code, report) = run(&poses()[..8], "µT", &page);

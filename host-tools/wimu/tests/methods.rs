@@ -241,6 +241,32 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
     // What it wrote is a calibration again.
     let again = wimu(&["align", &csv, "--calibration", &aligned, "--up", "z,x"]).succeeds();
     assert_eq!(again["rests"], 2);
+    assert_eq!(again["found"].as_array().unwrap().len(), 2);
+
+    // An accidental rest between: which are meant is asked, and can be said.
+    let thrice = table(
+        &|t| {
+            let step = |from: f64| (t - from).clamp(0.0, 1.0);
+            let angle = (0.3 * step(5.0) + 0.7 * step(11.0)) * std::f64::consts::FRAC_PI_2;
+            [0.0, 9.81 * angle.sin(), 9.81 * angle.cos()]
+        },
+        17,
+    );
+    fs::write(&csv, thrice).unwrap();
+    let unclear = wimu(&["align", &csv, "--calibration", &cal, "--up", "z,x"]);
+    assert_eq!(unclear.code, 3, "{unclear:?}");
+    assert_eq!(unclear.object()["rests"], 3);
+    assert!(unclear.stderr.contains("rest 1: ") && unclear.stderr.contains("--rests"));
+    for (found, expected) in of(&["--up", "z,x", "--rests", "0,2"])
+        .iter()
+        .zip([half, 0.0, 0.0, -half])
+    {
+        assert!((found - expected).abs() < 0.01, "{found} {expected}");
+    }
+    for wrong in [["--rests", "0"], ["--rests", "2,0"]] {
+        let of = ["align", &csv, "--calibration", &cal, "--up", "z,x"];
+        wimu(&[&of[..], &wrong].concat()).fails(2, "usage");
+    }
 
     // The same by a push of 1 m along the sensor's y.
     let push = table(

@@ -26,7 +26,7 @@ fn calibrated(seed: u64) -> ParameterSet {
     let data = Dataset::from_link(rig.link(LinkRole::Cable).record(), "a session").unwrap();
     let accelerometer = calibrate(&data, &CalibrateOptions::default()).unwrap();
     let set = accelerometer.parameters.expect("calibrated");
-    let both = calibrate_magnetometer(&data, &set).unwrap();
+    let both = calibrate_magnetometer(&data, &set, None).unwrap();
     both.parameters.expect("calibrated")
 }
 

@@ -4,7 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{
-    Guide, MagneticEstimate, MagneticPose, Model, Orientation, Pose, find_poses, magnetometer,
+    Guide, MagneticEstimate, MagneticPose, MagneticRefusal, Model, Orientation, Pose, find_poses,
+    magnetometer,
 };
 use wimu_link::message::parameter_id;
 use wimu_model::{
@@ -27,6 +28,8 @@ pub struct MagnetometerReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
+    /// What the numbers do not show.
+    pub remarks: Vec<String>,
     /// The data.
     pub source: String,
     /// `magnetometer`.
@@ -74,14 +77,19 @@ impl MagnetometerReport {
 }
 
 /// Estimates the magnetometer beside an accelerometer that `set` corrects; its model takes the place
-/// of the one in `set`.
+/// of the one in `set`. `dip_rad` is the field's dip at the place, rad, positive down; without it the field
+/// points down.
 ///
 /// Data that do not support an answer give a report that says so.
 ///
 /// # Errors
 /// `csv_missing_column`, `data_refused` without a magnetic field; `data_refused` when the data were
 /// taken at another range than that of `set`.
-pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<MagnetometerReport> {
+pub fn calibrate_magnetometer(
+    data: &Dataset,
+    set: &ParameterSet,
+    dip_rad: Option<f64>,
+) -> Result<MagnetometerReport> {
     check(data, set)?;
     let scale = match data.unit {
         OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
@@ -143,6 +151,7 @@ pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<Magn
         schema: HELD_SCHEMA,
         status: "refused",
         reason: None,
+        remarks: Vec::new(),
         source: data.name.clone(),
         sensor: "magnetometer",
         rests: rests.len(),
@@ -156,10 +165,28 @@ pub fn calibrate_magnetometer(data: &Dataset, set: &ParameterSet) -> Result<Magn
         parameters: None,
         parameter_id: None,
     };
-    match magnetometer(&fitted) {
-        Err(refusal) => report.reason = Some(refusal.to_string()),
+    match magnetometer(&fitted, dip_rad) {
+        Err(refusal) => {
+            report.reason = Some(match refusal {
+                MagneticRefusal::Mirrored { dip_rad, .. } => {
+                    format!("{refusal}: --dip {:.0}", dip_rad.to_degrees())
+                }
+                _ => refusal.to_string(),
+            });
+            // More poses mend neither the axes nor the place.
+            if !matches!(
+                refusal,
+                MagneticRefusal::TooFewPoses { .. }
+                    | MagneticRefusal::NotObservable { .. }
+                    | MagneticRefusal::PoorPrediction { .. }
+            ) {
+                report.next_poses.clear();
+                report.poses_worth_adding = 0;
+            }
+        }
         Ok(found) => report.accept(&found, set, &fitted),
     }
+    report.remarks = report.remarks(data, dip_rad);
     Ok(report)
 }
 
@@ -196,6 +223,11 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
     }
 }
 
+/// A dip nearer to level than this tells nothing of the axes' signs, degrees.
+const LEVEL_DEG: f64 = 5.0;
+/// Walls and floors bend the field by less than this, degrees.
+const BENT_DEG: f64 = 15.0;
+
 /// More orientations than this are not listed.
 const ADVISED: usize = 3;
 
@@ -222,6 +254,44 @@ fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
 }
 
 impl MagnetometerReport {
+    fn remarks(&self, data: &Dataset, dip_rad: Option<f64>) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if data.rate_source == RateSource::Assumed && !data.poses {
+            remarks.push(format!(
+                "the data have no times: {} Hz assumed",
+                data.rate_hz
+            ));
+        }
+        let few = self.poses.iter().filter(|pose| pose.fields < 2).count();
+        if few > 0 && !data.poses {
+            remarks.push(format!(
+                "{few} of {} poses have one reading of the field only: hold them longer",
+                self.poses.len()
+            ));
+        }
+        let Some(dip) = self.dip_deg else {
+            return remarks;
+        };
+        match dip_rad.map(f64::to_degrees) {
+            _ if dip.abs() < LEVEL_DEG => remarks.push(
+                "the field is nearly level: nothing here shows an axis of the magnetometer that is \
+                 negated or exchanged"
+                    .to_owned(),
+            ),
+            None => remarks.push(
+                "the field is taken to point down, as it does north of the magnetic equator; south of \
+                 it add --dip, such as --dip -60: else an axis that is negated passes unseen"
+                    .to_owned(),
+            ),
+            Some(place) if (dip - place).abs() > BENT_DEG => remarks.push(format!(
+                "the dip was found to be {dip:+.1}°, {place:+.1}° was given: iron about bends the field, \
+                 or the accelerometer's calibration is not this sensor's"
+            )),
+            Some(_) => {}
+        }
+        remarks
+    }
+
     fn say_next(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for pose in &self.next_poses {
             write!(
@@ -362,8 +432,7 @@ impl fmt::Display for MagnetometerReport {
             write!(
                 out,
                 "\nto the accelerometer {w:+.5} {i:+.5} {j:+.5} {k:+.5} ± {x:.2} {y:.2} {z:.2}°, \
-                 dip {:+.2}° ({:.2}° rms over the poses; negative north of the equator: an axis is \
-                 mirrored)",
+                 dip {:+.2}° ({:.2}° rms over the poses)",
                 r.dip_rad.to_degrees(),
                 r.dip_rms_rad.to_degrees()
             )?;
@@ -375,6 +444,9 @@ impl fmt::Display for MagnetometerReport {
                 out,
                 "\npose {pose} (from 0) left out: the field was disturbed there, |B| by {off:+.2} µT"
             )?;
+        }
+        for remark in &self.remarks {
+            write!(out, "\n{remark}")?;
         }
         match self.poses_worth_adding {
             0 => write!(out, "\nmore poses would change little"),

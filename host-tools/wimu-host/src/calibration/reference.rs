@@ -33,7 +33,7 @@ pub struct Paired {
     pub pairs: Vec<[[f64; 3]; 2]>,
     /// Sample rate, Hz.
     pub rate_hz: f64,
-    /// Sensitivity that turned counts into m/s²; `None` for data in m/s².
+    /// Sensitivity that turned counts into m/s², or that a board is to be told for data in m/s².
     pub sensitivity: Option<Sensitivity>,
     /// Full-scale range, ± *g*, where it is known.
     pub range_g: Option<u8>,
@@ -46,7 +46,7 @@ impl Paired {
     /// `None`) and `output` (the other one if `None` and there are two).
     ///
     /// `sensitivity`, LSB/g, is for both; where it is not given, the median magnitude of the
-    /// reference's counts is taken for 1 g.
+    /// reference's counts is taken for 1 g. Data in m/s² ask for it only so that a board can be told.
     ///
     /// # Errors
     /// Those of [`Dataset::from_csv`]; `usage` when the file does not have the two.
@@ -118,8 +118,8 @@ impl Paired {
         };
         let (x, y) = (load(reference)?, load(output)?);
         let sensitivity = match (x.unit, sensitivity) {
-            (OutputUnit::Mps2, _) => None,
-            (OutputUnit::Counts { .. }, Some(given)) => Some(given),
+            (_, Some(given)) => Some(given),
+            (OutputUnit::Mps2, None) => None,
             (OutputUnit::Counts { .. }, None) => Some(
                 Sensitivity::from_lsb_per_g(median_magnitude(&x)).map_err(|error| {
                     usage(
@@ -129,7 +129,10 @@ impl Paired {
                 })?,
             ),
         };
-        let scale = sensitivity.map_or(1.0, Sensitivity::mps2_per_lsb);
+        let scale = match (x.unit, sensitivity) {
+            (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
+            _ => 1.0,
+        };
         let si = |value: [f64; 3]| value.map(|axis| axis * scale);
         Ok(Self {
             reference: format!("accelerometer {reference}"),
@@ -269,7 +272,7 @@ pub struct ReferenceReport {
     pub noise_ratio_seen: bool,
     /// X, Y, Z.
     pub axes: Option<[AxisReport; 3]>,
-    /// Nominal sensitivity, LSB/g; `None` for data in m/s².
+    /// Nominal sensitivity, LSB/g; `None` for data in m/s² without one given.
     pub sensitivity_lsb_per_g: Option<f64>,
     /// The error model that makes the reference of the output.
     pub model: Option<ErrorTerms>,
@@ -467,6 +470,10 @@ impl fmt::Display for ReferenceReport {
             out,
             "± is 1 σ of {} degrees of freedom",
             self.dof.unwrap_or(0)
-        )
+        )?;
+        if self.parameters.is_none() {
+            write!(out, "\n{}", super::NO_SENSITIVITY)?;
+        }
+        Ok(())
     }
 }

@@ -453,6 +453,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         parameters: Option<ParameterSet>,
         parameter_id: Option<String>,
         model: Option<ErrorTerms>,
+        sensitivity_lsb_per_g: Option<f64>,
     }
     let name = path.display().to_string();
     let bad =
@@ -490,8 +491,12 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     }
     let said_twice = !held(&file);
     let set = file.parameters.ok_or_else(|| {
+        let why = match file.sensitivity_lsb_per_g {
+            Some(own) => format!("{own:.1} LSB/g is not what a board can be told"),
+            None => "its data were in m/s²".to_owned(),
+        };
         bad(
-            "it has no parameters for a board: its data were in m/s²".to_owned(),
+            format!("it has no parameters for a board: {why}"),
             "calibrate again with --sensitivity, the nominal LSB/g of the board's range",
         )
         .at(&name)

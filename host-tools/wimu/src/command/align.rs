@@ -25,6 +25,7 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
             .iter()
             .map(|axis| axis.parse())
             .collect::<Result<_>>()?,
+        rests: arguments.rests.clone(),
         forward: arguments.forward,
         placement_sd_rad: arguments.placement_sd.to_radians(),
     };
@@ -38,6 +39,14 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         return Err(usage(
             "one direction leaves a rotation about it open",
             "name a second rest, `--up z,x`, or add --forward",
+        ));
+    }
+    if let Some(rests) = &options.rests
+        && (rests.len() != options.up.len() || !rests.is_sorted_by(|a, b| a < b))
+    {
+        return Err(usage(
+            "--rests does not name one rest for each axis of --up, in order",
+            "such as --up z,x --rests 0,2: the first rest is 0",
         ));
     }
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;

@@ -26,6 +26,7 @@ use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 when the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+    only_what_counts(arguments)?;
     if arguments.sensor == Calibrated::Magnetometer {
         return magnetometer::run(arguments, output);
     }
@@ -104,6 +105,62 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
     output.object(&report);
     Ok(report.exit_code())
+}
+
+/// Refuses what the input or the method would pass over in silence.
+fn only_what_counts(arguments: &Calibrate) -> Result<()> {
+    let input = match arguments.format {
+        Some(_) => None,
+        None => Some(Input::parse(&arguments.input)?),
+    };
+    let (link, recording) = match input {
+        Some(Input::Link(_)) => (true, false),
+        Some(Input::Recording(_)) => (false, true),
+        _ => (false, false),
+    };
+    let csv = !link && !recording;
+    let known_orientations = matches!(
+        arguments.method,
+        Method::SixPosition | Method::FourAngle | Method::ThreeAngle
+    );
+    let magnetometer = arguments.sensor == Calibrated::Magnetometer;
+    let passed_over = [
+        ("--count", arguments.count.is_some() && !link, "a LINK only"),
+        (
+            "--where",
+            arguments.filter.is_some() && !csv,
+            "a CSV file only",
+        ),
+        ("--poses", arguments.poses && !csv, "a CSV file only"),
+        (
+            "--accelerometer",
+            arguments.accelerometer.is_some() && !csv,
+            "a CSV file only",
+        ),
+        (
+            "--link",
+            arguments.link.is_some() && !recording,
+            "a recording only",
+        ),
+        (
+            "--placement-sd",
+            arguments.placement_sd.is_some() && !known_orientations,
+            "--method six-position, four-angle or three-angle only",
+        ),
+        (
+            "--dip",
+            arguments.dip.is_some() && !magnetometer,
+            "--sensor magnetometer only",
+        ),
+    ];
+    match passed_over.into_iter().find(|(_, given, _)| *given) {
+        Some((flag, _, what)) => Err(HostError::new(
+            ErrorCode::Usage,
+            format!("{flag} goes with {what}"),
+            "leave it out",
+        )),
+        None => Ok(()),
+    }
 }
 
 /// One stream against another of the same motion.
@@ -338,6 +395,8 @@ fn side(text: &str) -> Result<Face> {
 
 /// Most poses of a live calibration.
 const ROOM: usize = 64;
+/// Poses of a live calibration where nothing is said.
+const POSES: usize = 12;
 
 /// Tells of every `s` that a person enters; of none where nobody sits at a terminal.
 fn skips() -> mpsc::Receiver<()> {
@@ -362,21 +421,22 @@ fn collect<T: Transport>(
     output: Output,
 ) -> Result<Dataset> {
     let six = arguments.method == Method::SixPosition;
+    let count = arguments.count.unwrap_or(POSES);
     let fewest = match options.model {
         ModelChoice::Fixed(model) => model.parameters() + 1,
         ModelChoice::Auto => Model::Bias3.parameters() + 1,
     };
-    if arguments.count > ROOM {
+    if count > ROOM {
         return Err(HostError::new(
             ErrorCode::Usage,
-            format!("--count {} is more than {ROOM} poses", arguments.count),
+            format!("--count {count} is more than {ROOM} poses"),
             "twelve to twenty are enough",
         ));
     }
-    if !six && arguments.count < fewest {
+    if !six && count < fewest {
         return Err(HostError::new(
             ErrorCode::Usage,
-            format!("--count {} poses do not suffice", arguments.count),
+            format!("--count {count} poses do not suffice"),
             format!("give {fewest} or more, or a smaller --model"),
         ));
     }
@@ -384,14 +444,13 @@ fn collect<T: Transport>(
         "hold the board still with each of its six sides up, in any order".to_owned()
     } else {
         format!(
-            "hold the board still in {} orientations, as advised or as different as you can; Ctrl-C \
-             ends early, s and Enter skips what cannot be reached",
-            arguments.count
+            "hold the board still in {count} orientations, as advised or as different as you can; \
+             Ctrl-C ends early, s and Enter skips what cannot be reached"
         )
     });
     let stop = interrupted()?;
     let skips = skips();
-    let wanted = if six { ROOM } else { arguments.count };
+    let wanted = if six { ROOM } else { count };
     let model = match options.model {
         ModelChoice::Fixed(model) => model,
         ModelChoice::Auto => Model::Full9,

@@ -40,6 +40,14 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         poses: arguments.poses,
         role: arguments.link.map(Into::into),
     };
+    let right = -90.0..=90.0;
+    if arguments.dip.is_some_and(|dip| !right.contains(&dip)) {
+        return Err(usage(
+            "--dip is outside -90 to 90 degrees".to_owned(),
+            "give the angle of the field below the horizontal: maps of the field have it",
+        ));
+    }
+    let dip_rad = arguments.dip.map(f64::to_radians);
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
     let given = arguments.with.as_deref().map(read_parameters).transpose()?;
     let input = Input::parse(&arguments.input)?;
@@ -79,7 +87,7 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
             (super::collect(client, arguments, &options, output)?, set)
         }
     };
-    let report = calibrate_magnetometer(&data, &set)?;
+    let report = calibrate_magnetometer(&data, &set, dip_rad)?;
     output.say(report.to_string());
     if report.exit_code() == 0
         && let Some(path) = &arguments.output

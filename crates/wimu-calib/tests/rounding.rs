@@ -1,0 +1,125 @@
+//! Sensors whose counts are coarser than their noise.
+
+mod common;
+
+use common::Random;
+use wimu_calib::{
+    Face, Gravity, Model, Parameter, Placement, Pose, find_poses, multi_position, six_position,
+};
+use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
+
+const RATE_HZ: f64 = 100.0;
+/// 64 LSB/g.
+const STEP_MPS2: f64 = STANDARD_GRAVITY_MPS2 / 64.0;
+
+/// Poses that the finder sees in holds of 3 s, half a second of motion between.
+fn held(random: &mut Random, model: &ErrorModel, ups: &[[f64; 3]], noise: f64) -> Vec<Pose> {
+    let mut samples = Vec::new();
+    for up in ups {
+        for k in 0..350 {
+            let force = SpecificForceMps2(up.map(|c| c * STANDARD_GRAVITY_MPS2));
+            let shaken = if k < 50 { 3.0 } else { 0.0 };
+            let output = model.distort(force, None).0.map(|y| {
+                let y = y + noise * random.normal() + shaken * random.normal();
+                (y / STEP_MPS2).round() * STEP_MPS2
+            });
+            samples.push((output, None));
+        }
+    }
+    let mut poses = [Pose::default(); 64];
+    let found = find_poses(samples.iter().copied(), RATE_HZ, &mut poses);
+    poses[..found].to_vec()
+}
+
+/// How far the mean of a pose is from what the sensor would put out without noise or rounding.
+#[test]
+fn a_pose_says_what_rounding_leaves_in_its_mean() {
+    let mut random = Random(11);
+    for share_of_step in [0.002, 0.1, 0.2, 0.4, 1.0, 3.0] {
+        let (mut squares, mut count) = (0.0, 0.0);
+        for _ in 0..12 {
+            let model = random.model(true);
+            let ups: Vec<_> = (0..24).map(|_| random.direction()).collect();
+            let poses = held(&mut random, &model, &ups, share_of_step * STEP_MPS2);
+            for pose in &poses {
+                let up = ups[pose.first_sample as usize / 350];
+                let force = SpecificForceMps2(up.map(|c| c * STANDARD_GRAVITY_MPS2));
+                let truth = model.distort(force, None).0;
+                for axis in 0..3 {
+                    let n = f64::from(pose.samples);
+                    let (noise, rounding) = (pose.sd_mps2[axis], pose.rounding_sd_mps2[axis]);
+                    let variance = noise * noise / n + rounding * rounding;
+                    let off = pose.mean_mps2[axis] - truth[axis];
+                    squares += off * off / variance;
+                    count += 1.0;
+                }
+                if share_of_step >= 1.0 {
+                    assert_eq!(pose.rounding_sd_mps2, [0.0; 3], "it dithers");
+                }
+            }
+        }
+        let per_sd = f64::sqrt(squares / count);
+        println!("noise {share_of_step} of a step: errors are {per_sd:.2} of what is said");
+        assert!((0.5..1.25).contains(&per_sd), "{share_of_step}: {per_sd}");
+    }
+}
+
+#[test]
+fn intervals_hold_where_counts_are_coarser_than_the_noise() {
+    let mut random = Random(5);
+    let gravity = Gravity::new(STANDARD_GRAVITY_MPS2, 0.0).expect("gravity");
+    for share_of_step in [0.02, 0.15, 0.4] {
+        let noise = share_of_step * STEP_MPS2;
+        let (mut inside, mut all) = ([0_u32; 2], [0_u32; 2]);
+        let (mut refused, mut trials) = (0, 0);
+        while trials < 40 {
+            trials += 1;
+            let model = random.model(true);
+            let ups: Vec<_> = (0..20).map(|_| random.direction()).collect();
+            let poses = held(&mut random, &model, &ups, noise);
+            let squared = Face::ALL.map(|face| {
+                let mut up = [0.0; 3];
+                up[face as usize / 2] = if face as usize % 2 == 0 { 1.0 } else { -1.0 };
+                up
+            });
+            let full = random.model(false);
+            let sides = held(&mut random, &full, &squared, noise);
+            let exact = Placement::new(1e-6).expect("a placement");
+            let estimates = [
+                (model, multi_position(&poses, gravity, Model::Full9)),
+                (full, six_position(&sides, gravity, exact)),
+            ];
+            for (method, (truth, estimate)) in estimates.into_iter().enumerate() {
+                let Ok(estimate) = estimate else {
+                    refused += 1;
+                    continue;
+                };
+                for parameter in estimate.fitted.iter() {
+                    let of = |model: &ErrorModel| {
+                        let place = Parameter::ALL.iter().position(|p| *p == parameter);
+                        let place = place.expect("one of twelve");
+                        let terms = model.terms();
+                        match place.checked_sub(3) {
+                            None => terms.bias_mps2[place],
+                            Some(place) => terms.matrix[place / 3][place % 3],
+                        }
+                    };
+                    let off = of(&estimate.model) - of(&truth);
+                    inside[method] += u32::from(off.abs() <= estimate.half_width_95(parameter));
+                    all[method] += 1;
+                }
+            }
+        }
+        let share = |k: usize| 100.0 * f64::from(inside[k]) / f64::from(all[k]);
+        println!(
+            "noise {share_of_step} of a step: {:.1} % of {} intervals of multi-position and {:.1} % \
+             of {} of six-position hold, {refused} refused",
+            share(0),
+            all[0],
+            share(1),
+            all[1]
+        );
+        assert!(refused <= 8, "{refused}");
+        assert!(share(0) > 91.0 && share(1) > 91.0);
+    }
+}

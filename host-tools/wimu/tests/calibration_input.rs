@@ -1,0 +1,174 @@
+//! What people give `wimu calibrate` and `wimu allan` that would be passed over in silence.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+
+use kit::{folder, wimu};
+
+/// 600 s/100 of a sensor at rest, each value through `value`.
+fn at_rest(value: impl Fn(f64) -> f64, unit: &str) -> String {
+    let mut text = String::from("Time (s)");
+    for axis in ["X", "Y", "Z"] {
+        write!(text, ",Accelerometer {axis} ({unit})").unwrap();
+    }
+    let mut state = 1_u64;
+    let mut noise = || {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        0.01 * sum
+    };
+    for k in 0..3000 {
+        let [x, y, z] = [0.017, -0.02, 9.79].map(|f| value(f + noise()));
+        write!(text, "\n{:.2},{x},{y},{z}", f64::from(k) * 0.01).unwrap();
+    }
+    text
+}
+
+#[test]
+fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
+    let folder = folder();
+    let csv = folder.path().join("rest.csv").display().to_string();
+    let run = |text: String| {
+        fs::write(&csv, text).unwrap();
+        wimu(&["allan", &csv])
+    };
+    let fine = run(at_rest(|f| f, "m/s²")).succeeds();
+    assert_eq!(fine["remarks"].as_array().unwrap().len(), 0, "{fine}");
+    assert_eq!(fine["axes"][0]["is_coarse"], false);
+
+    let wrong = run(at_rest(|f| f / 9.80665, "m/s²"));
+    assert_eq!(wrong.code, 3, "{wrong:?}");
+    assert!(wrong.stderr.contains("looks like g, not m/s²"), "{wrong:?}");
+    let wrong = run(at_rest(|f| f, "g"));
+    assert!(
+        wrong.code == 3 && wrong.stderr.contains("taken for g"),
+        "{wrong:?}"
+    );
+
+    let coarse = run(at_rest(|f| (f / 0.04).round() * 0.04, "m/s²")).succeeds();
+    assert_eq!(coarse["axes"][2]["is_coarse"], true, "{coarse}");
+    let said = coarse["remarks"][0].as_str().unwrap();
+    assert!(said.contains("noise of rounding"), "{coarse}");
+}
+
+/// Static-pose means of a sensor without errors, `Time (s)` first.
+fn means(ups: &[[f64; 3]]) -> String {
+    let mut text = String::from(
+        "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)",
+    );
+    for (k, up) in ups.iter().enumerate() {
+        let [x, y, z] = up.map(|u| u * 9.80665);
+        let rough = 0.002 * (k as f64 * 2.3).sin();
+        write!(text, "\n{k},{},{},{}", x + rough, y - rough, z + rough).unwrap();
+    }
+    text
+}
+
+fn spread(count: u32) -> Vec<[f64; 3]> {
+    let n = f64::from(count);
+    (0..count)
+        .map(|k| {
+            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
+            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            [flat * cos, flat * sin, z]
+        })
+        .collect()
+}
+
+#[test]
+fn flags_that_would_count_for_nothing_are_wrong_usage() {
+    let folder = folder();
+    let csv = folder.path().join("means.csv").display().to_string();
+    fs::write(&csv, means(&spread(20))).unwrap();
+    let of = ["calibrate", &csv, "--poses"];
+    wimu(&of).succeeds();
+    for (flags, word) in [
+        (&["--placement-sd", "0.5"][..], "six-position"),
+        (&["--count", "10"], "LINK"),
+        (&["--link", "cable"], "recording"),
+        (&["--dip", "60"], "magnetometer"),
+    ] {
+        let told = wimu(&[&of[..], flags].concat()).fails(2, "usage");
+        assert!(told["message"].as_str().unwrap().contains(word), "{told}");
+    }
+    let told = wimu(&[&of[..], &["--accelerometer", "4"]].concat()).fails(2, "usage");
+    assert!(
+        told["message"]
+            .as_str()
+            .unwrap()
+            .contains("accelerometer 4")
+    );
+    assert!(told["remedy"].as_str().unwrap().contains("leave"), "{told}");
+}
+
+#[test]
+fn nine_parameters_of_exactly_six_sides_lead_to_six_position() {
+    let folder = folder();
+    let csv = folder.path().join("sides.csv").display().to_string();
+    let mut sides = Vec::new();
+    for axis in 0..3 {
+        for sign in [1.0, -1.0] {
+            let mut up = [0.0; 3];
+            up[axis] = sign;
+            sides.push(up);
+        }
+    }
+    fs::write(&csv, means(&sides)).unwrap();
+    for model in ["9", "6"] {
+        let ran = wimu(&["calibrate", &csv, "--poses", "--model", model]);
+        assert_eq!(ran.code, 3, "{ran:?}");
+        let report = ran.object();
+        let reason = report["reason"].as_str().unwrap();
+        assert!(reason.contains("--method six-position"), "{reason}");
+    }
+    wimu(&["calibrate", &csv, "--poses", "--method", "six-position"]).succeeds();
+}
+
+#[test]
+fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (csv, cal, c) = (path("means.csv"), path("CAL.json"), path("cal.h"));
+    fs::write(&csv, means(&spread(20))).unwrap();
+    let two = path("two.csv");
+    let mut text = String::from("Time (s)");
+    for sensor in [0, 1] {
+        for axis in ["X", "Y", "Z"] {
+            write!(text, ",Accelerometer {sensor} {axis} (m/s²)").unwrap();
+        }
+    }
+    for k in 0..2000 {
+        let t = f64::from(k) * 0.01;
+        let f = [
+            4.0 * (2.0 * t).sin(),
+            4.0 * (3.1 * t).cos(),
+            9.8 + 4.0 * (4.7 * t).sin(),
+        ];
+        let [x, y, z] = f;
+        let [u, v, w] = f.map(|f| 1.02 * f + 0.2 + 0.004 * (f64::from(k) * 7.7).sin());
+        write!(text, "\n{t:.2},{x},{y},{z},{u},{v},{w}").unwrap();
+    }
+    fs::write(&two, text).unwrap();
+    for of in [
+        &["calibrate", &csv, "--poses", "-o", &cal][..],
+        &["calibrate", &two, "--method", "reference", "-o", &cal],
+    ] {
+        let ran = wimu(of);
+        ran.succeeds();
+        assert!(ran.stderr.contains("--sensitivity"), "{ran:?}");
+        let told = wimu(&["export", &cal, "--format", "c", "-o", &c]).fails(2, "bad_calibration");
+        assert!(told["remedy"].as_str().unwrap().contains("--sensitivity"));
+        let ran = wimu(&[of, &["--sensitivity", "16384"]].concat());
+        assert_eq!(ran.succeeds()["sensitivity_lsb_per_g"], 16384.0);
+        assert!(!ran.stderr.contains("--sensitivity"), "{ran:?}");
+        wimu(&["export", &cal, "--format", "c", "-o", &c]).succeeds();
+    }
+}

@@ -37,7 +37,7 @@ pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviatio
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use magnetometer::{
-    MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
+    Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
 };
 pub use multi_position::{
     Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,

@@ -101,7 +101,7 @@ pub enum MagneticRefusal {
         /// What is left, as a share of the field, rms.
         share: f64,
         /// The poses that depart from what most have in common, or the one that departs most.
-        disturbed: Rejected,
+        disturbed: Disturbed,
     },
     /// One pose decides alone.
     PoorPrediction {
@@ -124,6 +124,35 @@ pub enum MagneticRefusal {
     },
     /// The result is no magnetometer's.
     OutOfBounds(MagnetometerError),
+}
+
+/// Poses in which the field was another, the first [`Disturbed::MOST`] of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Disturbed {
+    poses: [u32; Self::MOST],
+    count: u32,
+}
+
+impl Disturbed {
+    /// More are not named.
+    pub const MOST: usize = 16;
+
+    /// Their indices.
+    pub fn as_slice(&self) -> &[u32] {
+        self.poses.get(..self.count as usize).unwrap_or(&[])
+    }
+}
+
+impl From<Rejected> for Disturbed {
+    fn from(rejected: Rejected) -> Self {
+        let mut disturbed = Self::default();
+        for (place, pose) in disturbed.poses.iter_mut().zip(rejected.as_slice()) {
+            *place = u32::try_from(*pose).unwrap_or(u32::MAX);
+            disturbed.count += 1;
+        }
+        disturbed
+    }
 }
 
 /// What is wrong with a left-handed magnetometer.
@@ -216,7 +245,7 @@ impl fmt::Display for MagneticRefusal {
                 if !poses.is_empty() {
                     out.write_str(" (from 0)")?;
                 }
-                if poses.len() == Rejected::MOST {
+                if poses.len() == Disturbed::MOST {
                     out.write_str(" and more")?;
                 }
                 out.write_str(
@@ -321,7 +350,10 @@ pub fn magnetometer(
         let again = few.then(|| without_suspects(poses, disturbed));
         again
             .and_then(Result::ok)
-            .ok_or(MagneticRefusal::FieldNotConstant { share, disturbed })
+            .ok_or(MagneticRefusal::FieldNotConstant {
+                share,
+                disturbed: disturbed.into(),
+            })
     })?;
     handedness(&found.model, dip_rad)?;
     Ok(found)
@@ -518,7 +550,7 @@ fn model(
     if rms.is_nan() || rms > MOST_RMS {
         return Err(MagneticRefusal::FieldNotConstant {
             share: rms,
-            disturbed: Rejected::default().with(worst.place),
+            disturbed: Rejected::default().with(worst.place).into(),
         });
     }
     if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {

@@ -1,6 +1,6 @@
 //! Static poses in a continuous recording: equation (10).
 
-use crate::Pose;
+use crate::{Pose, Scalar};
 
 /// Blocks in the shortest hold.
 const BLOCKS: usize = 8;
@@ -54,7 +54,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    const NOTHING_SEEN: Self = Self {
+    pub(crate) const NOTHING_SEEN: Self = Self {
         variance: f64::INFINITY,
         scatter: f64::INFINITY,
         new: f64::INFINITY,
@@ -163,20 +163,20 @@ impl Moments {
 /// division per sample and lose nothing to a large mean.
 #[derive(Clone, Copy, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Block {
+struct Block<R> {
     samples: u32,
-    origin: [f64; 3],
-    sum: [f64; 3],
-    squares: [f64; 3],
-    differences: f64,
+    origin: [R; 3],
+    sum: [R; 3],
+    squares: [R; 3],
+    differences: R,
     celsius: f64,
     celsius_samples: u32,
     first: u64,
 }
 
-impl Block {
+impl<R: Scalar> Block<R> {
     /// With the squared difference from the sample before.
-    fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
+    fn add(&mut self, output: [R; 3], difference: R, celsius: Option<f64>) {
         if self.samples == 0 {
             self.origin = output;
         }
@@ -197,16 +197,17 @@ impl Block {
         let n = f64::from(self.samples);
         let mut moments = Moments {
             samples: self.samples,
-            differences: self.differences,
+            differences: self.differences.into(),
             celsius: self.celsius,
             celsius_samples: self.celsius_samples,
             first: self.first,
             ..Moments::default()
         };
         for axis in 0..3 {
-            let mean = self.sum[axis] / n;
-            moments.mean[axis] = self.origin[axis] + mean;
-            moments.squares[axis] = (self.squares[axis] - self.sum[axis] * mean).max(0.0);
+            let (origin, sum): (f64, f64) = (self.origin[axis].into(), self.sum[axis].into());
+            let mean = sum / n;
+            moments.mean[axis] = origin + mean;
+            moments.squares[axis] = (self.squares[axis].into() - sum * mean).max(0.0);
         }
         moments
     }
@@ -223,16 +224,22 @@ impl Block {
 /// A hold is still when, over 0.75 s, neither its variance nor the scatter of its block means is
 /// far above the least seen; its first and last block are left out. A hold disturbed by a knock is
 /// one pose, the longer part of it.
+///
+/// `PoseFinder<f32>` takes samples in f32 and computes in it what every sample asks for, for a
+/// processor that has no f64; what a block of a tenth of a second asks for stays f64. It finds the same
+/// poses, their means within 10⁻⁷ m/s².
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct PoseFinder {
+pub struct PoseFinder<R: Scalar = f64> {
     rate_hz: f64,
     block_samples: u32,
     next_sample: u64,
     celsius: Option<f64>,
-    last: Option<[f64; 3]>,
+    last: Option<[R; 3]>,
+    /// Least change from one sample to the next.
+    step: R,
     noise: Noise,
-    block: Block,
+    block: Block<R>,
     /// The last blocks, oldest first; `filled` of them, at the end.
     window: [Moments; BLOCKS],
     filled: usize,
@@ -257,6 +264,29 @@ impl PoseFinder {
     /// A finder for samples at `rate_hz`; the shortest hold it finds is 0.75 s, 16 samples at the
     /// least. Rates that make no sense count as the nearest that does.
     pub fn new(rate_hz: f64) -> Self {
+        Self::of(rate_hz, Noise::NOTHING_SEEN)
+    }
+
+    /// The same, with the sensor's noise known from an earlier look at it.
+    pub fn with_noise(rate_hz: f64, noise: Noise) -> Self {
+        Self::of(rate_hz, noise)
+    }
+}
+
+impl PoseFinder<f32> {
+    /// [`PoseFinder::new`] for samples in f32.
+    pub fn new_f32(rate_hz: f64) -> Self {
+        Self::of(rate_hz, Noise::NOTHING_SEEN)
+    }
+
+    /// [`PoseFinder::with_noise`] for samples in f32.
+    pub fn with_noise_f32(rate_hz: f64, noise: Noise) -> Self {
+        Self::of(rate_hz, noise)
+    }
+}
+
+impl<R: Scalar> PoseFinder<R> {
+    pub(crate) fn of(rate_hz: f64, noise: Noise) -> Self {
         let samples = rate_hz * HOLD_S / BLOCKS as f64;
         Self {
             rate_hz: if rate_hz > 0.0 { rate_hz } else { 1.0 },
@@ -265,21 +295,14 @@ impl PoseFinder {
             next_sample: 0,
             celsius: None,
             last: None,
-            noise: Noise::NOTHING_SEEN,
+            step: R::of(noise.step),
+            noise,
             block: Block::default(),
             window: [Moments::default(); BLOCKS],
             filled: 0,
             hold: None,
             candidate: None,
             away_blocks: 0,
-        }
-    }
-
-    /// The same, with the sensor's noise known from an earlier look at it.
-    pub fn with_noise(rate_hz: f64, noise: Noise) -> Self {
-        Self {
-            noise,
-            ..Self::new(rate_hz)
         }
     }
 
@@ -306,22 +329,23 @@ impl PoseFinder {
     }
 
     /// Takes one sample y, m/s², sensor axes. A sample that is not finite counts as motion.
-    pub fn push(&mut self, output_mps2: [f64; 3]) -> Option<Pose> {
+    pub fn push(&mut self, output_mps2: [R; 3]) -> Option<Pose> {
         let index = self.next_sample;
         self.next_sample += 1;
-        if !output_mps2.iter().all(|y| y.is_finite()) {
+        if !output_mps2.iter().all(|y| y.finite()) {
             self.last = None;
             self.filled = 0;
             self.block = Block::default();
             return self.end_hold();
         }
-        let mut difference = 0.0;
+        let mut difference = R::default();
         if let Some(last) = self.last.replace(output_mps2) {
             for axis in 0..3 {
-                let step = (output_mps2[axis] - last[axis]).abs();
+                let step = (output_mps2[axis] - last[axis]).size();
                 difference += step * step;
-                if step > 0.0 && step < self.noise.step {
-                    self.noise.step = step;
+                if step > R::default() && step < self.step {
+                    self.step = step;
+                    self.noise.step = step.into();
                 }
             }
         }
@@ -461,7 +485,8 @@ impl PoseFinder {
 ///
 /// Goes over the recording twice: once for the sensor's noise, once for the poses, as
 /// [`PoseFinder`] finds them. Fills `poses` and returns how many it found, which may be more than
-/// there is room for; the first ones are kept.
+/// there is room for; the first ones are kept. In f64 only: a device that has no room for a recording
+/// has a stream, and [`PoseFinder`] for that.
 pub fn find_poses<I>(samples: I, rate_hz: f64, poses: &mut [Pose]) -> usize
 where
     I: Iterator<Item = ([f64; 3], Option<f64>)> + Clone,

@@ -191,13 +191,13 @@ impl<'a, R: Real> Evaluated<'a, R> {
 
 /// |f| that `output` means at `warmer` K above T₀, m/s², and its derivatives with respect to the
 /// first twelve parameters: equation (13).
-pub(crate) fn magnitude(
-    theta: &Theta<f64>,
-    output: [f64; 3],
-    warmer: f64,
-) -> Option<(f64, [f64; 12])> {
+pub(crate) fn magnitude<R: Real>(
+    theta: &Theta<R>,
+    output: [R; 3],
+    warmer: R,
+) -> Option<(R, [R; 12])> {
     let at = Evaluated::new(theta, true)?;
-    let applied = at.apply(output, 0.0, warmer);
+    let applied = at.apply(output, R::zero(), warmer);
     let all = at.derivatives(&applied);
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
 }

@@ -79,7 +79,7 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
             let poses = held(&mut random, &model, &ups, noise);
             let squared = Face::ALL.map(|face| {
                 let mut up = [0.0; 3];
-                up[face as usize / 2] = if face as usize % 2 == 0 { 1.0 } else { -1.0 };
+                up[face as usize / 2] = [1.0, -1.0][face as usize % 2];
                 up
             });
             let full = random.model(false);

@@ -27,7 +27,7 @@ use wimu_calib::{
 use wimu_link::message::parameter_id;
 use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, TemperatureTerms};
 
-use crate::dataset::{Dataset, OutputUnit, RateSource};
+use crate::dataset::{Dataset, Output, OutputUnit, RateSource};
 use crate::error::{ErrorCode, HostError, Result};
 
 /// More poses than anyone holds still for.
@@ -237,7 +237,9 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
         status: if estimate.is_some() { "ok" } else { "refused" },
-        reason: refusal.as_ref().map(|refusal| reason(refusal, &fitted)),
+        reason: refusal
+            .as_ref()
+            .map(|refusal| reason(refusal, &fitted, data, options)),
         remarks: remarks(data, options, estimate.as_ref(), sensitivity, lsb_per_g),
         source: data.name.clone(),
         method: options.method.name(),
@@ -290,23 +292,60 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     })
 }
 
-/// Why it was refused; six sides have a method of their own.
-fn reason(refusal: &Refusal, poses: &[Pose]) -> String {
+/// Why it was refused, and what on the command line mends it.
+fn reason(refusal: &Refusal, poses: &[Pose], data: &Dataset, options: &CalibrateOptions) -> String {
+    let has = poses.len();
+    if let Refusal::NotATurn { steps, .. } = *refusal
+        && has < steps
+    {
+        return format!(
+            "{has} static pose{} found, a turn has {steps} steps of {}°: turn about one axis of the \
+             sensor, in one direction, and hold it still for two seconds at each step",
+            if has == 1 { "" } else { "s" },
+            360 / steps.max(1)
+        );
+    }
     let mut reason = refusal.to_string();
-    let sides = Face::ALL
-        .iter()
-        .all(|face| poses.iter().any(|pose| Face::of(pose) == Some(*face)));
+    if looks_like_means(data, has) {
+        return reason + "; the rows look like means over static poses: if they are, add --poses";
+    }
+    if has == 1 && !data.poses {
+        reason += "; what a sensor that lies still tells is its noise: `wimu allan`";
+    }
     let lacks = matches!(
         refusal,
         Refusal::TooFewPoses { .. }
             | Refusal::NotObservable { .. }
             | Refusal::PoorPrediction { .. }
     );
-    if sides && lacks {
-        reason += "; the six sides are all there: if they were squared, --method six-position gives \
+    if !lacks || options.method != MethodChoice::MultiPosition {
+        return reason;
+    }
+    let fixed = options.model != ModelChoice::Auto;
+    if fixed && has > Model::Bias3.parameters() {
+        reason += "; --model auto takes the model that these poses support best";
+    }
+    let up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
+    if Face::ALL.iter().all(up) {
+        reason += "; all six sides are there: where they were squared, --method six-position gives \
                    all 12 parameters";
     }
     reason
+}
+
+/// More rows than anyone has poses.
+const MOST_MEANS: usize = 2000;
+
+/// Whether rows among which hardly a rest is found are each of the length of gravity, and too far apart
+/// for samples.
+fn looks_like_means(data: &Dataset, found: usize) -> bool {
+    if data.poses || found > 1 || data.outputs.len() > MOST_MEANS {
+        return false;
+    }
+    let median = median_magnitude(data);
+    let near = |output: &&Output| (magnitude(output.value) / median - 1.0).abs() < 0.2;
+    let alike = data.outputs.iter().filter(near).count();
+    data.rate_source == RateSource::Assumed && 10 * alike >= 9 * data.outputs.len()
 }
 
 /// Samples among which hardly a pose is found may be in another unit than is said: then their noise
@@ -403,7 +442,7 @@ fn remarks(
 
 fn poses(data: &Dataset, scale: f64) -> Poses {
     let poses = if data.poses {
-        let pose = |(index, output): (usize, &crate::dataset::Output)| Pose {
+        let pose = |(index, output): (usize, &Output)| Pose {
             samples: output.samples,
             temperature_c: output.temperature_c,
             first_sample: index as u64,

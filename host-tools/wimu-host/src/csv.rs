@@ -299,7 +299,8 @@ impl<R: BufRead> CsvReader<R> {
                     "time goes back by {} s after line {last_line}",
                     last.abs_diff(time) as f64 / 1e9
                 ),
-                "sort the rows, or if the file holds several runs choose one with --where",
+                "sort the rows; if the file holds several runs, choose one with --where; if its rows are means \
+                 over static poses, add --poses",
             )
             .at(self.location(None)));
         }

@@ -60,7 +60,11 @@ impl CalibrationReport {
                     k.to_string(),
                     format!("{x:+.4} {y:+.4} {z:+.4}"),
                     pose.samples.to_string(),
-                    format!("{:.2}", magnitude(pose.sd_m_s2) * 1e3),
+                    // Of means alone it is not known.
+                    match magnitude(pose.sd_m_s2) {
+                        0.0 => String::new(),
+                        noise => format!("{:.2}", noise * 1e3),
+                    },
                     pose.temperature_c
                         .map_or(String::new(), |celsius| format!("{celsius:.1}")),
                     pose.residual_mm_s2

@@ -8,7 +8,7 @@ use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
-use super::DatasheetReport;
+use super::{DatasheetReport, MethodChoice};
 use crate::dataset::RateSource;
 use crate::error::{ErrorCode, HostError, Result};
 
@@ -205,9 +205,10 @@ impl fmt::Display for CalibrationReport {
         };
         writeln!(
             out,
-            "{}: {} static poses, {}, g = {}{} m/s²",
+            "{}: {} static pose{}, {}, g = {}{} m/s²",
             self.source,
             self.poses,
+            if self.poses == 1 { "" } else { "s" },
             self.method,
             self.gravity_m_s2,
             uncertain(self.gravity_sd_m_s2),
@@ -252,17 +253,17 @@ impl fmt::Display for CalibrationReport {
                 writeln!(out, "scale factor not fitted")?;
             }
         }
-        let off = |r: usize, c: usize| fit.model.matrix[r][c] * 1e3;
-        writeln!(
-            out,
-            "misalignment, mrad: m_yx {:+.2}, m_zx {:+.2}, m_xy {:+.2}, m_zy {:+.2}, m_xz {:+.2}, m_yz {:+.2}",
-            off(0, 1),
-            off(0, 2),
-            off(1, 0),
-            off(1, 2),
-            off(2, 0),
-            off(2, 1),
-        )?;
+        let misaligned: Vec<String> = MISALIGNMENTS
+            .into_iter()
+            .filter(|(name, ..)| fit.fitted.contains(&format!("misalignment {name}")))
+            .map(|(name, r, c)| {
+                let (off, sd) = (fit.model.matrix[r][c] * 1e3, fit.sd.matrix[r][c] * 1e3);
+                format!("{name} {off:+.2} ± {sd:.2}")
+            })
+            .collect();
+        if !misaligned.is_empty() {
+            writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
+        }
         writeln!(
             out,
             "|f| − g over the poses: {:.2} mm/s² rms before, {:.3} after (largest {:.3})",
@@ -279,7 +280,7 @@ impl fmt::Display for CalibrationReport {
         }
         writeln!(
             out,
-            "; condition {:.1}, {} degrees of freedom, {:.0} % of the orientations covered; ± is 1 σ",
+            "\ncondition {:.1}, {} degrees of freedom, {:.0} % of the orientations covered; ± is 1 σ",
             fit.condition,
             fit.dof,
             fit.coverage * 100.0
@@ -332,7 +333,14 @@ impl fmt::Display for CalibrationReport {
             writeln!(out, "{remark}")?;
         }
         match (self.poses_worth_adding, self.next_poses.first()) {
+            _ if self.method != MethodChoice::MultiPosition.name() => {
+                write!(
+                    out,
+                    "how good the placement was decides more than more poses would"
+                )
+            }
             (0, _) | (_, None) => write!(out, "more poses would change little"),
+            (1, Some(next)) => write!(out, "one more pose is worth it: {}", next.instruction),
             (more, Some(next)) => write!(
                 out,
                 "{more} more poses are worth it; the next: {}",
@@ -341,6 +349,16 @@ impl fmt::Display for CalibrationReport {
         }
     }
 }
+
+/// Misalignments by name, row and column of A.
+const MISALIGNMENTS: [(&str, usize, usize); 6] = [
+    ("m_yx", 0, 1),
+    ("m_zx", 0, 2),
+    ("m_xy", 1, 0),
+    ("m_zy", 1, 2),
+    ("m_xz", 2, 0),
+    ("m_yz", 2, 1),
+];
 
 /// Name of the JSON object of `wimu params`.
 pub const HELD_SCHEMA: &str = "wimu.params/1";

@@ -85,7 +85,7 @@ fn pend(_context: *mut ()) {
 #[entry]
 fn main() -> ! {
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    static SHARED: Shared<M> = Shared::new();
+    static SHARED: StaticCell<Shared<M>> = StaticCell::new();
     static BRIDGE: StaticCell<Mutex<M, Bridge>> = StaticCell::new();
 
     LOG.start_polled();
@@ -105,7 +105,7 @@ fn main() -> ! {
         wireless: WIRELESS.start(),
     };
     static NODE: StaticCell<Node> = StaticCell::new();
-    let node = NODE.init_with(|| board.split(&SHARED));
+    let node = NODE.init_with(|| board.split(SHARED.init(Shared::new())));
 
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
     let spawner = executor.spawner();

@@ -21,6 +21,7 @@
 use core::fmt;
 
 use hmac::{Hmac, KeyInit, Mac};
+use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use sha2::Sha256;
 
@@ -28,7 +29,7 @@ use crate::hello::{LinkRole, WriteAccess};
 use crate::message::{self, Answer, Command, Refusal, Signature};
 
 /// A device's key: 256 bits that nobody else has. It is never shown, not even by `Debug`.
-#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Serialize)]
 pub struct DeviceKey([u8; Self::LENGTH]);
 
 impl DeviceKey {
@@ -64,6 +65,32 @@ impl DeviceKey {
 fn truncated<const N: usize>(mac: Hmac<Sha256>) -> [u8; N] {
     let bytes: [u8; 32] = mac.finalize().into_bytes().into();
     bytes.first_chunk().copied().unwrap_or([0; N])
+}
+
+impl<'de> Deserialize<'de> for DeviceKey {
+    /// As an array, byte after byte in a loop: what serde makes for arrays is unrolled.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Bytes;
+
+        impl<'de> Visitor<'de> for Bytes {
+            type Value = DeviceKey;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("a key")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<DeviceKey, A::Error> {
+                let mut bytes = [0; DeviceKey::LENGTH];
+                for (index, byte) in bytes.iter_mut().enumerate() {
+                    let next = elements.next_element()?;
+                    *byte = next.ok_or_else(|| de::Error::invalid_length(index, &self))?;
+                }
+                Ok(DeviceKey(bytes))
+            }
+        }
+
+        deserializer.deserialize_tuple(Self::LENGTH, Bytes)
+    }
 }
 
 impl fmt::Debug for DeviceKey {

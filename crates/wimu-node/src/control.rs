@@ -275,7 +275,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     /// A set whose numbers make sense, and that is of this device's model of accelerometer.
     fn checked(&self, wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
         let set = ParameterSet::try_from(wire)?;
-        let device = self.shared.published().hello.sensor.number;
+        let device = self
+            .shared
+            .with_published(|published| published.hello.sensor.number);
         match set.sensor {
             Some(SensorId(parameters)) if parameters != device && sensor::is_one_model(device) => {
                 Err(ParameterFault::OtherSensor { parameters, device })
@@ -352,6 +354,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     }
 
     /// Checks the set that came on a link; the desk holds it in its one true form then.
+    #[inline(never)] // The decoded set leaves the stack with it.
     fn judge(
         &self,
         plan: &Plan,
@@ -374,7 +377,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
         Corrector::compile(&set, self.latched).map_err(invalid)?;
         let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
-        let known = self.shared.published().hello.sensitivity_known;
+        let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
         if known && !SENSITIVITY_RATIO.contains(&ratio) {
             return Err(Refusal::WrongSensitivity {
                 parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
@@ -493,7 +496,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let Staged { set, id, .. } = &mut *desk;
         let (Some(staged), Some(set)) = (*id, set.get()) else {
             // Whoever commits again what is in use has lost our answer.
-            return if shared.published().parameters == named {
+            return if shared.parameters() == named {
                 Ok(Payload::None)
             } else {
                 Err(Refusal::NothingStaged)
@@ -518,7 +521,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// Runs the sensor under new settings and stores them; on failure it runs as before.
     async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
-        let before = self.shared.published().parameters;
+        let before = self.shared.parameters();
         let other_range = new.settings.range_g != plan.settings.range_g;
         let mut loaded = None;
         if other_range {
@@ -541,7 +544,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.desk.lock().await.id = None;
             self.shared.activate(self.set_at(&loaded));
         }
-        if self.shared.published().parameters != before {
+        if self.shared.parameters() != before {
             self.announce_parameters();
         }
         Ok(())

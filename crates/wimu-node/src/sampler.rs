@@ -127,6 +127,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     /// The sensor has been configured for the first time, or not.
+    #[inline(never)]
     fn start(&mut self, outcome: Result<(), SensorFault>) -> Option<Running> {
         let Some(Order::Configure(plan, correction)) = self.shared.orders.take() else {
             return None;
@@ -141,6 +142,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     }
 
     /// The sensor has been configured as ordered, or not.
+    #[inline(never)] // What it builds is not on the stack while samples are taken.
     fn configured(&mut self, running: &mut Running, outcome: Result<(), SensorFault>) {
         match (outcome, self.shared.orders.take()) {
             (Ok(()), Some(Order::Configure(plan, correction))) => {
@@ -154,6 +156,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         self.shared.configured.signal(outcome);
     }
 
+    #[inline(never)]
     fn correct(&mut self, running: &mut Running) {
         let Some(Order::Correct(correction)) = self.shared.orders.take() else {
             return;

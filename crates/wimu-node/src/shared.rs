@@ -357,6 +357,11 @@ impl<M: RawMutex> Shared<M> {
         self.with_published(|published| *published)
     }
 
+    /// Those in use.
+    pub(crate) fn parameters(&self) -> ParameterId {
+        self.with_published(|published| published.parameters)
+    }
+
     pub(crate) fn settings(&self) -> Settings {
         self.with_published(|published| published.settings)
     }
@@ -365,7 +370,7 @@ impl<M: RawMutex> Shared<M> {
         self.with_published(change);
     }
 
-    fn with_published<R>(&self, f: impl FnOnce(&mut Published) -> R) -> R {
+    pub(crate) fn with_published<R>(&self, f: impl FnOnce(&mut Published) -> R) -> R {
         self.published
             .lock(|published| f(published.borrow_mut().or_new(Published::new)))
     }

@@ -11,7 +11,8 @@ fn main() {
     println!("cargo::rerun-if-changed=memory.x");
     println!("cargo::rerun-if-changed=build.rs");
     // Here and not in .cargo/config.toml, where RUSTFLAGS in the environment would replace it.
-    let mut arguments = vec!["--nmagic", "-Tlink.x"];
+    // Functions that are alike are there once.
+    let mut arguments = vec!["--nmagic", "--icf=all", "-Tlink.x"];
     if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
         arguments.push("-Tdefmt.x");
     }

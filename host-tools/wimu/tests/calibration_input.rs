@@ -133,6 +133,60 @@ fn nine_parameters_of_exactly_six_sides_lead_to_six_position() {
 }
 
 #[test]
+fn what_the_file_really_holds_is_said() {
+    let folder = folder();
+    let csv = folder.path().join("some.csv").display().to_string();
+    let reason = |of: &[&str]| {
+        let ran = wimu(&[&["calibrate", &csv][..], of].concat());
+        assert_eq!(ran.code, 3, "{ran:?}");
+        ran.object()["reason"].as_str().unwrap().to_owned()
+    };
+    // Means over poses, with and without times of the poses.
+    let plain = means(&spread(30)).replace("Time (s)", "Number");
+    let timed = means(&spread(30));
+    let apart = timed
+        .lines()
+        .enumerate()
+        .map(|(k, line)| match line.split_once(',') {
+            Some((_, rest)) if k > 0 => format!("{},{rest}\n", 20 * k),
+            _ => format!("{line}\n"),
+        });
+    for text in [apart.collect(), plain.clone()] {
+        fs::write(&csv, text).unwrap();
+        wimu(&["calibrate", &csv, "--poses"]).succeeds();
+        assert!(reason(&[]).contains("add --poses"));
+    }
+    // One rest, for a calibration and for a turn.
+    fs::write(&csv, at_rest(|f| f, "m/s²")).unwrap();
+    assert!(reason(&[]).contains("wimu allan"));
+    let turn = reason(&["--method", "four-angle"]);
+    assert!(
+        turn.contains("1 static pose found") && turn.contains("4 steps of 90"),
+        "{turn}"
+    );
+    // Few poses: what they do support.
+    let few = means(&spread(8));
+    fs::write(&csv, few).unwrap();
+    assert!(reason(&["--poses"]).contains("--model auto"));
+}
+
+#[test]
+fn only_what_was_fitted_is_printed_with_its_deviation() {
+    let folder = folder();
+    let csv = folder.path().join("means.csv").display().to_string();
+    fs::write(&csv, means(&spread(20))).unwrap();
+    let said = |model: &str| wimu(&["calibrate", &csv, "--poses", "--model", model]).stderr;
+    let (nine, six) = (said("9"), said("6"));
+    assert!(nine.contains("m_xy ") && !nine.contains("m_yx "), "{nine}");
+    let line = nine
+        .lines()
+        .find(|line| line.starts_with("misalignment"))
+        .unwrap();
+    assert_eq!(line.matches('±').count(), 3, "{line}");
+    assert!(!six.contains("misalignment, mrad"), "{six}");
+}
+
+#[test]
 fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();

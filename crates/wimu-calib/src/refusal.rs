@@ -176,8 +176,9 @@ impl fmt::Display for Refusal {
             Self::TooFewPoses { have, need, model } => {
                 write!(
                     out,
-                    "{have} static poses, the {model} needs {need} at the least: add poses in other \
-                     orientations"
+                    "{have} static pose{}, the {model} needs {need} at the least: add poses in other \
+                     orientations",
+                    if have == 1 { "" } else { "s" }
                 )?;
                 smaller(out, model)
             }

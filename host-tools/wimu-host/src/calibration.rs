@@ -169,9 +169,10 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     {
         return Err(usage(
             format!(
-                "--sides names {} poses, the data have {}",
+                "--sides names {} poses, the data have {}{}",
                 sides.len(),
-                found.poses.len()
+                found.poses.len(),
+                begins(data, &found.poses)
             ),
             "--sides: one for each static pose, in order",
         ));
@@ -290,6 +291,16 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,
     })
+}
+
+/// When poses begin, for a person to find them by.
+fn begins(data: &Dataset, poses: &[Pose]) -> String {
+    if data.poses || poses.is_empty() || poses.len() > 40 {
+        return String::new();
+    }
+    let begin = |pose: &Pose| format!("{:.0}", pose.first_sample as f64 / data.rate_hz);
+    let begins: Vec<String> = poses.iter().map(begin).collect();
+    format!(", which begin {} s after the start", begins.join(", "))
 }
 
 /// Why it was refused, and what on the command line mends it.

@@ -78,7 +78,7 @@ impl Report {
 }
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:900px;margin:2em auto;\
-    padding:0 1em;color:#222}pre{background:#f4f4f4;padding:1em;overflow:auto;font-size:14px}\
+    padding:0 1em;color:#222}pre{background:#f4f4f4;padding:1em;white-space:pre-wrap;font-size:14px}h1{overflow-wrap:anywhere}\
     table{border-collapse:collapse}td,th{padding:.2em 1em;border-bottom:1px solid #ddd;\
     text-align:right}figure{margin:1.5em 0}svg{max-width:100%;height:auto}";
 

@@ -20,6 +20,8 @@ pub struct KalibrNoise {
     pub random_walk: f64,
     /// Sample rate, Hz.
     pub rate_hz: f64,
+    /// Whether an axis' counts are coarser than its noise: then this is the noise of rounding.
+    pub coarse: bool,
 }
 
 impl KalibrNoise {
@@ -52,6 +54,9 @@ impl KalibrNoise {
             density: worst("velocity_random_walk_m_s_rts").ok_or_else(bad)?,
             random_walk: worst("acceleration_random_walk_m_s2_rts").unwrap_or(0.0),
             rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?,
+            coarse: report["axes"]
+                .as_array()
+                .is_some_and(|axes| axes.iter().any(|axis| axis["is_coarse"] == true)),
         })
     }
 }
@@ -149,9 +154,16 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
     let _ = match noise {
         Some(noise) => writeln!(
             out,
-            "update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
+            "{}update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
              accelerometer_noise_density: {:?}\naccelerometer_random_walk: {:?}",
-            noise.rate_hz, noise.density, noise.random_walk
+            if noise.coarse {
+                "# Counts are coarser than the noise: this is the noise of rounding, the sensor's is another.\n"
+            } else {
+                ""
+            },
+            noise.rate_hz,
+            noise.density,
+            noise.random_walk
         ),
         None => writeln!(
             out,

@@ -46,6 +46,29 @@ impl CalibrationReport {
                 series: vec![series],
             })?;
         }
+        let sky = |up: [f64; 3]| {
+            let [x, y, z] = up;
+            let size = magnitude(up);
+            (size > 0.0).then(|| (y.atan2(x).to_degrees(), (z / size).asin().to_degrees()))
+        };
+        let held = self.static_poses.iter();
+        let held: Vec<_> = held.filter_map(|pose| sky(pose.mean_m_s2)).collect();
+        let advised: Vec<_> = self.next_poses.iter().filter_map(|p| sky(p.up)).collect();
+        if !held.is_empty() {
+            let mut series = vec![dots("held", held)];
+            if !advised.is_empty() {
+                series.push(dots("add", advised));
+            }
+            page.chart(&Chart {
+                title: "What pointed up: poses all over the picture tell most".to_owned(),
+                x: "about Z from X towards Y, degrees".to_owned(),
+                y: "above the XY plane, degrees".to_owned(),
+                log: false,
+                y_range: Some((-95.0, 95.0)),
+                bands: Vec::new(),
+                series,
+            })?;
+        }
         if let Some(datasheet) = &self.datasheet {
             page.table(&DatasheetReport::HEAD, &datasheet.rows());
         }

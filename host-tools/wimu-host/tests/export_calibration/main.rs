@@ -108,6 +108,7 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
         density: 0.002,
         random_walk: 1e-4,
         rate_hz: 100.0,
+        coarse: false,
     };
     let text = to_kalibr(&set(), Some(noise));
     for line in [
@@ -121,6 +122,12 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     ] {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
+    assert!(!text.contains("rounding"));
+    let coarse = KalibrNoise {
+        coarse: true,
+        ..noise
+    };
+    assert!(to_kalibr(&set(), Some(coarse)).contains("# Counts are coarser"));
     let text = to_kalibr(&set(), None);
     assert!(
         !text

@@ -3,8 +3,11 @@
 
 pub mod campaign;
 
+use std::future::Future;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 
 use wimu_host::decode::{Decoder, Event, TimedSample};
 use wimu_host::history::{Boot, LinkHistory, Recording};
@@ -457,7 +460,7 @@ pub fn fuzz_store(seeded: &mut Seeded) -> u64 {
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     for _ in 0..1 + seeded.below(12) {
         let (which, record) = (seeded.below(4), seeded.record());
-        if store.save(STORED[which], &record).is_ok() {
+        if done(store.save(STORED[which], &record)).is_ok() {
             saved[which].push(record);
         }
     }
@@ -479,13 +482,20 @@ const STORED: [Key; 4] = [
 /// All that was ever saved under each key, the oldest first.
 type Saved = [Vec<Vec<u8>>; STORED.len()];
 
+fn done<T>(future: impl Future<Output = T>) -> T {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => value,
+        Poll::Pending => panic!("the flash has power"),
+    }
+}
+
 /// How new each record is that a restart finds: its place in what was saved, the last if there are
 /// several; 0 is none. An error is `None`.
 fn ages(storage: &Storage, saved: &Saved) -> [Option<usize>; STORED.len()] {
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     let mut buffer = [0; MAX_RECORD];
     std::array::from_fn(|which| {
-        let found = match store.load(STORED[which], &mut buffer) {
+        let found = match done(store.load(STORED[which], &mut buffer)) {
             Err(StoreFault) => return None,
             Ok(None) => return Some(0),
             Ok(Some(length)) => &buffer[..length],
@@ -516,7 +526,7 @@ fn damaged_store(seeded: &mut Seeded, image: &[u8], mut saved: Saved) {
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     for _ in 0..1 + seeded.below(2) {
         let (changed, record) = (seeded.below(4), seeded.record());
-        let is_saved = store.save(STORED[changed], &record).is_ok();
+        let is_saved = done(store.save(STORED[changed], &record)).is_ok();
         saved[changed].push(record);
         let after = ages(&storage, &saved);
         if is_saved {

@@ -4,10 +4,21 @@
 //! `cargo test --release -p wimu-tests --test store -- --ignored --nocapture`.
 
 use std::collections::BTreeMap;
+use std::future::Future;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::storage::Storage;
 use wimu_tests::Seeded;
+
+/// What a future that needs no waiting returns; `None` when power was lost.
+fn done<T>(future: impl Future<Output = T>) -> Option<T> {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => Some(value),
+        Poll::Pending => None,
+    }
+}
 
 /// What a store is to hold.
 type Model = BTreeMap<u8, Vec<u8>>;
@@ -28,7 +39,7 @@ fn number(key: Key) -> u8 {
 
 fn load(store: &mut impl Store, key: Key) -> Result<Option<Vec<u8>>, StoreFault> {
     let mut record = [0; MAX_RECORD];
-    let length = store.load(key, &mut record)?;
+    let length = done(store.load(key, &mut record)).expect("power")?;
     Ok(length.map(|length| record[..length].to_vec()))
 }
 
@@ -83,10 +94,11 @@ impl Change {
         }
     }
 
-    fn make(&self, store: &mut impl Store) -> Result<(), StoreFault> {
+    /// `None` when power was lost meanwhile.
+    fn make(&self, store: &mut impl Store) -> Option<Result<(), StoreFault>> {
         match self {
-            Self::Save(key, record) => store.save(*key, record),
-            _ => store.remove(self.is_removed()),
+            Self::Save(key, record) => done(store.save(*key, record)),
+            _ => done(store.remove(self.is_removed())),
         }
     }
 
@@ -125,7 +137,7 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
         let changed_before = storage.bytes_changed();
         assert_eq!(
             change.make(&mut start(&storage, pages)),
-            Ok(()),
+            Some(Ok(())),
             "{change:?}"
         );
         assert_eq!(held(&storage, pages), Ok(next.clone()), "{change:?}");
@@ -134,8 +146,7 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
         for cut in (first..bytes).step_by(stride as usize) {
             let torn = Storage::from_image(&before);
             torn.lose_power_after(Some(cut));
-            let _ = change.make(&mut start(&torn, pages));
-            assert!(!torn.has_power(), "{change:?}");
+            assert_eq!(change.make(&mut start(&torn, pages)), None, "{change:?}");
             counts.cuts += 1;
             if cut % 7 == 0 {
                 // Power is lost again while what is torn is being repaired, or written anew.
@@ -152,7 +163,7 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
                 counts.took_new += 1;
             }
             // Life goes on: the same change again, and it stands.
-            assert_eq!(change.make(&mut start(&torn, pages)), Ok(()));
+            assert_eq!(change.make(&mut start(&torn, pages)), Some(Ok(())));
             assert!(
                 held(&torn, pages) == Ok(next.clone()),
                 "{change:?} cut after {cut}, again"
@@ -207,7 +218,7 @@ fn filled(storage: &Storage, pages: usize, spare: usize) -> Model {
     let mut source = Seeded(7);
     for key in KEYS {
         let record = source.bytes(MAX_RECORD - spare);
-        assert_eq!(store.save(key, &record), Ok(()), "{key:?}");
+        assert_eq!(done(store.save(key, &record)), Some(Ok(())), "{key:?}");
     }
     held(storage, pages).expect("readable")
 }
@@ -224,7 +235,7 @@ fn a_full_store_refuses_what_does_not_fit_and_keeps_what_it_holds() {
         for range_g in 1..20 {
             let key = Key::Parameters { range_g };
             let record = source.bytes(MAX_RECORD - round * 100);
-            match store.save(key, &record) {
+            match done(store.save(key, &record)).expect("power") {
                 Ok(()) => drop(model.insert(number(key), record)),
                 Err(StoreFault) => refused += 1,
             }
@@ -243,13 +254,13 @@ fn a_full_store_refuses_what_does_not_fit_and_keeps_what_it_holds() {
     let erases = storage.erases();
     let large = source.bytes(MAX_RECORD);
     for _ in 0..50 {
-        let outcome = store.save(Key::Parameters { range_g: 100 }, &large);
-        assert_eq!(outcome, Err(StoreFault));
+        let outcome = done(store.save(Key::Parameters { range_g: 100 }, &large));
+        assert_eq!(outcome, Some(Err(StoreFault)));
     }
     assert_eq!(storage.erases(), erases);
     // There is room again when something has been removed.
-    let removed = store.remove(|key| matches!(key, Key::Parameters { .. }));
-    assert_eq!(removed, Ok(()));
+    let removed = done(store.remove(|key| matches!(key, Key::Parameters { .. })));
+    assert_eq!(removed, Some(Ok(())));
     assert_eq!(filled(&storage, 2, MAX_RECORD - 400).len(), KEYS.len());
 }
 
@@ -266,7 +277,7 @@ fn what_a_node_keeps_fits_at_its_longest_and_can_be_changed_for_ever() {
             _ => 64,
         };
         let change = Change::Save(key, source.bytes(length));
-        assert_eq!(change.make(&mut store), Ok(()), "{round}");
+        assert_eq!(change.make(&mut store), Some(Ok(())), "{round}");
         model = change.apply(&model);
         assert_eq!(held(&storage, 4), Ok(model.clone()));
     }
@@ -281,7 +292,7 @@ fn a_full_store_wears_its_pages_evenly_and_slowly() {
     let mut source = Seeded(13);
     let mut save = |key: Key, length: usize| {
         let record = source.bytes(length);
-        assert_eq!(store.save(key, &record), Ok(()), "{key:?}");
+        assert_eq!(done(store.save(key, &record)), Some(Ok(())), "{key:?}");
     };
     let sets = [2, 4, 8, 16].map(|range_g| Key::Parameters { range_g });
     for (key, length) in [
@@ -339,7 +350,7 @@ fn worn_out_flash_refuses_writes_and_keeps_what_it_holds() {
         let mut refused = 0;
         for _ in 0..60 {
             let change = Change::random(&mut source);
-            match change.make(&mut store) {
+            match change.make(&mut store).expect("power") {
                 Ok(()) => model = change.apply(&model),
                 Err(StoreFault) => refused += 1,
             }
@@ -356,7 +367,7 @@ fn a_record_that_is_damaged_after_it_was_saved_is_an_error_and_no_older_one() {
     for generation in 0..3 {
         for key in KEYS {
             let record = [generation * 16 + number(key); 300];
-            assert_eq!(store.save(key, &record), Ok(()));
+            assert_eq!(done(store.save(key, &record)), Some(Ok(())));
         }
     }
     let model = held(&storage, 4).expect("readable");
@@ -373,7 +384,7 @@ fn a_record_that_is_damaged_after_it_was_saved_is_an_error_and_no_older_one() {
             }
         }
         // Written again, it is whole again.
-        assert_eq!(store.save(key, b"new"), Ok(()));
+        assert_eq!(done(store.save(key, b"new")), Some(Ok(())));
         assert_eq!(load(&mut damaged.store(), key), Ok(Some(b"new".to_vec())));
     }
 }
@@ -388,7 +399,7 @@ fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() 
     for _ in 0..12 {
         older.push(model.clone());
         let change = Change::random(&mut source);
-        assert_eq!(change.make(&mut store), Ok(()));
+        assert_eq!(change.make(&mut store), Some(Ok(())));
         model = change.apply(&model);
     }
     let image = storage.image();
@@ -436,7 +447,7 @@ fn noise_is_reported_and_can_be_written_again() {
             assert!(found == Err(StoreFault) || (found == Ok(None) && length <= 4096));
         }
         let change = Change::Save(Key::BootCount, source.bytes(5));
-        assert_eq!(change.make(&mut store), Ok(()), "{seed}");
+        assert_eq!(change.make(&mut store), Some(Ok(())), "{seed}");
         assert_eq!(held(&storage, 4), Ok(change.apply(&Model::new())), "{seed}");
     }
 }

@@ -170,22 +170,22 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     async fn save_rate(&mut self, line: LinkRole, baud: u32) -> Result<(), Refusal> {
         self.announce_pause().await;
-        let saved = self.save_raw(rate_key(line), &baud.to_le_bytes());
+        let saved = self.save_raw(rate_key(line), &baud.to_le_bytes()).await;
         saved.map_err(|_| Refusal::StoreFailed)
     }
 
     /// Reads what is stored and starts the sensor. What cannot be read or used is reported, and
     /// the device runs without it.
     async fn start(&mut self) -> Plan {
-        let boot_count = match self.load_boot_count() {
+        let boot_count = match self.load_boot_count().await {
             // A count that is not kept would come again.
-            Ok(before) => self.count_start(before),
+            Ok(before) => self.count_start(before).await,
             Err(StoreFault) => None,
         };
         if boot_count.is_none() {
             self.trouble(Trouble::BootCount, Event::StoreUnreadable);
         }
-        let key = match self.load_raw(Key::DeviceKey) {
+        let key = match self.load_raw(Key::DeviceKey).await {
             Ok(None) => KeyState::None,
             Ok(Some(bytes)) => KeyState::Set(DeviceKey::new(bytes)),
             Err(StoreFault) => {
@@ -193,7 +193,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 KeyState::Unreadable
             }
         };
-        let loaded = self.load(Key::Settings);
+        let loaded = self.load(Key::Settings).await;
         let wanted = match loaded.map(|place| place.map(|at| Record::decode(self.content(&at)))) {
             Ok(Some(Ok(Record::Settings(settings)))) => settings,
             Ok(None) => Settings::default(),
@@ -214,7 +214,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Some(plan) => plan,
             None => core::future::pending().await,
         };
-        let parameters = self.load_parameters(plan.settings.range_g);
+        let parameters = self.load_parameters(plan.settings.range_g).await;
         self.shared.activate(self.set_at(&parameters));
         self.shared.publish(|published| {
             published.hello.boot_count = boot_count.unwrap_or(0);
@@ -224,7 +224,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             published.ready = true;
         });
         for role in ROLES {
-            let baud = self.load_raw(rate_key(role)).ok().flatten();
+            let baud = self.load_raw(rate_key(role)).await.ok().flatten();
             let order = RateOrder::Use(baud.map(u32::from_le_bytes));
             self.shared.rate_signals(role).order.signal(order);
             self.shared.introduce(role, self.timer.now());
@@ -236,8 +236,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// The set committed for a range: where in the record it is. What cannot be read or used is
     /// reported.
-    fn load_parameters(&mut self, range_g: u8) -> Option<Range<usize>> {
-        let loaded = self.load(Key::Parameters { range_g });
+    async fn load_parameters(&mut self, range_g: u8) -> Option<Range<usize>> {
+        let loaded = self.load(Key::Parameters { range_g }).await;
         let place = match loaded {
             Ok(place) => place,
             Err(StoreFault) => {
@@ -309,7 +309,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Command::SetKey(key) => self.set_key(key).await,
             Command::ForgetKey => {
                 self.announce_pause().await;
-                let removed = self.store.remove(|key| key == Key::DeviceKey);
+                let removed = self.store.remove(|key| key == Key::DeviceKey).await;
                 removed.map_err(|StoreFault| Refusal::StoreFailed)?;
                 self.take_key(KeyState::None);
                 Ok(self.key_status())
@@ -334,7 +334,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 let new = plan_nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
                 self.configure(&new, Some(&None)).await?;
                 self.announce_pause().await;
-                if let Err(StoreFault) = self.store.remove(is_calibration_or_settings) {
+                if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
                     self.configure(plan, None).await?;
                     return Err(Refusal::StoreFailed);
                 }
@@ -417,13 +417,14 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.announce_pause().await;
         let removed = self
             .store
-            .remove(|key| matches!(key, Key::DeviceKey | Key::Settings));
+            .remove(|key| matches!(key, Key::DeviceKey | Key::Settings))
+            .await;
         if removed.is_err() {
             self.shared.report(self.timer.now(), Event::StoreUnreadable);
             return;
         }
         if let Some(new) = plan_nearest::<A>(&Settings::default()) {
-            let parameters = self.load_parameters(new.settings.range_g);
+            let parameters = self.load_parameters(new.settings.range_g).await;
             // A sensor that is away is started with these settings when it is back.
             let _ = self.configure(&new, Some(&parameters)).await;
             *plan = new;
@@ -440,10 +441,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     async fn set_key(&mut self, key: DeviceKey) -> Result<ShortPayload, Refusal> {
         self.announce_pause().await;
         self.save_raw(Key::DeviceKey, key.expose())
+            .await
             .map_err(|StoreFault| Refusal::StoreFailed)?;
         let lock = self.shared.lock();
         if lock.boot_count.is_none() && lock.key != KeyState::Set(key) {
-            let boot_count = self.count_start(0);
+            let boot_count = self.count_start(0).await;
             self.shared.publish(|published| {
                 published.hello.boot_count = boot_count.unwrap_or(0);
                 published.lock.boot_count = boot_count;
@@ -508,7 +510,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let range_g = self.compiled(set)?.1;
         let length = parameters_record(set, &mut self.record);
         self.announce_pause().await;
-        self.save_record(Key::Parameters { range_g }, length)?;
+        self.save_record(Key::Parameters { range_g }, length)
+            .await?;
         shared.activate(Some(set));
         *id = None;
         self.parameters_changed = true;
@@ -525,12 +528,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let other_range = new.settings.range_g != plan.settings.range_g;
         let mut loaded = None;
         if other_range {
-            loaded = self.load_parameters(new.settings.range_g);
+            loaded = self.load_parameters(new.settings.range_g).await;
         }
         let with = other_range.then_some(&loaded);
         self.configure(&new, with).await?;
-        self.announce_pause().await;
-        if let Err(refusal) = self.save_settings(new.settings) {
+        if let Err(refusal) = self.save_settings(new.settings).await {
             self.configure(plan, None).await?;
             return Err(refusal);
         }
@@ -652,8 +654,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
 
     /// Reads a record: where in `record` its content is. One that is damaged counts as unreadable
     /// memory.
-    fn load(&mut self, key: Key) -> Result<Option<Range<usize>>, StoreFault> {
-        let Some(length) = self.store.load(key, &mut self.record)? else {
+    async fn load(&mut self, key: Key) -> Result<Option<Range<usize>>, StoreFault> {
+        let Some(length) = self.store.load(key, &mut self.record).await? else {
             return Ok(None);
         };
         let record = self.record.get_mut(..length).unwrap_or_default();
@@ -661,47 +663,48 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         Ok(Some(0..opened))
     }
 
-    fn save_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
+    async fn save_settings(&mut self, settings: Settings) -> Result<(), Refusal> {
         let mut record = [0; SHORT_RECORD];
         let length = settings_record(settings, &mut record);
+        self.announce_pause().await;
         let record = record.get(..length).unwrap_or_default();
-        let saved = self.store.save(Key::Settings, record);
+        let saved = self.store.save(Key::Settings, record).await;
         saved.map_err(|StoreFault| Refusal::StoreFailed)
     }
 
-    fn save_record(&mut self, key: Key, length: usize) -> Result<(), Refusal> {
+    async fn save_record(&mut self, key: Key, length: usize) -> Result<(), Refusal> {
         let record = self.record.get(..length).unwrap_or_default();
-        let saved = self.store.save(key, record);
+        let saved = self.store.save(key, record).await;
         saved.map_err(|StoreFault| Refusal::StoreFailed)
     }
 
-    fn load_boot_count(&mut self) -> Result<u32, StoreFault> {
-        let count = self.load_raw(Key::BootCount)?;
+    async fn load_boot_count(&mut self) -> Result<u32, StoreFault> {
+        let count = self.load_raw(Key::BootCount).await?;
         Ok(count.map_or(0, u32::from_le_bytes))
     }
 
     /// Counts one more start; `None` if it cannot be kept.
-    fn count_start(&mut self, before: u32) -> Option<u32> {
+    async fn count_start(&mut self, before: u32) -> Option<u32> {
         let count = before.wrapping_add(1).max(1);
-        let saved = self.save_raw(Key::BootCount, &count.to_le_bytes());
+        let saved = self.save_raw(Key::BootCount, &count.to_le_bytes()).await;
         saved.is_ok().then_some(count)
     }
 
     /// Reads a record of bytes.
-    fn load_raw<const N: usize>(&mut self, key: Key) -> Result<Option<[u8; N]>, StoreFault> {
-        let Some(place) = self.load(key)? else {
+    async fn load_raw<const N: usize>(&mut self, key: Key) -> Result<Option<[u8; N]>, StoreFault> {
+        let Some(place) = self.load(key).await? else {
             return Ok(None);
         };
         let (_, bytes) = self.content(&place).split_first().ok_or(StoreFault)?;
         bytes.try_into().map(Some).map_err(|_| StoreFault)
     }
 
-    fn save_raw(&mut self, key: Key, content: &[u8]) -> Result<(), StoreFault> {
+    async fn save_raw(&mut self, key: Key, content: &[u8]) -> Result<(), StoreFault> {
         let mut record = [0; SHORT_RECORD];
         let length = frame::encode(Kind::Telemetry, content, &mut record);
         let length = length.map_err(|_| StoreFault)?;
         let record = record.get(..length).unwrap_or_default();
-        self.store.save(key, record)
+        self.store.save(key, record).await
     }
 }
 

@@ -11,8 +11,6 @@ mod bus;
 mod control;
 mod data_ready;
 #[cfg(feature = "flash-store")]
-mod flash_log;
-#[cfg(feature = "flash-store")]
 mod flash_store;
 mod link;
 mod lsm303agr;

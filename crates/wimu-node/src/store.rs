@@ -56,8 +56,9 @@ impl Key {
 
 /// Keeps a few records of up to [`MAX_RECORD`] bytes over a restart.
 ///
-/// A `save` or `remove` that power loss interrupts leaves the old records or the new state. What is in
-/// a record is the node's business.
+/// A `save` or `remove` that power loss interrupts leaves the old records or the new state. Futures
+/// are never dropped before they are done. What is in a record is the node's business.
+#[allow(async_fn_in_trait)] // Nodes are polled where they are built; nothing needs `Send`.
 pub trait Store {
     /// How long a `save` or `remove` may keep the processor, so that nothing is received
     /// meanwhile: it is announced to the hosts. 0 for memory that takes no such time.
@@ -69,19 +70,19 @@ pub trait Store {
     ///
     /// # Errors
     /// [`StoreFault`] when the memory cannot be read, or a record that was saved is damaged.
-    fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault>;
+    async fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault>;
 
     /// Writes a record, of one byte or more, in place of the one before.
     ///
     /// # Errors
     /// [`StoreFault`] when it could not be written; the old record still stands then.
-    fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault>;
+    async fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault>;
 
     /// Removes the records whose keys are among `which`: all of them or none.
     ///
     /// # Errors
     /// [`StoreFault`] when they could not be removed; all still stand then.
-    fn remove(&mut self, which: fn(Key) -> bool) -> Result<(), StoreFault>;
+    async fn remove(&mut self, which: fn(Key) -> bool) -> Result<(), StoreFault>;
 }
 
 /// Longest record, bytes.

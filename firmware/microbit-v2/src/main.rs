@@ -14,6 +14,7 @@ mod rate;
 mod tasks;
 
 use cortex_m_rt::entry;
+use embassy_embedded_hal::adapter::BlockingAsync;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
 use embassy_nrf::buffered_uarte::{self, BufferedUarte, BufferedUarteRx, BufferedUarteTx};
 use embassy_nrf::config::{Config, HfclkSource};
@@ -44,7 +45,7 @@ bind_interrupts!(struct Interrupts {
 
 /// What the node is made of.
 type Sensor = Lsm303agr<PatientBus<Bus, BoardTimer>, Line, BoardTimer>;
-type Flash = Nvmc<'static>;
+type Flash = BlockingAsync<Nvmc<'static>>;
 type Memory = FlashStore<Flash>;
 type Receiver = BufferedUarteRx<'static>;
 type Transmitter = BufferedUarteTx<'static>;
@@ -205,7 +206,7 @@ fn start(spawner: Spawner) {
         ),
         accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer),
         timer: BoardTimer,
-        store: FlashStore::new(Nvmc::new(chip.NVMC), LAYOUT, PAUSE_MS),
+        store: FlashStore::new(BlockingAsync::new(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
         entropy,
         cable: cable.split(),
         wireless: wireless.split(),

@@ -7,7 +7,7 @@ use embassy_rp::Peri;
 use embassy_rp::flash::{Blocking, ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
 use embassy_rp::peripherals::FLASH;
 use embassy_rp::rom_data;
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use wimu_node::FlashLayout;
 
 /// Bytes of a Pico's flash.
@@ -46,7 +46,7 @@ impl ErrorType for StoreFlash {
 impl ReadNorFlash for StoreFlash {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let from = Self::range(offset, bytes.len(), 1)?;
         let flash = FLASH_BASE.cast::<u8>();
         for (index, byte) in bytes.iter_mut().enumerate() {
@@ -65,14 +65,14 @@ impl NorFlash for StoreFlash {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = ERASE_SIZE;
 
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
         let at = Self::range(from, length, ERASE_SIZE)?;
         change(Change::Erase { at, length });
         Ok(())
     }
 
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         let mut at = Self::range(offset, bytes.len(), Self::WRITE_SIZE)?;
         let mut rest = bytes;
         while !rest.is_empty() {

@@ -3,7 +3,7 @@
 use core::ops::Range;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use embedded_storage::nor_flash::{
+use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
 use wimu_node::FlashLayout;
@@ -103,7 +103,7 @@ impl ErrorType for Flash {
 impl ReadNorFlash for Flash {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
         let addresses = Self::range(offset, bytes.len())?;
         for (place, address) in bytes.iter_mut().zip(addresses) {
             // SAFETY: the address is in the flash.
@@ -121,7 +121,7 @@ impl NorFlash for Flash {
     const WRITE_SIZE: usize = WORD;
     const ERASE_SIZE: usize = PAGE;
 
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
         let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
         aligned(from, length, PAGE)?;
         for address in Self::range(from, length)?.step_by(WORD) {
@@ -130,7 +130,7 @@ impl NorFlash for Flash {
         Ok(())
     }
 
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
         aligned(offset, bytes.len(), WORD)?;
         let words = bytes.as_chunks::<WORD>().0;
         let addresses = Self::range(offset, bytes.len())?.step_by(WORD);

@@ -3,12 +3,15 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
+use std::future::pending;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::Path;
 use std::rc::Rc;
+use std::task::Poll;
 
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use embassy_futures::poll_once;
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store};
 
 const PAGES: usize = 4;
@@ -109,15 +112,10 @@ impl Storage {
         self.0.borrow_mut().stuck.insert(at);
     }
 
-    /// Takes power off after so many more bytes have been written or erased: nothing can be changed
-    /// from then on. `None` gives power back.
+    /// Takes power off after so many more bytes have been written or erased: whoever writes the
+    /// next one waits for ever. `None` gives power back.
     pub fn lose_power_after(&self, bytes: Option<u64>) {
         self.0.borrow_mut().left = bytes;
-    }
-
-    /// Whether there is power.
-    pub fn has_power(&self) -> bool {
-        self.0.borrow().left != Some(0)
     }
 
     /// Bytes written or erased so far.
@@ -134,7 +132,7 @@ impl Storage {
     pub fn corrupt(&self, key: Key) {
         let mut record = [0; MAX_RECORD];
         let mut store = Self::from_image(&self.image()).store();
-        let Ok(Some(length)) = store.load(key, &mut record) else {
+        let Poll::Ready(Ok(Some(length))) = poll_once(store.load(key, &mut record)) else {
             return;
         };
         let mut chip = self.0.borrow_mut();
@@ -188,7 +186,7 @@ impl ErrorType for Storage {
 impl ReadNorFlash for Storage {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let offset = offset as usize;
         let chip = self.0.borrow();
         let held = chip.bytes.get(offset..offset + bytes.len());
@@ -205,7 +203,7 @@ impl NorFlash for Storage {
     const WRITE_SIZE: usize = WORD;
     const ERASE_SIZE: usize = PAGE;
 
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         let range = within(from as usize..to as usize, PAGE)?;
         let done = {
             let mut chip = self.0.borrow_mut();
@@ -216,14 +214,10 @@ impl NorFlash for Storage {
             chip.keep(range);
             done
         };
-        if done {
-            Ok(())
-        } else {
-            Err(NorFlashErrorKind::Other)
-        }
+        if done { Ok(()) } else { pending().await }
     }
 
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         let offset = offset as usize;
         within(offset..offset + bytes.len(), WORD)?;
         let done = {
@@ -233,11 +227,7 @@ impl NorFlash for Storage {
             chip.keep(offset..offset + bytes.len());
             done
         };
-        if done {
-            Ok(())
-        } else {
-            Err(NorFlashErrorKind::Other)
-        }
+        if done { Ok(()) } else { pending().await }
     }
 }
 

@@ -165,6 +165,18 @@ pub struct TermDeviations {
 }
 
 impl TermDeviations {
+    /// That of one parameter; 0 where it is no term's.
+    pub(crate) fn get(&self, slot: Slot) -> f64 {
+        let group = match slot.term() {
+            None => return 0.0,
+            Some(terms::Term::Drift) => &self.drift_mps2,
+            Some(terms::Term::BiasTemperature) => &self.bias_mps2_per_k,
+            Some(terms::Term::ScaleTemperature) => &self.scale_per_k,
+            Some(terms::Term::Quadratic) => &self.nonlinearity,
+        };
+        group[slot.index() % 3]
+    }
+
     /// Sets that of one parameter, where it is a term's.
     pub(crate) fn set(&mut self, slot: Slot, sd: f64) {
         let Some(term) = slot.term() else { return };
@@ -203,6 +215,10 @@ impl Covariance {
 
     pub(crate) fn add(&mut self, a: Parameter, b: Parameter, covariance: f64) {
         self.0[a.index()][b.index()] += covariance;
+    }
+
+    pub(crate) fn set(&mut self, a: Parameter, b: Parameter, covariance: f64) {
+        self.0[a.index()][b.index()] = covariance;
     }
 
     pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {

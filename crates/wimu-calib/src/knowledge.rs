@@ -45,6 +45,7 @@ impl<R: Real, const N: usize> Knowledge<R, N> {
             condition: self.condition,
             amplification: self.amplification,
             add: self.poorest,
+            instead: None,
         }
     }
 }

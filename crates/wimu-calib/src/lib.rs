@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod alignment;
+mod choice;
 mod datasheet;
 mod design;
 mod estimate;
@@ -32,6 +33,7 @@ mod terms;
 mod turn;
 
 pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
+pub use choice::best_model;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
 pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};
@@ -41,7 +43,7 @@ pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
 };
 pub use multi_position::{
-    Model, MultiPosition, best_model, multi_position, multi_position_f32, multi_position_with,
+    Model, MultiPosition, multi_position, multi_position_f32, multi_position_with,
     multi_position_with_f32,
 };
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal};
@@ -49,7 +51,9 @@ pub use orientation::{Face, Instruction, Orientation};
 pub use outliers::Rejected;
 pub use parameter::{Parameter, Parameters};
 pub use pose::Pose;
-pub use reference::{AxisTransfer, Line, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal};
+pub use reference::{
+    AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal,
+};
 pub use refusal::{Refusal, UnitHint};
 pub use scalar::Scalar;
 pub use self_check::{Ageing, Check, SelfCheck};

@@ -84,6 +84,12 @@ impl<R: Real, const N: usize> Cholesky<R, N> {
         x
     }
 
+    /// ln det(L Lᵀ).
+    pub fn ln_det(&self) -> f64 {
+        let ln = |reciprocal: &R| libm::log(double(*reciprocal));
+        -2.0 * self.reciprocal.iter().map(ln).sum::<f64>()
+    }
+
     /// (L Lᵀ)⁻¹.
     pub fn inverse(&self) -> SMatrix<R, N, N> {
         // Column c of L⁻¹, kept as row c.

@@ -13,8 +13,8 @@ use crate::linear::{Real, double, real};
 use crate::outliers::{Rejected, Weighting};
 use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::{
-    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, design, input,
-    outliers, pose,
+    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, choice, design,
+    input, outliers, pose,
 };
 
 /// Which parameters are fitted; the others are those of a perfect sensor.
@@ -139,6 +139,7 @@ impl MultiPosition {
 /// [`Refusal`] when the poses cannot support the model; each says what to do.
 pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
     basic::<f64>(poses, gravity, model)
+        .map_err(|refusal| refusal.advise(|m| basic::<f64>(poses, gravity, m).is_ok()))
 }
 
 /// [`multi_position`] computed in f32, for a processor that has no f64: on poses of condition up to
@@ -152,6 +153,7 @@ pub fn multi_position_f32(
     model: Model,
 ) -> Result<Estimate, Refusal> {
     basic::<f32>(poses, gravity, model)
+        .map_err(|refusal| refusal.advise(|m| basic::<f32>(poses, gravity, m).is_ok()))
 }
 
 fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
@@ -160,11 +162,12 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
         ..MultiPosition::default()
     };
     check(poses, gravity, what)?;
-    match model {
-        Model::Bias3 => fit::<R, 3>(poses, gravity, what),
-        Model::BiasScale6 => fit::<R, 6>(poses, gravity, what),
-        Model::Full9 => fit::<R, 9>(poses, gravity, what),
-    }
+    let fitted = match model {
+        Model::Bias3 => fit::<R, 3>(poses, gravity, what, false),
+        Model::BiasScale6 => fit::<R, 6>(poses, gravity, what, false),
+        Model::Full9 => fit::<R, 9>(poses, gravity, what, false),
+    };
+    fitted.map(|fitted| fitted.estimate)
 }
 
 /// The same with terms on top, and with bad poses left out where that is asked for. Equations (41)
@@ -180,7 +183,7 @@ pub fn multi_position_with(
     gravity: Gravity,
     what: MultiPosition,
 ) -> Result<Estimate, Refusal> {
-    with_terms::<f64>(poses, gravity, what)
+    advised::<f64>(poses, gravity, what)
 }
 
 /// [`multi_position_with`] computed in f32, for a processor that has no f64: terms and bad poses
@@ -195,78 +198,48 @@ pub fn multi_position_with_f32(
     gravity: Gravity,
     what: MultiPosition,
 ) -> Result<Estimate, Refusal> {
-    with_terms::<f32>(poses, gravity, what)
+    advised::<f32>(poses, gravity, what)
 }
 
-fn with_terms<R: Real>(
+fn advised<R: Real>(
     poses: &[Pose],
     gravity: Gravity,
     what: MultiPosition,
 ) -> Result<Estimate, Refusal> {
-    check(poses, gravity, what)?;
-    match what.parameters() {
-        3 => fit::<R, 3>(poses, gravity, what),
-        6 => fit::<R, 6>(poses, gravity, what),
-        9 => fit::<R, 9>(poses, gravity, what),
-        12 => fit::<R, 12>(poses, gravity, what),
-        15 => fit::<R, 15>(poses, gravity, what),
-        18 => fit::<R, 18>(poses, gravity, what),
-        _ => fit::<R, 21>(poses, gravity, what),
+    let supported =
+        |model| with_terms::<R>(poses, gravity, MultiPosition { model, ..what }, false).is_ok();
+    match with_terms::<R>(poses, gravity, what, false) {
+        Ok(fitted) => Ok(fitted.estimate),
+        Err(refusal) => Err(refusal.advise(supported)),
     }
 }
 
-/// The model with the least leave-one-out error of all that the poses support: 3, 6 or 9 parameters,
-/// each term with and without, `least` being fitted in any case. The smaller of two that are alike.
-///
-/// # Errors
-/// The refusal of nine parameters with the terms of `least`, when no model is supported.
-pub fn best_model(
+/// An estimate, and what chooses between several.
+pub(crate) struct Fitted {
+    pub estimate: Estimate,
+    /// |f| − g of each pose that was fitted under the model without it, m/s² rms.
+    pub kept_left_out_mps2: f64,
+    /// ln of the probability of the poses under this model, where it was asked for.
+    pub evidence: f64,
+}
+
+/// With `weigh`, what the choice between models asks for, too.
+pub(crate) fn with_terms<R: Real>(
     poses: &[Pose],
     gravity: Gravity,
-    least: Terms,
-    reject: bool,
-) -> Result<Estimate, Refusal> {
-    let mut best: Option<Estimate> = None;
-    let mut nine = None;
-    for terms in Terms::every().filter(|terms| terms.include(least)) {
-        for model in Model::ALL {
-            let what = MultiPosition {
-                model,
-                terms,
-                reject,
-            };
-            let estimate = match multi_position_with(poses, gravity, what) {
-                Ok(estimate) => estimate,
-                Err(refusal) => {
-                    nine = nine.or(Some(refusal).filter(|_| model == Model::Full9));
-                    continue;
-                }
-            };
-            let loo = |estimate: &Estimate| estimate.loo_rms_mps2.unwrap_or(f64::INFINITY);
-            if best.as_ref().is_none_or(|best| loo(&estimate) < loo(best)) {
-                best = Some(estimate);
-            }
-        }
+    what: MultiPosition,
+    weigh: bool,
+) -> Result<Fitted, Refusal> {
+    check(poses, gravity, what)?;
+    match what.parameters() {
+        3 => fit::<R, 3>(poses, gravity, what, weigh),
+        6 => fit::<R, 6>(poses, gravity, what, weigh),
+        9 => fit::<R, 9>(poses, gravity, what, weigh),
+        12 => fit::<R, 12>(poses, gravity, what, weigh),
+        15 => fit::<R, 15>(poses, gravity, what, weigh),
+        18 => fit::<R, 18>(poses, gravity, what, weigh),
+        _ => fit::<R, 21>(poses, gravity, what, weigh),
     }
-    // Fewer parameters do not mend what nine, known well enough, do not fit.
-    if let Some(refusal @ (Refusal::PoorFit { .. } | Refusal::Saturated { .. })) = nine
-        && best
-            .as_ref()
-            .is_some_and(|best| best.method != Method::MultiPosition(Model::Full9))
-    {
-        return Err(refusal);
-    }
-    best.map_or_else(
-        || {
-            let what = MultiPosition {
-                model: Model::Full9,
-                terms: least,
-                reject,
-            };
-            multi_position_with(poses, gravity, what)
-        },
-        Ok,
-    )
 }
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
@@ -276,6 +249,7 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
             have: poses.len(),
             need,
             model: what.model,
+            instead: None,
         });
     }
     input::check(poses.iter(), gravity)?;
@@ -321,7 +295,8 @@ fn fit<R: Real, const N: usize>(
     poses: &[Pose],
     gravity: Gravity,
     what: MultiPosition,
-) -> Result<Estimate, Refusal> {
+    weigh: bool,
+) -> Result<Fitted, Refusal> {
     let mut problem = Magnitude::<N> {
         poses,
         gravity_mps2: gravity.mps2(),
@@ -373,7 +348,12 @@ fn fit<R: Real, const N: usize>(
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::AxisStuck { axis });
     }
-    result(&problem, &fit, &knowledge, gravity, what)
+    let mut fitted = result(&problem, &fit, &knowledge, gravity, what)?;
+    if weigh {
+        let poses = fitted.estimate.poses;
+        fitted.evidence = choice::evidence(&fit, &problem.free, poses, problem.rejected);
+    }
+    Ok(fitted)
 }
 
 /// Weights the poses and leaves out bad ones, where that applies, and fits again.
@@ -404,7 +384,7 @@ fn result<R: Real, const N: usize>(
     knowledge: &Knowledge<R, N>,
     gravity: Gravity,
     what: MultiPosition,
-) -> Result<Estimate, Refusal> {
+) -> Result<Fitted, Refusal> {
     let poses = problem.poses;
     let theta = fit.theta.map(double);
     let free = &problem.free;
@@ -464,6 +444,7 @@ fn result<R: Real, const N: usize>(
             loo_rms_mps2: predicted,
             rms_mps2: kept.rms_mps2(),
             pose: kept_left_out.worst_pose,
+            instead: None,
         });
     }
 
@@ -481,7 +462,7 @@ fn result<R: Real, const N: usize>(
     if what.model != Model::Bias3 {
         covariance.add_gravity(&theta, gravity);
     }
-    Ok(Estimate {
+    let estimate = Estimate {
         model,
         method: Method::MultiPosition(what.model),
         terms: what.terms,
@@ -507,6 +488,11 @@ fn result<R: Real, const N: usize>(
             end_s: problem.conditions.end_s,
             span_s: 1.0 / problem.conditions.per_span,
         }),
+    };
+    Ok(Fitted {
+        estimate,
+        kept_left_out_mps2: predicted,
+        evidence: 0.0,
     })
 }
 

@@ -1,8 +1,12 @@
 //! Calibration against a reference: one stream against another of the same motion.
 
+mod sums;
+
 use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError};
+
+use sums::{Jackknife, LAGS, Moments, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
 const BLOCKS: usize = 32;
@@ -13,6 +17,16 @@ const FEWEST: u64 = 8;
 const LEAST_MOTION_MPS2: f64 = 0.5;
 /// Streams of one motion are correlated at least this much where there is motion.
 const LEAST_CORRELATION: f64 = 0.9;
+
+/// Neighbouring samples show the same motion where they are correlated at least this much as each
+/// is with itself.
+const LEAST_SHARED: f64 = 0.9;
+/// What is left counts as white when its correlation with that some samples away is below this, or
+/// so many standard deviations of that of white noise.
+const WHITE: f64 = 0.05;
+const WHITE_DEVIATIONS: f64 = 3.0;
+/// Half the way from bound to bound in standard deviations, for a 95 % interval of 15 degrees of freedom.
+const BOUND: f64 = 0.25;
 
 /// Noise of the output per noise of the reference (standard deviations), within 10⁻³..=10³.
 ///
@@ -32,12 +46,31 @@ impl NoiseRatio {
         let sound = output_sd_mps2 > 0.0 && reference_sd_mps2 > 0.0 && ratio.is_finite();
         sound.then(|| Self(ratio.clamp(1e-3, 1e3)))
     }
+
+    /// The ratio.
+    pub fn get(self) -> f64 {
+        self.0
+    }
 }
 
 impl Default for NoiseRatio {
     fn default() -> Self {
         Self::EQUAL
     }
+}
+
+/// What tells how much of an axis's noise is whose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum NoiseFrom {
+    /// The ratio that was given.
+    Ratio,
+    /// Neighbouring samples, which share the motion and not the noise.
+    Neighbours,
+    /// Nothing: the motion is too fast for the sample rate, or the noise not white. The scale factor
+    /// is somewhere between what it is if all noise is the reference's and if all is the output's; its
+    /// standard deviation includes that.
+    Bounds,
 }
 
 /// Bias and scale factor of an axis, y = b + S x.
@@ -50,6 +83,8 @@ pub struct Line {
     pub scale: f64,
     /// Covariance of b and S.
     pub covariance: [[f64; 2]; 2],
+    /// What parted the noises.
+    pub noise_from: NoiseFrom,
 }
 
 /// One axis of a stream against that of the reference.
@@ -159,7 +194,7 @@ impl core::error::Error for TransferRefusal {}
 /// Takes pairs of samples and says what one stream is against the other: per axis, both noisy.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 5 KB: sums over blocks whose length grows with the data.
+/// Memory is fixed, 21 KB: sums over blocks whose length grows with the data.
 ///
 /// ```
 /// use wimu_calib::{NoiseRatio, ReferenceTransfer};
@@ -182,9 +217,10 @@ impl core::error::Error for TransferRefusal {}
 /// ```
 #[derive(Clone, Debug)]
 pub struct ReferenceTransfer {
-    ratio: NoiseRatio,
+    ratio: Option<NoiseRatio>,
     /// The first pair: sums are of what differs from it.
     origin: Option<[[f64; 2]; 3]>,
+    recent: [Recent; 3],
     blocks: [[Sums; 3]; BLOCKS],
     /// Full blocks.
     full: usize,
@@ -195,11 +231,22 @@ pub struct ReferenceTransfer {
 }
 
 impl ReferenceTransfer {
-    /// Nothing taken yet.
+    /// Nothing taken yet; the ratio of the noises is known.
     pub fn new(ratio: NoiseRatio) -> Self {
+        Self::with(Some(ratio))
+    }
+
+    /// Nothing taken yet; whose noise it is has to show: where motion is slow for the sample rate,
+    /// neighbouring samples share it and not the noise. [`Line::noise_from`] says whether they did.
+    pub fn of_unknown_noise() -> Self {
+        Self::with(None)
+    }
+
+    fn with(ratio: Option<NoiseRatio>) -> Self {
         Self {
             ratio,
             origin: None,
+            recent: [Recent::NONE; 3],
             blocks: [[Sums::ZERO; 3]; BLOCKS],
             full: 0,
             length: 1,
@@ -213,6 +260,7 @@ impl ReferenceTransfer {
         let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
         if !finite(reference_mps2) || !finite(output_mps2) {
             self.not_finite += 1;
+            self.recent = [Recent::NONE; 3];
             return;
         }
         let [x, y, z] = reference_mps2;
@@ -232,8 +280,9 @@ impl ReferenceTransfer {
             self.length *= 2;
         }
         if let Some(block) = self.blocks.get_mut(self.full) {
-            for (sums, (pair, origin)) in block.iter_mut().zip(pairs.iter().zip(origin)) {
-                sums.take(pair[0] - origin[0], pair[1] - origin[1]);
+            let lasting = block.iter_mut().zip(&mut self.recent);
+            for ((sums, recent), (pair, origin)) in lasting.zip(pairs.iter().zip(origin)) {
+                sums.take([pair[0] - origin[0], pair[1] - origin[1]], recent);
             }
             if block[0].n >= self.length as f64 {
                 self.full += 1;
@@ -275,7 +324,8 @@ impl ReferenceTransfer {
         let blocks = || self.blocks.iter().take(used).map(|block| &block[axis]);
         let all = blocks().fold(Sums::ZERO, |sum, block| sum.plus(block, 1.0));
         let without = || blocks().map(|block| all.plus(block, -1.0));
-        let delta = self.ratio.0 * self.ratio.0;
+        let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
+        let delta = ratio * ratio;
         let moments = all.moments();
         let offset = origin[1] - origin[0] + moments.y - moments.x;
         let mut offset_sd = Jackknife::<1>::default();
@@ -285,16 +335,12 @@ impl ReferenceTransfer {
         }
         let slope = moments.slope(delta);
         let motion = slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0)));
-        let left = |slope: f64| {
-            let square = moments.yy - 2.0 * slope * moments.xy + slope * slope * moments.xx;
-            libm::sqrt(square.max(0.0))
-        };
         let mut transfer = AxisTransfer {
             at_mps2: origin[0] + moments.x,
             offset_mps2: offset,
             offset_sd_mps2: libm::sqrt(offset_sd.covariance()[0][0]),
             motion_mps2: motion,
-            rms_mps2: left(1.0),
+            rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
         };
         // What moves at all decides whether the streams can be compared.
@@ -303,144 +349,115 @@ impl ReferenceTransfer {
             return Ok(transfer);
         }
         let correlation = moments.xy / libm::sqrt(moments.xx * moments.yy);
-        let Some(slope) = slope.filter(|_| correlation >= LEAST_CORRELATION) else {
+        if slope.is_none() || correlation.is_nan() || correlation < LEAST_CORRELATION {
             return Err(TransferRefusal::NotTheSameMotion { axis, correlation });
-        };
-        // b = ȳ − S x̄, both about the origin.
-        let bias = |slope: f64, m: &Moments| origin[1] + m.y - slope * (origin[0] + m.x);
-        let mut spread = Jackknife::<2>::default();
-        for sums in without() {
-            let left = sums.moments();
-            let slope = left
-                .slope(delta)
-                .filter(|_| left.xx > moments.xx * 0.1)
-                .ok_or(TransferRefusal::OneMotionOnly { axis })?;
-            spread.take([bias(slope, &left), slope]);
         }
-        transfer.rms_mps2 = left(slope);
+        let of = |sums: &Sums, how: How| {
+            let slope = how.slope(sums, delta)?;
+            let m = sums.moments();
+            // b = ȳ − S x̄, both about the origin.
+            Some([origin[1] + m.y - slope * (origin[0] + m.x), slope])
+        };
+        let how = match self.ratio {
+            Some(_) => How::Deming,
+            None => How::of(&all),
+        };
+        let refusal = TransferRefusal::OneMotionOnly { axis };
+        let [bias, slope] = of(&all, how).ok_or(refusal)?;
+        let mut spread = Jackknife::<2>::default();
+        for left in without() {
+            let moves = left.moments().xx > moments.xx * 0.1;
+            spread.take(of(&left, how).filter(|_| moves).ok_or(refusal)?);
+        }
+        let mut covariance = spread.covariance();
+        match how {
+            How::Deming => {}
+            How::Neighbours { unsure, .. } => add_slope(&mut covariance, unsure, transfer.at_mps2),
+            How::Bounds => {
+                // The truth may be at one of them, and its noise comes on top.
+                let [low, high] = moments.bounds();
+                let apart = BOUND * (high - low).abs();
+                let more = 2.0 * apart * libm::sqrt(covariance[1][1]) + apart * apart;
+                add_slope(&mut covariance, libm::sqrt(more), transfer.at_mps2);
+            }
+        }
+        transfer.rms_mps2 = libm::sqrt(moments.left(slope).max(0.0));
         transfer.line = Some(Line {
-            bias_mps2: bias(slope, &moments),
+            bias_mps2: bias,
             scale: slope,
-            covariance: spread.covariance(),
+            covariance,
+            noise_from: how.noise_from(),
         });
         Ok(transfer)
     }
 }
 
-/// Sums over samples of an axis.
-#[derive(Clone, Copy, Debug)]
-struct Sums {
-    n: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
+/// Adds that the slope may be off by this, 1 σ, and the bias with it, about a mean `at`.
+fn add_slope(covariance: &mut [[f64; 2]; 2], by: f64, at: f64) {
+    let variance = by * by;
+    covariance[0][0] += at * at * variance;
+    covariance[0][1] -= at * variance;
+    covariance[1][0] -= at * variance;
+    covariance[1][1] += variance;
 }
 
-/// Means and central second moments.
-struct Moments {
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
+/// How a scale factor is found.
+#[derive(Clone, Copy)]
+enum How {
+    /// By the ratio of the noises: equation (50).
+    Deming,
+    /// From samples a lag of [`LAGS`] apart; what they share of the noise makes the slope unsure.
+    Neighbours { lag: usize, unsure: f64 },
+    /// The middle between all noise on one side and on the other.
+    Bounds,
 }
 
-impl Sums {
-    const ZERO: Self = Self {
-        n: 0.0,
-        x: 0.0,
-        y: 0.0,
-        xx: 0.0,
-        xy: 0.0,
-        yy: 0.0,
-    };
-
-    fn take(&mut self, x: f64, y: f64) {
-        self.n += 1.0;
-        self.x += x;
-        self.y += y;
-        self.xx += x * x;
-        self.xy += x * y;
-        self.yy += y * y;
+impl How {
+    /// From the farthest neighbours that share the motion and not what is left of it.
+    fn of(all: &Sums) -> Self {
+        let own = all.moments();
+        let white = WHITE.max(WHITE_DEVIATIONS / libm::sqrt(all.n));
+        let by = |lag: usize| {
+            let shared = all.lagged(lag).filter(|m| m.xy >= LEAST_SHARED * own.xy)?;
+            let slope = shared.slope(1.0)?;
+            let (left, alike) = (own.left(slope), shared.left(slope));
+            let told = alike.abs() <= white * left.max(f64::MIN_POSITIVE);
+            told.then_some(Self::Neighbours {
+                lag,
+                unsure: alike / shared.xy,
+            })
+        };
+        (0..LAGS.len()).rev().find_map(by).unwrap_or(Self::Bounds)
     }
 
-    /// With `sign` times `other` added.
-    fn plus(&self, other: &Self, sign: f64) -> Self {
-        Self {
-            n: self.n + sign * other.n,
-            x: self.x + sign * other.x,
-            y: self.y + sign * other.y,
-            xx: self.xx + sign * other.xx,
-            xy: self.xy + sign * other.xy,
-            yy: self.yy + sign * other.yy,
+    fn noise_from(self) -> NoiseFrom {
+        match self {
+            Self::Deming => NoiseFrom::Ratio,
+            Self::Neighbours { .. } => NoiseFrom::Neighbours,
+            Self::Bounds => NoiseFrom::Bounds,
         }
     }
 
-    fn moments(&self) -> Moments {
-        let (x, y) = (self.x / self.n, self.y / self.n);
-        Moments {
-            x,
-            y,
-            xx: self.xx / self.n - x * x,
-            xy: self.xy / self.n - x * y,
-            yy: self.yy / self.n - y * y,
+    fn slope(self, sums: &Sums, delta: f64) -> Option<f64> {
+        match self {
+            Self::Deming => sums.moments().slope(delta),
+            Self::Neighbours { lag, .. } => sums.lagged(lag)?.slope(1.0),
+            Self::Bounds => {
+                let [low, high] = sums.moments().bounds();
+                Some(0.5 * (low + high)).filter(|slope| slope.is_finite())
+            }
         }
     }
 }
 
 impl Moments {
-    /// Deming's slope, equation (50); δ is the variance of the output's noise per that of the
-    /// reference's.
-    fn slope(&self, delta: f64) -> Option<f64> {
-        let apart = self.yy - delta * self.xx;
-        let root = libm::sqrt(apart * apart + 4.0 * delta * self.xy * self.xy);
-        // Two forms of the same root; each keeps its digits on its side.
-        let slope = if apart >= 0.0 {
-            (apart + root) / (2.0 * self.xy)
-        } else {
-            2.0 * delta * self.xy / (root - apart)
-        };
-        (slope.is_finite() && slope != 0.0).then_some(slope)
-    }
-}
-
-/// Spread of estimates made without one block each: equation (51).
-struct Jackknife<const N: usize> {
-    count: f64,
-    mean: [f64; N],
-    squares: [[f64; N]; N],
-}
-
-impl<const N: usize> Default for Jackknife<N> {
-    fn default() -> Self {
-        Self {
-            count: 0.0,
-            mean: [0.0; N],
-            squares: [[0.0; N]; N],
-        }
-    }
-}
-
-impl<const N: usize> Jackknife<N> {
-    fn take(&mut self, estimate: [f64; N]) {
-        self.count += 1.0;
-        let before: [f64; N] = core::array::from_fn(|i| estimate[i] - self.mean[i]);
-        for (mean, step) in self.mean.iter_mut().zip(before) {
-            *mean += step / self.count;
-        }
-        for i in 0..N {
-            for j in 0..N {
-                self.squares[i][j] += before[i] * (estimate[j] - self.mean[j]);
-            }
-        }
+    /// The scale factor if all noise is the output's, and if all is the reference's.
+    fn bounds(&self) -> [f64; 2] {
+        [self.xy / self.xx, self.yy / self.xy]
     }
 
-    fn covariance(&self) -> [[f64; N]; N] {
-        let factor = (self.count - 1.0) / self.count;
-        core::array::from_fn(|i| {
-            core::array::from_fn(|j| factor * 0.5 * (self.squares[i][j] + self.squares[j][i]))
-        })
+    /// What is left of y less `slope` times x, squared.
+    fn left(&self, slope: f64) -> f64 {
+        self.yy - 2.0 * slope * self.xy + slope * slope * self.xx
     }
 }

@@ -19,6 +19,8 @@ pub enum Refusal {
         need: usize,
         /// The model asked for.
         model: Model,
+        /// The largest smaller model that these poses do support, if one.
+        instead: Option<Model>,
     },
     /// No pose has this side up.
     PoseMissing {
@@ -51,6 +53,8 @@ pub enum Refusal {
         amplification: f64,
         /// A pose in this orientation would help most.
         add: Orientation,
+        /// The largest smaller model that these poses do support, if one.
+        instead: Option<Model>,
     },
     /// An axis reads the same in every pose, though the others turn.
     AxisStuck {
@@ -85,6 +89,8 @@ pub enum Refusal {
         rms_mps2: f64,
         /// The pose that the others predict worst, its index.
         pose: usize,
+        /// The largest smaller model that these poses do support, if one.
+        instead: Option<Model>,
     },
     /// No error model makes these poses of one magnitude.
     PoorFit {
@@ -173,14 +179,19 @@ impl fmt::Display for Refusal {
                 "no static pose: hold the sensor still for two seconds in each of {need} orientations or \
                  more"
             ),
-            Self::TooFewPoses { have, need, model } => {
+            Self::TooFewPoses {
+                have,
+                need,
+                model,
+                instead,
+            } => {
                 write!(
                     out,
                     "{have} static pose{}, the {model} needs {need} at the least: add poses in other \
                      orientations",
                     if have == 1 { "" } else { "s" }
                 )?;
-                smaller(out, model)
+                smaller(out, instead)
             }
             Self::PoseMissing { face } => write!(
                 out,
@@ -200,6 +211,7 @@ impl fmt::Display for Refusal {
                 condition,
                 amplification,
                 add,
+                instead,
             } => {
                 write!(out, "the poses do not determine {parameters}")?;
                 if terms != Terms::NONE {
@@ -220,7 +232,7 @@ impl fmt::Display for Refusal {
                     out,
                     "; add a pose with {add}, and others unlike those you have"
                 )?;
-                smaller(out, model)
+                smaller(out, instead)
             }
             Self::AxisStuck { axis } => write!(
                 out,
@@ -254,6 +266,7 @@ impl fmt::Display for Refusal {
                 loo_rms_mps2,
                 rms_mps2,
                 pose,
+                instead,
             } => {
                 write!(
                     out,
@@ -270,7 +283,7 @@ impl fmt::Display for Refusal {
                     ": pose {pose} (from 0) decides alone; put the sensor down that way again, and \
                      in other orientations that you have only once"
                 )?;
-                smaller(out, model)
+                smaller(out, instead)
             }
             Self::PoorFit { rms_mps2, pose } => write!(
                 out,
@@ -322,10 +335,25 @@ fn axis_name(axis: usize) -> &'static str {
     ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
 }
 
-fn smaller(out: &mut fmt::Formatter<'_>, model: Model) -> fmt::Result {
-    match model.smaller() {
-        Some(smaller) => write!(out, ", or use the {smaller}"),
+fn smaller(out: &mut fmt::Formatter<'_>, instead: Option<Model>) -> fmt::Result {
+    match instead {
+        Some(smaller) => write!(out, ", or use the {smaller}, which these poses support"),
         None => Ok(()),
+    }
+}
+
+impl Refusal {
+    /// Tells which smaller model the poses support, where one might mend it: the first that `supported`
+    /// answers yes to.
+    pub(crate) fn advise(mut self, supported: impl Fn(Model) -> bool) -> Self {
+        if let Self::TooFewPoses { model, instead, .. }
+        | Self::NotObservable { model, instead, .. }
+        | Self::PoorPrediction { model, instead, .. } = &mut self
+        {
+            let smaller = core::iter::successors(model.smaller(), |model| model.smaller());
+            *instead = smaller.into_iter().find(|model| supported(*model));
+        }
+        self
     }
 }
 

@@ -46,6 +46,22 @@ impl Slot {
         Term::ALL.get(self.0.checked_sub(12)? / 3).copied()
     }
 
+    /// How far it usually is from that of a perfect sensor, 1 σ, as datasheets have it; `None` of the
+    /// bias, of which anything is as likely.
+    pub fn usual_sd(self) -> Option<f64> {
+        match self.0 {
+            0..3 => None,
+            // 3 % of sensitivity, 2 % across the axes.
+            3 | 7 | 11 => Some(0.03),
+            3..12 => Some(0.02),
+            // 2 mg over a session, ½ mg/K, 0.02 %/K, 1 mg at 1 g.
+            12..15 => Some(0.02),
+            15..18 => Some(0.005),
+            18..21 => Some(2e-4),
+            _ => Some(1e-4),
+        }
+    }
+
     /// How much of it makes an error of 1 m/s² at 1 g, over 10 K where it goes with temperature.
     pub fn per_mps2(self, gravity_mps2: f64) -> f64 {
         match self.0 {

@@ -276,16 +276,55 @@ fn too_few_poses_are_refused() {
         (Model::Full9, 10),
     ] {
         let refused = multi_position(&poses[..need - 1], exact(), model);
-        assert_eq!(
-            refused,
-            Err(Refusal::TooFewPoses {
-                have: need - 1,
-                need,
-                model
-            })
-        );
+        let Err(Refusal::TooFewPoses {
+            have, need: said, ..
+        }) = refused
+        else {
+            panic!("{refused:?}");
+        };
+        assert_eq!((have, said), (need - 1, need));
     }
     assert!(multi_position(&[], exact(), Model::Bias3).is_err());
+}
+
+#[test]
+fn a_smaller_model_is_advised_where_the_poses_support_it_and_nowhere_else() {
+    let (mut advised, mut none) = (0, 0);
+    for seed in 0..600 {
+        let mut random = Random(seed);
+        let truth = random.model(true);
+        // Few poses, or many in a plane or about one direction.
+        let count = 3 + (seed as usize / 3) % 14;
+        let poses: Vec<Pose> = (0..count)
+            .map(|_| {
+                let [x, y, z] = random.direction();
+                let up = match seed % 3 {
+                    0 => [x, y, z],
+                    1 => [x, y, 0.05 * z],
+                    _ => [0.2 * x, 0.2 * y, z],
+                };
+                let mut pose = pose(&truth, G, common::unit(up));
+                pose.mean_mps2 = pose.mean_mps2.map(|y| y + 0.003 * random.normal());
+                pose
+            })
+            .collect();
+        let smaller = [Model::BiasScale6, Model::Bias3];
+        let supports = |model: &Model| multi_position(&poses, exact(), *model).is_ok();
+        let Err(refusal) = multi_position(&poses, exact(), Model::Full9) else {
+            continue;
+        };
+        if let Refusal::TooFewPoses { instead, .. }
+        | Refusal::NotObservable { instead, .. }
+        | Refusal::PoorPrediction { instead, .. } = refusal
+        {
+            assert_eq!(instead, smaller.into_iter().find(supports), "{refusal}");
+            assert_eq!(refusal.to_string().contains("or use"), instead.is_some());
+            advised += usize::from(instead.is_some());
+            none += usize::from(instead.is_none());
+        }
+    }
+    println!("a smaller model advised {advised} times, none {none} times");
+    assert!(advised > 30 && none > 30);
 }
 
 #[test]

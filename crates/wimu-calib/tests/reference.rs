@@ -4,7 +4,7 @@ mod common;
 
 use common::Random;
 use proptest::prelude::*;
-use wimu_calib::{Line, NoiseRatio, ReferenceTransfer, TransferRefusal};
+use wimu_calib::{Line, NoiseFrom, NoiseRatio, ReferenceTransfer, TransferRefusal};
 
 /// A hand's motion about a tilted gravity, m/s².
 fn motion(k: usize) -> [f64; 3] {
@@ -82,6 +82,81 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
     }
 }
 
+/// The same where nobody says whose noise it is, motion of some tones up to `hz` at 100 Hz; and how
+/// often of 1000 neighbours told.
+fn coverage_of_unknown_noise(hz: f64, amplitude: f64, sd: [f64; 2], memory: f64) -> [f64; 3] {
+    let mut held = [0; 3];
+    let mut all = 0;
+    for seed in 0..334 {
+        let mut random = Random(seed);
+        let mut noises: [_; 6] = std::array::from_fn(|_| Noise::new(memory));
+        let truth: [_; 3] =
+            std::array::from_fn(|_| (random.within(0.8), 1.0 + random.within(0.04)));
+        let tones: [[(f64, f64); 6]; 3] = std::array::from_fn(|_| {
+            std::array::from_fn(|_| {
+                let rate = std::f64::consts::TAU * (0.1 + (hz - 0.1) * random.uniform());
+                (0.01 * rate, random.within(std::f64::consts::PI))
+            })
+        });
+        let mut transfer = ReferenceTransfer::of_unknown_noise();
+        for k in 0..3200 {
+            let force: [f64; 3] = std::array::from_fn(|axis| {
+                let swing = |(rate, phase): (f64, f64)| (rate * f64::from(k) + phase).sin();
+                let sum: f64 = tones[axis].into_iter().map(swing).sum();
+                amplitude * sum + if axis == 2 { 9.81 } else { 0.0 }
+            });
+            let mut of = |axis: usize| noises[axis].next(&mut random);
+            let reference = [0, 1, 2].map(|axis| force[axis] + sd[0] * of(axis));
+            let output = [0, 1, 2]
+                .map(|axis| truth[axis].0 + truth[axis].1 * force[axis] + sd[1] * of(3 + axis));
+            transfer.push(reference, output);
+        }
+        for (axis, (bias, scale)) in transfer.result().expect("sums").axes.iter().zip(truth) {
+            let line = axis.line.expect("it moved");
+            let within = |error: f64, variance: f64| error.abs() <= 2.064 * variance.sqrt();
+            held[0] += usize::from(within(line.bias_mps2 - bias, line.covariance[0][0]));
+            held[1] += usize::from(within(line.scale - scale, line.covariance[1][1]));
+            held[2] += usize::from(line.noise_from == NoiseFrom::Neighbours);
+            all += 1;
+        }
+    }
+    held.map(|held| 100.0 * held as f64 / all as f64)
+}
+
+#[test]
+fn intervals_hold_the_truth_where_nobody_says_whose_noise_it_is() {
+    for (amplitude, sd) in [
+        (2.0, [0.02, 0.02]),
+        (2.0, [0.02, 0.2]),
+        (2.0, [0.2, 0.02]),
+        (0.8, [0.02, 0.4]),
+        (0.8, [0.4, 0.02]),
+    ] {
+        let [bias, scale, told] = coverage_of_unknown_noise(2.0, amplitude, sd, 0.0);
+        println!(
+            "noise {sd:?}: bias {bias:.1} %, scale factor {scale:.1} %, neighbours {told:.1} %"
+        );
+        assert!((93.0..=97.0).contains(&bias), "{bias}");
+        assert!((93.0..=97.0).contains(&scale), "{scale}");
+        assert!(told > 95.0, "{told}");
+    }
+}
+
+#[test]
+fn where_neighbours_do_not_tell_the_interval_reaches_from_bound_to_bound() {
+    // Motion as fast as the samples, and noise with a longer memory than neighbours are apart.
+    for (hz, memory) in [(40.0, 0.0), (2.0, 10.0)] {
+        for sd in [[0.02, 0.4], [0.4, 0.02], [0.3, 0.3]] {
+            let [bias, scale, told] = coverage_of_unknown_noise(hz, 0.8, sd, memory);
+            println!(
+                "{hz} Hz, memory {memory}, noise {sd:?}: bias {bias:.1} %, scale factor {scale:.1} %, \
+                 neighbours {told:.1} %"
+            );
+            assert!(bias >= 93.0 && scale >= 93.0, "{bias} {scale}");
+        }
+    }
+}
+
 #[test]
 fn noise_of_the_reference_does_not_shrink_the_scale_factor_as_least_squares_lets_it() {
     let mut random = Random(5);
@@ -153,7 +228,7 @@ proptest! {
         let found = transfer.result().unwrap();
         prop_assert_eq!(found.samples, n as u64);
         for axis in found.axes {
-            let expected = Line { bias_mps2: 0.0, scale: 1.0, covariance: [[0.0; 2]; 2] };
+            let expected = Line { bias_mps2: 0.0, scale: 1.0, covariance: [[0.0; 2]; 2], noise_from: NoiseFrom::Ratio };
             prop_assert_eq!((axis.offset_mps2, axis.rms_mps2, axis.line), (0.0, 0.0, Some(expected)));
         }
     }

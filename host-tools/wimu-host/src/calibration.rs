@@ -11,7 +11,7 @@ mod update;
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, to_c, to_kalibr, to_rust};
 pub use magnetometer::{FieldPose, MagnetometerReport, calibrate_magnetometer};
-pub use reference::{AxisReport, Paired, ReferenceReport, compare_with_reference};
+pub use reference::{AxisReport, NoiseSource, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
     describe, read_parameters, write_report,

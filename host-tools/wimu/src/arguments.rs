@@ -384,6 +384,10 @@ pub struct Calibrate {
     /// Which accelerometer of a CSV file is the reference; without it the first (method reference)
     #[arg(long, value_name = "N")]
     pub reference: Option<u32>,
+    /// Noise of the output per noise of the reference (method reference): 2 where it is twice as noisy;
+    /// without it as both show at rest, or as neighbouring samples tell
+    #[arg(long, value_name = "RATIO")]
+    pub noise_ratio: Option<f64>,
     /// How exactly six positions or steps of a turn were placed, 1 σ; without it 1 (six-position,
     /// four-angle, three-angle)
     #[arg(long, value_name = "DEG")]

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_calib::{
-    NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer, TransferRefusal, find_poses,
+    NoiseFrom, NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer, TransferRefusal,
+    find_poses,
 };
 use wimu_link::LinkRole;
 use wimu_model::{
@@ -243,6 +244,22 @@ pub struct AxisReport {
     pub rms_mm_s2: f64,
     /// Whether bias and scale factor could be told apart.
     pub separated: bool,
+    /// What told how much of the noise is whose, where they were.
+    pub noise_from: Option<NoiseSource>,
+}
+
+/// What tells how much of the noise is whose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseSource {
+    /// The user said it.
+    Given,
+    /// Both streams at rest.
+    Rests,
+    /// Neighbouring samples, which share the motion and not the noise.
+    Neighbours,
+    /// Nothing: the standard deviations reach from all noise on one side to all on the other.
+    Bounds,
 }
 
 /// What `wimu calibrate --method reference` says, and the file that `wimu params push` reads.
@@ -268,7 +285,9 @@ pub struct ReferenceReport {
     pub samples: usize,
     /// Degrees of freedom of the standard deviations.
     pub dof: Option<usize>,
-    /// Whether the ratio of the noises was seen at rest, or equal noise was assumed.
+    /// Noise of the output per noise of the reference, as given or as seen at rest.
+    pub noise_ratio: Option<f64>,
+    /// Whether it was seen at rest.
     pub noise_ratio_seen: bool,
     /// X, Y, Z.
     pub axes: Option<[AxisReport; 3]>,
@@ -295,11 +314,32 @@ impl ReferenceReport {
 
 /// Bias and scale factor of one stream against the other.
 ///
-/// `utc_s`, s since 1970 UTC, is for the parameter set to say. Data that do not support an answer
+/// `noise_ratio` is the noise of the output per noise of the reference (standard deviations), where
+/// it is known; else it is that seen at rest, else what neighbouring samples tell. `utc_s`, s since 1970 UTC, is for the parameter set to say. Data that do not support an answer
 /// give a report that says so.
-pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceReport {
-    let ratio = data.noise_ratio();
-    let mut transfer = ReferenceTransfer::new(ratio.unwrap_or_default());
+///
+/// # Errors
+/// `usage` when `noise_ratio` is not positive and finite.
+pub fn compare_with_reference(
+    data: &Paired,
+    noise_ratio: Option<f64>,
+    utc_s: Option<u64>,
+) -> Result<ReferenceReport> {
+    let given = |ratio: f64| {
+        NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
+            HostError::new(
+                ErrorCode::Usage,
+                format!("a noise ratio of {ratio} is none"),
+                "give --noise-ratio the output's noise per the reference's, 2 if it is twice as noisy",
+            )
+        })
+    };
+    let (ratio, known_from) = match noise_ratio {
+        Some(ratio) => (Some(given(ratio)?), NoiseSource::Given),
+        None => (data.noise_ratio(), NoiseSource::Rests),
+    };
+    let mut transfer =
+        ratio.map_or_else(ReferenceTransfer::of_unknown_noise, ReferenceTransfer::new);
     for [reference, output] in &data.pairs {
         transfer.push(*reference, *output);
     }
@@ -314,7 +354,8 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
         output: data.output.clone(),
         samples: data.pairs.len(),
         dof: None,
-        noise_ratio_seen: ratio.is_some(),
+        noise_ratio: ratio.map(NoiseRatio::get),
+        noise_ratio_seen: ratio.is_some() && known_from == NoiseSource::Rests,
         axes: None,
         sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
         model: None,
@@ -325,7 +366,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
     };
     let found = match transfer.result() {
         Ok(found) => found,
-        Err(refusal) => return refused(report, &refusal),
+        Err(refusal) => return Ok(refused(report, &refusal)),
     };
     report.dof = Some(found.dof);
     report.axes = Some(found.axes.map(|axis| AxisReport {
@@ -335,6 +376,11 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
         motion_m_s2: axis.motion_mps2,
         rms_mm_s2: axis.rms_mps2 * 1e3,
         separated: axis.line.is_some(),
+        noise_from: axis.line.map(|line| match line.noise_from {
+            NoiseFrom::Ratio => known_from,
+            NoiseFrom::Neighbours => NoiseSource::Neighbours,
+            NoiseFrom::Bounds => NoiseSource::Bounds,
+        }),
     }));
     let model = match found.model() {
         Ok(model) => model,
@@ -342,7 +388,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
             report.reason = Some(format!(
                 "the result is no accelerometer's: {error}; check the units of both streams"
             ));
-            return report;
+            return Ok(report);
         }
     };
     let covariance = covariance(&found);
@@ -375,7 +421,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
         .parameters
         .as_ref()
         .map(|set| wimu_link::message::parameter_id(set).to_string());
-    report
+    Ok(report)
 }
 
 fn refused(mut report: ReferenceReport, refusal: &TransferRefusal) -> ReferenceReport {
@@ -428,16 +474,8 @@ impl fmt::Display for ReferenceReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
-            "{}: {} against {}, {} samples on both, {}",
-            self.source,
-            self.output,
-            self.reference,
-            self.samples,
-            if self.noise_ratio_seen {
-                "noise as seen at rest"
-            } else {
-                "both taken as equally noisy"
-            }
+            "{}: {} against {}, {} samples on both",
+            self.source, self.output, self.reference, self.samples,
         )?;
         let (Some(axes), Some(model), Some(sd)) = (&self.axes, &self.model, &self.sd) else {
             return write!(
@@ -450,12 +488,22 @@ impl fmt::Display for ReferenceReport {
             if report.separated {
                 writeln!(
                     out,
-                    "{name}: bias {:+.5} ± {:.5} m/s², scale factor {:.6} ± {:.6}; {:.2} mm/s² rms left",
+                    "{name}: bias {:+.5} ± {:.5} m/s², scale factor {:.6} ± {:.6}; {:.2} mm/s² rms left; \
+                     {}",
                     model.bias_mps2[axis],
                     sd.bias_mps2[axis],
                     model.matrix[axis][axis],
                     sd.matrix[axis][axis],
-                    report.rms_mm_s2
+                    report.rms_mm_s2,
+                    match report.noise_from {
+                        Some(NoiseSource::Given) => "ratio of the noises as given",
+                        Some(NoiseSource::Rests) => "ratio of the noises as seen at rest",
+                        Some(NoiseSource::Neighbours) | None =>
+                            "noises parted by neighbouring samples",
+                        Some(NoiseSource::Bounds) =>
+                            "nothing parts the noises: ± reaches from all of it on one side to all on the \
+                             other; hold both still for a while, or give --noise-ratio",
+                    }
                 )?;
             } else {
                 writeln!(

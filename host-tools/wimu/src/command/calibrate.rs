@@ -43,10 +43,14 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     if arguments.method == Method::Reference {
         return against_reference(arguments, output);
     }
-    if arguments.reference.is_some() {
+    let of_reference = [
+        ("--reference", arguments.reference.is_some()),
+        ("--noise-ratio", arguments.noise_ratio.is_some()),
+    ];
+    if let Some((flag, _)) = of_reference.into_iter().find(|(_, given)| *given) {
         return Err(HostError::new(
             ErrorCode::Usage,
-            "--reference goes with --method reference only",
+            format!("{flag} goes with --method reference only"),
             "leave it out, or add --method reference",
         ));
     }
@@ -213,7 +217,7 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
             ));
         }
     };
-    let report = calibration::compare_with_reference(&data, utc_s());
+    let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
     output.say(report.to_string());
     if report.exit_code() == 0
         && let Some(path) = &arguments.output
@@ -233,6 +237,7 @@ fn updated(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--placement-sd", arguments.placement_sd.is_some()),
         ("--sides", arguments.sides.is_some()),
         ("--reference", arguments.reference.is_some()),
+        ("--noise-ratio", arguments.noise_ratio.is_some()),
         ("--report", arguments.report.is_some()),
         ("--format", arguments.format.is_some()),
         ("--push", arguments.push),

@@ -1,0 +1,239 @@
+//! The model that the data choose, and what the choice adds to its uncertainty: equation (49).
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::least_squares::Fit;
+use crate::linear::{Cholesky, Real, double};
+use crate::multi_position::{Fitted, with_terms};
+use crate::outliers::Rejected;
+use crate::terms::{PERFECT, Slot, Term, Terms, Theta, theta_of};
+use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
+
+/// Degrees of freedom without which no term is taken in.
+const LEAST_DOF: usize = 4;
+/// By how much n ln(left-out error²) has to fall for each parameter of a term.
+const PER_PARAMETER: f64 = 1.0;
+/// Left-out error of a pose that the fit does without, per that of the others: more poses left out
+/// are no better prediction.
+const LEFT_OUT: f64 = 4.0;
+/// ln of how likely a term is there, per not there, before the poses are seen: one in four; of the
+/// quadratic one, which 1 g hardly shows, one in fifty.
+const fn beforehand(term: Term) -> f64 {
+    match term {
+        Term::Drift | Term::BiasTemperature | Term::ScaleTemperature => -1.4,
+        Term::Quadratic => -3.9,
+    }
+}
+/// ln of the probability of a pose that is bad, per m/s².
+const BAD_POSE: f64 = -4.6;
+/// Residuals below, (m/s²)², are rounding.
+const LEAST_SQUARE: f64 = 1e-12;
+
+/// The model that predicts poses left out best of all that the poses support: 3, 6 or 9 parameters,
+/// each term with and without, `least` being fitted in any case; a larger one only where the error
+/// falls by more than chance makes it. Equation (49).
+///
+/// Its standard deviations include that the data chose the model: what the others say that predict
+/// nearly as well.
+///
+/// # Errors
+/// The refusal of nine parameters with the terms of `least`, when no model is supported.
+pub fn best_model(
+    poses: &[Pose],
+    gravity: Gravity,
+    least: Terms,
+    reject: bool,
+) -> Result<Estimate, Refusal> {
+    let mut best: Option<(Estimate, f64)> = None;
+    let mut nine = None;
+    let mut average = Average::NOTHING;
+    for terms in Terms::every().filter(|terms| terms.include(least)) {
+        for model in Model::ALL {
+            let what = MultiPosition {
+                model,
+                terms,
+                reject,
+            };
+            let fitted = match with_terms::<f64>(poses, gravity, what, true) {
+                Ok(fitted) => fitted,
+                Err(refusal) => {
+                    nine = nine.or(Some(refusal).filter(|_| model == Model::Full9));
+                    continue;
+                }
+            };
+            average.add(&fitted.estimate, fitted.evidence);
+            if terms != least && fitted.estimate.dof < LEAST_DOF {
+                continue;
+            }
+            let badness = badness(&fitted, terms, poses.len());
+            if best.as_ref().is_none_or(|(_, least)| badness < *least) {
+                best = Some((fitted.estimate, badness));
+            }
+        }
+    }
+    // Fewer parameters do not mend what nine, known well enough, do not fit.
+    if let Some(refusal @ (Refusal::PoorFit { .. } | Refusal::Saturated { .. })) = nine
+        && best
+            .as_ref()
+            .is_some_and(|(best, _)| best.method != Method::MultiPosition(Model::Full9))
+    {
+        return Err(refusal);
+    }
+    let Some((mut best, _)) = best else {
+        return Err(nine.unwrap_or(Refusal::NotConverged));
+    };
+    average.widen(&mut best);
+    Ok(best)
+}
+
+/// n ln of the squared error with each pose left out, more for each parameter.
+fn badness(fitted: &Fitted, terms: Terms, poses: usize) -> f64 {
+    let rejected = fitted.estimate.rejected.as_slice().len() as f64;
+    let n = poses as f64;
+    let square = fitted.kept_left_out_mps2 * fitted.kept_left_out_mps2;
+    let all = square * (n + (LEFT_OUT * LEFT_OUT - 1.0) * rejected) / n;
+    n * libm::log(all.max(1e-24)) + PER_PARAMETER * terms.parameters() as f64
+}
+
+/// ln p(y | model) with the usual spread of its parameters as what is known beforehand.
+pub(crate) fn evidence<R: Real, const N: usize>(
+    fit: &Fit<R, N>,
+    free: &[Slot; N],
+    kept: usize,
+    rejected: Rejected,
+) -> f64 {
+    let half_dof = 0.5 * (kept - N) as f64;
+    let cost = fit.cost.max(LEAST_SQUARE);
+    let variance = 0.5 * cost / half_dof;
+    let inverse = fit.inverse.map(double);
+    // About a perfect sensor; what is not known beforehand has no part in it.
+    let mut known = SMatrix::<f64, N, N>::identity();
+    let mut off = SVector::<f64, N>::zeros();
+    let mut constants = 0.0;
+    for (i, a) in free.iter().enumerate() {
+        let Some(usual) = a.usual_sd() else { continue };
+        off[i] = double(fit.theta[a.index()]) - PERFECT[a.index()];
+        constants += libm::log(core::f64::consts::TAU);
+        for (j, b) in free.iter().enumerate() {
+            if b.usual_sd().is_some() {
+                known[(i, j)] = variance * inverse[(i, j)];
+            }
+        }
+        known[(i, i)] += usual * usual;
+    }
+    let (Some((volume, _)), Some((spread, square))) = (
+        factored(&inverse, &SVector::zeros()),
+        factored(&known, &off),
+    ) else {
+        return f64::NEG_INFINITY;
+    };
+    let terms = free.iter().filter_map(|slot| slot.term());
+    let terms: f64 = terms.map(|term| beforehand(term) / 3.0).sum();
+    let bad = rejected.as_slice().len() as f64 * BAD_POSE;
+    libm::lgamma(half_dof) - half_dof * libm::log(core::f64::consts::PI * cost)
+        + 0.5 * (volume - constants - spread - square)
+        + bad
+        + terms
+}
+
+/// ln det m and xᵀ m⁻¹ x of a positive definite matrix.
+fn factored<const N: usize>(m: &SMatrix<f64, N, N>, x: &SVector<f64, N>) -> Option<(f64, f64)> {
+    let unit = m.diagonal().map(|d| 1.0 / libm::sqrt(d));
+    let scaled = SMatrix::from_fn(|r, c| m[(r, c)] * unit[r] * unit[c]);
+    let factor = Cholesky::new(&scaled)?;
+    let x = x.component_mul(&unit);
+    let ln_det = factor.ln_det() - 2.0 * unit.map(libm::log).sum();
+    Some((ln_det, x.dot(&factor.solve(&x))))
+}
+
+/// Sums over models, each by its weight.
+struct Average {
+    /// The largest evidence so far: that of weight 1.
+    most: f64,
+    weight: f64,
+    /// Of 1 / the degrees of freedom.
+    per_dof: f64,
+    /// Of the parameters, and of their products with the covariance added.
+    first: Theta<f64>,
+    second: [[f64; Parameter::COUNT]; Parameter::COUNT],
+    /// The same of the terms' squares.
+    squares: Theta<f64>,
+}
+
+impl Average {
+    const NOTHING: Self = Self {
+        most: f64::NEG_INFINITY,
+        weight: 0.0,
+        per_dof: 0.0,
+        first: [0.0; Slot::COUNT],
+        second: [[0.0; Parameter::COUNT]; Parameter::COUNT],
+        squares: [0.0; Slot::COUNT],
+    };
+
+    fn add(&mut self, estimate: &Estimate, evidence: f64) {
+        if evidence > self.most {
+            let shrink = libm::exp(self.most - evidence);
+            self.weight *= shrink;
+            self.per_dof *= shrink;
+            self.first = self.first.map(|sum| sum * shrink);
+            self.second = self.second.map(|row| row.map(|sum| sum * shrink));
+            self.squares = self.squares.map(|sum| sum * shrink);
+            self.most = evidence;
+        }
+        let weight = libm::exp(evidence - self.most);
+        if weight.is_nan() {
+            return;
+        }
+        let theta = all_of(estimate);
+        self.weight += weight;
+        self.per_dof += weight / estimate.dof as f64;
+        for i in 0..Slot::COUNT {
+            self.first[i] += weight * theta[i];
+            let sd = estimate.term_sd.get(Slot::ALL[i]);
+            self.squares[i] += weight * (sd * sd + theta[i] * theta[i]);
+        }
+        for i in 0..Parameter::COUNT {
+            for j in 0..Parameter::COUNT {
+                let covariance = estimate.covariance.matrix()[i][j];
+                self.second[i][j] += weight * (covariance + theta[i] * theta[j]);
+            }
+        }
+    }
+
+    /// Gives `best` the spread of all about it.
+    fn widen(&self, best: &mut Estimate) {
+        if self.weight.is_nan() || self.weight <= 0.0 {
+            return;
+        }
+        let theta = all_of(best);
+        for i in 0..Parameter::COUNT {
+            for j in 0..Parameter::COUNT {
+                let about = self.second[i][j] - theta[i] * self.first[j] - theta[j] * self.first[i]
+                    + theta[i] * theta[j] * self.weight;
+                let (a, b) = (Parameter::ALL[i], Parameter::ALL[j]);
+                best.covariance.set(a, b, about / self.weight);
+            }
+        }
+        for slot in Slot::ALL.into_iter().skip(Parameter::COUNT) {
+            let i = slot.index();
+            if best.term_sd.get(slot) > 0.0 {
+                let about = self.squares[i] - 2.0 * theta[i] * self.first[i]
+                    + theta[i] * theta[i] * self.weight;
+                best.term_sd
+                    .set(slot, libm::sqrt((about / self.weight).max(0.0)));
+            }
+        }
+        best.interval_dof = Some((self.weight / self.per_dof).min(best.dof as f64));
+    }
+}
+
+/// The model's parameters with the drift among them.
+fn all_of(estimate: &Estimate) -> Theta<f64> {
+    let mut theta = theta_of(&estimate.model);
+    if let Some(drift) = estimate.drift {
+        for (axis, change) in drift.change_mps2.into_iter().enumerate() {
+            theta[Parameter::COUNT + axis] = change;
+        }
+    }
+    theta
+}

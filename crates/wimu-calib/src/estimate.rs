@@ -9,6 +9,9 @@ use crate::student;
 use crate::terms::{self, Slot, Terms, Theta};
 use crate::{Gravity, Model, Parameter, Parameters, Pose};
 
+/// Zero-g offset of a usual sensor, m/s²: 50 mg.
+const USUAL_BIAS_MPS2: f64 = 0.5;
+
 /// An error model and how good it is.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -63,8 +66,26 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Standard deviations of the parameters in the shape of the model; 0 for one that was not
-    /// fitted.
+    /// Of the 12 parameters those that nothing was seen of: the model has those of a perfect sensor,
+    /// the covariance what datasheets make likely. Not among them are those that gravity alone leaves
+    /// to choice, which are 0 by choice.
+    pub fn not_observed(&self) -> Parameters {
+        let chosen: Parameters = match self.method {
+            Method::MultiPosition(_) => {
+                use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
+                [MisalignmentYx, MisalignmentZx, MisalignmentZy]
+                    .into_iter()
+                    .collect()
+            }
+            Method::SixPosition { .. } | Method::FourAngle | Method::ThreeAngle => {
+                Parameters::default()
+            }
+        };
+        Parameters::ALL.without(self.fitted).without(chosen)
+    }
+
+    /// Standard deviations of the parameters in the shape of the model; for one that was not
+    /// observed what datasheets make likely.
     pub fn sd(&self) -> Deviations {
         let sd = Parameter::ALL.map(|parameter| self.covariance.sd(parameter));
         Deviations {
@@ -120,6 +141,13 @@ pub enum Method {
         /// Placement error that the covariance includes, rad, 1 σ about each axis: what was
         /// declared or what the poses show, whichever is larger.
         placement_sd_rad: f64,
+        /// What else a position differs by from one visit to the next, m/s², 1 σ, in the covariance
+        /// too: as visits of one side show, and as real sensors have it where there are few.
+        revisit_sd_mps2: f64,
+        /// Visits beyond the first of each side.
+        revisits: usize,
+        /// Whether they differ by more than noise and placement explain.
+        unexplained: bool,
     },
     /// Any orientations, from the magnitude of gravity.
     MultiPosition(Model),
@@ -219,6 +247,14 @@ impl Covariance {
 
     pub(crate) fn set(&mut self, a: Parameter, b: Parameter, covariance: f64) {
         self.0[a.index()][b.index()] = covariance;
+    }
+
+    /// Gives what nothing was seen of the size that datasheets have: 50 mg, 3 %, 2 %.
+    pub(crate) fn take_for_granted(&mut self, unseen: Parameters) {
+        for parameter in unseen.iter() {
+            let usual = Slot::of(parameter).usual_sd().unwrap_or(USUAL_BIAS_MPS2);
+            self.set(parameter, parameter, usual * usual);
+        }
     }
 
     pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {

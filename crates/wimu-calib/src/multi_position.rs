@@ -167,7 +167,7 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
         Model::BiasScale6 => fit::<R, 6>(poses, gravity, what, false),
         Model::Full9 => fit::<R, 9>(poses, gravity, what, false),
     };
-    fitted.map(|fitted| fitted.estimate)
+    fitted.map(Fitted::alone)
 }
 
 /// The same with terms on top, and with bad poses left out where that is asked for. Equations (41)
@@ -209,7 +209,7 @@ fn advised<R: Real>(
     let supported =
         |model| with_terms::<R>(poses, gravity, MultiPosition { model, ..what }, false).is_ok();
     match with_terms::<R>(poses, gravity, what, false) {
-        Ok(fitted) => Ok(fitted.estimate),
+        Ok(fitted) => Ok(fitted.alone()),
         Err(refusal) => Err(refusal.advise(supported)),
     }
 }
@@ -221,6 +221,16 @@ pub(crate) struct Fitted {
     pub kept_left_out_mps2: f64,
     /// ln of the probability of the poses under this model, where it was asked for.
     pub evidence: f64,
+}
+
+impl Fitted {
+    /// The estimate, no other model having been tried.
+    fn alone(self) -> Estimate {
+        let mut estimate = self.estimate;
+        let unseen = estimate.not_observed();
+        estimate.covariance.take_for_granted(unseen);
+        estimate
+    }
 }
 
 /// With `weigh`, what the choice between models asks for, too.

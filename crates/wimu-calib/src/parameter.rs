@@ -95,6 +95,12 @@ impl Parameters {
         self.0 == 0
     }
 
+    /// Those that are not in `others`.
+    #[must_use]
+    pub fn without(self, others: Self) -> Self {
+        Self(self.0 & !others.0)
+    }
+
     /// All 12.
     pub const ALL: Self = Self((1 << Parameter::COUNT) - 1);
 

@@ -78,6 +78,24 @@ pub enum Refusal {
         /// Steps of a turn: 3 or 4.
         steps: usize,
     },
+    /// The steps of a turn were not equal.
+    StepsUnequal {
+        /// Index of the first pose of the turn.
+        pose: usize,
+        /// Steps of a turn: 3 or 4.
+        steps: usize,
+        /// How unequal, rad rms, at the least.
+        off_rad: f64,
+    },
+    /// A turn was not about a level axis, or not about one of the sensor's.
+    TurnTilted {
+        /// Index of the first pose of the turn.
+        pose: usize,
+        /// Steps of a turn: 3 or 4.
+        steps: usize,
+        /// How far, rad; where it may be the bias of the axis turned about, what that would be in g.
+        off_rad: f64,
+    },
     /// Left-out poses are predicted far worse than the fitted ones are fitted: some pose decides
     /// alone, and nothing would show an error in it.
     PoorPrediction {
@@ -260,6 +278,30 @@ impl fmt::Display for Refusal {
                  about one axis of the sensor, in one direction, and hold it still at each step",
                 pose + steps - 1,
                 360 / steps.max(1)
+            ),
+            Self::StepsUnequal {
+                pose,
+                steps,
+                off_rad,
+            } => write!(
+                out,
+                "poses {pose} to {} (from 0): the steps are {:.0}° from {}° each, rms, or more; turn by a \
+                 square or a protractor, or use multi-position, which needs no known orientation",
+                pose + steps - 1,
+                off_rad.to_degrees(),
+                360 / steps.max(1)
+            ),
+            Self::TurnTilted {
+                pose,
+                steps,
+                off_rad,
+            } => write!(
+                out,
+                "poses {pose} to {} (from 0): by what the axis turned about reads, it is {:.0}° from level \
+                 or from the axis of rotation; square the sensor and level the axis, or use multi-position, \
+                 which needs neither",
+                pose + steps - 1,
+                off_rad.to_degrees()
             ),
             Self::PoorPrediction {
                 model,

@@ -29,6 +29,62 @@ impl Default for Ageing {
     }
 }
 
+/// How uncertain it is what the bias does with temperature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Slopes {
+    /// Standard deviation of the model's slopes, m/s² per K, within the temperatures they were seen at.
+    sd: [f64; 3],
+    seen_c: [f64; 2],
+    /// The same elsewhere.
+    beyond: f64,
+}
+
+impl Slopes {
+    fn unknown(per_kelvin_mps2: f64) -> Self {
+        Self {
+            sd: [per_kelvin_mps2; 3],
+            seen_c: [f64::NEG_INFINITY, f64::INFINITY],
+            beyond: per_kelvin_mps2,
+        }
+    }
+
+    /// Grows with temperature by what becomes uncertain of the bias, m/s².
+    fn at(&self, axis: usize, celsius: f64) -> f64 {
+        let [low, high] = self.seen_c;
+        let within = celsius.max(low).min(high);
+        let sd = self.sd.get(axis).copied().unwrap_or(self.beyond);
+        sd * within + self.beyond * (celsius - within)
+    }
+}
+
+/// A run of temperatures in one direction: within it what slopes are off by adds up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Warming {
+    began_c: f64,
+    last_c: f64,
+}
+
+impl Warming {
+    fn from(celsius: f64) -> Self {
+        Self {
+            began_c: celsius,
+            last_c: celsius,
+        }
+    }
+
+    /// Goes on to `now`, or begins anew where it turns back; the temperature before.
+    fn to(&mut self, now: f64) -> f64 {
+        let before = self.last_c;
+        if (now - before) * (before - self.began_c) < 0.0 {
+            self.began_c = before;
+        }
+        self.last_c = now;
+        before
+    }
+}
+
 /// What a pose says about a calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -80,7 +136,8 @@ pub struct SelfCheck<R: Scalar = f64> {
     covariance: [[R; Parameter::COUNT]; Parameter::COUNT],
     gravity: Gravity,
     ageing: Ageing,
-    celsius: Option<f64>,
+    slopes: Slopes,
+    warming: Option<Warming>,
     poses: u32,
     contradictions: u32,
 }
@@ -99,6 +156,10 @@ impl SelfCheck {
     }
 
     /// A check of what a device holds; `None` where the set does not say how good it is.
+    ///
+    /// Where its model has a temperature term of the bias, what ages with temperature is that term's
+    /// uncertainty, as far as it was seen; beyond those temperatures, and without a term, it is
+    /// [`Ageing::per_kelvin_mps2`].
     pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         Self::start_of(set, gravity, ageing)
     }
@@ -141,7 +202,8 @@ impl<R: Scalar> SelfCheck<R> {
             covariance: covariance.matrix().map(|row| row.map(R::of)),
             gravity,
             ageing,
-            celsius: None,
+            slopes: Slopes::unknown(ageing.per_kelvin_mps2),
+            warming: None,
             poses: 0,
             contradictions: 0,
         }
@@ -150,7 +212,18 @@ impl<R: Scalar> SelfCheck<R> {
     fn start_of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         let quality = set.quality.as_ref()?.terms();
         let mut check = Self::start(&set.model, &quality.covariance.matrix(), gravity, ageing);
-        check.celsius = quality.temperature.map(|t| f64::from(t.mean_c));
+        check.warming = quality
+            .temperature
+            .map(|t| Warming::from(f64::from(t.mean_c)));
+        if let Some(seen) = quality.temperature
+            && set.model.terms().temperature.bias_mps2_per_k != [0.0; 3]
+        {
+            check.slopes = Slopes {
+                sd: quality.other_sd.bias_mps2_per_k.map(f64::from),
+                seen_c: [f64::from(seen.lowest_c), f64::from(seen.highest_c)],
+                ..check.slopes
+            };
+        }
         Some(check)
     }
 
@@ -170,13 +243,18 @@ impl<R: Scalar> SelfCheck<R> {
                 (0.5 * g..1.5 * g).contains(&force)
             })?;
 
-        if let (Some(before), Some(now)) = (self.celsius, celsius) {
-            let moved = self.ageing.per_kelvin_mps2 * (now - before);
-            for bias in 0..3 {
-                self.covariance[bias][bias] += R::of(moved * moved);
+        if let Some(now) = celsius {
+            let warming = self.warming.get_or_insert(Warming::from(now));
+            let before = warming.to(now);
+            for axis in 0..3 {
+                let moved = |from: f64, to: f64| {
+                    let by = self.slopes.at(axis, to) - self.slopes.at(axis, from);
+                    by * by
+                };
+                let more = moved(warming.began_c, now) - moved(warming.began_c, before);
+                self.covariance[axis][axis] += R::of(more.max(0.0));
             }
         }
-        self.celsius = celsius.or(self.celsius);
 
         let residual = force - R::of(g);
         let product = |a: &[R; Parameter::COUNT]| {

@@ -20,6 +20,14 @@ const MOST_PLACEMENT_RAD: f64 = 0.0873;
 /// Degrees of freedom in which six sides show their placement error.
 const PLACEMENT_DOF: usize = 6;
 
+/// By how much a position comes back otherwise than before, beyond noise and placement, m/s², until
+/// visits of one side show it: what poses of real sensors are predicted to. It counts as this many
+/// degrees of freedom of them, ever fewer up to six of them.
+const REVISIT_MPS2: f64 = 0.002;
+const REVISIT_DOF: f64 = 2.0;
+/// 6 / the 5 % point of χ² with six degrees of freedom: what six sides show may be as much more.
+const SEEN_AT_MOST: f64 = 3.67;
+
 /// How well the sensor was squared when it was put down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -168,6 +176,10 @@ struct Side {
     sum: [f64; 3],
     /// Σ w² times the noise of its mean.
     noise: [f64; 3],
+    /// Of the readings of the axis that is upright, each visit counting once.
+    visits: f64,
+    upright: f64,
+    upright_squares: f64,
 }
 
 impl Side {
@@ -180,6 +192,20 @@ impl Side {
             self.sum[axis] += sign * w * pose.mean_mps2[axis];
             self.noise[axis] += sign * w * w * pose.noise(axis);
         }
+    }
+
+    /// One more visit, which reads `upright` on the axis that is.
+    fn visit(&mut self, upright: f64) {
+        // About the first, which keeps the digits.
+        let before = upright
+            - if self.visits > 0.0 {
+                self.upright / self.visits
+            } else {
+                upright
+            };
+        self.visits += 1.0;
+        self.upright += upright;
+        self.upright_squares += before * before * (self.visits - 1.0) / self.visits;
     }
 
     fn mean(&self) -> [f64; 3] {
@@ -226,6 +252,7 @@ fn estimate<'a>(
     let mut counts = [0_usize; 6];
     for (side, pose) in used.clone() {
         sides[side].add(pose, 1.0);
+        sides[side].visit(pose.mean_mps2[side / 2]);
         counts[side] += 1;
     }
     for (face, count) in Face::ALL.into_iter().zip(counts) {
@@ -245,7 +272,33 @@ fn estimate<'a>(
     let most = student::chi_squared_half_percent(PLACEMENT_DOF) / PLACEMENT_DOF as f64;
     let contradicted = seen * seen > most * placement.sd_rad * placement.sd_rad;
     let placement_sd_rad = if contradicted { seen } else { placement.sd_rad };
-    let mut covariance = covariance(&sides, &terms.matrix, g, placement_sd_rad);
+    let revisits = Revisits::of(&sides, &terms.matrix, g, placement_sd_rad, seen * g);
+    let covariance_with =
+        |extra: f64| covariance(&sides, &terms.matrix, g, placement_sd_rad, extra);
+    let mut covariance = covariance_with(revisits.variance);
+    let known = covariance_with(0.0);
+    let dof_of = |parameter: Parameter| {
+        let all = covariance.get(parameter, parameter);
+        let share = (all - known.get(parameter, parameter)) / all;
+        if share > 0.0 {
+            revisits.dof / (share * share)
+        } else {
+            f64::INFINITY
+        }
+    };
+    let diagonal = Parameter::BIAS.into_iter().chain([
+        Parameter::ScaleX,
+        Parameter::ScaleY,
+        Parameter::ScaleZ,
+    ]);
+    let interval_dof = diagonal.map(dof_of).fold(
+        if contradicted {
+            PLACEMENT_DOF as f64
+        } else {
+            f64::INFINITY
+        },
+        f64::min,
+    );
     let theta = theta(&terms);
     let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
@@ -275,7 +328,12 @@ fn estimate<'a>(
     });
     Ok(Estimate {
         model,
-        method: Method::SixPosition { placement_sd_rad },
+        method: Method::SixPosition {
+            placement_sd_rad,
+            revisit_sd_mps2: libm::sqrt(revisits.variance),
+            revisits: revisits.seen,
+            unexplained: revisits.unexplained,
+        },
         terms: Terms::NONE,
         fitted: Parameters::ALL,
         covariance,
@@ -283,7 +341,7 @@ fn estimate<'a>(
         gravity,
         poses: fitted,
         dof: 3 * fitted - Parameter::COUNT,
-        interval_dof: contradicted.then_some(PLACEMENT_DOF as f64),
+        interval_dof: Some(interval_dof).filter(|dof| dof.is_finite()),
         rms_mps2: residuals.rms_mps2(),
         max_mps2: residuals.largest_mps2,
         worst_pose: residuals.worst_pose,
@@ -331,8 +389,56 @@ fn placement_seen(sides: &Sides, terms: &ErrorTerms, gravity_mps2: f64) -> f64 {
     libm::sqrt(squares / PLACEMENT_DOF as f64)
 }
 
-/// Covariance from placement and noise: equation (19).
-fn covariance(sides: &Sides, a: &Matrix3, gravity_mps2: f64, placement_rad: f64) -> Covariance {
+/// What differs from visit to visit beyond noise and placement: equation (19).
+struct Revisits {
+    /// (m/s²)².
+    variance: f64,
+    /// Its degrees of freedom, what is known beforehand included.
+    dof: f64,
+    /// Visits beyond the first of each side.
+    seen: usize,
+    /// Whether they differ by more than noise and placement explain.
+    unexplained: bool,
+}
+
+impl Revisits {
+    fn of(sides: &Sides, a: &Matrix3, g: f64, placement_rad: f64, seen_mps2: f64) -> Self {
+        let tilt = placement_rad * placement_rad;
+        let (mut squares, mut dof, mut noise, mut explained) = (0.0, 0.0, 0.0, 0.0);
+        for (index, side) in sides.iter().enumerate() {
+            let axis = index / 2;
+            let across: f64 = (0..3)
+                .map(|other| if other == axis { tilt } else { 1.0 } * a[axis][other] * a[axis][other])
+                .sum();
+            let own = side.noise_variance()[axis] / side.share();
+            squares += side.upright_squares;
+            dof += side.visits - 1.0;
+            noise += own / 6.0;
+            explained += (own + g * g * tilt * across) / 6.0;
+        }
+        let taken = (REVISIT_MPS2 * REVISIT_MPS2).min(SEEN_AT_MOST * seen_mps2 * seen_mps2);
+        let taken = (taken - noise).max(0.0);
+        let beyond = (squares - dof * explained).max(0.0);
+        let seen = dof as usize;
+        let more = REVISIT_DOF * (1.0 - dof / 6.0).max(0.0);
+        Self {
+            variance: (beyond + more * taken) / (dof + more),
+            dof: dof + more,
+            seen,
+            unexplained: seen > 0 && squares > student::chi_squared_half_percent(seen) * explained,
+        }
+    }
+}
+
+/// Covariance from placement, noise and `revisit`, the variance of what else differs from visit to
+/// visit: equation (19).
+fn covariance(
+    sides: &Sides,
+    a: &Matrix3,
+    gravity_mps2: f64,
+    placement_rad: f64,
+    revisit: f64,
+) -> Covariance {
     let g = gravity_mps2;
     let tilt = placement_rad * placement_rad;
     let mut covariance = Covariance::ZERO;
@@ -346,7 +452,7 @@ fn covariance(sides: &Sides, a: &Matrix3, gravity_mps2: f64, placement_rad: f64)
                 .sum();
             let second = tilt * a[r][axis] * a[c][axis];
             let noise = if r == c {
-                side.noise_variance()[r]
+                side.noise_variance()[r] + revisit * side.share()
             } else {
                 0.0
             };

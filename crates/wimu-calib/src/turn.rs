@@ -17,9 +17,19 @@ use crate::{
 const CROSS_AXIS: f64 = 0.02;
 /// In-plane norms, in g, of axes that turn, and of the one that is turned about.
 const TURNS: core::ops::Range<f64> = 0.5..1.5;
-const STAYS: f64 = 0.3;
-/// Steps that came out farther than this from equal are not those of a turn, rad: 10°.
-const MOST_STEP_ERROR: f64 = 0.175;
+const STAYS: f64 = 0.5;
+/// Steps that came out farther than this from equal, rms, are not those of a turn, rad: 5°, 0.4 % of
+/// scale factor.
+const MOST_STEP_ERROR: f64 = 0.0873;
+/// How far two axes may be from alike and at right angles, as what unequal steps make of them: twice
+/// the 3 % of a sensitivity, twice the 2 % across, and a step error of 5°.
+const MOST_ELLIPTIC: f64 = 0.15;
+/// What the axis that is turned about may read in step with the turn, in g: 5.7° from square.
+const MOST_LEAN: f64 = 0.1;
+/// What it may read on average, in g, where no turn shows its bias: 200 mg, or 11.5° from level.
+const MOST_BIAS: f64 = 0.2;
+/// So many standard deviations are no chance.
+const BEYOND_CHANCE: f64 = 3.3;
 
 /// Bias and scale factor from turns of four steps of 90° about a level axis: equations (45) to (47).
 ///
@@ -127,6 +137,11 @@ impl Harmonic {
         Self { mean, cos, sin }
     }
 
+    /// Of what an axis reads.
+    fn along<const N: usize>(turn: &[Pose; N], axis: usize) -> Self {
+        Self::of(turn.each_ref().map(|pose| pose.mean_mps2[axis]))
+    }
+
     fn size(&self) -> f64 {
         libm::sqrt(self.cos * self.cos + self.sin * self.sin)
     }
@@ -154,17 +169,64 @@ fn turns<const N: usize>(
     let mut axes: [Option<Axis>; 3] = [None; 3];
     let mut checks = 0;
     for (number, turn) in whole.iter().enumerate() {
-        let refusal = Refusal::NotATurn {
-            pose: N * number,
-            steps: N,
-        };
-        for axis in plane(turn, g).ok_or(refusal)? {
-            let found = one_axis(turn, axis, g, placement);
+        let pose = N * number;
+        let [a, b, still] = plane(turn, g).ok_or(Refusal::NotATurn { pose, steps: N })?;
+        let off_rad = step_error(turn, [a, b], g);
+        if off_rad > MOST_STEP_ERROR {
+            return Err(Refusal::StepsUnequal {
+                pose,
+                steps: N,
+                off_rad,
+            });
+        }
+        let lean = Harmonic::along(turn, still).size() / g;
+        if lean > MOST_LEAN {
+            return Err(Refusal::TurnTilted {
+                pose,
+                steps: N,
+                off_rad: lean,
+            });
+        }
+        for axis in [a, b] {
+            let mut found = one_axis(turn, axis, g, placement);
+            if lean > BEYOND_CHANCE * libm::hypot(placement.sd_rad(), CROSS_AXIS) {
+                // It shortens one of them or both.
+                found.scale_variance += 0.25 * lean * lean * lean * lean;
+            }
             axes[axis] = Some(match axes[axis] {
                 Some(before) => before.merge(found),
                 None => found,
             });
             checks += N - 3;
+        }
+    }
+
+    // How far from level each turn was, going by the bias that the others tell.
+    for (number, turn) in whole.iter().enumerate() {
+        let Some([_, _, still]) = plane(turn, g) else {
+            continue;
+        };
+        let reads = Harmonic::along(turn, still).mean;
+        let (off, most) = match axes[still] {
+            Some(known) => ((reads - known.bias) / g, MOST_STEP_ERROR),
+            None => (reads / g, MOST_BIAS),
+        };
+        if off.abs() > most {
+            return Err(Refusal::TurnTilted {
+                pose: N * number,
+                steps: N,
+                off_rad: off.abs(),
+            });
+        }
+        if axes[still].is_some() && off.abs() > BEYOND_CHANCE * placement.sd_rad() {
+            let in_plane = axes
+                .iter_mut()
+                .enumerate()
+                .filter(|(axis, _)| *axis != still);
+            for found in in_plane.filter_map(|(_, found)| found.as_mut()) {
+                found.scale_variance += 0.25 * off * off * off * off;
+                found.bias_variance += off * off * CROSS_AXIS * CROSS_AXIS * g * g;
+            }
         }
     }
 
@@ -194,14 +256,15 @@ fn turns<const N: usize>(
         covariance.add(bias, scale, inflation * found.both);
         covariance.add(scale, bias, inflation * found.both);
     }
-    let model = ErrorModel::new(terms).map_err(Refusal::OutOfBounds)?;
-    covariance.add_gravity(&theta, gravity);
     let fitted: Parameters = axes
         .iter()
         .enumerate()
         .filter(|(_, found)| found.is_some())
         .flat_map(|(axis, _)| [Parameter::ALL[axis], Parameter::ALL[3 + 4 * axis]])
         .collect();
+    let model = ErrorModel::new(terms).map_err(Refusal::OutOfBounds)?;
+    covariance.add_gravity(&theta, gravity);
+    covariance.take_for_granted(Parameters::ALL.without(fitted));
     let mut residuals = Residuals::default();
     for (k, pose) in poses.iter().enumerate() {
         residuals.add(k, estimate::residual_mps2(&model, gravity, pose));
@@ -232,19 +295,49 @@ fn turns<const N: usize>(
     })
 }
 
-/// The two axes in the plane of a turn; `None` where it is none about a level axis of the sensor.
-fn plane<const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 2]> {
-    let harmonics: [Harmonic; 3] =
-        core::array::from_fn(|axis| Harmonic::of(turn.each_ref().map(|pose| pose.mean_mps2[axis])));
+/// The two axes in the plane of a turn and the one it is about; `None` where it is none about an axis
+/// of the sensor.
+fn plane<const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 3]> {
+    let harmonics: [Harmonic; 3] = core::array::from_fn(|axis| Harmonic::along(turn, axis));
     let turned = |axis: &usize| TURNS.contains(&(harmonics[*axis].size() / g));
     let mut in_plane = (0..3).filter(turned);
     let (a, b) = (in_plane.next()?, in_plane.next()?);
     let still = 3 - a - b;
+    let one_stays = in_plane.next().is_none() && harmonics[still].size() < STAYS * g;
     // Two axes of one body, a quarter of a turn apart, in either direction.
-    let apart = (harmonics[a].phase() - harmonics[b].phase()).abs();
-    let quarter = (apart.min(TAU - apart) - PI / 2.0).abs();
-    let level = in_plane.next().is_none() && harmonics[still].size() < STAYS * g;
-    (level && quarter < 2.0 * MOST_STEP_ERROR).then_some([a, b])
+    let quarter = quarter_off(&harmonics[a], &harmonics[b]);
+    (one_stays && quarter.abs() < PI / 4.0).then_some([a, b, still])
+}
+
+/// How far two axes are from a quarter of a turn apart, rad.
+fn quarter_off(a: &Harmonic, b: &Harmonic) -> f64 {
+    let apart = (a.phase() - b.phase()).abs();
+    apart.min(TAU - apart) - PI / 2.0
+}
+
+/// How unequal the steps were, rad rms, as far as the readings tell: what two axes of one body cannot
+/// read of equal steps.
+fn step_error<const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: f64) -> f64 {
+    let [one, other] = [a, b].map(|axis| Harmonic::along(turn, axis));
+    let longer = libm::log(one.size() / other.size());
+    let elliptic = libm::hypot(longer, quarter_off(&one, &other));
+    // A step error of σ makes it σ √(8/n) rms.
+    let shown = if elliptic > MOST_ELLIPTIC {
+        elliptic * libm::sqrt(N as f64 / 8.0)
+    } else {
+        0.0
+    };
+    if N != 4 {
+        return shown;
+    }
+    let odd = |axis: usize| {
+        let signs = [1.0, -1.0].into_iter().cycle();
+        turn.iter()
+            .zip(signs)
+            .map(|(pose, sign)| sign * pose.mean_mps2[axis])
+            .sum::<f64>()
+    };
+    shown.max(libm::hypot(odd(a), odd(b)) / (2.0 * g))
 }
 
 /// Equations (45) and (46).

@@ -3,10 +3,10 @@
 
 mod common;
 
-use common::{Random, misplaced, parameters, twelve};
+use common::{Random, misplaced, parameters, pose, twelve};
 use wimu_calib::{
-    Estimate, Face, Gravity, Model, MultiPosition, Orientation, Parameter, Placement, Pose, Term,
-    Terms, four_angle, multi_position_with, six_position, three_angle,
+    Estimate, Face, Gravity, Method, Model, MultiPosition, Orientation, Parameter, Placement, Pose,
+    Term, Terms, four_angle, multi_position_with, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
@@ -260,6 +260,74 @@ fn intervals_of_six_positions_cover_the_truth() {
     bias.assert_honest("six-position, bias");
     scale.assert_honest("six-position, scale factor");
     misalignment.assert_honest("six-position, misalignment");
+}
+
+#[test]
+fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
+    // Placed to 0.1°, which hides nothing; positions come back to 0, 2 and 5 mm/s².
+    let placement = Placement::new(0.1 * DEGREE).expect("placement");
+    for (visits, differs, least, most) in [
+        (3, 0.0, 93.0, 99.0),
+        (3, 0.002, 93.0, 99.0),
+        (3, 0.005, 93.0, 99.0),
+        (2, 0.005, 93.0, 99.0),
+        // Once: what is taken for granted is wide enough for most.
+        (1, 0.002, 93.0, 100.0),
+        (1, 0.005, 88.0, 100.0),
+    ] {
+        let (mut bias, mut scale) = (Coverage::default(), Coverage::default());
+        let mut said = 0;
+        for seed in 0..SEEDS {
+            let mut sensor = sensor(seed, |_, _| {});
+            let mut poses = Vec::new();
+            for face in (0..visits).flat_map(|_| Face::ALL) {
+                let up = misplaced(
+                    &mut sensor.random,
+                    Orientation::from(face).up(),
+                    0.1 * DEGREE,
+                );
+                let mut pose = pose(&sensor.model, G, up);
+                for axis in &mut pose.mean_mps2 {
+                    *axis += (differs + 0.0005) * sensor.random.normal();
+                }
+                pose.sd_mps2 = [0.01; 3];
+                pose.samples = 400;
+                poses.push(pose);
+            }
+            let estimate = six_position(&poses, exact(), placement).expect("an answer");
+            let (found, truth) = (parameters(&estimate.model), parameters(&sensor.model));
+            for axis in 0..3 {
+                let (b, s) = (axis, 3 + 4 * axis);
+                bias.add(
+                    found[b] - truth[b],
+                    estimate.half_width_95(Parameter::ALL[b]),
+                );
+                scale.add(
+                    found[s] - truth[s],
+                    estimate.half_width_95(Parameter::ALL[s]),
+                );
+            }
+            let Method::SixPosition { unexplained, .. } = estimate.method else {
+                panic!("{:?}", estimate.method);
+            };
+            said += u64::from(unexplained);
+        }
+        println!(
+            "{visits} visits that differ by {differs} m/s²: bias {:.1} %, scale factor {:.1} %, \
+             said to differ {said} times",
+            bias.percent(),
+            scale.percent()
+        );
+        for percent in [bias.percent(), scale.percent()] {
+            assert!((least..=most).contains(&percent), "{percent}");
+        }
+        // Chance in two hundred where they do not differ.
+        match (visits, differs) {
+            (1, _) => assert_eq!(said, 0),
+            (_, 0.0) => assert!(said < 20, "{said}"),
+            _ => assert!(said > 900, "{said}"),
+        }
+    }
 }
 
 /// Poses of one turn about `axis` in `steps`, begun at `begin` rad.

@@ -5,10 +5,12 @@ mod common;
 use common::{Random, norm, parameters, pose, twelve};
 use proptest::prelude::*;
 use wimu_calib::{
-    Ageing, Gravity, Model, MultiPosition, Parameter, Pose, SelfCheck, multi_position,
+    Ageing, Gravity, Model, MultiPosition, Parameter, Pose, SelfCheck, Term, Terms, multi_position,
     multi_position_with,
 };
-use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_model::{
+    CentiCelsius, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, SpecificForceMps2,
+};
 
 const G: f64 = 9.80665;
 
@@ -192,6 +194,89 @@ fn warmth_makes_room_for_a_bias_that_moved() {
             holds
         );
     }
+}
+
+#[test]
+fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only() {
+    let gravity = Gravity::new(G, 0.0).expect("gravity");
+    let mut random = Random(12);
+    let mut terms: ErrorTerms = random.model(true).into();
+    terms.temperature.reference_c = 25.0;
+    terms.temperature.bias_mps2_per_k = [0.008, -0.006, 0.01];
+    let truth = ErrorModel::new(terms).expect("within bounds");
+    let mut hold = |up: [f64; 3], celsius: f64, extra: f64| {
+        let force = SpecificForceMps2(up.map(|c| c * G));
+        let temperature = CentiCelsius::from_celsius(celsius);
+        let mut mean = truth.distort(force, Some(temperature)).0;
+        for axis in &mut mean {
+            *axis += 0.002 * random.normal() + extra;
+        }
+        Pose {
+            temperature_c: Some(celsius),
+            ..Pose::from_mean(mean)
+        }
+    };
+    let ups: Vec<[f64; 3]> = twelve().into_iter().cycle().take(36).collect();
+    let poses: Vec<Pose> = ups
+        .iter()
+        .enumerate()
+        .map(|(k, up)| hold(*up, 15.0 + ((7 * k) % 36) as f64, 0.0))
+        .collect();
+    let what = MultiPosition {
+        terms: Terms::NONE.with(Term::BiasTemperature),
+        ..MultiPosition::default()
+    };
+    let estimate = multi_position_with(&poses, gravity, what).expect("an answer");
+    let set = ParameterSet {
+        model: estimate.model,
+        quality: estimate.quality(None, &poses),
+        ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).expect("sound"))
+    };
+    let no_turn_on = Ageing {
+        turn_on_mps2: 0.0,
+        ..Ageing::default()
+    };
+    // Over what was seen the rests are as well known as at the mean, and a jump is found out.
+    let check = || SelfCheck::of(&set, gravity, no_turn_on).expect("a quality");
+    for celsius in [16.0, 33.0, 49.0] {
+        let said = check()
+            .push(&hold([0.0, 0.6, 0.8], celsius, 0.0))
+            .expect("a pose");
+        assert!(
+            said.holds && said.expected_sd_mps2 < 0.006,
+            "{celsius}: {said:?}"
+        );
+        let jumped = check()
+            .push(&hold([0.0, 0.6, 0.8], celsius, 0.04))
+            .expect("a pose");
+        assert!(!jumped.holds, "{celsius}: {jumped:?}");
+    }
+    // 20 K beyond it nobody knows, by however many steps it came there.
+    let far = check()
+        .push(&hold([0.0, 0.6, 0.8], 70.0, 0.04))
+        .expect("a pose");
+    assert!(far.holds && far.expected_sd_mps2 > 0.05, "{far:?}");
+    let flat = ErrorModel::default();
+    let known = [[0.0; 12]; 12];
+    let mut at_once = SelfCheck::new(&flat, &known, gravity, no_turn_on);
+    let mut by_steps = at_once.clone();
+    let upright = |celsius: f64| Pose {
+        temperature_c: Some(celsius),
+        ..Pose::from_mean([0.0, 0.0, G])
+    };
+    at_once.push(&upright(20.0)).expect("a pose");
+    at_once.push(&upright(40.0)).expect("a pose");
+    for step in 0..=20 {
+        by_steps
+            .push(&upright(20.0 + f64::from(step)))
+            .expect("a pose");
+    }
+    // An axis that no rest tells of is as uncertain either way.
+    let [one, other] = [&at_once, &by_steps].map(|c| c.covariance().sd(Parameter::BiasX));
+    assert!(
+        (one - 0.1).abs() < 1e-9 && (other - one).abs() < 1e-9,
+        "{one} {other}"
+    );
 }
 
 proptest! {

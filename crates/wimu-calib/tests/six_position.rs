@@ -123,7 +123,10 @@ fn the_covariance_is_the_error_that_placement_and_noise_make() {
             })
             .collect();
         let estimate = six_position(&poses, exact(), placement).expect("an answer");
-        let Method::SixPosition { placement_sd_rad } = estimate.method else {
+        let Method::SixPosition {
+            placement_sd_rad, ..
+        } = estimate.method
+        else {
             panic!("six-position");
         };
         seen += placement_sd_rad / TRIALS as f64;
@@ -188,7 +191,10 @@ fn a_worse_placement_than_declared_is_seen() {
         })
         .collect();
     let estimate = six_position(&poses, exact(), squared()).expect("an answer");
-    let Method::SixPosition { placement_sd_rad } = estimate.method else {
+    let Method::SixPosition {
+        placement_sd_rad, ..
+    } = estimate.method
+    else {
         panic!("six-position");
     };
     assert!((1.5..5.0).contains(&(placement_sd_rad / DEGREE)));

@@ -418,11 +418,50 @@ fn remarks(
             .iter()
             .all(|parameter| !estimate.fitted.contains(*parameter))
     };
+    let [mut scales, mut misalignments] = [false; 2];
     if missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]) {
+        scales = true;
         remarks.push("scale factors were not fitted and are taken as 1".to_owned());
     }
     if missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]) {
+        misalignments = true;
         remarks.push("misalignments were not fitted and are taken as 0".to_owned());
+    }
+    let others: Vec<String> = estimate
+        .not_observed()
+        .iter()
+        .filter(|parameter| match parameter.index() {
+            0..3 => true,
+            3 | 7 | 11 => !scales,
+            _ => !misalignments,
+        })
+        .map(|parameter| parameter.to_string())
+        .collect();
+    if !others.is_empty() {
+        remarks.push(format!(
+            "nothing here shows {}: taken as those of a perfect sensor, as uncertain as datasheets have it",
+            others.join(", ")
+        ));
+    }
+    if let Method::SixPosition {
+        revisit_sd_mps2,
+        revisits,
+        unexplained,
+        ..
+    } = estimate.method
+    {
+        let mm = revisit_sd_mps2 * 1e3;
+        if unexplained {
+            remarks.push(format!(
+                "visits of one side differ by more than noise and placement explain, {mm:.1} mm/s² (1 σ): \
+                 the sensor drifts, or was not put down alike; the standard deviations include it"
+            ));
+        } else if revisits == 0 && mm > 0.0 {
+            remarks.push(format!(
+                "each side was up once: that a position comes back to {mm:.1} mm/s² (1 σ) is taken \
+                 from other sensors; put each up twice to see it"
+            ));
+        }
     }
     let left = estimate.rms_mps2 * 1e3;
     if left > SUSPICIOUS_RMS_MM_S2 && estimate.rejected.as_slice().is_empty() {
@@ -580,6 +619,11 @@ fn numbers(estimate: &Estimate, unit: OutputUnit) -> Fit {
     let matrix = estimate.model.terms().matrix;
     Fit {
         fitted: estimate.fitted.iter().map(|p| p.to_string()).collect(),
+        not_observed: estimate
+            .not_observed()
+            .iter()
+            .map(|p| p.to_string())
+            .collect(),
         dof: estimate.dof,
         rms_mm_s2: estimate.rms_mps2 * 1e3,
         max_mm_s2: estimate.max_mps2 * 1e3,
@@ -595,7 +639,15 @@ fn numbers(estimate: &Estimate, unit: OutputUnit) -> Fit {
             span_s: drift.span_s,
         }),
         placement_sd_deg: match estimate.method {
-            Method::SixPosition { placement_sd_rad } => Some(placement_sd_rad.to_degrees()),
+            Method::SixPosition {
+                placement_sd_rad, ..
+            } => Some(placement_sd_rad.to_degrees()),
+            _ => None,
+        },
+        revisit_sd_mm_s2: match estimate.method {
+            Method::SixPosition {
+                revisit_sd_mps2, ..
+            } => Some(revisit_sd_mps2 * 1e3),
             _ => None,
         },
         model: *estimate.model.terms(),
@@ -610,7 +662,10 @@ fn numbers(estimate: &Estimate, unit: OutputUnit) -> Fit {
             },
             nonlinearity: estimate.term_sd.nonlinearity,
         },
-        half_width_95: Parameter::ALL.map(|parameter| estimate.half_width_95(parameter)),
+        half_width_95: Parameter::ALL.map(|parameter| {
+            let seen = !estimate.not_observed().contains(parameter);
+            seen.then(|| estimate.half_width_95(parameter))
+        }),
         units: OtherUnits {
             bias_mg: bias.map(|b| b * 1e3 / STANDARD_GRAVITY_MPS2),
             bias_percent_of_full_scale: range_g.map(|range_g| {

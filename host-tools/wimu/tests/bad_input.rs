@@ -113,7 +113,15 @@ fn fewer_poses_than_parameters_are_refused_with_what_to_add() {
     let six = table("m/s²", &poses(6));
     let object = refused(&six, &["--poses"], "6 static poses");
     assert!(object["next_poses"].as_array().unwrap().len() >= 4);
-    assert!(object["reason"].as_str().unwrap().contains("6-parameter"));
+    // It advises only what these poses support.
+    for model in ["6", "3"] {
+        let advised = object["reason"]
+            .as_str()
+            .unwrap()
+            .contains(&format!("use the {model}-parameter"));
+        let ran = calibrate(&six, &["--poses", "--model", model]);
+        assert!(!advised || ran.code == 0, "{ran:?}");
+    }
     refused(
         &six,
         &["--poses", "--method", "six-position"],

@@ -289,13 +289,16 @@ pub struct ReferenceReport {
     pub noise_ratio: Option<f64>,
     /// Whether it was seen at rest.
     pub noise_ratio_seen: bool,
+    /// Parameters that nothing was seen of, by name.
+    pub not_observed: Vec<String>,
     /// X, Y, Z.
     pub axes: Option<[AxisReport; 3]>,
     /// Nominal sensitivity, LSB/g; `None` for data in m/s² without one given.
     pub sensitivity_lsb_per_g: Option<f64>,
     /// The error model that makes the reference of the output.
     pub model: Option<ErrorTerms>,
-    /// Standard deviations, 1 σ, in the model's shape; 0 for what was not estimated.
+    /// Standard deviations, 1 σ, in the model's shape; what datasheets make likely for what was not
+    /// observed.
     pub sd: Option<ErrorTerms>,
     /// Covariance of the bias, then A row by row.
     pub covariance: Option<[[f64; Parameter::COUNT]; Parameter::COUNT]>,
@@ -356,6 +359,7 @@ pub fn compare_with_reference(
         dof: None,
         noise_ratio: ratio.map(NoiseRatio::get),
         noise_ratio_seen: ratio.is_some() && known_from == NoiseSource::Rests,
+        not_observed: Vec::new(),
         axes: None,
         sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
         model: None,
@@ -391,6 +395,15 @@ pub fn compare_with_reference(
             return Ok(report);
         }
     };
+    report.not_observed = Parameter::ALL
+        .into_iter()
+        .filter(|parameter| match parameter.index() {
+            0..3 => false,
+            scale @ (3 | 7 | 11) => found.axes[(scale - 3) / 4].line.is_none(),
+            _ => true,
+        })
+        .map(|parameter| parameter.to_string())
+        .collect();
     let covariance = covariance(&found);
     let sd = |index: usize| covariance[index][index].sqrt();
     report.status = "ok";
@@ -451,6 +464,10 @@ fn quality(
     .ok()
 }
 
+/// What datasheets make likely of what the streams do not show.
+const USUAL_SCALE: f64 = 0.03;
+const USUAL_CROSS_AXIS: f64 = 0.02;
+
 /// In the order of [`Parameter::ALL`].
 fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
     let mut covariance = [[0.0; Parameter::COUNT]; Parameter::COUNT];
@@ -464,7 +481,18 @@ fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
                     }
                 }
             }
-            None => covariance[bias][bias] = transfer.offset_sd_mps2.powi(2),
+            None => {
+                // The scale factor is taken as 1, and what it may be off is in the bias.
+                let (at, unseen) = (transfer.at_mps2, USUAL_SCALE * USUAL_SCALE);
+                covariance[bias][bias] = transfer.offset_sd_mps2.powi(2) + at * at * unseen;
+                covariance[bias][scale] = -at * unseen;
+                covariance[scale][bias] = -at * unseen;
+                covariance[scale][scale] = unseen;
+            }
+        }
+        for other in (0..3).filter(|&other| other != axis) {
+            let across = 3 + 3 * axis + other;
+            covariance[across][across] = USUAL_CROSS_AXIS * USUAL_CROSS_AXIS;
         }
     }
     covariance

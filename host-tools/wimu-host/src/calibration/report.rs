@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
-use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
+use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
 use super::{DatasheetReport, MethodChoice};
 use crate::dataset::RateSource;
@@ -52,6 +52,9 @@ impl From<Orientation> for NextPose {
 pub struct Fit {
     /// The parameters of A and b that were fitted, by name.
     pub fitted: Vec<String>,
+    /// Those that nothing was seen of, by name: the model has a perfect sensor's, `sd` what datasheets
+    /// make likely.
+    pub not_observed: Vec<String>,
     /// Degrees of freedom.
     pub dof: usize,
     /// |f| − g over all poses, mm/s² rms.
@@ -75,12 +78,16 @@ pub struct Fit {
     pub drift: Option<DriftReport>,
     /// Placement error that the standard deviations include, 1 σ, where orientations were known.
     pub placement_sd_deg: Option<f64>,
+    /// What positions differ by from visit to visit beyond noise and placement, mm/s², 1 σ, which
+    /// they include too.
+    pub revisit_sd_mm_s2: Option<f64>,
     /// The error model.
     pub model: ErrorTerms,
-    /// Standard deviations, 1 σ, in the model's shape; 0 for what was not fitted.
+    /// Standard deviations, 1 σ, in the model's shape; 0 for what is 0 by choice or a term not fitted.
     pub sd: ErrorTerms,
-    /// Half the 95 % interval of each, the bias, then A row by row; Student's.
-    pub half_width_95: [f64; Parameter::COUNT],
+    /// Half the 95 % interval of each, the bias, then A row by row; Student's; `None` for what was not
+    /// observed.
+    pub half_width_95: [Option<f64>; Parameter::COUNT],
     /// Bias and scale error in other units.
     pub units: OtherUnits,
     /// Covariance of the bias, then A row by row.
@@ -239,18 +246,26 @@ impl fmt::Display for CalibrationReport {
         };
         let to_mg = 1e3 / STANDARD_GRAVITY_MPS2;
         for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
-            write!(
-                out,
-                "{name}: bias {:+.4} ± {:.4} m/s² ({:+.2} mg), ",
-                fit.model.bias_mps2[axis],
-                fit.sd.bias_mps2[axis],
-                fit.model.bias_mps2[axis] * to_mg,
-            )?;
+            if fit.not_observed.contains(&format!("bias {name}")) {
+                write!(
+                    out,
+                    "{name}: bias not observed, taken as 0 ± {:.1} m/s², ",
+                    fit.sd.bias_mps2[axis]
+                )?;
+            } else {
+                write!(
+                    out,
+                    "{name}: bias {:+.4} ± {:.4} m/s² ({:+.2} mg), ",
+                    fit.model.bias_mps2[axis],
+                    fit.sd.bias_mps2[axis],
+                    fit.model.bias_mps2[axis] * to_mg,
+                )?;
+            }
             let (scale, sd) = (fit.model.matrix[axis][axis], fit.sd.matrix[axis][axis]);
             if fit.fitted.contains(&format!("scale factor {name}")) {
                 writeln!(out, "scale factor {scale:.5} ± {sd:.5}")?;
             } else {
-                writeln!(out, "scale factor not fitted")?;
+                writeln!(out, "scale factor not observed, taken as 1 ± {sd:.2}")?;
             }
         }
         let misaligned: Vec<String> = MISALIGNMENTS
@@ -263,6 +278,14 @@ impl fmt::Display for CalibrationReport {
             .collect();
         if !misaligned.is_empty() {
             writeln!(out, "misalignment, mrad: {}", misaligned.join(", "))?;
+        }
+        let unseen = |name: &&str| fit.not_observed.contains(&format!("misalignment {name}"));
+        if ["m_xy", "m_xz", "m_yz"].iter().all(unseen) {
+            writeln!(
+                out,
+                "misalignment not observed, taken as 0 ± {:.0} mrad",
+                fit.sd.matrix[1][0] * 1e3
+            )?;
         }
         writeln!(
             out,
@@ -363,6 +386,28 @@ const MISALIGNMENTS: [(&str, usize, usize); 6] = [
 /// Name of the JSON object of `wimu params`.
 pub const HELD_SCHEMA: &str = "wimu.params/1";
 
+/// What a set says nothing was seen of: the standard deviation is what datasheets make likely.
+fn not_observed(method: CalibrationMethod, sd: &impl Fn(usize) -> f64) -> Vec<String> {
+    let by_choice = |parameter: Parameter| {
+        use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
+        method == CalibrationMethod::MultiPosition
+            && [MisalignmentYx, MisalignmentZx, MisalignmentZy].contains(&parameter)
+    };
+    let unseen = |parameter: &Parameter| {
+        let usual = match parameter.index() {
+            0..3 => 0.5,
+            3 | 7 | 11 => 0.03,
+            _ => 0.02,
+        };
+        sd(parameter.index()) > 0.999 * usual && !by_choice(*parameter)
+    };
+    Parameter::ALL
+        .into_iter()
+        .filter(unseen)
+        .map(|parameter| parameter.to_string())
+        .collect()
+}
+
 /// What a parameter set says beside its error model, in lines for people.
 pub fn describe(set: &ParameterSet) -> Vec<String> {
     let mut lines = Vec::new();
@@ -374,6 +419,13 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
         Some(quality) => {
             let q = quality.terms();
             let sd = |place: usize| q.covariance.sd(place);
+            let unseen = not_observed(q.method, &sd);
+            if !unseen.is_empty() {
+                lines.push(format!(
+                    "not observed, taken as those of a perfect sensor: {}",
+                    unseen.join(", ")
+                ));
+            }
             lines.push(format!(
                 "± (1 σ) bias {:.5} {:.5} {:.5} m/s², scale factor {:.6} {:.6} {:.6}",
                 sd(0),

@@ -6,7 +6,7 @@ use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError};
 
-use sums::{Jackknife, LAGS, Moments, Recent, Sums};
+use sums::{Across, Jackknife, LAGS, Moments, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
 const BLOCKS: usize = 32;
@@ -25,6 +25,8 @@ const LEAST_SHARED: f64 = 0.9;
 /// so many standard deviations of that of white noise.
 const WHITE: f64 = 0.05;
 const WHITE_DEVIATIONS: f64 = 3.0;
+/// What an axis sees of another is no chance beyond so many standard deviations.
+const SEEN_DEVIATIONS: f64 = 4.0;
 /// Half the way from bound to bound in standard deviations, for a 95 % interval of 15 degrees of freedom.
 const BOUND: f64 = 0.25;
 
@@ -101,6 +103,9 @@ pub struct AxisTransfer {
     pub motion_mps2: f64,
     /// What the answer leaves of output less reference, m/s² rms.
     pub rms_mps2: f64,
+    /// What the axis sees of the other two of the reference, beyond chance, as a share: the streams'
+    /// axes are not parallel. What that makes of the bias and the scale factor is in their covariance.
+    pub seen_of: [f64; 3],
     /// Bias and scale factor; `None` where the axis moved less than 0.5 m/s² rms, so that only
     /// their sum, the offset, is known.
     pub line: Option<Line>,
@@ -194,7 +199,7 @@ impl core::error::Error for TransferRefusal {}
 /// Takes pairs of samples and says what one stream is against the other: per axis, both noisy.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 21 KB: sums over blocks whose length grows with the data.
+/// Memory is fixed, 26 KB: sums over blocks whose length grows with the data.
 ///
 /// ```
 /// use wimu_calib::{NoiseRatio, ReferenceTransfer};
@@ -222,6 +227,7 @@ pub struct ReferenceTransfer {
     origin: Option<[[f64; 2]; 3]>,
     recent: [Recent; 3],
     blocks: [[Sums; 3]; BLOCKS],
+    across: [Across; BLOCKS],
     /// Full blocks.
     full: usize,
     /// Samples of a full block.
@@ -248,6 +254,7 @@ impl ReferenceTransfer {
             origin: None,
             recent: [Recent::NONE; 3],
             blocks: [[Sums::ZERO; 3]; BLOCKS],
+            across: [Across::ZERO; BLOCKS],
             full: 0,
             length: 1,
             samples: 0,
@@ -272,14 +279,22 @@ impl ReferenceTransfer {
                 self.blocks[k] = core::array::from_fn(|axis| {
                     self.blocks[2 * k][axis].plus(&self.blocks[2 * k + 1][axis], 1.0)
                 });
+                self.across[k] = self.across[2 * k].plus(&self.across[2 * k + 1], 1.0);
             }
             for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
                 *block = [Sums::ZERO; 3];
+            }
+            for across in self.across.iter_mut().skip(BLOCKS / 2) {
+                *across = Across::ZERO;
             }
             self.full = BLOCKS / 2;
             self.length *= 2;
         }
         if let Some(block) = self.blocks.get_mut(self.full) {
+            let about = |axis: usize| [0, 1].map(|side| pairs[axis][side] - origin[axis][side]);
+            if let Some(across) = self.across.get_mut(self.full) {
+                across.take([0, 1, 2].map(about));
+            }
             let lasting = block.iter_mut().zip(&mut self.recent);
             for ((sums, recent), (pair, origin)) in lasting.zip(pairs.iter().zip(origin)) {
                 sums.take([pair[0] - origin[0], pair[1] - origin[1]], recent);
@@ -302,7 +317,7 @@ impl ReferenceTransfer {
         let used = self.blocks.iter().filter(|block| block[0].n > 0.0).count();
         let mut axes = [None; 3];
         for (axis, found) in axes.iter_mut().enumerate() {
-            *found = Some(self.axis(axis, origin[axis], used)?);
+            *found = Some(self.axis(axis, origin, used)?);
         }
         let [Some(x), Some(y), Some(z)] = axes else {
             return Err(TransferRefusal::TooFewSamples { have: self.samples });
@@ -318,9 +333,10 @@ impl ReferenceTransfer {
     fn axis(
         &self,
         axis: usize,
-        origin: [f64; 2],
+        origins: [[f64; 2]; 3],
         used: usize,
     ) -> Result<AxisTransfer, TransferRefusal> {
+        let origin = origins[axis];
         let blocks = || self.blocks.iter().take(used).map(|block| &block[axis]);
         let all = blocks().fold(Sums::ZERO, |sum, block| sum.plus(block, 1.0));
         let without = || blocks().map(|block| all.plus(block, -1.0));
@@ -342,6 +358,7 @@ impl ReferenceTransfer {
             motion_mps2: motion,
             rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
+            seen_of: [0.0; 3],
         };
         // What moves at all decides whether the streams can be compared.
         let moves = libm::sqrt(moments.xx.max(moments.yy / delta.max(1.0))) >= LEAST_MOTION_MPS2;
@@ -381,6 +398,15 @@ impl ReferenceTransfer {
                 add_slope(&mut covariance, libm::sqrt(more), transfer.at_mps2);
             }
         }
+        transfer.seen_of = self.seen_of(axis, used, &moments);
+        let all = self.all(used);
+        for (other, seen) in transfer.seen_of.into_iter().enumerate() {
+            // Its mean passes for bias, and as far as it moves along, for scale factor.
+            let mean = origins[other][0] + all.0[other].moments().x;
+            let along = all.1.along(axis, other, &all.0);
+            add_slope(&mut covariance, seen * along, transfer.at_mps2);
+            covariance[0][0] += seen * seen * mean * mean;
+        }
         transfer.rms_mps2 = libm::sqrt(moments.left(slope).max(0.0));
         transfer.line = Some(Line {
             bias_mps2: bias,
@@ -389,6 +415,47 @@ impl ReferenceTransfer {
             noise_from: how.noise_from(),
         });
         Ok(transfer)
+    }
+}
+
+impl ReferenceTransfer {
+    /// Sums over all blocks.
+    fn all(&self, used: usize) -> ([Sums; 3], Across) {
+        let blocks = self.blocks.iter().zip(&self.across).take(used);
+        blocks.fold(
+            ([Sums::ZERO; 3], Across::ZERO),
+            |(sums, across), (block, more)| {
+                let sums = [0, 1, 2].map(|axis: usize| sums[axis].plus(&block[axis], 1.0));
+                (sums, across.plus(more, 1.0))
+            },
+        )
+    }
+
+    /// [`AxisTransfer::seen_of`].
+    fn seen_of(&self, axis: usize, used: usize, moments: &Moments) -> [f64; 3] {
+        let (sums, across) = self.all(used);
+        let moving = [0, 1, 2]
+            .map(|other: usize| sums[other].moments().xx >= LEAST_MOTION_MPS2 * LEAST_MOTION_MPS2);
+        let Some(seen) = across.seen_by(axis, &sums, moving) else {
+            return [0.0; 3];
+        };
+        let mut spread = Jackknife::<3>::default();
+        for (block, more) in self.blocks.iter().zip(&self.across).take(used) {
+            let left = [0, 1, 2].map(|other: usize| sums[other].plus(&block[other], -1.0));
+            match across.plus(more, -1.0).seen_by(axis, &left, moving) {
+                Some(without) => spread.take(without),
+                None => return [0.0; 3],
+            }
+        }
+        let variance = spread.covariance();
+        // Noise of the reference makes it see as much of an axis that moves along.
+        let [low, high] = moments.bounds();
+        let noise = 1.0 - low / high;
+        core::array::from_fn(|other| {
+            let chance = SEEN_DEVIATIONS * libm::sqrt(variance[other][other]) + noise + 1e-6;
+            let beyond = other != axis && seen[other].abs() > chance;
+            if beyond { seen[other] } else { 0.0 }
+        })
     }
 }
 

@@ -158,6 +158,52 @@ fn where_neighbours_do_not_tell_the_interval_reaches_from_bound_to_bound() {
 }
 
 #[test]
+fn axes_that_are_not_parallel_are_noticed_and_in_the_interval() {
+    let (mut held, mut all, mut seen, mut wrongly) = (0, 0, 0, 0);
+    for seed in 0..200 {
+        let mut random = Random(seed);
+        let tilted = seed % 2 == 0;
+        let mut across = [[0.0; 3]; 3];
+        for (row, values) in across.iter_mut().enumerate() {
+            for (column, value) in values.iter_mut().enumerate() {
+                if row != column && tilted {
+                    *value = 0.05 * random.normal();
+                }
+            }
+        }
+        let truth: [_; 3] =
+            std::array::from_fn(|_| (random.within(0.8), 1.0 + random.within(0.04)));
+        let mut transfer = ReferenceTransfer::of_unknown_noise();
+        for k in 0..3200 {
+            let force = motion(k);
+            let reference = force.map(|f| f + 0.03 * random.normal());
+            let output = [0, 1, 2].map(|axis: usize| {
+                let more: f64 = (0..3).map(|other| across[axis][other] * force[other]).sum();
+                truth[axis].0 + truth[axis].1 * force[axis] + more + 0.03 * random.normal()
+            });
+            transfer.push(reference, output);
+        }
+        for (axis, (bias, scale)) in transfer.result().expect("sums").axes.iter().zip(truth) {
+            let line = axis.line.expect("it moved");
+            if tilted {
+                let within = |error: f64, variance: f64| error.abs() <= 2.064 * variance.sqrt();
+                held += i32::from(within(line.bias_mps2 - bias, line.covariance[0][0]));
+                held += i32::from(within(line.scale - scale, line.covariance[1][1]));
+                all += 2;
+            }
+            let noticed = axis.seen_of != [0.0; 3];
+            seen += i32::from(tilted && noticed);
+            wrongly += i32::from(!tilted && noticed);
+        }
+    }
+    println!(
+        "not parallel: {held} of {all} held, noticed {seen} of 300; noticed where parallel {wrongly}"
+    );
+    assert!(f64::from(held) >= 0.9 * f64::from(all));
+    assert!(seen >= 290 && wrongly <= 3);
+}
+
+#[test]
 fn noise_of_the_reference_does_not_shrink_the_scale_factor_as_least_squares_lets_it() {
     let mut random = Random(5);
     let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);

@@ -14,7 +14,7 @@ pub use magnetometer::{FieldPose, MagnetometerReport, calibrate_magnetometer};
 pub use reference::{AxisReport, NoiseSource, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
-    describe, read_parameters, write_report,
+    describe, not_observed, read_parameters, write_report,
 };
 
 pub use update::{RestReport, UpdateReport, update};

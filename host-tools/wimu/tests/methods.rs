@@ -100,6 +100,125 @@ fn a_stream_against_a_reference_has_bias_and_scale_where_it_moves() {
     );
 }
 
+#[test]
+fn whose_the_noise_is_comes_from_the_data_or_is_given_or_widens_the_answer() {
+    // The second accelerometer is twenty times as noisy; no rest tells.
+    let noisy = |fast: bool| {
+        let mut text = two_accelerometers().lines().next().unwrap().to_owned();
+        let mut state = 7_u64;
+        let mut noise = move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        };
+        for k in 0..4000 {
+            let t = f64::from(k) * 0.01;
+            let mut force = [
+                3.0 * (2.0 * t).sin(),
+                3.0 * (3.1 * t).cos(),
+                9.81 + 2.0 * (4.7 * t).sin(),
+            ];
+            if fast {
+                force = force.map(|_| 5.0 * noise());
+            }
+            let reference = force.map(|f| f + 0.04 * noise());
+            let output = force.map(|f| 1.02 * f + 0.3 + 0.8 * noise());
+            let [x, y, z] = reference;
+            let [u, v, w] = output;
+            write!(text, "\n{t},{x},{y},{z},{u},{v},{w}").unwrap();
+        }
+        text
+    };
+    let (csv, _folder) = in_folder("noisy.csv");
+    let ask =
+        |flags: &[&str]| wimu(&[&["calibrate", &csv, "--method", "reference"][..], flags].concat());
+    for (fast, flags, from, most_sd) in [
+        (false, &[][..], "neighbours", 0.01),
+        (false, &["--noise-ratio", "20"][..], "given", 0.01),
+        (true, &[][..], "bounds", 0.05),
+        (true, &["--noise-ratio", "20"][..], "given", 0.01),
+    ] {
+        fs::write(&csv, noisy(fast)).unwrap();
+        let ran = ask(flags);
+        let report = ran.succeeds();
+        for axis in 0..3 {
+            assert_eq!(report["axes"][axis]["noise_from"], from, "{report}");
+            let scale = report["model"]["matrix"][axis][axis].as_f64().unwrap();
+            let sd = report["sd"]["matrix"][axis][axis].as_f64().unwrap();
+            assert!(
+                (scale - 1.02).abs() < 3.0 * sd && sd < most_sd,
+                "{from}: {scale} {sd}"
+            );
+        }
+    }
+    assert!(ask(&["--noise-ratio", "0"]).code == 2);
+    wimu(&[
+        "calibrate",
+        &csv,
+        "--noise-ratio",
+        "2",
+        "--accelerometer",
+        "0",
+    ])
+    .fails(2, "usage");
+}
+
+#[test]
+fn turns_that_are_none_are_refused_and_what_a_turn_does_not_show_is_said() {
+    let (csv, folder) = in_folder("turn.csv");
+    let cal = folder.path().join("CAL.json").display().to_string();
+    let turn = |step: f64, lean: f64| {
+        let mut text =
+            String::from("Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)");
+        for k in 0..4 {
+            let (sin, cos) = (f64::from(k) * step).to_radians().sin_cos();
+            let (across, along) = lean.to_radians().sin_cos();
+            let g = 9.80665;
+            let [x, y, z] = [
+                g * cos * along + 0.2,
+                g * sin - 0.1,
+                g * cos * across + 0.05,
+            ];
+            write!(text, "\n{x},{y},{z}").unwrap();
+        }
+        fs::write(&csv, text).unwrap();
+        let flags = ["--poses", "--sensitivity", "16384", "-o", &cal];
+        wimu(&[&["calibrate", &csv, "--method", "four-angle"][..], &flags].concat())
+    };
+    for (step, lean, says) in [(80.0, 0.0, "steps are"), (90.0, 17.0, "from level")] {
+        let ran = turn(step, lean);
+        assert_eq!(ran.code, 3, "{ran:?}");
+        let reason = ran.object()["reason"].as_str().unwrap().to_owned();
+        assert!(
+            reason.contains(says) && reason.contains("multi-position"),
+            "{reason}"
+        );
+    }
+    let ran = turn(90.0, 0.0);
+    let report = ran.succeeds();
+    let unseen = report["not_observed"].as_array().unwrap();
+    assert!(unseen.contains(&"bias Z".into()) && unseen.contains(&"scale factor Z".into()));
+    assert!(!unseen.contains(&"bias X".into()));
+    assert!(report["half_width_95"][2].is_null() && report["half_width_95"][0].is_f64());
+    assert!(
+        report["sd"]["bias_m_s2"][2].as_f64().unwrap() > 0.3,
+        "{report}"
+    );
+    assert!(
+        ran.stderr.contains("Z: bias not observed"),
+        "{}",
+        ran.stderr
+    );
+    // The set says so, too.
+    let set = wimu_host::calibration::read_parameters(cal.as_ref()).unwrap();
+    let said = wimu_host::calibration::describe(&set).join("\n");
+    assert!(
+        said.contains("not observed") && said.contains("bias Z"),
+        "{said}"
+    );
+}
+
 /// A sensor at rest, g, 100 Hz, with noise of uniform distribution, ±`peak`.
 fn at_rest(seconds: u32, peak: f64) -> String {
     let mut text =

@@ -1,5 +1,7 @@
 //! Sums over blocks of two streams, and what follows from them.
 
+use nalgebra::{Matrix3, Vector3};
+
 /// Distances in samples at which neighbours are compared.
 pub(super) const LAGS: [usize; 5] = [1, 2, 4, 8, 16];
 
@@ -206,5 +208,68 @@ impl<const N: usize> Jackknife<N> {
         core::array::from_fn(|i| {
             core::array::from_fn(|j| factor * 0.5 * (self.squares[i][j] + self.squares[j][i]))
         })
+    }
+}
+
+/// Sums of products across the axes: of the reference with itself, and with the output.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Across {
+    xx: [[f64; 3]; 3],
+    xy: [[f64; 3]; 3],
+}
+
+impl Across {
+    pub const ZERO: Self = Self {
+        xx: [[0.0; 3]; 3],
+        xy: [[0.0; 3]; 3],
+    };
+
+    pub fn take(&mut self, pairs: [[f64; 2]; 3]) {
+        for (i, [x, _]) in pairs.into_iter().enumerate() {
+            for (j, [other, y]) in pairs.into_iter().enumerate() {
+                self.xx[i][j] += x * other;
+                self.xy[i][j] += x * y;
+            }
+        }
+    }
+
+    pub fn plus(&self, other: &Self, sign: f64) -> Self {
+        let of = |a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]| {
+            core::array::from_fn(|i| core::array::from_fn(|j| a[i][j] + sign * b[i][j]))
+        };
+        Self {
+            xx: of(&self.xx, &other.xx),
+            xy: of(&self.xy, &other.xy),
+        }
+    }
+
+    /// How much `other` moves along when `axis` of the reference moves by 1.
+    pub fn along(&self, axis: usize, other: usize, sums: &[Sums; 3]) -> f64 {
+        let n = sums[axis].n;
+        let both = self.xx[axis][other] / n - sums[axis].x / n * (sums[other].x / n);
+        both / sums[axis].moments().xx.max(f64::MIN_POSITIVE)
+    }
+
+    /// What output `axis` sees of each axis of the reference, by least squares over those that
+    /// are `moving`; 0 for the others.
+    pub fn seen_by(&self, axis: usize, sums: &[Sums; 3], moving: [bool; 3]) -> Option<[f64; 3]> {
+        let n = sums[axis].n;
+        let covariance = |sum: f64, a: f64, b: f64| sum / n - a / n * (b / n);
+        let matrix = Matrix3::from_fn(|i, j| {
+            if moving[i] && moving[j] {
+                covariance(self.xx[i][j], sums[i].x, sums[j].x)
+            } else {
+                f64::from(u8::from(i == j))
+            }
+        });
+        let right = Vector3::from_fn(|i, _| {
+            if moving[i] {
+                covariance(self.xy[i][axis], sums[i].x, sums[axis].y)
+            } else {
+                0.0
+            }
+        });
+        let seen = matrix.try_inverse()? * right;
+        Some([seen[0], seen[1], seen[2]])
     }
 }

@@ -271,6 +271,8 @@ pub struct ReferenceReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
+    /// What the numbers do not show and a user should know.
+    pub remarks: Vec<String>,
     /// The data.
     pub source: String,
     /// `reference`.
@@ -350,6 +352,7 @@ pub fn compare_with_reference(
         schema: CalibrationReport::SCHEMA,
         status: "refused",
         reason: None,
+        remarks: Vec::new(),
         source: data.name.clone(),
         method: "reference",
         terms: &[],
@@ -395,6 +398,18 @@ pub fn compare_with_reference(
             return Ok(report);
         }
     };
+    let names = ["X", "Y", "Z"];
+    for (axis, transfer) in names.into_iter().zip(&found.axes) {
+        for (other, seen) in names.into_iter().zip(transfer.seen_of) {
+            if seen != 0.0 {
+                report.remarks.push(format!(
+                    "{axis} of the output sees {:+.1} % of {other} of the reference: their axes are not \
+                     parallel; what that makes of bias and scale factor is in their ±",
+                    seen * 100.0
+                ));
+            }
+        }
+    }
     report.not_observed = Parameter::ALL
         .into_iter()
         .filter(|parameter| match parameter.index() {
@@ -541,6 +556,9 @@ impl fmt::Display for ReferenceReport {
                     report.offset_m_s2, report.offset_sd_m_s2, report.at_m_s2, report.motion_m_s2
                 )?;
             }
+        }
+        for remark in &self.remarks {
+            writeln!(out, "{remark}")?;
         }
         write!(
             out,

@@ -386,20 +386,35 @@ const MISALIGNMENTS: [(&str, usize, usize); 6] = [
 /// Name of the JSON object of `wimu params`.
 pub const HELD_SCHEMA: &str = "wimu.params/1";
 
-/// What a set says nothing was seen of: the standard deviation is what datasheets make likely.
-fn not_observed(method: CalibrationMethod, sd: &impl Fn(usize) -> f64) -> Vec<String> {
+/// The parameters, by name, that nothing was seen of when a set was made: they are a perfect sensor's,
+/// their standard deviations what datasheets make likely.
+pub fn not_observed(set: &ParameterSet) -> Vec<String> {
+    let Some(quality) = &set.quality else {
+        return Vec::new();
+    };
+    let q = quality.terms();
     let by_choice = |parameter: Parameter| {
         use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
-        method == CalibrationMethod::MultiPosition
+        q.method == CalibrationMethod::MultiPosition
             && [MisalignmentYx, MisalignmentZx, MisalignmentZy].contains(&parameter)
     };
+    let perfect = ErrorTerms::default();
     let unseen = |parameter: &Parameter| {
-        let usual = match parameter.index() {
-            0..3 => 0.5,
-            3 | 7 | 11 => 0.03,
-            _ => 0.02,
+        let place = parameter.index();
+        let terms = set.model.terms();
+        let (value, ideal, usual) = match place {
+            0..3 => (terms.bias_mps2[place], 0.0, 0.5),
+            _ => {
+                let (row, column) = ((place - 3) / 3, (place - 3) % 3);
+                let usual = if row == column { 0.03 } else { 0.02 };
+                (
+                    terms.matrix[row][column],
+                    perfect.matrix[row][column],
+                    usual,
+                )
+            }
         };
-        sd(parameter.index()) > 0.999 * usual && !by_choice(*parameter)
+        value == ideal && q.covariance.sd(place) > 0.999 * usual && !by_choice(*parameter)
     };
     Parameter::ALL
         .into_iter()
@@ -419,7 +434,7 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
         Some(quality) => {
             let q = quality.terms();
             let sd = |place: usize| q.covariance.sd(place);
-            let unseen = not_observed(q.method, &sd);
+            let unseen = not_observed(set);
             if !unseen.is_empty() {
                 lines.push(format!(
                     "not observed, taken as those of a perfect sensor: {}",

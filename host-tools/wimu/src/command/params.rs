@@ -68,6 +68,13 @@ pub fn push<T: Transport>(
 ) -> Result<()> {
     let before = held(client)?;
     say_difference(before.as_ref(), set, output);
+    let unseen = calibration::not_observed(set);
+    if !unseen.is_empty() {
+        output.say(format!(
+            "not observed, pushed as those of a perfect sensor: {}",
+            unseen.join(", ")
+        ));
+    }
     let id = client.push_parameters(set)?;
     let found = client.parameters()?.id;
     if found != id.0 {

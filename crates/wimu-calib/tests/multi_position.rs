@@ -516,14 +516,17 @@ fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
 }
 
 #[test]
-fn what_is_not_fitted_has_no_deviation() {
+fn what_is_not_observed_is_as_uncertain_as_datasheets_have_it() {
     let mut random = Random(17);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 12);
     let three = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Bias3).expect("an answer");
-    assert_eq!(three.sd().matrix, [[0.0; 3]; 3]);
+    assert_eq!(three.sd().matrix[0], [0.03, 0.0, 0.0]);
+    assert_eq!(three.sd().matrix[2], [0.02, 0.02, 0.03]);
+    assert!(three.not_observed().contains(Parameter::ScaleY));
     let six = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::BiasScale6).expect("an answer");
-    assert_eq!(six.sd().matrix[1][0], 0.0);
+    // What gravity leaves to choice is 0 by choice.
+    assert_eq!((six.sd().matrix[1][0], six.sd().matrix[0][1]), (0.02, 0.0));
     assert!(six.sd().matrix[0][0] > 0.001);
 }
 

@@ -27,7 +27,7 @@ pub use pace::Pace;
 /// Device time of a block of transfers, s.
 const BLOCK_S: f64 = 64.0;
 /// Transfers of a block at most; a busier link has shorter blocks.
-const BLOCK_TRANSFERS: usize = 8192;
+const BLOCK_TRANSFERS: usize = 16_384;
 /// Blocks on either side of the one for which a line is fitted: oscillators wander.
 const REACH: usize = 4;
 /// Lines kept: three days of blocks. Beyond, every second is left out.
@@ -36,6 +36,8 @@ const MAX_LINES: usize = 4096;
 const HOST_SD_NS: f64 = 50_000.0;
 /// Delays that look the same to this, ns, may drift by it over the time that they are looked at.
 const LEAST_ERROR_NS: f64 = 20_000.0;
+/// What arrives sooner behind what came before may have been held up by it, ns.
+const BEHIND_NS: u64 = 3_000_000;
 /// Questions that may wait for their answer.
 const MAX_ASKED: usize = 256;
 /// How much longer than its answer a question may be, or shorter.
@@ -57,10 +59,21 @@ pub struct ClockEstimator {
     next_line: usize,
     /// When each question was sent, and its length.
     asked: HashMap<(u32, u32), (u64, usize)>,
+    /// When the latest of anything came, by link: to the host, and questions to the device; ns.
+    latest: [Latest; envelope::LINKS],
     /// Length of the latest question on each link, and how often it has changed.
     question: [(usize, u32); envelope::LINKS],
     transfers: u64,
     exchanges: u64,
+}
+
+/// When the latest of anything came over a link, ns.
+#[derive(Clone, Copy, Debug, Default)]
+struct Latest {
+    /// To the host, its clock.
+    heard_ns: Option<u64>,
+    /// Of the questions to the device, its clock.
+    question_ns: Option<u64>,
 }
 
 /// Host time − device time around a moment.
@@ -104,6 +117,8 @@ impl ClockEstimator {
     /// [`asked`](Self::asked) knows: how long both took then, ns.
     pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) -> Option<u64> {
         let link = usize::from(role != LinkRole::Cable);
+        let before = self.latest[link].heard_ns.replace(arrival.host_ns);
+        let alone = alone_for(before, arrival.began_ns);
         match &arrival.event {
             Event::Samples(samples) => {
                 if let Some(last) = samples.iter().last() {
@@ -111,7 +126,7 @@ impl ClockEstimator {
                         Stream::Raw => Class::Raw,
                         Stream::Corrected => Class::Corrected,
                     };
-                    self.transfer(link, class, last.time, arrival.began_ns);
+                    self.transfer(link, class, last.time, arrival.began_ns, alone);
                 }
             }
             Event::Reply { reply, .. } => {
@@ -134,10 +149,13 @@ impl ClockEstimator {
                     _ => Class::Question,
                 };
                 let time = DeviceTimeUs(uptime_us);
+                let uptime_ns = uptime_us.saturating_mul(1000);
+                let before = self.latest[link].question_ns.replace(uptime_ns);
+                let question_alone = alone_for(before, uptime_ns);
                 self.exchanges += 1;
-                self.transfer(link, question, time, asked_ns);
-                self.transfer(link, Class::AnswerBegins, time, arrival.began_ns);
-                self.transfer(link, Class::Answer, time, arrival.host_ns);
+                self.transfer(link, question, time, asked_ns, question_alone);
+                self.transfer(link, Class::AnswerBegins, time, arrival.began_ns, alone);
+                self.transfer(link, Class::Answer, time, arrival.host_ns, alone);
                 return Some(trip);
             }
             _ => {}
@@ -163,17 +181,28 @@ impl ClockEstimator {
     }
 
     /// One transfer: what the device timed at `time` arrived, or for a question was sent, at
-    /// `host_ns`.
-    fn transfer(&mut self, link: usize, class: Class, time: DeviceTimeUs, host_ns: u64) {
+    /// `host_ns`. It could have come by so much earlier, ns, and would still have come by itself; if
+    /// negative, later.
+    fn transfer(
+        &mut self,
+        link: usize,
+        class: Class,
+        time: DeviceTimeUs,
+        host_ns: u64,
+        alone_ns: f64,
+    ) {
         let (origin_us, origin_ns) = *self.origin.get_or_insert((time.0, host_ns));
         let device_us = time.0.wrapping_sub(origin_us) as i64;
         let host_ns = host_ns.wrapping_sub(origin_ns) as i64;
         let difference = host_ns.wrapping_sub(device_us.wrapping_mul(1000)) as f64;
+        let v = class.sign() * difference;
         let transfer = Transfer {
             link,
             class,
             x: device_us as f64 * 1e-6,
-            v: class.sign() * difference,
+            v,
+            free_from: v - alone_ns,
+            index: 0,
         };
         let full = self
             .open
@@ -187,7 +216,8 @@ impl ClockEstimator {
     }
 
     fn close(&mut self) {
-        self.closed.extend(Folded::new(&self.open));
+        self.closed
+            .extend(Folded::new(&self.open).map(Folded::reduced));
         self.open.clear();
         while self.closed.len() > self.next_line + REACH {
             let blocks: Vec<_> = self.closed.iter().collect();
@@ -266,6 +296,15 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
         lower: fit.lower,
         upper,
     })
+}
+
+/// By how much earlier something could have come behind what came before, ns, and would not have
+/// been held up by it.
+fn alone_for(before_ns: Option<u64>, came_ns: u64) -> f64 {
+    match before_ns {
+        Some(before) => came_ns as f64 - before as f64 - BEHIND_NS as f64,
+        None => f64::INFINITY,
+    }
 }
 
 /// Length of a reply on the wire.

@@ -130,16 +130,16 @@ impl Recorder {
         let finished = AtomicBool::new(false);
         let (sender, receiver) = mpsc::channel();
         thread::scope(|scope| {
-            for (index, (url, client)) in self.links.into_iter().enumerate() {
+            for (index, (url, mut client)) in self.links.into_iter().enumerate() {
                 let sender = sender.clone();
                 let finished = &finished;
                 scope.spawn(move || {
                     let listener = Listener {
                         role: client.hello().role,
                         url,
+                        pace: Pace::on_line(client.transport().baud()),
                         client,
                         clock: ClockEstimator::new(),
-                        pace: Pace::default(),
                     };
                     listener.run(|heard| sender.send((index, heard)).is_ok(), finished);
                 });
@@ -250,9 +250,11 @@ impl Listener {
             self.note_sent();
         }
         let look_up = now + 5 * GLANCE;
-        while let Some(arrival) = self.client.next_event(GLANCE)? {
-            if let Event::Restart = arrival.event {
-                self.clock = ClockEstimator::new();
+        while let Some(arrival) = self.client.next_event(self.pace.due_in(now).min(GLANCE))? {
+            match &arrival.event {
+                Event::Restart => self.clock = ClockEstimator::new(),
+                Event::Status(status) => self.pace.told(self.role, status),
+                _ => {}
             }
             let trip = self.clock.heard(self.role, &arrival);
             let now = self.client.transport().now();
@@ -311,7 +313,7 @@ impl Listener {
                     host_ns,
                 });
                 entries.extend(self.heard());
-                self.pace = Pace::default();
+                self.pace = Pace::on_line(self.client.transport().baud());
             } else {
                 // What another board has said is none of this recording's.
                 self.heard();

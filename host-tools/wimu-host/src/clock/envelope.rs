@@ -1,4 +1,4 @@
-//! The line under one-sided delays: equations (60) to (63).
+//! The lines that bound delays: equations (60) to (63).
 
 use std::cmp::Ordering;
 
@@ -10,20 +10,23 @@ const KINDS: usize = CLASSES * LINKS;
 const LEAST_MEAN_NS: f64 = 1000.0;
 /// No oscillator is worse, ns/s.
 pub(super) const MAX_RATE: f64 = 5e7;
-/// The least delayed transfers of a kind and stretch that are kept.
-const KEPT: usize = 64;
-/// Those of them that tell where the least delay lies; the share of all that they are, at most.
-const EDGE: usize = 48;
+/// The least delayed transfers of a kind and stretch that are kept, and the most delayed ones.
+const KEPT: usize = 128;
+/// Those of them that tell where the delays end; the share of all that they are, at most.
+const EDGE: usize = 96;
+/// Most transfers that a stall delays by more than the link does otherwise, and nothing held up.
+const STRAYS: usize = 16;
+/// Transfers that nothing held up, without which no upper edge is looked for.
+const LEAST_FREE: f64 = 64.0;
 const EDGE_SHARE: f64 = 0.5;
 /// The delays' edge is looked at no closer than this, ns: no host tells when bytes came better.
 const LEAST_WINDOW_NS: f64 = 20_000.0;
 /// How steeply the density of delays may rise from the least: as e^(α − 1).
-const SHAPES: [f64; 6] = [1.0, 1.4, 2.0, 2.8, 4.0, 5.6];
+const SHAPES: [f64; 6] = [1.0, 1.5, 2.0, 3.0, 4.0, 6.0];
 /// Places of the least delay below the least seen, where its likelihood is summed up.
 const DEPTHS: usize = 24;
-/// Frames that come together share a delay; the likelihood takes them for two. By so much that makes
-/// the slope's variance too small.
-const SHARED: f64 = 1.5;
+/// How many transfers apart late ones may be for one reason.
+const NEAR: u32 = 3;
 /// Slopes at which the likelihood is summed up.
 const SLOPES: usize = 41;
 
@@ -71,16 +74,40 @@ pub(super) struct Transfer {
     /// Sign · (host time − device time) since the origin, ns: the delay, and the clocks'
     /// difference.
     pub v: f64,
+    /// The v from which on it came by itself. Below, it came right behind another: that one's
+    /// delay has held it up, and it had less.
+    pub free_from: f64,
+    /// Its number among those of its kind.
+    pub index: u32,
 }
 
 impl Transfer {
     fn kind(&self) -> usize {
         CLASSES * self.link + self.class as usize
     }
+
+    fn is_free(&self) -> bool {
+        self.v >= self.free_from
+    }
+
+    /// What it tells: when it came, or that it came before this.
+    fn told(&self) -> f64 {
+        self.v.max(self.free_from)
+    }
+
+    /// The latest as the earliest: with this the upper edge of the delays is a lower one.
+    fn mirrored(&self) -> Self {
+        Self {
+            v: -self.v,
+            free_from: f64::NEG_INFINITY,
+            ..*self
+        }
+    }
 }
 
 /// Transfers of one kind: how many, the sums of their times and delays, those that can touch a line
-/// from above, and the least delayed.
+/// from above, and the least delayed; of those that nothing held up, how many and the most delayed,
+/// mirrored.
 #[derive(Clone, Debug, Default)]
 struct Cell {
     count: f64,
@@ -88,9 +115,11 @@ struct Cell {
     sum_v: f64,
     hull: Vec<Transfer>,
     least: Vec<Transfer>,
+    free: f64,
+    most: Vec<Transfer>,
 }
 
-/// A stretch of transfers, reduced to those that tell something.
+/// A stretch of transfers, by their kinds.
 #[derive(Clone, Debug)]
 pub(super) struct Folded {
     /// Times of the first and last transfer, s.
@@ -116,7 +145,7 @@ pub(super) struct Fit {
 }
 
 impl Folded {
-    /// Reduces `transfers`; `None` without any.
+    /// Sorts `transfers`; `None` without any.
     pub fn new(transfers: &[Transfer]) -> Option<Self> {
         let first = transfers.first()?;
         let mut span = (first.x, first.x);
@@ -124,23 +153,58 @@ impl Folded {
             span = (span.0.min(transfer.x), span.1.max(transfer.x));
         }
         let mut cells: [Cell; KINDS] = Default::default();
+        let mut before = [f64::NEG_INFINITY; KINDS];
         for transfer in transfers {
-            let cell = &mut cells[transfer.kind()];
+            let kind = transfer.kind();
+            let cell = &mut cells[kind];
+            let transfer = &Transfer {
+                index: cell.count as u32,
+                ..*transfer
+            };
             cell.count += 1.0;
             cell.sum_x += transfer.x;
             cell.sum_v += transfer.v;
+            cell.hull.push(*transfer);
             cell.least.push(*transfer);
+            if transfer.is_free() {
+                cell.free += 1.0;
+                if transfer.v > before[kind] && transfer.class.shows_rate() {
+                    cell.most.push(transfer.mirrored());
+                }
+            }
+            before[kind] = transfer.v;
         }
         for cell in &mut cells {
-            cell.hull = hull(cell.least.clone());
+            cell.hull = hull(std::mem::take(&mut cell.hull));
         }
         let mut folded = Self { span, cells };
         let middle = 0.5 * (span.0 + span.1);
         let rate = likeliest_rate(&edges(&[&folded], middle));
         for cell in &mut folded.cells {
-            keep_least(&mut cell.least, rate, KEPT);
+            let Some(first) = cell.hull.first() else {
+                continue;
+            };
+            let slope = -first.class.sign() * rate;
+            let all = cell.most.len();
+            keep_least(&mut cell.most, slope, all);
+            drop_strays(&mut cell.most, slope);
         }
         Some(folded)
+    }
+
+    /// Keeps only those that can come near the edges of the delays over the slope that they have.
+    #[must_use]
+    pub fn reduced(mut self) -> Self {
+        let middle = 0.5 * (self.span.0 + self.span.1);
+        let rate = fit(&[&self], middle, None).map_or(0.0, |fit| fit.rate);
+        for cell in &mut self.cells {
+            if let Some(first) = cell.hull.first() {
+                let slope = first.class.sign() * rate;
+                keep_least(&mut cell.least, slope, KEPT);
+                keep_least(&mut cell.most, -slope, KEPT);
+            }
+        }
+        self
     }
 
     /// Transfers kept.
@@ -153,15 +217,31 @@ impl Folded {
     }
 }
 
-/// Keeps the `most` transfers that are delayed least over a line of slope `rate`.
-fn keep_least(transfers: &mut Vec<Transfer>, rate: f64, most: usize) {
-    let delay = |transfer: &Transfer| transfer.v - transfer.class.sign() * rate * transfer.x;
+/// Keeps the `most` transfers that are delayed least over a line of this slope, in order.
+fn keep_least(transfers: &mut Vec<Transfer>, slope: f64, most: usize) {
+    let delay = |transfer: &Transfer| transfer.told() - slope * transfer.x;
     let order = |a: &Transfer, b: &Transfer| delay(a).total_cmp(&delay(b));
     if transfers.len() > most {
         transfers.select_nth_unstable_by(most, order);
         transfers.truncate(most);
     }
     transfers.sort_by(order);
+}
+
+/// Leaves out the first of `transfers`, in order, that are farther from the others than these
+/// from each other: a link that stalled says nothing of how late it is otherwise.
+fn drop_strays(transfers: &mut Vec<Transfer>, slope: f64) {
+    let delay = |index: usize| {
+        let transfer: &Transfer = &transfers[index];
+        transfer.v - slope * transfer.x
+    };
+    let pairs = 0..transfers.len().saturating_sub(STRAYS + 1).min(STRAYS);
+    let stray = |index: &usize| {
+        let next = delay(index + 1);
+        next - delay(*index) > (delay(index + 1 + STRAYS) - next).max(LEAST_WINDOW_NS)
+    };
+    let strays = pairs.rev().find(stray).map_or(0, |index| index + 1);
+    transfers.drain(..strays);
 }
 
 /// What the transfers of `blocks` tell about `x`; with the slope `given`, if there is one. `None`
@@ -171,18 +251,21 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
     if edges.is_empty() {
         return None;
     }
+    let mut tops = tops(blocks, x);
     let summed = match given {
         Some(rate) => {
             edges.iter_mut().for_each(|edge| edge.narrow(rate));
-            vec![Terms::new(&edges, rate)]
+            tops.clear();
+            vec![Terms::new(&edges, &tops, rate)]
         }
         None => {
             let mut rate = likeliest_rate(&edges);
             let mut summed = Vec::new();
             // Which delays are the least depends on the slope.
             for _ in 0..4 {
-                edges.iter_mut().for_each(|edge| edge.narrow(rate));
-                summed = slopes(&edges, rate)?;
+                let all = edges.iter_mut().chain(&mut tops);
+                all.for_each(|edge| edge.narrow(rate));
+                summed = slopes(&edges, &tops, rate)?;
                 let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
                 let moved = (mean - rate).abs();
                 rate = mean.clamp(-MAX_RATE, MAX_RATE);
@@ -214,7 +297,7 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
     };
     Some(Fit {
         rate,
-        rate_variance: SHARED * rate_variance,
+        rate_variance,
         middle,
         middle_variance,
         covariance,
@@ -224,13 +307,19 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
 }
 
 /// The likelihood over the slopes about `centre` where it is: neither much more nor less.
-fn slopes(edges: &[Edge], mut centre: f64) -> Option<Vec<Terms>> {
-    let mut half = spread(edges).max(1e-3);
+fn slopes(edges: &[Edge], tops: &[Edge], mut centre: f64) -> Option<Vec<Terms>> {
+    let mut half = spread(edges).min(spread(tops)).max(1e-3);
     let mut summed = Vec::new();
     for _ in 0..16 {
         let step = half / (SLOPES / 2) as f64;
         summed = (0..SLOPES)
-            .map(|k| Terms::new(edges, centre + step * (k as f64 - (SLOPES / 2) as f64)))
+            .map(|k| {
+                Terms::new(
+                    edges,
+                    tops,
+                    centre + step * (k as f64 - (SLOPES / 2) as f64),
+                )
+            })
             .collect();
         let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
         let sd = variance.sqrt();
@@ -274,6 +363,8 @@ fn moments(terms: &[Terms], of: impl Fn(&Terms) -> (f64, f64)) -> Option<(f64, f
 struct Edge {
     link: usize,
     class: Class,
+    /// Of the clocks' difference in v.
+    sign: f64,
     count: f64,
     sum_x: f64,
     sum_v: f64,
@@ -283,6 +374,8 @@ struct Edge {
     /// Those nearest to it, and where they end: v of the end at x = 0, and its slope.
     least: Vec<Transfer>,
     end: (f64, f64),
+    /// The part of them that are independent: late ones often come together.
+    independent: f64,
 }
 
 fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
@@ -297,6 +390,7 @@ fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
         Some(Edge {
             link,
             class,
+            sign: class.sign(),
             count: cells().map(|cell| cell.count).sum(),
             sum_x: cells().map(|cell| cell.sum_x - cell.count * x).sum(),
             sum_v: cells().map(|cell| cell.sum_v).sum(),
@@ -304,6 +398,35 @@ fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
             candidates: cells().flat_map(|cell| &cell.least).map(about).collect(),
             least: Vec::new(),
             end: (0.0, 0.0),
+            independent: 1.0,
+        })
+    };
+    (0..KINDS).filter_map(kind).collect()
+}
+
+/// The upper edges of the delays, mirrored, of kinds that came often enough.
+fn tops(blocks: &[&Folded], x: f64) -> Vec<Edge> {
+    let about = |transfer: &Transfer| Transfer {
+        x: transfer.x - x,
+        ..*transfer
+    };
+    let kind = |kind: usize| {
+        let cells = || blocks.iter().map(|block| &block.cells[kind]);
+        let free: f64 = cells().map(|cell| cell.free).sum();
+        let most: Vec<_> = cells().flat_map(|cell| &cell.most).map(about).collect();
+        let Transfer { link, class, .. } = *most.first()?;
+        (free >= LEAST_FREE).then(|| Edge {
+            link,
+            class,
+            sign: -class.sign(),
+            count: free,
+            sum_x: 0.0,
+            sum_v: 0.0,
+            hull: hull(most.clone()),
+            candidates: most,
+            least: Vec::new(),
+            end: (0.0, 0.0),
+            independent: 1.0,
         })
     };
     (0..KINDS).filter_map(kind).collect()
@@ -312,7 +435,7 @@ fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
 impl Edge {
     /// Least delay above a line of slope `rate`, and the transfer that has it.
     fn floor(&self, rate: f64) -> (f64, &Transfer) {
-        let slope = self.class.sign() * rate;
+        let slope = self.sign * rate;
         let mut least = (f64::INFINITY, &self.hull[0]);
         for point in &self.hull {
             let delay = point.v - slope * point.x;
@@ -325,48 +448,58 @@ impl Edge {
 
     /// Leaves the transfers that are delayed least over a line of slope `rate`.
     fn narrow(&mut self, rate: f64) {
-        let slope = self.class.sign() * rate;
+        let slope = self.sign * rate;
         let few = (self.count * EDGE_SHARE) as usize;
         let most = EDGE.min(few).max(1);
         self.least.clone_from(&self.candidates);
-        keep_least(&mut self.least, rate, most + 1);
-        let delay = |point: &Transfer| point.v - slope * point.x;
+        keep_least(&mut self.least, slope, most + 1);
+        let delay = |point: &Transfer| point.told() - slope * point.x;
         let floor = self.floor(rate).0;
         let last = self.least.last().map_or(floor, delay);
         self.end = (last.max(floor + LEAST_WINDOW_NS), slope);
         if self.least.len() > most {
             self.least.pop();
         }
+        self.independent = independent(&self.least, self.count);
     }
 
     /// Width of the window about its middle, ns.
     fn window(&self) -> f64 {
-        self.end.0 - self.floor(self.class.sign() * self.end.1).0
+        self.end.0 - self.floor(self.sign * self.end.1).0
     }
 
     /// The likelihood of slope `rate`, summed up over the places where the least delay may lie
     /// and how the delays rise from it: its logarithm; mean and variance of the place.
     fn likelihood(&self, rate: f64) -> (f64, f64, f64) {
-        let slope = self.class.sign() * rate;
+        let slope = self.sign * rate;
         let floor = self.floor(rate).0;
         let window = self.window();
-        let count = self.least.len() as f64;
+        let count = self.least.iter().filter(|point| point.is_free()).count() as f64;
         // Equally far apart as logarithms.
-        let (nearest, farthest) = (0.02 * window / count, 6.0 * window);
+        let (nearest, farthest) = (0.02 * window / self.least.len() as f64, 6.0 * window);
         let ratio = (farthest / nearest).powf(1.0 / (DEPTHS - 1) as f64);
         let mut depth = nearest;
         let mut found = [(0.0, 0.0); DEPTHS];
         for (index, found) in found.iter_mut().enumerate() {
             let place = floor - depth;
-            let (mut delays, mut windows) = (LogProduct::new(), LogProduct::new());
+            let (mut delays, mut windows) = (LogProduct::default(), LogProduct::default());
+            let mut free = LogProduct::default();
             for point in &self.least {
-                delays.times(point.v - slope * point.x - place);
+                let line = slope * point.x + place;
+                let delay = point.told() - line;
+                delays.times(delay);
+                if point.is_free() {
+                    free.times(delay);
+                }
                 let end = self.end.0 + self.end.1 * point.x;
                 // A slope that is far out lets the line cross the window's end.
-                windows.times((end - slope * point.x - place).max(1.0));
+                windows.times((end - line).max(1.0));
             }
-            let (delays, windows) = (delays.log(), windows.log());
-            let of = |shape: &f64| count * shape.ln() + (shape - 1.0) * delays - shape * windows;
+            let (delays, windows, free) = (delays.log(), windows.log(), free.log());
+            let of = |shape: &f64| {
+                let log = count * shape.ln() + shape * (delays - windows) - free;
+                self.independent * log
+            };
             let all = log_sum(SHAPES.iter().map(of));
             // The nearest stands for all that is nearer, too.
             let width = if index == 0 {
@@ -385,6 +518,19 @@ impl Edge {
             .sum();
         (all, floor - mean, variance)
     }
+}
+
+/// The part of transfers among `count` that do not only follow another one of them.
+fn independent(least: &[Transfer], count: f64) -> f64 {
+    let free = least.iter().filter(|point| point.is_free());
+    let mut order: Vec<_> = free.map(|point| (point.x, point.index)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let follow = |pair: &&[(f64, u32)]| (1..=NEAR).contains(&pair[1].1.wrapping_sub(pair[0].1));
+    let following = order.windows(2).filter(follow).count() as f64;
+    let all = order.len().max(1) as f64;
+    // So many would by chance.
+    let chance = f64::from(NEAR) * all * all / count;
+    (1.0 - (following - chance) / all).clamp(1.0 / all, 1.0)
 }
 
 /// How far from the likeliest slope others are likely, ns/s: about.
@@ -407,7 +553,7 @@ struct Terms {
 }
 
 impl Terms {
-    fn new(edges: &[Edge], rate: f64) -> Self {
+    fn new(edges: &[Edge], tops: &[Edge], rate: f64) -> Self {
         let mut terms = Self {
             rate,
             log_likelihood: 0.0,
@@ -419,6 +565,9 @@ impl Terms {
                 terms.log_likelihood += log;
             }
             terms.floors[CLASSES * edge.link + edge.class as usize] = Some((mean, variance));
+        }
+        for top in tops {
+            terms.log_likelihood += top.likelihood(rate).0;
         }
         terms
     }
@@ -483,7 +632,7 @@ fn gradient(edges: &[(f64, &Edge)], rate: f64) -> f64 {
         .iter()
         .map(|(weight, edge)| {
             let touched = edge.floor(rate).1.x;
-            weight * edge.class.sign() * (edge.sum_x - edge.count * touched)
+            weight * edge.sign * (edge.sum_x - edge.count * touched)
         })
         .sum()
 }
@@ -509,7 +658,7 @@ fn likeliest_rate(edges: &[Edge]) -> f64 {
         // The better the slope, the less the delays of the better link look.
         for _ in 0..3 {
             for (weight, edge) in &mut weighted {
-                let mean = (edge.sum_v - edge.class.sign() * rate * edge.sum_x) / edge.count;
+                let mean = (edge.sum_v - edge.sign * rate * edge.sum_x) / edge.count;
                 *weight = 1.0 / (mean - edge.floor(rate).0).max(LEAST_MEAN_NS);
             }
             rate = solve(&weighted);
@@ -519,20 +668,22 @@ fn likeliest_rate(edges: &[Edge]) -> f64 {
 }
 
 /// The logarithm of a product of many, without that of each.
-struct LogProduct {
+pub(super) struct LogProduct {
     log: f64,
     product: f64,
 }
 
-impl LogProduct {
-    fn new() -> Self {
+impl Default for LogProduct {
+    fn default() -> Self {
         Self {
             log: 0.0,
             product: 1.0,
         }
     }
+}
 
-    fn times(&mut self, factor: f64) {
+impl LogProduct {
+    pub fn times(&mut self, factor: f64) {
         self.product *= factor;
         if !(1e-150..1e150).contains(&self.product) {
             self.log += self.product.ln();
@@ -540,13 +691,13 @@ impl LogProduct {
         }
     }
 
-    fn log(&self) -> f64 {
+    pub fn log(&self) -> f64 {
         self.log + self.product.ln()
     }
 }
 
 /// The logarithm of the sum of what has these logarithms.
-fn log_sum(logs: impl Iterator<Item = f64> + Clone) -> f64 {
+pub(super) fn log_sum(logs: impl Iterator<Item = f64> + Clone) -> f64 {
     let most = logs.clone().fold(f64::NEG_INFINITY, f64::max);
     most + logs.map(|log| (log - most).exp()).sum::<f64>().ln()
 }

@@ -1,37 +1,101 @@
+use std::collections::VecDeque;
 use std::time::Duration;
+
+use wimu_link::LinkRole;
+use wimu_link::message::Status;
 
 /// How often the board is asked for its time at first, at most, and from when on in the long run.
 const ASK_EVERY: Duration = Duration::from_millis(50);
 const SETTLED: Duration = Duration::from_secs(120);
 const ASK_EVERY_SETTLED: Duration = Duration::from_secs(1);
+/// The same in the first half of each second over a link whose delays end sharply: the more
+/// questions, the more come close to that end. In the other half they are far enough from each other
+/// that few hold up the next, and show how long the fastest takes.
+const ASK_OFTEN: Duration = Duration::from_millis(8);
+/// No line whose trips are all longer is asked that often: at 9600 baud through a radio they are.
+const SLOW: Duration = Duration::from_millis(60);
+/// The part of a line, where its rate is known, that questions take at most: one in so many.
+const LINE_SHARE: u32 = 4;
+/// Bits of a question on the line, about.
+const QUESTION_BITS: u32 = 240;
+/// Trips that tell how delays end.
+const TRIPS: usize = 64;
+/// How much farther the latest trips are from the middle ones than these from the shortest: 0.8 for
+/// two uniform delays, 1.6 for exponential ones. More than the second is no sharp end, less than the
+/// first is one.
+const SHARP: [f64; 2] = [0.8, 1.2];
 
-/// When to ask a board for its time: often at first, on a slow link less, seldom in the long run and
-/// while it does not answer. Questions need not wait for the answers before them.
-#[derive(Clone, Copy, Debug, Default)]
+/// When to ask a board for its time: often at first, on a slow link less, seldom in the long run,
+/// while it does not answer, and when its line is full. Questions need not wait for the answers
+/// before them.
+#[derive(Clone, Debug)]
 pub struct Pace {
     first: Option<Duration>,
     latest: Option<Duration>,
     /// When it was last known to answer.
     answered: Option<Duration>,
     least_trip: Option<Duration>,
+    trips: VecDeque<Duration>,
+    /// Whether the delays end sharply, by the latest trips, or for all that is known.
+    sharp: bool,
+    often: Duration,
+    /// What the board had left out when it last said so, and whether that has become more.
+    shed: Option<u32>,
+    full: bool,
+}
+
+impl Default for Pace {
+    fn default() -> Self {
+        Self {
+            first: None,
+            latest: None,
+            answered: None,
+            least_trip: None,
+            trips: VecDeque::new(),
+            sharp: true,
+            often: ASK_OFTEN,
+            shed: None,
+            full: false,
+        }
+    }
 }
 
 impl Pace {
+    /// For a line of this rate, bits/s, as far as the host knows: it may end at a radio.
+    pub fn on_line(baud: Option<u32>) -> Self {
+        let least =
+            baud.map(|baud| Duration::from_secs(1) * LINE_SHARE * QUESTION_BITS / baud.max(1));
+        Self {
+            often: least.unwrap_or_default().max(ASK_OFTEN),
+            ..Self::default()
+        }
+    }
+
     /// Whether it is time to ask, at `now` by the link's clock.
     pub fn is_due(&self, now: Duration) -> bool {
+        self.due_in(now).is_zero()
+    }
+
+    /// How long until then.
+    pub fn due_in(&self, now: Duration) -> Duration {
         let (Some(first), Some(latest)) = (self.first, self.latest) else {
-            return true;
+            return Duration::ZERO;
         };
         let silent = now.saturating_sub(self.answered.unwrap_or(first)) >= ASK_EVERY_SETTLED;
         let settled = now.saturating_sub(first) >= SETTLED;
         let every = match self.least_trip {
-            Some(trip) if !silent && !settled => {
+            Some(trip) if !silent && !settled && !self.full => {
                 // A question and its answer take a part of the line only.
-                (trip + trip / 2).clamp(ASK_EVERY, ASK_EVERY_SETTLED)
+                let seldom = (trip + trip / 2).clamp(ASK_EVERY, ASK_EVERY_SETTLED);
+                if self.sharp && trip <= SLOW && is_often(now) {
+                    self.often.min(seldom)
+                } else {
+                    seldom
+                }
             }
             _ => ASK_EVERY_SETTLED,
         };
-        now.saturating_sub(latest) >= every
+        every.saturating_sub(now.saturating_sub(latest))
     }
 
     /// The board was asked, at `now`.
@@ -44,5 +108,36 @@ impl Pace {
     pub fn answered(&mut self, now: Duration, trip: Duration) {
         self.answered = Some(now);
         self.least_trip = Some(self.least_trip.map_or(trip, |least| least.min(trip)));
+        // Of questions that came one upon the other, the first have held up the others.
+        if !is_often(now.saturating_sub(trip)) {
+            self.trips.push_back(trip);
+        }
+        if self.trips.len() > TRIPS {
+            self.trips.pop_front();
+            let mut trips: Vec<_> = self.trips.iter().copied().collect();
+            trips.sort();
+            let at = |share: usize| trips[share * (trips.len() - 1) / 100];
+            let late = (at(95) - at(50)).as_secs_f64();
+            let early = (at(50) - at(0)).as_secs_f64();
+            let [least, most] = SHARP.map(|ratio| ratio * early);
+            self.sharp = late < if self.sharp { most } else { least };
+        }
     }
+
+    /// The board has said on the link of `role` how it is: whether it leaves frames out there.
+    pub fn told(&mut self, role: LinkRole, status: &Status) {
+        let link = match role {
+            LinkRole::Cable => status.cable,
+            _ => status.wireless,
+        };
+        if let Some(link) = link {
+            let before = self.shed.replace(link.telemetry_shed);
+            self.full |= before.is_some_and(|before| link.telemetry_shed > before);
+        }
+    }
+}
+
+/// Whether `now` is in the part of a second in which it may be asked often.
+fn is_often(now: Duration) -> bool {
+    now.subsec_millis() < 500
 }

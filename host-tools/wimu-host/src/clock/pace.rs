@@ -18,8 +18,9 @@ const SLOW: Duration = Duration::from_millis(60);
 const LINE_SHARE: u32 = 4;
 /// Bits of a question on the line, about.
 const QUESTION_BITS: u32 = 240;
-/// Trips that tell how delays end.
+/// Trips that tell how delays end, at most and at least.
 const TRIPS: usize = 64;
+const FEWEST_TRIPS: usize = 32;
 /// How much farther the latest trips are from the middle ones than these from the shortest: 0.8 for
 /// two uniform delays, 1.6 for exponential ones. More than the second is no sharp end, less than the
 /// first is one.
@@ -114,6 +115,8 @@ impl Pace {
         }
         if self.trips.len() > TRIPS {
             self.trips.pop_front();
+        }
+        if self.trips.len() >= FEWEST_TRIPS {
             let mut trips: Vec<_> = self.trips.iter().copied().collect();
             trips.sort();
             let at = |share: usize| trips[share * (trips.len() - 1) / 100];

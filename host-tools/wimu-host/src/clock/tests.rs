@@ -430,13 +430,13 @@ fn figures() {
         );
     }
     for jitter in SHAPES {
-        for duration_s in [60.0, 120.0, 180.0] {
+        for duration_s in [60.0, 120.0] {
             let link = Link {
                 jitter,
                 duration_s,
                 ..Link::default()
             };
-            let [offsets, rates] = errors(&link, 400);
+            let [offsets, rates] = errors(&link, 100);
             let [rate, rate_sd] = rates.rms();
             let [within_2_ppm, _, rate_covered] = rates.shares(2.0);
             let [offset, offset_sd] = offsets.rms();

@@ -156,6 +156,8 @@ struct Average {
     /// Of the parameters, and of their products with the covariance added.
     first: Theta<f64>,
     second: [[f64; Parameter::COUNT]; Parameter::COUNT],
+    /// Of the models that fit a parameter: weight, parameter, and its square with the variance added.
+    fitting: [[f64; 3]; Parameter::COUNT],
     /// The same of the terms' squares.
     squares: Theta<f64>,
 }
@@ -167,6 +169,7 @@ impl Average {
         per_dof: 0.0,
         first: [0.0; Slot::COUNT],
         second: [[0.0; Parameter::COUNT]; Parameter::COUNT],
+        fitting: [[0.0; 3]; Parameter::COUNT],
         squares: [0.0; Slot::COUNT],
     };
 
@@ -177,6 +180,7 @@ impl Average {
             self.per_dof *= shrink;
             self.first = self.first.map(|sum| sum * shrink);
             self.second = self.second.map(|row| row.map(|sum| sum * shrink));
+            self.fitting = self.fitting.map(|sums| sums.map(|sum| sum * shrink));
             self.squares = self.squares.map(|sum| sum * shrink);
             self.most = evidence;
         }
@@ -191,6 +195,14 @@ impl Average {
             self.first[i] += weight * theta[i];
             let sd = estimate.term_sd.get(Slot::ALL[i]);
             self.squares[i] += weight * (sd * sd + theta[i] * theta[i]);
+        }
+        for parameter in estimate.fitted.iter() {
+            let i = parameter.index();
+            let variance = estimate.covariance.get(parameter, parameter);
+            let own = [1.0, theta[i], variance + theta[i] * theta[i]];
+            for (sum, own) in self.fitting[i].iter_mut().zip(own) {
+                *sum += weight * own;
+            }
         }
         for i in 0..Parameter::COUNT {
             for j in 0..Parameter::COUNT {
@@ -212,6 +224,22 @@ impl Average {
                     + theta[i] * theta[j] * self.weight;
                 let (a, b) = (Parameter::ALL[i], Parameter::ALL[j]);
                 best.covariance.set(a, b, about / self.weight);
+            }
+        }
+        // What was not fitted is as the larger models say; where there is none, as datasheets have it.
+        for parameter in best.not_observed().iter() {
+            let i = parameter.index();
+            let [weight, first, square] = self.fitting[i];
+            if weight > 1e-9 * self.weight {
+                let about = square - 2.0 * theta[i] * first + theta[i] * theta[i] * weight;
+                let most = best
+                    .covariance
+                    .get(parameter, parameter)
+                    .max(about / weight);
+                best.covariance.set(parameter, parameter, most);
+            } else {
+                best.covariance
+                    .take_for_granted([parameter].into_iter().collect());
             }
         }
         for slot in Slot::ALL.into_iter().skip(Parameter::COUNT) {

@@ -185,3 +185,41 @@ fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors
         }
     }
 }
+
+#[test]
+fn what_the_chosen_model_leaves_out_is_as_uncertain_as_larger_models_or_datasheets_have_it() {
+    let gravity = Gravity::new(G, 0.0).expect("gravity");
+    let (mut few, mut chosen) = (0, 0);
+    for seed in 0..60 {
+        let mut random = Random(seed);
+        let mut terms = ErrorTerms {
+            bias_mps2: [0.1, -0.2, 0.3],
+            ..ErrorTerms::default()
+        };
+        terms.matrix[1][1] = 1.01;
+        let truth = ErrorModel::new(terms).expect("within bounds");
+        let count = if seed % 2 == 0 { 5 } else { 20 };
+        let poses: Vec<Pose> = (0..count)
+            .map(|_| {
+                let mut pose = pose(&truth, G, random.direction());
+                pose.mean_mps2 = pose.mean_mps2.map(|y| y + 0.01 * random.normal());
+                pose
+            })
+            .collect();
+        let Ok(estimate) = best_model(&poses, gravity, Terms::NONE, true) else {
+            continue;
+        };
+        for parameter in estimate.not_observed().iter() {
+            let sd = estimate.covariance.sd(parameter);
+            if count == 5 {
+                assert!(sd > 0.019, "{parameter}: {sd}");
+                few += 1;
+            } else {
+                assert!((1e-4..0.01).contains(&sd), "{parameter}: {sd}");
+                chosen += 1;
+            }
+        }
+    }
+    println!("left out: {few} of few poses, {chosen} of many");
+    assert!(few > 20 && chosen > 20);
+}

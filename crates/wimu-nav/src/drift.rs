@@ -29,11 +29,9 @@ impl Drift {
         }
     }
 
-    /// Variance that C1's error brings in `step_s` at `time_s`, (m/s²)²: its sum over all time is that
-    /// of C1.
-    pub(crate) fn doubt(&self, time_s: f64, step_s: f64) -> [f64; 3] {
-        let rate = 2.0 / self.time_s * libm::exp(-2.0 * time_s / self.time_s) * step_s;
-        self.rise_sd_mps2.map(|sd| sd * sd * rate)
+    /// ∂ε/∂C1 at `time_s` for a settled sensor's calibration: −e^(−t/T).
+    pub(crate) fn share(&self, time_s: f64) -> f64 {
+        -libm::exp(-time_s / self.time_s)
     }
 }
 

@@ -134,3 +134,61 @@ fn a_known_drift_is_taken_out_and_its_doubt_is_left_in_the_covariance() {
     assert!(right < 0.3 * wrong, "{right} {wrong}");
     assert!(doubted > 1.02 * sd, "{doubted} {sd}");
 }
+
+#[test]
+fn a_rise_that_is_wrong_by_its_deviation_is_found_at_rests_with_motion_between() {
+    let (rise, sd) = ([0.08, -0.05, 0.06], 0.02);
+    let (mut squares, mut count) = (0.0, 0.0);
+    for seed in 0..8 {
+        let mut random = Random(seed);
+        let wrong = [0, 1, 2].map(|i| rise[i] + random.normal() * sd);
+        let truth = Drift {
+            rise_mps2: rise,
+            start_mps2: [0.0; 3],
+            time_s: 60.0,
+            rise_sd_mps2: [0.0; 3],
+        }
+        .settling();
+        let mut filter = UnitFilter::new(UnitConfig {
+            drift: Some(Drift {
+                rise_mps2: wrong,
+                rise_sd_mps2: [sd; 3],
+                ..truth
+            }),
+            ..UnitConfig::default()
+        });
+        for k in 0..10_000 {
+            let t = f64::from(k) * 0.02;
+            let noise = random.normals(0.02);
+            let bias = truth.at(t);
+            // Twenty seconds of rest, ten of motion to and fro.
+            let swing = if t % 30.0 < 20.0 {
+                0.0
+            } else {
+                (std::f64::consts::TAU * t).sin()
+            };
+            filter
+                .push(&UnitSample {
+                    step_s: 0.02,
+                    force_mps2: [
+                        noise[0] + bias[0] + swing,
+                        noise[1] + bias[1],
+                        9.80665 + noise[2] + bias[2],
+                    ],
+                    field_ut: None,
+                    rate_rad_s: Some(random.normals(1e-3)),
+                })
+                .unwrap();
+        }
+        for (i, (found, doubt)) in filter.state().rise_mps2.into_iter().enumerate() {
+            // A level rise looks like a tilt, but for its curve.
+            let most = if i == 2 { 0.2 } else { 0.8 };
+            assert!(doubt < most * sd, "axis {i}: ± {doubt}");
+            squares += ((found - rise[i]) / doubt).powi(2);
+            count += 1.0;
+        }
+    }
+    let ratio = f64::sqrt(squares / count);
+    println!("C1's errors are {ratio:.2} of their standard deviations, rms");
+    assert!((0.5..1.5).contains(&ratio), "{ratio}");
+}

@@ -4,8 +4,8 @@ use crate::Real;
 use crate::vector::Matrix;
 
 /// Attitude, angular rate (or the bias of what measures it), acceleration, its integral, bias,
-/// magnetic disturbance, velocity, position.
-pub(super) const STATES: usize = 24;
+/// magnetic disturbance, velocity, position, the bias's rise after switching on.
+pub(super) const STATES: usize = 27;
 
 /// A block's first state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +19,7 @@ pub(super) const BIAS: Block = Block(12);
 pub(super) const FIELD: Block = Block(15);
 pub(super) const VELOCITY: Block = Block(18);
 pub(super) const POSITION: Block = Block(21);
+pub(super) const RISE: Block = Block(24);
 
 /// A row of H: the factor of each state of up to three blocks.
 pub(super) type Row<R, const N: usize> = [(Block, [R; 3]); N];

@@ -1,25 +1,30 @@
 //! One unit: position, velocity and attitude from an accelerometer and a magnetometer, or from an
-//! angular rate where there is one. Equations (81) to (84).
+//! angular rate where there is one. Equations (81) to (85) and (89).
 //!
 //! An accelerometer cannot tell tilt from acceleration. What separates them is that a body that is
 //! carried about is not accelerated one way for long, and that the magnetic field turns with the tilt
 //! but not with the acceleration. [`UnitFilter`] holds both as states of a Kalman filter, so that its
-//! covariance says how well they were told apart. It assumes nothing about position or speed.
+//! covariance says how well they were told apart. It assumes nothing about position or speed; how
+//! strongly, how fast and with how much turning the body moves, and what the sensors' noise is, it
+//! learns on the way.
 
 mod covariance;
+mod manner;
 mod model;
 mod rest;
 mod start;
 
 use covariance::{
-    ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, STATES, SWING, VELOCITY,
+    ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
+    VELOCITY,
 };
+use manner::Manner;
 use rest::Quiet;
 
 use crate::Real;
 pub use crate::drift::Drift;
 use crate::vector::{
-    Matrix, Vector, add, diagonal, product, quaternion, scale, sub, times, turn, zero,
+    Matrix, Vector, add, diagonal, dot, product, quaternion, scale, sub, times, turn, zero,
 };
 
 /// Samples are brought together over so long before the filter looks at them, s: it follows what a
@@ -38,11 +43,13 @@ pub struct UnitConfig {
     /// Whether a rest is taken for zero velocity: an accelerometer cannot tell it from uniform
     /// motion. A rest at which the velocity is known to be another is not taken for one.
     pub zupt: bool,
-    /// Error of the accelerometer's samples that its noise does not show (vibration), m/s².
-    pub force_noise_mps2: f64,
-    /// Random walk of the angle from the angular rate, where there is one, rad/√s.
-    pub angle_walk: f64,
-    /// How the bias settles after switching on, where that is known.
+    /// Noise of the mean of 35 ms of force, m/s²; `None`: what the rests show, and 0.05 before the
+    /// first.
+    pub force_noise_mps2: Option<f64>,
+    /// Random walk of the angle from the angular rate, where there is one, rad/√s; `None`: what the
+    /// rests show, and 3·10⁻⁴ before the first.
+    pub angle_walk: Option<f64>,
+    /// How the bias settles after switching on, where that is known. Its C1 is estimated on.
     pub drift: Option<Drift>,
 }
 
@@ -51,8 +58,8 @@ impl Default for UnitConfig {
         Self {
             gravity_mps2: 9.80665,
             zupt: true,
-            force_noise_mps2: 0.05,
-            angle_walk: 3e-4,
+            force_noise_mps2: None,
+            angle_walk: None,
             drift: None,
         }
     }
@@ -124,6 +131,12 @@ pub struct UnitState<R = f64> {
     pub disturbed: u32,
     /// Updates at a seeming rest at which the velocity was known not to be zero: even motion.
     pub even: u32,
+    /// Mean of the squared innovations of gravity, each divided by its expectation (NIS per component),
+    /// over the last 3 s of motion: 1 where the covariance is right.
+    pub innovation: R,
+    /// What was learnt of the bias's rise C1 after switching on, m/s², and its standard deviation; that
+    /// of [`UnitConfig::drift`] at first.
+    pub rise_mps2: [(R, R); 3],
 }
 
 impl<R: Real> UnitState<R> {
@@ -147,8 +160,7 @@ pub struct UnitFilter<R = f64> {
     mean: [R; STATES],
     cov: Covariance<R>,
     field: Option<Vector<R>>,
-    /// Mean square of |f| − g.
-    motion: R,
+    manner: Manner<R>,
     rate: Vector<R>,
     last_force: Vector<R>,
     group: Group<R>,
@@ -168,9 +180,13 @@ struct Group<R> {
     count: R,
     force: Vector<R>,
     square: R,
+    /// Σ |Δf|² Δt².
+    jumps: R,
     field: Vector<R>,
     fields: R,
     rated: R,
+    /// What it turned by while it was rated, rad, body axes.
+    turned: Vector<R>,
 }
 
 impl<R: Real> UnitFilter<R> {
@@ -182,7 +198,7 @@ impl<R: Real> UnitFilter<R> {
             mean: [R::default(); STATES],
             cov: Covariance::zero(),
             field: None,
-            motion: R::default(),
+            manner: Manner::default(),
             rate: zero(),
             last_force: zero(),
             group: Group::default(),
@@ -276,6 +292,7 @@ impl<R: Real> UnitFilter<R> {
         };
         if sample.rate_rad_s.is_some() {
             self.group.rated += step;
+            self.group.turned = add(self.group.turned, scale(self.rate, step));
         }
         self.attitude = product(&self.attitude, &turn(scale(self.rate, step)));
         let turned = times(&self.attitude, sub(force, self.part(BIAS)));
@@ -287,6 +304,8 @@ impl<R: Real> UnitFilter<R> {
         let moved = scale(add(velocity, scale(gained, half)), step);
         self.put(POSITION, add(self.part(POSITION), moved));
         self.put(VELOCITY, add(velocity, gained));
+        let jump = sub(acceleration, self.last_force);
+        self.group.jumps += dot(jump, jump) * step * step;
         self.last_force = acceleration;
         self.group.force = add(self.group.force, turned);
         self.group.count += R::from_f64(1.0);
@@ -329,6 +348,14 @@ impl<R: Real> UnitFilter<R> {
             valid: self.valid,
             disturbed: self.disturbed,
             even: self.even,
+            innovation: self.manner.innovation(),
+            rise_mps2: self.rise(),
         }
+    }
+
+    fn rise(&self) -> [(R, R); 3] {
+        let known = self.config.drift.map_or([0.0; 3], |d| d.rise_mps2);
+        let (learnt, variance) = (self.part(RISE), self.cov.variance(RISE));
+        core::array::from_fn(|i| (R::from_f64(known[i]) + learnt[i], variance[i].sqrt()))
     }
 }

@@ -1,8 +1,9 @@
-//! How the states go on, and what is measured of them: equations (83) and (84).
+//! How the states go on, and what is measured of them: equations (83) to (85).
 
 use super::covariance::{Row, pick};
 use super::{
-    ACCELERATION, BIAS, Block, FIELD, OMEGA, PHI, POSITION, STATES, SWING, UnitFilter, VELOCITY,
+    ACCELERATION, BIAS, Block, FIELD, Group, OMEGA, PHI, POSITION, RISE, STATES, SWING, UnitFilter,
+    VELOCITY,
 };
 use crate::Real;
 use crate::vector::{
@@ -10,27 +11,18 @@ use crate::vector::{
     turn, zero,
 };
 
-/// Angular rate of a body that is accelerated, rad/s per m/s².
-const TURN_PER_ACCELERATION: f64 = 0.3;
-/// As long does it last, s.
+/// How long a motion's angular rate lasts, s, and in what time its acceleration is forgotten.
 const TURN_TIME_S: f64 = 0.2;
-/// A hand's motion comes back at about this frequency, 0.6 Hz, rad/s squared, ...
-const SWING_RAD2_S2: f64 = 14.0;
-/// ... and is forgotten in this time, s; ...
-const ACCELERATION_TIME_S: f64 = 1.0;
-/// ... this share of its variance is faster than that.
-const FAST_SHARE: f64 = 0.03;
+const ACCELERATION_TIME_S: f64 = 0.2;
 /// The square of a tilt that swings with the motion swings twice as fast: so long does it last, s.
 const SQUARE_TIME_S: f64 = 0.134;
 /// Tilt variance beyond which second order says no more, rad².
 const SQUARE_MOST: f64 = 0.25;
-/// A level push does not show in |f| − g: it is believed within this time, s.
-const PUSH_MEMORY_S: f64 = 1.0;
 /// Acceleration that is seen at rest, m/s², and angular rate, rad/s.
 const REST_MPS2: f64 = 0.02;
 const REST_RAD_S: f64 = 1e-3;
-/// An acceleration that departs by more than so many variances is a jolt.
-const JOLT: f64 = 9.0;
+/// What departs from a rest by more than so many variances ends it.
+const END_OF_REST: f64 = 9.0;
 /// Magnetic disturbances indoors, µT, and how long they last for a body carried about, s.
 pub(super) const DISTURBANCE_UT: f64 = 4.0;
 const DISTURBANCE_TIME_S: f64 = 10.0;
@@ -46,8 +38,14 @@ const BIAS_WALK: f64 = 1e-4;
 /// Error of an accelerometer's scale, and how long an acceleration lasts, s.
 const SCALE_ERROR: f64 = 0.01;
 const PUSH_S: f64 = 0.2;
-/// Random walk of a gyroscope's bias, rad/s per √s.
-const RATE_WALK: f64 = 1e-5;
+/// Random walk of a gyroscope's bias, rad/s per √s: 10 °/h within 100 s.
+const RATE_WALK: f64 = 5e-6;
+/// Random walk of the angle, rad/√s, and noise of an update's mean force, m/s², before a rest has shown
+/// them, and the least of both.
+const ANGLE_WALK: f64 = 3e-4;
+const LEAST_WALK: f64 = 1e-5;
+const FORCE_NOISE_MPS2: f64 = 0.05;
+const LEAST_NOISE_MPS2: f64 = 0.01;
 /// Speed that a rest may have, m/s.
 const ZUPT_MPS: f64 = 0.005;
 /// A velocity beyond so many variances at a seeming rest is even motion ...
@@ -61,42 +59,73 @@ impl<R: Real> UnitFilter<R> {
         let dt = group.time_s;
         let one = R::from_f64(1.0);
         let force = scale(group.force, one / group.count);
-        let resting = self.quiet.is_rest();
-        let motion = if resting {
-            R::from_f64(REST_MPS2)
-        } else {
-            // What |f| − g shows, and what the filter takes for acceleration now.
-            let now = self.part(ACCELERATION);
-            let now = dot(now, now) * R::from_f64(1.0 / 3.0);
-            if now > self.motion {
-                // It is remembered as that is.
-                let share = dt * R::from_f64(1.0 / PUSH_MEMORY_S);
-                let share = if share < one { share } else { one };
-                self.motion += (now - self.motion) * share;
-            }
-            let square = if now > self.motion { now } else { self.motion };
-            square.sqrt() + R::from_f64(REST_MPS2)
-        };
+        let noise = self.force_noise(group.count);
         let rated = group.rated > R::from_f64(0.5) * dt;
-        self.predict(force, dt, motion, rated);
-        self.see_gravity(force, motion);
+        self.predict(force, &group, noise, rated);
+        self.see_gravity(force, noise, dt);
         if group.fields > R::default() {
             self.see_field(scale(group.field, one / group.fields));
         }
-        if resting && self.config.zupt {
+        if !self.quiet.is_rest() {
+            let turn = (!rated).then(|| self.square(OMEGA));
+            let (acceleration, speed) = (self.square(ACCELERATION), self.square(SWING));
+            self.manner.learn(acceleration, speed, turn, dt);
+        } else if self.config.zupt {
+            if rated {
+                self.see_no_turn(&group);
+            }
             self.see_rest(dt, rated);
         }
         self.fold();
     }
 
-    /// Equation (83) over `dt`, in which the mean force was `force`, navigation axes.
-    fn predict(&mut self, force: Vector<R>, dt: R, motion: R, rated: bool) {
+    /// Mean square of a block's components.
+    fn square(&self, at: Block) -> R {
+        let (mean, [x, y, z]) = (self.part(at), self.cov.variance(at));
+        (dot(mean, mean) + x + y + z) * R::from_f64(1.0 / 3.0)
+    }
+
+    /// Variance of the mean force of `count` samples.
+    fn force_noise(&self, count: R) -> R {
+        let least = R::from_f64(LEAST_NOISE_MPS2 * LEAST_NOISE_MPS2);
+        match (self.config.force_noise_mps2, self.quiet.force_variance()) {
+            (Some(noise), _) => R::from_f64(noise * noise),
+            (None, Some(variance)) if variance > least * count => variance / count,
+            (None, Some(_)) => least,
+            (None, None) => R::from_f64(FORCE_NOISE_MPS2 * FORCE_NOISE_MPS2),
+        }
+    }
+
+    /// Random walk of the angle, squared, rad²/s.
+    fn angle_walk2(&self) -> R {
+        let least = R::from_f64(LEAST_WALK * LEAST_WALK);
+        match (self.config.angle_walk, self.quiet.angle_walk2()) {
+            (Some(walk), _) => R::from_f64(walk * walk),
+            (None, Some(seen)) if seen > least => seen,
+            (None, Some(_)) => least,
+            (None, None) => R::from_f64(ANGLE_WALK * ANGLE_WALK),
+        }
+    }
+
+    /// Equation (83) over a group, in which the mean force was `force`, navigation axes.
+    fn predict(&mut self, force: Vector<R>, group: &Group<R>, noise: R, rated: bool) {
+        let dt = group.time_s;
         let resting = self.quiet.is_rest();
+        let motion = if resting {
+            R::from_f64(REST_MPS2)
+        } else {
+            self.manner.acceleration()
+        };
         let square = self.square_of_tilt(force);
         self.cov.couple_by(POSITION, VELOCITY, dt);
         self.cov.couple(VELOCITY, PHI, &scaled(&skew(force), -dt));
         self.cov
             .couple(VELOCITY, BIAS, &scaled(&self.attitude, -dt));
+        if let Some(drift) = self.config.drift {
+            let share = R::from_f64(drift.share(self.age_s.to_f64()));
+            self.cov
+                .couple(VELOCITY, RISE, &scaled(&self.attitude, -dt * share));
+        }
         let turned = scaled(&self.attitude, if rated { -dt } else { dt });
         for block in [ACCELERATION, SWING, FIELD] {
             let m = product(&skew(self.part(block)), &turned);
@@ -104,7 +133,7 @@ impl<R: Real> UnitFilter<R> {
         }
         self.cov.couple(PHI, OMEGA, &turned);
         // The acceleration swings: a half step, a whole one, in this order.
-        let pull = -dt * R::from_f64(SWING_RAD2_S2);
+        let pull = -dt * self.manner.swing();
         self.cov.couple_by(ACCELERATION, SWING, pull);
         self.cov.couple_by(SWING, ACCELERATION, dt);
         let swing = self.part(SWING);
@@ -112,18 +141,23 @@ impl<R: Real> UnitFilter<R> {
         self.put(ACCELERATION, acceleration);
         self.put(SWING, add(swing, scale(acceleration, dt)));
         self.forget(ACCELERATION, dt, ACCELERATION_TIME_S, motion);
+        if resting {
+            // Rest or even motion: it does not swing back.
+            let speed = motion / self.manner.swing().sqrt();
+            self.forget(SWING, dt, ACCELERATION_TIME_S, speed);
+        }
         if rated {
-            let walk = R::from_f64(self.config.angle_walk);
+            let walk = self.angle_walk2();
             for i in 0..3 {
                 self.cov
                     .add(OMEGA, i, R::from_f64(RATE_WALK * RATE_WALK) * dt);
-                self.cov.add(PHI, i, walk * walk * dt);
+                self.cov.add(PHI, i, walk * dt);
             }
         } else {
             let turning = if resting {
                 R::from_f64(REST_RAD_S)
             } else {
-                R::from_f64(TURN_PER_ACCELERATION) * motion
+                self.manner.turn()
             };
             self.forget(OMEGA, dt, TURN_TIME_S, turning);
         }
@@ -136,22 +170,18 @@ impl<R: Real> UnitFilter<R> {
             self.forget(FIELD, dt, DISTURBANCE_TIME_S, R::from_f64(DISTURBANCE_UT));
         }
 
-        let noise = R::from_f64(self.config.force_noise_mps2) * dt;
         let mut push = force;
         push[2] -= R::from_f64(self.config.gravity_mps2);
         let scaling = dot(push, push) * R::from_f64(SCALE_ERROR * SCALE_ERROR * PUSH_S) * dt;
         let walk = R::from_f64(BIAS_WALK * BIAS_WALK) * dt;
         let half = R::from_f64(0.5) * dt;
-        if let Some(drift) = self.config.drift {
-            let doubt = drift.doubt(self.age_s.to_f64(), dt.to_f64());
-            for (i, variance) in doubt.into_iter().enumerate() {
-                self.cov.add(BIAS, i, R::from_f64(variance));
-            }
-        }
+        // The trapezoid's error is of the size of what changes from sample to sample (87).
+        let uneven = group.jumps * R::from_f64(1.0 / 36.0);
+        let gained = noise * dt * dt + scaling + uneven;
         for i in 0..3 {
             let spread = square[i] * square[i] * R::from_f64(4.0 * SQUARE_TIME_S) * dt;
             self.cov.add(BIAS, i, walk);
-            self.cov.add(VELOCITY, i, noise * noise + scaling + spread);
+            self.cov.add(VELOCITY, i, gained + spread);
             self.mean[VELOCITY.0 + i] += square[i] * dt;
             self.mean[POSITION.0 + i] += square[i] * dt * half;
         }
@@ -176,7 +206,7 @@ impl<R: Real> UnitFilter<R> {
     }
 
     /// Gravity: in navigation axes its derivatives do not depend on the state.
-    fn see_gravity(&mut self, force: Vector<R>, motion: R) {
+    fn see_gravity(&mut self, force: Vector<R>, noise: R, dt: R) {
         let g = [
             R::default(),
             R::default(),
@@ -186,31 +216,39 @@ impl<R: Real> UnitFilter<R> {
         let lever = skew(g);
         let one = diagonal(R::from_f64(1.0));
         let attitude = self.attitude;
+        let share = self
+            .config
+            .drift
+            .map_or(0.0, |d| d.share(self.age_s.to_f64()));
+        let rise = scaled(&attitude, R::from_f64(share));
         let rows = |row: usize| {
             [
                 (PHI, lever[row]),
                 (ACCELERATION, one[row]),
                 (BIAS, attitude[row]),
+                (RISE, rise[row]),
             ]
         };
-        let noise = R::from_f64(self.config.force_noise_mps2);
-        let variance = noise * noise + motion * motion * R::from_f64(FAST_SHARE);
-        let mut expected = R::from_f64(3.0) * variance;
-        for row in 0..3 {
-            expected += self.cov.project(&rows(row)).1;
-        }
-        let seen = dot(innovation, innovation);
-        if seen > R::from_f64(JOLT) * expected {
-            // A push that nobody expected is acceleration of any direction, and not a sudden tilt; and
-            // the speed about which the body swings may be another from here on.
-            let more = seen * R::from_f64(1.0 / 3.0);
-            for i in 0..3 {
-                self.cov.add(ACCELERATION, i, more);
-                self.cov
-                    .add(SWING, i, more * R::from_f64(1.0 / SWING_RAD2_S2));
+        if self.quiet.is_rest() {
+            let mut expected = R::from_f64(3.0) * noise;
+            for row in 0..3 {
+                expected += self.cov.project(&rows(row)).1;
+            }
+            if dot(innovation, innovation) > R::from_f64(END_OF_REST) * expected {
+                // The rest has ended: the body moves in its manner, and it has not tilted at once.
+                self.quiet.end();
+                let square = self.manner.acceleration() * self.manner.acceleration();
+                for i in 0..3 {
+                    self.cov.add(ACCELERATION, i, square);
+                    self.cov.add(SWING, i, square / self.manner.swing());
+                }
             }
         }
-        self.measure(rows, innovation, variance, None);
+        if let Some(ratio) = self.measure(rows, innovation, noise, None)
+            && !self.quiet.is_rest()
+        {
+            self.manner.innovate(ratio, dt);
+        }
     }
 
     fn see_field(&mut self, seen: Vector<R>) {
@@ -222,9 +260,21 @@ impl<R: Real> UnitFilter<R> {
         let one = diagonal(R::from_f64(1.0));
         let rows = |row: usize| [(PHI, lever[row]), (FIELD, one[row])];
         let variance = R::from_f64(FIELD_NOISE_UT * FIELD_NOISE_UT);
-        if !self.measure(rows, innovation, variance, Some(FIELD_GATE)) {
+        if self
+            .measure(rows, innovation, variance, Some(FIELD_GATE))
+            .is_none()
+        {
             self.disturbed = self.disturbed.saturating_add(1);
         }
+    }
+
+    /// At a rest the angular rate is the bias of what measures it, unless that is known to be another.
+    fn see_no_turn(&mut self, group: &Group<R>) {
+        let one = diagonal(R::from_f64(1.0));
+        let rows = |row: usize| [(OMEGA, one[row])];
+        let mean = scale(group.turned, R::from_f64(1.0) / group.rated);
+        let variance = self.angle_walk2() / group.rated;
+        self.measure(rows, mean, variance, Some(EVEN_GATE));
     }
 
     /// What looks like a rest is one, unless the velocity is known to be another. Then both may be
@@ -240,7 +290,8 @@ impl<R: Real> UnitFilter<R> {
         let gate = self.valid.then_some(EVEN_GATE);
         let position = self.part(POSITION);
         let covariance = self.cov.block(POSITION, POSITION);
-        if self.measure(rows, scale(velocity, R::from_f64(-1.0)), variance, gate) {
+        let known = scale(velocity, R::from_f64(-1.0));
+        if self.measure(rows, known, variance, gate).is_some() {
             if !rated {
                 self.put(POSITION, position);
                 self.cov.set(POSITION, &covariance);
@@ -256,29 +307,32 @@ impl<R: Real> UnitFilter<R> {
         }
     }
 
-    /// One three-component measurement, component by component. False where an innovation is beyond
-    /// `gate` variances, and nothing is done.
+    /// One three-component measurement, component by component: the mean square of its innovations, each
+    /// divided by its variance. `None` where one is beyond `gate` variances, and nothing is done.
     fn measure<const N: usize>(
         &mut self,
         rows: impl Fn(usize) -> Row<R, N>,
         innovation: Vector<R>,
         variance: R,
         gate: Option<f64>,
-    ) -> bool {
+    ) -> Option<R> {
         if let Some(gate) = gate {
             for row in 0..3 {
                 let s = self.cov.project(&rows(row)).1 + variance;
                 if innovation[row] * innovation[row] > R::from_f64(gate) * s {
-                    return false;
+                    return None;
                 }
             }
         }
         let mut correction = [R::default(); STATES];
+        let mut squares = R::default();
         for row in 0..3 {
             let h = rows(row);
             let (column, square) = self.cov.project(&h);
             let s = square + variance;
-            let rest = (innovation[row] - pick(&h, &correction)) / s;
+            let left = innovation[row] - pick(&h, &correction);
+            let rest = left / s;
+            squares += left * rest;
             for (value, c) in correction.iter_mut().zip(&column) {
                 *value += rest * *c;
             }
@@ -287,7 +341,7 @@ impl<R: Real> UnitFilter<R> {
         for (value, c) in self.mean.iter_mut().zip(&correction) {
             *value += *c;
         }
-        true
+        Some(squares * R::from_f64(1.0 / 3.0))
     }
 
     /// Moves the attitude's error into the attitude; what is held in navigation axes turns with it.

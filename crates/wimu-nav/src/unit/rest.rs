@@ -18,16 +18,17 @@ const REST_S: f64 = 0.5;
 /// Mean and variance are over so long, s, and so many samples.
 const QUIET_S: f64 = 0.2;
 const QUIET_SAMPLES: f64 = 20.0;
-/// How long |f| − g is remembered as a measure of the motion, s.
-const MOTION_S: f64 = 3.0;
 
 /// Slow mean and variance of the force.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Quiet<R> {
     mean: Vector<R>,
     variance: R,
-    /// The least variance of a second and more.
+    rate: Vector<R>,
+    rate_variance: R,
+    /// The least variance of a second and more, of the force and of the angular rate times the step.
     level: Option<R>,
+    walk: Option<R>,
     time_s: R,
     started: bool,
     age_s: R,
@@ -36,6 +37,21 @@ pub(super) struct Quiet<R> {
 impl<R: Real> Quiet<R> {
     pub fn is_rest(&self) -> bool {
         self.time_s >= R::from_f64(REST_S)
+    }
+
+    /// What was taken for a rest is none.
+    pub fn end(&mut self) {
+        self.time_s = R::default();
+    }
+
+    /// Variance of a sample's force at the quietest rest, (m/s²)².
+    pub fn force_variance(&self) -> Option<R> {
+        self.level
+    }
+
+    /// Random walk of the angle at the quietest rest, squared, rad²/s.
+    pub fn angle_walk2(&self) -> Option<R> {
+        self.walk
     }
 }
 
@@ -46,11 +62,6 @@ fn least<R: Real>(a: R, b: R) -> R {
 impl<R: Real> UnitFilter<R> {
     pub(super) fn judge(&mut self, force: Vector<R>, rate: Option<Vector<R>>, step: R) {
         let gravity = R::from_f64(self.config.gravity_mps2);
-        let departure = norm(force) - gravity;
-        let one = R::from_f64(1.0);
-        self.motion +=
-            (departure * departure - self.motion) * least(step * R::from_f64(1.0 / MOTION_S), one);
-
         let turning = rate.is_some_and(|rate| {
             let rate = sub(rate, self.part(super::OMEGA));
             dot(rate, rate) > R::from_f64(STILL_RAD_S * STILL_RAD_S)
@@ -58,6 +69,7 @@ impl<R: Real> UnitFilter<R> {
         let quiet = &mut self.quiet;
         if !quiet.started {
             quiet.mean = force;
+            quiet.rate = rate.unwrap_or_default();
             quiet.started = true;
         }
         let share = least(
@@ -67,6 +79,12 @@ impl<R: Real> UnitFilter<R> {
         let away = sub(force, quiet.mean);
         quiet.mean = crate::vector::add(quiet.mean, scale(away, share));
         quiet.variance += (dot(away, away) * R::from_f64(1.0 / 3.0) - quiet.variance) * share;
+        if let Some(rate) = rate {
+            let away = sub(rate, quiet.rate);
+            quiet.rate = crate::vector::add(quiet.rate, scale(away, share));
+            let square = dot(away, away) * R::from_f64(1.0 / 3.0);
+            quiet.rate_variance += (square - quiet.rate_variance) * share;
+        }
         quiet.age_s += step;
         let most = match quiet.level {
             Some(level) => {
@@ -90,6 +108,10 @@ impl<R: Real> UnitFilter<R> {
                 Some(level) => least(level, quiet.variance),
                 None => quiet.variance,
             });
+            if rate.is_some() {
+                let walk = quiet.rate_variance * step;
+                quiet.walk = Some(quiet.walk.map_or(walk, |before| least(before, walk)));
+            }
         }
     }
 }

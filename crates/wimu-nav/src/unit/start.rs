@@ -2,7 +2,7 @@
 
 use super::model::{BIAS_MPS2, DISTURBANCE_UT};
 use super::{
-    ACCELERATION, BIAS, Covariance, FIELD, OMEGA, PHI, POSITION, STATES, SWING, UnitFilter,
+    ACCELERATION, BIAS, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING, UnitFilter,
     UnitSample, VELOCITY,
 };
 use crate::Real;
@@ -84,7 +84,13 @@ impl<R: Real> UnitFilter<R> {
                 .add(FIELD, i, R::from_f64(DISTURBANCE_UT * DISTURBANCE_UT));
         }
         self.mean = [R::default(); STATES];
-        self.motion = spread * R::from_f64(1.0 / 3.0) + departure;
+        if let Some(drift) = self.config.drift {
+            for (i, sd) in drift.rise_sd_mps2.into_iter().enumerate() {
+                self.cov.add(RISE, i, R::from_f64(sd * sd));
+            }
+        }
+        self.manner
+            .begin(spread * R::from_f64(1.0 / 3.0) + departure);
         let mut acceleration = times(&self.attitude, mean);
         acceleration[2] -= g;
         self.last_force = acceleration;

@@ -1,6 +1,8 @@
 //! What the tests share: a rigid body that turns, and repeatable noise.
 #![allow(dead_code)]
 
+pub mod motions;
+
 use wimu_nav::array::Geometry;
 
 /// Outputs of a geometry's axes on a body that turns: equation (70).

@@ -1,0 +1,91 @@
+//! In what manner the body moves: equation (89). Learnt from what the filter finds, each moment the
+//! mean of what is expected of it after an update, so that no truth and no other sensor is needed.
+
+use crate::Real;
+
+/// What is carried about before anything is known of it: acceleration, m/s², the speed about which it
+/// swings, m/s, and angular rate, rad/s.
+const ACCELERATION_MPS2: f64 = 1.0;
+const SPEED_MPS: f64 = 0.5;
+const TURN_RAD_S: f64 = 0.3;
+/// Swings of 0.16 to 2 Hz, rad/s squared.
+const LEAST_SWING: f64 = 1.0;
+const MOST_SWING: f64 = 150.0;
+/// The manner of the last 3 s.
+const MEMORY_S: f64 = 3.0;
+
+/// Mean squares of a component while the body moves.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Manner<R> {
+    acceleration: R,
+    speed: R,
+    turn: R,
+    innovation: R,
+}
+
+impl<R: Real> Default for Manner<R> {
+    fn default() -> Self {
+        Self {
+            acceleration: R::from_f64(ACCELERATION_MPS2 * ACCELERATION_MPS2),
+            speed: R::from_f64(SPEED_MPS * SPEED_MPS),
+            turn: R::from_f64(TURN_RAD_S * TURN_RAD_S),
+            innovation: R::from_f64(1.0),
+        }
+    }
+}
+
+impl<R: Real> Manner<R> {
+    /// A start in motion: mean square of a component of the acceleration, (m/s²)².
+    pub fn begin(&mut self, square: R) {
+        if square > self.acceleration {
+            let by = square / self.acceleration;
+            self.acceleration = square;
+            self.speed = self.speed * by;
+            self.turn = self.turn * by;
+        }
+    }
+
+    /// Takes what an update has found in `step_s`: mean squares of acceleration, swing and, where it is
+    /// estimated, angular rate, their variances included.
+    pub fn learn(&mut self, acceleration: R, speed: R, turn: Option<R>, step_s: R) {
+        let share = step_s * R::from_f64(1.0 / MEMORY_S);
+        self.acceleration += (acceleration - self.acceleration) * share;
+        self.speed += (speed - self.speed) * share;
+        if let Some(turn) = turn {
+            self.turn += (turn - self.turn) * share;
+        }
+    }
+
+    /// Takes an innovation's mean square, divided by what was expected.
+    pub fn innovate(&mut self, ratio: R, step_s: R) {
+        self.innovation += (ratio - self.innovation) * step_s * R::from_f64(1.0 / MEMORY_S);
+    }
+
+    /// Standard deviation of the acceleration, m/s².
+    pub fn acceleration(&self) -> R {
+        self.acceleration.sqrt()
+    }
+
+    /// Standard deviation of the angular rate, rad/s.
+    pub fn turn(&self) -> R {
+        self.turn.sqrt()
+    }
+
+    /// Frequency at which the acceleration swings, rad/s squared.
+    pub fn swing(&self) -> R {
+        let (least, most) = (R::from_f64(LEAST_SWING), R::from_f64(MOST_SWING));
+        let found = self.acceleration / self.speed;
+        // Not a number is none of both.
+        if found < least {
+            least
+        } else if found < most {
+            found
+        } else {
+            most
+        }
+    }
+
+    pub fn innovation(&self) -> R {
+        self.innovation
+    }
+}

@@ -99,6 +99,15 @@ impl<R: Real> UnitFilter<R> {
         self.valid = true;
     }
 
+    /// Measures position from here: it is zero, exactly, and from here on its covariance is that of the
+    /// way since.
+    pub fn set_origin(&mut self) {
+        self.put(POSITION, [R::default(); 3]);
+        for i in 0..3 {
+            self.cov.know(POSITION.0 + i);
+        }
+    }
+
     /// Sets position (m), velocity (m/s) and heading to what is known exactly, from outside: the
     /// attitude is turned about the vertical so that body x points `heading_rad` from east to north.
     pub fn set_start(&mut self, position_m: [R; 3], velocity_mps: [R; 3], heading_rad: R) {

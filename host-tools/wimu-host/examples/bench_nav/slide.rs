@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_host::inertial::{Choice, Leg, Method, legs, navigate};
 use wimu_host::motion::MotionRecording;
 use wimu_nav::slide::SlideConfig;
-use wimu_nav::unit::UnitSample;
+use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
 
 const G: f64 = 9.80665;
 
@@ -148,6 +148,7 @@ fn robot_arm(data: &Path) {
             }
             if name.contains("linear") {
                 straight_moves(&recording);
+                forward(&recording);
             }
             let choice = Choice {
                 method: Method::Slide,
@@ -211,6 +212,40 @@ fn straight(recording: &MotionRecording) -> Vec<(usize, usize)> {
         }
     }
     found
+}
+
+/// The length of each straight way from the samples up to its end alone: the one-unit filter, zero velocity at
+/// what looks like a rest.
+fn forward(recording: &MotionRecording) {
+    println!("from the samples up to each way's end alone:");
+    for (from, to) in straight(recording) {
+        let mut filter = UnitFilter::new(UnitConfig {
+            gravity_mps2: recording.gravity_at_first_rest(),
+            ..UnitConfig::default()
+        });
+        for (k, sample) in recording.samples.iter().enumerate().take(to + 1) {
+            let _ = filter.push(sample);
+            if k == from {
+                filter.set_origin();
+            }
+        }
+        let state = filter.state();
+        let truth = |k: usize| recording.truth[k].expect("truth everywhere").position_m;
+        let found = state.position_m.iter().map(|p| p * p).sum::<f64>().sqrt();
+        let (sd, true_m) = (state.position_sd_m(), apart(truth(from), truth(to)));
+        println!(
+            "{:>6.2}{:>9.2}{true_m:>12.3}{found:>12.3}{:>11.3}{sd:>10.3}{:>10.1}{}",
+            recording.times_s[from],
+            recording.times_s[to],
+            found - true_m,
+            (found - true_m) / sd,
+            if state.valid {
+                ""
+            } else {
+                "   said to be invalid"
+            }
+        );
+    }
 }
 
 fn straight_moves(recording: &MotionRecording) {

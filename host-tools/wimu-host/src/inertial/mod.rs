@@ -278,11 +278,12 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             );
         }
         method => {
-            let strip = |sample: &UnitSample| UnitSample {
-                rate_rad_s: sample.rate_rad_s.filter(|_| method == Method::Strapdown),
-                ..*sample
-            };
-            let samples: Vec<UnitSample> = recording.samples.iter().map(strip).collect();
+            let mut samples = once_each_field(&recording.samples);
+            if method != Method::Strapdown {
+                for sample in &mut samples {
+                    sample.rate_rad_s = None;
+                }
+            }
             let config = UnitConfig {
                 gravity_mps2: recording.gravity_at_first_rest(),
                 zupt: choice.zupt,
@@ -300,6 +301,27 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     }
     compare(&mut path, recording);
     Ok(path)
+}
+
+/// A reading of the magnetometer that is repeated within this time is one that is held, s.
+const HELD_S: f64 = 0.25;
+
+/// The samples, each reading of a magnetometer that is slower than the accelerometer once.
+fn once_each_field(samples: &[UnitSample]) -> Vec<UnitSample> {
+    let (mut last, mut age_s) = (None, 0.0);
+    let once = |sample: &UnitSample| {
+        age_s += sample.step_s;
+        let held = sample.field_ut.is_none() || (sample.field_ut == last && age_s < HELD_S);
+        if !held {
+            last = sample.field_ut;
+            age_s = 0.0;
+        }
+        UnitSample {
+            field_ut: sample.field_ut.filter(|_| !held),
+            ..*sample
+        }
+    };
+    samples.iter().map(once).collect()
 }
 
 /// How the bias settles, from a recording at rest that begins at the switching on.

@@ -88,14 +88,11 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return inertial::run(arguments, output);
     }
     inertial::check(arguments)?;
-    if matches!(
-        arguments.method,
-        NavigateMethod::Array | NavigateMethod::Strapdown
-    ) {
+    if arguments.method == NavigateMethod::Array {
         return Err(HostError::new(
             ErrorCode::Usage,
-            "a board has one accelerometer and no gyroscope",
-            "use --method tilt or slide, several boards with --geometry, or a CSV file",
+            "a board has one accelerometer",
+            "use --method tilt or slide, or several boards with --geometry",
         ));
     }
     let recording = Recording::load(&arguments.input)?;

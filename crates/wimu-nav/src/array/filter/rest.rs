@@ -1,0 +1,179 @@
+//! Rests of an array: the first attitude, and what a rest says.
+
+use super::super::hypothesis::{
+    FORCE_BIAS, Hypothesis, OMEGA, PHI, STATES, TURN, VELOCITY, dot, r,
+};
+use super::super::matrix::cross_matrix;
+use super::super::solver::Linear;
+use super::{ArrayFilter, MOST};
+use crate::Real;
+
+/// The first attitude is from so much, s.
+const ALIGN_S: f64 = 0.5;
+/// A rest shows less than this, m/s² in each direction, for this long, s; |s| is near gravity then.
+const REST_MPS2: f64 = 0.15;
+/// A rest shows ω̇ and centripetal acceleration below so many variances.
+const REST_SIGMA2: f64 = 20.0;
+const REST_NEAR_GRAVITY_MPS2: f64 = 0.3;
+const REST_S: f64 = 0.5;
+/// Speed, angular rate and acceleration, and departure from gravity that a rest may have over 0.5 s.
+const REST_SPEED_MPS: f64 = 0.005;
+const REST_RATE_RAD_S: f64 = 0.02;
+const REST_TURN_RAD_S2: f64 = 0.1;
+const REST_FORCE_MPS2: f64 = 0.02;
+
+/// A rest's departure beyond so many variances shows that the covariance is wrong.
+const ASTRAY: f64 = 50.0;
+
+impl<R: Real, const M: usize> ArrayFilter<R, M> {
+    pub(super) fn resting(&self) -> bool {
+        self.quiet_s >= REST_S
+    }
+
+    pub(super) fn judge_rest(&mut self, step: f64, force: [R; 3], linear: &Linear<R>) {
+        let first = self.quiet_mean == [R::default(); 3];
+        let share = r::<R>(if first { 1.0 } else { (step / 0.2).min(1.0) });
+        let away: [R; 3] = core::array::from_fn(|i| force[i] - self.quiet_mean[i]);
+        for (mean, away) in self.quiet_mean.iter_mut().zip(away) {
+            *mean += away * share;
+        }
+        let size = dot(&self.quiet_mean, &self.quiet_mean).sqrt().to_f64();
+        let near = (size - self.config.gravity_mps2).abs() < REST_NEAR_GRAVITY_MPS2;
+        let calm = dot(&away, &away).to_f64() < 3.0 * REST_MPS2 * REST_MPS2;
+        // Neither ω̇ nor centripetal acceleration beyond noise and biases.
+        let solver = self.array.solver();
+        let variance = self.config.bias_mps2 * self.config.bias_mps2
+            / solver.variance_mps2().to_f64()
+            + self.excess.max(1.0);
+        let within = |value: R, one: f64| {
+            let value = value.to_f64();
+            value * value < REST_SIGMA2 * variance * one
+        };
+        let covariance = solver.covariance();
+        let turns = (0..3).any(|i| !within(linear.theta[i], covariance[i][i]))
+            || linear.z.iter().any(|z| !within(*z, 1.0));
+        if near && calm && !turns {
+            self.quiet_s += step;
+        } else {
+            self.quiet_s = 0.0;
+        }
+    }
+
+    /// Static alignment, equation (81) without a magnetometer.
+    pub(super) fn align_with(&mut self, step: f64, force: [R; 3]) {
+        let (sum, square, count, time) = &mut self.align;
+        for (sum, force) in sum.iter_mut().zip(force) {
+            *sum += force;
+        }
+        *square += dot(&force, &force).to_f64();
+        *count += 1.0;
+        *time += step;
+        if *time < ALIGN_S || *count < 2.0 {
+            return;
+        }
+        let mean = sum.map(|v| v.to_f64() / *count);
+        let norm = libm::sqrt(mean.iter().map(|v| v * v).sum());
+        let spread = (*square / *count - norm * norm).max(0.0);
+        self.align = ([R::default(); 3], 0.0, 0.0, 0.0);
+        if !(norm > 1.0 && norm.is_finite()) {
+            return;
+        }
+        let up = mean.map(|v| v / norm);
+        let first = if up[0].abs() < 0.9 { 0 } else { 1 };
+        let mut east: [f64; 3] =
+            core::array::from_fn(|i| if i == first { 1.0 } else { 0.0 } - up[first] * up[i]);
+        let length = libm::sqrt(east.iter().map(|v| v * v).sum());
+        east = east.map(|v| v / length);
+        let north = [
+            up[1] * east[2] - up[2] * east[1],
+            up[2] * east[0] - up[0] * east[2],
+            up[0] * east[1] - up[1] * east[0],
+        ];
+        let g = self.config.gravity_mps2;
+        let moved = spread + (norm - g) * (norm - g);
+        let solver = self.array.solver();
+        let mut hypothesis = Hypothesis {
+            weight: 0.0,
+            attitude: [east, north, up].map(|row| row.map(r)),
+            acceleration: [R::default(); 3],
+            mean: [R::default(); STATES],
+            cov: [[R::default(); STATES]; STATES],
+        };
+        let bias = self.config.bias_mps2 * self.config.bias_mps2 / solver.variance_mps2().to_f64();
+        let tilt = moved * 0.25 / (g * g) + bias * solver.covariance()[3][3] / (g * g) + 1e-6;
+        for i in 0..3 {
+            let mut set = |at: usize, variance: f64| hypothesis.cov[at + i][at + i] = r(variance);
+            set(PHI, if i == 2 { 1e-8 } else { tilt });
+            set(VELOCITY, 1e-6);
+            set(OMEGA, 100.0);
+            set(TURN, 1e4);
+        }
+        hypothesis.begin_biases(solver, self.config.bias_mps2);
+        self.hypotheses = [None; MOST];
+        self.hypotheses[0] = Some(hypothesis);
+        self.since_rest_s = 0.0;
+        self.valid = true;
+    }
+
+    pub(super) fn forget_biases(&mut self) {
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            hypothesis.begin_biases(self.array.solver(), self.config.bias_mps2);
+        }
+    }
+
+    /// Velocity and angular rate are zero, gravity is vertical.
+    pub(super) fn rest(&mut self, step: f64) {
+        // A rest's departures last as long as it was looked at.
+        let slower = (REST_S / step.max(1e-3)).max(1.0);
+        let variance = |sd: f64| r::<R>(sd * sd * slower);
+        let g = self.config.gravity_mps2;
+        let of_force = variance(REST_FORCE_MPS2) + r::<R>(self.array.solver().covariance()[3][3]);
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            let lever = cross_matrix([R::default(), R::default(), r(g)]);
+            let gravity = |attitude: &[[R; 3]; 3], i: usize| {
+                let mut row = [R::default(); STATES];
+                row[PHI..PHI + 3].copy_from_slice(&lever[i]);
+                row[FORCE_BIAS..FORCE_BIAS + 3].copy_from_slice(&attitude[i]);
+                row
+            };
+            let unit = |at: usize| {
+                let mut row = [R::default(); STATES];
+                row[at] = r(1.0);
+                row
+            };
+            // A departure that the covariance cannot explain is no measurement of anything else:
+            // velocity and attitude begin anew.
+            let astray = (0..3).any(|i| {
+                let v = hypothesis.mean[VELOCITY + i];
+                let a = hypothesis.acceleration[i];
+                hypothesis.departs(&unit(VELOCITY + i), v, variance(REST_SPEED_MPS)) > ASTRAY
+                    || hypothesis.departs(&gravity(&hypothesis.attitude, i), a, of_force) > ASTRAY
+            });
+            if astray {
+                hypothesis.begin_again(g, self.since_rest_s);
+            }
+            let before = hypothesis.mean;
+            let mut fit = 0.0;
+            for i in 0..3 {
+                for (at, sd) in [
+                    (VELOCITY + i, REST_SPEED_MPS),
+                    (TURN + i, REST_TURN_RAD_S2),
+                    (OMEGA + i, REST_RATE_RAD_S),
+                ] {
+                    fit += hypothesis.absorb(&unit(at), -hypothesis.mean[at], variance(sd));
+                }
+            }
+            for i in 0..3 {
+                let row = gravity(&hypothesis.attitude, i);
+                // Less what the components before this one have explained.
+                let learnt: [R; STATES] = core::array::from_fn(|k| hypothesis.mean[k] - before[k]);
+                let rest = hypothesis.acceleration[i] - dot(&row, &learnt);
+                fit += hypothesis.absorb(&row, rest, of_force);
+            }
+            hypothesis.weight -= 0.5 * fit;
+            hypothesis.fold();
+        }
+        self.since_rest_s = 0.0;
+        self.valid = self.hypotheses[0].is_some();
+    }
+}

@@ -353,12 +353,15 @@ impl Sessions {
         let known = |proved: &Option<(u32, u32)>| proved.is_some_and(|(known, _)| known == number);
         let place = self.proved.iter().position(known);
         let place = place.unwrap_or(SESSIONS - 1);
-        if let Some(moving) = self.proved.get_mut(..=place) {
-            moving.rotate_right(1);
-        }
-        if let Some(front) = self.proved.first_mut() {
-            *front = Some((number, id));
-        }
+        put_first(&mut self.proved, place, Some((number, id)));
         self.ended = self.ended.max(number);
+    }
+}
+
+/// Puts `first` at the front; what was before `place` moves back by one, over what was there.
+pub(crate) fn put_first<T>(list: &mut [T], place: usize, first: T) {
+    let mut next = first;
+    for item in list.iter_mut().take(place + 1) {
+        next = core::mem::replace(item, next);
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::auth::{KeyState, Lock, Session, Sessions, Standing};
+use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
 use crate::checksum::crc_32c;
 use crate::frame::FrameBuffer;
 use crate::hello::LinkRole;
@@ -211,12 +211,7 @@ impl Responder {
 
         // This session moves to the front; what was before it moves back by one.
         let moved = known.unwrap_or(SESSIONS - 1);
-        if let Some(moving) = self.latest.get_mut(..=moved) {
-            moving.rotate_right(1);
-        }
-        if let Some(front) = self.latest.first_mut() {
-            *front = Some(request);
-        }
+        put_first(&mut self.latest, moved, Some(request));
 
         let outcome = match Command::take(command) {
             Err(_) => Err(Answer::Unknown),

@@ -6,6 +6,7 @@ use crate::command_line::{CommandLine, heading};
 use crate::image::{self, Format};
 use crate::output::Output;
 use crate::setup::{self, Need, Source, TARGETS, ThisMachine, embedded_cargo};
+use crate::size;
 use crate::workspace::Workspace;
 
 /// The board that everyone has.
@@ -102,8 +103,25 @@ pub fn pico(workspace: &Workspace) -> Result<(), String> {
 }
 
 fn build(source: Source, folder: &Path, target: Option<&str>) -> CommandLine {
-    let cargo = embedded_cargo(source).word("--release").inside(folder);
+    let cargo = embedded_cargo(source)
+        .words("--release --config")
+        .word(&format!("build.rustflags=[{}]", without_this_machine()))
+        .inside(folder);
     target.map_or(cargo.clone(), |target| cargo.word("--target").word(target))
+}
+
+/// Flags that take this machine's folders out of the names of source files, which panics have: images
+/// are alike wherever they are built, and smaller.
+fn without_this_machine() -> String {
+    let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home = home.or_else(|| Some(std::env::home_dir()?.join(".cargo")));
+    let sources = home.and_then(|home| std::fs::read_dir(home.join("registry/src")).ok());
+    let registries = sources.into_iter().flatten().flatten();
+    std::env::current_dir()
+        .into_iter()
+        .chain(registries.map(|registry| registry.path()))
+        .map(|folder| format!("'--remap-path-prefix={}/=',", folder.display()))
+        .collect()
 }
 
 /// Builds the package in `folder` for its own target, or for another; says where that went.
@@ -164,11 +182,11 @@ pub fn test() -> Result<(), String> {
         .run()
 }
 
-/// Builds every board, with its log for a debug probe too if it has one, and lints it where the
-/// toolchain can.
+/// Builds every board, with its log for a debug probe too if it has one, looks whether it is small
+/// enough, and lints it where the toolchain can.
 ///
 /// # Errors
-/// Says which command failed.
+/// Says which command failed, or which image is too large.
 pub fn check(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     for folder in &workspace.firmware {
@@ -180,6 +198,7 @@ pub fn check(workspace: &Workspace) -> Result<(), String> {
     }
     // Last: these are the images that are left.
     run(workspace)?;
+    size::check(workspace)?;
     if setup::provide(Need::Targets, &mut ThisMachine)? == Source::Toolchain {
         let clippy = CommandLine::new("cargo clippy --release --locked").words("-- -D warnings");
         for folder in &workspace.firmware {

@@ -131,7 +131,8 @@ Usage: cargo xtask TASK
   firmware              build every board; target/firmware gets microbit-v2.hex and
                         pico-adxl345.uf2, to be copied onto the boards' drives
   flash BOARD           build a board and write it through its debug probe
-  size                  build every board, and print the flash and RAM it takes, by crate
+  size                  build every board, and print the flash and RAM it takes, by crate; fail where
+                        it is more than it may be
   qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
                         links; Ctrl-C stops it; `qemu --help` lists the options
 

@@ -69,7 +69,7 @@ pub const STEPS: [Step; 12] = [
     },
     Step {
         name: "firmware",
-        about: "every board builds, without a warning",
+        about: "every board builds, without a warning, and no larger than it may be",
         run: firmware::check,
     },
     Step {

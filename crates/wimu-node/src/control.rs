@@ -23,6 +23,7 @@ use crate::accelerometer::{Accelerometer, Plan};
 use crate::shared::{
     Correction, Message, Order, ROLES, RateOrder, Shared, Staged, Trouble, active_parameters,
 };
+use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -338,7 +339,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                     self.configure(plan, None).await?;
                     return Err(Refusal::StoreFailed);
                 }
-                *plan = new;
+                put(plan, &new);
                 self.shared.desk.lock().await.id = None;
                 self.shared.activate(None);
                 self.shared
@@ -427,7 +428,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             let parameters = self.load_parameters(new.settings.range_g).await;
             // A sensor that is away is started with these settings when it is back.
             let _ = self.configure(&new, Some(&parameters)).await;
-            *plan = new;
+            put(plan, &new);
             self.shared.activate(self.set_at(&parameters));
             self.shared
                 .publish(|published| published.settings = new.settings);
@@ -536,7 +537,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.configure(plan, None).await?;
             return Err(refusal);
         }
-        *plan = new;
+        put(plan, &new);
         self.shared
             .publish(|published| published.settings = new.settings);
         self.mended(Trouble::Settings);

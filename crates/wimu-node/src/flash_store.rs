@@ -10,6 +10,7 @@ use sequential_storage::Error;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
+use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 
 /// Widest word of flash that is supported, bytes.
@@ -176,7 +177,7 @@ impl<F: NorFlash> FlashStore<F> {
                 }
             }
         }
-        self.directory = Some(directory);
+        put(&mut self.directory, &Some(directory));
         Ok(directory)
     }
 
@@ -228,7 +229,7 @@ impl<F: NorFlash> FlashStore<F> {
 
     async fn save_directory(&mut self, directory: Directory) -> Result<(), StoreFault> {
         self.append(DIRECTORY, 0, &directory.to_bytes()).await?;
-        self.directory = Some(directory);
+        put(&mut self.directory, &Some(directory));
         Ok(())
     }
 
@@ -238,7 +239,7 @@ impl<F: NorFlash> FlashStore<F> {
         self.directory = None;
         let found = self.directory().await;
         // What is known of the others is not forgotten because it is hard to find.
-        self.directory = Some(wanted);
+        put(&mut self.directory, &Some(wanted));
         let Ok(found) = found else { return false };
         if !wanted.says_the_same(&found) {
             return false;
@@ -280,7 +281,7 @@ impl<F: NorFlash> FlashStore<F> {
         if directory.ruined {
             self.map.erase_all().await.map_err(|_| StoreFault)?;
             directory.ruined = false;
-            self.directory = Some(directory);
+            put(&mut self.directory, &Some(directory));
         }
         Ok(directory)
     }

@@ -1,4 +1,4 @@
-//! An `Option` that is zeros while it is empty.
+//! An `Option` that is zeros while it is empty, and how a value is put into its place.
 
 /// A value or none. With none it is zeros, of which a `static` takes no flash; an [`Option`] has some
 /// other number there wherever one of `T`'s is free.
@@ -35,4 +35,11 @@ impl<T> Slot<T> {
             Self::Empty => unreachable!(),
         }
     }
+}
+
+/// Puts `value` into `place`. Here, not inlined, both are known to lie apart: nothing has a `memmove`
+/// linked, which takes more flash than all of this.
+#[inline(never)]
+pub(crate) fn put<T: Copy>(place: &mut T, value: &T) {
+    *place = *value;
 }

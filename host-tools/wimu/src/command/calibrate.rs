@@ -113,16 +113,13 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
 
 /// Refuses what the input or the method would pass over in silence.
 fn only_what_counts(arguments: &Calibrate) -> Result<()> {
-    let input = match arguments.format {
-        Some(_) => None,
-        None => Some(Input::parse(&arguments.input)?),
+    let (csv, link, recording) = match (arguments.format, Input::parse(&arguments.input)) {
+        (Some(_), _) | (None, Ok(Input::Csv(_))) => (true, false, false),
+        (None, Ok(Input::Link(_))) => (false, true, false),
+        (None, Ok(Input::Recording(_))) => (false, false, true),
+        // What is not there is said when it is read.
+        (None, Err(_)) => return Ok(()),
     };
-    let (link, recording) = match input {
-        Some(Input::Link(_)) => (true, false),
-        Some(Input::Recording(_)) => (false, true),
-        _ => (false, false),
-    };
-    let csv = !link && !recording;
     let known_orientations = matches!(
         arguments.method,
         Method::SixPosition | Method::FourAngle | Method::ThreeAngle

@@ -254,7 +254,7 @@ fn many_disturbed_poses_are_left_out_or_named_as_such() {
     println!(
         "6 of 40 left out in {left_out} of 30, {wrong} wrong; 10 of 40 named in {named} of 30"
     );
-    assert!(left_out >= 27 && wrong <= 1 && named >= 15);
+    assert!(left_out >= 27 && wrong <= 1 && named >= 20);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, SVector, Vector3};
 
-use super::{FEWEST, MagneticPose, start, symmetric};
+use super::{EARTHS_NT, FEWEST, MagneticPose, start, symmetric};
 use crate::Rejected;
 
 /// Poses of a trial: as many as the ellipsoid has parameters.
@@ -13,6 +13,9 @@ const TRIALS: u32 = 300;
 const REFITS: usize = 5;
 /// A pose agrees when its field is within this share of all others'.
 const AGREES: f64 = 0.02;
+/// Soft iron stretches the field no more than this, one direction against another. A longer ellipsoid
+/// passes by all poses, and tells nothing.
+const MOST_STRETCH: f64 = 2.0;
 /// The eigenvalues of the directions' scatter sum to one.
 const SPREAD: f64 = 0.12;
 /// Least variance of the field's output along any direction, per that along another.
@@ -39,14 +42,22 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
         let lack = |p: &MagneticPose| (off(theta, p) / AGREES).abs().min(1.0);
         poses.iter().map(|p| 1.0 - lack(p) * lack(p)).sum::<f64>()
     };
+    // Through so many points, if it can be that of a magnetometer in the Earth's field.
+    let ellipsoid = |points: &mut dyn Iterator<Item = Vector3<f64>>| -> Option<SVector<f64, 9>> {
+        let theta = start(points)?;
+        let axes = symmetric(&theta.as_slice()[3..]).symmetric_eigenvalues();
+        let field_nt = unit_nt / libm::cbrt(axes.product());
+        let sound = axes.max() < MOST_STRETCH * axes.min() && EARTHS_NT.contains(&field_nt);
+        sound.then_some(theta)
+    };
     // All that agree make it better, and more agree with that.
     let refined = |mut score: f64, mut theta: SVector<f64, 9>| {
         for _ in 0..REFITS {
-            let points = poses
+            let mut points = poses
                 .iter()
                 .filter(|p| off(&theta, p).abs() < AGREES)
                 .map(point);
-            let Some(better) = start(points) else {
+            let Some(better) = ellipsoid(&mut points) else {
                 break;
             };
             let more = agreeing(&better);
@@ -75,8 +86,8 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
                 }
             }
         }
-        let points = chosen.iter().filter_map(|k| poses.get(*k)).map(point);
-        let Some(theta) = start(points) else {
+        let mut points = chosen.iter().filter_map(|k| poses.get(*k)).map(point);
+        let Some(theta) = ellipsoid(&mut points) else {
             continue;
         };
         let score = agreeing(&theta);

@@ -260,6 +260,14 @@ export class Pico {
     core.waiting = false;
   }
 
+  /** Lets the processor go on in the function at `address`. */
+  call(address, argument) {
+    const { core } = this.chip;
+    core.registers[0] = argument;
+    core.PC = address & ~1;
+    core.waiting = false;
+  }
+
   /** Runs up to `ns` on the clock. */
   run(ns) {
     let { core } = this.chip;

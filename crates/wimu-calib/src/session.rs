@@ -123,11 +123,7 @@ impl<const POSES: usize, R: Scalar> Session<POSES, R> {
         if self.count >= self.wanted {
             return Phase::Done;
         }
-        let again = self.poses().last().is_some_and(|last| {
-            let apart = (0..3).map(|axis| last.mean_mps2[axis] - hold.mean_mps2[axis]);
-            apart.map(|d| d * d).sum::<f64>() < SAME_POSE_MPS2 * SAME_POSE_MPS2
-        });
-        if again {
+        if self.is_again(&hold) {
             return Phase::WaitingForMotion;
         }
         if hold.samples < self.capture_samples {
@@ -135,6 +131,27 @@ impl<const POSES: usize, R: Scalar> Session<POSES, R> {
                 samples: hold.samples,
             };
         }
+        Phase::Captured {
+            pose: self.take(hold),
+        }
+    }
+
+    /// Takes the hold under way as a pose now, before it is long enough for one by itself; returns its
+    /// index. `None` if the sensor is not still, this pose is taken already, or there are enough.
+    pub fn capture(&mut self) -> Option<usize> {
+        let hold = self.finder.held()?;
+        let is_new = !self.taken && !self.is_again(&hold) && self.count < self.wanted;
+        is_new.then(|| self.take(hold))
+    }
+
+    fn is_again(&self, hold: &Pose) -> bool {
+        self.poses().last().is_some_and(|last| {
+            let apart = (0..3).map(|axis| last.mean_mps2[axis] - hold.mean_mps2[axis]);
+            apart.map(|d| d * d).sum::<f64>() < SAME_POSE_MPS2 * SAME_POSE_MPS2
+        })
+    }
+
+    fn take(&mut self, hold: Pose) -> usize {
         let pose = self.count;
         self.count += 1;
         self.taken = true;
@@ -142,7 +159,7 @@ impl<const POSES: usize, R: Scalar> Session<POSES, R> {
             *place = hold;
         }
         self.guide.take(hold.mean_mps2);
-        Phase::Captured { pose }
+        pose
     }
 
     /// The orientation to take next, the rest being planned with it; `None` when there are poses

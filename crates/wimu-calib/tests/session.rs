@@ -134,3 +134,39 @@ fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     let mut none = Session::<0>::new(f64::NAN, Model::Bias3, 3);
     assert_eq!(none.push([0.0, 0.0, G]), Phase::Done);
 }
+
+#[test]
+fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() {
+    let mut session = Session::<8>::new(100.0, Model::Bias3, 4);
+    assert_eq!(session.capture(), None, "nothing is held yet");
+    let mut noise = 0.01;
+    let mut hold = |session: &mut Session<8>, up: [f64; 3], samples: u32| {
+        let mut last = Phase::WaitingForStillness;
+        for k in 0..50 + samples {
+            noise = -noise;
+            let wild = if k < 50 { f64::from(k % 7) } else { 0.0 };
+            last = session.push(up.map(|axis| 9.80665 * axis + wild + noise));
+        }
+        last
+    };
+    let phase = hold(&mut session, [0.0, 0.0, 1.0], 100);
+    assert!(matches!(phase, Phase::Collecting { .. }), "{phase:?}");
+    assert_eq!(session.capture(), Some(0));
+    assert_eq!(session.capture(), None, "it is taken");
+    // It goes on to become better, and is not taken again by itself.
+    let taken = session.poses()[0].samples;
+    assert_eq!(
+        hold(&mut session, [0.0, 0.0, 1.0], 0),
+        Phase::WaitingForStillness
+    );
+    assert_eq!(session.capture(), None, "it moves");
+    let phase = hold(&mut session, [0.0, 0.0, 1.0], 300);
+    assert_eq!(phase, Phase::WaitingForMotion);
+    assert_eq!(session.capture(), None, "the same again");
+    assert_eq!(
+        (session.poses().len(), session.poses()[0].samples),
+        (1, taken)
+    );
+    hold(&mut session, [1.0, 0.0, 0.0], 100);
+    assert_eq!(session.capture(), Some(1));
+}

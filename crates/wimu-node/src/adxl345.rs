@@ -5,10 +5,11 @@ use wimu_adxl345::{
     Address, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step,
 };
 use wimu_link::message::{Resolution, Settings};
-use wimu_model::{Counts, DeviceTimeUs, PeriodNs, Sensitivity};
+use wimu_model::{Counts, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
+use crate::fifo::{DEPTH, Look, SensorFifo};
 use crate::timer::Timer;
 
 /// Ranges, ± g.
@@ -29,14 +30,8 @@ const RATES: [(u16, Rate); 6] = [
     (800, Rate::Hz800),
 ];
 
-/// Samples that the FIFO holds.
-const FIFO: u8 = 32;
-/// The watermark is reached after this time, ns …
-const LATENCY_NS: u32 = 40_000_000;
-/// … and leaves half of the FIFO for the time it takes to come.
-const MOST: u32 = 16;
-/// How late the line may be before the FIFO is looked at without it, samples.
-const PATIENCE: u64 = 8;
+/// The time of a sample on a bus of 400 kHz, µs.
+const TRANSFER_US: u64 = 240;
 
 /// An ADXL345 on an I²C bus with its INT1 line.
 ///
@@ -46,10 +41,7 @@ pub struct Adxl345<I2C, D, T> {
     device: wimu_adxl345::Adxl345<I2C>,
     data_ready: D,
     timer: T,
-    period: PeriodNs,
-    watermark: u8,
-    /// When the newest sample that was read was taken.
-    last: Option<DeviceTimeUs>,
+    fifo: SensorFifo,
 }
 
 impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
@@ -59,9 +51,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
             device: wimu_adxl345::Adxl345::new(i2c, Address::Low),
             data_ready,
             timer,
-            period: PeriodNs(10_000_000),
-            watermark: 1,
-            last: None,
+            fifo: SensorFifo::new(PeriodNs(10_000_000), TRANSFER_US),
         }
     }
 
@@ -85,7 +75,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
         device.set_rate(rate, low_power).await?;
         device
             .set_fifo(Fifo::Stream {
-                watermark: self.watermark,
+                watermark: self.fifo.watermark(),
             })
             .await?;
         device
@@ -94,32 +84,21 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
         device.measure().await
     }
 
-    /// When the newest of `waiting` samples was taken, given that the line rose at `rose` and that
-    /// they were counted at `looked`.
-    fn newest(
-        &self,
-        rose: DeviceTimeUs,
-        waiting: u8,
-        looked: DeviceTimeUs,
-        overrun: bool,
-    ) -> DeviceTimeUs {
-        let periods = |count: u64| count * u64::from(self.period.0) / 1000;
-        let above = waiting.saturating_sub(self.watermark);
-        let by_line = rose.0.saturating_add(periods(above.into()));
-        let oldest = looked.0.saturating_sub(periods(1));
-        // A line that nobody could look at in time tells when that was over instead.
-        let slack = periods(1) / 4;
-        if !overrun
-            && waiting >= self.watermark
-            && (oldest.saturating_sub(slack)..=looked.0).contains(&by_line)
-        {
-            return DeviceTimeUs(by_line);
-        }
-        let expected = match self.last {
-            Some(last) if !overrun => last.0.saturating_add(periods(waiting.into())),
-            _ => looked.0,
-        };
-        DeviceTimeUs(expected.clamp(oldest, looked.0))
+    /// Waits until the FIFO holds what the line waits for, or less if that takes too long.
+    async fn look(&mut self) -> Result<Look, Error<I2C::Error>> {
+        let deadline = self.fifo.deadline(self.timer.now());
+        let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+        let woken = self.timer.now();
+        let waiting = self.device.fifo_level().await?.samples;
+        let at = self.timer.now();
+        let overrun =
+            waiting >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
+        Ok(Look {
+            rose: rose.flatten().unwrap_or(woken),
+            at,
+            waiting,
+            overrun,
+        })
     }
 }
 
@@ -168,43 +147,32 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
     }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        self.period = plan.period;
-        self.watermark = (LATENCY_NS / plan.period.0.max(1)).clamp(1, MOST) as u8;
-        self.last = None;
+        self.fifo = SensorFifo::new(plan.period, TRANSFER_US);
         self.start(plan).await.map_err(fault)
     }
 
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
-        let patience = (u64::from(self.watermark) + PATIENCE) * u64::from(self.period.0) / 1000;
-        let deadline = DeviceTimeUs(self.timer.now().0.saturating_add(patience));
-        let rose = self.timer.before(deadline, self.data_ready.ready()).await;
-        let woken = self.timer.now();
-        let waiting = self.device.fifo_level().await.map_err(fault)?.samples;
-        let looked = self.timer.now();
-        let overrun = waiting >= FIFO
-            && (self.device.interrupts().await.map_err(fault)?).contains(Interrupts::OVERRUN);
-        let mut count = 0;
-        for place in counts.iter_mut().take(waiting.into()) {
-            *place = Counts(self.device.sample().await.map_err(fault)?);
-            count += 1;
+        let mut lost = false;
+        loop {
+            let look = self.look().await.map_err(fault)?;
+            lost |= look.overrun;
+            let count = counts.len().min(look.waiting.into());
+            if count == 0 {
+                return Err(SensorFault::NoData);
+            }
+            for place in counts.iter_mut().take(count) {
+                *place = Counts(self.device.sample().await.map_err(fault)?);
+            }
+            if self.fifo.kept_up(&look, self.timer.now()) {
+                let unread = look.waiting - count as u8;
+                let look = Look {
+                    overrun: lost,
+                    ..look
+                };
+                return Ok(self.fifo.read(look, count, unread));
+            }
+            lost = true;
         }
-        if count == 0 {
-            return Err(SensorFault::NoData);
-        }
-        let newest = self.newest(rose.flatten().unwrap_or(woken), waiting, looked, overrun);
-        let unread = u64::from(waiting).saturating_sub(count as u64);
-        let last_time = DeviceTimeUs(
-            newest
-                .0
-                .saturating_sub(unread * u64::from(self.period.0) / 1000),
-        );
-        self.last = Some(last_time);
-        Ok(Batch {
-            count,
-            last_time,
-            overrun,
-            queued: true,
-        })
     }
 
     /// It measures nothing else.

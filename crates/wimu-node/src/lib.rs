@@ -10,6 +10,7 @@ mod adxl345;
 mod bus;
 mod control;
 mod data_ready;
+mod fifo;
 #[cfg(feature = "flash-store")]
 mod flash_store;
 mod link;

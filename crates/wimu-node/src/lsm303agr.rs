@@ -1,90 +1,178 @@
-//! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`].
+//! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`], through its
+//! FIFO.
+//!
+//! The registers are written here and not by the `lsm303agr` crate: that one knows neither how many
+//! samples wait nor how to read more than one, keeps a copy of each register, and is in a new type
+//! whenever the magnetometer changes its mode. `wimu-sim` holds that crate and this module against
+//! the same model of the chip.
 
-use embedded_hal_async::i2c::{self, I2c};
-use lsm303agr::interface::I2cInterface;
-use lsm303agr::mode::{MagContinuous, MagOneShot};
-use lsm303agr::{
-    AccelMode, AccelOutputDataRate, AccelScale, Error, Interrupt, MagMode, MagOutputDataRate,
-};
+use embedded_hal_async::i2c::I2c;
 use wimu_link::message::{Resolution, Settings};
-use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity};
+use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
+use crate::fifo::{DEPTH, Look, MOST, SensorFifo};
 use crate::timer::Timer;
 
+/// The accelerometer and thermometer, and the magnetometer.
+const ACCELEROMETER: u8 = 0x19;
+const MAGNETOMETER: u8 = 0x1E;
 /// WHO_AM_I_A.
 const IDENTITY: u8 = 0x33;
 
-/// Ranges, ± g, with the weight of a 16-bit count: LSB per g. A 12-bit digit is 1, 2, 4 and 12
-/// times 1/1024 g; ± 16 g is really ± 24 g.
-const RANGES: [(u8, AccelScale, f64); 4] = [
-    (2, AccelScale::G2, 16384.0),
-    (4, AccelScale::G4, 8192.0),
-    (8, AccelScale::G8, 4096.0),
-    (16, AccelScale::G16, 16384.0 / 12.0),
+/// With it, a sub-address moves on by itself.
+const INCREMENT: u8 = 0x80;
+/// Registers of the accelerometer.
+const OUT_TEMP_L: u8 = 0x0C;
+const WHO_AM_I: u8 = 0x0F;
+const TEMP_CFG: u8 = 0x1F;
+const CTRL1: u8 = 0x20;
+const CTRL2: u8 = 0x21;
+const OUT_X_L: u8 = 0x28;
+const FIFO_CTRL: u8 = 0x2E;
+const FIFO_SRC: u8 = 0x2F;
+/// Registers of the magnetometer.
+const CFG_A_M: u8 = 0x60;
+const STATUS_M: u8 = 0x67;
+const OUT_X_L_M: u8 = 0x68;
+
+const CTRL1_AXES: u8 = 0x07;
+const CTRL1_LOW_POWER: u8 = 0x08;
+const CTRL3_WATERMARK_ON_INT1: u8 = 0x04;
+const CTRL4_BLOCK_UPDATE: u8 = 0x80;
+const CTRL4_HIGH_RESOLUTION: u8 = 0x08;
+const CTRL5_FIFO: u8 = 0x40;
+const TEMP_CFG_ON: u8 = 0xC0;
+const FIFO_CTRL_BYPASS: u8 = 0;
+const FIFO_CTRL_STREAM: u8 = 0x80;
+const FIFO_SRC_FULL: u8 = 0x40;
+const FIFO_SRC_LEVEL: u8 = 0x1F;
+/// 10 Hz, continuously, temperature-compensated.
+const CFG_A_M_RUN: u8 = 0x80;
+const CFG_C_M_BLOCK_UPDATE: u8 = 0x10;
+const STATUS_M_NEW: u8 = 0x08;
+
+/// 1.5 mG.
+const NT_PER_LSB: i32 = 150;
+
+/// Ranges, ± g, with their code and the weight of a 16-bit count: LSB per g. A 12-bit digit is 1, 2,
+/// 4 and 12 times 1/1024 g; ± 16 g is really ± 24 g.
+const RANGES: [(u8, u8, f64); 4] = [
+    (2, 0, 16384.0),
+    (4, 1, 8192.0),
+    (8, 2, 4096.0),
+    (16, 3, 16384.0 / 12.0),
 ];
 
-/// Rates, Hz, with the nominal period.
-const RATES: [(u16, AccelOutputDataRate, u32); 8] = [
-    (1, AccelOutputDataRate::Hz1, 1_000_000_000),
-    (10, AccelOutputDataRate::Hz10, 100_000_000),
-    (25, AccelOutputDataRate::Hz25, 40_000_000),
-    (50, AccelOutputDataRate::Hz50, 20_000_000),
-    (100, AccelOutputDataRate::Hz100, 10_000_000),
-    (200, AccelOutputDataRate::Hz200, 5_000_000),
-    (400, AccelOutputDataRate::Hz400, 2_500_000),
-    (1344, AccelOutputDataRate::Khz1_344, 744_048),
+/// Rates, Hz, with their code and the nominal period.
+const RATES: [(u16, u8, u32); 8] = [
+    (1, 1, 1_000_000_000),
+    (10, 2, 100_000_000),
+    (25, 3, 40_000_000),
+    (50, 4, 20_000_000),
+    (100, 5, 10_000_000),
+    (200, 6, 5_000_000),
+    (400, 7, 2_500_000),
+    (1344, 9, 744_048),
 ];
 
-/// An LSM303AGR on an I²C bus with its data-ready line (INT1 of the accelerometer).
+/// A sample: x, y, z, lowest byte first.
+const SAMPLE: usize = 6;
+/// Its time on a bus of 400 kHz, µs.
+const TRANSFER_US: u64 = 140;
+
+/// An LSM303AGR on an I²C bus with the accelerometer's INT1 line.
+///
+/// Samples wait in the sensor's FIFO until INT1 says that there are enough for 40 ms, but at most
+/// 16; then one burst reads all of them. Up to 31 are safe while nobody reads.
 pub struct Lsm303agr<I2C, D, T> {
-    device: Device<I2C>,
+    i2c: I2C,
     data_ready: D,
     timer: T,
-    period: PeriodNs,
+    fifo: SensorFifo,
     /// The magnetometer has measured since it was configured; until then its registers mean nothing.
     field_measured: bool,
 }
 
-/// The driver's type changes with the magnetometer's mode.
-enum Device<I2C> {
-    Idle(lsm303agr::Lsm303agr<I2cInterface<I2C>, MagOneShot>),
-    Running(lsm303agr::Lsm303agr<I2cInterface<I2C>, MagContinuous>),
-    /// Only while the mode changes.
-    Changing,
-}
-
 impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
-    /// A sensor on `i2c` whose `data_ready` line is high while a sample waits.
+    /// A sensor on `i2c` whose INT1 is `data_ready`; other chips may share that line.
     pub fn new(i2c: I2C, data_ready: D, timer: T) -> Self {
         Self {
-            device: Device::Idle(lsm303agr::Lsm303agr::new_with_i2c(i2c)),
+            i2c,
             data_ready,
             timer,
-            period: PeriodNs(10_000_000),
+            fifo: SensorFifo::new(PeriodNs(10_000_000), TRANSFER_US),
             field_measured: false,
         }
     }
 
-    /// The driver with the magnetometer running.
-    async fn running(
+    async fn write(&mut self, address: u8, bytes: &[u8]) -> Result<(), SensorFault> {
+        let outcome = self.i2c.write(address, bytes).await;
+        outcome.map_err(|error| SensorFault::of_bus(&error))
+    }
+
+    /// Reads `N` registers from `register` on.
+    async fn read<const N: usize>(
         &mut self,
-    ) -> Result<&mut lsm303agr::Lsm303agr<I2cInterface<I2C>, MagContinuous>, SensorFault> {
-        let mut outcome = Err(SensorFault::NotAnswering);
-        self.device = match core::mem::replace(&mut self.device, Device::Changing) {
-            Device::Idle(idle) => match idle.into_mag_continuous().await {
-                Ok(running) => Device::Running(running),
-                Err(failed) => {
-                    outcome = Err(fault(failed.error));
-                    Device::Idle(failed.dev)
-                }
-            },
-            other => other,
-        };
-        match &mut self.device {
-            Device::Running(running) => Ok(running),
-            _ => outcome,
+        address: u8,
+        register: u8,
+    ) -> Result<[u8; N], SensorFault> {
+        let mut values = [0; N];
+        self.burst(address, register, &mut values).await?;
+        Ok(values)
+    }
+
+    async fn burst(
+        &mut self,
+        address: u8,
+        register: u8,
+        values: &mut [u8],
+    ) -> Result<(), SensorFault> {
+        let register = [register | INCREMENT];
+        let outcome = self.i2c.write_read(address, &register, values).await;
+        outcome.map_err(|error| SensorFault::of_bus(&error))
+    }
+
+    /// Reads as many samples, the oldest first: after the last byte of one comes the first of the next.
+    async fn drain(&mut self, counts: &mut [Counts]) -> Result<(), SensorFault> {
+        let mut bytes = [0; MOST as usize * SAMPLE];
+        for places in counts.chunks_mut(MOST.into()) {
+            let burst = bytes.get_mut(..places.len() * SAMPLE).unwrap_or_default();
+            self.burst(ACCELEROMETER, OUT_X_L, burst).await?;
+            for (place, bytes) in places.iter_mut().zip(burst.as_chunks::<SAMPLE>().0) {
+                let [x0, x1, y0, y1, z0, z1] = *bytes;
+                *place = Counts([[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes));
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until the FIFO holds what the line waits for, or less if that takes too long.
+    async fn look(&mut self) -> Result<Look, SensorFault> {
+        let deadline = self.fifo.deadline(self.timer.now());
+        loop {
+            let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+            let woken = self.timer.now();
+            let [source] = self.read(ACCELEROMETER, FIFO_SRC).await?;
+            let at = self.timer.now();
+            let overrun = source & FIFO_SRC_FULL != 0;
+            let waiting = if overrun {
+                DEPTH
+            } else {
+                source & FIFO_SRC_LEVEL
+            };
+            let missing = self.fifo.watermark().saturating_sub(waiting);
+            if missing == 0 || at >= deadline {
+                return Ok(Look {
+                    rose: rose.flatten().unwrap_or(woken),
+                    at,
+                    waiting,
+                    overrun,
+                });
+            }
+            // A line that somebody else holds says nothing: the sensor is asked.
+            self.timer.after_us(self.fifo.micros(missing)).await;
         }
     }
 }
@@ -125,130 +213,103 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
     }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        let scale = RANGES
-            .iter()
-            .find(|(g, ..)| *g == plan.settings.range_g)
-            .map_or(AccelScale::G2, |(_, scale, _)| *scale);
-        let rate = RATES
-            .iter()
-            .find(|(hz, ..)| *hz == plan.settings.rate_hz)
-            .map_or(AccelOutputDataRate::Hz100, |(_, rate, _)| *rate);
-        let mode = match plan.settings.resolution {
-            Resolution::LowPower => AccelMode::LowPower,
-            Resolution::Normal => AccelMode::Normal,
-            Resolution::High => AccelMode::HighResolution,
-        };
-        self.period = plan.period;
+        self.fifo = SensorFifo::new(plan.period, TRANSFER_US);
         self.field_measured = false;
-        let device = self.running().await?;
-        let identity = device.accelerometer_id().await.map_err(fault)?;
-        if !identity.is_correct() {
+        let Settings {
+            range_g,
+            rate_hz,
+            resolution,
+            ..
+        } = plan.settings;
+        let range = RANGES.iter().find(|(g, ..)| *g == range_g);
+        let rate = RATES.iter().find(|(hz, ..)| *hz == rate_hz);
+        let (Some((_, range, _)), Some((_, rate, _))) = (range, rate) else {
+            return Ok(()); // Not of a plan of this sensor.
+        };
+        let (power, digits) = match resolution {
+            Resolution::LowPower => (CTRL1_LOW_POWER, 0),
+            Resolution::Normal => (0, 0),
+            Resolution::High => (0, CTRL4_HIGH_RESOLUTION),
+        };
+
+        let [found] = self.read(ACCELEROMETER, WHO_AM_I).await?;
+        if found != IDENTITY {
             return Err(SensorFault::WrongIdentity {
                 expected: IDENTITY,
-                found: identity.raw(),
+                found,
             });
         }
-        device.init().await.map_err(fault)?;
-        device.set_accel_scale(scale).await.map_err(fault)?;
-        device
-            .acc_enable_interrupt(Interrupt::DataReady1)
+        // Off, and the FIFO empty, while the rest is set.
+        self.write(ACCELEROMETER, &[CTRL1, CTRL1_AXES]).await?;
+        self.write(ACCELEROMETER, &[FIFO_CTRL, FIFO_CTRL_BYPASS])
+            .await?;
+        self.write(ACCELEROMETER, &[TEMP_CFG, TEMP_CFG_ON]).await?;
+        let settings = [
+            CTRL2 | INCREMENT,
+            0,
+            CTRL3_WATERMARK_ON_INT1,
+            CTRL4_BLOCK_UPDATE | range << 4 | digits,
+            CTRL5_FIFO,
+            0,
+        ];
+        self.write(ACCELEROMETER, &settings).await?;
+        // The line rises when more wait than it is told.
+        let stream = FIFO_CTRL_STREAM | (self.fifo.watermark() - 1);
+        self.write(ACCELEROMETER, &[FIFO_CTRL, stream]).await?;
+        let magnetometer = [CFG_A_M | INCREMENT, CFG_A_M_RUN, 0, CFG_C_M_BLOCK_UPDATE];
+        self.write(MAGNETOMETER, &magnetometer).await?;
+        self.write(ACCELEROMETER, &[CTRL1, rate << 4 | power | CTRL1_AXES])
             .await
-            .map_err(fault)?;
-        device
-            .set_mag_mode_and_odr(
-                &mut NoDelay,
-                MagMode::HighResolution,
-                MagOutputDataRate::Hz10,
-            )
-            .await
-            .map_err(fault)?;
-        device
-            .set_accel_mode_and_odr(&mut NoDelay, mode, rate)
-            .await
-            .map_err(fault)?;
-        Ok(())
     }
 
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
-        let Some(first) = counts.first_mut() else {
-            return Err(SensorFault::NoData);
-        };
-        // A sample that waits keeps the line high.
-        let period_us = u64::from(self.period.0) / 1000;
-        let deadline = self.timer.now().0 + period_us * 3 + 20_000;
-        let (ready, woken, status) = loop {
-            let ready = self
-                .timer
-                .before(DeviceTimeUs(deadline), self.data_ready.ready());
-            let ready = ready.await;
-            let woken = self.timer.now();
-            let device = self.running().await?;
-            let status = device.accel_status().await.map_err(fault)?;
-            if status.xyz_new_data() {
-                break (ready, woken, status);
+        let mut lost = false;
+        loop {
+            let look = self.look().await?;
+            if look.overrun {
+                // The oldest makes place for a new one even while it is read, half of it old, half
+                // new; without it there is room.
+                self.read::<SAMPLE>(ACCELEROMETER, OUT_X_L).await?;
+                lost = true;
+                continue;
             }
-            if woken.0 >= deadline {
+            let count = counts.len().min(look.waiting.into());
+            if count == 0 {
                 return Err(SensorFault::NoData);
             }
-            // A line that somebody else holds says nothing: the sensor is asked.
-            self.timer.after_us(period_us / 8).await;
-        };
-        let device = self.running().await?;
-        let sample = device.acceleration().await.map_err(fault)?;
-        let (x, y, z) = sample.xyz_raw();
-        // After a whole period or an overrun, the line tells of an older sample.
-        let last_time = match ready.flatten() {
-            Some(rose) if !status.xyz_overrun() && woken.0 < rose.0 + period_us => rose,
-            _ => woken,
-        };
-        *first = Counts([x, y, z].map(|raw| raw as i16));
-        Ok(Batch {
-            count: 1,
-            last_time,
-            overrun: status.xyz_overrun(),
-            queued: false,
-        })
+            self.drain(counts.get_mut(..count).unwrap_or_default())
+                .await?;
+            if self.fifo.kept_up(&look, self.timer.now()) {
+                let unread = look.waiting - count as u8;
+                let look = Look {
+                    overrun: lost,
+                    ..look
+                };
+                return Ok(self.fifo.read(look, count, unread));
+            }
+            lost = true;
+        }
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
-        let measured = self.field_measured;
-        let device = self.running().await?;
-        let measured = measured || {
-            let status = device.mag_status().await.map_err(fault)?;
-            status.xyz_new_data()
-        };
-        let field = if measured {
-            let field = device.magnetic_field().await.map_err(fault)?;
-            Some(MagneticFieldNt([field.x_nt(), field.y_nt(), field.z_nt()]))
+        if !self.field_measured {
+            let [status] = self.read(MAGNETOMETER, STATUS_M).await?;
+            self.field_measured = status & STATUS_M_NEW != 0;
+        }
+        let magnetic_field = if self.field_measured {
+            let [x0, x1, y0, y1, z0, z1] = self.read(MAGNETOMETER, OUT_X_L_M).await?;
+            let field = [[x0, x1], [y0, y1], [z0, z1]];
+            let field = field.map(|axis| i32::from(i16::from_le_bytes(axis)) * NT_PER_LSB);
+            Some(MagneticFieldNt(field))
         } else {
             None
         };
-        let temperature = device.temperature().await.map_err(fault)?;
+        let temperature = i16::from_le_bytes(self.read(ACCELEROMETER, OUT_TEMP_L).await?);
         // 1/256 °C about 25 °C.
-        let centi = 2500 + i32::from(temperature.unscaled()) * 100 / 256;
-        self.field_measured = measured;
+        let centi = 2500 + i32::from(temperature) * 100 / 256;
         Ok(Surroundings {
-            magnetic_field: field,
+            magnetic_field,
             temperature: Some(CentiCelsius(centi as i16)),
         })
     }
-}
-
-fn fault<E: i2c::Error>(error: Error<E>) -> SensorFault {
-    match error {
-        Error::Comm(error) => SensorFault::of_bus(&error),
-        // Of values that this module does not ask for.
-        Error::InvalidInputData => SensorFault::Transfer,
-    }
-}
-
-/// The driver's delays wait for the first sample after a change: the data-ready line tells.
-struct NoDelay;
-
-impl embedded_hal::delay::DelayNs for NoDelay {
-    fn delay_ns(&mut self, _: u32) {}
-}
-
-impl embedded_hal_async::delay::DelayNs for NoDelay {
-    async fn delay_ns(&mut self, _: u32) {}
 }

@@ -7,6 +7,7 @@ mod bus;
 mod clock;
 mod data_ready;
 mod display;
+mod flash;
 #[path = "../../shared/last_words.rs"]
 mod last_words;
 mod rate;
@@ -14,7 +15,6 @@ mod rate;
 mod tasks;
 
 use cortex_m_rt::entry;
-use embassy_embedded_hal::adapter::BlockingAsync;
 use embassy_executor::{Executor, InterruptExecutor, Spawner};
 use embassy_nrf::buffered_uarte::{self, BufferedUarte, BufferedUarteRx, BufferedUarteTx};
 use embassy_nrf::config::{Config, HfclkSource};
@@ -34,6 +34,7 @@ use crate::bus::Bus;
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
 use crate::display::Matrix;
+use crate::flash::StoreFlash;
 use crate::rate::Rate;
 use crate::tasks::M;
 
@@ -45,15 +46,14 @@ bind_interrupts!(struct Interrupts {
 
 /// What the node is made of.
 type Sensor = Lsm303agr<PatientBus<Bus, BoardTimer>, Line, BoardTimer>;
-type Flash = BlockingAsync<Nvmc<'static>>;
-type Memory = FlashStore<Flash>;
+type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUarteRx<'static>;
 type Transmitter = BufferedUarteTx<'static>;
 
 /// The last 16 KiB: memory.x leaves them out.
-const LAYOUT: FlashLayout<Flash> = FlashLayout::new(0x7C000..0x80000);
-/// The flash's longest erase of a page, ms.
-const PAUSE_MS: u16 = 90;
+const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
+/// The longest erase of a page, ms: 22 steps of 5 ms, and 3 ms after each.
+const PAUSE_MS: u16 = 200;
 /// Two seconds of 32,768 Hz: how long nobody may feed the watchdog.
 const WATCHDOG_TICKS: u32 = 65_536;
 /// A row of the display is lit for this long.
@@ -206,7 +206,7 @@ fn start(spawner: Spawner) {
         ),
         accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer),
         timer: BoardTimer,
-        store: FlashStore::new(BlockingAsync::new(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
+        store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
         entropy,
         cable: cable.split(),
         wireless: wireless.split(),

@@ -24,8 +24,8 @@ const STATUS_NACK_DATA: u8 = 0xF2;
 const PATIENCE_US: u64 = 1_000_000;
 /// A bridge that has said nothing for so long has answered all that it was asked.
 const QUIET_US: u64 = 100_000;
-/// Longest message.
-const MESSAGE: usize = 64;
+/// Longest message: 16 samples and the status.
+const MESSAGE: usize = 128;
 
 /// The line to the bridge: it takes one question after the other.
 pub struct Bridge {

@@ -176,6 +176,11 @@ impl Board {
         self.poll();
     }
 
+    /// Lets `time_us` pass in which the processor stands still, as while its flash is erased.
+    pub fn stall(&mut self, time_us: u64) {
+        self.clock.advance_to(self.now_us() + time_us);
+    }
+
     /// Time since the first start, µs.
     pub fn now_us(&self) -> u64 {
         self.clock.now()
@@ -194,6 +199,12 @@ impl Board {
     /// The sensor's bus, to break it.
     pub fn bus_faults(&self) -> &Faults {
         &self.bus_faults
+    }
+
+    /// Somebody presses button A for the `count`th time.
+    pub fn press(&self, count: u16) {
+        let timer = BoardTimer::new(&self.clock, self.started_us, &self.config);
+        self.shared.mark(timer.now(), count);
     }
 
     /// The gesture of an owner who has lost the key.
@@ -260,11 +271,7 @@ fn boot(
         link(config.cable, &config.cable_faults, cable_channels);
     let (wireless_reader, wireless_writer, wireless) =
         link(config.wireless, &config.wireless_faults, wireless_channels);
-    let timer = BoardTimer {
-        clock: clock.clone(),
-        started_us: clock.now(),
-        rate_ppb: u128::from((1_000_000_000 + i64::from(config.clock_error_ppb)) as u64),
-    };
+    let timer = BoardTimer::new(clock, clock.now(), config);
     let (part, capabilities) = match config.sensor {
         SensorPart::Lsm303agr => (
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
@@ -380,6 +387,14 @@ pub struct BoardTimer {
 const ONE_PPB: u128 = 1_000_000_000;
 
 impl BoardTimer {
+    fn new(clock: &VirtualClock, started_us: u64, config: &BoardConfig) -> Self {
+        Self {
+            clock: clock.clone(),
+            started_us,
+            rate_ppb: u128::from((1_000_000_000 + i64::from(config.clock_error_ppb)) as u64),
+        }
+    }
+
     /// What it shows at `time_us` of the simulation.
     fn at(&self, time_us: u64) -> DeviceTimeUs {
         let passed = u128::from(time_us.saturating_sub(self.started_us));

@@ -166,6 +166,9 @@ pub struct Simulate {
     /// Board seconds per second
     #[arg(long, default_value_t = 1.0)]
     pub speed: f64,
+    /// When the board's button is pressed: a mark in the stream, the next position of a live calibration
+    #[arg(long, value_name = "SECONDS,…", value_delimiter = ',')]
+    pub press: Vec<f64>,
     /// Stop when the motion or the recording is over
     #[arg(long)]
     pub exit_when_done: bool,

@@ -99,6 +99,7 @@ pub fn pico(workspace: &Workspace) -> Result<(), String> {
         .map_err(|problem| problem.to_string())?;
     setup::cargo("test -p wimu-tests --test pico -- --ignored")
         .with("WIMU_PICO_FIRMWARE", &file.display().to_string())
+        .with("WIMU_PICO_ELF", &image.display().to_string())
         .run()
 }
 

@@ -63,16 +63,19 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
         let held = boot.epochs[before - 1].epoch;
         assert_eq!(held.state.phase, WirePhase::Resting);
         assert_eq!(Heading::of(&held).unwrap().sd_rad, None);
-        let mut rests = 0;
-        for pair in boot.epochs.windows(2) {
-            let epoch = &pair[1].epoch;
+        // How many rests had a heading, and whether the present one has.
+        let (mut rests, mut known) = (0, false);
+        for mark in &boot.epochs {
+            let epoch = &mark.epoch;
+            known &= epoch.state.phase == WirePhase::Resting;
             let Some(sd_mrad) = epoch.state.heading_sd_mrad else {
                 continue;
             };
             if epoch.reason != EpochReason::Heading {
                 continue;
             }
-            rests += usize::from(pair[0].epoch.state.phase != WirePhase::Resting);
+            rests += usize::from(!known);
+            known = true;
             let attitude = truth.pose(epoch.time_us as f64 * 1e-6).attitude;
             let off = off_rad(epoch, attitude);
             assert!(sd_mrad < 100, "seed {seed}: {epoch:?}");

@@ -4,7 +4,8 @@ use wimu_link::LinkRole;
 use wimu_link::hello::{Fault, ResetReason};
 use wimu_tests::{ROLES, assert_replays};
 
-use crate::run::{Run, happens, run};
+use crate::image::Image;
+use crate::run::{Run, call, happens, run};
 
 /// Why each start was, as both links tell it.
 fn starts(run: &Run) -> Vec<(ResetReason, Option<Fault>)> {
@@ -42,6 +43,32 @@ fn a_fault_is_told_with_its_place_in_the_hello_after_the_reset() {
                 Some(Fault::processor("hard fault", 0x1018_0000))
             ),
             // Once.
+            (ResetReason::Pin, None),
+        ]
+    );
+    assert_samples_again(&run, 40);
+}
+
+#[test]
+#[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
+fn a_panic_is_told_with_its_file_and_line_in_the_hello_after_the_reset() {
+    let image = Image::read();
+    // What an `unwrap` there would do that finds nothing.
+    let place = image.place_in("adxl345.rs");
+    let unwrap_failed = image.function("4core6option13unwrap_failed");
+    let run = run(
+        4.0,
+        &[
+            call(1_500, unwrap_failed, place.address),
+            happens(3_000, "reset"),
+        ],
+    );
+    assert!(place.fault.to_string().contains("adxl345.rs:"));
+    assert_eq!(
+        starts(&run),
+        [
+            (ResetReason::PowerOn, None),
+            (ResetReason::Fault, Some(place.fault)),
             (ResetReason::Pin, None),
         ]
     );

@@ -2,6 +2,7 @@
 //! pico`. Both UARTs take their time, bit by bit.
 
 mod faults;
+mod image;
 mod rates;
 mod run;
 mod store;

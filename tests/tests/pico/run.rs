@@ -86,6 +86,11 @@ pub fn happens(at_ms: u32, what: &str) -> Value {
     json!({"at_ms": at_ms, "do": what})
 }
 
+/// The processor goes on in the function at `address`, with this argument.
+pub fn call(at_ms: u32, address: u32, argument: u32) -> Value {
+    json!({"at_ms": at_ms, "do": "call", "address": address, "argument": argument})
+}
+
 /// A request without a signature.
 pub fn request(id: u32, command: Command) -> Vec<u8> {
     let request = Request {

@@ -1,5 +1,7 @@
 //! The accelerometer's and the thermometer's registers.
 
+use std::collections::VecDeque;
+
 use super::output::Output;
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
@@ -17,6 +19,7 @@ const CTRL6: u8 = 0x25;
 const STATUS: u8 = 0x27;
 const OUT_X_L: u8 = 0x28;
 const OUT_Z_H: u8 = 0x2D;
+const FIFO_CTRL: u8 = 0x2E;
 const FIFO_SRC: u8 = 0x2F;
 const INT1_SRC: u8 = 0x31;
 const INT2_SRC: u8 = 0x35;
@@ -24,12 +27,22 @@ const CLICK_SRC: u8 = 0x39;
 
 const CTRL1_LOW_POWER: u8 = 0x08;
 const CTRL3_DATA_READY: u8 = 0x18;
+const CTRL3_WATERMARK: u8 = 0x04;
+const CTRL3_OVERRUN: u8 = 0x02;
 const CTRL4_BLOCK_UPDATE: u8 = 0x80;
 const CTRL4_BIG_ENDIAN: u8 = 0x40;
 const CTRL4_HIGH_RESOLUTION: u8 = 0x08;
 const CTRL5_BOOT: u8 = 0x80;
+const CTRL5_FIFO: u8 = 0x40;
 const CTRL6_ACTIVE_LOW: u8 = 0x02;
 const TEMP_ENABLE: u8 = 0xC0;
+const FIFO_CTRL_THRESHOLD: u8 = 0x1F;
+const FIFO_SRC_WATERMARK: u8 = 0x80;
+const FIFO_SRC_FULL: u8 = 0x40;
+const FIFO_SRC_EMPTY: u8 = 0x20;
+const FIFO_SRC_LEVEL: u8 = 0x1F;
+
+const FIFO_SAMPLES: usize = 32;
 
 #[derive(Debug)]
 pub(super) struct Accelerometer {
@@ -39,7 +52,16 @@ pub(super) struct Accelerometer {
     sampling: Option<SampleClock>,
     taken: u64,
     output: Output<3>,
+    /// Samples that wait, while it is on; the oldest is what the output registers show.
+    fifo: VecDeque<[i16; 3]>,
     thermometer: Output<1>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Mode {
+    Bypass,
+    Fifo,
+    Stream,
 }
 
 impl Default for Accelerometer {
@@ -50,6 +72,7 @@ impl Default for Accelerometer {
             sampling: None,
             taken: 0,
             output: Output::new(),
+            fifo: VecDeque::new(),
             thermometer: Output::new(),
         };
         accelerometer.reset();
@@ -64,6 +87,7 @@ impl Accelerometer {
         self.registers[usize::from(CTRL1)] = 0x07;
         self.sampling = None;
         self.output = Output::new();
+        self.fifo.clear();
         self.thermometer = Output::new();
     }
 
@@ -72,7 +96,41 @@ impl Accelerometer {
     }
 
     pub(super) fn has_fresh(&self) -> bool {
-        self.output.fresh()
+        self.output.fresh() || !self.fifo.is_empty()
+    }
+
+    fn mode(&self) -> Mode {
+        if !self.is_set(CTRL5, CTRL5_FIFO) {
+            return Mode::Bypass;
+        }
+        match self.registers[usize::from(FIFO_CTRL)] >> 6 {
+            0b00 => Mode::Bypass,
+            0b01 => Mode::Fifo,
+            _ => Mode::Stream,
+        }
+    }
+
+    /// Whether more samples wait than the threshold says.
+    fn above_threshold(&self) -> bool {
+        let threshold = self.registers[usize::from(FIFO_CTRL)] & FIFO_CTRL_THRESHOLD;
+        self.fifo.len() > usize::from(threshold)
+    }
+
+    /// Whether it is the reader's turn.
+    fn waits(&self) -> bool {
+        match self.mode() {
+            Mode::Bypass => self.output.fresh(),
+            _ => self.above_threshold(),
+        }
+    }
+
+    /// The register after `register`: while the FIFO is on, its samples follow each other.
+    pub(super) fn after(&self, register: u8) -> u8 {
+        if register == OUT_Z_H && self.mode() != Mode::Bypass {
+            OUT_X_L
+        } else {
+            (register + 1) & 0x7F
+        }
     }
 
     pub(super) fn settle(&mut self, now: u64, source: &mut dyn Source) {
@@ -94,11 +152,15 @@ impl Accelerometer {
             lsb_per_g: self.lsb_per_g(),
             bits: self.bits(),
         };
-        if !(source.waits_for_reader() && self.output.fresh())
+        if !(source.waits_for_reader() && self.waits())
             && let Some(counts) = source.acceleration(&conversion)
         {
             let on = [0, 1, 2].map(|axis| self.is_set(CTRL1, 1 << axis));
-            self.output.store(counts.0, on, block_update);
+            if self.mode() == Mode::Bypass {
+                self.output.store(counts.0, on, block_update);
+            } else {
+                self.queue(counts.0);
+            }
             self.taken += 1;
         }
         if self.registers[usize::from(TEMP_CFG)] & TEMP_ENABLE == TEMP_ENABLE {
@@ -107,6 +169,36 @@ impl Accelerometer {
             let value = quantise(lsb, self.bits().min(10));
             self.thermometer.store([value], [true], block_update);
         }
+    }
+
+    /// A sample that has to go makes place even while it is read: no datasheet denies it.
+    fn queue(&mut self, sample: [i16; 3]) {
+        let full = self.fifo.len() >= FIFO_SAMPLES;
+        if full && self.mode() == Mode::Fifo {
+            return;
+        }
+        if full {
+            self.fifo.pop_front();
+        }
+        self.fifo.push_back(sample);
+    }
+
+    /// A byte of the oldest sample that waits; its last byte makes place for the next.
+    fn unqueue(&mut self, byte: u8) -> u8 {
+        let sample = self.fifo.front().copied().unwrap_or_default();
+        let bytes = sample.map(i16::to_le_bytes);
+        if byte == OUT_Z_H - OUT_X_L {
+            self.fifo.pop_front();
+        }
+        bytes[usize::from(byte / 2)][usize::from(byte % 2)]
+    }
+
+    fn fifo_source(&self) -> u8 {
+        let on = |condition: bool, bit: u8| if condition { bit } else { 0 };
+        on(self.above_threshold(), FIFO_SRC_WATERMARK)
+            | on(self.fifo.len() >= FIFO_SAMPLES, FIFO_SRC_FULL)
+            | on(self.fifo.is_empty(), FIFO_SRC_EMPTY)
+            | (self.fifo.len() as u8).min(FIFO_SRC_LEVEL)
     }
 
     pub(super) fn read(&mut self, register: u8) -> u8 {
@@ -118,12 +210,13 @@ impl Accelerometer {
             OUT_TEMP_L | OUT_TEMP_H => self.thermometer.read(register - OUT_TEMP_L, false),
             WHO_AM_I => self.who_am_i,
             STATUS => self.output.status(),
+            OUT_X_L..=OUT_Z_H if self.mode() != Mode::Bypass => self.unqueue(register - OUT_X_L),
             OUT_X_L..=OUT_Z_H => {
                 // Byte order is the programmer's choice at high resolution only.
                 let big_endian = self.is_set(CTRL4, CTRL4_BIG_ENDIAN) && self.bits() == 12;
                 self.output.read(register - OUT_X_L, big_endian)
             }
-            FIFO_SRC => 0x20, // empty
+            FIFO_SRC => self.fifo_source(),
             _ => self
                 .registers
                 .get(usize::from(register))
@@ -149,6 +242,9 @@ impl Accelerometer {
         }
         // Rebooting the trimming values is done before the next byte.
         self.registers[usize::from(CTRL5)] &= !CTRL5_BOOT;
+        if self.mode() == Mode::Bypass {
+            self.fifo.clear();
+        }
         let rate = self.rate_hz();
         if rate != rate_before {
             self.sampling = rate.map(|rate| SampleClock::new(rate, now, period_error_ppm));
@@ -158,13 +254,20 @@ impl Accelerometer {
     /// The level of INT1.
     pub(super) fn int1(&self) -> bool {
         let active_low = self.is_set(CTRL6, CTRL6_ACTIVE_LOW);
-        (self.is_set(CTRL3, CTRL3_DATA_READY) && self.output.fresh()) != active_low
+        self.interrupts() != active_low
     }
 
-    /// When the next sample will raise data-ready, µs; `None` if it is raised already, or not on
-    /// INT1.
+    fn interrupts(&self) -> bool {
+        let watermark = self.is_set(CTRL3, CTRL3_WATERMARK) && self.above_threshold();
+        let full = self.is_set(CTRL3, CTRL3_OVERRUN) && self.fifo.len() >= FIFO_SAMPLES;
+        let ready = self.is_set(CTRL3, CTRL3_DATA_READY) && self.has_fresh();
+        watermark || full || ready
+    }
+
+    /// When the next sample may raise INT1, µs; `None` if it is raised already, or for nothing.
     pub(super) fn next_data_ready(&self) -> Option<u64> {
-        if self.is_set(CTRL3, CTRL3_DATA_READY) && !self.output.fresh() {
+        let any = CTRL3_DATA_READY | CTRL3_WATERMARK | CTRL3_OVERRUN;
+        if self.is_set(CTRL3, any) && !self.interrupts() {
             self.sampling.map(|sampling| sampling.next_us())
         } else {
             None

@@ -2,10 +2,12 @@
 //!
 //! Modelled: identities, output data rates, power-down, ranges, resolutions of 8, 10 and 12 bits,
 //! left-justified output with block data update and either byte order, axis enables, status with
-//! overruns, data-ready on INT1 of either polarity, thermometer, sub-address increment;
-//! magnetometer continuous, single and idle, its offset registers and soft reset. Other registers
-//! keep what is written to them and do nothing: FIFO, filters, self-test, the interrupt
-//! generators and the magnetometer's own pin are not modelled.
+//! overruns, the FIFO of 32 samples (bypass, FIFO, stream) with its level and threshold, data-ready,
+//! watermark and overrun on INT1 of either polarity, thermometer, sub-address increment, which goes
+//! back to the first output register while the FIFO is on; magnetometer continuous, single and
+//! idle, its offset registers and soft reset. Other registers keep what is written to them and do
+//! nothing: the FIFO's trigger, filters, self-test, the interrupt generators and the
+//! magnetometer's own pin are not modelled.
 
 mod accelerometer;
 mod magnetometer;
@@ -47,11 +49,11 @@ impl Pointer {
         self.expects_register = false;
     }
 
-    /// The register for one byte of data.
-    fn next(&mut self) -> u8 {
+    /// The register for one byte of data, `after` which the next one is.
+    fn next(&mut self, after: impl Fn(u8) -> u8) -> u8 {
         let register = self.register;
         if self.increments {
-            self.register = (register + 1) & 0x7F;
+            self.register = after(register);
         }
         register
     }
@@ -92,7 +94,7 @@ impl Chip for Lsm303agr {
             pointer.set(byte);
             return;
         }
-        let register = pointer.next();
+        let register = pointer.next(|register| (register + 1) & 0x7F);
         if address == MAGNETOMETER_ADDRESS {
             self.magnetometer
                 .write(register, byte, now, period_error_ppm);
@@ -103,10 +105,13 @@ impl Chip for Lsm303agr {
     }
 
     fn read(&mut self, address: u8) -> u8 {
-        let register = self.pointer(address).next();
         if address == MAGNETOMETER_ADDRESS {
+            let pointer = &mut self.magnetometer_pointer;
+            let register = pointer.next(|register| (register + 1) & 0x7F);
             self.magnetometer.read(register)
         } else {
+            let pointer = &mut self.accelerometer_pointer;
+            let register = pointer.next(|register| self.accelerometer.after(register));
             self.accelerometer.read(register)
         }
     }

@@ -18,6 +18,7 @@ use wimu_host::mimu4444::Capture;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
+use wimu_link::message::Event as Happened;
 use wimu_model::{Counts, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Foreign, Method};
@@ -443,11 +444,13 @@ fn collect<T: Transport>(
         ));
     }
     output.say(if six {
-        "hold the board still with each of its six sides up, in any order".to_owned()
+        "hold the board still with each of its six sides up, in any order; its button takes a side at \
+         once"
+            .to_owned()
     } else {
         format!(
             "hold the board still in {count} orientations, as advised or as different as you can; \
-             Ctrl-C ends early, s and Enter skips what cannot be reached"
+             Ctrl-C ends early, the board's button, or s and Enter, skips what cannot be reached"
         )
     });
     let stop = interrupted()?;
@@ -457,19 +460,12 @@ fn collect<T: Transport>(
         ModelChoice::Fixed(model) => model,
         ModelChoice::Auto => Model::Full9,
     };
-    let advise = |session: &Session<ROOM>| {
-        if let Some(next) = session.next().filter(|_| !six) {
-            output.say(format!("next, for example: {}", next.instruction()));
-        }
-    };
     let mut record = LinkHistory::new(client.hello().role);
-    let mut session: Option<(Session<ROOM>, Sensitivity)> = None;
-    let mut faces = Vec::new();
+    let mut live: Option<Live> = None;
     while !stop.load(Ordering::Relaxed) {
         while skips.try_recv().is_ok() {
-            if let Some((session, _)) = &mut session {
-                session.skip();
-                advise(session);
+            if let Some(live) = &mut live {
+                live.skip();
             }
         }
         let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
@@ -477,43 +473,115 @@ fn collect<T: Transport>(
         };
         record.take(&arrival);
         match &arrival.event {
-            Event::Epoch { epoch, .. } if session.is_none() => {
+            Event::Epoch { epoch, .. } if live.is_none() => {
                 let rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
                 if let Ok(sensitivity) = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g) {
-                    let (session, _) =
-                        session.insert((Session::new(rate_hz, model, wanted), sensitivity));
-                    advise(session);
+                    let live = live.insert(Live {
+                        session: Session::new(rate_hz, model, wanted),
+                        sensitivity,
+                        wanted,
+                        sides: six.then(Vec::new),
+                        output,
+                    });
+                    live.advise();
                 }
             }
             Event::Samples(samples) if samples.stream == Stream::Raw => {
-                let Some((session, sensitivity)) = &mut session else {
+                let Some(live) = &mut live else {
                     continue;
                 };
-                for sample in samples.iter() {
-                    let counts = Counts(sample.value.map(|axis| axis as i16));
-                    let phase = session.push(sensitivity.to_mps2(counts).0);
-                    let Phase::Captured { pose } = phase else {
-                        continue;
-                    };
-                    let face = session.poses().get(pose).and_then(Face::of);
-                    faces.extend(face.filter(|face| !faces.contains(face)));
-                    output.say(match face {
-                        Some(face) => format!("pose {} captured: {face}", pose + 1),
-                        None => format!("pose {} captured", pose + 1),
-                    });
-                    advise(session);
-                }
-                let enough = if six {
-                    faces.len() == Face::ALL.len()
-                } else {
-                    session.poses().len() >= wanted
-                };
-                if enough || session.poses().len() == ROOM {
+                samples.iter().for_each(|sample| live.push(sample.value));
+                if live.is_complete() {
                     break;
+                }
+            }
+            Event::Device {
+                event: Happened::Marked { .. },
+                ..
+            } => {
+                if let Some(live) = &mut live {
+                    live.go_on();
                 }
             }
             _ => {}
         }
     }
     Dataset::from_link(&record, client.name())
+}
+
+/// A live calibration: what a person who turns the board is told.
+struct Live {
+    session: Session<ROOM>,
+    sensitivity: Sensitivity,
+    /// So many poses are enough, unless sides are to be up.
+    wanted: usize,
+    /// Of the six-position method: the sides that have been up.
+    sides: Option<Vec<Face>>,
+    output: Output,
+}
+
+impl Live {
+    /// Takes a raw sample.
+    fn push(&mut self, counts: [i32; 3]) {
+        let counts = Counts(counts.map(|axis| axis as i16));
+        let output = self.sensitivity.to_mps2(counts);
+        if let Phase::Captured { pose } = self.session.push(output.0) {
+            self.captured(pose);
+        }
+    }
+
+    /// The board's button: takes the pose that is held, or skips the one that is advised.
+    fn go_on(&mut self) {
+        match self.session.capture() {
+            Some(pose) => self.captured(pose),
+            None => self.skip(),
+        }
+    }
+
+    fn skip(&mut self) {
+        self.session.skip();
+        self.advise();
+    }
+
+    fn captured(&mut self, pose: usize) {
+        let side = self.session.poses().get(pose).and_then(Face::of);
+        self.output.say(match side {
+            Some(side) => format!("pose {} captured: {side}", pose + 1),
+            None => format!("pose {} captured", pose + 1),
+        });
+        if let (Some(sides), Some(side)) = (&mut self.sides, side)
+            && !sides.contains(&side)
+        {
+            sides.push(side);
+        }
+        self.advise();
+    }
+
+    fn advise(&self) {
+        match &self.sides {
+            Some(sides) => {
+                let left = Face::ALL.iter().filter(|side| !sides.contains(side));
+                let left: Vec<_> = left.map(Face::to_string).collect();
+                if !left.is_empty() {
+                    self.output
+                        .say(format!("still to come: {}", left.join("; ")));
+                }
+            }
+            None => {
+                if let Some(next) = self.session.next() {
+                    self.output
+                        .say(format!("next, for example: {}", next.instruction()));
+                }
+            }
+        }
+    }
+
+    /// Whether there are poses enough, or no room for more.
+    fn is_complete(&self) -> bool {
+        let all = match &self.sides {
+            Some(sides) => sides.len() == Face::ALL.len(),
+            None => self.session.poses().len() >= self.wanted,
+        };
+        all || self.session.poses().len() == ROOM
+    }
 }

@@ -55,6 +55,13 @@ struct LinkTruth {
 }
 
 pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
+    if let Some(time) = arguments.press.iter().find(|time| !(**time >= 0.0)) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("--press {time} is no time"),
+            "give the seconds since the board's start, as in --press 5,9.5",
+        ));
+    }
     if !(arguments.speed > 0.0 && arguments.speed <= 1000.0) {
         return Err(HostError::new(
             ErrorCode::Usage,
@@ -158,8 +165,15 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     output.object(&listening);
     let stop = interrupted()?;
     let mut done_at = None;
+    let mut presses = arguments.press.clone();
+    presses.sort_by(f64::total_cmp);
+    let mut presses = (1..).zip(presses).peekable();
     server.run(|board| {
         let now_us = board.now_us();
+        let is_due = |(_, at_s): &(u16, f64)| *at_s <= now_us as f64 * 1e-6;
+        while let Some((count, _)) = presses.next_if(is_due) {
+            board.press(count);
+        }
         let done = match &played {
             Some((scene, motion)) => {
                 let over = now_us as f64 * 1e-6 >= scene.end_s();

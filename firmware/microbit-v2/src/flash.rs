@@ -1,0 +1,76 @@
+//! The chip's flash, whose pages are erased in small steps.
+//!
+//! Erasing a page takes 87 ms, in which the processor stands still: a sensor's FIFO of 32 samples would
+//! overflow. The chip can also do it in parts. Between them interrupts and tasks have their turn.
+
+use embassy_nrf::nvmc::{Error, FLASH_SIZE, Nvmc, PAGE_SIZE};
+use embassy_nrf::pac;
+use embassy_nrf::pac::nvmc::vals::Wen;
+use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use wimu_node::Timer;
+
+use crate::clock::BoardTimer;
+
+/// What its maker says that erasing a page takes in all, ms.
+const ERASE_MS: u8 = 87;
+/// A part of it, ms: half of the sensor's FIFO takes 16 samples in 12 ms.
+const STEP_MS: u8 = 4;
+/// Between two parts, µs: long enough to read 16 samples from the sensor.
+const BETWEEN_US: u64 = 3_000;
+
+/// The flash.
+pub struct StoreFlash(pub Nvmc<'static>);
+
+impl ErrorType for StoreFlash {
+    type Error = Error;
+}
+
+impl ReadNorFlash for StoreFlash {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
+        self.0.read(offset, bytes)
+    }
+
+    fn capacity(&self) -> usize {
+        FLASH_SIZE
+    }
+}
+
+impl NorFlash for StoreFlash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = PAGE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
+        if from > to || to as usize > FLASH_SIZE {
+            return Err(Error::OutOfBounds);
+        }
+        if [from, to].iter().any(|at| *at as usize % PAGE_SIZE != 0) {
+            return Err(Error::Unaligned);
+        }
+        for page in (from..to).step_by(PAGE_SIZE) {
+            for _ in 0..ERASE_MS.div_ceil(STEP_MS) {
+                erase_partly(page);
+                BoardTimer.after_us(BETWEEN_US).await;
+            }
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        self.0.write(offset, bytes)
+    }
+}
+
+/// Erases a page for [`STEP_MS`], for which the processor stands still, and the millisecond that the
+/// hardware takes to begin.
+fn erase_partly(page: u32) {
+    let nvmc = pac::NVMC;
+    nvmc.erasepagepartialcfg()
+        .write(|w| w.set_duration(STEP_MS));
+    nvmc.config().write(|w| w.set_wen(Wen::Een));
+    nvmc.erasepagepartial().write_value(page);
+    while !nvmc.ready().read().ready() {}
+    nvmc.config().write(|w| w.set_wen(Wen::Ren));
+}

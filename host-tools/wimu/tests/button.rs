@@ -1,0 +1,93 @@
+//! The button at the board: a mark in the stream, and a person's "next" in a live calibration.
+
+mod kit;
+
+use std::fmt::Write as _;
+use std::fs;
+
+use kit::{Background, Ran, Simulator, in_folder, wimu};
+
+/// What people are told, line by line, that begins so.
+fn told<'a>(ran: &'a Ran, begins: &str) -> Vec<&'a str> {
+    let lines = ran.stderr.lines().map(str::trim);
+    lines.filter(|line| line.starts_with(begins)).collect()
+}
+
+/// Each side up for 1.3 s, which is too short to be taken by itself, and half a second of motion
+/// before it: counts at 100 Hz.
+fn six_short_holds() -> String {
+    let mut csv = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
+    for side in 0..6 {
+        for k in 0..180_i32 {
+            let mut counts = if k < 50 {
+                [k * 173 % 9000, k * 311 % 7000, k * 97 % 8000]
+            } else {
+                [(k % 3) * 16, (k % 2) * 16, (k % 5) * 16]
+            };
+            counts[side / 2] += if side % 2 == 0 { 16_384 } else { -16_384 };
+            writeln!(csv, "{},{},{}", counts[0], counts[1], counts[2]).expect("memory");
+        }
+    }
+    csv
+}
+
+#[test]
+fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
+    let (holds, _folder) = in_folder("holds.csv");
+    fs::write(&holds, six_short_holds()).expect("writable");
+    // 1.1 s into each hold.
+    let presses: Vec<_> = (0..6)
+        .map(|side| format!("{:.1}", 1.6 + 1.8 * f64::from(side)))
+        .collect();
+    let board = Simulator::start(&["--replay", &holds, "--press", &presses.join(",")]);
+    let ran = wimu(&["calibrate", &board.cable, "--method", "six-position"]);
+    let report = ran.succeeds();
+    assert_eq!(report["poses"], 6, "{report}");
+    let captured = told(&ran, "pose ");
+    assert_eq!(captured.len(), 6, "{ran:?}");
+    assert!(captured[0].starts_with("pose 1 captured: "), "{ran:?}");
+    // Of six sides six are left, then five, …
+    let left = told(&ran, "still to come: ");
+    let counts: Vec<_> = left.iter().map(|line| line.split("; ").count()).collect();
+    assert_eq!(counts, [6, 5, 4, 3, 2, 1]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
+    let board = Simulator::start(&["--motion", "rest", "--exit-when-done", "--press", "3,4"]);
+    let calibrating = Background::start(&["calibrate", &board.cable]);
+    std::thread::sleep(std::time::Duration::from_millis(6_000));
+    let ran = calibrating.signal("-INT");
+    assert_eq!(told(&ran, "pose ").len(), 1, "{ran:?}");
+    // At first, after the pose, and after each press: never the same again.
+    let mut advice = told(&ran, "next, for example: ");
+    assert_eq!(advice.len(), 4, "{ran:?}");
+    advice.sort_unstable();
+    advice.dedup();
+    assert_eq!(advice.len(), 4, "{ran:?}");
+}
+
+#[test]
+fn a_press_is_a_mark_in_the_recording_and_on_the_screen() {
+    let board = Simulator::start(&["--motion", "rest", "--speed", "4", "--press", "2.5,1.5"]);
+    let (recording, _folder) = in_folder("marked.mcap");
+    wimu(&["record", &board.cable, "-o", &recording, "--for", "1.5"]).succeeds();
+    let info = wimu(&["info", &recording]).succeeds();
+    let text = info.to_string();
+    for mark in [
+        "1.50 s: the button was pressed: mark 1",
+        "2.50 s: the button was pressed: mark 2",
+    ] {
+        assert!(text.contains(mark), "{text}");
+    }
+}
+
+#[test]
+fn a_press_at_no_time_is_refused() {
+    for time in ["-1", "soon", "nan"] {
+        let option = format!("--press={time}");
+        let ran = wimu(&["simulate", &option, "--motion", "rest"]);
+        assert_eq!(ran.code, 2, "{time}: {ran:?}");
+    }
+}

@@ -42,6 +42,8 @@ export class Pico {
     this.complaints = [];
     this.resets = 0;
     this.deepest = 0;
+    /** The longest time for which interrupts were off but for the flash, and where that ended. */
+    this.masked = { ns: 0, until: 0 };
     this.received = [[], []];
     this.levels = new Map();
     /** At what rate the other ends of the UARTs are, bits/s. */
@@ -79,6 +81,7 @@ export class Pico {
     const before = this.chip;
     const chip = new RP2040(this.clock);
     this.chip = chip;
+    this.maskedSince = undefined;
     chip.logger = { debug() {}, info() {}, warn() {}, error: (...words) => this.complaints.push(words.join(' ')) };
     chip.loadBootrom(bootrom());
     chip.onBreak = (number) => this.romFunction(ROM_FUNCTIONS[number]);
@@ -283,13 +286,28 @@ export class Pico {
         clock.tick(idle > 0 ? Math.min(idle, ns - clock.nanos) : 8);
       } else {
         clock.tick(core.executeInstruction() * 8);
+        this.noteMask(core);
       }
     }
+  }
+
+  noteMask(core) {
+    if (core.PM) {
+      this.maskedSince ??= this.clock.nanos;
+      return;
+    }
+    const ns = this.clock.nanos - this.maskedSince;
+    if (ns > this.masked.ns && !this.flashed) {
+      this.masked = { ns, until: core.PC };
+    }
+    this.maskedSince = undefined;
+    this.flashed = false;
   }
 
   /** Changes bytes of the flash one after another; power that fails meanwhile leaves the rest. */
   changeFlash(ns, bytes, change) {
     this.changesToCut -= 1;
+    this.flashed = true;
     const cut = this.changesToCut === 0;
     for (let k = 0; k < (cut ? bytes / 2 : bytes); k++) {
       change(k);

@@ -60,12 +60,14 @@ fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
     std::thread::sleep(std::time::Duration::from_millis(6_000));
     let ran = calibrating.signal("-INT");
     assert_eq!(told(&ran, "pose ").len(), 1, "{ran:?}");
-    // At first, after the pose, and after each press: never the same again.
-    let mut advice = told(&ran, "next, for example: ");
-    assert_eq!(advice.len(), 4, "{ran:?}");
-    advice.sort_unstable();
-    advice.dedup();
-    assert_eq!(advice.len(), 4, "{ran:?}");
+    // At first, after the pose, and after each press.
+    let advice = told(&ran, "next, for example: ");
+    let [_, after_the_pose, first, second] = advice[..] else {
+        panic!("{ran:?}");
+    };
+    // What is skipped is not advised again.
+    let skipped = [after_the_pose, first];
+    assert!(first != skipped[0] && !skipped.contains(&second), "{ran:?}");
 }
 
 #[test]

@@ -55,7 +55,11 @@ struct LinkTruth {
 }
 
 pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
-    if let Some(time) = arguments.press.iter().find(|time| !(**time >= 0.0)) {
+    if let Some(time) = arguments
+        .press
+        .iter()
+        .find(|time| !time.is_finite() || **time < 0.0)
+    {
         return Err(HostError::new(
             ErrorCode::Usage,
             format!("--press {time} is no time"),

@@ -14,7 +14,7 @@ use wimu_link::message::{
     ActiveParameters, Answer, Command, EncodedParameters, Event, ParameterFault, Payload, Record,
     Refusal, Settings, Streams, WireParameters,
 };
-use wimu_link::{Kind, LinkRole};
+use wimu_link::{Kind, LinkRole, Responder};
 use wimu_model::{
     CentiCelsius, CompileError, Corrector, DeviceTimeUs, ParameterId, ParameterSet, SensorId,
 };
@@ -98,19 +98,22 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                             Ok(_) => Answer::Accepted(Payload::None),
                             Err(refusal) => Answer::Refused(refusal),
                         },
-                    );
+                    )
+                    .await;
                     // The answer leaves at the old rate.
                     if let Ok((line, order)) = outcome {
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
-                Either4::First((role, Command::GetParameters)) => self.answer_parameters(role),
+                Either4::First((role, Command::GetParameters)) => {
+                    self.answer_parameters(role).await
+                }
                 Either4::First((role, command)) => {
                     let answer = match self.obey(&mut plan, role, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    self.answer(role, &answer);
+                    self.answer(role, &answer).await;
                     // Behind the answer: they are long, and somebody waits for it.
                     if core::mem::take(&mut self.parameters_changed) {
                         self.announce_parameters();
@@ -132,18 +135,26 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.shared.stream([true; 2], &status, |_| true);
     }
 
-    fn answer(&self, role: LinkRole, answer: &Answer<EncodedParameters>) {
-        let mut frame = [0; MAX_FRAME];
-        let reply = self
-            .shared
-            .with_inbox(role, |inbox| inbox.responder.reply(answer, &mut frame));
-        self.shared.keep(role, reply);
+    async fn answer(&self, role: LinkRole, answer: &Answer<EncodedParameters<'_>>) {
+        let mut responder = self.shared.responder(role).await;
+        self.reply(role, &mut responder, answer);
     }
 
-    fn answer_parameters(&self, role: LinkRole) {
+    async fn answer_parameters(&self, role: LinkRole) {
+        let mut responder = self.shared.responder(role).await;
         let active = self.shared.active();
         let active = Payload::Parameters(active_parameters(&active));
-        self.answer(role, &Answer::Accepted(active));
+        self.reply(role, &mut responder, &Answer::Accepted(active));
+    }
+
+    fn reply(
+        &self,
+        role: LinkRole,
+        responder: &mut Responder,
+        answer: &Answer<EncodedParameters<'_>>,
+    ) {
+        let mut frame = [0; MAX_FRAME];
+        self.shared.keep(role, responder.reply(answer, &mut frame));
     }
 
     /// What is to become of a line's rate because of a request on the link `role`.

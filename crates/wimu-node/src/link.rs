@@ -87,7 +87,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                     }
                     Ok(frame) if frame.kind == Kind::Request => {
                         heard = true;
-                        let Some(command) = self.accept(frame.body) else {
+                        let Some(command) = self.accept(frame.body).await else {
                             continue;
                         };
                         if let Command::StageParameters(set) = command {
@@ -114,23 +114,26 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     }
 
     /// A command to carry out; anything else is answered here.
-    fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<EncodedParameters<'b>>> {
+    async fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<EncodedParameters<'b>>> {
         let lock = self.shared.lock();
-        self.shared.with_inbox(self.role, |inbox| {
-            match inbox.responder.accept(request, &lock) {
-                Decision::Execute(command) => Some(command),
-                Decision::Send(answer) => {
-                    self.shared.keep(self.role, answer);
-                    None
-                }
-                Decision::Ignore => None,
+        let mut responder = self.shared.responder(self.role).await;
+        let command = match responder.accept(request, &lock) {
+            Decision::Execute(command) => Some(command),
+            Decision::Send(answer) => {
+                self.shared.keep(self.role, answer);
+                None
             }
-        })
+            Decision::Ignore => None,
+        };
+        let repeated = responder.repeated();
+        self.shared
+            .with_heard(self.role, |heard| heard.repeated = repeated);
+        command
     }
 
     fn count_damaged(&self) {
-        self.shared.with_inbox(self.role, |inbox| {
-            inbox.damaged = inbox.damaged.wrapping_add(1)
+        self.shared.with_heard(self.role, |heard| {
+            heard.damaged = heard.damaged.wrapping_add(1);
         });
     }
 }

@@ -5,6 +5,7 @@ use core::cell::{Cell, RefCell};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
+use embassy_sync::mutex::{MappedMutexGuard, Mutex as AsyncMutex, MutexGuard};
 use embassy_sync::signal::Signal;
 use wimu_integrator::Compass;
 use wimu_link::auth::Lock;
@@ -56,8 +57,10 @@ pub struct Shared<M: RawMutex> {
 struct LinkShared<M: RawMutex> {
     outbox: Mutex<M, RefCell<FrameQueue>>,
     waiting: Signal<M, ()>,
-    /// From the first that comes.
-    inbox: Mutex<M, RefCell<Slot<Inbox>>>,
+    /// From the first request on. It checks signatures and makes them: it is never held with
+    /// interrupts off, which would make the times of samples late.
+    responder: AsyncMutex<M, Slot<Responder>>,
+    heard: Mutex<M, Cell<Heard>>,
     rate: RateSignals<M>,
     /// The nearest rate that the line can run at, if it can be set.
     nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
@@ -68,7 +71,8 @@ impl<M: RawMutex> LinkShared<M> {
         Self {
             outbox: Mutex::new(RefCell::new(FrameQueue::new())),
             waiting: Signal::new(),
-            inbox: Mutex::new(RefCell::new(Slot::Empty)),
+            responder: AsyncMutex::new(Slot::Empty),
+            heard: Mutex::new(Cell::new(Heard::NOTHING)),
             rate: RateSignals {
                 order: Signal::new(),
                 heard: Signal::new(),
@@ -100,27 +104,27 @@ pub(crate) enum RateOrder {
     Try(u32),
 }
 
-/// The receiving side of a link.
-pub(crate) struct Inbox {
-    pub(crate) responder: Responder,
+/// What has been heard on a link.
+#[derive(Clone, Copy)]
+pub(crate) struct Heard {
     pub(crate) damaged: u32,
+    /// Requests that were there already.
+    pub(crate) repeated: u32,
     /// Somebody has begun to listen, or has missed something.
     epoch_wanted: bool,
 }
 
-impl Inbox {
-    fn new(role: LinkRole) -> Self {
-        Self {
-            responder: Responder::new(role),
-            damaged: 0,
-            epoch_wanted: false,
-        }
-    }
+impl Heard {
+    const NOTHING: Self = Self {
+        damaged: 0,
+        repeated: 0,
+        epoch_wanted: false,
+    };
 }
 
 /// The parameter set that a host has sent, and then the one that is staged. Who has written it must
 /// find it as it was: it may be held over a wait.
-pub(crate) type Desk<M> = embassy_sync::mutex::Mutex<M, Staged>;
+pub(crate) type Desk<M> = AsyncMutex<M, Staged>;
 
 /// A set on the desk.
 pub(crate) struct Staged {
@@ -387,14 +391,23 @@ impl<M: RawMutex> Shared<M> {
         self.publish(|published| published.parameters = id);
     }
 
-    pub(crate) fn with_inbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut Inbox) -> R) -> R {
+    /// Who answers the requests of a link.
+    pub(crate) async fn responder(&self, role: LinkRole) -> MappedMutexGuard<'_, M, Responder> {
         let new = match role {
-            LinkRole::Cable => || Inbox::new(LinkRole::Cable),
-            _ => || Inbox::new(LinkRole::Wireless),
+            LinkRole::Cable => || Responder::new(LinkRole::Cable),
+            _ => || Responder::new(LinkRole::Wireless),
         };
-        self.link(role)
-            .inbox
-            .lock(|inbox| f(inbox.borrow_mut().or_new(new)))
+        let responder = self.link(role).responder.lock().await;
+        MutexGuard::map(responder, |responder| responder.or_new(new))
+    }
+
+    pub(crate) fn with_heard<R>(&self, role: LinkRole, f: impl FnOnce(&mut Heard) -> R) -> R {
+        self.link(role).heard.lock(|cell| {
+            let mut heard = cell.get();
+            let result = f(&mut heard);
+            cell.set(heard);
+            result
+        })
     }
 
     fn with_outbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut FrameQueue) -> R) -> R {
@@ -467,11 +480,11 @@ impl<M: RawMutex> Shared<M> {
 
     /// Whether a link wants an epoch; it wants it no more then.
     pub(crate) fn take_epoch_wanted(&self, role: LinkRole) -> bool {
-        self.with_inbox(role, |inbox| core::mem::take(&mut inbox.epoch_wanted))
+        self.with_heard(role, |heard| core::mem::take(&mut heard.epoch_wanted))
     }
 
     fn want_epoch(&self, role: LinkRole) {
-        self.with_inbox(role, |inbox| inbox.epoch_wanted = true);
+        self.with_heard(role, |heard| heard.epoch_wanted = true);
     }
 
     /// Who the device is, its settings, its parameters, how it is and what is wrong with it: what
@@ -507,7 +520,7 @@ impl<M: RawMutex> Shared<M> {
         let published = self.published();
         let link = |role| {
             let (damaged, repeated) =
-                self.with_inbox(role, |inbox| (inbox.damaged, inbox.responder.repeated()));
+                self.with_heard(role, |heard| (heard.damaged, heard.repeated));
             self.link(role).outbox.lock(|outbox| {
                 let outbox = outbox.borrow();
                 LinkStatus {

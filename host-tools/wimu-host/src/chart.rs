@@ -185,7 +185,7 @@ impl Chart {
         let say = |error: &dyn std::fmt::Display| error.to_string();
         let font = |size: u32| (FONT, size * fine).into_font().color(&INK);
         area.fill(&WHITE).map_err(|e| say(&e))?;
-        let area = area.margin(6 * fine, 0, 0, 0);
+        let area = area.margin(12 * fine, 0, 0, 0);
         let area = area.titled(&self.title, font(18)).map_err(|e| say(&e))?;
         // Above the picture, where it hides nothing.
         let (legend, below) = area.split_vertically(24 * fine);

@@ -28,6 +28,8 @@ struct Stretch {
     range_g: u8,
     /// Host time at which the device's time was 0, s.
     began_s: f64,
+    /// Added to every value, LSB.
+    bias_lsb: i16,
     /// Every so many batches the two next ones change places.
     swaps: bool,
 }
@@ -41,6 +43,7 @@ impl Default for Stretch {
             rate_hz: 100,
             range_g: 2,
             began_s: 0.0,
+            bias_lsb: 0,
             swaps: false,
         }
     }
@@ -87,7 +90,8 @@ impl Stretch {
             }
             let samples: [Counts; BATCH as usize] = std::array::from_fn(|k| {
                 let phase = f64::from(first + k as u32) * 0.11;
-                let lsb = |wave: f64| (8000.0 * wave / f64::from(self.range_g)) as i16;
+                let lsb =
+                    |wave: f64| (8000.0 * wave / f64::from(self.range_g)) as i16 + self.bias_lsb;
                 Counts([lsb(phase.sin()), lsb(phase.cos()), lsb((0.7 * phase).sin())])
             });
             let time = DeviceTimeUs(time_us(number));
@@ -289,4 +293,38 @@ fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
         assert!(read("svg").starts_with(b"<svg"), "{name}");
     }
     assert_eq!(fs::read_to_string(page).unwrap().matches("<svg").count(), 7);
+}
+
+#[test]
+fn a_link_model_takes_off_what_the_comparison_found() {
+    let folder = folder();
+    let other = Stretch {
+        bias_lsb: 40,
+        ..Stretch::default()
+    };
+    let brought = [Stretch::default().on(CABLE), other.on(WIRELESS)].concat();
+    let session = file(folder.path(), brought);
+    let model = folder.path().join("link.json").display().to_string();
+    wimu(&["compare", &session, "-o", &model]).succeeds();
+    // The first accelerometer value of each row, LSB.
+    let exported = |link: &str, more: &[&str]| -> Vec<i32> {
+        let table = folder.path().join(format!("{link}{}.csv", more.len()));
+        let table = table.to_str().unwrap();
+        let export = [
+            "export", &session, "-o", table, "--format", "csv", "--link", link,
+        ];
+        wimu(&[&export, more].concat()).succeeds();
+        let text = fs::read_to_string(table).unwrap();
+        let rows = text.lines().skip(1);
+        let value = |row: &str| row.split(',').nth(1).unwrap().parse().unwrap();
+        rows.map(value).collect()
+    };
+    let cable = exported("cable", &[]);
+    let most = |wireless: Vec<i32>| {
+        assert_eq!(wireless.len(), cable.len());
+        let apart = wireless.iter().zip(&cable).map(|(a, b)| (a - b).abs());
+        apart.max().unwrap()
+    };
+    assert_eq!(most(exported("wireless", &[])), 40);
+    assert!(most(exported("wireless", &["--link-model", &model])) <= 1);
 }

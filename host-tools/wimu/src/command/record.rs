@@ -163,7 +163,7 @@ pub fn clock_text(clock: &ClockSummary) -> String {
     match clock.offset_bound_ms {
         Some(bound) => format!(
             "{rate}; its times in host time to {:.2} ms if both directions take equally long, to {bound:.1} ms in any case",
-            2.0 * clock.offset_sd_ms
+            (2.0 * clock.offset_sd_ms).min(bound)
         ),
         None => format!("{rate}; its times are late by what the fastest transfer took"),
     }

@@ -138,7 +138,8 @@ pub struct Lock {
     pub key: KeyState,
     /// Its id, as in [`Hello`](crate::Hello).
     pub device_id: u64,
-    /// How often it has started; `None` if that cannot be read, and nobody may write over a radio.
+    /// How often it has started; `None` if that cannot be read, and nobody may write anything but a
+    /// new key, over the cable.
     pub boot_count: Option<u32>,
     /// Bits that nobody can foresee, other ones at each start; zeros without a source of them.
     pub entropy: [u8; 16],
@@ -150,10 +151,31 @@ impl Lock {
         match (self.key, role) {
             (KeyState::Unreadable, _) => WriteAccess::Locked,
             (KeyState::None, LinkRole::Cable) => WriteAccess::Open,
-            (KeyState::Set(_), LinkRole::Cable) => WriteAccess::Key,
+            // Sessions of this start may be those of another.
             _ if self.boot_count.is_none() => WriteAccess::Locked,
             _ => WriteAccess::Key,
         }
+    }
+
+    /// Whether sessions can be opened on a link: on the cable also where they serve to give a new
+    /// key alone, with which starts are counted anew.
+    fn has_sessions(&self, role: LinkRole) -> bool {
+        matches!(self.key, KeyState::Set(_))
+            && (role == LinkRole::Cable || self.boot_count.is_some())
+    }
+
+    /// Why a signed `command` is refused on a link, if it is.
+    pub(crate) fn signed_refusal<P>(
+        &self,
+        command: &Command<P>,
+        role: LinkRole,
+    ) -> Option<Refusal> {
+        if command.is_key_change() && role != LinkRole::Cable {
+            return Some(Refusal::CableOnly);
+        }
+        let locked = self.access(role) == WriteAccess::Locked;
+        let mends = matches!(command, Command::SetKey(_));
+        (locked && command.is_write() && !mends).then_some(Refusal::Locked)
     }
 
     /// Why an unsigned `command` is refused on a link, if it is.
@@ -162,23 +184,23 @@ impl Lock {
         match (command, access) {
             _ if command.is_key_change() && role != LinkRole::Cable => Some(Refusal::CableOnly),
             (Command::OpenSession, WriteAccess::Open) => Some(Refusal::KeyNeeded),
+            (Command::OpenSession, _) if self.has_sessions(role) => None,
             _ if !command.is_write() && !matches!(command, Command::OpenSession) => None,
             (_, WriteAccess::Open) => None,
             (_, WriteAccess::Locked | WriteAccess::Other(_)) => Some(Refusal::Locked),
-            (_, WriteAccess::Key) => match (self.key, command) {
-                (KeyState::Set(_), Command::OpenSession) => None,
-                (KeyState::Set(_), _) => Some(Refusal::SignatureNeeded),
+            (_, WriteAccess::Key) => match self.key {
+                KeyState::Set(_) => Some(Refusal::SignatureNeeded),
                 _ => Some(Refusal::KeyNeeded),
             },
         }
     }
 
-    /// The session of this number, on a link where signed writes pass.
+    /// The session of this number, on a link that has sessions.
     pub(crate) fn session(&self, role: LinkRole, number: u32) -> Option<Session> {
         let KeyState::Set(key) = self.key else {
             return None;
         };
-        if self.access(role) != WriteAccess::Key {
+        if !self.has_sessions(role) {
             return None;
         }
         let nonce = key

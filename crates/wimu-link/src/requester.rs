@@ -57,6 +57,8 @@ pub struct Requester {
     attempts: u32,
     /// What the request that is waiting for its answer has left.
     waiting: Option<Waiting>,
+    /// The latest answer was signed.
+    vouched: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -104,6 +106,7 @@ impl Requester {
             interval,
             attempts,
             waiting: None,
+            vouched: false,
         }
     }
 
@@ -193,17 +196,26 @@ impl Requester {
     pub fn on_reply(&mut self, body: &[u8]) -> Option<Answer> {
         let (head, bytes) = Head::split(body).ok()?;
         let answer = Answer::decode(bytes).ok()?;
-        let answers = |waiting: &mut Waiting| {
-            let ours = head.session == waiting.session && head.id == waiting.id;
-            ours && match &waiting.signed {
-                None => true,
-                Some((session, request)) => {
-                    (head.signature == Signature::NONE && cannot_sign(&answer))
-                        || session.has_answered(head.id, *request, bytes, head.signature)
-                }
-            }
-        };
-        self.waiting.take_if(answers).map(|_| answer)
+        let waiting = self.waiting?;
+        if head.session != waiting.session || head.id != waiting.id {
+            return None;
+        }
+        let vouched = waiting.signed.is_some_and(|(session, request)| {
+            session.has_answered(head.id, request, bytes, head.signature)
+        });
+        let unsigned = head.signature == Signature::NONE && cannot_sign(&answer);
+        if waiting.signed.is_some() && !vouched && !unsigned {
+            return None;
+        }
+        self.waiting = None;
+        self.vouched = vouched;
+        Some(answer)
+    }
+
+    /// Whether the device has signed the answer that was returned last: nobody else can have given
+    /// it.
+    pub fn vouched(&self) -> bool {
+        self.vouched
     }
 
     /// The number of the unsigned session.

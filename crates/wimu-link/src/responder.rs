@@ -284,11 +284,11 @@ impl Responder {
         let outcome = match Command::take(command) {
             Err(_) => Err(Answer::Unknown),
             Ok(command) if repeats && command.is_write() => return Decision::Ignore,
-            Ok(command) if command.is_key_change() && self.role != LinkRole::Cable => {
-                Err(Answer::Refused(Refusal::CableOnly))
-            }
             Ok(Command::OpenSession) => Err(self.open_session(lock)),
-            Ok(command) => Ok(command),
+            Ok(command) => match lock.signed_refusal(&command, self.role) {
+                Some(refusal) => Err(Answer::Refused(refusal)),
+                None => Ok(command),
+            },
         };
         match outcome {
             Ok(command) => {

@@ -206,7 +206,7 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
         for _ in 0..HOSTILE_PER_ROUND {
             let role = ROLES[source.below(2)];
             let overheard = (!heard.is_empty()).then(|| heard[source.below(heard.len())].clone());
-            let (kind, body) = match (source.below(9), overheard) {
+            let (kind, body) = match (source.below(10), overheard) {
                 (0, Some((_, body))) => ("replayed", body),
                 (1, Some((_, mut body))) => {
                     let bit = source.below(8 * body.len());
@@ -270,6 +270,16 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
                     };
                     ("sessions opened without a key", encoded(&request))
                 }
+                (8, _) => {
+                    // The owner's next write, held back, with some of its signature only.
+                    let owner = match source.below(3) {
+                        2 => &mut second,
+                        link => &mut owners[link],
+                    };
+                    let cut = with_signature_cut(&owner.request(rate(60_000)), source.below(8));
+                    device.hear(owner.role, &cut);
+                    ("with the signature cut short", cut)
+                }
                 _ => {
                     let request = Request {
                         session: source.below(12) as u32,
@@ -297,6 +307,16 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
             before,
             "a write passed in round {round}"
         );
+
+        if round % 20 == 19 {
+            // Held back until the session has ended.
+            let role = ROLES[source.below(2)];
+            for late in held_back_until_others_came(&mut device, role, key, &mut source) {
+                device.hear(role, &late);
+                *tried.entry("of sessions pushed out").or_default() += 1;
+            }
+            assert_eq!(device.writes, wanted, "a write of an ended session passed");
+        }
 
         // The owner gets through, from two hosts on one link and one on the other.
         value = value % 50_000 + 1;
@@ -354,6 +374,42 @@ fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
     tried
 }
 
+/// The same request with the first bytes of its signature alone.
+fn with_signature_cut(body: &[u8], bytes: usize) -> Vec<u8> {
+    let mut request = Request::decode(body).expect("own request");
+    let whole = request.signature;
+    request.signature = Signature::new(&whole.as_bytes()[..bytes]).expect("shorter");
+    encoded(&request)
+}
+
+/// The owner's writes of two sessions, never delivered, when both sessions have ended: one had not
+/// been used when a later one was, four others have been used since the other.
+fn held_back_until_others_came(
+    device: &mut Device,
+    role: LinkRole,
+    key: DeviceKey,
+    source: &mut Seeded,
+) -> [Vec<u8>; 2] {
+    let mut open = |device: &mut Device| {
+        let mut owner = Owner::new(role, key, source.bits() as u32);
+        owner.open(device);
+        owner
+    };
+    let use_it = |device: &mut Device, owner: &mut Owner| {
+        let answer = owner.write(device, Command::GetSettings);
+        assert_eq!(answer, Answer::Accepted(Payload::None));
+    };
+    let mut unused = open(device);
+    let mut used = open(device);
+    use_it(device, &mut used);
+    let held = [&mut unused, &mut used].map(|owner| owner.request(rate(60_000)));
+    for _ in 0..4 {
+        let mut other = open(device);
+        use_it(device, &mut other);
+    }
+    held
+}
+
 fn refused(reply: &Reply) -> bool {
     matches!(reply.answer, Answer::Refused(_) | Answer::Unknown)
 }
@@ -361,8 +417,8 @@ fn refused(reply: &Reply) -> bool {
 #[test]
 fn nothing_passes_that_the_owner_did_not_sign_and_everything_that_he_did() {
     let tried = attack(1, 400);
-    assert!(tried.len() >= 11, "{tried:?}");
-    assert!(tried.values().all(|&count| count > 50), "{tried:?}");
+    assert!(tried.len() >= 14, "{tried:?}");
+    assert!(tried.values().all(|&count| count >= 40), "{tried:?}");
 }
 
 #[test]
@@ -413,6 +469,51 @@ fn opening_sessions_without_the_key_ends_nobodys() {
         let answer = owner.requester.on_reply(&replied(&reply));
         assert_eq!(answer, Some(Answer::Accepted(Payload::None)));
     }
+}
+
+#[test]
+fn a_signature_that_is_not_whole_is_none() {
+    let key = DeviceKey::new([5; 32]);
+    let mut device = Device::new(locked_by(key));
+    for role in ROLES {
+        let mut owner = Owner::new(role, key, 77);
+        owner.open(&mut device);
+        let whole = owner.request(rate(200));
+        for bytes in 0..8 {
+            let cut = with_signature_cut(&whole, bytes);
+            let reply = device.hear(role, &cut).expect("an answer");
+            let refusal = match bytes {
+                0 => Refusal::SignatureNeeded,
+                _ => Refusal::WrongSignature,
+            };
+            assert_eq!(reply.answer, Answer::Refused(refusal), "{bytes} bytes");
+        }
+        assert_eq!(device.writes, []);
+        let reply = device.hear(role, &whole).expect("an answer");
+        assert_eq!(reply.answer, Answer::Accepted(Payload::None));
+        device.writes.clear();
+        // Nor is that of an answer.
+        let cut = Reply {
+            signature: Signature::new(&reply.signature.as_bytes()[..7]).expect("shorter"),
+            ..reply
+        };
+        assert_eq!(owner.requester.on_reply(&replied(&cut)), None);
+        assert!(owner.requester.on_reply(&replied(&reply)).is_some());
+        assert!(owner.requester.vouched());
+    }
+}
+
+#[test]
+fn sessions_end_when_others_have_taken_their_place() {
+    let key = DeviceKey::new([5; 32]);
+    let mut device = Device::new(locked_by(key));
+    for role in ROLES {
+        for late in held_back_until_others_came(&mut device, role, key, &mut Seeded(3)) {
+            let reply = device.hear(role, &late).expect("an answer");
+            assert_eq!(reply.answer, Answer::Refused(Refusal::SessionEnded));
+        }
+    }
+    assert_eq!(device.writes, []);
 }
 
 #[test]
@@ -571,15 +672,21 @@ fn a_key_of_another_length_is_no_command() {
 }
 
 #[test]
-fn a_device_that_cannot_read_its_boot_count_takes_no_write_over_the_radio() {
-    let key = DeviceKey::new([5; 32]);
+fn a_device_that_cannot_read_its_boot_count_takes_a_new_key_over_the_cable_and_no_other_write() {
+    let (key, new) = (DeviceKey::new([5; 32]), DeviceKey::new([6; 32]));
     let lock = Lock {
         boot_count: None,
+        entropy: [0; 16],
         ..locked_by(key)
     };
-    assert_eq!(lock.access(LinkRole::Wireless), WriteAccess::Locked);
-    let mut device = Device::new(lock);
-    for command in [Command::OpenSession, rate(100)] {
+    for (role, command) in [
+        (LinkRole::Wireless, Command::OpenSession),
+        (LinkRole::Wireless, rate(100)),
+        (LinkRole::Wireless, Command::SetKey(new)),
+        (LinkRole::Cable, rate(100)),
+        (LinkRole::Cable, Command::SetKey(new)),
+    ] {
+        assert_eq!(lock.access(role), WriteAccess::Locked);
         let request = Request {
             session: 1,
             id: 1,
@@ -587,16 +694,40 @@ fn a_device_that_cannot_read_its_boot_count_takes_no_write_over_the_radio() {
             command,
         };
         let mut device = Device::new(lock);
-        let reply = device
-            .hear(LinkRole::Wireless, &encoded(&request))
-            .expect("an answer");
-        assert_eq!(reply.answer, Answer::Refused(Refusal::Locked));
+        let reply = device.hear(role, &encoded(&request)).expect("an answer");
+        let over_the_air = role != LinkRole::Cable && command != rate(100);
+        let refusal = match over_the_air && command != Command::OpenSession {
+            true => Refusal::CableOnly,
+            false => Refusal::Locked,
+        };
+        assert_eq!(reply.answer, Answer::Refused(refusal), "{role} {command:?}");
+        assert_eq!(device.writes, []);
     }
-    // Over the cable the owner can, and mend it.
+    // Over the cable the owner is told, in his session, and gives it a new key.
+    let mut device = Device::new(lock);
     let mut owner = Owner::new(LinkRole::Cable, key, 1);
     owner.open(&mut device);
-    let answer = owner.write(&mut device, Command::SetKey(key));
+    let mut recorded: Vec<Vec<u8>> = Vec::new();
+    for command in [rate(100), Command::FactoryReset, Command::ForgetKey] {
+        let request = owner.request(command);
+        let reply = device.hear(LinkRole::Cable, &request).expect("an answer");
+        let answer = owner.requester.on_reply(&replied(&reply));
+        assert_eq!(answer, Some(Answer::Refused(Refusal::Locked)));
+        assert!(owner.requester.vouched());
+        recorded.push(request);
+    }
+    assert_eq!(device.writes, []);
+    let answer = owner.write(&mut device, Command::SetKey(new));
     assert_eq!(answer, Answer::Accepted(Payload::None));
+    // Without entropy what he has signed is as well signed in the next start, and refused again.
+    let mut device = Device::new(lock);
+    Owner::new(LinkRole::Cable, key, 2).open(&mut device);
+    for request in &recorded {
+        let reply = device.hear(LinkRole::Cable, request).expect("an answer");
+        assert_eq!(reply.answer, Answer::Refused(Refusal::Locked));
+        assert_ne!(reply.signature, Signature::NONE);
+    }
+    assert_eq!(device.writes, []);
 }
 
 /// Against Python's `hmac` and `hashlib`.

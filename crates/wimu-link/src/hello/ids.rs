@@ -91,7 +91,7 @@ pub enum WriteAccess {
     Open,
     /// Who has the device's key: number 1. As long as the device has none, nobody.
     Key,
-    /// Nobody: number 2.
+    /// Nobody: number 2. At most a new key is taken, signed with the one before, over the cable.
     Locked,
     /// An access that this crate does not know.
     Other(u8),

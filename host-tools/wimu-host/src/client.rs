@@ -12,7 +12,7 @@ use wimu_link::message::{
 };
 use wimu_link::requester::Next;
 use wimu_link::{
-    Command, Hello, LinkRole, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou,
+    Command, Hello, LinkRole, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou, WriteAccess,
 };
 use wimu_model::{ParameterId, ParameterSet};
 
@@ -208,7 +208,11 @@ impl<T: Transport> Client<T> {
         self.transport.set_baud(baud)?;
         self.decoder.interrupt();
         if self.greet(RATE_PATIENCE).is_ok() {
-            return Ok(());
+            // Anybody can say who is there.
+            return match self.requester.signs() {
+                true => self.key_status().map(drop),
+                false => Ok(()),
+            };
         }
         self.transport.set_baud(before)?;
         self.decoder.interrupt();

@@ -96,14 +96,17 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
         owner
             .push_parameters(&set_of(f64::from(session) / 10.0))
             .expect("pushed");
-        for (key, session) in [(None, 5), (Some(OTHER), 6)] {
+        // That his key is not the board's, anybody can have said.
+        for (key, session, refused) in [
+            (None, 5, ErrorCode::KeyNeeded),
+            (Some(OTHER), 6, ErrorCode::NoAnswer),
+        ] {
             let mut stranger = connect(&board, role, session);
             stranger.use_key(key);
-            assert_eq!(
-                code(set_rate(&mut stranger, 50)),
-                Some(ErrorCode::KeyNeeded)
-            );
-            assert_eq!(code(stranger.factory_reset()), Some(ErrorCode::KeyNeeded));
+            assert_eq!(code(set_rate(&mut stranger, 50)), Some(refused));
+            assert_eq!(code(stranger.factory_reset()), Some(refused));
+            let ours = stranger.use_key_among(&[OTHER]);
+            assert_eq!(code(ours), Some(ErrorCode::KeyNeeded));
             assert_eq!(
                 stranger.settings().map(|set| set.rate_hz),
                 Ok(200),
@@ -115,12 +118,12 @@ fn a_key_opens_the_wireless_link_to_its_owner_and_closes_the_cable_to_others() {
     let mut cable = owner(&board, CABLE, 7);
     cable.set_key(OTHER).expect("rotated");
     let mut old = owner(&board, WIRELESS, 8);
-    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::NoAnswer));
     assert_eq!(set_rate(&mut cable, 100).map(|set| set.rate_hz), Ok(100));
     cable.forget_key().expect("forgotten");
     assert_eq!(cable.key_status(), Ok(None));
     assert_eq!(set_rate(&mut cable, 200).map(|set| set.rate_hz), Ok(200));
-    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::KeyNeeded));
+    assert_eq!(code(set_rate(&mut old, 50)), Some(ErrorCode::NoAnswer));
 }
 
 #[test]
@@ -207,7 +210,7 @@ fn a_board_unplugged_during_a_commit_holds_the_old_set_or_the_new() {
 }
 
 #[test]
-fn an_unreadable_boot_count_locks_the_wireless_link_until_the_key_is_exchanged() {
+fn an_unreadable_boot_count_locks_both_links_until_the_key_is_exchanged() {
     let board = start_with_key();
     board.borrow().storage().corrupt(Key::BootCount);
     board.borrow_mut().restart();
@@ -216,9 +219,19 @@ fn an_unreadable_boot_count_locks_the_wireless_link_until_the_key_is_exchanged()
     let refused = set_rate(&mut wireless, 200).expect_err("locked");
     assert_eq!(refused.code(), ErrorCode::DeviceRefused);
     assert!(refused.remedy().contains("wimu key rotate"), "{refused}");
-    // The same key again would make old sessions new ones.
+    // Nor does the cable: what is signed now may pass in another start.
     let mut cable = owner(&board, CABLE, 3);
+    assert_eq!(cable.hello().access, WriteAccess::Locked);
+    let refused = set_rate(&mut cable, 200).expect_err("locked");
+    assert_eq!(refused.code(), ErrorCode::DeviceRefused);
+    assert!(refused.remedy().contains("wimu key rotate"), "{refused}");
+    assert_eq!(code(cable.forget_key()), Some(ErrorCode::DeviceRefused));
+    // The same key again would make old sessions new ones.
     cable.set_key(KEY).expect("set");
+    assert_eq!(
+        code(set_rate(&mut cable, 200)),
+        Some(ErrorCode::DeviceRefused)
+    );
     let mut wireless = owner(&board, WIRELESS, 4);
     assert_eq!(
         code(set_rate(&mut wireless, 200)),
@@ -229,9 +242,11 @@ fn an_unreadable_boot_count_locks_the_wireless_link_until_the_key_is_exchanged()
         if restart {
             board.borrow_mut().restart();
         }
-        let mut wireless = connect(&board, WIRELESS, 5);
-        wireless.use_key(Some(OTHER));
-        assert_eq!(set_rate(&mut wireless, 200).map(|set| set.rate_hz), Ok(200));
+        for role in [WIRELESS, CABLE] {
+            let mut host = connect(&board, role, 5);
+            host.use_key(Some(OTHER));
+            assert_eq!(set_rate(&mut host, 200).map(|set| set.rate_hz), Ok(200));
+        }
     }
 }
 
@@ -246,6 +261,8 @@ fn an_unreadable_key_locks_both_links_until_the_owner_makes_the_gesture() {
     for (role, session) in [(CABLE, 3), (WIRELESS, 4)] {
         let mut host = owner(&board, role, session);
         assert_eq!(host.hello().access, WriteAccess::Locked);
+        let refused = connect(&board, role, session + 10).use_key_among(&[KEY]);
+        assert_eq!(code(refused), Some(ErrorCode::DeviceRefused));
         assert_eq!(
             code(set_rate(&mut host, 50)),
             Some(ErrorCode::DeviceRefused)

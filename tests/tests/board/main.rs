@@ -5,6 +5,7 @@ mod epochs;
 mod heading;
 mod keys;
 mod links;
+mod middleman;
 mod rates;
 mod requests;
 mod self_check;

@@ -6,57 +6,109 @@ use super::*;
 const SESSIONS: usize = 4;
 
 impl<T: Transport> Client<T> {
-    /// Signs with this key from the next write on, if the board asks for it.
+    /// Signs with this key from the next write on; with none, nothing from now on.
     pub fn use_key(&mut self, key: Option<DeviceKey>) {
         self.key = key;
         self.requester.sign_nothing();
     }
 
-    /// Signs with the key of those that the board has; returns whether there is one.
+    /// Signs everything from now on with the key of these that the board has, and has the board
+    /// prove that it has it: what it says then, nobody else can have said. Returns whether there
+    /// is one: with no keys, nothing is asked and nothing signed.
     ///
     /// # Errors
-    /// Those of [`Client::request`].
+    /// `key_needed` when the board has none of them, or something else says so: who has a key of a
+    /// board never goes on without. Those of [`Client::request`]; nothing has been written.
     pub fn use_key_among(&mut self, keys: &[DeviceKey]) -> Result<bool> {
-        if !keys.is_empty() {
-            let held = self.key_status()?;
-            let ours = keys.iter().find(|key| Some(key.id()) == held);
-            self.use_key(ours.copied());
+        if keys.is_empty() {
+            return Ok(false);
         }
-        Ok(self.key.is_some())
+        self.use_key(None);
+        let held = self.key_status()?;
+        let Some(ours) = keys.iter().find(|key| Some(key.id()) == held) else {
+            return Err(self.not_ours(held));
+        };
+        self.use_key(Some(*ours));
+        self.open_session()?;
+        self.key_status()?;
+        Ok(true)
+    }
+
+    /// Whether what is asked is signed, and what is answered therefore proved.
+    pub fn signs(&self) -> bool {
+        self.requester.signs()
+    }
+
+    /// The board has, or something in between says that it has, none of this computer's keys.
+    fn not_ours(&self, held: Option<KeyId>) -> HostError {
+        if held.is_none() && self.hello.access == WriteAccess::Locked {
+            // It has one, and cannot read it.
+            return self.refused(Refusal::Locked);
+        }
+        let (message, remedy) = match held {
+            None => (
+                "this computer has a key of this device, and the answer is that it has none".into(),
+                "if its key was erased at the board, give it a new one over the cable with `wimu key set`; \
+                 else something in between answers in its name",
+            ),
+            Some(id) => (
+                format!("the device's key is {id}, and this computer's key of it is another"),
+                "use the computer that has it, or copy its file from there; a lost key is erased at the board, \
+                 and a new one given over the cable with `wimu key set`",
+            ),
+        };
+        HostError::new(ErrorCode::KeyNeeded, message, remedy).at(&self.name)
     }
 
     /// Asks for something and waits for the answer, repeating the question as often as it takes.
-    /// Writes to a board that has a key are signed, and so is everything from then on.
+    /// Writes are signed if there is a key, and so is everything from then on. What is asked signed
+    /// is believed signed only.
     ///
     /// # Errors
-    /// `device_refused` or `key_needed` with the board's reason; `no_answer`, after which the
-    /// request may have had its effect all the same; `link_lost`.
+    /// `device_refused` or `key_needed` with the board's reason; `no_answer` and `link_lost`, after
+    /// which a write may have had its effect all the same, or have it yet. A refusal of a write that
+    /// anybody can have said is no answer.
     pub fn request(&mut self, command: Command) -> Result<Payload> {
-        let signs = self.requester.signs();
-        if command.is_write() && self.key.is_some() && !signs {
+        if command.is_write() && self.key.is_some() && !self.requester.signs() {
             self.open_session()?;
         }
-        for _ in 0..SESSIONS {
-            match self.ask(command)? {
-                // The board has started anew, or this is another one's doing. What is asked for
-                // twice is done once, or is the same.
+        let answer = self.insist(command);
+        // What is staged has no effect of its own.
+        let has_effect = command.is_write() && !matches!(command, Command::StageParameters(_));
+        let signs = self.requester.signs();
+        let certain = answer.is_ok() && (!signs || self.requester.vouched());
+        let nobodys = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
+        let outcome = match answer {
+            Ok(Answer::Accepted(_)) if nobodys => Err(HostError::new(
+                ErrorCode::KeyNeeded,
+                "something on this link takes what nobody has signed: no wimu board does that",
+                "write over the cable, or give the board a key there with `wimu key set`",
+            )
+            .at(&self.name)),
+            answer => answer.and_then(|answer| self.accepted(answer)),
+        };
+        match outcome {
+            Err(error) if has_effect && !certain => Err(perhaps_done(&error)),
+            outcome => outcome,
+        }
+    }
+
+    /// Asks, and again in other sessions when they end: the board has started anew, or that is
+    /// another one's doing. What is asked for twice is done once, or is the same.
+    fn insist(&mut self, command: Command) -> Result<Answer> {
+        let mut answer = self.ask(command)?;
+        for _ in 1..SESSIONS {
+            match answer {
                 Answer::Refused(Refusal::SessionEnded | Refusal::WrongSignature)
                     if self.requester.signs() =>
                 {
                     self.open_session()?;
+                    answer = self.ask(command)?;
                 }
-                // It has forgotten its key.
-                Answer::Refused(Refusal::KeyNeeded)
-                    if self.requester.signs() && !command.is_write() =>
-                {
-                    self.requester.sign_nothing();
-                }
-                answer => return self.accepted(answer),
+                _ => break,
             }
         }
-        // It is not the board's key: reading needs none.
-        self.requester.sign_nothing();
-        self.accepted(Answer::Refused(Refusal::WrongSignature))
+        Ok(answer)
     }
 
     /// Has the board open a session, in which requests are signed from now on.
@@ -110,8 +162,8 @@ impl<T: Transport> Client<T> {
                 Next::Idle | Next::TimedOut => {
                     return Err(HostError::new(
                         ErrorCode::NoAnswer,
-                        "the board does not answer; it may have done what it was asked",
-                        "look at its state before asking again; check the line to the board",
+                        "the board does not answer",
+                        "check the line to the board",
                     )
                     .at(&self.name));
                 }
@@ -123,20 +175,7 @@ impl<T: Transport> Client<T> {
     pub(super) fn accepted(&self, answer: Answer) -> Result<Payload> {
         match answer {
             Answer::Accepted(payload) => Ok(payload),
-            Answer::Refused(refusal) => {
-                let code = match refusal {
-                    Refusal::KeyNeeded | Refusal::SignatureNeeded | Refusal::WrongSignature => {
-                        ErrorCode::KeyNeeded
-                    }
-                    _ => ErrorCode::DeviceRefused,
-                };
-                // A refusal says what is wrong; what to do.
-                let text = refusal.to_string();
-                let (message, remedy) = text
-                    .split_once("; ")
-                    .unwrap_or((&text, "see the board's settings"));
-                Err(HostError::new(code, message, remedy).at(&self.name))
-            }
+            Answer::Refused(refusal) => Err(self.refused(refusal)),
             Answer::Unknown => Err(HostError::new(
                 ErrorCode::DeviceRefused,
                 "the board does not know this command",
@@ -144,6 +183,21 @@ impl<T: Transport> Client<T> {
             )
             .at(&self.name)),
         }
+    }
+
+    fn refused(&self, refusal: Refusal) -> HostError {
+        let code = match refusal {
+            Refusal::KeyNeeded | Refusal::SignatureNeeded | Refusal::WrongSignature => {
+                ErrorCode::KeyNeeded
+            }
+            _ => ErrorCode::DeviceRefused,
+        };
+        // A refusal says what is wrong; what to do.
+        let text = refusal.to_string();
+        let (message, remedy) = text
+            .split_once("; ")
+            .unwrap_or((&text, "see the board's settings"));
+        HostError::new(code, message, remedy).at(&self.name)
     }
 
     fn unexpected(&self) -> HostError {
@@ -176,24 +230,23 @@ impl<T: Transport> Client<T> {
     pub fn set_key(&mut self, key: DeviceKey) -> Result<()> {
         self.only_by_cable()?;
         let outcome = self.request(Command::SetKey(key));
-        // The answer may be lost and the key set: what the board holds tells.
+        // The answer may be lost and the key set: what the board says then is proved below.
         if let Err(error) = outcome {
             self.requester.sign_nothing();
-            if self.key_status()? != Some(key.id()) {
+            if self.key_status().ok().flatten() != Some(key.id()) {
                 return Err(error);
             }
         }
         self.use_key(Some(key));
-        self.open_session()?;
-        if self.key_status()? == Some(key.id()) {
-            Ok(())
-        } else {
-            Err(HostError::new(
+        let held = self.open_session().and_then(|()| self.key_status());
+        match held.map_err(|error| perhaps_done(&error))? {
+            Some(id) if id == key.id() => Ok(()),
+            _ => Err(HostError::new(
                 ErrorCode::VerifyFailed,
                 "the board has another key than it was given",
                 "set the key again; another computer may be setting one too",
             )
-            .at(&self.name))
+            .at(&self.name)),
         }
     }
 
@@ -203,13 +256,9 @@ impl<T: Transport> Client<T> {
     /// As [`Client::set_key`].
     pub fn forget_key(&mut self) -> Result<()> {
         self.only_by_cable()?;
-        let outcome = self.request(Command::ForgetKey);
+        self.request(Command::ForgetKey)?;
         self.use_key(None);
-        if self.key_status()?.is_none() {
-            Ok(())
-        } else {
-            outcome.map(drop)
-        }
+        Ok(())
     }
 
     fn only_by_cable(&self) -> Result<()> {
@@ -331,13 +380,31 @@ impl<T: Transport> Client<T> {
             Err(error) => error,
         };
         // The answer may be lost and the commit done, or somebody else has said that it failed:
-        // what the board holds tells.
-        let active = self.parameters()?;
-        // Compared as numbers: −0 and 0 are one calibration, and neither is ever not-a-number.
-        if active.id == id.0 && active.active == Some(wire) {
-            Ok(id)
-        } else {
-            Err(error)
+        // what the board holds tells, signed if the commit was. Compared as numbers: −0 and 0 are one
+        // calibration, and neither is ever not-a-number.
+        match self.parameters() {
+            Ok(held) if held.id == id.0 && held.active == Some(wire) => Ok(id),
+            _ => Err(error),
         }
+    }
+}
+
+/// What is said when nobody knows whether a write was done.
+fn perhaps_done(error: &HostError) -> HostError {
+    let code = match error.code() {
+        ErrorCode::LinkLost => ErrorCode::LinkLost,
+        _ => ErrorCode::NoAnswer,
+    };
+    let perhaps = HostError::new(
+        code,
+        format!(
+            "{}; the board may have done what it was asked, or do it yet",
+            error.message()
+        ),
+        "look at what it holds before asking again, over the cable if you do not trust the link",
+    );
+    match error.location() {
+        Some(location) => perhaps.at(location),
+        None => perhaps,
     }
 }

@@ -24,6 +24,8 @@ struct Status {
     key_id: Option<String>,
     /// Whether this computer has it.
     ours: bool,
+    /// Whether the device has proved that; null if this computer has no key of it.
+    authenticated: Option<bool>,
 }
 
 pub fn run(action: &Key, output: Output) -> Result<()> {
@@ -123,6 +125,8 @@ fn show<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, output: Output
     let held = client.key_status()?;
     let known = folder.candidates(hello.device_id)?;
     let ours = known.iter().any(|key| Some(key.id()) == held);
+    let proved = ours && client.use_key_among(&known).is_ok();
+    let authenticated = (!known.is_empty()).then_some(proved);
     output.say(match (held, ours) {
         (None, _) if is_lost(client) => {
             "a key that the device itself cannot read: nobody writes".to_owned()
@@ -131,6 +135,9 @@ fn show<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, output: Output
         (Some(id), true) => format!("key {id}, which this computer has: both links write, signed"),
         (Some(id), false) => format!("key {id}, which this computer does not have"),
     });
+    if authenticated == Some(false) {
+        output.say("not authenticated: the device has not proved this with a key of this computer");
+    }
     output.say(format!(
         "write access on the {} link: {}",
         hello.role, hello.access
@@ -142,6 +149,7 @@ fn show<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, output: Output
         set: held.is_some(),
         key_id: held.map(|id| id.to_string()),
         ours,
+        authenticated,
     });
     Ok(())
 }

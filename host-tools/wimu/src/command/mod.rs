@@ -28,17 +28,42 @@ use wimu_host::keys::KeyFolder;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
+use crate::output::Output;
+
+/// A connection to a board over a real link.
+type Connection = Client<Box<dyn Transport + Send>>;
+
 /// Connects to the board behind LINK.
-fn connect(link: &str) -> Result<Client<Box<dyn Transport + Send>>> {
+fn connect(link: &str) -> Result<Connection> {
     client::connect(&link.parse::<LinkUrl>()?)
 }
 
-/// Connects to the board behind LINK, to write: with its key, if this computer has it.
-fn connect_to_write(link: &str) -> Result<Client<Box<dyn Transport + Send>>> {
+/// Connects to the board behind LINK, to write: with its key, if this computer has one of it.
+fn connect_to_write(link: &str) -> Result<Connection> {
     let mut client = connect(link)?;
     let known = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
     client.use_key_among(&known)?;
     Ok(client)
+}
+
+/// Connects to the board behind LINK, to read: with its key, if this computer has one of it, and
+/// without where the board does not prove that it has it. Returns whether what is read is proved;
+/// `None` if this computer has no key of the board.
+fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<bool>)> {
+    let mut client = connect(link)?;
+    let Ok(folder) = KeyFolder::of_user() else {
+        return Ok((client, None));
+    };
+    let known = folder.candidates(client.hello().device_id);
+    match known.and_then(|known| client.use_key_among(&known)) {
+        Ok(signs) => Ok((client, signs.then_some(true))),
+        Err(error) if error.code() == ErrorCode::LinkLost => Err(error),
+        Err(error) => {
+            client.use_key(None);
+            output.say(format!("not authenticated: {error}"));
+            Ok((client, Some(false)))
+        }
+    }
 }
 
 /// Refuses to write over what is being read.

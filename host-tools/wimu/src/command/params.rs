@@ -11,7 +11,7 @@ use wimu_link::message::ActiveParameters;
 use wimu_model::{ParameterId, ParameterSet};
 
 use crate::arguments::Params;
-use crate::command::{connect, connect_to_write};
+use crate::command::{connect_to_read, connect_to_write};
 use crate::output::Output;
 
 /// What a device corrects with.
@@ -24,12 +24,15 @@ struct Held {
     parameters: Option<ParameterSet>,
     /// Whether they are for the range that the device is set to.
     in_use: bool,
+    /// Whether the device has signed this; null if this computer has no key of it.
+    authenticated: Option<bool>,
 }
 
 pub fn run(action: &Params, output: Output) -> Result<()> {
     match action {
         Params::Get { link, output: file } => {
-            let held = show(&mut connect(link)?, output)?;
+            let (mut client, authenticated) = connect_to_read(link, output)?;
+            let held = show(&mut client, authenticated, output)?;
             match file {
                 Some(path) => save(path, &held),
                 None => Ok(()),
@@ -49,13 +52,13 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
             } else {
                 push(&mut client, &set, output)?;
             }
-            show(&mut client, output).map(|_| ())
+            show_written(&mut client, output)
         }
         Params::FactoryReset { link } => {
             let mut client = connect_to_write(link)?;
             client.factory_reset()?;
             output.say("the device has forgotten its calibration and its settings");
-            show(&mut client, output).map(|_| ())
+            show_written(&mut client, output)
         }
     }
 }
@@ -76,11 +79,17 @@ pub fn push<T: Transport>(
         ));
     }
     let id = client.push_parameters(set)?;
-    let found = client.parameters()?.id;
-    if found != id.0 {
+    let found = client.parameters().map_err(|error| {
+        let message = format!("the device has taken {id}; after that {}", error.message());
+        HostError::new(error.code(), message, error.remedy()).at(client.name())
+    })?;
+    if found.id != id.0 {
         return Err(HostError::new(
             ErrorCode::VerifyFailed,
-            format!("the device holds parameters {found:08x}, pushed were {id}"),
+            format!(
+                "the device holds parameters {:08x}, pushed were {id}",
+                found.id
+            ),
             "push again; another computer may be pushing too",
         ));
     }
@@ -181,7 +190,17 @@ fn save(path: &Path, held: &Held) -> Result<()> {
     calibration::write_report(path, held)
 }
 
-fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<Held> {
+/// Shows what a device holds whose key, if this computer has it, has signed everything.
+fn show_written<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
+    let authenticated = client.signs().then_some(true);
+    show(client, authenticated, output).map(drop)
+}
+
+fn show<T: Transport>(
+    client: &mut Client<T>,
+    authenticated: Option<bool>,
+    output: Output,
+) -> Result<Held> {
     let parameters = held(client)?;
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
     let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
@@ -212,6 +231,7 @@ fn show<T: Transport>(client: &mut Client<T>, output: Output) -> Result<Held> {
         parameter_id: id.to_string(),
         parameters,
         in_use,
+        authenticated,
     };
     output.object(&held);
     Ok(held)

@@ -7,7 +7,7 @@ use wimu_link::message::{Resolution, Settings, Streams};
 use wimu_link::{Command, LinkRole};
 
 use crate::arguments::{self, Carried, Change, Switch};
-use crate::command::{connect, connect_to_write, params};
+use crate::command::{connect_to_read, connect_to_write, params};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -24,11 +24,16 @@ struct Held {
     batch: [u8; 2],
     /// Of raw and corrected samples, every n-th.
     every: [u8; 2],
+    /// Whether the device has signed this; null if this computer has no key of it.
+    authenticated: Option<bool>,
 }
 
 pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
-    let settings = match action {
-        arguments::Settings::Get { link } => connect(link)?.settings()?,
+    let (settings, authenticated) = match action {
+        arguments::Settings::Get { link } => {
+            let (mut client, authenticated) = connect_to_read(link, output)?;
+            (client.settings()?, authenticated)
+        }
         arguments::Settings::Set { link, change } => {
             // A port of a radio has a rate of its own, whatever it says.
             if let Some(baud) = change.baud.filter(|_| link.contains("rfcomm")) {
@@ -52,7 +57,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
                 false => client.set_settings(wanted)?,
             };
             params::applies(params::held(&mut client)?.as_ref(), now.range_g, output);
-            now
+            (now, client.signs().then_some(true))
         }
     };
     let held = Held {
@@ -71,6 +76,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         wireless: names(&settings.wireless),
         batch: [settings.cable.batch, settings.wireless.batch],
         every: [settings.cable.every, settings.wireless.every],
+        authenticated,
     };
     output.say(format!(
         "range ±{} g, {} Hz, {} resolution\nZUPT {}, local gravity {:.6} m/s²\ncable    {} in batches of {}{}\nwireless {} in batches of {}{}",

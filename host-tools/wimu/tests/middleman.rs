@@ -1,0 +1,247 @@
+//! A stranger on the way to the board, as a user meets him: nothing that he says is taken for done, and
+//! what is only read says whether the board has proved it.
+#![cfg(target_os = "linux")]
+
+mod kit;
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::thread;
+
+use kit::{Background, Ran, Simulator, folder};
+use wimu_link::message::{
+    ActiveParameters, Payload, Refusal, Reply, Request, Settings, Signature, WireParameters,
+    parameter_id,
+};
+use wimu_link::{Answer, Command, Deframer, Kind, MAX_FRAME};
+use wimu_model::ParameterSet;
+
+/// What he does, who knows no key. Unsigned requests he answers himself, as the host would like it.
+#[derive(Clone, Copy, Debug)]
+enum Way {
+    /// The board "has no key".
+    NoKey,
+    /// Writes that have an effect, and what is asked after them, are "refused": the board has no key.
+    Refused,
+    /// Lets all pass, and closes the link at a write.
+    Cut,
+}
+
+/// Listens for one host after the other, for as long as the test runs; returns the link.
+fn middleman(board: &str, way: Way) -> String {
+    let board = board.trim_start_matches("tcp://").to_owned();
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = listener.local_addr().expect("an address");
+    thread::spawn(move || {
+        for host in listener.incoming() {
+            // Serves one host at a time, as the board does.
+            let (Ok(host), Ok(board)) = (host, TcpStream::connect(&board)) else {
+                return;
+            };
+            let (mut from, mut to) = (
+                board.try_clone().expect("a stream"),
+                host.try_clone().expect("a stream"),
+            );
+            let down = thread::spawn(move || {
+                let _ = std::io::copy(&mut from, &mut to);
+                let _ = to.shutdown(std::net::Shutdown::Both);
+            });
+            let _ = carry(host, &board, way);
+            let _ = board.shutdown(std::net::Shutdown::Both);
+            let _ = down.join();
+        }
+    });
+    format!("tcp://{address}")
+}
+
+/// Carries what the host says, but for what the stranger keeps.
+fn carry(mut host: TcpStream, mut board: &TcpStream, way: Way) -> std::io::Result<()> {
+    let mut deframer = Deframer::new();
+    let (mut set, mut settings, mut begun) = (None, Settings::default(), false);
+    let (mut bytes, mut frame) = ([0; 4096], Vec::new());
+    loop {
+        let count = host.read(&mut bytes)?;
+        if count == 0 {
+            return Ok(());
+        }
+        for &byte in &bytes[..count] {
+            frame.push(byte);
+            let heard = match deframer.push(byte) {
+                Some(Ok(heard)) if heard.kind == Kind::Request => Request::decode(heard.body).ok(),
+                _ => None,
+            };
+            if byte != 0 {
+                continue;
+            }
+            let whole = std::mem::take(&mut frame);
+            let answer = heard.and_then(|request| {
+                let effect = request.command.is_write()
+                    && !matches!(request.command, Command::StageParameters(_));
+                begun |= effect;
+                match request.command {
+                    Command::StageParameters(new) => set = Some(new),
+                    Command::SetSettings(new) => settings = new,
+                    Command::FactoryReset => set = None,
+                    _ => {}
+                }
+                let unsigned = request.signature == Signature::NONE;
+                let answer = match way {
+                    Way::Cut => None,
+                    _ if unsigned => pleasing(&request.command, way, &set, settings),
+                    Way::Refused if begun => Some(Answer::Refused(Refusal::KeyNeeded)),
+                    _ => None,
+                };
+                answer.map(|answer| Reply {
+                    session: request.session,
+                    id: request.id,
+                    signature: Signature::NONE,
+                    answer,
+                })
+            });
+            match answer {
+                Some(reply) => {
+                    let mut room = [0; MAX_FRAME + 1];
+                    let length = reply.encode(&mut room[1..]).expect("room");
+                    host.write_all(&room[..=length])?;
+                }
+                None => board.write_all(&whole)?,
+            }
+            if begun && matches!(way, Way::Cut) {
+                return Ok(());
+            }
+        }
+    }
+}
+
+/// What the host wants to hear.
+fn pleasing(
+    command: &Command,
+    way: Way,
+    set: &Option<WireParameters>,
+    settings: Settings,
+) -> Option<Answer> {
+    let id =
+        |set: &WireParameters| ParameterSet::try_from(set).map_or(0, |set| parameter_id(&set).0);
+    Some(Answer::Accepted(match (command, way) {
+        (Command::GetKeyStatus, Way::NoKey) => Payload::KeyStatus { key: None },
+        (Command::StageParameters(set), _) => Payload::Staged { hash: id(set) },
+        (Command::GetParameters, _) => Payload::Parameters(ActiveParameters {
+            active: *set,
+            id: set.as_ref().map_or(0, id),
+        }),
+        (Command::GetSettings | Command::SetSettings(_), _) => Payload::Settings(settings),
+        (Command::CommitParameters { .. } | Command::FactoryReset, _) => Payload::None,
+        _ => return None,
+    }))
+}
+
+fn run_as(user: &Path, arguments: &[&str]) -> Ran {
+    Background::start_as(user, arguments).finish()
+}
+
+#[test]
+fn a_stranger_on_the_way_has_no_write_taken_for_done() {
+    let folder = folder();
+    let user = folder.path().join("user");
+    let board = Simulator::start(&["--motion", "rest"]);
+    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    let held = folder.path().join("cal.json");
+    let held = held.to_str().expect("text");
+    let poses = folder.path().join("poses.csv");
+    let mut text = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
+    for axis in 0..3 {
+        for sign in [1, -1] {
+            let lsb = |other: i32| if other == axis { sign * 16384 } else { 0 };
+            text += &format!("{},{},{}\n", lsb(0) + 100, lsb(1), lsb(2));
+        }
+    }
+    fs::write(&poses, text).expect("written");
+    let poses = poses.to_str().expect("text");
+    let flags = [
+        "--poses",
+        "--method",
+        "six-position",
+        "--sensitivity",
+        "16384",
+        "-o",
+        held,
+    ];
+    run_as(&user, &[&["calibrate", poses][..], &flags].concat()).succeeds();
+
+    for way in [Way::NoKey, Way::Refused, Way::Cut] {
+        for link in [&board.wireless, &board.cable] {
+            let stranger = middleman(link, way);
+            for write in [
+                &["params", "push", &stranger, held][..],
+                &["settings", "set", &stranger, "--rate", "200"],
+                &["params", "factory-reset", &stranger],
+            ] {
+                let ran = run_as(&user, write);
+                let failure = match way {
+                    Way::NoKey => ran.fails(4, "key_needed"),
+                    Way::Refused => ran.fails(1, "no_answer"),
+                    Way::Cut => ran.fails(1, "link_lost"),
+                };
+                let message = failure["message"].as_str().expect("text");
+                let sent = !matches!(way, Way::NoKey);
+                assert_eq!(
+                    message.contains("may have done"),
+                    sent,
+                    "{way:?}: {message}"
+                );
+                assert!(!ran.stderr.contains("pushed") && !ran.stderr.contains("forgotten"));
+            }
+        }
+        if !matches!(way, Way::Cut) {
+            let got = run_as(&user, &["params", "get", &board.cable]).succeeds();
+            assert_eq!(got["calibrated"], false);
+            let got = run_as(&user, &["settings", "get", &board.cable]).succeeds();
+            assert_ne!(got["rate_hz"], 200);
+        }
+    }
+}
+
+#[test]
+fn what_is_read_says_whether_the_board_has_proved_it() {
+    let folder = folder();
+    let [user, other] = ["user", "other"].map(|name| folder.path().join(name));
+    let board = Simulator::start(&["--motion", "rest"]);
+    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    let stranger = middleman(&board.wireless, Way::NoKey);
+    for read in ["params", "settings"] {
+        let get = |user: &Path, link: &str| run_as(user, &[read, "get", link]);
+        assert_eq!(get(&user, &board.cable).succeeds()["authenticated"], true);
+        assert!(get(&other, &board.cable).succeeds()["authenticated"].is_null());
+        let ran = get(&user, &stranger);
+        assert_eq!(ran.succeeds()["authenticated"], false);
+        assert!(ran.stderr.contains("not authenticated"), "{}", ran.stderr);
+    }
+    let status = |link: &str| run_as(&user, &["key", "status", link]);
+    assert_eq!(status(&board.wireless).succeeds()["authenticated"], true);
+    assert_eq!(status(&stranger).succeeds()["authenticated"], false);
+    assert!(status(&stranger).stderr.contains("not authenticated"));
+}
+
+#[test]
+fn a_key_erased_at_the_board_is_not_written_around_in_silence() {
+    let folder = folder();
+    let user = folder.path().join("user");
+    let store = folder.path().join("board.store");
+    let arguments = ["--store", store.to_str().expect("text"), "--motion", "rest"];
+    let board = Simulator::start(&arguments);
+    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    drop(board);
+    let board = Simulator::start(&[&arguments[..], &["--forget-key"]].concat());
+    for link in [&board.cable, &board.wireless] {
+        let ran = run_as(&user, &["settings", "set", link, "--rate", "200"]);
+        let remedy = ran.fails(4, "key_needed")["remedy"].to_string();
+        assert!(remedy.contains("wimu key set"), "{remedy}");
+    }
+    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    for link in [&board.cable, &board.wireless] {
+        let set = run_as(&user, &["settings", "set", link, "--rate", "200"]);
+        assert_eq!(set.succeeds()["authenticated"], true);
+    }
+}

@@ -374,9 +374,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         desk: &mut Staged,
     ) -> Result<ParameterId, Refusal> {
         // Another host's has taken its place before it was looked at.
-        if desk.from.take() != Some(role) {
+        if desk.from.as_ref() != Some(&role) {
             return Err(Refusal::NothingStaged);
         }
+        desk.from.take();
         let wire = desk.set.get().and_then(|set| set.decode().ok());
         let mut wire = wire.ok_or(Refusal::NothingStaged)?;
         let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;

@@ -1,6 +1,7 @@
 //! A board in virtual time, and everything that can go wrong around it.
 
 mod adxl345;
+mod at_once;
 mod epochs;
 mod heading;
 mod keys;

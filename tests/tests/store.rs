@@ -390,6 +390,41 @@ fn a_record_that_is_damaged_after_it_was_saved_is_an_error_and_no_older_one() {
 }
 
 #[test]
+fn what_stands_behind_a_hole_in_a_page_never_returns() {
+    let settings = |generation: u8| vec![generation; 100];
+    let mut worth = 0;
+    for hole in (0..0x400).step_by(4) {
+        let storage = Storage::in_memory();
+        let mut store = start(&storage, 2);
+        for generation in 1..4 {
+            assert_eq!(
+                done(store.save(Key::Settings, &settings(generation))),
+                Some(Ok(()))
+            );
+        }
+        let mut image = storage.image();
+        image[0x1000 + hole..][..40].fill(0xFF);
+        let storage = Storage::from_image(&image);
+        let mut store = start(&storage, 2);
+        let saved = done(store.save(Key::Settings, &settings(9))) == Some(Ok(()));
+        worth += u32::from(saved);
+        // Enough to turn the pages.
+        for round in 0..30 {
+            let _ = done(store.save(Key::BootCount, &[round; 300]));
+            let found = load(&mut start(&storage, 2), Key::Settings);
+            if saved {
+                assert_eq!(
+                    found,
+                    Ok(Some(settings(9))),
+                    "hole at {hole:#x}, round {round}"
+                );
+            }
+        }
+    }
+    assert!(worth > 200, "{worth} of 256 could be saved");
+}
+
+#[test]
 fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() {
     let storage = Storage::in_memory();
     let mut store = storage.store();

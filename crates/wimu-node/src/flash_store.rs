@@ -74,6 +74,7 @@ impl<F: NorFlash> FlashLayout<F> {
 /// - numbers the generations of each record and keeps the latest numbers in a directory: a record
 ///   that was saved and has been damaged since is an error, where `sequential-storage` would
 ///   return the one before it;
+/// - writes nothing into a hole that damage has left in a page: what stands behind it would return;
 /// - looks, after each change, whether a restart would find what was written: what was damaged before
 ///   and written over is an error at once, or mended in another page, never a surprise later;
 /// - removes several records in one step, and needs no flash that can be written twice;
@@ -220,8 +221,13 @@ impl<F: NorFlash> FlashStore<F> {
             if found.is_ok_and(|found| found.as_ref() == Some(&item)) {
                 return Ok(());
             }
-            if matches!(stored, Err(Error::FullStorage | Error::ItemTooBig)) {
-                break;
+            match stored {
+                Err(Error::FullStorage | Error::ItemTooBig) => break,
+                Err(Error::Storage {
+                    value: CheckedError::Hole,
+                    ..
+                }) => self.turn_the_page().await?,
+                _ => {}
             }
         }
         Err(StoreFault)
@@ -257,8 +263,8 @@ impl<F: NorFlash> FlashStore<F> {
         record.get(..length).unwrap_or_default()
     }
 
-    /// Takes the page that records are appended to for full. Damage may have cleared a part of it: what
-    /// is written there uncovers what stands behind.
+    /// Takes the page that records are appended to for full: what is written where damage has cleared a
+    /// part of it uncovers what stands behind.
     async fn turn_the_page(&mut self) -> Result<(), StoreFault> {
         let range = self.map.flash_range();
         for page in range.step_by(F::ERASE_SIZE) {
@@ -566,6 +572,15 @@ impl<F: NorFlash> NorFlash for Checked<F> {
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        let page = offset - offset % F::ERASE_SIZE as u32;
+        let last = page + (F::ERASE_SIZE - F::WRITE_SIZE) as u32;
+        if offset != last && !self.is_blank(offset, last - offset).await? {
+            if offset != page {
+                return Err(CheckedError::Hole);
+            }
+            // The page is begun: nothing in it counts.
+            self.erase(page, page + F::ERASE_SIZE as u32).await?;
+        }
         self.0
             .write(offset, bytes)
             .await
@@ -591,13 +606,15 @@ enum CheckedError<E> {
     Flash(E),
     /// It says that it was done, and it was not.
     WornOut,
+    /// Damage has cleared a part of a page, and something stands behind it.
+    Hole,
 }
 
 impl<E: NorFlashError> NorFlashError for CheckedError<E> {
     fn kind(&self) -> NorFlashErrorKind {
         match self {
             Self::Flash(error) => error.kind(),
-            Self::WornOut => NorFlashErrorKind::Other,
+            Self::WornOut | Self::Hole => NorFlashErrorKind::Other,
         }
     }
 }

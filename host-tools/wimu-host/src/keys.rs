@@ -12,7 +12,7 @@ use crate::error::{ErrorCode, HostError, Result};
 /// in a folder of mode 0700, where there are modes).
 ///
 /// A key that is on its way to a device lies in a second file until the device has confirmed it, and
-/// the one that it replaced stays in a third, so that neither a program that is killed, nor a lost
+/// the one that it replaces in a third until the device has proved it, so that neither a program that is killed, nor a lost
 /// answer, nor a full disk loses the key that the device has.
 #[derive(Clone, Debug)]
 pub struct KeyFolder(PathBuf);
@@ -147,6 +147,12 @@ impl KeyFolder {
             .and_then(|()| fs::rename(&path, &file))
             .and_then(|()| self.sync())
             .map_err(|error| HostError::file(&path.display().to_string(), "rename", &error))
+    }
+
+    /// Drops the key that was replaced, once the device has proved that it has the new one: whoever
+    /// else has the old one could speak in the device's name.
+    pub fn drop_replaced(&self, device_id: u64) {
+        let _ = fs::remove_file(self.replaced(device_id));
     }
 
     /// The device did not take the key that was on its way.
@@ -344,6 +350,8 @@ mod tests {
         // A disk that was full, by a version that wrote in place.
         fs::write(keys.pending(7), "").expect("written");
         assert_eq!(keys.candidates(7), Ok(vec![second, first]));
+        keys.drop_replaced(7);
+        assert_eq!(keys.candidates(7), Ok(vec![second]));
     }
 
     #[cfg(unix)]

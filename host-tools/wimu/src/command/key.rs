@@ -58,7 +58,16 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
                 "the device has this computer's key already; wimu key rotate gives it a new one",
             );
         }
-        (Key::Forget { .. }, None, _) => output.say("the device has no key"),
+        (Key::Forget { .. }, None, _) => {
+            let file = folder.file(device);
+            output.say(if file.exists() {
+                // It may be something in between that says so: the only copy is not thrown away.
+                let file = file.display();
+                format!("the device has no key; if it was erased at the board, remove {file}")
+            } else {
+                "the device has no key".to_owned()
+            });
+        }
         (_, Some(_), None) => {
             let file = folder.file(device);
             let what = if file.exists() {
@@ -100,7 +109,12 @@ fn give<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, device: u64) -
     let key: DeviceKey = keys::generate()?;
     folder.prepare(device, &key)?;
     match client.set_key(key) {
-        Ok(()) => folder.confirm(device),
+        Ok(()) => {
+            folder.confirm(device)?;
+            // The device has proved that it has the new one.
+            folder.drop_replaced(device);
+            Ok(())
+        }
         Err(error) => {
             // Whichever key the device has, one of the two files holds it, unless it refused.
             if matches!(

@@ -1,0 +1,151 @@
+//! Boards on which something is wrong, as a person at the command line sees them.
+
+mod kit;
+
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::thread::{self, JoinHandle};
+
+use kit::wimu;
+use wimu_link::hello::{Fault, Part, ResetReason, board, sensor};
+use wimu_link::{Hello, LinkRole, MAX_FRAME};
+use wimu_model::Counts;
+use wimu_sim::board::{Board, BoardConfig};
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::server::Server;
+use wimu_sim::source::{Physics, Replay};
+use wimu_sim::truth::SensorTruth;
+
+/// A simulated board that listens for as long as this lives.
+struct Serving {
+    link: String,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Serving {
+    fn start(board: impl FnOnce() -> Board + Send + 'static) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let (tell, told) = mpsc::channel();
+        let thread = thread::spawn(move || {
+            let any = "127.0.0.1:0".parse().expect("an address");
+            let server = Server::bind(board(), any, any);
+            let Ok(mut server) = server else {
+                panic!("cannot listen");
+            };
+            let address = server.address(LinkRole::Cable).expect("it listens");
+            tell.send(format!("tcp://{address}"))
+                .expect("somebody waits");
+            server.run(|_| stopped.load(Ordering::Relaxed));
+        });
+        Self {
+            link: told.recv().expect("it listens"),
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// A board at rest that was broken before it had power.
+fn broken(break_it: fn(&Board)) -> Serving {
+    Serving::start(move || {
+        let source = Physics::new(SensorTruth::ideal(), Scene::new(World::default()), 1);
+        let board = Board::start(BoardConfig::default(), source);
+        break_it(&board);
+        board
+    })
+}
+
+#[test]
+fn what_is_wrong_with_the_sensor_is_told_with_what_to_do_whenever_somebody_begins_to_listen() {
+    let silent = || {
+        let samples = (0..20).map(|k| Counts([k, -k, 16_384]));
+        Board::start(BoardConfig::default(), Replay::new(samples))
+    };
+    for (what, board, told) in [
+        (
+            "absent",
+            broken(|board| board.sensor().set_present(false)),
+            "does not answer on its bus; check its wiring and supply",
+        ),
+        (
+            "another chip",
+            broken(|board| board.sensor().set_who_am_i(0x44)),
+            "says it is 0x44, expected 0x33; check that the firmware is for this board",
+        ),
+        (
+            "a bus held low",
+            broken(|board| board.bus_faults().set_stuck(true)),
+            "transfers on the accelerometer's bus fail; check its wiring",
+        ),
+        (
+            "no data",
+            Serving::start(silent),
+            "has no new data in time; check its wiring",
+        ),
+    ] {
+        thread::sleep(std::time::Duration::from_millis(700));
+        let info = wimu(&["info", &board.link]).succeeds();
+        let troubles = info["troubles"].as_array().expect("a list");
+        assert_eq!(troubles.len(), 1, "{what}: {info}");
+        let trouble = troubles[0].as_str().expect("text");
+        assert!(trouble.contains(told), "{what}: {trouble}");
+        let monitor = wimu(&["monitor", &board.link, "--for", "0.5"]);
+        assert_eq!(monitor.code, 0, "{what}: {monitor:?}");
+        assert!(monitor.stderr.contains(told), "{what}: {monitor:?}");
+    }
+}
+
+#[test]
+fn why_a_board_started_is_told_with_file_and_line_after_a_panic() {
+    for (reason, fault, told) in [
+        (
+            ResetReason::Fault,
+            Some(Fault::panic("crates/wimu-node/src/adxl345.rs", 170)),
+            "adxl345.rs:170",
+        ),
+        (
+            ResetReason::Fault,
+            Some(Fault::processor("hard fault", 0x1018_0000)),
+            "hard fault at 0x10180000",
+        ),
+        (ResetReason::Watchdog, None, "watchdog"),
+    ] {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let link = format!("tcp://{}", listener.local_addr().expect("an address"));
+        let answering = thread::spawn(move || {
+            let (mut host, _) = listener.accept().expect("a host");
+            let hello = Hello {
+                device_id: 7,
+                reset_reason: reason,
+                fault,
+                board: Part::new(board::PICO_ADXL345, "Pico"),
+                sensor: Part::new(sensor::ADXL345, "ADXL345"),
+                ..Hello::new(LinkRole::Cable)
+            };
+            let mut frame = [0; MAX_FRAME];
+            let length = hello.encode(&mut frame).expect("room");
+            let mut asked = [0; 64];
+            // Whatever it says, until it hangs up.
+            while host.read(&mut asked).is_ok_and(|count| count > 0) {
+                if host.write_all(&frame[..length]).is_err() {
+                    break;
+                }
+            }
+        });
+        let monitor = wimu(&["monitor", &link, "--for", "0.3"]);
+        assert!(monitor.stderr.contains(told), "{told}: {monitor:?}");
+        answering.join().expect("no panic");
+    }
+}

@@ -46,7 +46,10 @@ impl NorFlash for StoreFlash {
         if from > to || to as usize > FLASH_SIZE {
             return Err(Error::OutOfBounds);
         }
-        if [from, to].iter().any(|at| *at as usize % PAGE_SIZE != 0) {
+        if [from, to]
+            .iter()
+            .any(|at| !(*at as usize).is_multiple_of(PAGE_SIZE))
+        {
             return Err(Error::Unaligned);
         }
         for page in (from..to).step_by(PAGE_SIZE) {

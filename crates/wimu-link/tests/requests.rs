@@ -246,7 +246,6 @@ fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
         (cable, has(KeyState::None, Some(1)), None),
         (cable, has(KeyState::None, None), None),
         (cable, has(key, Some(1)), Some(Refusal::SignatureNeeded)),
-        (cable, has(key, None), Some(Refusal::SignatureNeeded)),
         (
             cable,
             has(KeyState::Unreadable, Some(1)),

@@ -418,7 +418,7 @@ fn a_clock_that_runs_fast_is_as_fast_as_said() {
         assert_eq!(last_right.0, last_wrong.0);
         let ratio = (last_wrong.1 - first_wrong.1) / (last_right.1 - first_right.1);
         let ppb = (ratio - 1.0) * 1e9;
-        assert!((ppb - f64::from(clock_error_ppb)).abs() < 100.0, "{ppb}");
+        assert!((ppb - f64::from(clock_error_ppb)).abs() < 200.0, "{ppb}");
     }
 }
 

@@ -44,11 +44,12 @@ fn only_image(output: &Output) -> Result<PathBuf, String> {
     built.next().ok_or_else(|| "no image was built".into())
 }
 
-/// Builds the board called `name` and writes it to the board at the debug probe.
+/// Builds the board called `name` and writes it through a debug probe, with `wimu flash`; `options` are
+/// its own.
 ///
 /// # Errors
 /// Says what is missing or which command failed.
-pub fn flash(workspace: &Workspace, name: &str) -> Result<(), String> {
+pub fn flash(workspace: &Workspace, name: &str, options: &[String]) -> Result<(), String> {
     let folder = Path::new("firmware").join(name);
     let known = |folder: &PathBuf| Format::of(folder).is_some();
     let boards: Vec<String> = workspace
@@ -60,26 +61,18 @@ pub fn flash(workspace: &Workspace, name: &str) -> Result<(), String> {
     if !boards.iter().any(|board| board == name) {
         return Err(format!("there is no board `{name}`: {}", boards.join(", ")));
     }
-    let chip = match Format::of(&folder) {
-        Some(Format::Hex) => "nRF52833_xxAA",
-        _ => "RP2040",
-    };
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     let image = only_image(&built(source, &folder, None)?)?;
-    if CommandLine::new("probe-rs --version").output().is_none() {
-        let file = Format::of(&folder).map(|format| image::write(&folder, &image, format));
-        let file = file.transpose()?.unwrap_or_default();
-        return Err(format!(
-            "probe-rs is missing: https://probe.rs/docs/getting-started/installation, or copy {} \
-             onto the board's drive",
-            file.display()
-        ));
+    // Where `wimu flash` looks for it, and what to copy where there is no probe.
+    if let Some(format) = Format::of(&folder) {
+        image::write(&folder, &image, format)?;
     }
-    CommandLine::new("probe-rs download --chip")
-        .word(chip)
-        .word(&image.display().to_string())
-        .run()?;
-    CommandLine::new("probe-rs reset --chip").word(chip).run()
+    let write = setup::cargo("run --release --quiet -p wimu --features flash -- flash").word(name);
+    go_on_as(
+        options
+            .iter()
+            .fold(write, |write, option| write.word(option)),
+    )
 }
 
 /// The Pico's image on an emulated RP2040; skipped, saying so, where the emulator cannot be had.
@@ -166,10 +159,15 @@ pub fn qemu(options: &[String]) -> Result<(), String> {
         .fold(start.word(&image.display().to_string()), |start, option| {
             start.word(option)
         });
+    go_on_as(start)
+}
+
+/// Goes on as a command: signals reach it, and its exit code is ours, where the system can.
+fn go_on_as(command: CommandLine) -> Result<(), String> {
     #[cfg(unix)]
-    return Err(start.become_it());
+    return Err(command.become_it());
     #[cfg(not(unix))]
-    start.run()
+    command.run()
 }
 
 /// The end-to-end tests on the board in QEMU.

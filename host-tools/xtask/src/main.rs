@@ -25,8 +25,8 @@ enum Task {
     /// A folder of recordings.
     Budget(Option<String>),
     Firmware,
-    /// The name of a board.
-    Flash(String),
+    /// The name of a board, and options of `wimu flash`.
+    Flash(String, Vec<String>),
     Size,
     /// Options of the emulated board.
     Qemu(Vec<String>),
@@ -60,7 +60,7 @@ fn run(task: Task) -> Result<(), String> {
         Task::Test(only) => test::run(&Workspace::enter()?, &only),
         Task::Budget(data) => budget::run(&Workspace::enter()?, data.as_deref()),
         Task::Firmware => firmware::run(&Workspace::enter()?),
-        Task::Flash(board) => firmware::flash(&Workspace::enter()?, &board),
+        Task::Flash(board, options) => firmware::flash(&Workspace::enter()?, &board, &options),
         Task::Size => size::run(&Workspace::enter()?),
         Task::Qemu(options) => {
             Workspace::enter()?;
@@ -90,7 +90,10 @@ fn parse(words: &[String]) -> Result<Task, String> {
         ["budget", folder] if !folder.starts_with('-') => Ok(Task::Budget(Some(folder.into()))),
         ["firmware"] => Ok(Task::Firmware),
         ["flash"] => Err("flash needs the name of a board: microbit-v2 or pico-adxl345".into()),
-        ["flash", board] if !board.starts_with('-') => Ok(Task::Flash(board.into())),
+        ["flash", board, ref options @ ..] if !board.starts_with('-') => Ok(Task::Flash(
+            board.into(),
+            options.iter().map(ToString::to_string).collect(),
+        )),
         ["size"] => Ok(Task::Size),
         [
             "setup" | "test" | "budget" | "firmware" | "flash" | "size",
@@ -130,7 +133,8 @@ Usage: cargo xtask TASK
                         recordings come from the folder DATA (default {}, if there)
   firmware              build every board; target/firmware gets microbit-v2.hex and
                         pico-adxl345.uf2, to be copied onto the boards' drives
-  flash BOARD           build a board and write it through its debug probe
+  flash BOARD [OPTION]… build a board and write it through its debug probe, with `wimu flash` and
+                        its options: --probe, --erase-all
   size                  build every board, and print the flash and RAM it takes, by crate; fail where
                         it is more than it may be
   qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
@@ -166,7 +170,14 @@ mod tests {
         assert_eq!(parsed("size"), Ok(Task::Size));
         assert_eq!(
             parsed("flash microbit-v2"),
-            Ok(Task::Flash("microbit-v2".into()))
+            Ok(Task::Flash("microbit-v2".into(), vec![]))
+        );
+        assert_eq!(
+            parsed("flash pico-adxl345 --erase-all"),
+            Ok(Task::Flash(
+                "pico-adxl345".into(),
+                vec!["--erase-all".into()]
+            ))
         );
         assert_eq!(
             parsed("qemu --seed 2"),

@@ -195,7 +195,13 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
             ),
         )
     })?;
-    open.attach(chip, permissions).map_err(|error| match error {
+    open.attach(chip, permissions)
+        .map_err(|error| refused(chip, error))
+}
+
+/// Why a chip does not let itself be attached to, and what to do.
+fn refused(chip: &str, error: probe_rs::Error) -> HostError {
+    match error {
         probe_rs::Error::MissingPermissions(_)
         | probe_rs::Error::Arm(ArmError::MissingPermissions(_)) => HostError::new(
             ErrorCode::ChipLocked,
@@ -207,7 +213,7 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
             format!("no {chip} answers at the probe: {}", chain(&other)),
             "check the board's power and the wires to SWDIO, SWCLK and ground, and that the board is the one named",
         ),
-    })
+    }
 }
 
 fn progress<'a>(output: Output) -> FlashProgress<'a> {
@@ -272,6 +278,23 @@ mod tests {
                 .expect("flash at the vectors");
             assert!(loader.add_data(chip.ram.end.into(), &[0; 64]).is_err());
         }
+    }
+
+    #[test]
+    fn a_locked_chip_is_not_erased_without_consent_and_the_cost_is_named() {
+        let missing = || ArmError::MissingPermissions("erase_all".into());
+        let locked = refused("nRF52833_xxAA", probe_rs::Error::Arm(missing()));
+        assert_eq!(locked.code(), ErrorCode::ChipLocked);
+        let text = locked.to_string();
+        assert!(
+            text.contains("erases all") && text.contains("--erase-all"),
+            "{text}"
+        );
+        // What is not the lock does not end in advice to erase.
+        let silent = refused("RP2040", probe_rs::Error::Timeout);
+        assert_eq!(silent.code(), ErrorCode::FlashFailed);
+        let text = silent.to_string();
+        assert!(text.contains("RP2040") && !text.contains("erase"), "{text}");
     }
 
     #[test]

@@ -48,7 +48,7 @@ pub fn take() -> Option<Fault> {
         return None;
     }
     let file = note.file.get(..usize::from(note.length))?;
-    Some(Fault::panic(core::str::from_utf8(file).ok()?, note.line))
+    Some(Fault::panic(file, note.line))
 }
 
 fn leave(fault: &Fault) -> ! {
@@ -60,8 +60,8 @@ fn leave(fault: &Fault) -> ! {
         length: 0,
         check: 0,
     };
-    for (place, byte) in note.file.iter_mut().zip(fault.file.as_str().bytes()) {
-        *place = byte;
+    for (place, byte) in note.file.iter_mut().zip(fault.file.as_bytes()) {
+        *place = *byte;
         note.length += 1;
     }
     note.check = check(&note);

@@ -10,6 +10,8 @@ mod display;
 mod flash;
 #[path = "../../shared/last_words.rs"]
 mod last_words;
+#[path = "../../shared/memory.rs"]
+mod memory;
 mod rate;
 #[path = "../../shared/tasks.rs"]
 mod tasks;

@@ -9,6 +9,8 @@ mod data_ready;
 mod flash;
 #[path = "../../shared/last_words.rs"]
 mod last_words;
+#[path = "../../shared/memory.rs"]
+mod memory;
 mod rate;
 mod sender;
 #[path = "../../shared/tasks.rs"]

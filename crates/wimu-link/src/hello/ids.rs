@@ -260,10 +260,13 @@ impl Name {
 
     /// The name.
     pub fn as_str(&self) -> &str {
-        self.bytes
-            .get(..usize::from(self.length))
-            .and_then(|bytes| core::str::from_utf8(bytes).ok())
-            .unwrap_or_default()
+        core::str::from_utf8(self.as_bytes()).unwrap_or_default()
+    }
+
+    /// The name's characters.
+    pub fn as_bytes(&self) -> &[u8] {
+        let length = usize::from(self.length);
+        self.bytes.get(..length).unwrap_or_default()
     }
 }
 
@@ -298,9 +301,10 @@ pub struct Fault {
 
 impl Fault {
     /// A panic in `line` of `file`, of which the end is kept.
-    pub fn panic(file: &str, line: u32) -> Self {
+    pub fn panic(file: impl AsRef<[u8]>, line: u32) -> Self {
+        let file = file.as_ref();
         let surplus = file.len().saturating_sub(NAME_LENGTH);
-        let end = file.as_bytes().get(surplus..).unwrap_or_default();
+        let end = file.get(surplus..).unwrap_or_default();
         Self {
             line,
             file: Name::from_bytes(end),

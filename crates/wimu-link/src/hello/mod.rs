@@ -166,7 +166,7 @@ impl Hello {
                 body.push(&part.name.bytes)?;
             }
             if let Some(Fault { line, file }) = &self.fault {
-                let name = file.as_str().as_bytes();
+                let name = file.as_bytes();
                 body.push(&[FAULT, 4 + name.len() as u8])?;
                 body.push(&line.to_le_bytes())?;
                 body.push(name)?;

@@ -1,6 +1,6 @@
 //! Held attitude from gravity and a reference direction: equation (7) of docs/EQUATIONS.md.
 
-use wimu_model::{PositionNm, VelocityNmps};
+use wimu_model::{PositionNm, VelocityNmps, root};
 
 use crate::segment::round_shift;
 
@@ -99,7 +99,7 @@ pub(crate) fn to_direction(value: f64) -> i32 {
 }
 
 pub(crate) fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
-    let norm = libm::sqrt(dot(v, v));
+    let norm = root::sqrt(dot(v, v));
     (norm > 0.0).then(|| v.map(|x| x / norm))
 }
 

@@ -1,6 +1,6 @@
 //! Heading from a calibrated magnetometer at a rest: equation (58) of docs/EQUATIONS.md.
 
-use wimu_model::{MagneticFieldNt, ParameterSet};
+use wimu_model::{MagneticFieldNt, ParameterSet, root};
 
 use crate::attitude::{DIRECTION_BITS, to_direction};
 
@@ -197,12 +197,12 @@ impl Compass {
         let b = apply(&self.to_body, minus(field.mean_nt, self.hard_iron_nt));
         let vertical = dot(b, up);
         let level = minus(b, up.map(|axis| axis * vertical));
-        let level_nt = libm::sqrtf(dot(level, level));
+        let level_nt = sqrt(dot(level, level));
         let north = unit(level)?;
         let east = cross(north, up);
         let known = self.model + field.variance() / field.readings as f32;
         // What departs from the field where it was calibrated shows what does not.
-        let longer = libm::sqrtf(dot(b, b)) - self.field_nt;
+        let longer = sqrt(dot(b, b)) - self.field_nt;
         let higher = vertical - self.up_nt;
         let disturbed = (0.5 * (square(longer) + square(higher)) - known).max(0.0);
         let dip_tangent = -vertical / level_nt;
@@ -211,7 +211,7 @@ impl Compass {
             + dot(lever, apply(&self.mounting, lever))
             + dot(up, apply(&self.alignment, up))
             + square(dip_tangent) * self.tilt;
-        let sd_rad = libm::sqrtf(variance);
+        let sd_rad = sqrt(variance);
         (sd_rad <= MOST_SD_RAD).then(|| MagneticHeading {
             east: east.map(|axis| to_direction(f64::from(axis))),
             sd_mrad: (sd_rad * 1000.0) as u16 + 1,
@@ -245,8 +245,14 @@ fn apply(matrix: &Matrix, v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| dot(row, v))
 }
 
+/// The square root, rounded to the nearest: one of more than twice the digits is, when it is rounded
+/// once more.
+fn sqrt(x: f32) -> f32 {
+    root::sqrt(f64::from(x)) as f32
+}
+
 fn unit(v: [f32; 3]) -> Option<[f32; 3]> {
-    let norm = libm::sqrtf(dot(v, v));
+    let norm = sqrt(dot(v, v));
     (norm > 0.0).then(|| v.map(|x| x / norm))
 }
 

@@ -1,6 +1,6 @@
 //! Stillness from windows of samples: equation (9) of docs/EQUATIONS.md.
 
-use wimu_model::{PeriodNs, SpecificForceQ16};
+use wimu_model::{PeriodNs, SpecificForceQ16, root};
 
 use crate::segment::Segment;
 
@@ -105,7 +105,7 @@ impl Window {
         let n = u64::from(self.samples.max(1));
         // Twice the standard error of the mean is 2 √(scatter / n³); the sum is 2n times the mean,
         // and 2⁶ takes 2⁻¹⁰ to 2⁻¹⁶ m/s².
-        2 * n * SHIFT_LSB + 4 * 64 * (self.scatter() / n).isqrt()
+        2 * n * SHIFT_LSB + 4 * 64 * root::isqrt(self.scatter() / n)
     }
 }
 

@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use crate::root;
+
 /// A covariance was none: not finite, or not positive semi-definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -59,7 +61,7 @@ macro_rules! covariance {
                             // Without variance there is no covariance either.
                             if pivot > 0.0 { rest / pivot } else { 0.0 }
                         } else if rest > ROUNDING * matrix[row][row] {
-                            libm::sqrt(rest)
+                            root::sqrt(rest)
                         } else if rest >= -1e-6 * matrix[row][row] && matrix[row][row] >= 0.0 {
                             0.0
                         } else {
@@ -112,7 +114,7 @@ macro_rules! covariance {
 
             /// Standard deviation of the parameter at a place.
             pub fn sd(&self, place: usize) -> f64 {
-                libm::sqrt(self.get(place, place))
+                root::sqrt(self.get(place, place))
             }
 
             /// All of it.

@@ -2,6 +2,9 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate std;
+
 mod corrector;
 mod covariance;
 mod error_model;
@@ -11,6 +14,7 @@ mod matrix;
 mod parameters;
 mod quality;
 mod quantities;
+pub mod root;
 
 pub use corrector::{CompileError, Corrector};
 pub use covariance::{CovarianceError, ModelCovariance, RotationCovariance};

@@ -3,6 +3,7 @@
 use core::fmt;
 
 use crate::matrix::{self, Matrix3};
+use crate::root;
 use crate::{
     CalibrationQuality, Counts, ErrorModel, MagneticFieldNt, MagnetometerModel, RotationCovariance,
     Sensitivity, SpecificForceMps2,
@@ -26,7 +27,7 @@ impl Alignment {
     /// [`AlignmentError`] when it is not finite or its length is outside 0.5..=2.
     pub fn from_quaternion(wxyz: [f64; 4]) -> Result<Self, AlignmentError> {
         let [w, x, y, z] = wxyz;
-        let norm = libm::sqrt(w * w + x * x + y * y + z * z);
+        let norm = root::sqrt(w * w + x * x + y * y + z * z);
         if (0.5..=2.0).contains(&norm) {
             Ok(Self(wxyz.map(|q| q / norm)))
         } else {

@@ -92,28 +92,23 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             match event {
                 Either4::First((role, Command::SetLineRate { link, baud })) => {
                     let outcome = self.set_rate(role, link, baud).await;
-                    self.answer(
-                        role,
-                        &match outcome {
-                            Ok(_) => Answer::Accepted(Payload::None),
-                            Err(refusal) => Answer::Refused(refusal),
-                        },
-                    )
-                    .await;
+                    let answer = match outcome {
+                        Ok(_) => Answer::Accepted(Payload::None),
+                        Err(refusal) => Answer::Refused(refusal),
+                    };
+                    self.answer(role, Some(&answer)).await;
                     // The answer leaves at the old rate.
                     if let Ok((line, order)) = outcome {
                         self.shared.rate_signals(line).order.signal(order);
                     }
                 }
-                Either4::First((role, Command::GetParameters)) => {
-                    self.answer_parameters(role).await
-                }
+                Either4::First((role, Command::GetParameters)) => self.answer(role, None).await,
                 Either4::First((role, command)) => {
                     let answer = match self.obey(&mut plan, role, command).await {
                         Ok(payload) => Answer::Accepted(payload),
                         Err(refusal) => Answer::Refused(refusal),
                     };
-                    self.answer(role, &answer).await;
+                    self.answer(role, Some(&answer)).await;
                     // Behind the answer: they are long, and somebody waits for it.
                     if core::mem::take(&mut self.parameters_changed) {
                         self.announce_parameters();
@@ -135,16 +130,17 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.shared.stream([true; 2], &status, |_| true);
     }
 
-    async fn answer(&self, role: LinkRole, answer: &Answer<EncodedParameters<'_>>) {
+    /// Answers a request; with the parameters in use where there is no other answer.
+    async fn answer(&self, role: LinkRole, answer: Option<&Answer<EncodedParameters<'_>>>) {
         let mut responder = self.shared.responder(role).await;
-        self.reply(role, &mut responder, answer);
-    }
-
-    async fn answer_parameters(&self, role: LinkRole) {
-        let mut responder = self.shared.responder(role).await;
-        let active = self.shared.active();
-        let active = Payload::Parameters(active_parameters(&active));
-        self.reply(role, &mut responder, &Answer::Accepted(active));
+        match answer {
+            Some(answer) => self.reply(role, &mut responder, answer),
+            None => {
+                let active = self.shared.active();
+                let active = Payload::Parameters(active_parameters(&active));
+                self.reply(role, &mut responder, &Answer::Accepted(active));
+            }
+        }
     }
 
     fn reply(
@@ -189,17 +185,19 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     /// Reads what is stored and starts the sensor. What cannot be read or used is reported, and
     /// the device runs without it.
     async fn start(&mut self) -> Plan {
-        let boot_count = match self.load_boot_count().await {
+        let mut bytes = [0; 4];
+        let boot_count = match self.load_raw(Key::BootCount, &mut bytes).await {
             // A count that is not kept would come again.
-            Ok(before) => self.count_start(before).await,
+            Ok(_) => self.count_start(u32::from_le_bytes(bytes)).await,
             Err(StoreFault) => None,
         };
         if boot_count.is_none() {
             self.trouble(Trouble::BootCount, Event::StoreUnreadable);
         }
-        let key = match self.load_raw(Key::DeviceKey).await {
-            Ok(None) => KeyState::None,
-            Ok(Some(bytes)) => KeyState::Set(DeviceKey::new(bytes)),
+        let mut key = [0; DeviceKey::LENGTH];
+        let key = match self.load_raw(Key::DeviceKey, &mut key).await {
+            Ok(false) => KeyState::None,
+            Ok(true) => KeyState::Set(DeviceKey::new(key)),
             Err(StoreFault) => {
                 self.trouble(Trouble::DeviceKey, Event::StoreUnreadable);
                 KeyState::Unreadable
@@ -236,8 +234,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             published.ready = true;
         });
         for role in ROLES {
-            let baud = self.load_raw(rate_key(role)).await.ok().flatten();
-            let order = RateOrder::Use(baud.map(u32::from_le_bytes));
+            let stored = self.load_raw(rate_key(role), &mut bytes).await == Ok(true);
+            let baud = u32::from_le_bytes(bytes);
+            let order = RateOrder::Use(stored.then_some(baud));
             self.shared.rate_signals(role).order.signal(order);
             self.shared.introduce(role, self.timer.now());
         }
@@ -691,11 +690,6 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         saved.map_err(|StoreFault| Refusal::StoreFailed)
     }
 
-    async fn load_boot_count(&mut self) -> Result<u32, StoreFault> {
-        let count = self.load_raw(Key::BootCount).await?;
-        Ok(count.map_or(0, u32::from_le_bytes))
-    }
-
     /// Counts one more start; `None` if it cannot be kept.
     async fn count_start(&mut self, before: u32) -> Option<u32> {
         let count = before.wrapping_add(1).max(1);
@@ -703,13 +697,16 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         saved.is_ok().then_some(count)
     }
 
-    /// Reads a record of bytes.
-    async fn load_raw<const N: usize>(&mut self, key: Key) -> Result<Option<[u8; N]>, StoreFault> {
+    /// Reads a record of bytes into `bytes`; whether there is one.
+    async fn load_raw(&mut self, key: Key, bytes: &mut [u8]) -> Result<bool, StoreFault> {
         let Some(place) = self.load(key).await? else {
-            return Ok(None);
+            return Ok(false);
         };
-        let (_, bytes) = self.content(&place).split_first().ok_or(StoreFault)?;
-        bytes.try_into().map(Some).map_err(|_| StoreFault)
+        match self.content(&place).split_first() {
+            Some((_, stored)) if stored.len() == bytes.len() => bytes.copy_from_slice(stored),
+            _ => return Err(StoreFault),
+        }
+        Ok(true)
     }
 
     async fn save_raw(&mut self, key: Key, content: &[u8]) -> Result<(), StoreFault> {

@@ -142,17 +142,21 @@ impl<F: NorFlash> FlashStore<F> {
     }
 
     /// The directory, read at the first call.
-    async fn directory(&mut self) -> Result<Directory, StoreFault> {
-        if let Some(directory) = self.directory {
-            return Ok(directory);
+    async fn directory(&mut self) -> Result<&mut Directory, StoreFault> {
+        if self.directory.is_none() {
+            self.read_directory().await?;
         }
+        self.directory.as_mut().ok_or(StoreFault)
+    }
+
+    async fn read_directory(&mut self) -> Result<(), StoreFault> {
         // First: looking for records may repair the flash.
         let left_over = self.holds_more_than_a_beginning().await?;
         let found = self
             .map
             .fetch_item::<&[u8]>(&mut self.buffer.0, &DIRECTORY)
             .await;
-        let mut directory = match found {
+        let found = match found {
             Ok(Some(bytes)) => Directory::from_bytes(bytes.get(GENERATION..).unwrap_or_default()),
             Err(Error::Storage { .. }) => return Err(StoreFault),
             Ok(None) | Err(_) => Directory {
@@ -160,6 +164,9 @@ impl<F: NorFlash> FlashStore<F> {
                 ..Directory::default()
             },
         };
+        // In its place from here on: nobody keeps a second one while the flash is read.
+        let directory = self.directory.insert(found);
+        let mut outcome = Ok(());
         // Power may have been lost before the directory took note of a record.
         if let Ok(mut items) = self.map.fetch_all_items(&mut self.buffer.0).await {
             while let Ok(Some((key, bytes))) = items.next::<&[u8]>(&mut self.buffer.0).await {
@@ -169,17 +176,19 @@ impl<F: NorFlash> FlashStore<F> {
                 {
                     let generation = u32::from_le_bytes(generation);
                     if generation > directory.entry(key).generation {
-                        directory.put(Entry {
+                        outcome = outcome.and(directory.put(Entry {
                             key,
                             generation,
                             stands: !record.is_empty(),
-                        })?;
+                        }));
                     }
                 }
             }
         }
-        put(&mut self.directory, &Some(directory));
-        Ok(directory)
+        if outcome.is_err() {
+            self.directory = None;
+        }
+        outcome
     }
 
     /// Whether the flash has been used beyond what the first records leave that power loss
@@ -208,6 +217,12 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(Some((u32::from_le_bytes(*generation), record.len())))
     }
 
+    /// Whether the newest record of a key that can be read is this one.
+    async fn holds(&mut self, key: u8, generation: u32, record: &[u8]) -> Result<bool, StoreFault> {
+        let newest = self.newest(key).await?;
+        Ok(newest == Some((generation, record.len())) && self.latest_read(record.len()) == record)
+    }
+
     /// Appends an item and reads it back.
     async fn append(&mut self, key: u8, generation: u32, record: &[u8]) -> Result<(), StoreFault> {
         let item = Item {
@@ -216,9 +231,8 @@ impl<F: NorFlash> FlashStore<F> {
         };
         for _ in 0..ATTEMPTS {
             let stored = self.map.store_item(&mut self.buffer.0, &key, &item).await;
-            let found = self.map.fetch_item::<Item>(&mut self.buffer.0, &key).await;
             // Even if writing failed somewhere: what counts is what will be read.
-            if found.is_ok_and(|found| found.as_ref() == Some(&item)) {
+            if self.holds(key, generation, record).await == Ok(true) {
                 return Ok(());
             }
             match stored {
@@ -233,28 +247,24 @@ impl<F: NorFlash> FlashStore<F> {
         Err(StoreFault)
     }
 
-    async fn save_directory(&mut self, directory: Directory) -> Result<(), StoreFault> {
+    async fn save_directory(&mut self, directory: &Directory) -> Result<(), StoreFault> {
         self.append(DIRECTORY, 0, &directory.to_bytes()).await?;
-        put(&mut self.directory, &Some(directory));
+        put(&mut self.directory, &Some(*directory));
         Ok(())
     }
 
     /// Whether a restart would find what `wanted` says of every record, and this `record` under
     /// `entry`'s key.
-    async fn would_be_found(&mut self, wanted: Directory, entry: Entry, record: &[u8]) -> bool {
-        self.directory = None;
-        let found = self.directory().await;
+    async fn would_be_found(&mut self, wanted: &Directory, entry: Entry, record: &[u8]) -> bool {
+        let read = self.read_directory().await;
+        let found = self.directory.as_ref();
+        let same = found.is_some_and(|found| wanted.says_the_same(found));
         // What is known of the others is not forgotten because it is hard to find.
-        put(&mut self.directory, &Some(wanted));
-        let Ok(found) = found else { return false };
-        if !wanted.says_the_same(&found) {
+        put(&mut self.directory, &Some(*wanted));
+        if read.is_err() || !same {
             return false;
         }
-        if !entry.stands {
-            return true;
-        }
-        let known = (entry.generation, record.len());
-        self.newest(entry.key).await == Ok(Some(known)) && self.latest_read(record.len()) == record
+        !entry.stands || self.holds(entry.key, entry.generation, record).await == Ok(true)
     }
 
     /// The record that [`newest`](Self::newest) has read last.
@@ -283,13 +293,11 @@ impl<F: NorFlash> FlashStore<F> {
 
     /// Flash that holds nothing that can be read is erased before it is written.
     async fn writable(&mut self) -> Result<Directory, StoreFault> {
-        let mut directory = self.directory().await?;
-        if directory.ruined {
+        if self.directory().await?.ruined {
             self.map.erase_all().await.map_err(|_| StoreFault)?;
-            directory.ruined = false;
-            put(&mut self.directory, &Some(directory));
+            self.directory().await?.ruined = false;
         }
-        Ok(directory)
+        self.directory.ok_or(StoreFault)
     }
 
     /// Bytes that all records take, and the directory twice, for it is saved with each of them.
@@ -338,10 +346,7 @@ impl<F: NorFlash> Store for FlashStore<F> {
         let mut directory = self.writable().await?;
         let known = directory.entry(key);
         // What stands is not written again.
-        if known.stands
-            && self.newest(key).await? == Some((known.generation, record.len()))
-            && self.latest_read(record.len()) == record
-        {
+        if known.stands && self.holds(key, known.generation, record).await? {
             return Ok(());
         }
         // The old record may have to be moved before the new one stands.
@@ -354,8 +359,8 @@ impl<F: NorFlash> Store for FlashStore<F> {
         for _ in 0..PAGES_TRIED {
             self.append(key, entry.generation, record).await?;
             // It stands. Without the directory, it would merely be missed less.
-            let _ = self.save_directory(directory).await;
-            if self.would_be_found(directory, entry, record).await {
+            let _ = self.save_directory(&directory).await;
+            if self.would_be_found(&directory, entry, record).await {
                 return Ok(());
             }
             self.turn_the_page().await?;
@@ -378,14 +383,14 @@ impl<F: NorFlash> Store for FlashStore<F> {
             return Ok(());
         }
         for _ in 0..PAGES_TRIED {
-            self.save_directory(directory).await?;
+            self.save_directory(&directory).await?;
             // They are removed. Lest they return if the directory is damaged some day:
             for (entry, before) in directory.entries.iter().zip(before.entries) {
                 if *entry != before {
                     let _ = self.append(entry.key, entry.generation, &[]).await;
                 }
             }
-            if self.would_be_found(directory, removed, &[]).await {
+            if self.would_be_found(&directory, removed, &[]).await {
                 return Ok(());
             }
             self.turn_the_page().await?;
@@ -396,7 +401,6 @@ impl<F: NorFlash> Store for FlashStore<F> {
 }
 
 /// What is stored under a key.
-#[derive(PartialEq)]
 struct Item<'a> {
     generation: [u8; GENERATION],
     record: &'a [u8],

@@ -107,23 +107,8 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         }
     }
 
-    async fn write(&mut self, address: u8, bytes: &[u8]) -> Result<(), SensorFault> {
-        let outcome = self.i2c.write(address, bytes).await;
-        outcome.map_err(|error| SensorFault::of_bus(&error))
-    }
-
-    /// Reads `N` registers from `register` on.
-    async fn read<const N: usize>(
-        &mut self,
-        address: u8,
-        register: u8,
-    ) -> Result<[u8; N], SensorFault> {
-        let mut values = [0; N];
-        self.burst(address, register, &mut values).await?;
-        Ok(values)
-    }
-
-    async fn burst(
+    /// Reads registers from `register` on.
+    async fn read(
         &mut self,
         address: u8,
         register: u8,
@@ -139,10 +124,9 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         let mut bytes = [0; MOST as usize * SAMPLE];
         for places in counts.chunks_mut(MOST.into()) {
             let burst = bytes.get_mut(..places.len() * SAMPLE).unwrap_or_default();
-            self.burst(ACCELEROMETER, OUT_X_L, burst).await?;
-            for (place, bytes) in places.iter_mut().zip(burst.as_chunks::<SAMPLE>().0) {
-                let [x0, x1, y0, y1, z0, z1] = *bytes;
-                *place = Counts([[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes));
+            self.read(ACCELEROMETER, OUT_X_L, burst).await?;
+            for (place, bytes) in places.iter_mut().zip(burst.as_chunks().0) {
+                *place = Counts(axes(bytes));
             }
         }
         Ok(())
@@ -154,7 +138,9 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         loop {
             let rose = self.timer.before(deadline, self.data_ready.ready()).await;
             let woken = self.timer.now();
-            let [source] = self.read(ACCELEROMETER, FIFO_SRC).await?;
+            let mut source = [0];
+            self.read(ACCELEROMETER, FIFO_SRC, &mut source).await?;
+            let [source] = source;
             let at = self.timer.now();
             let overrun = source & FIFO_SRC_FULL != 0;
             let waiting = if overrun {
@@ -175,6 +161,11 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             self.timer.after_us(self.fifo.micros(missing)).await;
         }
     }
+}
+
+/// x, y, z as either sensor sends them.
+fn axes(&[x0, x1, y0, y1, z0, z1]: &[u8; SAMPLE]) -> [i16; 3] {
+    [[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes)
 }
 
 impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
@@ -232,18 +223,15 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             Resolution::High => (0, CTRL4_HIGH_RESOLUTION),
         };
 
-        let [found] = self.read(ACCELEROMETER, WHO_AM_I).await?;
+        let mut found = [0];
+        self.read(ACCELEROMETER, WHO_AM_I, &mut found).await?;
+        let [found] = found;
         if found != IDENTITY {
             return Err(SensorFault::WrongIdentity {
                 expected: IDENTITY,
                 found,
             });
         }
-        // Off, and the FIFO empty, while the rest is set.
-        self.write(ACCELEROMETER, &[CTRL1, CTRL1_AXES]).await?;
-        self.write(ACCELEROMETER, &[FIFO_CTRL, FIFO_CTRL_BYPASS])
-            .await?;
-        self.write(ACCELEROMETER, &[TEMP_CFG, TEMP_CFG_ON]).await?;
         let settings = [
             CTRL2 | INCREMENT,
             0,
@@ -252,14 +240,24 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             CTRL5_FIFO,
             0,
         ];
-        self.write(ACCELEROMETER, &settings).await?;
         // The line rises when more wait than it is told.
         let stream = FIFO_CTRL_STREAM | (self.fifo.watermark() - 1);
-        self.write(ACCELEROMETER, &[FIFO_CTRL, stream]).await?;
         let magnetometer = [CFG_A_M | INCREMENT, CFG_A_M_RUN, 0, CFG_C_M_BLOCK_UPDATE];
-        self.write(MAGNETOMETER, &magnetometer).await?;
-        self.write(ACCELEROMETER, &[CTRL1, rate << 4 | power | CTRL1_AXES])
-            .await
+        // Off, and the FIFO empty, while the rest is set.
+        let writes: [(u8, &[u8]); 7] = [
+            (ACCELEROMETER, &[CTRL1, CTRL1_AXES]),
+            (ACCELEROMETER, &[FIFO_CTRL, FIFO_CTRL_BYPASS]),
+            (ACCELEROMETER, &[TEMP_CFG, TEMP_CFG_ON]),
+            (ACCELEROMETER, &settings),
+            (ACCELEROMETER, &[FIFO_CTRL, stream]),
+            (MAGNETOMETER, &magnetometer),
+            (ACCELEROMETER, &[CTRL1, rate << 4 | power | CTRL1_AXES]),
+        ];
+        for (address, bytes) in writes {
+            let outcome = self.i2c.write(address, bytes).await;
+            outcome.map_err(|error| SensorFault::of_bus(&error))?;
+        }
+        Ok(())
     }
 
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
@@ -269,7 +267,8 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             if look.overrun {
                 // The oldest makes place for a new one even while it is read, half of it old, half
                 // new; without it there is room.
-                self.read::<SAMPLE>(ACCELEROMETER, OUT_X_L).await?;
+                let mut oldest = [0; SAMPLE];
+                self.read(ACCELEROMETER, OUT_X_L, &mut oldest).await?;
                 lost = true;
                 continue;
             }
@@ -293,20 +292,23 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
         if !self.field_measured {
-            let [status] = self.read(MAGNETOMETER, STATUS_M).await?;
-            self.field_measured = status & STATUS_M_NEW != 0;
+            let mut status = [0];
+            self.read(MAGNETOMETER, STATUS_M, &mut status).await?;
+            self.field_measured = status[0] & STATUS_M_NEW != 0;
         }
         let magnetic_field = if self.field_measured {
-            let [x0, x1, y0, y1, z0, z1] = self.read(MAGNETOMETER, OUT_X_L_M).await?;
-            let field = [[x0, x1], [y0, y1], [z0, z1]];
-            let field = field.map(|axis| i32::from(i16::from_le_bytes(axis)) * NT_PER_LSB);
+            let mut field = [0; SAMPLE];
+            self.read(MAGNETOMETER, OUT_X_L_M, &mut field).await?;
+            let field = axes(&field).map(|axis| i32::from(axis) * NT_PER_LSB);
             Some(MagneticFieldNt(field))
         } else {
             None
         };
-        let temperature = i16::from_le_bytes(self.read(ACCELEROMETER, OUT_TEMP_L).await?);
+        let mut temperature = [0; 2];
+        self.read(ACCELEROMETER, OUT_TEMP_L, &mut temperature)
+            .await?;
         // 1/256 °C about 25 °C.
-        let centi = 2500 + i32::from(temperature) * 100 / 256;
+        let centi = 2500 + i32::from(i16::from_le_bytes(temperature)) * 100 / 256;
         Ok(Surroundings {
             magnetic_field,
             temperature: Some(CentiCelsius(centi as i16)),

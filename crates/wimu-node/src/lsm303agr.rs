@@ -13,6 +13,7 @@ use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
 use crate::fifo::{DEPTH, Look, MOST, SensorFifo};
+use crate::mounting::Mounting;
 use crate::timer::Timer;
 
 /// The accelerometer and thermometer, and the magnetometer.
@@ -91,6 +92,7 @@ pub struct Lsm303agr<I2C, D, T> {
     data_ready: D,
     timer: T,
     fifo: SensorFifo,
+    mounting: Mounting,
     /// The magnetometer has measured since it was configured; until then its registers mean nothing.
     field_measured: bool,
 }
@@ -103,8 +105,15 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             data_ready,
             timer,
             fifo: SensorFifo::new(PeriodNs(10_000_000), TRANSFER_US),
+            mounting: Mounting::STRAIGHT,
             field_measured: false,
         }
+    }
+
+    /// The same where the chip sits on its board like this: samples and magnetic field are in the
+    /// board's axes then. The chip's own are left-handed.
+    pub fn mounted(self, mounting: Mounting) -> Self {
+        Self { mounting, ..self }
     }
 
     /// Reads registers from `register` on.
@@ -119,6 +128,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         outcome.map_err(|error| SensorFault::of_bus(&error))
     }
 
+    /// x, y, z of either sensor, from how they are sent.
+    fn axes(&self, &[x0, x1, y0, y1, z0, z1]: &[u8; SAMPLE]) -> [i16; 3] {
+        let sent = [[x0, x1], [y0, y1], [z0, z1]];
+        self.mounting.turned(sent.map(i16::from_le_bytes))
+    }
+
     /// Reads as many samples, the oldest first: after the last byte of one comes the first of the next.
     async fn drain(&mut self, counts: &mut [Counts]) -> Result<(), SensorFault> {
         let mut bytes = [0; MOST as usize * SAMPLE];
@@ -126,7 +141,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             let burst = bytes.get_mut(..places.len() * SAMPLE).unwrap_or_default();
             self.read(ACCELEROMETER, OUT_X_L, burst).await?;
             for (place, bytes) in places.iter_mut().zip(burst.as_chunks().0) {
-                *place = Counts(axes(bytes));
+                *place = Counts(self.axes(bytes));
             }
         }
         Ok(())
@@ -161,11 +176,6 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
             self.timer.after_us(self.fifo.micros(missing)).await;
         }
     }
-}
-
-/// x, y, z as either sensor sends them.
-fn axes(&[x0, x1, y0, y1, z0, z1]: &[u8; SAMPLE]) -> [i16; 3] {
-    [[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes)
 }
 
 impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
@@ -299,7 +309,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         let magnetic_field = if self.field_measured {
             let mut field = [0; SAMPLE];
             self.read(MAGNETOMETER, OUT_X_L_M, &mut field).await?;
-            let field = axes(&field).map(|axis| i32::from(axis) * NT_PER_LSB);
+            let field = self.axes(&field).map(|axis| i32::from(axis) * NT_PER_LSB);
             Some(MagneticFieldNt(field))
         } else {
             None

@@ -30,7 +30,9 @@ use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_node::{Board, FlashLayout, FlashStore, Lsm303agr, PatientBus, Shared, Timer};
+use wimu_node::{
+    Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, PatientBus, Shared, Timer,
+};
 
 use crate::bus::Bus;
 use crate::clock::BoardTimer;
@@ -54,6 +56,9 @@ type Transmitter = BufferedUarteTx<'static>;
 
 /// The last 16 KiB: memory.x leaves them out.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
+/// The chip, left-handed and on the back, as the board sees it: x to the logo, y to button A, z out of
+/// the display.
+const MOUNTING: Mounting = Mounting::new([Axis::MinusY, Axis::X, Axis::MinusZ]);
 /// The longest erase of a page, ms: 22 steps of 5 ms, and 3 ms after each.
 const PAUSE_MS: u16 = 200;
 /// Two seconds of 32,768 Hz: how long nobody may feed the watchdog.
@@ -206,7 +211,8 @@ fn start(spawner: Spawner) {
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
-        accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer),
+        accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
+            .mounted(MOUNTING),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
         entropy,

@@ -18,6 +18,7 @@ use wimu_host::mimu4444::Capture;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
+use wimu_link::hello::board;
 use wimu_link::message::Event as Happened;
 use wimu_model::{Counts, Sensitivity};
 
@@ -480,6 +481,7 @@ fn collect<T: Transport>(
                         session: Session::new(rate_hz, model, wanted),
                         sensitivity,
                         wanted,
+                        names: side_names(client.hello().board.number),
                         sides: six.then(Vec::new),
                         output,
                     });
@@ -509,12 +511,29 @@ fn collect<T: Transport>(
     Dataset::from_link(&record, client.name())
 }
 
+/// What is up, in the order of [`Face::ALL`]: as one sees it on a board whose sides are known.
+fn side_names(board: u16) -> &'static [&'static str; 6] {
+    match board {
+        board::MICROBIT_V2 => &[
+            "logo up",
+            "logo down",
+            "button A up",
+            "button A down",
+            "display up",
+            "display down",
+        ],
+        _ => &Face::NAMES,
+    }
+}
+
 /// A live calibration: what a person who turns the board is told.
 struct Live {
     session: Session<ROOM>,
     sensitivity: Sensitivity,
     /// So many poses are enough, unless sides are to be up.
     wanted: usize,
+    /// The board's sides, as one sees them.
+    names: &'static [&'static str; 6],
     /// Of the six-position method: the sides that have been up.
     sides: Option<Vec<Face>>,
     output: Output,
@@ -546,7 +565,7 @@ impl Live {
     fn captured(&mut self, pose: usize) {
         let side = self.session.poses().get(pose).and_then(Face::of);
         self.output.say(match side {
-            Some(side) => format!("pose {} captured: {side}", pose + 1),
+            Some(side) => format!("pose {} captured: {}", pose + 1, self.name(side)),
             None => format!("pose {} captured", pose + 1),
         });
         if let (Some(sides), Some(side)) = (&mut self.sides, side)
@@ -561,7 +580,7 @@ impl Live {
         match &self.sides {
             Some(sides) => {
                 let left = Face::ALL.iter().filter(|side| !sides.contains(side));
-                let left: Vec<_> = left.map(Face::to_string).collect();
+                let left: Vec<_> = left.map(|side| self.name(*side)).collect();
                 if !left.is_empty() {
                     self.output
                         .say(format!("still to come: {}", left.join("; ")));
@@ -569,11 +588,19 @@ impl Live {
             }
             None => {
                 if let Some(next) = self.session.next() {
-                    self.output
-                        .say(format!("next, for example: {}", next.instruction()));
+                    let how = next.instruction_with(self.names);
+                    self.output.say(format!("next, for example: {how}"));
                 }
             }
         }
+    }
+
+    fn name(&self, side: Face) -> &'static str {
+        let place = Face::ALL.iter().position(|other| *other == side);
+        place
+            .and_then(|place| self.names.get(place))
+            .copied()
+            .unwrap_or_default()
     }
 
     /// Whether there are poses enough, or no room for more.
@@ -583,5 +610,25 @@ impl Live {
             None => self.session.poses().len() >= self.wanted,
         };
         all || self.session.poses().len() == ROOM
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use wimu_calib::Orientation;
+
+    use super::*;
+
+    #[test]
+    fn the_sides_of_a_microbit_are_called_what_one_sees() {
+        let told = |board, side: Face| {
+            let names = side_names(board);
+            Orientation::from(side).instruction_with(names).to_string()
+        };
+        let microbit = |side| told(board::MICROBIT_V2, side);
+        assert_eq!(microbit(Face::ZUp), "hold it with display up");
+        assert_eq!(microbit(Face::XDown), "hold it with logo down");
+        assert_eq!(microbit(Face::YUp), "hold it with button A up");
+        assert_eq!(told(0, Face::YUp), "hold it with Y up");
     }
 }

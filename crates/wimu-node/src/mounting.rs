@@ -1,0 +1,118 @@
+//! How a sensor sits on its board.
+
+/// One of a sensor's axes, either way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    /// Along x.
+    X,
+    /// Along y.
+    Y,
+    /// Along z.
+    Z,
+    /// Against x.
+    MinusX,
+    /// Against y.
+    MinusY,
+    /// Against z.
+    MinusZ,
+}
+
+impl Axis {
+    const fn number(self) -> usize {
+        match self {
+            Self::X | Self::MinusX => 0,
+            Self::Y | Self::MinusY => 1,
+            Self::Z | Self::MinusZ => 2,
+        }
+    }
+
+    const fn is_against(self) -> bool {
+        matches!(self, Self::MinusX | Self::MinusY | Self::MinusZ)
+    }
+}
+
+/// How a sensor sits on its board: which of its axes lies along x, y and z of the board. Some sensors
+/// are left-handed; what a node calibrates and navigates in is right-handed (REP 103).
+///
+/// ```
+/// use wimu_node::{Axis, Mounting};
+///
+/// /// The chip lies upside down, its x to the board's left.
+/// const MOUNTING: Mounting = Mounting::new([Axis::Y, Axis::X, Axis::MinusZ]);
+/// assert_eq!(MOUNTING.turned([1, 2, 3]), [2, 1, -3]);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mounting([Axis; 3]);
+
+impl Mounting {
+    /// The board's axes are the sensor's.
+    pub const STRAIGHT: Self = Self([Axis::X, Axis::Y, Axis::Z]);
+
+    /// The sensor's axes along x, y and z of the board.
+    ///
+    /// # Panics
+    /// When one of them is named twice: call it in a constant.
+    pub const fn new(axes: [Axis; 3]) -> Self {
+        let [x, y, z] = axes;
+        assert!(
+            (1 << x.number() | 1 << y.number() | 1 << z.number()) == 7,
+            "each of a sensor's axes lies along one of its board's"
+        );
+        Self(axes)
+    }
+
+    /// What a sensor puts out on its axes, on those of the board. The one number without a negative is
+    /// that of a saturated axis, which stays so.
+    pub fn turned(self, sensor: [i16; 3]) -> [i16; 3] {
+        self.0.map(|axis| {
+            let along = sensor.get(axis.number()).copied().unwrap_or_default();
+            if axis.is_against() {
+                along.saturating_neg()
+            } else {
+                along
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wimu_model::Counts;
+
+    /// A micro:bit's: x to the logo, y to button A, z out of the display.
+    const MICROBIT: Mounting = Mounting::new([Axis::MinusY, Axis::X, Axis::MinusZ]);
+
+    #[test]
+    fn the_side_of_a_microbit_that_is_up_is_the_axis_that_reads_one_g() {
+        // What the chip puts out, and the side that is up then.
+        for (chip, board) in [
+            ([0, 0, -1000], [0, 0, 1000]), // display
+            ([0, 0, 1000], [0, 0, -1000]),
+            ([0, -1000, 0], [1000, 0, 0]), // logo
+            ([0, 1000, 0], [-1000, 0, 0]),
+            ([1000, 0, 0], [0, 1000, 0]), // button A
+            ([-1000, 0, 0], [0, -1000, 0]),
+        ] {
+            assert_eq!(MICROBIT.turned(chip), board);
+            assert_eq!(Mounting::STRAIGHT.turned(chip), chip);
+        }
+    }
+
+    #[test]
+    fn a_left_handed_chip_is_right_handed_on_its_board() {
+        let [x, y, z] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|axis| MICROBIT.turned(axis));
+        let cross = [0, 1, 2].map(|k| {
+            let (a, b) = ((k + 1) % 3, (k + 2) % 3);
+            x[a] * y[b] - x[b] * y[a]
+        });
+        assert_eq!(cross, z.map(i16::saturating_neg), "it is mirrored");
+    }
+
+    #[test]
+    fn a_saturated_axis_stays_saturated() {
+        let turned = MICROBIT.turned([0, i16::MIN, i16::MAX]);
+        assert_eq!(turned, [i16::MAX, 0, -i16::MAX]);
+        assert!(Counts(turned).saturated(0x7FF0));
+    }
+}

@@ -45,6 +45,8 @@ export class Pico {
     /** The longest time for which interrupts were off but for the flash, and where that ended. */
     this.masked = { ns: 0, until: 0 };
     this.received = [[], []];
+    /** Zeros that the other ends of the UARTs heard at another rate than they were sent at. */
+    this.strangeZeros = [0, 0];
     this.levels = new Map();
     /** At what rate the other ends of the UARTs are, bits/s. */
     this.hostBaud = [115200, 115200];
@@ -58,7 +60,13 @@ export class Pico {
       (index) => new Wire(this.clock, () => this.chip.uart[index].baudRate, (byte, stop) => this.hear(index, byte, stop)),
     );
     this.toHost = [0, 1].map(
-      (index) => new Wire(this.clock, () => this.hostBaud[index], (byte) => this.received[index].push(byte)),
+      (index) =>
+        new Wire(this.clock, () => this.hostBaud[index], (byte, _, baud) => {
+          this.received[index].push(byte);
+          // The emulator rounds what the chip's divider makes of a rate.
+          const off = Math.abs(this.chip.uart[index].baudRate / baud - 1);
+          this.strangeZeros[index] += byte === 0 && off > 0.02 ? 1 : 0;
+        }),
     );
   }
 

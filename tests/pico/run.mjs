@@ -95,6 +95,7 @@ writeFileSync(
     resets: pico.resets,
     stack_bytes: pico.deepestStack(),
     complaints: pico.complaints.slice(0, 20),
+    strange_zeros: pico.strangeZeros,
     longest_masked: pico.masked,
     led: pico.chip.gpio[25].value,
   }),

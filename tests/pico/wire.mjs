@@ -7,7 +7,7 @@ export class Wire {
   /**
    * @param clock the emulator's clock
    * @param baud gives the rate at which the receiving end listens
-   * @param deliver takes each byte heard, and whether its stop bit was there
+   * @param deliver takes each byte heard, whether its stop bit was there, and the rate it was heard at
    */
   constructor(clock, baud, deliver) {
     this.clock = clock;
@@ -57,7 +57,8 @@ export class Wire {
       return;
     }
     this.listening = true;
-    const bit = 1e9 / this.baud();
+    const baud = this.baud();
+    const bit = 1e9 / baud;
     const alarm = this.clock.createAlarm(() => {
       let byte = 0;
       for (let k = 0; k < 8; k++) {
@@ -66,7 +67,7 @@ export class Wire {
       const stop = this.level(falls + 9.5 * bit);
       this.free = falls + 9.5 * bit;
       this.listening = false;
-      this.deliver(byte, stop === 1);
+      this.deliver(byte, stop === 1, baud);
       this.listen();
     });
     alarm.schedule(Math.max(0, falls + 9.5 * bit - this.clock.nanos));

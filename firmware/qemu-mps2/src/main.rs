@@ -15,6 +15,9 @@ mod data_ready;
 mod interrupts;
 mod lockstep;
 mod log;
+// As on the boards to buy, of which only one is emulated.
+#[path = "../../shared/memory.rs"]
+mod memory;
 mod register;
 mod semihosting;
 mod store;

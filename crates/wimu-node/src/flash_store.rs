@@ -156,7 +156,7 @@ impl<F: NorFlash> FlashStore<F> {
             .map
             .fetch_item::<&[u8]>(&mut self.buffer.0, &DIRECTORY)
             .await;
-        let found = match found {
+        let mut directory = match found {
             Ok(Some(bytes)) => Directory::from_bytes(bytes.get(GENERATION..).unwrap_or_default()),
             Err(Error::Storage { .. }) => return Err(StoreFault),
             Ok(None) | Err(_) => Directory {
@@ -164,9 +164,6 @@ impl<F: NorFlash> FlashStore<F> {
                 ..Directory::default()
             },
         };
-        // In its place from here on: nobody keeps a second one while the flash is read.
-        let directory = self.directory.insert(found);
-        let mut outcome = Ok(());
         // Power may have been lost before the directory took note of a record.
         if let Ok(mut items) = self.map.fetch_all_items(&mut self.buffer.0).await {
             while let Ok(Some((key, bytes))) = items.next::<&[u8]>(&mut self.buffer.0).await {
@@ -176,19 +173,17 @@ impl<F: NorFlash> FlashStore<F> {
                 {
                     let generation = u32::from_le_bytes(generation);
                     if generation > directory.entry(key).generation {
-                        outcome = outcome.and(directory.put(Entry {
+                        directory.put(Entry {
                             key,
                             generation,
                             stands: !record.is_empty(),
-                        }));
+                        })?;
                     }
                 }
             }
         }
-        if outcome.is_err() {
-            self.directory = None;
-        }
-        outcome
+        put(&mut self.directory, &Some(directory));
+        Ok(())
     }
 
     /// Whether the flash has been used beyond what the first records leave that power loss

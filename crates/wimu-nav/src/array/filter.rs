@@ -133,11 +133,12 @@ pub struct ArrayState<R> {
     pub position_covariance: [[R; 3]; 3],
     /// Probability of the likeliest hypothesis: 1 where nothing is ambiguous.
     pub certainty: R,
-    /// Seconds since velocity was last known to be zero (or given).
+    /// Seconds since velocity was last known to be zero (or given), or since the first sample.
     pub since_rest_s: R,
     /// Whether it is at rest now.
     pub resting: bool,
-    /// False before the first alignment, and after a gap until the next rest.
+    /// False before the first alignment, and after a gap or a start in motion until the next rest: position
+    /// begins there.
     pub valid: bool,
 }
 
@@ -186,6 +187,9 @@ pub struct ArrayFilter<R, const M: usize> {
     since_rest_s: f64,
     started: bool,
     valid: bool,
+    /// It began without a rest, and none has come yet.
+    moving_start: bool,
+    astray: u32,
 }
 
 impl<R: Real, const M: usize> ArrayFilter<R, M> {
@@ -207,6 +211,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             since_rest_s: 0.0,
             started: false,
             valid: false,
+            moving_start: false,
+            astray: 0,
         })
     }
 
@@ -275,6 +281,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if self.hypotheses[0].is_none() {
             self.align_with(step, force);
             return;
+        }
+        if self.moving_start && self.resting() {
+            self.begin_at_rest();
         }
         self.predict(step, &noise);
         self.update(linear, &noise);
@@ -609,6 +618,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         state.position_covariance = block(&all.cov, POSITION, POSITION);
         state.certainty = r(libm::exp(best.weight));
         state
+    }
+
+    /// Samples at rests where velocity or attitude were wrong by far more than their covariance said: zero as
+    /// long as places, sensitivity and noise are this array's.
+    pub fn astray(&self) -> u32 {
+        self.astray
     }
 
     /// Biases of the likeliest hypothesis and their standard deviations: of ω̇ (rad/s²), of s (m/s²),

@@ -22,6 +22,10 @@ const REST_RATE_RAD_S: f64 = 0.02;
 const REST_TURN_RAD_S2: f64 = 0.1;
 const REST_FORCE_MPS2: f64 = 0.02;
 
+/// Without a rest at the start: standard deviations of velocity, m/s, and tilt, rad.
+const START_SPEED_MPS: f64 = 10.0;
+const START_TILT_RAD: f64 = 1.0;
+
 /// A rest's departure beyond so many variances shows that the covariance is wrong.
 const ASTRAY: f64 = 50.0;
 
@@ -59,7 +63,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
-    /// Static alignment, equation (81) without a magnetometer.
+    /// Static alignment, equation (81) without a magnetometer. Where it does not rest, velocity is not known,
+    /// and the attitude not well.
     pub(super) fn align_with(&mut self, step: f64, force: [R; 3]) {
         let (sum, square, count, time) = &mut self.align;
         for (sum, force) in sum.iter_mut().zip(force) {
@@ -71,6 +76,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if *time < ALIGN_S || *count < 2.0 {
             return;
         }
+        let rests = self.quiet_s > 0.999 * *time;
         let mean = sum.map(|v| v.to_f64() / *count);
         let norm = libm::sqrt(mean.iter().map(|v| v * v).sum());
         let spread = (*square / *count - norm * norm).max(0.0);
@@ -78,40 +84,68 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if !(norm > 1.0 && norm.is_finite()) {
             return;
         }
-        let up = mean.map(|v| v / norm);
-        let first = if up[0].abs() < 0.9 { 0 } else { 1 };
-        let mut east: [f64; 3] =
-            core::array::from_fn(|i| if i == first { 1.0 } else { 0.0 } - up[first] * up[i]);
-        let length = libm::sqrt(east.iter().map(|v| v * v).sum());
-        east = east.map(|v| v / length);
-        let north = [
-            up[1] * east[2] - up[2] * east[1],
-            up[2] * east[0] - up[0] * east[2],
-            up[0] * east[1] - up[1] * east[0],
-        ];
         let g = self.config.gravity_mps2;
         let moved = spread + (norm - g) * (norm - g);
         let solver = self.array.solver();
         let mut hypothesis = Hypothesis {
             weight: 0.0,
-            attitude: [east, north, up].map(|row| row.map(r)),
+            attitude: level(mean),
             acceleration: [R::default(); 3],
             mean: [R::default(); STATES],
             cov: [[R::default(); STATES]; STATES],
         };
         let bias = self.config.bias_mps2 * self.config.bias_mps2 / solver.variance_mps2().to_f64();
-        let tilt = moved * 0.25 / (g * g) + bias * solver.covariance()[3][3] / (g * g) + 1e-6;
+        let (strayed, speed) = if rests {
+            (0.0, 1e-3)
+        } else {
+            (START_TILT_RAD, START_SPEED_MPS)
+        };
+        let tilt = strayed * strayed
+            + moved * 0.25 / (g * g)
+            + bias * solver.covariance()[3][3] / (g * g)
+            + 1e-6;
         for i in 0..3 {
             let mut set = |at: usize, variance: f64| hypothesis.cov[at + i][at + i] = r(variance);
             set(PHI, if i == 2 { 1e-8 } else { tilt });
-            set(VELOCITY, 1e-6);
+            set(VELOCITY, speed * speed);
             set(OMEGA, 100.0);
             set(TURN, 1e4);
         }
         hypothesis.begin_biases(solver, self.config.bias_mps2);
         self.hypotheses = [None; MOST];
         self.hypotheses[0] = Some(hypothesis);
+        if rests {
+            self.since_rest_s = 0.0;
+        }
+        self.moving_start = !rests;
+        self.valid = rests;
+    }
+
+    /// The first rest after a start in motion: attitude is known from it, velocity is zero, and the position
+    /// begins here.
+    pub(super) fn begin_at_rest(&mut self) {
+        let g = self.config.gravity_mps2;
+        let solver = self.array.solver();
+        let bias = self.config.bias_mps2 * self.config.bias_mps2 / solver.variance_mps2().to_f64();
+        let tilt = bias * solver.covariance()[3][3] / (g * g) + 1e-6;
+        let attitude = level(self.quiet_mean.map(|v| v.to_f64()));
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            hypothesis.attitude = attitude;
+            hypothesis.acceleration = [R::default(); 3];
+            for at in 0..OMEGA {
+                hypothesis.mean[at] = R::default();
+                for k in 0..STATES {
+                    hypothesis.cov[at][k] = R::default();
+                    hypothesis.cov[k][at] = R::default();
+                }
+            }
+            for i in 0..3 {
+                hypothesis.cov[PHI + i][PHI + i] = r(if i == 2 { 1e-8 } else { tilt });
+                hypothesis.cov[VELOCITY + i][VELOCITY + i] = r(1e-6);
+            }
+        }
         self.since_rest_s = 0.0;
+        self.moving_start = false;
         self.valid = true;
     }
 
@@ -128,6 +162,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let variance = |sd: f64| r::<R>(sd * sd * slower);
         let g = self.config.gravity_mps2;
         let of_force = variance(REST_FORCE_MPS2) + r::<R>(self.array.solver().covariance()[3][3]);
+        let mut went_astray = false;
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             let lever = cross_matrix([R::default(), R::default(), r(g)]);
             let gravity = |attitude: &[[R; 3]; 3], i: usize| {
@@ -150,6 +185,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                     || hypothesis.departs(&gravity(&hypothesis.attitude, i), a, of_force) > ASTRAY
             });
             if astray {
+                went_astray = true;
                 hypothesis.begin_again(g, self.since_rest_s);
             }
             let before = hypothesis.mean;
@@ -173,7 +209,27 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             hypothesis.weight -= 0.5 * fit;
             hypothesis.fold();
         }
+        if went_astray {
+            self.astray = self.astray.saturating_add(1);
+        }
         self.since_rest_s = 0.0;
         self.valid = self.hypotheses[0].is_some();
     }
+}
+
+/// Body to navigation axes of a body whose mean output is `mean`: up along it, east near body x (or y).
+fn level<R: Real>(mean: [f64; 3]) -> [[R; 3]; 3] {
+    let size = |v: &[f64; 3]| libm::sqrt(v.iter().map(|c| c * c).sum()).max(1e-9);
+    let up = mean.map(|v| v / size(&mean));
+    let first = if up[0].abs() < 0.9 { 0 } else { 1 };
+    let mut east: [f64; 3] =
+        core::array::from_fn(|i| if i == first { 1.0 } else { 0.0 } - up[first] * up[i]);
+    let length = size(&east);
+    east = east.map(|v| v / length);
+    let north = [
+        up[1] * east[2] - up[2] * east[1],
+        up[2] * east[0] - up[0] * east[2],
+        up[0] * east[1] - up[1] * east[0],
+    ];
+    [east, north, up].map(|row| row.map(r))
 }

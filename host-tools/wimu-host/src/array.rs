@@ -1,14 +1,19 @@
 //! Several accelerometers on one body: where they are, their calibration from the rests in a
 //! recording, what the recording says about their places and delays, and the body's motion.
 
+mod agreement;
 mod calibration;
 mod geometry;
+mod health;
 mod motion;
 mod recording;
 mod refine;
+mod rests;
 
+pub use agreement::Agreement;
 pub use calibration::ArrayCalibration;
 pub use geometry::{ArrayGeometry, ArraySensor};
 pub use motion::{ArrayMotion, angular_rate, navigated};
 pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use refine::{RefineOptions, Refinement, refine};
+pub use rests::EvenTurn;

@@ -153,7 +153,7 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
     }
     truth.sensors[2].places_m = truth.sensors[2].places_m.map(|[x, y, z]| [x + 1e-3, y, z]);
     let recording = table(&truth, 200.0, 0.03, &mut random);
-    let calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).unwrap();
+    let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE).unwrap();
     assert!(
         calibration.uncalibrated.is_none(),
         "{:?}",
@@ -205,7 +205,8 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
     // The angular rate gains.
     let rates = |geometry: &ArrayGeometry| {
         let arranged = recording.clone().arranged(geometry).unwrap();
-        let calibration = ArrayCalibration::of(&arranged, Gravity::UNKNOWN_PLACE).unwrap();
+        let calibration =
+            ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
         let (states, _) = navigated(&arranged, geometry, &calibration, G, true).unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         rms_error(&rates, &arranged.times_s)
@@ -288,7 +289,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
         "the grid begins when all are there: {origin}"
     );
     let arranged = together.clone().arranged(&geometry).unwrap();
-    let calibration = ArrayCalibration::of(&arranged, Gravity::UNKNOWN_PLACE).unwrap();
+    let calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     let options = RefineOptions {
         place_sd_m: 1e-3,
         delay_sd_s: 1e-3,
@@ -306,7 +307,8 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
     }
     let rates = |geometry: &ArrayGeometry| {
         let arranged = together.clone().arranged(geometry).unwrap();
-        let calibration = ArrayCalibration::of(&arranged, Gravity::UNKNOWN_PLACE).unwrap();
+        let calibration =
+            ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
         let (states, remarks) = navigated(&arranged, geometry, &calibration, G, true).unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         (rms_error(&rates, &arranged.times_s), remarks)
@@ -344,7 +346,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
         recording.saturated[k] |= 1 << 5;
         recording.outputs[k][5] = [156.9; 3];
     }
-    let calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).unwrap();
+    let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     assert_eq!(calibration.left_out.len(), 1);
     assert_eq!(calibration.left_out[0].0, 3);
     let (states, remarks) = navigated(&recording, &geometry, &calibration, G, true).unwrap();
@@ -364,7 +366,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
             row[sensor] = [0.0; 3];
         }
     }
-    let calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).unwrap();
+    let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     let error = navigated(&recording, &geometry, &calibration, G, true).unwrap_err();
     assert!(
         error.to_string().contains("3 usable axes, 6 are needed"),

@@ -218,7 +218,7 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     }
 
     let recording = still_array(4);
-    let calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).unwrap();
+    let calibration = ArrayCalibration::of(&recording, &places, Gravity::UNKNOWN_PLACE).unwrap();
     assert!(
         calibration.uncalibrated.is_some(),
         "one pose is not enough to calibrate"

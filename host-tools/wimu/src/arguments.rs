@@ -682,8 +682,8 @@ pub struct Navigate {
     /// How the bias settles is fitted to this CSV file: the same unit at rest, from its switching on
     #[arg(long, value_name = "STATIC.csv")]
     pub drift: Option<PathBuf>,
-    /// Places of an array's accelerometers: a line `X (m),Y (m),Z (m)`, then one for each; or what
-    /// --refine wrote, which may also hold axes and delays
+    /// Places of an array's accelerometers (triads): a line `X (m),Y (m),Z (m)` or `X (mm),…`, then one for
+    /// each; or what --refine wrote, which may also hold axes and delays. Single axes: with the library only
     #[arg(long, value_name = "FILE")]
     pub geometry: Option<PathBuf>,
     /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write

@@ -24,8 +24,8 @@ pub fn bench(data: &Path) {
     }
     let recording = ArrayRecording::from_csv(&file, 2048.0).expect("the recording is readable");
     let drawn = ArrayGeometry::read(&data.join("array/mimu4444_positions.csv")).expect("places");
-    let calibration =
-        ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE).expect("the array has rests");
+    let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE)
+        .expect("the array has rests");
     println!(
         "{} rests; the sensors disagree there by {:.2} mm/s² rms; noise {:.1} mm/s²",
         calibration.rests.len(),

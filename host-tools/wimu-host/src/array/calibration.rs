@@ -3,7 +3,9 @@
 use wimu_calib::{Gravity, Model, Pose, find_poses, multi_position};
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
-use super::ArrayRecording;
+use super::motion::check;
+use super::rests::{EvenTurn, judged};
+use super::{ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
 /// Poses that a recording may have.
@@ -20,6 +22,11 @@ pub struct ArrayCalibration {
     pub noise_mps2: Vec<f64>,
     /// The rests, as first sample and number of samples.
     pub rests: Vec<(usize, usize)>,
+    /// What looks like rests in the mean of the sensors while they turn evenly, which shows among them.
+    pub turns: Vec<EvenTurn>,
+    /// An even turn about the vertical that is slower, rad/s, looks like a rest to this array: that there
+    /// was none is assumed. `None` where the places show no angular rate.
+    pub unseen_rad_s: Option<f64>,
     /// What the sensors disagree by at the rests after all, m/s² rms an axis.
     pub disagreement_mps2: f64,
     /// Why the error models are those of perfect sensors, where they are.
@@ -31,13 +38,20 @@ pub struct ArrayCalibration {
 }
 
 impl ArrayCalibration {
-    /// From the accelerometers alone, in body axes: the rests are found in the mean of all sensors,
-    /// each sensor is fitted to gravity (9 parameters), then turned to agree with the others. A sensor
-    /// that is dead, or is the only one that cannot be fitted, is left out.
+    /// From the accelerometers alone, in body axes: the rests are where the mean of all sensors is steady
+    /// and they agree with each other as at every other rest, each sensor is fitted to gravity (9
+    /// parameters), then turned to agree with the others. A sensor that is dead, or is the only one that
+    /// cannot be fitted, is left out; one that fails on the way counts as long as it lives.
     ///
     /// # Errors
-    /// `data_refused` when there is no rest at all, or no sensor is alive.
-    pub fn of(recording: &ArrayRecording, gravity: Gravity) -> Result<Self> {
+    /// `data_refused` when there is no rest at all, or no sensor is alive; `usage` when the geometry has
+    /// another number of sensors, or more than 16.
+    pub fn of(
+        recording: &ArrayRecording,
+        geometry: &ArrayGeometry,
+        gravity: Gravity,
+    ) -> Result<Self> {
+        check(recording, geometry)?;
         let sensors = recording.sensors();
         let refused = |message: &str, remedy: &str| {
             HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name)
@@ -53,49 +67,48 @@ impl ArrayCalibration {
             ));
         }
         let dead: Vec<usize> = left_out.iter().map(|(sensor, _)| *sensor).collect();
-        let mean = recording.outputs.iter().map(|all| {
-            let alive = |(sensor, one): &(usize, &[f64; 3])| {
-                !dead.contains(sensor) && one.iter().all(|v| v.is_finite())
-            };
-            let mut sum = [0.0; 3];
-            let mut count = 0.0;
-            for (_, one) in all.iter().enumerate().filter(alive) {
-                for axis in 0..3 {
-                    sum[axis] += one[axis];
-                }
-                count += 1.0;
-            }
-            (sum.map(|v| v / f64::max(count, 1.0)), None)
-        });
-        let mut poses = vec![Pose::default(); MOST_POSES];
-        let found = find_poses(mean, 1.0 / recording.period_s(), &mut poses).min(MOST_POSES);
-        let rests: Vec<(usize, usize)> = poses[..found]
-            .iter()
-            .map(|pose| (pose.first_sample as usize, pose.samples as usize))
-            .filter(|(first, count)| first + count <= recording.outputs.len())
-            .collect();
-        if rests.is_empty() {
-            return Err(refused(
-                "there is no rest in the recording, so neither biases nor gravity are known",
-                "hold the array still for two seconds, in several orientations",
-            ));
-        }
-        let per_sensor: Vec<Vec<Pose>> = (0..sensors)
+        let stretches = steady_stretches(recording, &dead);
+        // Judged by the sensors that live through all of them.
+        let lives: Vec<bool> = (0..sensors)
             .map(|sensor| {
-                rests
-                    .iter()
-                    .map(|rest| pose(recording, sensor, *rest))
-                    .collect()
+                let seen = |span: &(usize, usize)| pose(recording, sensor, *span).is_some();
+                !dead.contains(&sensor) && stretches.iter().all(seen)
             })
             .collect();
-        let noise_mps2 = per_sensor
-            .iter()
-            .map(|poses| {
-                let sum: f64 = poses
-                    .iter()
-                    .map(|p| p.sd_mps2.iter().map(|s| s * s).sum::<f64>() / 3.0)
-                    .sum();
-                let noise = (sum / poses.len() as f64).sqrt();
+        let judged = judged(recording, geometry, &stretches, &lives)?;
+        let rests = judged.rests;
+        if rests.is_empty() {
+            return Err(if judged.turns.is_empty() {
+                refused(
+                    "there is no rest in the recording, so neither biases nor gravity are known",
+                    "hold the array still for two seconds, in several orientations",
+                )
+            } else {
+                refused(
+                    "wherever the sensors are steady they show an even turn, so there is no rest, and \
+                     neither biases nor gravity are known",
+                    "hold the array still for two seconds, in several orientations; check the places of \
+                     the sensors",
+                )
+            });
+        }
+        let per_sensor: Vec<Vec<Option<Pose>>> = (0..sensors)
+            .map(|sensor| {
+                let of_rest = |rest: &(usize, usize)| pose(recording, sensor, *rest);
+                rests.iter().map(of_rest).collect()
+            })
+            .collect();
+        let seen = |sensor: usize| per_sensor[sensor].iter().flatten();
+        for sensor in 0..sensors {
+            if !dead.contains(&sensor) && seen(sensor).next().is_none() {
+                left_out.push((sensor, "it has no output at any rest".to_owned()));
+            }
+        }
+        let noise_mps2 = (0..sensors)
+            .map(|sensor| {
+                let square = |p: &Pose| p.sd_mps2.iter().map(|s| s * s).sum::<f64>() / 3.0;
+                let count = seen(sensor).count().max(1) as f64;
+                let noise = (seen(sensor).map(square).sum::<f64>() / count).sqrt();
                 if noise > 0.0 {
                     noise
                 } else {
@@ -105,19 +118,19 @@ impl ArrayCalibration {
             .collect();
         let mut models = vec![ErrorModel::default(); sensors];
         let mut refusals = Vec::new();
-        for (sensor, poses) in per_sensor.iter().enumerate() {
-            if dead.contains(&sensor) {
-                continue;
-            }
-            let seen: Vec<Pose> = poses.iter().filter(|p| p.samples > 0).copied().collect();
-            match multi_position(&seen, gravity, Model::Full9) {
-                Ok(estimate) => models[sensor] = estimate.model,
-                Err(refusal) => refusals.push((sensor, refusal.to_string())),
+        let candidates: Vec<usize> = (0..sensors)
+            .filter(|sensor| left_out.iter().all(|(out, _)| out != sensor))
+            .collect();
+        for sensor in &candidates {
+            let poses: Vec<Pose> = seen(*sensor).copied().collect();
+            match multi_position(&poses, gravity, Model::Full9) {
+                Ok(estimate) => models[*sensor] = estimate.model,
+                Err(refusal) => refusals.push((*sensor, refusal.to_string())),
             }
         }
         // What most of them cannot be fitted to is the recording's fault, not theirs.
         let mut uncalibrated = None;
-        if refusals.len() * 2 > sensors - dead.len() {
+        if refusals.len() * 2 > candidates.len() {
             uncalibrated = refusals.first().map(|(_, why)| why.clone());
             models = vec![ErrorModel::default(); sensors];
         } else {
@@ -126,19 +139,18 @@ impl ArrayCalibration {
         let used: Vec<usize> = (0..sensors)
             .filter(|sensor| left_out.iter().all(|(out, _)| out != sensor))
             .collect();
-        let forces: Vec<Vec<[f64; 3]>> = models
+        let forces: Vec<Vec<Option<[f64; 3]>>> = models
             .iter()
             .zip(&per_sensor)
             .map(|(model, poses)| {
-                poses
-                    .iter()
-                    .map(|p| model.correct(SpecificForceMps2(p.mean_mps2), None).0)
-                    .collect()
+                let force = |p: &Pose| model.correct(SpecificForceMps2(p.mean_mps2), None).0;
+                poses.iter().map(|p| p.as_ref().map(force)).collect()
             })
             .collect();
         let mut turns = vec![[0.0; 3]; sensors];
         if uncalibrated.is_none() {
-            let chosen: Vec<Vec<[f64; 3]>> = used.iter().map(|k| forces[*k].clone()).collect();
+            let chosen: Vec<Vec<Option<[f64; 3]>>> =
+                used.iter().map(|k| forces[*k].clone()).collect();
             for (sensor, small) in used.iter().zip(align(&chosen)) {
                 turns[*sensor] = small;
             }
@@ -147,47 +159,83 @@ impl ArrayCalibration {
             sensors: models.into_iter().zip(turns).collect(),
             noise_mps2,
             rests,
+            turns: judged.turns,
+            unseen_rad_s: judged.unseen_rad_s,
             disagreement_mps2: 0.0,
             uncalibrated,
             left_out,
             offsets: Vec::new(),
         };
-        let mut squares = 0.0;
+        let (mut squares, mut values) = (0.0, 0.0);
+        let mut offsets: Vec<Vec<Option<[f64; 3]>>> = Vec::new();
         for rest in 0..calibration.rests.len() {
-            let turned: Vec<[f64; 3]> = (0..sensors)
-                .map(|k| turn(forces[k][rest], calibration.sensors[k].1))
+            let turned: Vec<Option<[f64; 3]>> = (0..sensors)
+                .map(|k| forces[k][rest].map(|f| turn(f, calibration.sensors[k].1)))
                 .collect();
-            let mut mean = [0.0; 3];
-            for sensor in &used {
-                for axis in 0..3 {
-                    mean[axis] += turned[*sensor][axis] / used.len() as f64;
-                }
-            }
-            let offsets: Vec<[f64; 3]> = turned
+            let mean = mean(used.iter().filter_map(|k| turned[*k]));
+            let of_rest: Vec<Option<[f64; 3]>> = turned
                 .iter()
-                .map(|force| core::array::from_fn(|axis| force[axis] - mean[axis]))
+                .map(|force| force.map(|f| std::array::from_fn(|axis| f[axis] - mean[axis])))
                 .collect();
-            let of_used = used.iter().flat_map(|k| offsets[*k]);
-            squares += of_used.map(|o| o * o).sum::<f64>();
-            calibration.offsets.push(offsets);
+            for offset in used.iter().filter_map(|k| of_rest[*k]) {
+                squares += offset.iter().map(|o| o * o).sum::<f64>();
+                values += 3.0;
+            }
+            offsets.push(of_rest);
         }
-        let values = (calibration.rests.len() * used.len() * 3) as f64;
-        calibration.disagreement_mps2 = (squares / values).sqrt();
+        calibration.disagreement_mps2 = (squares / f64::max(values, 1.0)).sqrt();
+        // A rest at which a sensor gave nothing says nothing about it: that before it counts, or the first.
+        for sensor in 0..sensors {
+            let mut last = offsets.iter().find_map(|all| all[sensor]);
+            for all in &mut offsets {
+                last = all[sensor].or(last);
+                all[sensor] = last;
+            }
+        }
+        calibration.offsets = offsets
+            .iter()
+            .map(|all| all.iter().map(|o| o.unwrap_or_default()).collect())
+            .collect();
         Ok(calibration)
     }
 
     /// Mean length of the mean output at the rests, m/s².
     pub fn mean_rest_mps2(&self, recording: &ArrayRecording) -> f64 {
-        let length = |(first, count): &(usize, usize)| {
-            let used: Vec<[f64; 3]> = (0..recording.sensors())
-                .filter(|sensor| self.uses(*sensor))
-                .map(|sensor| pose(recording, sensor, (*first, *count)).mean_mps2)
-                .collect();
-            let n = used.len() as f64;
-            let square = |axis: usize| (used.iter().map(|f| f[axis]).sum::<f64>() / n).powi(2);
-            (0..3).map(square).sum::<f64>().sqrt()
+        let length = |rest: &(usize, usize)| {
+            let used = (0..recording.sensors()).filter(|sensor| self.uses(*sensor));
+            let force = mean(used.filter_map(|k| Some(pose(recording, k, *rest)?.mean_mps2)));
+            force.iter().map(|f| f * f).sum::<f64>().sqrt()
         };
         self.rests.iter().map(length).sum::<f64>() / self.rests.len() as f64
+    }
+
+    /// What was assumed, found wrong and left out.
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if let Some(fastest) = self.turns.iter().map(|t| t.rate_rad_s).reduce(f64::max) {
+            remarks.push(format!(
+                "{} stretches with a steady mean are no rests: among each other the sensors show an even turn, \
+                 at up to {fastest:.1} rad/s",
+                self.turns.len()
+            ));
+        }
+        if let Some(unseen) = self.unseen_rad_s {
+            let rests = match self.rests.len() {
+                1 => "the one rest".to_owned(),
+                many => format!("the {many} rests"),
+            };
+            remarks.push(format!(
+                "that the array did not turn evenly about the vertical at {rests} is assumed: below \
+                 {unseen:.1} rad/s it would look the same"
+            ));
+        }
+        if let Some(why) = &self.uncalibrated {
+            remarks.push(format!("the array is not calibrated: {why}"));
+        }
+        for (sensor, why) in &self.left_out {
+            remarks.push(format!("sensor {sensor} (from 0) is left out: {why}"));
+        }
+        remarks
     }
 
     /// Whether a sensor is of use.
@@ -221,49 +269,78 @@ fn is_dead(recording: &ArrayRecording, sensor: usize) -> bool {
     outputs().filter(finite).all(|v| v == first)
 }
 
-fn pose(recording: &ArrayRecording, sensor: usize, (first, count): (usize, usize)) -> Pose {
-    let rows: Vec<[f64; 3]> = recording.outputs[first..first + count]
-        .iter()
-        .map(|row| row[sensor])
-        .filter(|v| v.iter().all(|axis| axis.is_finite()))
+/// Where the mean of the sensors that are not `dead` is steady: first sample and number of samples.
+fn steady_stretches(recording: &ArrayRecording, dead: &[usize]) -> Vec<(usize, usize)> {
+    let alive: Vec<usize> = (0..recording.sensors())
+        .filter(|sensor| !dead.contains(sensor))
         .collect();
-    if rows.is_empty() {
-        return Pose::default();
+    let mean = (0..recording.outputs.len()).map(|k| {
+        let seen = alive.iter().filter(|s| recording.has(k, **s));
+        (mean(seen.map(|s| recording.outputs[k][*s])), None)
+    });
+    let mut poses = vec![Pose::default(); MOST_POSES];
+    let found = find_poses(mean, 1.0 / recording.period_s(), &mut poses).min(MOST_POSES);
+    poses[..found]
+        .iter()
+        .map(|pose| (pose.first_sample as usize, pose.samples as usize))
+        .filter(|(first, count)| first + count <= recording.outputs.len())
+        .collect()
+}
+
+/// 0 of none.
+fn mean(values: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for value in values {
+        for (sum, value) in sum.iter_mut().zip(value) {
+            *sum += value;
+        }
+        count += 1.0;
+    }
+    sum.map(|v| v / f64::max(count, 1.0))
+}
+
+/// A sensor at a rest; `None` where it has no output for the most part.
+fn pose(recording: &ArrayRecording, sensor: usize, (first, count): (usize, usize)) -> Option<Pose> {
+    let rows: Vec<[f64; 3]> = (first..first + count)
+        .filter(|k| recording.has(*k, sensor))
+        .map(|k| recording.outputs[k][sensor])
+        .collect();
+    if rows.len() < 2 || rows.len() * 4 < count {
+        return None;
     }
     let n = rows.len() as f64;
-    let mean: [f64; 3] = core::array::from_fn(|axis| rows.iter().map(|r| r[axis]).sum::<f64>() / n);
+    let mean = mean(rows.iter().copied());
     let mut pose = Pose::from_mean(mean);
     pose.sd_mps2 = core::array::from_fn(|axis| {
         let square: f64 = rows.iter().map(|r| (r[axis] - mean[axis]).powi(2)).sum();
         (square / n).sqrt()
     });
     pose.samples = rows.len() as u32;
-    pose
+    Some(pose)
 }
 
 /// The small turn of each sensor, rad, that makes all of them agree best; their mean is zero.
-fn align(forces: &[Vec<[f64; 3]>]) -> Vec<[f64; 3]> {
+fn align(forces: &[Vec<Option<[f64; 3]>>]) -> Vec<[f64; 3]> {
     let sensors = forces.len();
     let poses = forces.first().map_or(0, Vec::len);
     let mut turns = vec![[0.0; 3]; sensors];
     for _ in 0..20 {
-        let turned: Vec<Vec<[f64; 3]>> = forces
+        let turned: Vec<Vec<Option<[f64; 3]>>> = forces
             .iter()
             .zip(&turns)
-            .map(|(forces, small)| forces.iter().map(|f| turn(*f, *small)).collect())
+            .map(|(forces, small)| forces.iter().map(|f| f.map(|f| turn(f, *small))).collect())
+            .collect();
+        let means: Vec<[f64; 3]> = (0..poses)
+            .map(|pose| mean(turned.iter().filter_map(|one| one[pose])))
             .collect();
         for sensor in 0..sensors {
             // Σ |mean − f − δ × f|² over poses: (Σ |f|² 1 − f fᵀ) δ = Σ f × mean.
             let mut left = [[0.0; 3]; 3];
             let mut right = [0.0; 3];
-            for pose in 0..poses {
-                let f = turned[sensor][pose];
-                let mut mean = [0.0; 3];
-                for other in &turned {
-                    for axis in 0..3 {
-                        mean[axis] += other[pose][axis] / sensors as f64;
-                    }
-                }
+            for (f, mean) in turned[sensor].iter().zip(&means) {
+                let Some(f) = f else {
+                    continue;
+                };
                 let square: f64 = f.iter().map(|v| v * v).sum();
                 for i in 0..3 {
                     left[i][i] += square;

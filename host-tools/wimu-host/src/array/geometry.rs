@@ -66,9 +66,24 @@ impl ArrayGeometry {
         Self::new(places_m.iter().copied().map(ArraySensor::at).collect())
     }
 
-    /// Reads a JSON object as [`write`](Self::write) writes it, or places in m as a CSV table: three
-    /// rows `x`, `y`, `z` with one column a sensor, or one row a sensor with columns `X (m)`, `Y (m)`,
-    /// `Z (m)`.
+    /// Farther apart than this, m, the sensors of an array are hardly on one body.
+    pub const LARGE_M: f64 = 1.0;
+
+    /// The largest distance between two places, m.
+    pub fn span_m(&self) -> f64 {
+        let places: Vec<[f64; 3]> = self.sensors.iter().flat_map(|s| s.places_m).collect();
+        let distance = |a: &[f64; 3], b: &[f64; 3]| {
+            let square = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
+            square.sqrt()
+        };
+        let from = |a: &[f64; 3]| places.iter().map(|b| distance(a, b)).fold(0.0, f64::max);
+        places.iter().map(from).fold(0.0, f64::max)
+    }
+
+    /// Reads a JSON object as [`write`](Self::write) writes it, or places as a CSV table: three rows `x`,
+    /// `y`, `z` in m with one column a sensor, or one row a sensor with columns `X (m)`, `Y (m)`, `Z (m)`,
+    /// or `X (mm)`, …. A table whose places are more than 1 m apart is refused: an array as large as that is
+    /// given as JSON.
     ///
     /// # Errors
     /// `file_unreadable`, `csv_bad_number`, `csv_missing_column`, `bad_calibration`.
@@ -76,7 +91,17 @@ impl ArrayGeometry {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
         if !text.trim_start().starts_with('{') {
-            return places(&text, &name).map(|places| Self::at(&places));
+            let geometry = Self::at(&places(&text, &name)?);
+            let span = geometry.span_m();
+            if span > Self::LARGE_M {
+                return Err(HostError::new(
+                    ErrorCode::BadCalibration,
+                    format!("its places are up to {span:.1} m apart: are they in mm?"),
+                    "write the columns `X (mm),Y (mm),Z (mm)`; give an array as large as this as JSON",
+                )
+                .at(&name));
+            }
+            return Ok(geometry);
         }
         let bad = |message: String| {
             HostError::new(
@@ -105,6 +130,12 @@ impl ArrayGeometry {
                 return Err(bad(format!(
                     "sensor {index} (from 0) has a place or delay that is no number, or axes that are \
                      not of length 1 and at right angles"
+                )));
+            }
+            let [[a, b, c], [d, e, f], [g, h, i]] = sensor.axes;
+            if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0 {
+                return Err(bad(format!(
+                    "the axes of sensor {index} (from 0) are left-handed: one of them has the wrong sign"
                 )));
             }
         }
@@ -162,15 +193,22 @@ fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
             .map(|sensor| Ok([number(x, sensor)?, number(y, sensor)?, number(z, sensor)?]))
             .collect();
     }
-    let column = |axis: &str| {
-        head.1
-            .iter()
-            .position(|field| field.eq_ignore_ascii_case(&format!("{axis} (m)")))
-            .ok_or_else(missing)
+    let columns = |unit: &str| {
+        let find = |axis: &str| {
+            let name = format!("{axis} ({unit})");
+            head.1
+                .iter()
+                .position(|field| field.eq_ignore_ascii_case(&name))
+        };
+        Some([find("X")?, find("Y")?, find("Z")?])
     };
-    let [x, y, z] = [column("X")?, column("Y")?, column("Z")?];
+    let (unit, [x, y, z]) = match (columns("m"), columns("mm")) {
+        (Some(columns), _) => (1.0, columns),
+        (None, Some(columns)) => (1e-3, columns),
+        (None, None) => return Err(missing()),
+    };
     rows.iter()
         .skip(1)
-        .map(|row| Ok([number(row, x)?, number(row, y)?, number(row, z)?]))
+        .map(|row| Ok([number(row, x)?, number(row, y)?, number(row, z)?].map(|v| v * unit)))
         .collect()
 }

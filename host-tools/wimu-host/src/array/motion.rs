@@ -44,7 +44,7 @@ macro_rules! with_room {
 pub(super) use with_room;
 
 /// The angular rate of `recording` from all of it, later samples too; it is in body axes
-/// ([`ArrayRecording::arranged`]).
+/// ([`ArrayRecording::arranged`]). Samples in which a sensor that is used has no output are carried over.
 ///
 /// # Errors
 /// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry
@@ -80,7 +80,7 @@ pub fn navigated(
     )
 }
 
-fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
+pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
     if geometry.sensors.len() == recording.sensors() {
         return Ok(());
     }
@@ -214,6 +214,7 @@ fn filtered<const M: usize>(
     let mut states = Vec::with_capacity(recording.times_s.len());
     let (mut gaps, mut backwards, mut blind) = (0_usize, 0_usize, 0_usize);
     let mut saturated = 0_usize;
+    let mut moving_start = None;
     let mut without = vec![0_usize; recording.sensors()];
     let mut last = recording.times_s[0];
     for (index, time) in recording.times_s.iter().enumerate() {
@@ -231,9 +232,23 @@ fn filtered<const M: usize>(
             Err(ArrayFault::NoTime) => backwards += 1,
             Err(_) => blind += 1,
         }
-        states.push(filter.state());
+        let state = filter.state();
+        // Aligned: whether at rest.
+        if state.certainty > 0.0 {
+            moving_start.get_or_insert(!state.valid);
+        }
+        states.push(state);
     }
     let mut remarks = Vec::new();
+    if moving_start == Some(true) {
+        remarks.push(
+            "no rest at the start: velocity is not known before the first rest, nor attitude well"
+                .to_owned(),
+        );
+    } else if !zupt {
+        remarks
+            .push("it stands still at the start: its velocity is taken for zero there".to_owned());
+    }
     let mut remark = |count: usize, what: &str| {
         if count > 0 {
             remarks.push(format!("{count} {what}"));
@@ -254,6 +269,11 @@ fn filtered<const M: usize>(
     remark(
         blind,
         "samples with too few sensors: the angular rate is carried over them",
+    );
+    remark(
+        filter.astray() as usize,
+        "samples at rests at which velocity or attitude were not what the path said: it is off by more than \
+         its deviation; check the size of the places and the sensitivity",
     );
     for (sensor, count) in without.iter().enumerate() {
         if calibration.uses(sensor) {

@@ -8,6 +8,7 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 use super::ArrayGeometry;
 use crate::csv::{AccelerationUnit, CsvReader};
 use crate::history::{Boot, Recording};
+use crate::motion::Truth;
 use crate::{ErrorCode, HostError, Result};
 
 /// Counts of a 16-bit sensor from which on an axis is at its limit.
@@ -22,6 +23,8 @@ const MOST_SENSORS: usize = 32;
 /// Samples of several accelerometers at common times.
 #[derive(Clone, Debug, Default)]
 pub struct ArrayRecording {
+    /// Time of the origin of `times_s`, s, as in the file.
+    pub start_s: f64,
     /// Time of each sample, s.
     pub times_s: Vec<f64>,
     /// X, Y, Z of each sensor, m/s², sample by sample; not a number where a sensor has none.
@@ -44,7 +47,9 @@ impl ArrayRecording {
     /// Those of [`CsvReader`]; `csv_missing_column` without times or with one accelerometer only.
     pub fn from_csv(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
         let table = Table::read(path, sensitivity_lsb_per_g, 2)?;
-        Ok(table.recording)
+        let mut recording = table.recording;
+        recording.start_s = table.first_ns as f64 * 1e-9;
+        Ok(recording.judged())
     }
 
     /// Brings the samples of several boards to common times: those of the slowest one, each of the
@@ -103,7 +108,7 @@ impl ArrayRecording {
             "at the motion's jerk of {jerk:.0} m/s³ the clocks add up to {:.3} m/s²",
             jerk * clock
         ));
-        Ok(recording)
+        Ok(recording.judged())
     }
 
     /// Each series at the same times.
@@ -199,9 +204,92 @@ impl ArrayRecording {
         self.outputs.first().map_or(0, Vec::len)
     }
 
+    /// Whether a sensor's output at a sample is a number and not at the sensor's limit.
+    pub fn has(&self, index: usize, sensor: usize) -> bool {
+        let limited = self
+            .saturated
+            .get(index)
+            .is_some_and(|s| s >> (sensor % 32) & 1 == 1);
+        let output = self.outputs.get(index).and_then(|row| row.get(sensor));
+        !limited && output.is_some_and(|v| v.iter().all(|axis| axis.is_finite()))
+    }
+
     /// Median time between samples, s.
     pub fn period_s(&self) -> f64 {
         period_s(&self.times_s)
+    }
+
+    /// Three columns of the file sample by sample, where all are numbers; none without the columns.
+    pub fn vectors(&self, names: [String; 3]) -> Vec<Option<[f64; 3]>> {
+        let column = |name: &String| self.other.iter().find(|(n, _)| n == name);
+        let [Some(x), Some(y), Some(z)] = names.each_ref().map(column) else {
+            return Vec::new();
+        };
+        let count = x.1.len().min(y.1.len()).min(z.1.len());
+        (0..count)
+            .map(|k| Some([x.1[k], y.1[k], z.1[k]]).filter(|v| v.iter().all(|c| c.is_finite())))
+            .collect()
+    }
+
+    /// Where the body truly was, from columns `Truth Position E (m)`, … and `Truth Quaternion W`, ….
+    pub fn truth(&self) -> Vec<Option<Truth>> {
+        let positions = self.vectors(["E", "N", "U"].map(|a| format!("Truth Position {a} (m)")));
+        let quaternion = self.true_quaternion();
+        positions
+            .iter()
+            .enumerate()
+            .map(|(k, position)| {
+                position.map(|position_m| Truth {
+                    position_m,
+                    quaternion: quaternion.get(k).copied().unwrap_or([f64::NAN; 4]),
+                })
+            })
+            .collect()
+    }
+
+    fn true_quaternion(&self) -> Vec<[f64; 4]> {
+        let columns = ["W", "X", "Y", "Z"].map(|a| {
+            let name = format!("Truth Quaternion {a}");
+            self.other.iter().find(|(n, _)| *n == name)
+        });
+        let [Some(w), Some(x), Some(y), Some(z)] = columns else {
+            return Vec::new();
+        };
+        (0..w.1.len())
+            .map(|k| [w.1[k], x.1[k], y.1[k], z.1[k]])
+            .collect()
+    }
+
+    /// The true angular rate, rad/s, body axes: from columns `Truth Angular Rate X (rad/s)`, …, or else from
+    /// the true attitudes before and after each sample.
+    pub fn true_rate_rad_s(&self) -> Vec<Option<[f64; 3]>> {
+        let given =
+            self.vectors(["X", "Y", "Z"].map(|a| format!("Truth Angular Rate {a} (rad/s)")));
+        if !given.is_empty() {
+            return given;
+        }
+        let all = self.true_quaternion();
+        (0..all.len())
+            .map(|k| {
+                let [aw, ax, ay, az] = *all.get(k.checked_sub(1)?)?;
+                let [bw, bx, by, bz] = *all.get(k + 1)?;
+                let step = self.times_s[k + 1] - self.times_s[k - 1];
+                // The turn from a to b.
+                let w = aw * bw + ax * bx + ay * by + az * bz;
+                let v = [
+                    aw * bx - ax * bw - ay * bz + az * by,
+                    aw * by + ax * bz - ay * bw - az * bx,
+                    aw * bz - ax * by + ay * bx - az * bw,
+                ];
+                let sine = v.iter().map(|c| c * c).sum::<f64>().sqrt();
+                let by = if sine > 0.0 {
+                    2.0 * sine.atan2(w.abs()) / sine * w.signum()
+                } else {
+                    0.0
+                };
+                Some(v.map(|c| c * by / step)).filter(|r| r.iter().all(|c| c.is_finite()))
+            })
+            .collect()
     }
 
     /// Root mean square change of the outputs, m/s³ an axis.

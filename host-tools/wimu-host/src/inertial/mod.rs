@@ -31,10 +31,10 @@ use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
-use crate::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
+use crate::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
 use crate::chart::{Chart, Series};
 use crate::html::Report;
-use crate::motion::{MotionRecording, nees};
+use crate::motion::{MotionRecording, Truth, nees};
 use crate::{ErrorCode, HostError, Result};
 
 /// How the path is found.
@@ -121,6 +121,18 @@ pub struct InertialPath {
     /// NEES of the position at each valid sample that has truth; both begin at the same place and
     /// heading.
     pub nees: Vec<f64>,
+    /// NEES of an array's angular rate at each valid sample, where the truth tells it.
+    pub rate_nees: Vec<f64>,
+    /// That of its velocity.
+    pub velocity_nees: Vec<f64>,
+}
+
+/// Median NEES of three components and the share below 7.81 (95 % of a right covariance); `None` of none.
+pub fn consistency(nees: &[f64]) -> Option<(f64, f64)> {
+    let mut all = nees.to_vec();
+    all.sort_by(f64::total_cmp);
+    let below = all.iter().filter(|n| **n < 7.81).count();
+    Some((*all.get(all.len() / 2)?, below as f64 / all.len() as f64))
 }
 
 impl InertialPath {
@@ -154,10 +166,7 @@ impl InertialPath {
 
     /// Median NEES and the share below 7.81 (95 % of a right covariance), where there is truth.
     pub fn consistency(&self) -> Option<(f64, f64)> {
-        let mut all = self.nees.clone();
-        all.sort_by(f64::total_cmp);
-        let below = all.iter().filter(|n| **n < 7.81).count();
-        Some((*all.get(all.len() / 2)?, below as f64 / all.len() as f64))
+        consistency(&self.nees)
     }
 
     /// Writes the points as CSV.
@@ -299,7 +308,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             "hold the unit still for a second first, and see that its times go on",
         );
     }
-    compare(&mut path, recording);
+    compare(&mut path, &recording.truth);
     Ok(path)
 }
 
@@ -343,29 +352,47 @@ pub fn settling(recording: &MotionRecording) -> Result<DriftFit> {
     })
 }
 
+/// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
+const GRAVITY_SHARE: f64 = 0.2;
+
 /// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]).
 ///
 /// # Errors
-/// Those of [`navigated`].
+/// Those of [`navigated`]; `data_refused` where the sensors contradict each other, or what
+/// they show at rest is not gravity.
 pub fn navigate_array(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
+    let standard = wimu_model::STANDARD_GRAVITY_MPS2;
     let gravity = if calibration.uncalibrated.is_some() {
         calibration.mean_rest_mps2(recording)
     } else {
-        wimu_model::STANDARD_GRAVITY_MPS2
+        standard
     };
+    if (gravity / standard - 1.0).abs() > GRAVITY_SHARE {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!("the mean output at the rests is {gravity:.2} m/s², which is not gravity"),
+            "check the unit in the columns' names (g, m/s², LSB) and --sensitivity",
+        )
+        .at(&recording.name));
+    }
     let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let agreement = Agreement::of(recording, geometry, calibration)?;
+    if let Some(agreement) = &agreement {
+        agreement.check(&recording.name)?;
+    }
     let mut path = InertialPath {
         method: Method::Array,
         points: states
             .iter()
             .zip(&recording.times_s)
             .map(|(state, time_s)| PathPoint {
-                time_s: *time_s,
+                // To the nanosecond, as the file says it.
+                time_s: ((recording.start_s + time_s) * 1e9).round() * 1e-9,
                 position_m: state.position_m,
                 velocity_mps: state.velocity_mps,
                 quaternion: state.quaternion,
@@ -377,8 +404,18 @@ pub fn navigate_array(
         moves: Vec::new(),
         remarks: recording.remarks.clone(),
         nees: Vec::new(),
+        rate_nees: Vec::new(),
+        velocity_nees: Vec::new(),
     };
     path.remarks.extend(remarks);
+    path.remarks.extend(agreement.map(|a| a.remark()));
+    path.remarks.extend(calibration.remarks());
+    let span = geometry.span_m();
+    if span > ArrayGeometry::LARGE_M {
+        path.remarks.push(format!(
+            "the array is {span:.1} m wide: are its places in m?"
+        ));
+    }
     let ambiguous = states
         .iter()
         .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
@@ -389,17 +426,48 @@ pub fn navigate_array(
              their spread"
         ));
     }
-    if let Some(why) = &calibration.uncalibrated {
-        path.remarks
-            .push(format!("the array is not calibrated: {why}"));
-    }
-    for (sensor, why) in &calibration.left_out {
-        path.remarks
-            .push(format!("sensor {sensor} (from 0) is left out: {why}"));
-    }
     path.remarks
         .push("no magnetometer: heading is that of the body at the start".to_owned());
+    let truth = recording.truth();
+    compare(&mut path, &truth);
+    let valid = |k: &usize| path.points[*k].valid;
+    let vector_nees = |truth: &[Option<[f64; 3]>],
+                       of: &dyn Fn(usize) -> ([f64; 3], [[f64; 3]; 3])| {
+        let of_sample = |k: usize| {
+            let (true_value, (value, covariance)) = (truth[k]?, of(k));
+            let error = std::array::from_fn(|i| value[i] - true_value[i]);
+            Some(nees(error, covariance)).filter(|v| v.is_finite())
+        };
+        (0..truth.len())
+            .filter(valid)
+            .filter_map(of_sample)
+            .collect::<Vec<f64>>()
+    };
+    let rate_nees = vector_nees(&recording.true_rate_rad_s(), &|k| {
+        (states[k].rate_rad_s, states[k].rate_covariance)
+    });
+    // The path's heading begins at its own zero.
+    let turn = truth.iter().zip(&path.points).find_map(|(truth, point)| {
+        let by = heading_rad(truth.as_ref()?.quaternion) - heading_rad(point.quaternion);
+        (point.valid && by.is_finite()).then(|| by.sin_cos())
+    });
+    let (sin, cos) = turn.unwrap_or((0.0, 1.0));
+    let true_velocity: Vec<Option<[f64; 3]>> = recording
+        .vectors(["E", "N", "U"].map(|a| format!("Truth Velocity {a} (m/s)")))
+        .into_iter()
+        .map(|v| v.map(|[e, n, u]| [cos * e + sin * n, cos * n - sin * e, u]))
+        .collect();
+    let velocity_nees = vector_nees(&true_velocity, &|k| {
+        (states[k].velocity_mps, states[k].velocity_covariance)
+    });
+    path.rate_nees = rate_nees;
+    path.velocity_nees = velocity_nees;
     Ok(path)
+}
+
+/// Direction of body x from east to north, rad.
+fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
+    (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 
 fn filter(
@@ -460,6 +528,8 @@ fn filter(
         moves: Vec::new(),
         remarks,
         nees: Vec::new(),
+        rate_nees: Vec::new(),
+        velocity_nees: Vec::new(),
     }
 }
 
@@ -476,18 +546,15 @@ fn quaternion([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64
 }
 
 /// NEES where there is truth: both paths begin at the first valid point, at the same heading.
-fn compare(path: &mut InertialPath, recording: &MotionRecording) {
-    let usable =
-        |k: &usize| path.points[*k].valid && recording.truth.get(*k).is_some_and(Option::is_some);
+fn compare(path: &mut InertialPath, truth: &[Option<Truth>]) {
+    let usable = |k: &usize| path.points[*k].valid && truth.get(*k).is_some_and(Option::is_some);
     let Some(first) = (0..path.points.len()).find(usable) else {
         return;
     };
-    let Some(start) = recording.truth[first] else {
+    let Some(start) = truth[first] else {
         return;
     };
-    let [w, x, y, z] = path.points[first].quaternion;
-    let heading = (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z));
-    let by = start.heading_rad() - heading;
+    let by = start.heading_rad() - heading_rad(path.points[first].quaternion);
     let (sin, cos) = if by.is_finite() {
         by.sin_cos()
     } else {
@@ -496,7 +563,7 @@ fn compare(path: &mut InertialPath, recording: &MotionRecording) {
     let origin = path.points[first].position_m;
     let mut all = Vec::new();
     for k in (first..path.points.len()).filter(usable) {
-        let (point, Some(truth)) = (&path.points[k], recording.truth[k]) else {
+        let (point, Some(truth)) = (&path.points[k], truth[k]) else {
             continue;
         };
         let true_move: [f64; 3] =

@@ -334,5 +334,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
         moves: legs.iter().map(|leg| leg.done).collect(),
         remarks,
         nees: Vec::new(),
+        rate_nees: Vec::new(),
+        velocity_nees: Vec::new(),
     })
 }

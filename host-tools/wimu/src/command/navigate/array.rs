@@ -58,7 +58,7 @@ pub fn path(
     let mut geometry = ArrayGeometry::read(geometry)?;
     let read = read(arguments)?;
     let mut recording = read.clone().arranged(&geometry)?;
-    let mut calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE)?;
+    let mut calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
     let mut refined = None;
     if let Some(file) = &arguments.refine {
         let options = RefineOptions {
@@ -106,7 +106,7 @@ pub fn path(
         });
         geometry = found.geometry;
         recording = read.arranged(&geometry)?;
-        calibration = ArrayCalibration::of(&recording, Gravity::UNKNOWN_PLACE)?;
+        calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
     }
     let path = navigate_array(&recording, &geometry, &calibration, choice)?;
     Ok((path, refined))

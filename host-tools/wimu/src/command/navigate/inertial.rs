@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use serde::Serialize;
-use wimu_host::inertial::{Choice, InertialPath, Method, navigate, settling};
+use wimu_host::inertial::{Choice, InertialPath, Method, consistency, navigate, settling};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{ErrorCode, HostError, Result};
 
@@ -29,6 +29,9 @@ pub struct Found {
     drift: Option<Settling>,
     horizon: Horizon,
     nees: Option<Nees>,
+    /// Of an array's angular rate and velocity.
+    rate_nees: Option<Nees>,
+    velocity_nees: Option<Nees>,
     moves: Vec<MoveFound>,
     refined: Option<Refined>,
     remarks: Vec<String>,
@@ -48,6 +51,16 @@ struct Nees {
     samples: usize,
     median: f64,
     share_below_7_81: f64,
+}
+
+impl Nees {
+    fn of(all: &[f64]) -> Option<Self> {
+        consistency(all).map(|(median, share_below_7_81)| Self {
+            samples: all.len(),
+            median,
+            share_below_7_81,
+        })
+    }
 }
 
 #[derive(Serialize)]
@@ -237,11 +250,9 @@ fn found(
             limit_m: choice.limit_m,
             to_limit_s: path.horizon_s(choice.limit_m),
         },
-        nees: path.consistency().map(|(median, share)| Nees {
-            samples: path.nees.len(),
-            median,
-            share_below_7_81: share,
-        }),
+        nees: Nees::of(&path.nees),
+        rate_nees: Nees::of(&path.rate_nees),
+        velocity_nees: Nees::of(&path.velocity_nees),
         moves: path
             .moves
             .iter()
@@ -305,12 +316,19 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             one.duration_s
         );
     }
-    if let Some((median, share)) = path.consistency() {
-        let _ = writeln!(
-            text,
-            "against the truth: NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is right)",
-            100.0 * share
-        );
+    for (what, nees) in [
+        ("", &path.nees),
+        ("angular rate, ", &path.rate_nees),
+        ("velocity, ", &path.velocity_nees),
+    ] {
+        if let Some((median, share)) = consistency(nees) {
+            let _ = writeln!(
+                text,
+                "against the truth: {what}NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is \
+                 right)",
+                100.0 * share
+            );
+        }
     }
     for remark in &path.remarks {
         let _ = writeln!(text, "note: {remark}");

@@ -1,0 +1,154 @@
+//! Sensors that stop on the way, and limits that a table shows by itself.
+
+use super::ArrayRecording;
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+/// Samples in which an output has not moved by one bit, while most others moved in each, of one that
+/// has stopped.
+const STOPPED_SAMPLES: usize = 64;
+/// An output is at a limit that is found again so often, at least once in two samples on end, and more
+/// than twice as often as anything within 2 % or three steps below it.
+const LIMIT_SAMPLES: usize = 4;
+const NEAR_LIMIT: f64 = 0.02;
+const NEAR_STEPS: f64 = 3.0;
+/// No sensor's limit is lower, as a part of gravity; and those of one array are alike to this part.
+const LEAST_LIMIT: f64 = 1.08;
+const ALIKE: f64 = 0.8;
+
+/// Same value but for rounding.
+fn same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
+}
+
+impl ArrayRecording {
+    /// Leaves out what sensors give after they have stopped (an output that repeats itself for long, while
+    /// the others move), and marks samples at a limit that the recording shows itself (the largest output,
+    /// repeated while hardly anything lies just below it). Both are said in the remarks.
+    #[must_use]
+    pub fn judged(mut self) -> Self {
+        self.leave_out_stopped();
+        self.find_limits();
+        self
+    }
+
+    fn leave_out_stopped(&mut self) {
+        let (sensors, count) = (self.sensors(), self.outputs.len());
+        let value = |k: usize, axis: usize| self.outputs[k][axis / 3][axis % 3];
+        // Samples up to each in which most outputs have moved.
+        let mut lively = vec![0_usize; count];
+        for k in 1..count {
+            let (mut moved, mut finite) = (0, 0);
+            for axis in 0..3 * sensors {
+                let (before, now) = (value(k - 1, axis), value(k, axis));
+                if before.is_finite() && now.is_finite() {
+                    finite += 1;
+                    moved += usize::from(!same(before, now));
+                }
+            }
+            lively[k] = lively[k - 1] + usize::from(2 * moved > finite);
+        }
+        let mut stopped: Vec<(usize, usize, usize)> = Vec::new();
+        for axis in 0..3 * sensors {
+            let mut first = 0;
+            for k in 1..=count {
+                if k < count && same(value(k, axis), value(first, axis)) {
+                    continue;
+                }
+                if lively[k - 1] - lively[first] >= STOPPED_SAMPLES {
+                    stopped.push((axis, first, k));
+                }
+                first = k;
+            }
+        }
+        for (axis, first, end) in stopped {
+            let sensor = axis / 3;
+            let at = self.outputs[first][sensor][axis % 3];
+            // Its other axes may have been found before it.
+            if end - first < count && at.is_finite() {
+                self.remarks.push(format!(
+                    "sensor {sensor} (from 0) stood still from {:.2} to {:.2} s: its {} axis gave {at:.3} m/s² \
+                     each time; left out there",
+                    self.start_s + self.times_s[first],
+                    self.start_s + self.times_s[end - 1],
+                    ["X", "Y", "Z"][axis % 3]
+                ));
+            }
+            for row in &mut self.outputs[first..end] {
+                row[sensor] = [f64::NAN; 3];
+            }
+        }
+    }
+
+    fn find_limits(&mut self) {
+        let mut found: Vec<(usize, usize, f64)> = Vec::new();
+        let mut rest = Vec::new();
+        for sensor in 0..self.sensors() {
+            for axis in 0..3 {
+                for sign in [-1.0, 1.0] {
+                    let values = || {
+                        let all = self.outputs.iter().map(|row| sign * row[sensor][axis]);
+                        all.filter(|v| v.is_finite())
+                    };
+                    let largest = values().fold(f64::NEG_INFINITY, f64::max);
+                    let shows = is_limit(largest, &values);
+                    let list = if shows { &mut found } else { &mut rest };
+                    list.push((sensor, axis, sign * largest));
+                }
+            }
+        }
+        let largest = found.iter().map(|(.., v)| v.abs()).fold(0.0, f64::max);
+        found.retain(|(.., limit)| limit.abs() >= ALIKE * largest);
+        if found.is_empty() {
+            return;
+        }
+        // Others that reach the very same value were there too, if less often.
+        let shown: Vec<f64> = found.iter().map(|(.., v)| v.abs()).collect();
+        rest.retain(|(.., v)| shown.iter().any(|limit| same(v.abs(), *limit)));
+        found.extend(rest);
+        let mut marked = 0;
+        for (row, bits) in self.outputs.iter().zip(&mut self.saturated) {
+            let before = *bits;
+            for (sensor, axis, limit) in &found {
+                let beyond = row[*sensor][*axis] * limit.signum() >= limit.abs() * (1.0 - 1e-9);
+                *bits |= u32::from(beyond) << sensor;
+            }
+            marked += usize::from(*bits != before);
+        }
+        if marked > 0 {
+            let mut sensors: Vec<usize> = found.iter().map(|(sensor, ..)| *sensor).collect();
+            sensors.sort_unstable();
+            sensors.dedup();
+            self.remarks.push(format!(
+                "sensors {sensors:?} (from 0) repeat outputs of up to {largest:.2} m/s² and none beyond: taken \
+                 for their limit, {marked} samples"
+            ));
+        }
+    }
+}
+
+/// Whether the largest of values looks like a limit.
+fn is_limit<I: Iterator<Item = f64>>(largest: f64, values: &dyn Fn() -> I) -> bool {
+    if !(largest.is_finite() && largest > LEAST_LIMIT * STANDARD_GRAVITY_MPS2) {
+        return false;
+    }
+    let mut last = f64::NAN;
+    let mut step = f64::INFINITY;
+    let (mut at, mut on_end) = (0, false);
+    for value in values() {
+        let change = (value - last).abs();
+        if change > 1e-9 * largest {
+            step = step.min(change);
+        }
+        if same(value, largest) {
+            at += 1;
+            on_end |= same(value, last);
+        }
+        last = value;
+    }
+    if at < LIMIT_SAMPLES || !on_end {
+        return false;
+    }
+    let below = largest - (NEAR_LIMIT * largest).max(NEAR_STEPS * step);
+    let near = values().filter(|v| *v >= below && !same(*v, largest));
+    at > 2 * near.count()
+}

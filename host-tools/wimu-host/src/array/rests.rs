@@ -1,0 +1,246 @@
+//! Which steady stretches of an array's mean output are rests: an array that turns evenly about the
+//! vertical has a steady mean too, equation (100).
+
+use wimu_nav::array::{ArraySolver, Axis, Geometry};
+
+use super::motion::{refused, with_room};
+use super::{ArrayGeometry, ArrayRecording};
+use crate::{ErrorCode, HostError, Result};
+
+/// A stretch is looked at in blocks of this length, s, and at least so many samples.
+const BLOCK_S: f64 = 0.1;
+const BLOCK_SAMPLES: usize = 5;
+/// Blocks of the shortest rest.
+const REST_BLOCKS: usize = 3;
+/// What biases may move from block to block and from rest to rest, m/s² an axis.
+const BLOCK_BIAS_MPS2: f64 = 0.01;
+const REST_BIAS_MPS2: f64 = 0.015;
+/// Biases and relative errors of scale and direction of a sensor that is not calibrated yet.
+const BIAS_MPS2: f64 = 0.5;
+const SCALE: f64 = 0.03;
+/// χ² from which on neighbouring blocks are not the same stretch (of nine degrees of freedom), and from
+/// which on a stretch turns (of three).
+const CHANGED: f64 = 45.0;
+const TURNS: f64 = 40.0;
+
+/// A stretch in which the mean output is steady while the array turns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EvenTurn {
+    /// First sample and number of samples.
+    pub span: (usize, usize),
+    /// Angular rate that the sensors' departures from each other show, rad/s.
+    pub rate_rad_s: f64,
+}
+
+/// Rests, and what is no rest.
+pub(super) struct Judged {
+    pub rests: Vec<(usize, usize)>,
+    pub turns: Vec<EvenTurn>,
+    /// Below this angular rate, rad/s, an even turn about the vertical looks like the rests; `None`
+    /// where the sensors show no angular rate at all.
+    pub unseen_rad_s: Option<f64>,
+}
+
+/// Judges stretches in which the mean of the sensors is steady by what the sensors that are `used` put
+/// out there among each other.
+///
+/// # Errors
+/// `usage` for more than 16 sensors.
+pub(super) fn judged(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    stretches: &[(usize, usize)],
+    used: &[bool],
+) -> Result<Judged> {
+    with_room!(
+        geometry.sensors.len(),
+        judge(recording, geometry, stretches, used)
+    )
+}
+
+/// Mean of all axes over a stretch; an axis without a value has 0.
+struct Mean<const M: usize> {
+    output: [f64; M],
+    variance: f64,
+    samples: f64,
+}
+
+impl<const M: usize> Mean<M> {
+    fn of(recording: &ArrayRecording, (first, count): (usize, usize), used: &[bool]) -> Self {
+        let (mut output, mut squares, mut axes) = ([0.0; M], 0.0, 0.0);
+        for sensor in (0..used.len()).filter(|s| used[*s]) {
+            let seen = || {
+                (first..first + count)
+                    .filter(|k| recording.has(*k, sensor))
+                    .map(|k| recording.outputs[k][sensor])
+            };
+            let n = seen().count() as f64;
+            if n < 2.0 {
+                continue;
+            }
+            for axis in 0..3 {
+                let mean = seen().map(|v| v[axis]).sum::<f64>() / n;
+                let square = seen().map(|v| (v[axis] - mean).powi(2)).sum::<f64>();
+                output[3 * sensor + axis] = mean;
+                squares += square / (n - 1.0);
+                axes += 1.0;
+            }
+        }
+        Self {
+            output,
+            variance: squares / f64::max(axes, 1.0),
+            samples: count as f64,
+        }
+    }
+
+    /// Mean of the sensors.
+    fn force(&self, used: &[bool]) -> [f64; 3] {
+        let count = used.iter().filter(|u| **u).count().max(1) as f64;
+        std::array::from_fn(|axis| {
+            let sensors = (0..used.len()).filter(|s| used[*s]);
+            sensors.map(|s| self.output[3 * s + axis]).sum::<f64>() / count
+        })
+    }
+}
+
+fn norm(v: [f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+fn judge<const M: usize>(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    stretches: &[(usize, usize)],
+    used: &[bool],
+) -> Result<Judged> {
+    let axes: Vec<Axis> = geometry
+        .sensors
+        .iter()
+        .flat_map(|sensor| {
+            (0..3).map(|axis| Axis {
+                place_m: sensor.places_m[axis],
+                direction: std::array::from_fn(|i| if i == axis { 1.0 } else { 0.0 }),
+                noise_mps2: 1.0,
+            })
+        })
+        .collect();
+    let axes = Geometry::<M>::from_grouped_axes(&axes, 3).map_err(refused)?;
+    let solver = match ArraySolver::<f64, M>::of(&axes, |sensor| used[sensor]) {
+        Ok(solver) if solver.rank() > 0 => solver,
+        // What is missing is said where the motion is looked for.
+        _ => {
+            return Ok(Judged {
+                rests: stretches.to_vec(),
+                turns: Vec::new(),
+                unseen_rad_s: None,
+            });
+        }
+    };
+    let spans: Vec<(usize, usize)> = stretches
+        .iter()
+        .flat_map(|stretch| steady(recording, &solver, *stretch, used))
+        .collect();
+    let means: Vec<Mean<M>> = spans
+        .iter()
+        .map(|span| Mean::of(recording, *span, used))
+        .collect();
+    // What one rest's departures show beyond what the biases explain.
+    let turn = |departure: [f64; M], variance: f64| -> Option<f64> {
+        let linear = solver.reduce(&departure);
+        let apart = solver.excess(&departure, &linear).unwrap_or(0.0);
+        let solution = solver.roots_of(&linear);
+        let best = solution.hypotheses().next()?;
+        let all: f64 = linear.z.iter().map(|z| z * z).sum();
+        let explained = all - best.chi_square;
+        (explained > TURNS * variance.max(apart)).then(|| norm(best.rate_rad_s))
+    };
+    let of_rest = |mean: &Mean<M>| REST_BIAS_MPS2.powi(2) + mean.variance / mean.samples;
+    let unknown = |force: [f64; 3]| BIAS_MPS2.powi(2) + (SCALE * norm(force)).powi(2);
+    let mut judged = Judged {
+        rests: Vec::new(),
+        turns: Vec::new(),
+        unseen_rad_s: None,
+    };
+    for (span, one) in spans.iter().zip(&means) {
+        let force = one.force(used);
+        let by_itself = turn(one.output, unknown(force) + of_rest(one));
+        let against = means.iter().filter_map(|other| {
+            let scale = SCALE * norm(minus(force, other.force(used)));
+            let variance = of_rest(one) + of_rest(other) + scale * scale;
+            turn(minus(one.output, other.output), variance)
+        });
+        match by_itself.into_iter().chain(against).reduce(f64::max) {
+            Some(rate_rad_s) => judged.turns.push(EvenTurn {
+                span: *span,
+                rate_rad_s,
+            }),
+            None => judged.rests.push(*span),
+        }
+    }
+    if let Some(first) = means.first() {
+        let force = first.force(used);
+        let size = norm(force).max(1e-9);
+        let (z, _) = solver.expected_z(force.map(|f| f / size));
+        let shown = z.iter().map(|z| z * z).sum::<f64>().sqrt().max(1e-12);
+        let variance = if means.len() > 1 {
+            2.0 * of_rest(first)
+        } else {
+            unknown(force)
+        };
+        judged.unseen_rad_s = Some(((TURNS * variance).sqrt() / shown).sqrt());
+    }
+    Ok(judged)
+}
+
+/// The parts of a stretch in which the sensors agree with each other in the same way.
+fn steady<const M: usize>(
+    recording: &ArrayRecording,
+    solver: &ArraySolver<f64, M>,
+    (first, count): (usize, usize),
+    used: &[bool],
+) -> Vec<(usize, usize)> {
+    let length = ((BLOCK_S / recording.period_s()).ceil() as usize).max(BLOCK_SAMPLES);
+    let blocks: Vec<Mean<M>> = (0..count / length)
+        .map(|b| Mean::of(recording, (first + b * length, length), used))
+        .collect();
+    let mut variances: Vec<f64> = blocks.iter().map(|b| b.variance).collect();
+    variances.sort_by(f64::total_cmp);
+    let Some(noise) = variances.get(variances.len() / 2) else {
+        return vec![(first, count)];
+    };
+    let variance = BLOCK_BIAS_MPS2.powi(2) + noise / length as f64;
+    let differs = |a: &[f64; M], b: &[f64; M], variance: f64| {
+        let linear = solver.reduce(&minus(*a, *b));
+        let covariance = solver.covariance();
+        let turn = (0..3).map(|i| linear.theta[i].powi(2) / covariance[i][i]);
+        linear.z.iter().map(|z| z * z).sum::<f64>() + turn.sum::<f64>() > CHANGED * variance
+    };
+    // Runs of blocks, and the mean of each.
+    let mut runs: Vec<(usize, usize, [f64; M])> = Vec::new();
+    for (at, block) in blocks.iter().enumerate() {
+        if let Some((begin, end, mean)) = runs.last_mut() {
+            let n = (*end - *begin) as f64;
+            let alike = !differs(&block.output, mean, variance * (1.0 + 1.0 / n))
+                && !differs(&block.output, &blocks[*begin].output, 2.0 * variance);
+            if alike {
+                for (mean, value) in mean.iter_mut().zip(&block.output) {
+                    *mean += (value - *mean) / (n + 1.0);
+                }
+                *end = at + 1;
+                continue;
+            }
+        }
+        runs.push((at, at + 1, block.output));
+    }
+    if let [_] = runs[..] {
+        return vec![(first, count)];
+    }
+    runs.iter()
+        .filter(|(begin, end, _)| end - begin >= REST_BLOCKS)
+        .map(|(begin, end, _)| (first + begin * length, (end - begin) * length))
+        .collect()
+}

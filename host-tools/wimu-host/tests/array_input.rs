@@ -1,0 +1,490 @@
+//! What is claimed of arrays that are given something wrong: even turns, sensors that fail on the way,
+//! limits nobody declared, geometries of another array, starts in motion.
+
+use std::f64::consts::TAU;
+
+use wimu_calib::Gravity;
+use wimu_host::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use wimu_host::inertial::{Choice, InertialPath, Method, navigate_array};
+use wimu_host::{ErrorCode, HostError};
+
+const G: f64 = 9.80665;
+const RATE_HZ: f64 = 200.0;
+const NOISE: f64 = 0.01;
+
+/// SplitMix64: the same numbers in every run.
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
+        radius * (TAU * self.unit()).cos()
+    }
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+fn octahedron(arm_m: f64) -> ArrayGeometry {
+    let unit = [
+        [1.0, 0.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, -1.0],
+    ];
+    ArrayGeometry::at(&unit.map(|place| place.map(|c| c * arm_m)))
+}
+
+/// Part of a motion: so long, s; angular rate about an axis that stays as it is at its end, rad/s; and a
+/// move, m, in navigation axes.
+#[derive(Clone, Copy)]
+struct Part {
+    seconds: f64,
+    rate: [f64; 3],
+    shift: [f64; 3],
+}
+
+fn part(seconds: f64, rate: [f64; 3]) -> Part {
+    Part {
+        seconds,
+        rate,
+        shift: [0.0; 3],
+    }
+}
+
+fn about_z(seconds: f64, rate: f64) -> Part {
+    part(seconds, [0.0, 0.0, rate])
+}
+
+/// What an array puts out, with the truth as columns.
+struct Simulated {
+    recording: ArrayRecording,
+    rates: Vec<[f64; 3]>,
+}
+
+/// Least jerk from 0 to 1: value, and its derivatives by the share of the way.
+fn smooth(x: f64) -> [f64; 3] {
+    [
+        x * x * x * (10.0 - 15.0 * x + 6.0 * x * x),
+        30.0 * x * x * (1.0 - x) * (1.0 - x),
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
+    ]
+}
+
+fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> Simulated {
+    let biases: Vec<[f64; 3]> = geometry
+        .sensors
+        .iter()
+        .map(|_| [0; 3].map(|_| 0.02 * random.normal()))
+        .collect();
+    let names = ["Position E (m)", "Position N (m)", "Position U (m)"]
+        .into_iter()
+        .chain([
+            "Quaternion W",
+            "Quaternion X",
+            "Quaternion Y",
+            "Quaternion Z",
+        ]);
+    let mut other: Vec<(String, Vec<f64>)> =
+        names.map(|n| (format!("Truth {n}"), Vec::new())).collect();
+    let mut recording = ArrayRecording::default();
+    let mut rates = Vec::new();
+    let (mut before, mut at, mut q) = ([0.0; 3], [0.0; 3], [1.0, 0.0, 0.0, 0.0]);
+    let dt = 1.0 / RATE_HZ;
+    for one in parts {
+        let count = (one.seconds * RATE_HZ).round() as usize;
+        for k in 0..count {
+            let x = k as f64 / count as f64;
+            let [value, slope, curve] = smooth(x);
+            let s = one.seconds;
+            let rate_at = |value: f64| -> [f64; 3] {
+                std::array::from_fn(|i| before[i] + value * (one.rate[i] - before[i]))
+            };
+            let rate = rate_at(value);
+            let turn: [f64; 3] = std::array::from_fn(|i| slope / s * (one.rate[i] - before[i]));
+            let [w, a, b, c] = q;
+            // Navigation to body axes.
+            let to_body = |v: [f64; 3]| -> [f64; 3] {
+                let u = [-a, -b, -c];
+                let t = cross(u, v).map(|x| 2.0 * x);
+                let tt = cross(u, t);
+                std::array::from_fn(|i| v[i] + w * t[i] + tt[i])
+            };
+            let force = to_body([
+                curve / (s * s) * one.shift[0],
+                curve / (s * s) * one.shift[1],
+                curve / (s * s) * one.shift[2] + G,
+            ]);
+            let row = geometry.sensors.iter().zip(&biases).map(|(sensor, bias)| {
+                let place = sensor.places_m[0];
+                let body: [f64; 3] = {
+                    let (t, c) = (cross(turn, place), cross(rate, cross(rate, place)));
+                    std::array::from_fn(|i| force[i] + t[i] + c[i])
+                };
+                std::array::from_fn(|axis| {
+                    let along: f64 = (0..3).map(|i| sensor.axes[axis][i] * body[i]).sum();
+                    along + bias[axis] + NOISE * random.normal()
+                })
+            });
+            recording.outputs.push(row.collect());
+            recording.saturated.push(0);
+            recording.times_s.push(recording.times_s.len() as f64 * dt);
+            rates.push(rate);
+            let position: [f64; 3] = std::array::from_fn(|i| at[i] + value * one.shift[i]);
+            for ((_, column), value) in other.iter_mut().zip(position.into_iter().chain(q)) {
+                column.push(value);
+            }
+            // Attitude by the rate half a step on.
+            let [next, ..] = smooth((k as f64 + 0.5) / count as f64);
+            let by = rate_at(next).map(|w| w * dt);
+            let angle = by.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let half = if angle > 0.0 {
+                (angle / 2.0).sin() / angle
+            } else {
+                0.5
+            };
+            let (dw, [dx, dy, dz]) = ((angle / 2.0).cos(), by.map(|v| v * half));
+            q = [
+                w * dw - a * dx - b * dy - c * dz,
+                w * dx + a * dw + b * dz - c * dy,
+                w * dy - a * dz + b * dw + c * dx,
+                w * dz + a * dy - b * dx + c * dw,
+            ];
+        }
+        before = one.rate;
+        for (at, shift) in at.iter_mut().zip(one.shift) {
+            *at += shift;
+        }
+    }
+    recording.other = other;
+    Simulated { recording, rates }
+}
+
+/// Judged, arranged, calibrated and navigated, as the command does.
+fn path(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    zupt: bool,
+) -> Result<(InertialPath, ArrayCalibration), HostError> {
+    let arranged = recording.clone().judged().arranged(geometry)?;
+    let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE)?;
+    let choice = Choice {
+        method: Method::Array,
+        zupt,
+        ..Choice::default()
+    };
+    Ok((
+        navigate_array(&arranged, geometry, &calibration, &choice)?,
+        calibration,
+    ))
+}
+
+fn says(path: &InertialPath, what: &str) -> bool {
+    path.remarks.iter().any(|remark| remark.contains(what))
+}
+
+fn rate_rms(path: &InertialPath, rates: &[[f64; 3]]) -> f64 {
+    let squares = path.points.iter().zip(rates).map(|(point, rate)| {
+        let d: [f64; 3] = std::array::from_fn(|i| point.rate_rad_s[i] - rate[i]);
+        d.iter().map(|v| v * v).sum::<f64>()
+    });
+    (squares.sum::<f64>() / rates.len() as f64).sqrt()
+}
+
+fn end_error(path: &InertialPath, recording: &ArrayRecording) -> f64 {
+    let last = path.points[path.points.len() - 1].position_m;
+    let truth = recording.truth();
+    let truth = truth[truth.len() - 1].unwrap().position_m;
+    (0..3)
+        .map(|i| (last[i] - truth[i]).powi(2))
+        .sum::<f64>()
+        .sqrt()
+}
+
+#[test]
+fn an_even_turn_about_the_vertical_is_no_rest() {
+    let long = |rate: f64| {
+        vec![
+            about_z(3.0, 0.0),
+            about_z(0.5, rate),
+            about_z(5.0, rate),
+            about_z(0.5, 0.0),
+            about_z(3.0, 0.0),
+        ]
+    };
+    let mut plateaus = vec![about_z(3.0, 0.0)];
+    for rate in [8.0, -8.0, 5.0, -12.0, 12.0] {
+        plateaus.extend([about_z(0.3, rate), about_z(0.5, rate)]);
+    }
+    plateaus.extend([about_z(0.3, 0.0), about_z(2.0, 0.0)]);
+    // Begun in the middle of a turn: the first stretch is no rest for being the first.
+    let mut begun = vec![about_z(2.0, 20.0)];
+    begun.extend([about_z(0.5, 0.0), about_z(3.0, 0.0)]);
+    for (arm, name, parts, most) in [
+        (0.01, "20 rad/s for 5 s, 1 cm", long(20.0), 0.3),
+        (0.03, "20 rad/s for 5 s, 3 cm", long(20.0), 0.1),
+        (0.03, "3 rad/s for 5 s, 3 cm", long(3.0), 0.3),
+        (0.01, "plateaus of 0.5 s, 1 cm", plateaus, 0.3),
+        (0.03, "begun in a turn", begun, f64::INFINITY),
+    ] {
+        let geometry = octahedron(arm);
+        let first = parts[0].rate;
+        let mut parts = parts;
+        if first[2] != 0.0 {
+            // From nothing to the turn in one sample, before the recording.
+            parts.insert(0, part(1.0 / RATE_HZ, first));
+        }
+        let all = simulated(&geometry, &parts, &mut Random(5));
+        let (path, calibration) = path(&all.recording, &geometry, true).unwrap();
+        for (first, count) in &calibration.rests {
+            let fastest = all.rates[*first..first + count].iter().map(|r| r[2].abs());
+            let fastest = fastest.fold(0.0, f64::max);
+            assert!(fastest < 0.8, "{name}: a rest at {fastest} rad/s");
+        }
+        let rms = rate_rms(&path, &all.rates);
+        println!("{name}: angular rate off by {rms:.3} rad/s rms");
+        assert!(rms < most, "{name}: {rms} {:?}", path.remarks);
+        assert!(
+            says(&path, "even turn") && says(&path, "is assumed"),
+            "{:?}",
+            path.remarks
+        );
+    }
+    // Nothing but an even turn, faster than biases explain: there is no rest.
+    let geometry = octahedron(0.03);
+    let all = simulated(
+        &geometry,
+        &[about_z(1.0 / RATE_HZ, 20.0), about_z(5.0, 20.0)],
+        &mut Random(6),
+    );
+    let error = path(&all.recording, &geometry, true).unwrap_err();
+    assert!(error.code() == ErrorCode::DataRefused && error.to_string().contains("even turn"));
+}
+
+/// Rests in one attitude with moves and turns between.
+fn carried() -> Vec<Part> {
+    let mut parts = vec![about_z(3.0, 0.0)];
+    let moves = [
+        ([0.3, -0.2, 0.1], [5.0, 3.0, 7.0]),
+        ([-0.2, 0.3, 0.2], [-4.0, 8.0, -3.0]),
+        ([0.1, 0.4, -0.3], [3.0, -7.0, 5.0]),
+        ([-0.3, -0.1, 0.2], [-8.0, 3.0, -4.0]),
+    ];
+    for (shift, rate) in moves {
+        let moving = Part {
+            seconds: 0.6,
+            rate,
+            shift,
+        };
+        parts.extend([moving, part(0.6, [0.0; 3]), part(2.0, [0.0; 3])]);
+    }
+    parts
+}
+
+#[test]
+fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
+    let geometry = octahedron(0.03);
+    let all = simulated(&geometry, &carried(), &mut Random(7));
+    let (sound, _) = path(&all.recording, &geometry, true).unwrap();
+    let without = end_error(&sound, &all.recording);
+    println!(
+        "sound: end off by {without:.3} m, {:?}",
+        sound.consistency()
+    );
+    type Fail = fn(&mut [f64; 3]);
+    let fails: [(&str, Fail); 4] = [
+        ("one axis stuck", |v| v[0] = 9.0),
+        ("all axes zero", |v| *v = [0.0; 3]),
+        ("at 16 g", |v| *v = [156.9; 3]),
+        ("no number", |v| *v = [f64::NAN; 3]),
+    ];
+    for (name, fail) in fails {
+        let mut recording = all.recording.clone();
+        for row in &mut recording.outputs[800..] {
+            fail(&mut row[2]);
+        }
+        let (path, calibration) = path(&recording, &geometry, true).unwrap();
+        let error = end_error(&path, &recording);
+        let last = path.points[path.points.len() - 1].sd_m();
+        let (median, share) = path.consistency().unwrap();
+        let rms = rate_rms(&path, &all.rates);
+        println!(
+            "{name}: end off by {error:.3} ± {last:.3} m, NEES median {median:.2}, {share:.2} below 7.81, \
+             rate off by {rms:.3}, rests {}",
+            calibration.rests.len()
+        );
+        assert!(error < 4.0 * last && last < 0.5, "{name}");
+        assert!(median < 9.0 && rms < 0.2, "{name}");
+        assert!(
+            says(&path, "sensor 2 (from 0)"),
+            "{name}: {:?}",
+            path.remarks
+        );
+    }
+}
+
+#[test]
+fn a_limit_that_nobody_declared_is_found_in_the_recording() {
+    let geometry = octahedron(0.03);
+    let all = simulated(&geometry, &carried(), &mut Random(8));
+    let clipped = |limit: f64| {
+        let mut recording = all.recording.clone();
+        let mut beyond = 0;
+        for row in &mut recording.outputs {
+            beyond += usize::from(row.iter().flatten().any(|v| v.abs() > limit));
+            for value in row.iter_mut().flatten() {
+                *value = value.clamp(-limit, limit);
+            }
+        }
+        (recording.judged(), beyond)
+    };
+    let (recording, beyond) = clipped(11.5);
+    let marked = recording.saturated.iter().filter(|s| **s != 0).count();
+    println!("{beyond} samples beyond the limit, {marked} marked");
+    assert!(beyond > 50 && marked * 10 >= beyond * 9 && marked <= beyond);
+    let (found, _) = path(&recording, &geometry, true).unwrap();
+    assert!(says(&found, "taken for their limit"), "{:?}", found.remarks);
+    let wrong = found
+        .points
+        .iter()
+        .zip(recording.truth())
+        .filter(|(point, _)| point.valid)
+        .map(|(point, truth)| {
+            let truth = truth.unwrap().position_m;
+            let d = (0..3).map(|i| (point.position_m[i] - truth[i]).powi(2));
+            d.sum::<f64>().sqrt() / point.sd_m()
+        })
+        .fold(0.0, f64::max);
+    assert!(wrong < 6.0, "a valid position is {wrong} deviations off");
+    // In g under the name of m/s²: said, not navigated.
+    let mut in_g = all.recording.clone();
+    for value in in_g.outputs.iter_mut().flatten().flatten() {
+        *value /= G;
+    }
+    let error = path(&in_g, &geometry, true).map(|_| ()).unwrap_err();
+    assert!(
+        error.to_string().contains("which is not gravity"),
+        "{error}"
+    );
+    // Nothing clips: nothing is marked, in coarse steps neither.
+    let (recording, _) = clipped(1e3);
+    assert!(recording.saturated.iter().all(|s| *s == 0));
+    let mut coarse = all.recording.clone();
+    for value in coarse.outputs.iter_mut().flatten().flatten() {
+        *value = (*value / 0.15).round() * 0.15;
+    }
+    let coarse = coarse.judged();
+    assert!(
+        coarse.saturated.iter().all(|s| *s == 0),
+        "{:?}",
+        coarse.remarks
+    );
+    assert!(
+        coarse
+            .outputs
+            .iter()
+            .flatten()
+            .flatten()
+            .all(|v| v.is_finite())
+    );
+}
+
+#[test]
+fn a_geometry_of_another_array_is_refused() {
+    let geometry = octahedron(0.03);
+    let all = simulated(&geometry, &carried(), &mut Random(9));
+    let (sound, calibration) = path(&all.recording, &geometry, true).unwrap();
+    let arranged = all.recording.clone().arranged(&geometry).unwrap();
+    let agreement = Agreement::of(&arranged, &geometry, &calibration)
+        .unwrap()
+        .unwrap();
+    println!("right geometry: {}", agreement.remark());
+    assert!(agreement.unexplained < 0.02 && says(&sound, "fits no motion of one rigid body"));
+    let turned = [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
+    let change = |change: &dyn Fn(&mut Vec<ArraySensor>)| {
+        let mut wrong = geometry.clone();
+        change(&mut wrong.sensors);
+        wrong
+    };
+    for (name, wrong) in [
+        ("two sensors swapped", change(&|all| all.swap(0, 1))),
+        (
+            "x and y swapped",
+            change(&|all| {
+                all.swap(0, 2);
+                all.swap(1, 3);
+            }),
+        ),
+        ("places mirrored", octahedron(-0.03)),
+        (
+            "a sensor turned by 180°",
+            change(&|all| all[0].axes = turned),
+        ),
+    ] {
+        let error = path(&all.recording, &wrong, true).map(|_| ()).unwrap_err();
+        println!("{name}: {error}");
+        assert_eq!(error.code(), ErrorCode::DataRefused, "{name}");
+        assert!(
+            error.to_string().contains("contradict each other"),
+            "{name}: {error}"
+        );
+    }
+}
+
+#[test]
+fn a_start_in_motion_is_said_and_its_velocity_unknown() {
+    let geometry = octahedron(0.03);
+    let mut all = simulated(&geometry, &carried(), &mut Random(10));
+    // From the middle of the first move on.
+    let from = (3.3 * RATE_HZ) as usize;
+    all.recording.outputs.drain(..from);
+    all.recording.saturated.drain(..from);
+    all.recording.times_s.drain(..from);
+    for (_, column) in &mut all.recording.other {
+        column.drain(..from);
+    }
+    let (path, _) = path(&all.recording, &geometry, true).unwrap();
+    let (median, share) = path.consistency().unwrap();
+    println!("begun in motion: NEES median {median:.2}, {share:.2} below 7.81");
+    assert!(says(&path, "no rest at the start"), "{:?}", path.remarks);
+    let first = path.points.iter().position(|p| p.valid).unwrap();
+    // The move ends 0.9 s after; half a second shows the rest.
+    let seconds = first as f64 / RATE_HZ;
+    assert!(
+        (1.0..2.5).contains(&seconds),
+        "first valid after {seconds} s"
+    );
+    assert!(path.points[first - 10].sd_m() > 1.0);
+    assert!(median < 7.81, "{median}");
+}
+
+#[test]
+fn the_truth_of_an_array_gives_its_nees() {
+    let geometry = octahedron(0.03);
+    let all = simulated(&geometry, &carried(), &mut Random(11));
+    let (path, _) = path(&all.recording, &geometry, true).unwrap();
+    let (median, share) = path.consistency().unwrap();
+    let rate = wimu_host::inertial::consistency(&path.rate_nees).unwrap();
+    println!("position {median:.2} {share:.2}, rate {rate:?}");
+    assert!(path.nees.len() > 1000 && path.rate_nees.len() > 1000);
+    assert!(share > 0.8 && rate.1 > 0.8);
+    assert!(
+        path.velocity_nees.is_empty(),
+        "there is no truth of the velocity"
+    );
+}

@@ -48,7 +48,7 @@ fn table() -> String {
             let force = [-turn * y - rate * rate * x, turn * x - rate * rate * y, G];
             for (axis, value) in force.into_iter().enumerate() {
                 let step = k.wrapping_mul(2_654_435_761) >> 7;
-                let step = (step ^ (axis as u32 * 7 + sensor as u32) * 40_503) % 1999;
+                let step = (step ^ ((axis as u32 * 7 + sensor as u32) * 40_503)) % 1999;
                 let noise = (f64::from(step) / 1000.0 - 1.0) * 0.015;
                 let dead = sensor == 5 && t >= 5.0;
                 write!(text, ",{:.5}", if dead { 0.0 } else { value + noise }).unwrap();

@@ -236,6 +236,17 @@ fn range_and_rate_may_change_on_the_way() {
 
 /// A table of a motion: every axis a wave, `scale` of it, at `rate_hz` from `start_s` on.
 fn table(path: &Path, unit: &str, scale: f64, rate_hz: f64, start_s: f64) -> String {
+    noisy_table(path, unit, scale, (rate_hz, start_s), |_| 0.0)
+}
+
+/// The same with noise on every value.
+fn noisy_table(
+    path: &Path,
+    unit: &str,
+    scale: f64,
+    (rate_hz, start_s): (f64, f64),
+    mut noise: impl FnMut(usize) -> f64,
+) -> String {
     let mut text = format!(
         "Time (s),Accelerometer X ({unit}),Accelerometer Y ({unit}),Accelerometer Z ({unit})\n"
     );
@@ -243,7 +254,7 @@ fn table(path: &Path, unit: &str, scale: f64, rate_hz: f64, start_s: f64) -> Str
         let time = f64::from(k) / rate_hz;
         let at = start_s + time;
         let wave = |hz: f64| (hz * at).sin() + 0.5 * (2.7 * hz * at + at * at / 40.0).cos();
-        let [x, y, z] = [0.9, 1.3, 1.9].map(|hz| scale * wave(hz));
+        let [x, y, z] = [0, 1, 2].map(|axis| scale * wave([0.9, 1.3, 1.9][axis]) + noise(axis));
         text += &format!("{time},{x},{y},{z}\n");
     }
     fs::write(path, text).unwrap();
@@ -261,6 +272,30 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
     for axis in found["axes"].as_array().unwrap() {
         let scale = axis["line"]["scale"].as_f64().unwrap();
         assert!((scale - 1.02).abs() < 0.005, "{found}");
+    }
+}
+
+#[test]
+fn which_of_two_tables_is_the_noisier_does_not_bend_the_scale_factor() {
+    let folder = folder();
+    let mut state = 1_u64;
+    // Uniform, 0.6 m/s² (1 σ), on the motion's 4.
+    let mut noise = |_: usize| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.6 * 12_f64.sqrt()
+    };
+    let pure = table(&folder.path().join("pure.csv"), "m/s²", 5.0, 100.0, 0.0);
+    let path = folder.path().join("noisy.csv");
+    let noisy = noisy_table(&path, "m/s²", 5.1, (100.0, 1.3), &mut noise);
+    for (reference, other, scale) in [(&pure, &noisy, 1.02), (&noisy, &pure, 1.0 / 1.02)] {
+        let found = wimu(&["compare", reference, other]).succeeds();
+        for axis in found["axes"].as_array().unwrap() {
+            let of = |name: &str| axis["line"][name].as_f64().unwrap();
+            let (off, sd) = (of("scale") - scale, of("scale_sd"));
+            assert!(off.abs() < 3.0 * sd && sd < 0.004, "{off} {sd} {found}");
+        }
     }
 }
 

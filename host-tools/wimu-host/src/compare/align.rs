@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_calib::{NoiseRatio, ReferenceTransfer};
+use wimu_calib::ReferenceTransfer;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{Axis, refused};
@@ -127,7 +127,8 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let offset_s = shift(fine.lag);
     // Reference time of the other's time.
     let slope = rate.unwrap_or(0.0);
-    let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    // Any two devices: nobody says which is the noisier.
+    let mut transfer = ReferenceTransfer::of_unknown_noise();
     let mut squares = [0.0; 3];
     let count = ((end - start) / step).max(0.0) as usize;
     for k in 0..count {

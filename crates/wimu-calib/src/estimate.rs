@@ -4,10 +4,10 @@ use core::fmt;
 
 use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
 
+use crate::linear::Real;
 use crate::outliers::Rejected;
-use crate::student;
 use crate::terms::{self, Slot, Terms, Theta};
-use crate::{Gravity, Model, Parameter, Parameters, Pose};
+use crate::{Gravity, Model, Parameter, Parameters, Pose, force, student};
 
 /// Zero-g offset of a usual sensor, m/s²: 50 mg.
 const USUAL_BIAS_MPS2: f64 = 0.5;
@@ -115,7 +115,9 @@ impl Estimate {
                 pose.mean_mps2[axis] -= drift.change_mps2[axis] * progress;
             }
         }
-        residual_mps2(&self.model, self.gravity, &pose)
+        let temperature = pose.temperature_c.map(CentiCelsius::from_celsius);
+        let output = SpecificForceMps2(pose.mean_mps2);
+        self.model.correct(output, temperature).norm() - self.gravity.mps2()
     }
 }
 
@@ -298,6 +300,19 @@ pub(crate) struct Residuals {
 }
 
 impl Residuals {
+    /// Those of the first twelve parameters.
+    pub fn of<'a, R: Real>(
+        theta: &Theta<R>,
+        poses: impl Iterator<Item = &'a Pose>,
+        gravity_mps2: f64,
+    ) -> Self {
+        let mut residuals = Self::default();
+        for (k, pose) in poses.enumerate() {
+            residuals.add(k, force::residual(theta, pose, gravity_mps2));
+        }
+        residuals
+    }
+
     pub fn add(&mut self, pose: usize, residual_mps2: f64) {
         let size = residual_mps2.abs();
         self.squares += size * size;
@@ -311,10 +326,4 @@ impl Residuals {
     pub fn rms_mps2(&self) -> f64 {
         libm::sqrt(self.squares / self.count)
     }
-}
-
-pub(crate) fn residual_mps2(model: &ErrorModel, gravity: Gravity, pose: &Pose) -> f64 {
-    let temperature = pose.temperature_c.map(CentiCelsius::from_celsius);
-    let force = model.correct(SpecificForceMps2(pose.mean_mps2), temperature);
-    force.norm() - gravity.mps2()
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::linear::{Real, real};
+use crate::linear::{Real, double, real};
 use crate::terms::{Slot, Theta};
 use crate::{Orientation, Pose};
 
@@ -202,30 +202,41 @@ pub(crate) fn magnitude<R: Real>(
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
 }
 
+/// |f| − g that the first twelve parameters leave in a pose, m/s²; infinite where A has no inverse.
+pub(crate) fn residual<R: Real>(theta: &Theta<R>, pose: &Pose, gravity_mps2: f64) -> f64 {
+    Evaluated::new(theta, false).map_or(f64::INFINITY, |at| {
+        let applied = at.apply(pose.mean_mps2.map(real), R::zero(), R::zero());
+        double(applied.force.norm() - real(gravity_mps2))
+    })
+}
+
 /// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the
 /// first twelve parameters: equation (17).
-pub(crate) fn worst_sd(
-    theta: &Theta<f64>,
+pub(crate) fn worst_sd<R: Real>(
+    theta: &Theta<R>,
     covariance: &crate::Covariance,
     gravity_mps2: f64,
 ) -> f64 {
     let Some(at) = Evaluated::new(theta, true) else {
         return f64::INFINITY;
     };
+    let covariance = covariance.matrix().map(|row| row.map(real::<R>));
     let variance = |orientation: Orientation| {
-        let applied = at.at(Vector3::from(orientation.up()) * gravity_mps2);
-        let all = at.derivatives(&applied);
-        let row: [f64; 12] = core::array::from_fn(|i| all[i]);
-        let along = covariance.matrix().iter().zip(row).map(|(covariances, d)| {
-            let sum: f64 = covariances.iter().zip(row).map(|(c, e)| c * e).sum();
-            d * sum
-        });
-        along.sum()
+        let applied = at.at(Vector3::from(
+            orientation.up().map(|c| real(c * gravity_mps2)),
+        ));
+        let row = at.derivatives(&applied);
+        let mut sum = R::zero();
+        for (covariances, d) in covariance.iter().zip(row) {
+            for (covariance, e) in covariances.iter().zip(row) {
+                sum += d * *covariance * e;
+            }
+        }
+        sum
     };
-    libm::sqrt(
-        Orientation::ALL
-            .into_iter()
-            .map(variance)
-            .fold(0.0, f64::max),
-    )
+    let worst = Orientation::ALL
+        .into_iter()
+        .map(variance)
+        .fold(R::zero(), |most, one| most.max(one));
+    double(worst.sqrt())
 }

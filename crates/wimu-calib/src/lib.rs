@@ -32,7 +32,10 @@ mod student;
 mod terms;
 mod turn;
 
-pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
+pub use alignment::{
+    AlignmentEstimate, AlignmentRefusal, KnownDirection, align, align_f32, straight_move,
+    straight_move_f32,
+};
 pub use choice::best_model;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
@@ -41,6 +44,7 @@ pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
+    magnetometer_f32,
 };
 pub use multi_position::{
     Model, MultiPosition, multi_position, multi_position_f32, multi_position_with,
@@ -58,6 +62,9 @@ pub use refusal::{Refusal, UnitHint};
 pub use scalar::Scalar;
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
-pub use six_position::{Placement, PlacementError, six_position, six_position_labelled};
+pub use six_position::{
+    Placement, PlacementError, six_position, six_position_f32, six_position_labelled,
+    six_position_labelled_f32,
+};
 pub use terms::{Term, Terms};
-pub use turn::{four_angle, three_angle};
+pub use turn::{four_angle, four_angle_f32, three_angle, three_angle_f32};

@@ -2,8 +2,10 @@
 
 use nalgebra::{RealField, SMatrix, SVector, convert};
 
+use crate::Scalar;
+
 /// f32 or f64.
-pub(crate) trait Real: RealField + Copy {}
+pub(crate) trait Real: RealField + Scalar {}
 
 impl Real for f32 {}
 impl Real for f64 {}

@@ -2,6 +2,7 @@
 
 mod consensus;
 
+use core::cmp::Ordering;
 use core::fmt;
 
 use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3};
@@ -10,6 +11,7 @@ use wimu_model::{
     RotationCovariance,
 };
 
+use crate::linear::{Real, double, real};
 use crate::{Rejected, student};
 
 /// Fewest poses: nine parameters of iron, and three to tell how good they are.
@@ -282,7 +284,7 @@ impl core::error::Error for MagneticRefusal {}
 /// The places of xx, yy, zz, xy, xz, yz.
 const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
-fn symmetric(w: &[f64]) -> Matrix3<f64> {
+fn symmetric<R: Real>(w: &[R]) -> Matrix3<R> {
     let mut m = Matrix3::zeros();
     for (&(r, c), value) in PLACES.iter().zip(w) {
         m[(r, c)] = *value;
@@ -330,6 +332,25 @@ pub fn magnetometer(
     poses: &[MagneticPose],
     dip_rad: Option<f64>,
 ) -> Result<MagneticEstimate, MagneticRefusal> {
+    estimate::<f64>(poses, dip_rad)
+}
+
+/// [`magnetometer`] computed in f32, for a processor that has no f64: within 0.001 standard deviations
+/// of f64.
+///
+/// # Errors
+/// Those of [`magnetometer`].
+pub fn magnetometer_f32(
+    poses: &[MagneticPose],
+    dip_rad: Option<f64>,
+) -> Result<MagneticEstimate, MagneticRefusal> {
+    estimate::<f32>(poses, dip_rad)
+}
+
+fn estimate<R: Real>(
+    poses: &[MagneticPose],
+    dip_rad: Option<f64>,
+) -> Result<MagneticEstimate, MagneticRefusal> {
     let (have, need) = (poses.len(), FEWEST);
     if have < need {
         return Err(MagneticRefusal::TooFewPoses { have, need });
@@ -341,13 +362,13 @@ pub fn magnetometer(
         }
     }
     plausible(poses)?;
-    let found = without_suspects(poses, Rejected::default()).or_else(|refusal| {
+    let found = without_suspects::<R>(poses, Rejected::default()).or_else(|refusal| {
         // Several disturbed poses bend the fit so far that none of them stands out.
-        let Some((share, disturbed, count)) = consensus::disturbed(poses) else {
+        let Some((share, disturbed, count)) = consensus::disturbed::<R>(poses) else {
             return Err(refusal);
         };
         let few = count <= disturbed.as_slice().len() && spares(have, count);
-        let again = few.then(|| without_suspects(poses, disturbed));
+        let again = few.then(|| without_suspects::<R>(poses, disturbed));
         again
             .and_then(Result::ok)
             .ok_or(MagneticRefusal::FieldNotConstant {
@@ -365,13 +386,13 @@ fn spares(have: usize, left_out: usize) -> bool {
 }
 
 /// Leaves out one pose after the other that the rest contradicts.
-fn without_suspects(
+fn without_suspects<R: Real>(
     poses: &[MagneticPose],
     mut rejected: Rejected,
 ) -> Result<MagneticEstimate, MagneticRefusal> {
     loop {
         let mut suspect = None;
-        let outcome = model(poses, &rejected, &mut suspect);
+        let outcome = model::<R>(poses, &rejected, &mut suspect);
         match suspect {
             Some(pose) if spares(poses.len(), rejected.as_slice().len() + 1) => {
                 rejected = rejected.with(pose);
@@ -471,9 +492,87 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
     Ok(())
 }
 
+/// Outputs about their centre, in units of their spread, so that all parameters are of order one.
+struct Scaled<R: Real> {
+    /// The first output, nT: what differs from it keeps its digits.
+    origin: [f64; 3],
+    centre: Vector3<R>,
+    unit_nt: R,
+}
+
+impl<R: Real> Scaled<R> {
+    fn of<'a>(poses: impl Iterator<Item = &'a MagneticPose> + Clone) -> Option<Self> {
+        let first = poses.clone().next()?;
+        let mut scaled = Self {
+            origin: first.output_nt,
+            centre: Vector3::zeros(),
+            unit_nt: R::one(),
+        };
+        let (mut sum, mut count) = (Vector3::zeros(), R::zero());
+        for pose in poses.clone() {
+            sum += scaled.point(pose);
+            count += R::one();
+        }
+        scaled.centre = sum / count;
+        let squares = poses.fold(R::zero(), |sum, pose| {
+            sum + scaled.point(pose).norm_squared()
+        });
+        scaled.unit_nt = (squares / count).sqrt();
+        (scaled.unit_nt >= R::one()).then_some(scaled)
+    }
+
+    fn point(&self, pose: &MagneticPose) -> Vector3<R> {
+        let off = Vector3::from_fn(|k, _| real::<R>(pose.output_nt[k] - self.origin[k]));
+        (off - self.centre) / self.unit_nt
+    }
+
+    /// The output that a point stands for, nT.
+    fn output_nt(&self, point: &Vector3<R>) -> [f32; 3] {
+        let off = self.centre + point * self.unit_nt;
+        core::array::from_fn(|k| (self.origin[k] + double(off[k])) as f32)
+    }
+}
+
+/// Hard iron, then W, the inverse of the soft iron per the field.
+type Iron<R> = SVector<R, 9>;
+
+fn hard<R: Real>(theta: &Iron<R>) -> Vector3<R> {
+    Vector3::new(theta[0], theta[1], theta[2])
+}
+
+fn inverse_soft<R: Real>(theta: &Iron<R>) -> Matrix3<R> {
+    symmetric(&theta.as_slice()[3..])
+}
+
+/// |B| − 1 at a point, and its derivatives.
+fn row<R: Real>(theta: &Iron<R>, point: Vector3<R>) -> (R, Iron<R>) {
+    let w = inverse_soft(theta);
+    let off = point - hard(theta);
+    let field = w * off;
+    let size = field.norm();
+    let ahead = field / size;
+    let back = -(w * ahead);
+    let mut row = Iron::zeros();
+    for k in 0..3 {
+        row[k] = back[k];
+    }
+    for (k, (r, c)) in PLACES.into_iter().enumerate() {
+        row[3 + k] = ahead[r] * off[c];
+        if r != c {
+            row[3 + k] += ahead[c] * off[r];
+        }
+    }
+    (size - R::one(), row)
+}
+
+/// A step so small that the next is rounding.
+fn last_step<R: Real>() -> R {
+    R::default_epsilon() * real(500.0)
+}
+
 /// The model of all poses but those rejected; `suspect` is the pose that the others contradict most,
 /// if one is beyond chance.
-fn model(
+fn model<R: Real>(
     all: &[MagneticPose],
     rejected: &Rejected,
     suspect: &mut Option<usize>,
@@ -487,59 +586,36 @@ fn model(
     let none = MagneticRefusal::NotObservable {
         condition: f64::INFINITY,
     };
-    // Centred and scaled, so that all parameters are of order one.
-    let centre = poses()
-        .map(|(_, p)| Vector3::from(p.output_nt))
-        .sum::<Vector3<f64>>()
-        / n;
-    let spread = poses().map(|(_, p)| (Vector3::from(p.output_nt) - centre).norm_squared());
-    let unit_nt = libm::sqrt(spread.sum::<f64>() / n);
-    if unit_nt < 1.0 {
-        return Err(none);
-    }
-    let point = |pose: &MagneticPose| (Vector3::from(pose.output_nt) - centre) / unit_nt;
-    let mut theta = start(poses().map(|(_, pose)| point(pose))).ok_or(none)?;
-    let row = |theta: &SVector<f64, 9>, m: Vector3<f64>| {
-        let w = symmetric(&theta.as_slice()[3..]);
-        let off = m - Vector3::new(theta[0], theta[1], theta[2]);
-        let field = w * off;
-        let ahead = field / field.norm();
-        let back = -(w * ahead);
-        let mut row = SVector::<f64, 9>::zeros();
-        for k in 0..3 {
-            row[k] = back[k];
-        }
-        for (k, (r, c)) in PLACES.into_iter().enumerate() {
-            row[3 + k] = ahead[r] * off[c] + if r == c { 0.0 } else { ahead[c] * off[r] };
-        }
-        (field.norm() - 1.0, row)
-    };
-    let mut information = SMatrix::<f64, 9, 9>::zeros();
+    let scaled = Scaled::<R>::of(poses().map(|(_, pose)| pose)).ok_or(none)?;
+    let points = || poses().map(|(place, pose)| (place, scaled.point(pose)));
+    let mut theta = start(points().map(|(_, point)| point)).ok_or(none)?;
+    let mut information = SMatrix::<R, 9, 9>::zeros();
     for _ in 0..50 {
         information = SMatrix::zeros();
-        let mut gradient = SVector::<f64, 9>::zeros();
-        for (_, pose) in poses() {
-            let (residual, row) = row(&theta, point(pose));
-            information.ger(1.0, &row, &row, 1.0);
-            gradient.axpy(residual, &row, 1.0);
+        let mut gradient = Iron::zeros();
+        for (_, point) in points() {
+            let (residual, row) = row(&theta, point);
+            information.ger(R::one(), &row, &row, R::one());
+            gradient.axpy(residual, &row, R::one());
         }
         let step = Cholesky::new(information).ok_or(none)?.solve(&gradient);
         theta -= step;
-        if step.norm() < 1e-13 {
+        if step.norm() < last_step() {
             break;
         }
     }
     let inverse = Cholesky::new(information).ok_or(none)?.inverse();
     let values = information.symmetric_eigenvalues();
-    let condition = libm::sqrt(values.max() / values.min());
+    let condition = double((values.max() / values.min()).sqrt());
     if condition.is_nan() || condition > MOST_CONDITION {
         return Err(MagneticRefusal::NotObservable { condition });
     }
     let (mut squares, mut left_out) = (0.0, 0.0);
     let mut worst = Worst::default();
-    for (place, pose) in poses() {
-        let (residual, row) = row(&theta, point(pose));
-        let left = 1.0 - row.dot(&(inverse * row));
+    for (place, point) in points() {
+        let (residual, row) = row(&theta, point);
+        let residual = double(residual);
+        let left = 1.0 - double(row.dot(&(inverse * row)));
         squares += residual * residual;
         left_out += (residual / left) * (residual / left);
         worst.take(place, residual * residual / left);
@@ -557,47 +633,49 @@ fn model(
         return Err(MagneticRefusal::PoorPrediction { share: loo });
     }
     // The iron alone leaves the unit of the field open: S has determinant one.
-    let iron = |theta: &SVector<f64, 9>| {
-        let s = symmetric(&theta.as_slice()[3..]).try_inverse()?;
-        let size = libm::cbrt(s.determinant());
-        (size > 0.0).then(|| (s / size, size))
-    };
-    let (s, size) = iron(&theta).ok_or(none)?;
-    let mut soft_sd = [0.0; 6];
-    for (place, sd) in soft_sd.iter_mut().enumerate() {
-        let mut slope = SVector::<f64, 9>::zeros();
-        for k in 3..9 {
-            let (mut up, mut down) = (theta, theta);
-            up[k] += 1e-6;
-            down[k] -= 1e-6;
-            let (r, c) = PLACES[place];
-            let (up, down) = (iron(&up).ok_or(none)?.0, iron(&down).ok_or(none)?.0);
-            slope[k] = (up[(r, c)] - down[(r, c)]) / 2e-6;
-        }
-        *sd = libm::sqrt(variance * slope.dot(&(inverse * slope)));
+    let w = inverse_soft(&theta);
+    let raw = w.try_inverse().ok_or(none)?;
+    let size = raw.determinant().cbrt();
+    // Also where it is none.
+    if !matches!(size.partial_cmp(&R::zero()), Some(Ordering::Greater)) {
+        return Err(none);
     }
-    let back = s.try_inverse().ok_or(none)?;
-    let hard = Vector3::new(theta[0], theta[1], theta[2]);
+    let s = raw / size;
+    let sd = |slope: &Iron<R>| libm::sqrt(variance * double(slope.dot(&(inverse * slope))));
+    let mut soft_sd = [0.0; 6];
+    for (sd_of, (r, c)) in soft_sd.iter_mut().zip(PLACES) {
+        let mut slope = Iron::zeros();
+        for (k, (i, j)) in PLACES.into_iter().enumerate() {
+            // dS = −S dW S/det^⅓ and what keeps the determinant.
+            let mut along = raw[(r, i)] * raw[(j, c)];
+            let mut trace = raw[(i, j)];
+            if i != j {
+                along += raw[(r, j)] * raw[(i, c)];
+                trace += raw[(j, i)];
+            }
+            slope[3 + k] = (raw[(r, c)] * trace / real(3.0) - along) / size;
+        }
+        *sd_of = sd(&slope);
+    }
+    let back = w * size;
+    let hard = hard(&theta);
     let seen = |(place, pose): (usize, &MagneticPose)| {
-        let field = back * (point(pose) - hard);
-        (
-            place,
-            field / field.norm(),
-            Vector3::from(pose.up).normalize(),
-        )
+        let field = back * (scaled.point(pose) - hard);
+        let up = Vector3::from(pose.up.map(real::<R>));
+        (place, field.normalize(), up.normalize())
     };
-    let field_nt = size * unit_nt;
+    let field_nt = double(size * scaled.unit_nt);
     if !EARTHS_NT.contains(&field_nt) {
         return Err(MagneticRefusal::NotEarths { field_nt });
     }
     let (to_accelerometer, bent) = rotation(|| poses().map(seen))?;
     *suspect = suspect.or(bent);
-    let h = centre + hard * unit_nt;
+    let unit_nt = double(scaled.unit_nt);
     let terms = MagnetometerTerms {
-        hard_iron_nt: [h.x as f32, h.y as f32, h.z as f32],
+        hard_iron_nt: scaled.output_nt(&hard),
         hard_iron_sd_nt: [0, 1, 2]
-            .map(|k| (unit_nt * libm::sqrt(variance * inverse[(k, k)])) as f32),
-        soft_iron: PLACES.map(|(r, c)| s[(r, c)] as f32),
+            .map(|k| (unit_nt * libm::sqrt(variance * double(inverse[(k, k)]))) as f32),
+        soft_iron: PLACES.map(|(r, c)| double(s[(r, c)]) as f32),
         soft_iron_sd: soft_sd.map(|sd| sd as f32),
         field_nt: field_nt as f32,
         poses: u32::try_from(have).unwrap_or(u32::MAX),
@@ -610,45 +688,57 @@ fn model(
 }
 
 /// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
-fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<SVector<f64, 9>> {
-    let mut information = SMatrix::<f64, 9, 9>::zeros();
-    let mut right = SVector::<f64, 9>::zeros();
+fn start<R: Real>(points: impl Iterator<Item = Vector3<R>>) -> Option<Iron<R>> {
+    let mut information = SMatrix::<R, 9, 9>::zeros();
+    let mut right = Iron::zeros();
+    let two: R = real(2.0);
     for m in points {
-        let row = SVector::<f64, 9>::from_fn(|k, _| match k {
-            0..3 => 2.0 * m[k],
+        let row = Iron::from_fn(|k, _| match k {
+            0..3 => two * m[k],
             k => {
                 let (r, c) = PLACES[k - 3];
-                if r == c {
-                    m[r] * m[r]
-                } else {
-                    2.0 * m[r] * m[c]
-                }
+                let product = m[r] * m[c];
+                if r == c { product } else { two * product }
             }
         });
-        information.ger(1.0, &row, &row, 1.0);
+        information.ger(R::one(), &row, &row, R::one());
         right += row;
     }
     let solution = Cholesky::new(information)?.solve(&right);
-    let q = symmetric(&solution.as_slice()[3..]);
-    let centre = -(q.try_inverse()? * Vector3::new(solution[0], solution[1], solution[2]));
-    let size = 1.0 + centre.dot(&(q * centre));
+    let q = inverse_soft(&solution);
+    let centre = -(q.try_inverse()? * hard(&solution));
+    let size = R::one() + centre.dot(&(q * centre));
     let eigen = (q / size).symmetric_eigen();
-    let positive = eigen.eigenvalues.iter().all(|value| *value > 0.0);
-    let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| libm::sqrt(v.max(0.0))));
+    let positive = eigen.eigenvalues.iter().all(|value| *value > R::zero());
+    let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| v.max(R::zero()).sqrt()));
     let w = eigen.eigenvectors * roots * eigen.eigenvectors.transpose();
-    let mut theta = SVector::<f64, 9>::zeros();
+    let mut theta = Iron::zeros();
     for k in 0..3 {
         theta[k] = centre[k];
     }
-    for (k, (r, c)) in PLACES.into_iter().enumerate() {
-        theta[3 + k] = w[(r, c)];
+    for (k, place) in PLACES.into_iter().enumerate() {
+        theta[3 + k] = w[place];
     }
     (positive && theta.iter().all(|t| t.is_finite())).then_some(theta)
 }
 
+/// up · R b less the level that it is to have, and its derivatives: a small rotation δ of R b adds
+/// δ × R b.
+fn level_row<R: Real>(
+    turn: &Rotation3<R>,
+    level: R,
+    b: &Vector3<R>,
+    up: &Vector3<R>,
+) -> (R, SVector<R, 4>) {
+    let turned = turn * b;
+    let slope = turned.cross(up);
+    let row = SVector::from([slope.x, slope.y, slope.z, -R::one()]);
+    (up.dot(&turned) - level, row)
+}
+
 /// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses: their
 /// places, b and up; and the pose that the others contradict most, if one is beyond chance.
-fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
+fn rotation<R: Real, I: Iterator<Item = (usize, Vector3<R>, Vector3<R>)>>(
     seen: impl Fn() -> I,
 ) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
     let have = seen().count();
@@ -656,74 +746,68 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
     let none = MagneticRefusal::NotObservable {
         condition: f64::INFINITY,
     };
-    let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
+    let mut best: Option<(R, Rotation3<R>, R, SMatrix<R, 4, 4>)> = None;
     // The 24 ways in which chips' axes can lie to each other are the starts.
     for turn in 0..24 {
-        let quarter = core::f64::consts::FRAC_PI_2;
+        let quarters = |count: i32| R::frac_pi_2() * real(f64::from(count));
         let face = match turn / 4 {
-            0..4 => Rotation3::from_axis_angle(&Vector3::x_axis(), quarter * (turn / 4) as f64),
-            4 => Rotation3::from_axis_angle(&Vector3::y_axis(), quarter),
-            _ => Rotation3::from_axis_angle(&Vector3::y_axis(), -quarter),
+            count @ 0..4 => Rotation3::from_axis_angle(&Vector3::x_axis(), quarters(count)),
+            4 => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(1)),
+            _ => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(-1)),
         };
-        let mut r =
-            face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarter * (turn % 4) as f64);
-        let mut level = 0.0;
-        let mut last = (f64::INFINITY, SMatrix::<f64, 4, 4>::zeros());
+        let mut r = face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarters(turn % 4));
+        let mut level = R::zero();
+        let mut last: Option<(R, SMatrix<R, 4, 4>)> = None;
         for _ in 0..30 {
-            let mut information = SMatrix::<f64, 4, 4>::zeros();
-            let mut gradient = SVector::<f64, 4>::zeros();
-            let mut cost = 0.0;
+            let mut information = SMatrix::<R, 4, 4>::zeros();
+            let mut gradient = SVector::<R, 4>::zeros();
+            let mut cost = R::zero();
             for (_, b, up) in seen() {
-                let turned = r * b;
-                let residual = up.dot(&turned) - level;
-                // A small rotation δ of R b adds δ × R b.
-                let slope = turned.cross(&up);
-                let row = SVector::from([slope.x, slope.y, slope.z, -1.0]);
-                information.ger(1.0, &row, &row, 1.0);
-                gradient.axpy(residual, &row, 1.0);
+                let (residual, row) = level_row(&r, level, &b, &up);
+                information.ger(R::one(), &row, &row, R::one());
+                gradient.axpy(residual, &row, R::one());
                 cost += residual * residual;
             }
-            last = (cost, information);
+            last = Some((cost, information));
             let Some(factor) = Cholesky::new(information) else {
                 break;
             };
             let step = -factor.solve(&gradient);
             r = Rotation3::new(Vector3::new(step[0], step[1], step[2])) * r;
             level += step[3];
-            if step.norm() < 1e-13 {
+            if step.norm() < last_step() {
                 break;
             }
         }
-        if best.as_ref().is_none_or(|(least, ..)| last.0 < *least) {
-            best = Some((last.0, r, level, last.1));
+        let Some((cost, information)) = last else {
+            continue;
+        };
+        if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+            best = Some((cost, r, level, information));
         }
     }
     let (cost, r, level, information) = best.ok_or(none)?;
     let inverse = Cholesky::new(information).ok_or(none)?.inverse();
-    let sine = level.clamp(-1.0, 1.0);
+    let cost = double(cost);
+    let sine = double(level).clamp(-1.0, 1.0);
     let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
     let spread_rad = libm::sqrt(cost / n) / cosine;
     let variance = cost / (n - 4.0);
     let mut worst = Worst::default();
     for (place, b, up) in seen() {
-        let turned = r * b;
-        let slope = turned.cross(&up);
-        let row = SVector::from([slope.x, slope.y, slope.z, -1.0]);
-        let residual = up.dot(&turned) - level;
-        worst.take(
-            place,
-            residual * residual / (1.0 - row.dot(&(inverse * row))),
-        );
+        let (residual, row) = level_row(&r, level, &b, &up);
+        let left = R::one() - row.dot(&(inverse * row));
+        worst.take(place, double(residual * residual / left));
     }
     if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
         let pose = worst.place;
         return Err(MagneticRefusal::DipNotConstant { spread_rad, pose });
     }
     let covariance: [[f64; 3]; 3] =
-        core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));
+        core::array::from_fn(|a| core::array::from_fn(|b| variance * double(inverse[(a, b)])));
     let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
     let found = MagnetometerRotation {
-        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none)?,
+        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k].map(double)).map_err(|_| none)?,
         covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none)?,
         // Down is minus up.
         dip_rad: -libm::asin(sine) as f32,

@@ -9,7 +9,8 @@ use curve::{Curve, Spans, fewest_edf};
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::{UnitHint, input};
+use crate::scalar::sealed::Total;
+use crate::{Scalar, UnitHint, input};
 
 /// Octaves of averaging time.
 const LEVELS: usize = 26;
@@ -186,21 +187,21 @@ impl core::error::Error for NoiseRefusal {}
 
 /// Every 2^level-th value of the running sum, the latest few.
 #[derive(Clone, Copy, Debug)]
-struct Level {
-    kept: [[f64; 3]; KEPT],
+struct Level<R: Scalar> {
+    kept: [[R::Total; 3]; KEPT],
     next: usize,
     /// How many are kept.
     held: usize,
 }
 
-impl Level {
+impl<R: Scalar> Level<R> {
     const EMPTY: Self = Self {
-        kept: [[0.0; 3]; KEPT],
+        kept: [[R::Total::ZERO; 3]; KEPT],
         next: 0,
         held: 0,
     };
 
-    fn take(&mut self, sum: [f64; 3]) {
+    fn take(&mut self, sum: [R::Total; 3]) {
         if let Some(place) = self.kept.get_mut(self.next) {
             *place = sum;
         }
@@ -209,33 +210,39 @@ impl Level {
     }
 
     /// Second difference of the sum over the latest two clusters of `m` steps.
-    fn difference(&self, m: usize) -> Option<[f64; 3]> {
+    fn difference(&self, m: usize) -> Option<[R; 3]> {
         let back = |by: usize| self.kept.get((self.next + KEPT - 1 - by) % KEPT);
         let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
-        (self.held > 2 * m)
-            .then(|| core::array::from_fn(|axis| last[axis] - 2.0 * middle[axis] + first[axis]))
+        let clusters = |axis: usize| {
+            let (late, early) = (
+                last[axis].less(middle[axis]),
+                middle[axis].less(first[axis]),
+            );
+            late - early
+        };
+        (self.held > 2 * m).then(|| core::array::from_fn(clusters))
     }
 }
 
 /// Second differences of one averaging time.
 #[derive(Clone, Copy, Debug)]
-struct Squares {
+struct Squares<R: Scalar> {
     /// Σ of their squares.
-    sum: [f64; 3],
-    count: f64,
+    sum: [R::Total; 3],
+    count: u64,
 }
 
-impl Squares {
+impl<R: Scalar> Squares<R> {
     const ZERO: Self = Self {
-        sum: [0.0; 3],
-        count: 0.0,
+        sum: [R::Total::ZERO; 3],
+        count: 0,
     };
 
-    fn take(&mut self, difference: [f64; 3]) {
+    fn take(&mut self, difference: [R; 3]) {
         for (sum, d) in self.sum.iter_mut().zip(difference) {
-            *sum += d * d;
+            sum.add(d * d);
         }
-        self.count += 1.0;
+        self.count += 1;
     }
 }
 
@@ -249,7 +256,8 @@ fn cluster(place: usize) -> u64 {
 ///
 /// Averaging times are 1, 2, 4, 8, … samples. Clusters begin at every sample up to 8 samples, and
 /// beyond at every eighth of their length, which says as much to within a percent. Memory is
-/// fixed, 12 KB, and so is the cost of a sample.
+/// fixed, 12 KB, and so is the cost of a sample. `AllanVariance<f32>` takes samples without f64, each
+/// sum with what rounding took from it kept beside; what is made of the curve, once, is f64.
 ///
 /// ```
 /// use wimu_calib::AllanVariance;
@@ -273,29 +281,42 @@ fn cluster(place: usize) -> u64 {
 /// # Ok::<(), wimu_calib::NoiseRefusal>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct AllanVariance {
+pub struct AllanVariance<R: Scalar = f64> {
     rate_hz: f64,
-    origin: Option<[f64; 3]>,
+    origin: Option<[R; 3]>,
     /// Σ of the samples less the first.
-    sum: [f64; 3],
+    sum: [R::Total; 3],
     /// Samples in all, and since the latest gap.
     samples: u64,
     run: u64,
     longest_run: u64,
-    levels: [Level; LEVELS],
+    levels: [Level<R>; LEVELS],
     /// By averaging time.
-    squares: [Squares; POINTS],
-    rest: Rest,
+    squares: [Squares<R>; POINTS],
+    rest: Rest<R>,
     /// Σ of all samples less the first.
-    total: [f64; 3],
+    total: [R::Total; 3],
     /// The sample before, and the least change from one to the next.
-    last: [f64; 3],
-    step: [f64; 3],
+    last: [R; 3],
+    step: [R; 3],
 }
 
 impl AllanVariance {
     /// For samples at `rate_hz`; a rate that is not positive and finite counts as 1 Hz.
     pub fn new(rate_hz: f64) -> Self {
+        Self::start_at(rate_hz)
+    }
+}
+
+impl AllanVariance<f32> {
+    /// [`AllanVariance::new`] in f32.
+    pub fn new_f32(rate_hz: f64) -> Self {
+        Self::start_at(rate_hz)
+    }
+}
+
+impl<R: Scalar> AllanVariance<R> {
+    fn start_at(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 {
             rate_hz
         } else {
@@ -304,35 +325,35 @@ impl AllanVariance {
         Self {
             rate_hz,
             origin: None,
-            sum: [0.0; 3],
+            sum: [R::Total::ZERO; 3],
             samples: 0,
             run: 0,
             longest_run: 0,
             levels: [Level::EMPTY; LEVELS],
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz),
-            total: [0.0; 3],
-            last: [0.0; 3],
-            step: [f64::INFINITY; 3],
+            total: [R::Total::ZERO; 3],
+            last: [R::default(); 3],
+            step: [R::of(f64::INFINITY); 3],
         }
     }
 
     /// Takes the next sample, m/s². One that is not finite is a gap.
-    pub fn push(&mut self, sample_mps2: [f64; 3]) {
-        if !sample_mps2.iter().all(|axis| axis.abs() < 1e6) {
+    pub fn push(&mut self, sample_mps2: [R; 3]) {
+        if !sample_mps2.iter().all(|axis| axis.size() < R::of(1e6)) {
             return self.gap();
         }
         let origin = *self.origin.get_or_insert(sample_mps2);
         if self.run == 0 {
             self.start();
         }
-        let off: [f64; 3] = core::array::from_fn(|axis| sample_mps2[axis] - origin[axis]);
+        let off: [R; 3] = core::array::from_fn(|axis| sample_mps2[axis] - origin[axis]);
         for axis in 0..3 {
-            self.sum[axis] += off[axis];
-            self.total[axis] += off[axis];
-            let step = (off[axis] - self.last[axis]).abs();
-            if step > 0.0 {
-                self.step[axis] = self.step[axis].min(step);
+            self.sum[axis].add(off[axis]);
+            self.total[axis].add(off[axis]);
+            let step = (off[axis] - self.last[axis]).size();
+            if step > R::default() && step < self.step[axis] {
+                self.step[axis] = step;
             }
         }
         self.last = off;
@@ -355,7 +376,7 @@ impl AllanVariance {
     }
 
     fn start(&mut self) {
-        self.sum = [0.0; 3];
+        self.sum = [R::Total::ZERO; 3];
         for level in &mut self.levels {
             level.held = 0;
         }
@@ -386,7 +407,8 @@ impl AllanVariance {
     fn variance(&self, place: usize) -> Option<[f64; 3]> {
         let all = self.squares.get(place)?;
         let length = cluster(place) as f64;
-        (all.count > 0.0).then(|| all.sum.map(|sum| sum / (2.0 * all.count * length * length)))
+        let n = all.count as f64;
+        (all.count > 0).then(|| all.sum.map(|sum| sum.value() / (2.0 * n * length * length)))
     }
 
     /// The curve, shortest averaging time first, as far as it says something.
@@ -416,8 +438,8 @@ impl AllanVariance {
             });
         }
         let mean = |axis: usize| {
-            let origin = self.origin.map_or(0.0, |origin| origin[axis]);
-            origin + self.total[axis] / self.samples.max(1) as f64
+            let origin = self.origin.map_or(0.0, |origin| origin[axis].into());
+            origin + self.total[axis].value() / self.samples.max(1) as f64
         };
         let squares: f64 = (0..3).map(|axis| mean(axis) * mean(axis)).sum();
         let mean_mps2 = libm::sqrt(squares);
@@ -427,7 +449,7 @@ impl AllanVariance {
         if let Some((at_s, axis)) = self.rest.moved() {
             return Err(NoiseRefusal::NotAtRest { at_s, axis });
         }
-        let counts = self.squares.map(|squares| squares.count);
+        let counts = self.squares.map(|squares| squares.count as f64);
         let spans = Spans::new(self.longest_run, &counts);
         let [x, y, z] = [0, 1, 2].map(|axis| self.axis(axis, &spans));
         Ok([x?, y?, z?])
@@ -464,7 +486,7 @@ impl AllanVariance {
             floor_tau_s,
             misfit,
             sample_sd_mps2,
-            step_mps2: self.step[axis],
+            step_mps2: self.step[axis].into(),
         })
     }
 }

@@ -6,6 +6,7 @@ use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError};
 
+use crate::Scalar;
 use sums::{Across, Jackknife, LAGS, Moments, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
@@ -199,7 +200,9 @@ impl core::error::Error for TransferRefusal {}
 /// Takes pairs of samples and says what one stream is against the other: per axis, both noisy.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 26 KB: sums over blocks whose length grows with the data.
+/// Memory is fixed, 26 KB: sums over blocks whose length grows with the data. `ReferenceTransfer<f32>`
+/// takes samples without f64, each sum with what rounding took from it kept beside; what is made of
+/// the sums, once, is f64.
 ///
 /// ```
 /// use wimu_calib::{NoiseRatio, ReferenceTransfer};
@@ -221,17 +224,18 @@ impl core::error::Error for TransferRefusal {}
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct ReferenceTransfer {
+pub struct ReferenceTransfer<R: Scalar = f64> {
     ratio: Option<NoiseRatio>,
     /// The first pair: sums are of what differs from it.
-    origin: Option<[[f64; 2]; 3]>,
-    recent: [Recent; 3],
-    blocks: [[Sums; 3]; BLOCKS],
-    across: [Across; BLOCKS],
+    origin: Option<[[R; 2]; 3]>,
+    recent: [Recent<R>; 3],
+    blocks: [[Sums<R>; 3]; BLOCKS],
+    across: [Across<R>; BLOCKS],
     /// Full blocks.
     full: usize,
-    /// Samples of a full block.
+    /// Samples of a full block, and of the one that is filled.
     length: u64,
+    filled: u64,
     samples: u64,
     not_finite: u64,
 }
@@ -247,27 +251,42 @@ impl ReferenceTransfer {
     pub fn of_unknown_noise() -> Self {
         Self::with(None)
     }
+}
 
+impl ReferenceTransfer<f32> {
+    /// [`ReferenceTransfer::new`] in f32.
+    pub fn new_f32(ratio: NoiseRatio) -> Self {
+        Self::with(Some(ratio))
+    }
+
+    /// [`ReferenceTransfer::of_unknown_noise`] in f32.
+    pub fn of_unknown_noise_f32() -> Self {
+        Self::with(None)
+    }
+}
+
+impl<R: Scalar> ReferenceTransfer<R> {
     fn with(ratio: Option<NoiseRatio>) -> Self {
         Self {
             ratio,
             origin: None,
-            recent: [Recent::NONE; 3],
-            blocks: [[Sums::ZERO; 3]; BLOCKS],
-            across: [Across::ZERO; BLOCKS],
+            recent: [Recent::none(); 3],
+            blocks: [[Sums::NONE; 3]; BLOCKS],
+            across: [Across::NONE; BLOCKS],
             full: 0,
             length: 1,
+            filled: 0,
             samples: 0,
             not_finite: 0,
         }
     }
 
     /// Takes the next sample of both streams, m/s², taken at the same time.
-    pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
-        let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
+    pub fn push(&mut self, reference_mps2: [R; 3], output_mps2: [R; 3]) {
+        let finite = |v: [R; 3]| v.iter().all(|c| c.size() < R::of(1e6));
         if !finite(reference_mps2) || !finite(output_mps2) {
             self.not_finite += 1;
-            self.recent = [Recent::NONE; 3];
+            self.recent = [Recent::none(); 3];
             return;
         }
         let [x, y, z] = reference_mps2;
@@ -277,30 +296,33 @@ impl ReferenceTransfer {
         if self.full == BLOCKS {
             for k in 0..BLOCKS / 2 {
                 self.blocks[k] = core::array::from_fn(|axis| {
-                    self.blocks[2 * k][axis].plus(&self.blocks[2 * k + 1][axis], 1.0)
+                    self.blocks[2 * k][axis].joined(&self.blocks[2 * k + 1][axis])
                 });
-                self.across[k] = self.across[2 * k].plus(&self.across[2 * k + 1], 1.0);
+                self.across[k] = self.across[2 * k].joined(&self.across[2 * k + 1]);
             }
             for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
-                *block = [Sums::ZERO; 3];
+                *block = [Sums::NONE; 3];
             }
             for across in self.across.iter_mut().skip(BLOCKS / 2) {
-                *across = Across::ZERO;
+                *across = Across::NONE;
             }
             self.full = BLOCKS / 2;
             self.length *= 2;
         }
-        if let Some(block) = self.blocks.get_mut(self.full) {
-            let about = |axis: usize| [0, 1].map(|side| pairs[axis][side] - origin[axis][side]);
-            if let Some(across) = self.across.get_mut(self.full) {
-                across.take([0, 1, 2].map(about));
+        let about = |axis: usize| [0, 1].map(|side: usize| pairs[axis][side] - origin[axis][side]);
+        let about = [0, 1, 2].map(about);
+        if let (Some(block), Some(across)) = (
+            self.blocks.get_mut(self.full),
+            self.across.get_mut(self.full),
+        ) {
+            across.take(about);
+            for ((sums, recent), pair) in block.iter_mut().zip(&mut self.recent).zip(about) {
+                sums.take(pair, recent);
             }
-            let lasting = block.iter_mut().zip(&mut self.recent);
-            for ((sums, recent), (pair, origin)) in lasting.zip(pairs.iter().zip(origin)) {
-                sums.take([pair[0] - origin[0], pair[1] - origin[1]], recent);
-            }
-            if block[0].n >= self.length as f64 {
+            self.filled += 1;
+            if self.filled >= self.length {
                 self.full += 1;
+                self.filled = 0;
             }
         }
         self.samples += 1;
@@ -314,7 +336,8 @@ impl ReferenceTransfer {
         let (Some(origin), FEWEST..) = (self.origin, self.samples) else {
             return Err(TransferRefusal::TooFewSamples { have: self.samples });
         };
-        let used = self.blocks.iter().filter(|block| block[0].n > 0.0).count();
+        let origin = origin.map(|pair| pair.map(Into::into));
+        let used = self.full + usize::from(self.filled > 0);
         let mut axes = [None; 3];
         for (axis, found) in axes.iter_mut().enumerate() {
             *found = Some(self.axis(axis, origin, used)?);
@@ -337,9 +360,14 @@ impl ReferenceTransfer {
         used: usize,
     ) -> Result<AxisTransfer, TransferRefusal> {
         let origin = origins[axis];
-        let blocks = || self.blocks.iter().take(used).map(|block| &block[axis]);
-        let all = blocks().fold(Sums::ZERO, |sum, block| sum.plus(block, 1.0));
-        let without = || blocks().map(|block| all.plus(block, -1.0));
+        let blocks = || {
+            self.blocks
+                .iter()
+                .take(used)
+                .map(|block| block[axis].seen())
+        };
+        let all = blocks().fold(Sums::NONE, |sum, block| sum.plus(&block, 1.0));
+        let without = || blocks().map(|block| all.plus(&block, -1.0));
         let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
         let delta = ratio * ratio;
         let moments = all.moments();
@@ -418,15 +446,15 @@ impl ReferenceTransfer {
     }
 }
 
-impl ReferenceTransfer {
+impl<R: Scalar> ReferenceTransfer<R> {
     /// Sums over all blocks.
     fn all(&self, used: usize) -> ([Sums; 3], Across) {
         let blocks = self.blocks.iter().zip(&self.across).take(used);
         blocks.fold(
-            ([Sums::ZERO; 3], Across::ZERO),
+            ([Sums::NONE; 3], Across::NONE),
             |(sums, across), (block, more)| {
-                let sums = [0, 1, 2].map(|axis: usize| sums[axis].plus(&block[axis], 1.0));
-                (sums, across.plus(more, 1.0))
+                let sums = [0, 1, 2].map(|axis: usize| sums[axis].plus(&block[axis].seen(), 1.0));
+                (sums, across.plus(&more.seen(), 1.0))
             },
         )
     }
@@ -441,8 +469,8 @@ impl ReferenceTransfer {
         };
         let mut spread = Jackknife::<3>::default();
         for (block, more) in self.blocks.iter().zip(&self.across).take(used) {
-            let left = [0, 1, 2].map(|other: usize| sums[other].plus(&block[other], -1.0));
-            match across.plus(more, -1.0).seen_by(axis, &left, moving) {
+            let left = [0, 1, 2].map(|other: usize| sums[other].plus(&block[other].seen(), -1.0));
+            match across.plus(&more.seen(), -1.0).seen_by(axis, &left, moving) {
                 Some(without) => spread.take(without),
                 None => return [0.0; 3],
             }

@@ -2,16 +2,16 @@
 
 use core::fmt;
 
-use wimu_model::{ErrorModel, ErrorTerms, Matrix3};
+use wimu_model::{ErrorModel, ErrorTerms, ModelError};
 
-use crate::estimate::{self, Residuals, TermDeviations};
-use crate::force;
+use crate::estimate::{Residuals, TermDeviations};
+use crate::linear::{Real, double, real};
 use crate::outliers::Rejected;
 use crate::pose::mean_temperature;
 use crate::terms::{PERFECT, Terms, Theta};
 use crate::{
     Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Pose, Refusal, design,
-    input, student,
+    force, input, student,
 };
 
 /// Placement error beyond which the sides were not squared at all, rad: 5°, 0.4 % of scale factor.
@@ -105,9 +105,30 @@ pub fn six_position(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
+    unlabelled::<f64>(poses, gravity, placement)
+}
+
+/// [`six_position`] computed in f32, for a processor that has no f64: within 0.002 standard deviations
+/// of f64 where a pose is known to 1 mm/s² or worse.
+///
+/// # Errors
+/// Those of [`six_position`].
+pub fn six_position_f32(
+    poses: &[Pose],
+    gravity: Gravity,
+    placement: Placement,
+) -> Result<Estimate, Refusal> {
+    unlabelled::<f32>(poses, gravity, placement)
+}
+
+fn unlabelled<R: Real>(
+    poses: &[Pose],
+    gravity: Gravity,
+    placement: Placement,
+) -> Result<Estimate, Refusal> {
     input::check(poses.iter(), gravity)?;
     let all = poses.iter().map(|pose| (Face::of(pose), pose));
-    estimate(all, gravity, placement)
+    estimate::<R>(all, gravity, placement)
 }
 
 /// The same from poses whose side that is up was noted when they were taken.
@@ -120,10 +141,30 @@ pub fn six_position_labelled(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
+    labelled::<f64>(poses, gravity, placement)
+}
+
+/// [`six_position_labelled`] computed in f32, as [`six_position_f32`] is.
+///
+/// # Errors
+/// Those of [`six_position_labelled`].
+pub fn six_position_labelled_f32(
+    poses: &[(Face, Pose)],
+    gravity: Gravity,
+    placement: Placement,
+) -> Result<Estimate, Refusal> {
+    labelled::<f32>(poses, gravity, placement)
+}
+
+fn labelled<R: Real>(
+    poses: &[(Face, Pose)],
+    gravity: Gravity,
+    placement: Placement,
+) -> Result<Estimate, Refusal> {
     input::check(poses.iter().map(|(_, pose)| pose), gravity)?;
     check_labels(poses)?;
     let all = poses.iter().map(|(face, pose)| (Some(*face), pose));
-    estimate(all, gravity, placement)
+    estimate::<R>(all, gravity, placement)
 }
 
 /// Refuses labels that do not go with what the poses read.
@@ -169,77 +210,86 @@ fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
 
 /// Weighted sums of the poses of one side.
 #[derive(Clone, Copy, Default)]
-struct Side {
-    weight: f64,
+struct Side<R> {
+    weight: R,
     /// Σ w² over the poses.
-    weight_squares: f64,
-    sum: [f64; 3],
+    weight_squares: R,
+    /// The first pose, about which sums are taken: that keeps the digits.
+    origin: Option<[R; 3]>,
+    sum: [R; 3],
     /// Σ w² times the noise of its mean.
-    noise: [f64; 3],
+    noise: [R; 3],
     /// Of the readings of the axis that is upright, each visit counting once.
-    visits: f64,
-    upright: f64,
-    upright_squares: f64,
+    visits: R,
+    upright: R,
+    upright_squares: R,
 }
 
-impl Side {
+impl<R: Real> Side<R> {
     /// Adds a pose, or takes it out again with `sign` −1.
-    fn add(&mut self, pose: &Pose, sign: f64) {
-        let w = pose.weight();
+    fn add(&mut self, pose: &Pose, sign: R) {
+        let w: R = real(pose.weight());
         self.weight += sign * w;
         self.weight_squares += sign * w * w;
+        let mean = pose.mean_mps2.map(real);
+        let origin = *self.origin.get_or_insert(mean);
         for axis in 0..3 {
-            self.sum[axis] += sign * w * pose.mean_mps2[axis];
-            self.noise[axis] += sign * w * w * pose.noise(axis);
+            self.sum[axis] += sign * w * (mean[axis] - origin[axis]);
+            self.noise[axis] += sign * w * w * real(pose.noise(axis));
         }
     }
 
     /// One more visit, which reads `upright` on the axis that is.
-    fn visit(&mut self, upright: f64) {
-        // About the first, which keeps the digits.
-        let before = upright
-            - if self.visits > 0.0 {
-                self.upright / self.visits
-            } else {
-                upright
-            };
-        self.visits += 1.0;
+    fn visit(&mut self, upright: R) {
+        let before = if self.visits.is_zero() {
+            R::zero()
+        } else {
+            upright - self.upright / self.visits
+        };
+        let visits = self.visits + R::one();
+        self.upright_squares += before * before * self.visits / visits;
+        self.visits = visits;
         self.upright += upright;
-        self.upright_squares += before * before * (self.visits - 1.0) / self.visits;
     }
 
-    fn mean(&self) -> [f64; 3] {
-        self.sum.map(|s| s / self.weight)
+    fn mean(&self) -> [R; 3] {
+        let origin = self.origin.unwrap_or_default();
+        core::array::from_fn(|axis| origin[axis] + self.sum[axis] / self.weight)
     }
 
     /// Variance of the mean from the sensor's noise.
-    fn noise_variance(&self) -> [f64; 3] {
+    fn noise_variance(&self) -> [R; 3] {
         self.noise.map(|n| n / (self.weight * self.weight))
     }
 
     /// 1 / how many poses of equal weight this would be.
-    fn share(&self) -> f64 {
+    fn share(&self) -> R {
         self.weight_squares / (self.weight * self.weight)
     }
 }
 
 /// The six sides in the order of [`Face::ALL`].
-type Sides = [Side; 6];
+type Sides<R> = [Side<R>; 6];
+
+/// A by rows.
+type Matrix<R> = [[R; 3]; 3];
 
 /// b and A from the six sides: equation (18).
-fn solve(sides: &Sides, gravity_mps2: f64) -> ErrorTerms {
-    let mut terms = ErrorTerms::default();
+fn solve<R: Real>(sides: &Sides<R>, gravity_mps2: R) -> ([R; 3], Matrix<R>) {
+    let half: R = real(0.5);
+    let mut bias = [R::zero(); 3];
+    let mut a = [[R::zero(); 3]; 3];
     for axis in 0..3 {
         let (up, down) = (sides[2 * axis].mean(), sides[2 * axis + 1].mean());
-        terms.bias_mps2[axis] = 0.5 * (up[axis] + down[axis]);
+        bias[axis] = half * (up[axis] + down[axis]);
         for row in 0..3 {
-            terms.matrix[row][axis] = (up[row] - down[row]) / (2.0 * gravity_mps2);
+            a[row][axis] = half * (up[row] - down[row]) / gravity_mps2;
         }
     }
-    terms
+    (bias, a)
 }
 
-fn estimate<'a>(
+fn estimate<'a, R: Real>(
     poses: impl Iterator<Item = (Option<Face>, &'a Pose)> + Clone,
     gravity: Gravity,
     placement: Placement,
@@ -247,12 +297,12 @@ fn estimate<'a>(
     let used = poses
         .clone()
         .filter_map(|(face, pose)| Some((face? as usize, pose)));
-    let g = gravity.mps2();
-    let mut sides = Sides::default();
+    let g: R = real(gravity.mps2());
+    let mut sides = Sides::<R>::default();
     let mut counts = [0_usize; 6];
     for (side, pose) in used.clone() {
-        sides[side].add(pose, 1.0);
-        sides[side].visit(pose.mean_mps2[side / 2]);
+        sides[side].add(pose, R::one());
+        sides[side].visit(real(pose.mean_mps2[side / 2]));
         counts[side] += 1;
     }
     for (face, count) in Face::ALL.into_iter().zip(counts) {
@@ -260,23 +310,27 @@ fn estimate<'a>(
             return Err(Refusal::PoseMissing { face });
         }
     }
-    let terms = solve(&sides, g);
-    let model = ErrorModel::new(terms).map_err(Refusal::OutOfBounds)?;
-    let seen = placement_seen(&sides, &terms, g);
-    if seen > MOST_PLACEMENT_RAD {
+    let (bias, a) = solve(&sides, g);
+    let model = model(&bias, &a).map_err(Refusal::OutOfBounds)?;
+    let seen = placement_seen(&sides, &bias, &a, g);
+    let seen_rad = double(seen);
+    if seen_rad > MOST_PLACEMENT_RAD {
         return Err(Refusal::NotSquared {
-            placement_rad: seen,
+            placement_rad: seen_rad,
         });
     }
     // What was declared holds unless the poses contradict it beyond chance.
     let most = student::chi_squared_half_percent(PLACEMENT_DOF) / PLACEMENT_DOF as f64;
-    let contradicted = seen * seen > most * placement.sd_rad * placement.sd_rad;
-    let placement_sd_rad = if contradicted { seen } else { placement.sd_rad };
-    let revisits = Revisits::of(&sides, &terms.matrix, g, placement_sd_rad, seen * g);
-    let covariance_with =
-        |extra: f64| covariance(&sides, &terms.matrix, g, placement_sd_rad, extra);
+    let contradicted = seen_rad * seen_rad > most * placement.sd_rad * placement.sd_rad;
+    let placement_sd_rad = if contradicted {
+        seen_rad
+    } else {
+        placement.sd_rad
+    };
+    let revisits = Revisits::of(&sides, &a, g, real(placement_sd_rad), seen * g);
+    let covariance_with = |extra: R| covariance(&sides, &a, g, real(placement_sd_rad), extra);
     let mut covariance = covariance_with(revisits.variance);
-    let known = covariance_with(0.0);
+    let known = covariance_with(R::zero());
     let dof_of = |parameter: Parameter| {
         let all = covariance.get(parameter, parameter);
         let share = (all - known.get(parameter, parameter)) / all;
@@ -299,28 +353,24 @@ fn estimate<'a>(
         },
         f64::min,
     );
-    let theta = theta(&terms);
-    let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
-    covariance.add_gravity(&theta, gravity);
+    let worst_sd_mps2 = force::worst_sd(&theta(&bias, &a), &covariance, gravity.mps2());
+    covariance.add_gravity(&theta(&bias, &a).map(double), gravity);
 
-    let mut residuals = Residuals::default();
-    let mut rejected = Rejected::default();
-    for (k, (face, pose)) in poses.clone().enumerate() {
-        residuals.add(k, estimate::residual_mps2(&model, gravity, pose));
-        if face.is_none() {
-            rejected = rejected.with(k);
-        }
-    }
+    let all = poses.clone().map(|(_, pose)| pose);
+    let residuals = Residuals::of(&theta(&bias, &a), all, gravity.mps2());
+    let rejected = (0..)
+        .zip(poses)
+        .filter(|(_, (face, _))| face.is_none())
+        .fold(Rejected::default(), |rejected, (k, _)| rejected.with(k));
     let fitted: usize = counts.iter().sum();
     let loo_rms_mps2 = counts.iter().all(|&count| count > 1).then(|| {
         let squares: f64 = used
             .clone()
             .map(|(side, pose)| {
                 let mut others = sides;
-                others[side].add(pose, -1.0);
-                let left = ErrorModel::new(solve(&others, g)).map_or(f64::INFINITY, |m| {
-                    estimate::residual_mps2(&m, gravity, pose)
-                });
+                others[side].add(pose, -R::one());
+                let (bias, a) = solve(&others, g);
+                let left = force::residual(&theta(&bias, &a), pose, gravity.mps2());
                 left * left
             })
             .sum();
@@ -330,7 +380,7 @@ fn estimate<'a>(
         model,
         method: Method::SixPosition {
             placement_sd_rad,
-            revisit_sd_mps2: libm::sqrt(revisits.variance),
+            revisit_sd_mps2: double(revisits.variance.sqrt()),
             revisits: revisits.seen,
             unexplained: revisits.unexplained,
         },
@@ -357,42 +407,51 @@ fn estimate<'a>(
     })
 }
 
-fn coverage(sides: &Sides) -> f64 {
-    design::coverage(&sides.each_ref().map(|side| Pose::from_mean(side.mean())))
+fn coverage<R: Real>(sides: &Sides<R>) -> f64 {
+    design::coverage(
+        &sides
+            .each_ref()
+            .map(|side| Pose::from_mean(side.mean().map(double))),
+    )
 }
 
-fn theta(terms: &ErrorTerms) -> Theta<f64> {
-    let mut theta = PERFECT;
+fn model<R: Real>(bias: &[R; 3], a: &Matrix<R>) -> Result<ErrorModel, ModelError> {
+    ErrorModel::new(ErrorTerms {
+        bias_mps2: bias.map(double),
+        matrix: a.map(|row| row.map(double)),
+        ..ErrorTerms::default()
+    })
+}
+
+fn theta<R: Real>(bias: &[R; 3], a: &Matrix<R>) -> Theta<R> {
+    let mut theta = PERFECT.map(real);
     for axis in 0..3 {
-        theta[axis] = terms.bias_mps2[axis];
-        for column in 0..3 {
-            theta[3 + 3 * axis + column] = terms.matrix[axis][column];
-        }
+        theta[axis] = bias[axis];
+        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&a[axis]);
     }
     theta
 }
 
 /// The placement error that the poses show, rad rms over six degrees of freedom: the other two
 /// axes of each pair say the bias again, with the tilts added.
-fn placement_seen(sides: &Sides, terms: &ErrorTerms, gravity_mps2: f64) -> f64 {
-    let mut squares = 0.0;
+fn placement_seen<R: Real>(sides: &Sides<R>, bias: &[R; 3], a: &Matrix<R>, gravity_mps2: R) -> R {
+    let mut squares = R::zero();
     for axis in 0..3 {
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
-        let share = 0.25 * (up.share() + down.share());
+        let share = real::<R>(0.25) * (up.share() + down.share());
         for other in (0..3).filter(|&other| other != axis) {
-            let middle = 0.5 * (up.mean()[other] + down.mean()[other]);
-            let tilt =
-                (middle - terms.bias_mps2[other]) / (terms.matrix[other][other] * gravity_mps2);
+            let middle = real::<R>(0.5) * (up.mean()[other] + down.mean()[other]);
+            let tilt = (middle - bias[other]) / (a[other][other] * gravity_mps2);
             squares += tilt * tilt / share;
         }
     }
-    libm::sqrt(squares / PLACEMENT_DOF as f64)
+    (squares / real(PLACEMENT_DOF as f64)).sqrt()
 }
 
 /// What differs from visit to visit beyond noise and placement: equation (19).
-struct Revisits {
+struct Revisits<R> {
     /// (m/s²)².
-    variance: f64,
+    variance: R,
     /// Its degrees of freedom, what is known beforehand included.
     dof: f64,
     /// Visits beyond the first of each side.
@@ -401,77 +460,81 @@ struct Revisits {
     unexplained: bool,
 }
 
-impl Revisits {
-    fn of(sides: &Sides, a: &Matrix3, g: f64, placement_rad: f64, seen_mps2: f64) -> Self {
+impl<R: Real> Revisits<R> {
+    fn of(sides: &Sides<R>, a: &Matrix<R>, g: R, placement_rad: R, seen_mps2: R) -> Self {
         let tilt = placement_rad * placement_rad;
-        let (mut squares, mut dof, mut noise, mut explained) = (0.0, 0.0, 0.0, 0.0);
+        let sixth: R = real(1.0 / 6.0);
+        let (mut squares, mut dof) = (R::zero(), R::zero());
+        let (mut noise, mut explained) = (R::zero(), R::zero());
         for (index, side) in sides.iter().enumerate() {
             let axis = index / 2;
-            let across: f64 = (0..3)
-                .map(|other| if other == axis { tilt } else { 1.0 } * a[axis][other] * a[axis][other])
-                .sum();
+            let across = (0..3).fold(R::zero(), |sum, other| {
+                let by = if other == axis { tilt } else { R::one() };
+                sum + by * a[axis][other] * a[axis][other]
+            });
             let own = side.noise_variance()[axis] / side.share();
             squares += side.upright_squares;
-            dof += side.visits - 1.0;
-            noise += own / 6.0;
-            explained += (own + g * g * tilt * across) / 6.0;
+            dof += side.visits - R::one();
+            noise += own * sixth;
+            explained += (own + g * g * tilt * across) * sixth;
         }
-        let taken = (REVISIT_MPS2 * REVISIT_MPS2).min(SEEN_AT_MOST * seen_mps2 * seen_mps2);
-        let taken = (taken - noise).max(0.0);
-        let beyond = (squares - dof * explained).max(0.0);
-        let seen = dof as usize;
-        let more = REVISIT_DOF * (1.0 - dof / 6.0).max(0.0);
+        let usual: R = real(REVISIT_MPS2 * REVISIT_MPS2);
+        let taken = usual.min(real::<R>(SEEN_AT_MOST) * seen_mps2 * seen_mps2);
+        let taken = (taken - noise).max(R::zero());
+        let beyond = (squares - dof * explained).max(R::zero());
+        let seen = double(dof) as usize;
+        let more = (real::<R>(REVISIT_DOF) * (R::one() - dof * sixth)).max(R::zero());
+        let most = real::<R>(student::chi_squared_half_percent(seen.max(1))) * explained;
         Self {
             variance: (beyond + more * taken) / (dof + more),
-            dof: dof + more,
+            dof: double(dof + more),
             seen,
-            unexplained: seen > 0 && squares > student::chi_squared_half_percent(seen) * explained,
+            unexplained: seen > 0 && squares > most,
         }
     }
 }
 
 /// Covariance from placement, noise and `revisit`, the variance of what else differs from visit to
 /// visit: equation (19).
-fn covariance(
-    sides: &Sides,
-    a: &Matrix3,
-    gravity_mps2: f64,
-    placement_rad: f64,
-    revisit: f64,
+fn covariance<R: Real>(
+    sides: &Sides<R>,
+    a: &Matrix<R>,
+    g: R,
+    placement_rad: R,
+    revisit: R,
 ) -> Covariance {
-    let g = gravity_mps2;
     let tilt = placement_rad * placement_rad;
+    let quarter: R = real(0.25);
     let mut covariance = Covariance::ZERO;
     for axis in 0..3 {
         // Of a side's mean output: tilts bring in the other two columns of A in first order and
         // shorten this one in second.
-        let of = |side: &Side, r: usize, c: usize| {
-            let first: f64 = (0..3)
-                .filter(|&other| other != axis)
-                .map(|other| a[r][other] * a[c][other])
-                .sum();
+        let of = |side: &Side<R>, r: usize, c: usize| {
+            let across = (0..3).filter(|&other| other != axis);
+            let first = across.fold(R::zero(), |sum, other| sum + a[r][other] * a[c][other]);
             let second = tilt * a[r][axis] * a[c][axis];
             let noise = if r == c {
                 side.noise_variance()[r] + revisit * side.share()
             } else {
-                0.0
+                R::zero()
             };
             tilt * (first + second) * g * g * side.share() + noise
         };
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
         let both = |r, c| of(up, r, c) + of(down, r, c);
         let bias = Parameter::ALL[axis];
-        covariance.add(bias, bias, 0.25 * both(axis, axis));
+        covariance.add(bias, bias, double(quarter * both(axis, axis)));
         for r in 0..3 {
             let row = Parameter::ALL[3 + 3 * r + axis];
-            let cross = (of(up, axis, r) - of(down, axis, r)) / (4.0 * g);
+            let cross = double(quarter * (of(up, axis, r) - of(down, axis, r)) / g);
             covariance.add(bias, row, cross);
             covariance.add(row, bias, cross);
             for c in 0..3 {
                 let column = Parameter::ALL[3 + 3 * c + axis];
                 // Both sides are shortened on average: a systematic part that does not average out.
                 let shortened = tilt * tilt * a[r][axis] * a[c][axis];
-                covariance.add(row, column, both(r, c) / (4.0 * g * g) + shortened);
+                let spread = quarter * both(r, c) / (g * g);
+                covariance.add(row, column, double(spread + shortened));
             }
         }
     }

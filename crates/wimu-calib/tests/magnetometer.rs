@@ -2,58 +2,9 @@
 
 mod common;
 
-use common::Random;
+use common::{DIP, FIELD, Random, magnetometer as sensor};
 use wimu_calib::{MagneticPose, MagneticRefusal, MirroredAxes, magnetometer};
 use wimu_model::Alignment;
-
-const FIELD: f64 = 48_000.0;
-const DIP: f64 = 1.1;
-
-/// Soft iron of determinant one, hard iron, the rotation, and what is seen in `count` orientations.
-fn sensor(
-    random: &mut Random,
-    count: usize,
-    noise_nt: f64,
-) -> ([f64; 6], [f64; 3], Alignment, Vec<MagneticPose>) {
-    let mut s = [0, 1, 2, 3, 4, 5].map(|k| {
-        if k < 3 {
-            1.0 + random.within(0.15)
-        } else {
-            random.within(0.08)
-        }
-    });
-    let m = |s: &[f64; 6]| [[s[0], s[3], s[4]], [s[3], s[1], s[5]], [s[4], s[5], s[2]]];
-    let a = m(&s);
-    let determinant = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])
-        - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])
-        + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);
-    s = s.map(|x| x / determinant.cbrt());
-    let hard = [0; 3].map(|_| random.within(60_000.0));
-    let q = [0; 4].map(|_| random.normal());
-    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let unit = q.map(|x| x / norm);
-    let to_accelerometer = Alignment::from_quaternion(unit).unwrap();
-    let back = Alignment::from_quaternion([unit[0], -unit[1], -unit[2], -unit[3]]).unwrap();
-    let poses = (0..count)
-        .map(|_| {
-            let up = random.direction();
-            let side = common::unit(common::cross(up, random.direction()));
-            let field: [f64; 3] =
-                std::array::from_fn(|i| FIELD * (DIP.cos() * side[i] - DIP.sin() * up[i]));
-            let own = back.rotate(field);
-            let a = m(&s);
-            MagneticPose {
-                output_nt: std::array::from_fn(|r| {
-                    hard[r]
-                        + (0..3).map(|c| a[r][c] * own[c]).sum::<f64>()
-                        + noise_nt * random.normal()
-                }),
-                up: up.map(|u| 9.81 * u),
-            }
-        })
-        .collect();
-    (s, hard, to_accelerometer, poses)
-}
 
 #[test]
 fn intervals_hold_the_truth_95_percent_of_the_time() {

@@ -1,5 +1,7 @@
 //! Whether a sensor was at rest while its noise was measured.
 
+use crate::Scalar;
+
 /// A second at rest has a mean this near to that of any other, m/s²: 20 mg, drift included.
 const MOST_WANDER_MPS2: f64 = 0.2;
 /// A second at rest has no more than this many times the usual variance.
@@ -9,14 +11,14 @@ const MOST_NOISE_MPS2: f64 = 0.5;
 
 /// Whether the sensor was at rest: seconds compared with each other.
 #[derive(Clone, Debug)]
-pub(super) struct Rest {
+pub(super) struct Rest<R> {
     rate_hz: f64,
     /// Samples of a block.
     length: u32,
     filled: u32,
     blocks: u64,
-    sum: [f64; 3],
-    squares: [f64; 3],
+    sum: [R; 3],
+    squares: [R; 3],
     /// Least and largest block mean, and when.
     least: [f64; 3],
     largest: [(f64, f64); 3],
@@ -27,15 +29,15 @@ pub(super) struct Rest {
     samples: u64,
 }
 
-impl Rest {
+impl<R: Scalar> Rest<R> {
     pub(super) fn new(rate_hz: f64) -> Self {
         Self {
             rate_hz,
             length: (rate_hz as u32).max(16),
             filled: 0,
             blocks: 0,
-            sum: [0.0; 3],
-            squares: [0.0; 3],
+            sum: [R::default(); 3],
+            squares: [R::default(); 3],
             least: [f64::INFINITY; 3],
             largest: [(f64::NEG_INFINITY, 0.0); 3],
             least_at: [0.0; 3],
@@ -47,11 +49,11 @@ impl Rest {
 
     pub(super) fn gap(&mut self) {
         self.filled = 0;
-        self.sum = [0.0; 3];
-        self.squares = [0.0; 3];
+        self.sum = [R::default(); 3];
+        self.squares = [R::default(); 3];
     }
 
-    pub(super) fn take(&mut self, off: [f64; 3]) {
+    pub(super) fn take(&mut self, off: [R; 3]) {
         self.samples += 1;
         for axis in 0..3 {
             self.sum[axis] += off[axis];
@@ -64,8 +66,9 @@ impl Rest {
         let n = f64::from(self.length);
         let at = (self.samples as f64 - n / 2.0) / self.rate_hz;
         for axis in 0..3 {
-            let mean = self.sum[axis] / n;
-            let variance = (self.squares[axis] / n - mean * mean).max(1e-8);
+            let (sum, squares): (f64, f64) = (self.sum[axis].into(), self.squares[axis].into());
+            let mean = sum / n;
+            let variance = (squares / n - mean * mean).max(1e-8);
             if mean < self.least[axis] {
                 (self.least[axis], self.least_at[axis]) = (mean, at);
             }

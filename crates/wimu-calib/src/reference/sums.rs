@@ -2,30 +2,35 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::Scalar;
+use crate::scalar::sealed::Total;
+
 /// Distances in samples at which neighbours are compared.
 pub(super) const LAGS: [usize; 5] = [1, 2, 4, 8, 16];
 
 /// The last samples of an axis, for the lags.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Recent {
-    pairs: [[f64; 2]; LAGS[LAGS.len() - 1]],
+pub(super) struct Recent<R> {
+    pairs: [[R; 2]; LAGS[LAGS.len() - 1]],
     /// Unbroken samples so far.
     run: usize,
 }
 
-impl Recent {
-    pub const NONE: Self = Self {
-        pairs: [[0.0; 2]; LAGS[LAGS.len() - 1]],
-        run: 0,
-    };
+impl<R: Scalar> Recent<R> {
+    pub fn none() -> Self {
+        Self {
+            pairs: [[R::default(); 2]; LAGS[LAGS.len() - 1]],
+            run: 0,
+        }
+    }
 
     /// The pair `lag` samples ago, if none is missing since.
-    fn before(&self, lag: usize) -> Option<[f64; 2]> {
+    fn before(&self, lag: usize) -> Option<[R; 2]> {
         let place = self.run.checked_sub(lag)? % self.pairs.len();
         self.pairs.get(place).copied()
     }
 
-    fn take(&mut self, pair: [f64; 2]) {
+    fn take(&mut self, pair: [R; 2]) {
         let place = self.run % self.pairs.len();
         if let Some(kept) = self.pairs.get_mut(place) {
             *kept = pair;
@@ -34,49 +39,47 @@ impl Recent {
     }
 }
 
-/// Sums over samples of an axis.
+/// Sums over samples of an axis; in f64 once they are looked at.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sums {
-    pub n: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
+pub(super) struct Sums<R: Scalar = f64> {
+    pub n: R::Total,
+    x: R::Total,
+    y: R::Total,
+    xx: R::Total,
+    xy: R::Total,
+    yy: R::Total,
     /// Of each sample with the one so many before.
-    lagged: [Products; LAGS.len()],
+    lagged: [Products<R>; LAGS.len()],
 }
 
 /// Sums of products of two samples some way apart; that of x with y is the mean of both ways.
 #[derive(Clone, Copy, Debug)]
-struct Products {
-    n: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
+struct Products<R: Scalar> {
+    n: R::Total,
+    xx: R::Total,
+    xy: R::Total,
+    yy: R::Total,
 }
 
-impl Products {
-    const ZERO: Self = Self {
-        n: 0.0,
-        xx: 0.0,
-        xy: 0.0,
-        yy: 0.0,
+impl<R: Scalar> Products<R> {
+    const NONE: Self = Self {
+        n: R::Total::ZERO,
+        xx: R::Total::ZERO,
+        xy: R::Total::ZERO,
+        yy: R::Total::ZERO,
     };
 
-    fn take(&mut self, now: [f64; 2], before: [f64; 2]) {
-        self.n += 1.0;
-        self.xx += now[0] * before[0];
-        self.xy += 0.5 * (now[0] * before[1] + now[1] * before[0]);
-        self.yy += now[1] * before[1];
-    }
-
-    fn plus(&self, other: &Self, sign: f64) -> Self {
-        Self {
-            n: self.n + sign * other.n,
-            xx: self.xx + sign * other.xx,
-            xy: self.xy + sign * other.xy,
-            yy: self.yy + sign * other.yy,
+    /// Of each sum and that of `other`.
+    fn zip<S: Scalar>(
+        &self,
+        other: &Self,
+        with: impl Fn(R::Total, R::Total) -> S::Total,
+    ) -> Products<S> {
+        Products {
+            n: with(self.n, other.n),
+            xx: with(self.xx, other.xx),
+            xy: with(self.xy, other.xy),
+            yy: with(self.yy, other.yy),
         }
     }
 }
@@ -90,45 +93,69 @@ pub(super) struct Moments {
     pub yy: f64,
 }
 
-impl Sums {
-    pub const ZERO: Self = Self {
-        n: 0.0,
-        x: 0.0,
-        y: 0.0,
-        xx: 0.0,
-        xy: 0.0,
-        yy: 0.0,
-        lagged: [Products::ZERO; LAGS.len()],
+impl<R: Scalar> Sums<R> {
+    pub const NONE: Self = Self {
+        n: R::Total::ZERO,
+        x: R::Total::ZERO,
+        y: R::Total::ZERO,
+        xx: R::Total::ZERO,
+        xy: R::Total::ZERO,
+        yy: R::Total::ZERO,
+        lagged: [Products::NONE; LAGS.len()],
     };
 
     /// Takes the next pair, `recent` being those before it.
-    pub fn take(&mut self, pair: [f64; 2], recent: &mut Recent) {
+    pub fn take(&mut self, pair: [R; 2], recent: &mut Recent<R>) {
+        let (one, half) = (R::of(1.0), R::of(0.5));
+        let [x, y] = pair;
         for (products, lag) in self.lagged.iter_mut().zip(LAGS) {
-            if let Some(before) = recent.before(lag) {
-                products.take(pair, before);
+            if let Some([u, v]) = recent.before(lag) {
+                products.n.add(one);
+                products.xx.add(x * u);
+                products.xy.add(half * (x * v + y * u));
+                products.yy.add(y * v);
             }
         }
         recent.take(pair);
-        let [x, y] = pair;
-        self.n += 1.0;
-        self.x += x;
-        self.y += y;
-        self.xx += x * x;
-        self.xy += x * y;
-        self.yy += y * y;
+        self.n.add(one);
+        self.x.add(x);
+        self.y.add(y);
+        self.xx.add(x * x);
+        self.xy.add(x * y);
+        self.yy.add(y * y);
     }
 
+    fn zip<S: Scalar>(
+        &self,
+        other: &Self,
+        with: impl Fn(R::Total, R::Total) -> S::Total,
+    ) -> Sums<S> {
+        Sums {
+            n: with(self.n, other.n),
+            x: with(self.x, other.x),
+            y: with(self.y, other.y),
+            xx: with(self.xx, other.xx),
+            xy: with(self.xy, other.xy),
+            yy: with(self.yy, other.yy),
+            lagged: core::array::from_fn(|i| self.lagged[i].zip(&other.lagged[i], &with)),
+        }
+    }
+
+    /// With those of `other`.
+    pub fn joined(&self, other: &Self) -> Self {
+        self.zip(other, R::Total::joined)
+    }
+
+    /// To be looked at.
+    pub fn seen(&self) -> Sums {
+        self.zip(self, |sum, _| sum.value())
+    }
+}
+
+impl Sums {
     /// With `sign` times `other` added.
     pub fn plus(&self, other: &Self, sign: f64) -> Self {
-        Self {
-            n: self.n + sign * other.n,
-            x: self.x + sign * other.x,
-            y: self.y + sign * other.y,
-            xx: self.xx + sign * other.xx,
-            xy: self.xy + sign * other.xy,
-            yy: self.yy + sign * other.yy,
-            lagged: core::array::from_fn(|i| self.lagged[i].plus(&other.lagged[i], sign)),
-        }
+        self.zip(other, |a, b| a + sign * b)
     }
 
     /// The same of samples a lag of [`LAGS`] apart, where noise that is white has no part.
@@ -213,34 +240,53 @@ impl<const N: usize> Jackknife<N> {
 
 /// Sums of products across the axes: of the reference with itself, and with the output.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Across {
-    xx: [[f64; 3]; 3],
-    xy: [[f64; 3]; 3],
+pub(super) struct Across<R: Scalar = f64> {
+    xx: [[R::Total; 3]; 3],
+    xy: [[R::Total; 3]; 3],
 }
 
-impl Across {
-    pub const ZERO: Self = Self {
-        xx: [[0.0; 3]; 3],
-        xy: [[0.0; 3]; 3],
+impl<R: Scalar> Across<R> {
+    pub const NONE: Self = Self {
+        xx: [[R::Total::ZERO; 3]; 3],
+        xy: [[R::Total::ZERO; 3]; 3],
     };
 
-    pub fn take(&mut self, pairs: [[f64; 2]; 3]) {
+    pub fn take(&mut self, pairs: [[R; 2]; 3]) {
         for (i, [x, _]) in pairs.into_iter().enumerate() {
             for (j, [other, y]) in pairs.into_iter().enumerate() {
-                self.xx[i][j] += x * other;
-                self.xy[i][j] += x * y;
+                self.xx[i][j].add(x * other);
+                self.xy[i][j].add(x * y);
             }
         }
     }
 
-    pub fn plus(&self, other: &Self, sign: f64) -> Self {
-        let of = |a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]| {
-            core::array::from_fn(|i| core::array::from_fn(|j| a[i][j] + sign * b[i][j]))
+    fn zip<S: Scalar>(
+        &self,
+        other: &Self,
+        with: impl Fn(R::Total, R::Total) -> S::Total,
+    ) -> Across<S> {
+        let of = |a: &[[R::Total; 3]; 3], b: &[[R::Total; 3]; 3]| {
+            core::array::from_fn(|i| core::array::from_fn(|j| with(a[i][j], b[i][j])))
         };
-        Self {
+        Across {
             xx: of(&self.xx, &other.xx),
             xy: of(&self.xy, &other.xy),
         }
+    }
+
+    pub fn joined(&self, other: &Self) -> Self {
+        self.zip(other, R::Total::joined)
+    }
+
+    /// To be looked at.
+    pub fn seen(&self) -> Across {
+        self.zip(self, |sum, _| sum.value())
+    }
+}
+
+impl Across {
+    pub fn plus(&self, other: &Self, sign: f64) -> Self {
+        self.zip(other, |a, b| a + sign * b)
     }
 
     /// How much `other` moves along when `axis` of the reference moves by 1.

@@ -5,8 +5,8 @@
 use std::path::PathBuf;
 
 use proptest::test_runner::Config as ProptestConfig;
-use wimu_calib::Pose;
-use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
+use wimu_calib::{MagneticPose, Pose};
+use wimu_model::{Alignment, ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
 /// Failures print their seed; nothing is written beside the tests.
 pub fn config() -> ProptestConfig {
@@ -150,4 +150,54 @@ pub fn recording(name: &str) -> Option<Vec<Vec<String>>> {
 /// Three columns of a row as numbers times `scale`.
 pub fn vector(row: &[String], column: usize, scale: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| row[column + i].parse::<f64>().expect("a number") * scale)
+}
+
+/// The magnetometer's field, nT, and its dip, rad.
+pub const FIELD: f64 = 48_000.0;
+pub const DIP: f64 = 1.1;
+
+/// Soft iron of determinant one, hard iron, the rotation, and what is seen in `count` orientations.
+pub fn magnetometer(
+    random: &mut Random,
+    count: usize,
+    noise_nt: f64,
+) -> ([f64; 6], [f64; 3], Alignment, Vec<MagneticPose>) {
+    let mut s = [0, 1, 2, 3, 4, 5].map(|k| {
+        if k < 3 {
+            1.0 + random.within(0.15)
+        } else {
+            random.within(0.08)
+        }
+    });
+    let m = |s: &[f64; 6]| [[s[0], s[3], s[4]], [s[3], s[1], s[5]], [s[4], s[5], s[2]]];
+    let a = m(&s);
+    let determinant = a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1])
+        - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])
+        + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0]);
+    s = s.map(|x| x / determinant.cbrt());
+    let hard = [0; 3].map(|_| random.within(60_000.0));
+    let q = [0; 4].map(|_| random.normal());
+    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let turn = q.map(|x| x / norm);
+    let to_accelerometer = Alignment::from_quaternion(turn).unwrap();
+    let back = Alignment::from_quaternion([turn[0], -turn[1], -turn[2], -turn[3]]).unwrap();
+    let poses = (0..count)
+        .map(|_| {
+            let up = random.direction();
+            let side = unit(cross(up, random.direction()));
+            let field: [f64; 3] =
+                std::array::from_fn(|i| FIELD * (DIP.cos() * side[i] - DIP.sin() * up[i]));
+            let own = back.rotate(field);
+            let a = m(&s);
+            MagneticPose {
+                output_nt: std::array::from_fn(|r| {
+                    hard[r]
+                        + (0..3).map(|c| a[r][c] * own[c]).sum::<f64>()
+                        + noise_nt * random.normal()
+                }),
+                up: up.map(|u| 9.81 * u),
+            }
+        })
+        .collect();
+    (s, hard, to_accelerometer, poses)
 }

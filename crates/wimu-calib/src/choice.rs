@@ -47,7 +47,12 @@ pub fn best_model(
     let mut best: Option<(Estimate, f64)> = None;
     let mut nine = None;
     let mut average = Average::NOTHING;
+    let mut nine_known = false;
     for terms in Terms::every().filter(|terms| terms.include(least)) {
+        // A scale factor that the poses do not show passes for a drift or for a bent output.
+        if terms != least && !nine_known {
+            break;
+        }
         for model in Model::ALL {
             let what = MultiPosition {
                 model,
@@ -61,6 +66,7 @@ pub fn best_model(
                     continue;
                 }
             };
+            nine_known |= model == Model::Full9;
             average.add(&fitted.estimate, fitted.evidence);
             if terms != least && fitted.estimate.dof < LEAST_DOF {
                 continue;
@@ -82,7 +88,7 @@ pub fn best_model(
     let Some((mut best, _)) = best else {
         return Err(nine.unwrap_or(Refusal::NotConverged));
     };
-    average.widen(&mut best);
+    average.widen(&mut best, nine_known);
     Ok(best)
 }
 
@@ -151,8 +157,8 @@ struct Average {
     /// The largest evidence so far: that of weight 1.
     most: f64,
     weight: f64,
-    /// Of 1 / the degrees of freedom.
-    per_dof: f64,
+    /// Of 1 / the degrees of freedom: of the residuals, and of the intervals.
+    per_dof: [f64; 2],
     /// Of the parameters, and of their products with the covariance added.
     first: Theta<f64>,
     second: [[f64; Parameter::COUNT]; Parameter::COUNT],
@@ -166,7 +172,7 @@ impl Average {
     const NOTHING: Self = Self {
         most: f64::NEG_INFINITY,
         weight: 0.0,
-        per_dof: 0.0,
+        per_dof: [0.0; 2],
         first: [0.0; Slot::COUNT],
         second: [[0.0; Parameter::COUNT]; Parameter::COUNT],
         fitting: [[0.0; 3]; Parameter::COUNT],
@@ -177,7 +183,7 @@ impl Average {
         if evidence > self.most {
             let shrink = libm::exp(self.most - evidence);
             self.weight *= shrink;
-            self.per_dof *= shrink;
+            self.per_dof = self.per_dof.map(|sum| sum * shrink);
             self.first = self.first.map(|sum| sum * shrink);
             self.second = self.second.map(|row| row.map(|sum| sum * shrink));
             self.fitting = self.fitting.map(|sums| sums.map(|sum| sum * shrink));
@@ -190,7 +196,9 @@ impl Average {
         }
         let theta = all_of(estimate);
         self.weight += weight;
-        self.per_dof += weight / estimate.dof as f64;
+        for (sum, dof) in self.per_dof.iter_mut().zip(freedoms(estimate)) {
+            *sum += weight / dof;
+        }
         for i in 0..Slot::COUNT {
             self.first[i] += weight * theta[i];
             let sd = estimate.term_sd.get(Slot::ALL[i]);
@@ -213,7 +221,7 @@ impl Average {
     }
 
     /// Gives `best` the spread of all about it.
-    fn widen(&self, best: &mut Estimate) {
+    fn widen(&self, best: &mut Estimate, nine_known: bool) {
         if self.weight.is_nan() || self.weight <= 0.0 {
             return;
         }
@@ -251,8 +259,17 @@ impl Average {
                     .set(slot, libm::sqrt((about / self.weight).max(0.0)));
             }
         }
-        best.interval_dof = Some((self.weight / self.per_dof).min(best.dof as f64));
+        // What smaller models leave out is known once nine parameters are among them.
+        let which = usize::from(!nine_known);
+        let mean = self.weight / self.per_dof[which];
+        best.interval_dof = Some(mean.min(freedoms(best)[which]));
     }
+}
+
+/// Degrees of freedom of its residuals and of its intervals.
+fn freedoms(estimate: &Estimate) -> [f64; 2] {
+    let dof = estimate.dof as f64;
+    [dof, estimate.interval_dof.unwrap_or(dof)]
 }
 
 /// The model's parameters with the drift among them.

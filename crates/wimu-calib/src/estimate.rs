@@ -10,7 +10,7 @@ use crate::terms::{self, Slot, Terms, Theta};
 use crate::{Gravity, Model, Parameter, Parameters, Pose, force, student};
 
 /// Zero-g offset of a usual sensor, m/s²: 50 mg.
-const USUAL_BIAS_MPS2: f64 = 0.5;
+pub(crate) const USUAL_BIAS_MPS2: f64 = 0.5;
 
 /// An error model and how good it is.
 #[derive(Clone, Debug, PartialEq)]

@@ -267,6 +267,20 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         None
     }
 
+    /// The poses that are fitted: derivatives by what is fitted and by everything, and the weight.
+    pub fn rows<'b, R: Real>(
+        &'b self,
+        at: &'b Evaluated<'b, R>,
+    ) -> impl Iterator<Item = (SVector<R, N>, Theta<R>, f64)> + 'b {
+        let kept = self.poses.iter().enumerate();
+        kept.filter(|(k, _)| !self.rejected.contains(*k))
+            .map(|(_, pose)| {
+                let all = at.derivatives(&self.applied(at, pose));
+                let row = SVector::from_fn(|i, _| all[self.free[i].index()]);
+                (row, all, self.weighting.of(pose))
+            })
+    }
+
     /// |f| − g of `pose` under `theta`, m/s².
     #[inline(always)]
     pub fn residual<R: Real>(&self, theta: &Theta<R>, pose: &Pose) -> Option<f64> {

@@ -31,6 +31,7 @@ mod six_position;
 mod student;
 mod terms;
 mod turn;
+mod unfitted;
 
 pub use alignment::{
     AlignmentEstimate, AlignmentRefusal, KnownDirection, align, align_f32, straight_move,

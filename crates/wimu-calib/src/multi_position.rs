@@ -12,6 +12,7 @@ use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, real};
 use crate::outliers::{Rejected, Weighting};
 use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
+use crate::unfitted::Unfitted;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, choice, design,
     input, outliers, pose,
@@ -458,14 +459,28 @@ fn result<R: Real, const N: usize>(
         });
     }
 
-    let variance = sd * sd;
+    let unfitted = Unfitted::of(problem, fit, what, dof, true);
+    // Poses in a plane tell the bias across it by its square, and so either of two: those of a perfect
+    // sensor tell none.
+    let perfect = unfitted
+        .is_some()
+        .then(|| at_perfect(problem, fit))
+        .flatten();
+    let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, what, dof, false));
+    for unfitted in [&unfitted, &perfect].into_iter().flatten() {
+        if let Some(refusal) = unfitted.refusal(what.model) {
+            return Err(refusal);
+        }
+    }
+    let added = |r, c| unfitted.as_ref().map_or(0.0, |u| u.covariance[(r, c)]);
+    let known = |r, c| sd * sd * double(fit.inverse[(r, c)]) + added(r, c);
     let mut covariance = Covariance::ZERO;
     let mut term_sd = TermDeviations::default();
     for (r, &a) in free.iter().enumerate() {
-        term_sd.set(a, sd * libm::sqrt(double(fit.inverse[(r, r)]).max(0.0)));
+        term_sd.set(a, libm::sqrt(known(r, r).max(0.0)));
         for (c, &b) in free.iter().enumerate() {
             if let Some((a, b)) = a.parameter().zip(b.parameter()) {
-                covariance.add(a, b, variance * double(fit.inverse[(r, c)]));
+                covariance.add(a, b, known(r, c));
             }
         }
     }
@@ -482,14 +497,16 @@ fn result<R: Real, const N: usize>(
         gravity,
         poses: fitted_poses,
         dof,
-        interval_dof: Some(dof as f64),
+        interval_dof: Some(unfitted.as_ref().map_or(dof as f64, |u| u.dof)),
         rms_mps2: all.rms_mps2(),
         max_mps2: all.largest_mps2,
         worst_pose: all.worst_pose,
         loo_rms_mps2: Some(left_out.rms_mps2()),
         rejected: problem.rejected,
         condition: knowledge.condition,
-        worst_sd_mps2: knowledge.amplification * sd,
+        worst_sd_mps2: unfitted
+            .as_ref()
+            .map_or(knowledge.amplification * sd, |u| u.worst_sd_mps2),
         coverage: design::coverage(poses),
         temperature_c: pose::mean_temperature(poses.iter()),
         temperature_range_c: range(poses, |pose| pose.temperature_c),
@@ -503,6 +520,21 @@ fn result<R: Real, const N: usize>(
         estimate,
         kept_left_out_mps2: predicted,
         evidence: 0.0,
+    })
+}
+
+/// What `fit` says, with the derivatives that a perfect sensor would have.
+fn at_perfect<R: Real, const N: usize>(
+    problem: &Magnitude<N>,
+    fit: &Fit<R, N>,
+) -> Option<Fit<R, N>> {
+    let theta = PERFECT.map(real::<R>);
+    let normal = problem.weighted_normal(&theta, None, &problem.weighting, None)?;
+    Some(Fit {
+        inverse: normal.inverse()?,
+        cost: fit.cost,
+        theta,
+        normal,
     })
 }
 

@@ -56,6 +56,19 @@ pub enum Refusal {
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
+    /// What the model leaves out, as large as it usually is, would pass for what it fits.
+    Confounded {
+        /// The model asked for.
+        model: Model,
+        /// The parameters that are not determined.
+        parameters: Parameters,
+        /// The terms that are not.
+        terms: Terms,
+        /// A pose in this orientation would help most.
+        add: Orientation,
+        /// The largest smaller model that these poses do support, if one.
+        instead: Option<Model>,
+    },
     /// An axis reads the same in every pose, though the others turn.
     AxisStuck {
         /// 0 = X.
@@ -222,6 +235,21 @@ impl fmt::Display for Refusal {
             Self::UnexpectedMagnitude { mean_mps2, hint } => {
                 write!(out, "the poses' mean magnitude is {mean_mps2:.4}, {hint}")
             }
+            Self::Confounded {
+                model,
+                parameters,
+                terms,
+                add,
+                instead,
+            } => {
+                undetermined(out, model, parameters, terms)?;
+                write!(
+                    out,
+                    "scale factors and misalignments as they usually are, which it leaves out, would \
+                     pass for them; add a pose with {add}, and others unlike those you have"
+                )?;
+                smaller(out, instead)
+            }
             Self::NotObservable {
                 model,
                 parameters,
@@ -231,12 +259,7 @@ impl fmt::Display for Refusal {
                 add,
                 instead,
             } => {
-                write!(out, "the poses do not determine {parameters}")?;
-                if terms != Terms::NONE {
-                    let comma = if parameters.is_empty() { "" } else { ", " };
-                    write!(out, "{comma}{terms}")?;
-                }
-                write!(out, " of the {model}: ")?;
+                undetermined(out, model, parameters, terms)?;
                 if amplification < 1e4 {
                     write!(
                         out,
@@ -377,6 +400,20 @@ fn axis_name(axis: usize) -> &'static str {
     ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
 }
 
+fn undetermined(
+    out: &mut fmt::Formatter<'_>,
+    model: Model,
+    parameters: Parameters,
+    terms: Terms,
+) -> fmt::Result {
+    write!(out, "the poses do not determine {parameters}")?;
+    if terms != Terms::NONE {
+        let comma = if parameters.is_empty() { "" } else { ", " };
+        write!(out, "{comma}{terms}")?;
+    }
+    write!(out, " of the {model}: ")
+}
+
 fn smaller(out: &mut fmt::Formatter<'_>, instead: Option<Model>) -> fmt::Result {
     match instead {
         Some(smaller) => write!(out, ", or use the {smaller}, which these poses support"),
@@ -390,6 +427,7 @@ impl Refusal {
     pub(crate) fn advise(mut self, supported: impl Fn(Model) -> bool) -> Self {
         if let Self::TooFewPoses { model, instead, .. }
         | Self::NotObservable { model, instead, .. }
+        | Self::Confounded { model, instead, .. }
         | Self::PoorPrediction { model, instead, .. } = &mut self
         {
             let smaller = core::iter::successors(model.smaller(), |model| model.smaller());

@@ -1,0 +1,178 @@
+//! What the parameters that a smaller model leaves out do to those that it fits: equation (42a).
+
+use nalgebra::{SMatrix, Vector3};
+
+use crate::estimate::USUAL_BIAS_MPS2;
+use crate::force::Evaluated;
+use crate::least_squares::{Fit, Magnitude};
+use crate::linear::{Real, double, real};
+use crate::terms::Slot;
+use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
+
+/// Parameters that a model can leave out: three scale factors and three misalignments.
+const MOST: usize = 6;
+/// What is known no better than this share of its usual spread is not determined: with what the residuals
+/// say, and before they are seen.
+const LEAST_KNOWN: f64 = 0.5;
+const LEAST_KNOWN_BEFORE: f64 = 1.0;
+
+/// Scale factors and misalignments that are taken as those of a perfect sensor and are not: as far as
+/// the poses do not show them, they pass for what is fitted.
+pub(crate) struct Unfitted<const N: usize> {
+    /// What they add to the covariance of what is fitted.
+    pub covariance: SMatrix<f64, N, N>,
+    /// Standard deviation of |f| − g in the worst of 26 orientations, noise and this, m/s².
+    pub worst_sd_mps2: f64,
+    /// Degrees of freedom of what is known least well.
+    pub dof: f64,
+    /// Parameters and terms that they leave undetermined, and the orientation that is known worst.
+    parameters: Parameters,
+    terms: Terms,
+    poorest: Orientation,
+}
+
+impl<const N: usize> Unfitted<N> {
+    /// `None` for a model that leaves nothing out. Where it is not `seen` what the residuals say, what is
+    /// left out is as large as usual.
+    pub fn of<R: Real>(
+        problem: &Magnitude<N>,
+        fit: &Fit<R, N>,
+        what: MultiPosition,
+        dof: usize,
+        seen: bool,
+    ) -> Option<Self> {
+        let left_out = Model::Full9.fitted().without(what.model.fitted());
+        let mut slots = [None; MOST];
+        for (place, parameter) in slots.iter_mut().zip(left_out.iter()) {
+            *place = Some(Slot::of(parameter));
+        }
+        if left_out.is_empty() {
+            return None;
+        }
+        // Variances that are likely beforehand.
+        let usual: [f64; MOST] = slots.map(|slot| {
+            let sd = slot.and_then(Slot::usual_sd).unwrap_or(0.0);
+            sd * sd
+        });
+        let at = Evaluated::new(&fit.theta, problem.terms)?;
+        let pick = |all: &crate::terms::Theta<R>| {
+            slots.map(|slot: Option<Slot>| slot.map_or(R::zero(), |slot| all[slot.index()]))
+        };
+        let mut both = SMatrix::<R, N, MOST>::zeros();
+        let mut own = SMatrix::<R, MOST, MOST>::zeros();
+        for (row, all, weight) in problem.rows(&at) {
+            let others = pick(&all);
+            let weight: R = real(weight);
+            for (c, other) in others.into_iter().enumerate() {
+                for r in 0..N {
+                    both[(r, c)] += weight * row[r] * other;
+                }
+                for (r, another) in others.into_iter().enumerate() {
+                    own[(r, c)] += weight * another * other;
+                }
+            }
+        }
+        // What one of them, off by 1, makes of what is fitted; and what it leaves in the residuals.
+        let gain = fit.inverse * both;
+        let left = (own - both.tr_mul(&gain)).map(double);
+        let gain = gain.map(double);
+        let variance = fit.cost / dof.max(1) as f64;
+        let inverse = fit.inverse.map(double);
+        let (mut trace, mut square) = (0.0, 0.0);
+        for i in 0..MOST {
+            trace += usual[i] * left[(i, i)].max(0.0);
+            for j in 0..MOST {
+                square += usual[i] * left[(i, j)] * usual[j] * left[(j, i)];
+            }
+        }
+        // They are as large as usual, or as the residuals allow if all of these come from them.
+        let share = if seen && trace > fit.cost {
+            fit.cost / trace
+        } else {
+            1.0
+        };
+        let share_dof = if share < 1.0 && square > 0.0 {
+            trace * trace / square
+        } else {
+            f64::INFINITY
+        };
+        let added = |i: usize| {
+            let squares = (0..MOST).map(|j| gain[(i, j)] * gain[(i, j)] * usual[j]);
+            share * squares.sum::<f64>()
+        };
+        let ratio = |i: usize| added(i) / (variance * inverse[(i, i)]);
+        let most = (0..N).map(ratio).fold(0.0, f64::max);
+        // Where they do no more than the residuals taken for noise, they are in that already.
+        let weight = match seen {
+            true if most > 1.0 => 1.0 - 1.0 / most,
+            true => 0.0,
+            false => 1.0,
+        };
+        let least_known = if seen {
+            LEAST_KNOWN
+        } else {
+            LEAST_KNOWN_BEFORE
+        };
+        let counted = weight * share;
+
+        let mut found = Self {
+            covariance: SMatrix::from_fn(|r, c| {
+                let products = (0..MOST).map(|j| gain[(r, j)] * gain[(c, j)] * usual[j]);
+                counted * products.sum::<f64>()
+            }),
+            worst_sd_mps2: 0.0,
+            dof: dof as f64,
+            parameters: Parameters::default(),
+            terms: Terms::NONE,
+            poorest: Orientation::ALL[0],
+        };
+        for (i, slot) in problem.free.iter().enumerate() {
+            let (noise, more) = (variance * inverse[(i, i)], found.covariance[(i, i)]);
+            let freedom = (noise + more) * (noise + more)
+                / (noise * noise / dof as f64 + more * more / share_dof);
+            if freedom.is_finite() {
+                found.dof = found.dof.min(freedom.max(1.0));
+            }
+            let usual_sd = slot.usual_sd().unwrap_or(USUAL_BIAS_MPS2);
+            if libm::sqrt(more) > least_known * usual_sd {
+                found.parameters = found.parameters.iter().chain(slot.parameter()).collect();
+                found.terms = found.terms.iter().chain(slot.term()).collect();
+            }
+        }
+        let mut worst = 0.0;
+        for orientation in Orientation::ALL {
+            let up = orientation.up().map(|c| real(c * problem.gravity_mps2));
+            let applied = at.at(Vector3::from(up));
+            let row = problem.derivatives(&at, &applied);
+            let others = pick(&at.derivatives(&applied)).map(double);
+            let noise = variance * double(row.dot(&(fit.inverse * row)));
+            let row = row.map(double);
+            let more: f64 = (0..MOST)
+                .map(|j| {
+                    let passed: f64 = (0..N).map(|i| row[i] * gain[(i, j)]).sum();
+                    let off = others[j] - passed;
+                    off * off * usual[j]
+                })
+                .sum();
+            let all = noise + share * more;
+            if all > worst {
+                worst = all;
+                found.poorest = orientation;
+            }
+        }
+        found.worst_sd_mps2 = libm::sqrt(worst);
+        Some(found)
+    }
+
+    /// Why the poses do not support the model, if they do not.
+    pub fn refusal(&self, model: Model) -> Option<Refusal> {
+        let sound = self.parameters.is_empty() && self.terms == Terms::NONE;
+        (!sound).then_some(Refusal::Confounded {
+            model,
+            parameters: self.parameters,
+            terms: self.terms,
+            add: self.poorest,
+            instead: None,
+        })
+    }
+}

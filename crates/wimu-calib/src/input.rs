@@ -2,14 +2,15 @@
 
 use crate::{Gravity, Pose, Refusal, UnitHint};
 
-/// Refuses poses that are not finite, or whose mean magnitude cannot be gravity in m/s².
+/// Refuses poses that are not finite, whose mean magnitude cannot be gravity in m/s², or in which an axis
+/// falls silent at its end.
 pub(crate) fn check<'a>(
-    poses: impl Iterator<Item = &'a Pose>,
+    poses: impl Iterator<Item = &'a Pose> + Clone,
     gravity: Gravity,
 ) -> Result<(), Refusal> {
     let mut sum = 0.0;
     let mut count = 0.0;
-    for (pose, entry) in poses.enumerate() {
+    for (pose, entry) in poses.clone().enumerate() {
         let finite = entry.mean_mps2.iter().all(|y| y.is_finite())
             && entry.sd_mps2.iter().all(|sd| sd.is_finite())
             && entry.rounding_sd_mps2.iter().all(|sd| sd.is_finite());
@@ -25,8 +26,38 @@ pub(crate) fn check<'a>(
     let mean_mps2 = sum / count;
     match unit(mean_mps2, gravity.mps2()) {
         Some(hint) => Err(Refusal::UnexpectedMagnitude { mean_mps2, hint }),
-        None => Ok(()),
+        None => match silent_at_its_end(poses) {
+            Some(axis) => Err(Refusal::Saturated { axis }),
+            None => Ok(()),
+        },
     }
+}
+
+/// So many samples with noise are not all alike.
+const MANY_SAMPLES: u32 = 30;
+
+/// The axis that says one and the same all through the pose where it is highest or lowest, while its
+/// noise shows in two poses of three.
+fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
+    (0..3).find(|&axis| {
+        let (mut count, mut noisy) = (0, 0);
+        // Reading, and whether it is silent.
+        let mut low = (f64::INFINITY, false);
+        let mut high = (f64::NEG_INFINITY, false);
+        for pose in poses.clone() {
+            let (mean, sd) = (pose.mean_mps2[axis], pose.sd_mps2[axis]);
+            let silent = sd <= 0.0 && pose.samples >= MANY_SAMPLES;
+            count += 1;
+            noisy += usize::from(sd > 0.0 && pose.rounding_sd_mps2[axis] <= 0.0);
+            if mean < low.0 {
+                low = (mean, silent);
+            }
+            if mean > high.0 {
+                high = (mean, silent);
+            }
+        }
+        3 * noisy >= 2 * count && (low.1 || high.1)
+    })
 }
 
 /// What |y| of this mean size looks like where it cannot be gravity in m/s².

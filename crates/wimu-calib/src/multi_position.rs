@@ -376,7 +376,11 @@ fn refine<R: Real, const N: usize>(
     if what.reject {
         fit = outliers::reject(problem, fit);
     }
-    if problem.poses.iter().any(|pose| pose.mean_noise() <= 0.0) {
+    if problem
+        .poses
+        .iter()
+        .any(|pose| pose.mean_free_noise() <= 0.0)
+    {
         return Ok(fit);
     }
     // Twice: what differs between poses is estimated with weights that rest on it.

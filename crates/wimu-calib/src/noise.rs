@@ -73,7 +73,7 @@ impl Measured {
     }
 }
 
-/// Noise of an axis: σ²(τ) = 3Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3.
+/// Noise of an axis: σ²(τ) = 3Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisNoise {
@@ -85,6 +85,8 @@ pub struct AxisNoise {
     pub bias_instability_mps2: Option<Measured>,
     /// K, acceleration random walk, m/s²/√s; `None` where it is not seen.
     pub acceleration_random_walk: Option<Measured>,
+    /// R, a steady drift, m/s² per s, as of a sensor that warms up; `None` where it is not seen.
+    pub ramp_mps3: Option<Measured>,
     /// Q, quantisation or vibration at short times, m/s; `None` where it is not seen.
     pub quantisation_mps: Option<Measured>,
     /// Least σ(τ), m/s²: what averaging can do.
@@ -456,7 +458,7 @@ impl<R: Scalar> AllanVariance<R> {
     }
 
     fn axis(&self, axis: usize, spans: &Spans) -> Result<AxisNoise, NoiseRefusal> {
-        let mut curve = Curve::new(self.rate_hz);
+        let mut curve = Curve::new(self.rate_hz, self.longest_run);
         let (mut floor_mps2, mut floor_tau_s) = (f64::INFINITY, 0.0);
         let mut sample_sd_mps2 = 0.0;
         for (place, point) in self.points().enumerate() {
@@ -473,7 +475,7 @@ impl<R: Scalar> AllanVariance<R> {
             }
         }
         let (fitted, misfit) = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
-        let [quantisation, white, flicker, walk] = fitted;
+        let [quantisation, white, flicker, walk, ramp] = fitted;
         Ok(AxisNoise {
             velocity_random_walk: white.unwrap_or(Measured {
                 value: 0.0,
@@ -481,6 +483,7 @@ impl<R: Scalar> AllanVariance<R> {
             }),
             bias_instability_mps2: flicker,
             acceleration_random_walk: walk,
+            ramp_mps3: ramp,
             quantisation_mps: quantisation,
             floor_mps2,
             floor_tau_s,

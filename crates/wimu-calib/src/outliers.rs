@@ -87,7 +87,7 @@ impl Weighting {
 
     pub fn of(&self, pose: &Pose) -> f64 {
         if self.mean_noise > 0.0 {
-            (self.common + self.mean_noise) / (self.common + pose.mean_noise())
+            (self.common + self.mean_noise) / (self.common + pose.mean_free_noise())
         } else {
             1.0
         }
@@ -224,7 +224,7 @@ pub(crate) fn weighting<R: Real, const N: usize>(
     let (mut count, mut mean_noise) = (0.0, 0.0);
     for (_, pose) in problem.poses.iter().enumerate().filter(|(k, _)| kept(*k)) {
         count += 1.0;
-        mean_noise += pose.mean_noise();
+        mean_noise += pose.mean_free_noise();
     }
     mean_noise /= count;
     let dof = count - N as f64;
@@ -234,7 +234,7 @@ pub(crate) fn weighting<R: Real, const N: usize>(
         let (mut excess, mut slope) = (-dof, 0.0);
         problem.residuals(&fit.theta, |k, residual| {
             if kept(k) {
-                let variance = common + problem.poses[k].mean_noise();
+                let variance = common + problem.poses[k].mean_free_noise();
                 let share = residual * residual / variance;
                 excess += share;
                 slope += share / variance;

@@ -39,7 +39,13 @@ impl Pose {
         of(&self.sd_mps2) / self.weight() + of(&self.rounding_sd_mps2)
     }
 
-    /// The same, mean of the axes.
+    /// Mean of the axes' variance of the mean from noise alone.
+    pub(crate) fn mean_free_noise(&self) -> f64 {
+        let squares: f64 = self.sd_mps2.iter().map(|sd| sd * sd).sum();
+        squares / (3.0 * self.weight())
+    }
+
+    /// The same as [`Pose::noise`], mean of the axes.
     pub(crate) fn mean_noise(&self) -> f64 {
         (0..3).map(|axis| self.noise(axis)).sum::<f64>() / 3.0
     }

@@ -74,7 +74,7 @@ pub enum Refusal {
         /// 0 = X.
         axis: usize,
     },
-    /// Several poses end at one and the same reading of an axis, and fit badly.
+    /// Poses end at one and the same reading of an axis: its limit.
     Saturated {
         /// 0 = X.
         axis: usize,
@@ -283,7 +283,7 @@ impl fmt::Display for Refusal {
             ),
             Self::Saturated { axis } => write!(
                 out,
-                "axis {} stops at one reading in several poses: it is saturated; choose a larger \
+                "axis {} stops at one reading in some poses: it is saturated; choose a larger \
                  range and take the poses again",
                 axis_name(axis)
             ),

@@ -4,7 +4,6 @@ mod common;
 
 use common::{DIP, FIELD, Random, magnetometer as sensor};
 use wimu_calib::{MagneticPose, MagneticRefusal, MirroredAxes, magnetometer};
-use wimu_model::Alignment;
 
 #[test]
 fn intervals_hold_the_truth_95_percent_of_the_time() {

@@ -251,6 +251,41 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
     }
 }
 
+#[test]
+fn a_steady_drift_is_told_as_one_and_as_no_noise() {
+    for drift in [0.01, 0.02, 0.05, 0.1] {
+        let (n, truth) = (30_000, drift / 300.0);
+        let (mut ramp, mut white) = (Held::default(), Held::default());
+        let (mut walk, mut flicker) = (0, 0);
+        for seed in 0..67 {
+            let mut random = Random(seed);
+            let mut allan = AllanVariance::new(RATE);
+            for k in 0..n {
+                let moved = drift * f64::from(k) / f64::from(n);
+                allan.push([0.0, 0.0, 9.81].map(|f| f + moved + 0.02 * random.normal()));
+            }
+            for found in allan.result().expect("noise") {
+                ramp.take(found.ramp_mps3, truth);
+                white.take(Some(found.velocity_random_walk), 0.02 / RATE.sqrt());
+                walk += u32::from(found.acceleration_random_walk.is_some());
+                flicker += u32::from(found.bias_instability_mps2.is_some());
+            }
+        }
+        println!(
+            "{:.0} mm/s² in 300 s: R seen {} times of 201, held {:.1} %; N held {:.1} %; K claimed {walk} \
+             times, B {flicker}",
+            1e3 * drift,
+            ramp.seen,
+            ramp.percent(),
+            white.percent()
+        );
+        assert!(walk + flicker <= 6);
+        assert!((91.0..=99.0).contains(&white.percent()));
+        let least = [0, 120, 190][usize::from(drift > 0.015) + usize::from(drift > 0.03)];
+        assert!(ramp.seen >= least && (least == 0 || ramp.percent() >= 90.0));
+    }
+}
+
 /// `cargo test --release -p wimu-calib --test noise long -- --ignored --nocapture`
 #[test]
 #[ignore = "takes minutes"]

@@ -72,7 +72,7 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
         let noise = share_of_step * STEP_MPS2;
         let (mut inside, mut all) = ([0_u32; 2], [0_u32; 2]);
         let (mut refused, mut trials) = (0, 0);
-        while trials < 40 {
+        while trials < 200 {
             trials += 1;
             let model = random.model(true);
             let ups: Vec<_> = (0..20).map(|_| random.direction()).collect();
@@ -120,6 +120,6 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
             all[1]
         );
         assert!(refused <= 8, "{refused}");
-        assert!(share(0) > 91.0 && share(1) > 91.0);
+        assert!((93.0..=97.0).contains(&share(0)) && share(1) > 93.0);
     }
 }

@@ -46,6 +46,8 @@ pub struct AxisReport {
     pub bias_instability_m_s2: Option<Figure>,
     /// Acceleration random walk, m/s²/√s, where it is seen.
     pub acceleration_random_walk_m_s2_rts: Option<Figure>,
+    /// Steady drift, m/s² per s, where it is seen.
+    pub ramp_m_s3: Option<Figure>,
     /// Quantisation, m/s, where it is seen.
     pub quantisation_m_s: Option<Figure>,
     /// Least deviation, m/s².
@@ -54,7 +56,7 @@ pub struct AxisReport {
     pub floor_tau_s: f64,
     /// χ² per degree of freedom that the terms leave of the curve; 1 for noise.
     pub misfit: f64,
-    /// False where something else is in it: hum, samples that come twice, a drift.
+    /// False where something else is in it: hum, samples that come twice.
     pub is_noise: bool,
     /// Standard deviation from one sample to the next, m/s².
     pub sample_sd_m_s2: f64,
@@ -71,6 +73,7 @@ impl From<AxisNoise> for AxisReport {
             velocity_random_walk_m_s_rts: noise.velocity_random_walk.into(),
             bias_instability_m_s2: noise.bias_instability_mps2.map(Figure::from),
             acceleration_random_walk_m_s2_rts: noise.acceleration_random_walk.map(Figure::from),
+            ramp_m_s3: noise.ramp_mps3.map(Figure::from),
             quantisation_m_s: noise.quantisation_mps.map(Figure::from),
             floor_m_s2: noise.floor_mps2,
             floor_tau_s: noise.floor_tau_s,
@@ -287,8 +290,8 @@ fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> 
             ));
         } else if !axis.is_noise {
             remarks.push(format!(
-                "{name}: this is no noise alone (χ² {:.0} times too large): hum, vibration, samples \
-                 that come twice or a drift; see the curve, and take the numbers as rough",
+                "{name}: this is no noise alone (χ² {:.0} times too large): hum, vibration \
+                 or samples that come twice; see the curve, and take the numbers as rough",
                 axis.misfit
             ));
         }
@@ -419,6 +422,14 @@ impl fmt::Display for NoiseReport {
                     ", acceleration random walk {:.2} ± {:.2} µg/√s",
                     k.value * ug,
                     k.sd * ug
+                )?;
+            }
+            if let Some(r) = axis.ramp_m_s3 {
+                write!(
+                    out,
+                    ", drift {:.1} ± {:.1} µg/min",
+                    r.value * ug * 60.0,
+                    r.sd * ug * 60.0
                 )?;
             }
         }

@@ -105,6 +105,8 @@ struct Poses {
     poses: Vec<Pose>,
     /// m/s² per unit under which they were looked for.
     scale: f64,
+    /// An axis that stood at its limit in some of them.
+    saturated: Option<usize>,
 }
 
 impl Poses {
@@ -201,7 +203,8 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         }
     };
     let mut fitted = found.poses.clone();
-    let mut outcome = match wrong_unit(data, &found, gravity) {
+    let saturated = found.saturated.map(|axis| Refusal::Saturated { axis });
+    let mut outcome = match wrong_unit(data, &found, gravity).or(saturated) {
         Some(refusal) => Err(refusal),
         None => fit(&fitted),
     };
@@ -327,6 +330,7 @@ fn reason(refusal: &Refusal, poses: &[Pose], data: &Dataset, options: &Calibrate
         refusal,
         Refusal::TooFewPoses { .. }
             | Refusal::NotObservable { .. }
+            | Refusal::Confounded { .. }
             | Refusal::PoorPrediction { .. }
     );
     if !lacks || options.method != MethodChoice::MultiPosition {
@@ -491,6 +495,7 @@ fn remarks(
 }
 
 fn poses(data: &Dataset, scale: f64) -> Poses {
+    let mut saturated = None;
     let poses = if data.poses {
         let pose = |(index, output): (usize, &Output)| Pose {
             samples: output.samples,
@@ -512,12 +517,68 @@ fn poses(data: &Dataset, scale: f64) -> Poses {
         let found = find_poses(samples.clone(), data.rate_hz, &mut poses);
         if found > poses.len() {
             poses.resize(found, Pose::default());
-            find_poses(samples, data.rate_hz, &mut poses);
+            find_poses(samples.clone(), data.rate_hz, &mut poses);
         }
         poses.truncate(found);
+        saturated = saturated_axis(samples.map(|(sample, _)| sample), &poses);
         poses
     };
-    Poses { poses, scale }
+    Poses {
+        poses,
+        scale,
+        saturated,
+    }
+}
+
+/// So many samples at rest at one end of an axis, and so many times those at the next value, are at its
+/// limit, where noise is more than so many steps of the output: of free ones few are at their end.
+const AT_THE_LIMIT: usize = 10;
+const PER_NEXT: usize = 3;
+const FINE_STEPS: f64 = 2.0;
+
+/// The axis that stood at its limit in some poses, all the time or when its noise took it there.
+fn saturated_axis(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
+    let mut values = [const { Vec::new() }; 3];
+    let mut holds = poses.iter().peekable();
+    for (index, sample) in (0..).zip(samples) {
+        while holds
+            .next_if(|pose| index >= pose.first_sample + u64::from(pose.samples))
+            .is_some()
+        {}
+        if holds.peek().is_some_and(|pose| index >= pose.first_sample) {
+            for (values, value) in values.iter_mut().zip(sample) {
+                values.push(value);
+            }
+        }
+    }
+    (0..3).find(|&axis| {
+        let values = &mut values[axis];
+        values.sort_by(f64::total_cmp);
+        let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
+        let step = steps
+            .filter(|step| *step > 0.0)
+            .fold(f64::INFINITY, f64::min);
+        let mut noises: Vec<f64> = poses.iter().map(|pose| pose.sd_mps2[axis]).collect();
+        noises.sort_by(f64::total_cmp);
+        let usual = noises.get(noises.len() / 2).copied().unwrap_or(0.0);
+        // Values from that end on.
+        let at_limit = |from_end: &mut dyn Iterator<Item = f64>| {
+            let mut counts = [0; 2];
+            let (mut place, mut last) = (0, None);
+            for value in from_end {
+                place += usize::from(last.is_some_and(|last: f64| last != value));
+                last = Some(value);
+                match counts.get_mut(place) {
+                    Some(count) => *count += 1,
+                    None => break,
+                }
+            }
+            counts[0] >= AT_THE_LIMIT && counts[0] >= PER_NEXT * counts[1]
+        };
+        usual > FINE_STEPS * step
+            && (at_limit(&mut values.iter().copied())
+                || at_limit(&mut values.iter().rev().copied()))
+    })
 }
 
 /// m/s² per unit of a dataset's values: by the sensitivity given, else the board's, else so that the
@@ -709,7 +770,7 @@ fn no_terms() -> ErrorTerms {
 /// Poses that would help against this refusal.
 fn next_poses(refusal: &Refusal, poses: &[Pose], options: &CalibrateOptions) -> Vec<NextPose> {
     match *refusal {
-        Refusal::NotObservable { .. } => advice(poses, options, 1),
+        Refusal::NotObservable { .. } | Refusal::Confounded { .. } => advice(poses, options, 1),
         // One more like the pose that decides alone.
         Refusal::PoorPrediction { pose, .. } => {
             let again = poses.get(pose).map(nearest).map(NextPose::from);

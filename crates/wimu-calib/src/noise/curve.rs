@@ -10,12 +10,19 @@ const FLICKER: f64 = 0.441_271_200_305_303_2;
 const WORTH: f64 = 10.0;
 /// A set with one term less is as likely with this much more.
 const LIKELY: f64 = 9.0;
-/// By how much sets without a term must be worse for it to be told.
+/// By how much sets without a term must be worse for it to be told; and where they have a ramp
+/// in the place of K, which is as long a curve's other way to rise.
 const SEEN: f64 = 10.0;
-/// Terms: Q, N, B, K.
-const TERMS: usize = 4;
-/// Pairs of terms.
-const PRODUCTS: usize = TERMS * (TERMS + 1) / 2;
+const SEEN_BESIDE_RAMP: f64 = 1.0;
+/// Kinds of noise: Q, N, B, K.
+const NOISES: usize = 4;
+/// Pairs of them.
+const PRODUCTS: usize = NOISES * (NOISES + 1) / 2;
+/// Terms: those, and the ramp R.
+const TERMS: usize = 5;
+const WHITE: usize = 1;
+const WALK: usize = 3;
+const RAMP: usize = 4;
 /// Points up to this many octaves apart are known to be correlated; beyond, they hardly are.
 const OCTAVES: usize = 6;
 /// Rounds of weights by what was fitted the round before.
@@ -44,9 +51,16 @@ pub(super) fn fewest_edf(n: f64, m: f64) -> f64 {
     white.min(flicker).min(walk)
 }
 
-/// What Q², N², B² and K² add to the Allan variance at τ: equation (53).
+/// What Q², N², B², K² and R² add to the Allan variance at τ: equation (53).
 fn shares(tau_s: f64) -> [f64; TERMS] {
-    [3.0 / (tau_s * tau_s), 1.0 / tau_s, FLICKER, tau_s / 3.0]
+    let square = tau_s * tau_s;
+    [
+        3.0 / square,
+        1.0 / tau_s,
+        FLICKER,
+        tau_s / 3.0,
+        square / 2.0,
+    ]
 }
 
 fn total(terms: &[f64; TERMS], tau_s: f64) -> f64 {
@@ -55,7 +69,7 @@ fn total(terms: &[f64; TERMS], tau_s: f64) -> f64 {
 
 /// Generalised covariances of the running sum at a distance of `t` samples, of Q² f², N² f, B²/2π
 /// and K²/12f: whatever fourth differences leave.
-fn covariances(t: i64) -> [f64; TERMS] {
+fn covariances(t: i64) -> [f64; NOISES] {
     let far = t.unsigned_abs() as f64;
     let quantised = if t == 0 { 1.0 } else { 0.0 };
     let flicker = if t == 0 {
@@ -127,8 +141,8 @@ impl Spans {
                 let scale = m / cluster(place.min(3)) as f64;
                 let per = runs / (2.0 * m * m * long * long * n[0] * n[1]);
                 let mut pair = 0;
-                for a in 0..TERMS {
-                    for b in a..TERMS {
+                for a in 0..NOISES {
+                    for b in a..NOISES {
                         let power = libm::pow(scale, (a + b) as f64);
                         let twice = if a == b { 1.0 } else { 2.0 };
                         sums[pair] *= twice * power * per;
@@ -141,12 +155,12 @@ impl Spans {
     }
 
     /// Covariance of the Allan variances at two averaging times.
-    fn covariance(&self, short: usize, long: usize, terms: &[f64; TERMS]) -> f64 {
+    fn covariance(&self, short: usize, long: usize, terms: &[f64; NOISES]) -> f64 {
         let sums = self.sums.get(short).and_then(|s| s.get(long - short));
         let mut products = sums.into_iter().flatten();
         let mut covariance = 0.0;
-        for a in 0..TERMS {
-            for b in a..TERMS {
+        for a in 0..NOISES {
+            for b in a..NOISES {
                 covariance += terms[a] * terms[b] * products.next().unwrap_or(&0.0);
             }
         }
@@ -158,7 +172,7 @@ impl Spans {
 /// apart, for each pair of terms.
 fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
     const WEIGHTS: [f64; 3] = [1.0, -2.0, 1.0];
-    let mut found = [0.0; TERMS];
+    let mut found = [0.0; NOISES];
     for (i, a) in (0..).zip(WEIGHTS) {
         for (j, b) in (0..).zip(WEIGHTS) {
             let at = covariances(lag + i * short - j * long);
@@ -169,8 +183,8 @@ fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
     }
     let mut products = [0.0; PRODUCTS];
     let mut pair = 0;
-    for a in 0..TERMS {
-        for b in a..TERMS {
+    for a in 0..NOISES {
+        for b in a..NOISES {
             products[pair] = found[a] * found[b];
             pair += 1;
         }
@@ -182,6 +196,8 @@ fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
 #[derive(Clone, Copy)]
 pub(super) struct Curve {
     rate_hz: f64,
+    /// Of the longest unbroken run.
+    samples: f64,
     variance: SVector<f64, POINTS>,
     edf: SVector<f64, POINTS>,
     used: usize,
@@ -205,9 +221,10 @@ impl Fit {
 }
 
 impl Curve {
-    pub(super) fn new(rate_hz: f64) -> Self {
+    pub(super) fn new(rate_hz: f64, samples: u64) -> Self {
         Self {
             rate_hz,
+            samples: samples as f64,
             variance: SVector::zeros(),
             edf: SVector::repeat(1.0),
             used: 0,
@@ -234,9 +251,10 @@ impl Curve {
     /// Beside it χ² per degree of freedom.
     pub(super) fn fit(&self, spans: &Spans) -> Option<([Option<Measured>; TERMS], f64)> {
         let fits: [Option<Fit>; 1 << TERMS] = core::array::from_fn(|set| {
-            let fit = self
-                .converged(set as u32, spans)
-                .filter(|_| set >> 1 & 1 == 1)?;
+            if set >> WHITE & 1 == 0 {
+                return None;
+            }
+            let fit = self.converged(set as u32, spans)?;
             (0..TERMS)
                 .all(|k| !fit.has(k) || fit.terms[k] > 0.0)
                 .then_some(fit)
@@ -255,7 +273,11 @@ impl Curve {
         let terms = core::array::from_fn(|k| {
             // A term is seen where no set without it does nearly as well.
             let mut without = fits().filter(|fit| !fit.has(k));
-            let seen = best.has(k) && (k == 1 || without.all(|fit| worse(fit) > SEEN));
+            let enough = |fit: &Fit| match (k, fit.has(RAMP)) {
+                (WALK, true) => SEEN_BESIDE_RAMP,
+                _ => SEEN,
+            };
+            let seen = best.has(k) && (k == WHITE || without.all(|fit| worse(fit) > enough(fit)));
             let (mut weight, mut variance) = (0.0, 0.0);
             for fit in fits().filter(|fit| fit.has(k)) {
                 let likely = libm::exp(-0.5 * worse(fit));
@@ -283,19 +305,24 @@ impl Curve {
         for _ in 0..ROUNDS {
             let f = self.rate_hz;
             let terms = fit.terms.map(|term| term.max(0.0));
-            let [q, n, b, k] = terms;
+            let [q, n, b, k, r] = terms;
             let parts = [q * f * f, n * f, b / core::f64::consts::TAU, k / (12.0 * f)];
             let mut expected = self.variance;
             for place in 0..self.used {
                 expected[place] = total(&terms, self.tau_s(place));
             }
-            let covariance = SMatrix::<f64, POINTS, POINTS>::from_fn(|r, c| {
-                let (short, long) = (r.min(c), r.max(c));
+            let covariance = SMatrix::<f64, POINTS, POINTS>::from_fn(|row, column| {
+                let (short, long) = (row.min(column), row.max(column));
                 if long >= self.used {
-                    return if r == c { 1.0 } else { 0.0 };
+                    return if row == column { 1.0 } else { 0.0 };
                 }
-                let own = if r == c { 1.0 + OWN } else { 1.0 };
-                own * spans.covariance(short, long, &parts) / (expected[r] * expected[c])
+                let noise = spans.covariance(short, long, &parts);
+                let own = if row == column { noise * OWN } else { 0.0 };
+                let beside = [row, column].map(|place| self.beside_ramp(place, r, expected[place]));
+                let ratio = cluster(short) as f64 / cluster(long) as f64;
+                let alike = (1.5 * ratio * libm::sqrt(ratio)).min(1.0);
+                let beside = alike * beside[0] * beside[1];
+                (noise + own + beside) / (expected[row] * expected[column])
             });
             let before = fit.terms;
             fit = self.solve(set, &expected, &Weights::new(covariance)?)?;
@@ -304,6 +331,18 @@ impl Curve {
             }
         }
         Some(fit)
+    }
+
+    /// Standard deviation of a point from noise that does not part from the ramp R² over the recording:
+    /// the variance of the mean of its differences is 4/3 (m/(n − 2m))² of their Allan variance. Two points
+    /// share 3/2 (m/M)^(3/2) of it: white noise at the ends of the recording, weighted by triangles.
+    fn beside_ramp(&self, place: usize, square: f64, expected: f64) -> f64 {
+        let tau = self.tau_s(place);
+        let ramp = square * tau * tau;
+        let noise = (expected - 0.5 * ramp).max(0.0);
+        let m = cluster(place) as f64;
+        let share = m / (self.samples - 2.0 * m).max(1.0);
+        share * libm::sqrt(ramp * noise * 4.0 / 3.0)
     }
 
     /// The terms of `set`, the others 0.

@@ -255,8 +255,9 @@ impl Average {
             if best.term_sd.get(slot) > 0.0 {
                 let about = self.squares[i] - 2.0 * theta[i] * self.first[i]
                     + theta[i] * theta[i] * self.weight;
-                best.term_sd
-                    .set(slot, libm::sqrt((about / self.weight).max(0.0)));
+                // No less than this model says itself: others that leave the term out say 0 for certain.
+                let sd = libm::sqrt((about / self.weight).max(0.0));
+                best.term_sd.set(slot, sd.max(best.term_sd.get(slot)));
             }
         }
         // What smaller models leave out is known once nine parameters are among them.

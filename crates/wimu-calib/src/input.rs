@@ -33,6 +33,21 @@ pub(crate) fn check<'a>(
     }
 }
 
+/// How many poses differ, counted up to `enough`: one that is equal to another to the last digit is the
+/// same again.
+pub(crate) fn different(poses: &[Pose], enough: usize) -> usize {
+    let mut count = 0;
+    for (k, pose) in poses.iter().enumerate() {
+        let before = poses.iter().take(k);
+        let again = |other: &Pose| other.mean_mps2 == pose.mean_mps2;
+        count += usize::from(!before.clone().any(again));
+        if count == enough {
+            break;
+        }
+    }
+    count
+}
+
 /// So many samples with noise are not all alike.
 const MANY_SAMPLES: u32 = 30;
 

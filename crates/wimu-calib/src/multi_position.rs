@@ -255,9 +255,10 @@ pub(crate) fn with_terms<R: Real>(
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
     let need = what.parameters() + 1;
-    if poses.len() < need {
+    let have = input::different(poses, need);
+    if have < need {
         return Err(Refusal::TooFewPoses {
-            have: poses.len(),
+            have,
             need,
             model: what.model,
             instead: None,

@@ -4,9 +4,9 @@ mod sums;
 
 use core::fmt;
 
-use wimu_model::{ErrorModel, ErrorTerms, ModelError};
+use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
-use crate::Scalar;
+use crate::{Scalar, UnitHint, input};
 use sums::{Across, Jackknife, LAGS, Moments, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
@@ -157,6 +157,15 @@ pub enum TransferRefusal {
         /// How many there are.
         have: u64,
     },
+    /// The size of a stream cannot be that of specific force in m/s².
+    UnexpectedMagnitude {
+        /// Whether it is the reference's.
+        reference: bool,
+        /// Its root mean square, m/s² if the unit were right.
+        rms_mps2: f64,
+        /// What the numbers look like.
+        hint: UnitHint,
+    },
     /// The axes move, but not together.
     NotTheSameMotion {
         /// 0 = X.
@@ -179,6 +188,14 @@ impl fmt::Display for TransferRefusal {
                 out,
                 "{have} samples are on both streams, 8 are needed: record both at the same time"
             ),
+            Self::UnexpectedMagnitude {
+                reference,
+                rms_mps2,
+                hint,
+            } => {
+                let which = if reference { "reference" } else { "output" };
+                write!(out, "the {which} is {rms_mps2:.4} rms, {hint}")
+            }
             Self::NotTheSameMotion { axis, correlation } => write!(
                 out,
                 "axis {} of the two streams is correlated by {correlation:.2} only: they show \
@@ -338,6 +355,17 @@ impl<R: Scalar> ReferenceTransfer<R> {
         };
         let origin = origin.map(|pair| pair.map(Into::into));
         let used = self.full + usize::from(self.filled > 0);
+        for (side, rms_mps2) in self.sizes(&origin, used).into_iter().enumerate() {
+            // Motion makes it larger than gravity by any factor that is not another unit's.
+            let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
+            if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
+                return Err(TransferRefusal::UnexpectedMagnitude {
+                    reference: side == 0,
+                    rms_mps2,
+                    hint,
+                });
+            }
+        }
         let mut axes = [None; 3];
         for (axis, found) in axes.iter_mut().enumerate() {
             *found = Some(self.axis(axis, origin, used)?);
@@ -457,6 +485,22 @@ impl<R: Scalar> ReferenceTransfer<R> {
                 (sums, across.plus(&more.seen(), 1.0))
             },
         )
+    }
+
+    /// Root mean square of the reference and of the output, m/s².
+    fn sizes(&self, origins: &[[f64; 2]; 3], used: usize) -> [f64; 2] {
+        let (sums, _) = self.all(used);
+        let mut squares = [0.0; 2];
+        for (origin, sums) in origins.iter().zip(&sums) {
+            let m = sums.moments();
+            for (square, (mean, spread)) in squares
+                .iter_mut()
+                .zip([(origin[0] + m.x, m.xx), (origin[1] + m.y, m.yy)])
+            {
+                *square += mean * mean + spread;
+            }
+        }
+        squares.map(libm::sqrt)
     }
 
     /// [`AxisTransfer::seen_of`].

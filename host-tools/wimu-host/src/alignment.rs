@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 use wimu_calib::{KnownDirection, Pose, align, find_poses, straight_move};
 use wimu_link::message::parameter_id;
-use wimu_model::{ParameterSet, SpecificForceMps2};
+use wimu_model::{CentiCelsius, ParameterSet, SpecificForceMps2};
 
 use crate::calibration::{HELD_SCHEMA, describe};
 use crate::dataset::{Dataset, OutputUnit};
@@ -117,7 +117,8 @@ pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> 
             forces.push([f64::NAN; 3]);
         }
         let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
-        forces.push(set.model.correct(sensed, None).0);
+        let temperature = output.temperature_c.map(CentiCelsius::from_celsius);
+        forces.push(set.model.correct(sensed, temperature).0);
     }
     let mut rests = vec![Pose::default(); MAX_RESTS];
     let found = find_poses(forces.iter().map(|f| (*f, None)), data.rate_hz, &mut rests);

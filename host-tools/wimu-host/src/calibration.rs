@@ -19,6 +19,8 @@ pub use report::{
 
 pub use update::{RestReport, UpdateReport, update};
 
+use std::collections::HashSet;
+
 use wimu_calib::{
     Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation,
     Parameter, Placement, Pose, Refusal, Term, Terms, best_model, find_poses, four_angle,
@@ -110,6 +112,16 @@ struct Poses {
 }
 
 impl Poses {
+    /// Takes out what is equal to an earlier pose to the last digit: a file that was joined to itself, or
+    /// a logger that repeats, tells nothing new. Says how many they were.
+    fn take_out_repeated(&mut self) -> usize {
+        let all = self.poses.len();
+        let mut seen = HashSet::with_capacity(all);
+        self.poses
+            .retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
+        all - self.poses.len()
+    }
+
     /// The same at another scale.
     fn scaled(&self, scale: f64) -> Vec<Pose> {
         let change = scale / self.scale;
@@ -165,7 +177,11 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
         (OutputUnit::Counts { .. }, None) => gravity.mps2() / median_magnitude(data),
     };
-    let found = poses(data, scale);
+    let mut found = poses(data, scale);
+    let repeated = match options.method {
+        MethodChoice::MultiPosition => found.take_out_repeated(),
+        _ => 0,
+    };
     if let Some(sides) = &options.sides
         && sides.len() != found.poses.len()
     {
@@ -244,7 +260,16 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         reason: refusal
             .as_ref()
             .map(|refusal| reason(refusal, &fitted, data, options)),
-        remarks: remarks(data, options, estimate.as_ref(), sensitivity, lsb_per_g),
+        remarks: said_of_repeated(repeated)
+            .into_iter()
+            .chain(remarks(
+                data,
+                options,
+                estimate.as_ref(),
+                sensitivity,
+                lsb_per_g,
+            ))
+            .collect(),
         source: data.name.clone(),
         method: options.method.name(),
         terms: terms(estimate.as_ref(), options),
@@ -293,6 +318,19 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         fit: estimate.map(|estimate| numbers(&estimate, data.unit)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,
+    })
+}
+
+fn said_of_repeated(poses: usize) -> Option<String> {
+    let one = poses == 1;
+    (poses > 0).then(|| {
+        format!(
+            "{poses} pose{} equal to {} to the last digit and tell{} nothing new: left out, and not \
+             counted where poses are numbered",
+            if one { " is" } else { "s are" },
+            if one { "another" } else { "others" },
+            if one { "s" } else { "" },
+        )
     })
 }
 
@@ -501,8 +539,8 @@ fn poses(data: &Dataset, scale: f64) -> Poses {
             samples: output.samples,
             temperature_c: output.temperature_c,
             first_sample: index as u64,
-            // Without times the order stands for them.
-            time_s: output.time_s.unwrap_or(index as f64),
+            // Without times nothing shows a drift.
+            time_s: output.time_s.unwrap_or(0.0),
             ..Pose::from_mean(output.value.map(|axis| axis * scale))
         };
         data.outputs.iter().enumerate().map(pose).collect()

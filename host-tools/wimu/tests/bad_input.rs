@@ -146,7 +146,7 @@ fn identical_poses_and_poses_in_a_plane_determine_nothing() {
     let one = poses(1)[0];
     for model in ["3", "6", "9", "auto", "9+drift"] {
         let flags = ["--poses", "--model", model];
-        refused(&table("m/s²", &[one; 30]), &flags, "do not determine");
+        refused(&table("m/s²", &[one; 30]), &flags, "1 static pose");
     }
     let plane: Vec<_> = (0..30)
         .map(|k| {
@@ -179,7 +179,7 @@ fn counts_stuck_at_full_scale_and_dead_axes_are_refused_or_left_out() {
         assert_eq!(ran.code, 3, "{ran:?}");
     }
     let full = [[most; 3]; 30];
-    refused(&table("LSB", &full), &["--poses"], "do not determine");
+    refused(&table("LSB", &full), &["--poses"], "1 static pose");
     for axis in 0..3 {
         for stuck in [0.0, 0.4, 9.2, -19.6] {
             let dead = changed(30, |_, mut y| {

@@ -309,3 +309,75 @@ fn poses_that_an_axis_ends_in_are_refused_however_few_and_in_part() {
         }
     }
 }
+
+/// Poses of a table in m/s², `count` orientations, each row `times` times.
+fn rows(count: u32, times: u32) -> String {
+    let mut text =
+        String::from("Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)");
+    for _ in 0..times {
+        for k in 0..count {
+            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / f64::from(count);
+            let (sin, cos) = (f64::from(k) * 2.4).sin_cos();
+            let across = (1.0 - z * z).sqrt();
+            let rough = |i: u32| 0.003 * (f64::from(k) * (7.3 + f64::from(i))).sin();
+            let [x, y, z] = [across * cos, across * sin, z].map(|f| 9.80665 * f);
+            write!(
+                text,
+                "\n{},{},{}",
+                x + 0.1 + rough(0),
+                y + rough(1),
+                z + rough(2)
+            )
+            .unwrap();
+        }
+    }
+    text
+}
+
+#[test]
+fn rows_that_come_twice_tell_nothing_new() {
+    let folder = folder();
+    let csv = folder.path().join("rows.csv").display().to_string();
+    let run = |text: String, model: &str| {
+        fs::write(&csv, text).unwrap();
+        wimu(&[
+            "calibrate",
+            &csv,
+            "--poses",
+            "--gravity",
+            "9.80665",
+            "--model",
+            model,
+        ])
+    };
+    let once = run(rows(14, 1), "9").succeeds();
+    let often = run(rows(14, 4), "9").succeeds();
+    assert_eq!(once["half_width_95"], often["half_width_95"]);
+    assert_eq!(often["dof"], 5);
+    let said = often["remarks"][0].as_str().unwrap();
+    assert!(said.starts_with("42 poses are equal to others"), "{said}");
+    let few = run(rows(9, 2), "9");
+    assert_eq!(few.code, 3, "{few:?}");
+}
+
+#[test]
+fn rows_without_times_show_no_drift() {
+    let folder = folder();
+    let csv = folder.path().join("rows.csv").display().to_string();
+    fs::write(&csv, rows(30, 1)).unwrap();
+    let run = |model: &str| {
+        wimu(&[
+            "calibrate",
+            &csv,
+            "--poses",
+            "--gravity",
+            "9.80665",
+            "--model",
+            model,
+        ])
+    };
+    let forced = run("9+drift");
+    assert_eq!(forced.code, 3, "{forced:?}");
+    let auto = run("auto").succeeds();
+    assert!(!auto["terms"].to_string().contains("drift"), "{auto}");
+}

@@ -79,7 +79,7 @@ fn what_tells_nothing_about_a_stream_is_refused_with_the_reason() {
     for (rows, output, reason) in [
         (4, same as Output, "8 are needed"),
         (2000, mirrored, "different motions"),
-        (2000, in_g, "units"),
+        (2000, in_g, "looks like g"),
         (2000, dead, "different motions"),
     ] {
         let (code, report, _) = report(rows, moving, output);
@@ -90,4 +90,24 @@ fn what_tells_nothing_about_a_stream_is_refused_with_the_reason() {
     let (code, report, _) = report(2000, short, same);
     let told = report["reason"].as_str().unwrap_or_default();
     assert!(code == 3 && told.contains("one short part"), "{report}");
+}
+
+#[test]
+fn streams_in_another_unit_are_told_so() {
+    let (code, found, said) = report(
+        2000,
+        |t| moving(t).map(|f| f / 9.80665),
+        |f| f.map(|f| 1.02 * f),
+    );
+    assert_eq!(code, 3, "{found}");
+    assert!(
+        said.contains("the reference is") && said.contains("looks like g"),
+        "{said}"
+    );
+    let (code, found, said) = report(2000, moving, |f| f.map(|f| 1671.0 * f));
+    assert_eq!(code, 3, "{found}");
+    assert!(
+        said.contains("the output is") && said.contains("looks like counts"),
+        "{said}"
+    );
 }

@@ -279,11 +279,18 @@ impl Curve {
             };
             let seen = best.has(k) && (k == WHITE || without.all(|fit| worse(fit) > enough(fit)));
             let (mut weight, mut variance) = (0.0, 0.0);
-            for fit in fits().filter(|fit| fit.has(k)) {
+            // A ramp in the place of K says that there is none.
+            let says = |fit: &&Fit| fit.has(k) || (k == WALK && fit.has(RAMP));
+            for fit in fits().filter(says) {
                 let likely = libm::exp(-0.5 * worse(fit));
                 let off = fit.terms[k] - best.terms[k];
                 weight += likely;
-                variance += likely * (misfit * fit.covariance[(k, k)] + off * off);
+                let own = if fit.has(k) {
+                    misfit * fit.covariance[(k, k)]
+                } else {
+                    0.0
+                };
+                variance += likely * (own + off * off);
             }
             seen.then(|| {
                 let value = libm::sqrt(best.terms[k]);

@@ -124,7 +124,7 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
                     latest[stream] = Some(sample.sequence);
                 }
             }
-            Event::Restart => outcome.restarts += 1,
+            Event::Restart { .. } => outcome.restarts += 1,
             _ => {}
         });
         for frame in channel.take_frames() {

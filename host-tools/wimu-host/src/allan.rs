@@ -180,7 +180,7 @@ impl NoiseMeter {
     /// `data_refused` when nothing says the sensitivity, or rate or range change.
     pub fn take(&mut self, event: &Event) -> Result<()> {
         match event {
-            Event::Restart => self.next_sequence = None,
+            Event::Restart { .. } => self.next_sequence = None,
             Event::Epoch { epoch, .. } => {
                 let refused = |message: &str, remedy: &str| {
                     HostError::new(ErrorCode::DataRefused, message, remedy).at(&self.name)

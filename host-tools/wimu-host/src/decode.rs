@@ -8,12 +8,20 @@ use wimu_link::message::{ActiveParameters, Environment, Epoch, Navigation, Statu
 use wimu_link::{Batch, Deframer, FrameError, Hello, Kind, Reply, Settings, Telemetry};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
+mod order;
+
+use order::{Moment, Order, Place, Verdict};
+
 /// Batches kept until an epoch tells where they belong: more than arrive in the second between
 /// two epochs.
 const MAX_UNPLACED: usize = 512;
 /// How far a batch's time may be from what its sequence number says: a part of the time between,
 /// for a sensor whose rate is off by 20 %, and some jitter, µs.
 const PLACE_TOLERANCE_US: u64 = 250_000;
+/// Gaps of a stream that late samples may still fill, at most.
+const MAX_GAPS: usize = 256;
+/// By how much an epoch may be ahead of a greeting that follows it: its first sample is expected, µs.
+const EXPECTED_US: u64 = 1_000_000;
 
 /// Something that a link brought.
 #[derive(Clone, Debug)]
@@ -25,7 +33,10 @@ pub enum Event {
     /// Who the device is.
     Hello(Hello),
     /// The device has started anew: sequence numbers and device times begin again.
-    Restart,
+    Restart {
+        /// Which start it is, if the device has said so.
+        boot_count: Option<u32>,
+    },
     /// Consecutive samples.
     Samples(Samples),
     /// From here on samples can be replayed; may come before samples that precede it.
@@ -63,6 +74,16 @@ pub enum Event {
     Damaged(FrameError),
     /// An undamaged frame whose body makes no sense here.
     Unreadable(String),
+}
+
+impl Event {
+    /// Whether it says something of the start that it is from.
+    fn is_of_a_start(&self) -> bool {
+        !matches!(
+            self,
+            Self::Reply { .. } | Self::Damaged(_) | Self::Unreadable(_)
+        )
+    }
 }
 
 /// Samples of one stream, of which none between the first and the last is missing, never the same
@@ -142,6 +163,15 @@ pub struct LinkStatistics {
     pub interruptions: u64,
 }
 
+impl LinkStatistics {
+    fn stream(&mut self, stream: Stream) -> &mut StreamStatistics {
+        match stream {
+            Stream::Raw => &mut self.raw,
+            Stream::Corrected => &mut self.corrected,
+        }
+    }
+}
+
 /// What of a stream of samples arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct StreamStatistics {
@@ -152,6 +182,8 @@ pub struct StreamStatistics {
     pub missing: u64,
     /// Samples that arrived again and were left out.
     pub duplicated: u64,
+    /// Samples that arrived after later ones and were left out.
+    pub late: u64,
 }
 
 /// Where a link's samples are: what completes short numbers.
@@ -183,6 +215,13 @@ struct Received {
 }
 
 impl Received {
+    fn at(self, time: DeviceTimeUs) -> Moment {
+        Moment {
+            host_ns: self.host_ns,
+            time_us: time.0,
+        }
+    }
+
     fn with(self, event: Event) -> Arrival {
         Arrival {
             host_ns: self.host_ns,
@@ -227,7 +266,12 @@ pub struct Decoder {
     began_ns: Option<u64>,
     /// The latest sequence number of raw and corrected samples, and the decimation.
     latest: [Option<(u32, u8)>; 2],
+    /// The samples of each that are missing, as far as they may still come.
+    gaps: [Gaps; 2],
+    order: Order<(Received, Held)>,
+    /// Who the device is and which start this is, and what it was in the start before.
     identity: Option<(u64, u32)>,
+    identity_before: Option<(u64, u32)>,
     last_epoch_time: Option<DeviceTimeUs>,
     last_epoch_number: Option<u8>,
     foreign_version: Option<u8>,
@@ -250,7 +294,10 @@ impl Decoder {
             listening: false,
             began_ns: None,
             latest: [None; 2],
+            gaps: Default::default(),
+            order: Order::new(),
             identity: None,
+            identity_before: None,
             last_epoch_time: None,
             last_epoch_number: None,
             foreign_version: None,
@@ -306,22 +353,13 @@ impl Decoder {
                     Message::Event(Event::Damaged(error))
                 }
             };
-            let mut emit = |event| each(received.with(event));
             match event {
-                Message::Hello(hello) => {
-                    let identity = (hello.device_id, hello.boot_count);
-                    if self
-                        .identity
-                        .replace(identity)
-                        .is_some_and(|i| i != identity)
-                    {
-                        self.restart();
-                        emit(Event::Restart);
-                    }
-                    emit(Event::Hello(hello));
-                }
+                Message::Hello(hello) => self.take_hello(received, hello, &mut each),
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
-                Message::Event(event) => emit(event),
+                Message::Event(event) if self.order.is_in_doubt() && event.is_of_a_start() => {
+                    self.order.hold((received, Held::Event(event)));
+                }
+                Message::Event(event) => each(received.with(event)),
             }
         }
         if bytes.last().is_some_and(|&byte| byte != 0) {
@@ -339,8 +377,11 @@ impl Decoder {
 
     /// What the link carried and lost so far.
     pub fn statistics(&self) -> LinkStatistics {
+        let held = self.order.held().iter();
+        let held = held.filter(|(_, held)| matches!(held, Held::Batch(_)));
+        let waiting = self.unplaced.len() + held.count();
         LinkStatistics {
-            batches_unplaced: self.statistics.batches_unplaced + self.unplaced.len() as u64,
+            batches_unplaced: self.statistics.batches_unplaced + waiting as u64,
             ..self.statistics
         }
     }
@@ -350,23 +391,86 @@ impl Decoder {
         self.foreign_version
     }
 
-    fn restart(&mut self) {
+    /// The device has started anew before what is held, of which what is `of_before` is late.
+    fn restart(
+        &mut self,
+        received: Received,
+        boot_count: Option<u32>,
+        of_before: impl Fn(u64) -> bool,
+        each: &mut impl FnMut(Arrival),
+    ) {
+        let held = self.order.release();
         self.statistics.batches_unplaced += self.unplaced.len() as u64;
         self.unplaced.clear();
         self.anchors = [None; 2];
         self.latest = [None; 2];
+        self.gaps = Default::default();
+        self.order = Order::new();
         self.last_epoch_time = None;
         self.last_epoch_number = None;
+        let first = held.first().map_or(received, |(first, _)| *first);
+        each(first.with(Event::Restart { boot_count }));
+        for (received, held) in held {
+            match held {
+                Held::Epoch(epoch) if of_before(epoch.time_us) => {}
+                Held::Epoch(epoch) => self.take_epoch(received, *epoch, each),
+                Held::Batch(batch) => self.take_batch(received, &batch, each),
+                Held::Event(event) => each(received.with(event)),
+            }
+        }
+    }
+
+    /// What was held was late, and the start goes on.
+    fn go_on(&mut self, each: &mut impl FnMut(Arrival)) {
+        for (received, held) in self.order.release() {
+            match held {
+                // What it told has been told by a later one.
+                Held::Epoch(_) => {}
+                Held::Batch(batch) => self.take_late(&batch),
+                Held::Event(event) => each(received.with(event)),
+            }
+        }
+    }
+
+    fn take_hello(&mut self, received: Received, hello: Hello, each: &mut impl FnMut(Arrival)) {
+        let identity = (hello.device_id, hello.boot_count);
+        let is_new = match self.identity {
+            Some(known) => known != identity && self.identity_before != Some(identity),
+            // A start that nobody greeted: whether it is this one, its time tells.
+            None => {
+                let latest_us = self.order.latest_us();
+                latest_us.is_some_and(|latest| hello.uptime_us.saturating_add(EXPECTED_US) < latest)
+            }
+        };
+        if is_new {
+            let of_before = |time_us| time_us > hello.uptime_us.saturating_add(EXPECTED_US);
+            let boot_count = Some(hello.boot_count);
+            self.identity_before = self.identity;
+            self.identity = Some(identity);
+            self.restart(received, boot_count, of_before, each);
+        }
+        self.identity.get_or_insert(identity);
+        each(received.with(Event::Hello(hello)));
     }
 
     fn take_epoch(&mut self, received: Received, epoch: Epoch, each: &mut impl FnMut(Arrival)) {
         let time = DeviceTimeUs(epoch.time_us);
-        // A device that starts anew without its greeting having arrived.
-        if self.last_epoch_time.is_some_and(|last| time < last) {
-            self.restart();
-            // Its greeting, when it comes, tells of no other start.
-            self.identity = None;
-            each(received.with(Event::Restart));
+        let place = match self.last_epoch_time {
+            Some(last) if time < last => Place::Back,
+            _ => Place::Ahead,
+        };
+        match self.order.judge(received.at(time), place) {
+            Verdict::InOrder => {}
+            Verdict::Late => return,
+            Verdict::Hold => {
+                let held = Held::Epoch(Box::new(epoch));
+                return self.order.hold((received, held));
+            }
+            Verdict::HeldWasLate => self.go_on(each),
+            Verdict::NewStart => {
+                self.restart_unannounced(received, each);
+                return self.take_epoch(received, epoch, each);
+            }
         }
         self.last_epoch_time = Some(time);
         self.anchor(Anchor {
@@ -383,16 +487,33 @@ impl Decoder {
         each(received.with(Event::Epoch { epoch, after_loss }));
     }
 
+    /// The device has started anew, and its greeting has not arrived.
+    fn restart_unannounced(&mut self, received: Received, each: &mut impl FnMut(Arrival)) {
+        self.identity_before = self.identity.take();
+        self.restart(received, None, |_| false, each);
+    }
+
     fn anchor(&mut self, anchor: Anchor) {
         self.anchors = [Some(anchor), self.anchors[0]];
     }
 
-    fn take_batch(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
-        let found = self.anchors.iter().flatten().find_map(|anchor| {
+    /// First number, first time and period of a batch, if the epochs so far tell.
+    fn place(&self, batch: &Batch) -> Option<Anchor> {
+        self.anchors.iter().flatten().find_map(|anchor| {
             let (sequence, time) = anchor.place(batch)?;
-            Some((sequence, time, anchor.period))
-        });
-        let Some((sequence, time, period)) = found else {
+            Some(Anchor {
+                sequence,
+                time,
+                period: anchor.period,
+            })
+        })
+    }
+
+    fn take_batch(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
+        let Some(first) = self.place(batch) else {
+            if self.order.is_in_doubt() {
+                return self.order.hold((received, Held::Batch(Box::new(*batch))));
+            }
             self.unplaced.push_back((received, *batch));
             if self.unplaced.len() > MAX_UNPLACED {
                 self.unplaced.pop_front();
@@ -400,6 +521,40 @@ impl Decoder {
             }
             return;
         };
+        let Anchor {
+            sequence,
+            time,
+            period,
+        } = first;
+        let every = u32::from(batch.every());
+        let index = batch.stream() as usize;
+        let before_last = (batch.len() as u32).saturating_sub(1) * every;
+        let last = sequence.wrapping_add(before_last);
+        let latest = self.latest[index];
+        let place = latest.map_or(Place::Ahead, |(latest, _)| {
+            // How many samples the sensor took from the latest to these.
+            let ahead = |number: u32| number.wrapping_sub(latest) as i32;
+            match (ahead(sequence), ahead(last)) {
+                (_, ..=0) => Place::Back,
+                (..=0, _) => Place::Ahead,
+                (first, _) if first.unsigned_abs() <= every => Place::Next,
+                _ => Place::Ahead,
+            }
+        });
+        let last_us = u64::from(before_last) * u64::from(period.0) / 1000;
+        let moment = received.at(DeviceTimeUs(time.0.saturating_add(last_us)));
+        match self.order.judge(moment, place) {
+            Verdict::InOrder => {}
+            Verdict::Late => return self.take_late(batch),
+            Verdict::Hold => {
+                return self.order.hold((received, Held::Batch(Box::new(*batch))));
+            }
+            Verdict::HeldWasLate => self.go_on(each),
+            Verdict::NewStart => {
+                self.restart_unannounced(received, each);
+                return self.take_batch(received, batch, each);
+            }
+        }
         // Follows the samples, so that the place is known even if an epoch is lost.
         if let Some(latest) = &mut self.anchors[0]
             && time > latest.time
@@ -407,10 +562,7 @@ impl Decoder {
             latest.sequence = sequence;
             latest.time = time;
         }
-        let (index, statistics) = match batch.stream() {
-            Stream::Raw => (0, &mut self.statistics.raw),
-            Stream::Corrected => (1, &mut self.statistics.corrected),
-        };
+        let statistics = self.statistics.stream(batch.stream());
         let mut samples = Samples {
             stream: batch.stream(),
             first_sequence: sequence,
@@ -419,32 +571,27 @@ impl Decoder {
             every: batch.every(),
             values: batch.samples().to_vec(),
         };
-        let every = u32::from(samples.every);
-        if let Some((latest, every_before)) = self.latest[index] {
-            // How many samples the sensor took from the latest to this one.
+        if let Some((latest, every_before)) = latest {
             let ahead = sequence.wrapping_sub(latest) as i32;
             if ahead > 0 {
                 // Where the decimation changes, fewer than its larger one are left out.
-                let every = every.max(every_before.into());
-                statistics.missing += u64::from((ahead as u32 - 1) / every);
+                let missing = (ahead as u32 - 1) / every.max(every_before.into());
+                statistics.missing += u64::from(missing);
+                if missing > 0 {
+                    self.gaps[index].add(latest.wrapping_add(1), sequence);
+                }
             } else {
-                let known = ahead.unsigned_abs() / every + 1;
-                let known = (known as usize).min(samples.values.len());
-                statistics.duplicated += known as u64;
+                let known = (ahead.unsigned_abs() / every + 1) as usize;
+                self.gaps[index].take(&samples, known, statistics);
                 let first = samples.iter().nth(known);
-                samples.values.drain(..known);
-                match first {
-                    Some(first) => {
-                        samples.first_sequence = first.sequence;
-                        samples.first_time = first.time;
-                    }
-                    None => return,
+                samples.values.drain(..known.min(samples.values.len()));
+                if let Some(first) = first {
+                    samples.first_sequence = first.sequence;
+                    samples.first_time = first.time;
                 }
             }
         }
         statistics.received += samples.values.len() as u64;
-        let last = (samples.values.len() as u32).saturating_sub(1) * every;
-        let last = samples.first_sequence.wrapping_add(last);
         self.latest[index] = Some((last, samples.every));
         // Built where it goes: events are large.
         each(Arrival {
@@ -452,6 +599,67 @@ impl Decoder {
             began_ns: received.began_ns,
             event: Event::Samples(samples),
         });
+    }
+
+    /// Counts a batch of which nothing is new, or has come too late.
+    fn take_late(&mut self, batch: &Batch) {
+        let Some(first) = self.place(batch) else {
+            self.statistics.batches_unplaced += 1;
+            return;
+        };
+        let samples = Samples {
+            stream: batch.stream(),
+            first_sequence: first.sequence,
+            first_time: first.time,
+            period: first.period,
+            every: batch.every(),
+            values: batch.samples().to_vec(),
+        };
+        let gaps = &mut self.gaps[batch.stream() as usize];
+        gaps.take(&samples, usize::MAX, self.statistics.stream(batch.stream()));
+    }
+}
+
+/// What is held until it is known of which start it is.
+#[derive(Debug)]
+enum Held {
+    Epoch(Box<Epoch>),
+    Batch(Box<Batch>),
+    Event(Event),
+}
+
+/// Numbers of samples that are missing, from and up to, the latest of them.
+#[derive(Debug, Default)]
+struct Gaps(VecDeque<(u32, u32)>);
+
+impl Gaps {
+    fn add(&mut self, from: u32, to: u32) {
+        self.0.push_back((from, to));
+        if self.0.len() > MAX_GAPS {
+            self.0.pop_front();
+        }
+    }
+
+    /// Counts the first `count` of `samples` as late or as duplicated.
+    fn take(&mut self, samples: &Samples, count: usize, statistics: &mut StreamStatistics) {
+        for sample in samples.iter().take(count) {
+            let number = sample.sequence;
+            let gap = self
+                .0
+                .iter()
+                .position(|(from, to)| (*from..*to).contains(&number));
+            let Some(index) = gap else {
+                statistics.duplicated += 1;
+                continue;
+            };
+            statistics.late += 1;
+            statistics.missing = statistics.missing.saturating_sub(1);
+            let (from, to) = self.0[index];
+            self.0[index] = (number + 1, to);
+            if from < number {
+                self.0.insert(index, (from, number));
+            }
+        }
     }
 }
 

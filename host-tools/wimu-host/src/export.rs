@@ -200,7 +200,7 @@ impl<'a> Table<'a> {
         let start = &mut self.start;
         match &arrival.event {
             // As the overview has it.
-            Event::Restart if !start.boot.is_empty() => {
+            Event::Restart { .. } if !start.boot.is_empty() => {
                 self.write_until(u64::MAX)?;
                 self.begin(boots.next());
             }

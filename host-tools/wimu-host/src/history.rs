@@ -255,7 +255,7 @@ impl LinkHistory {
         let boot = self.latest();
         boot.clock.heard(role, arrival);
         match &arrival.event {
-            Event::Restart => {
+            Event::Restart { .. } => {
                 if !boot.is_empty() {
                     self.boots.push(Boot::default());
                 }

@@ -117,7 +117,7 @@ impl Readings {
                 // Either link's choice: where both carry corrected samples, none is made twice.
                 self.corrected_come = settings.cable.corrected || settings.wireless.corrected;
             }
-            Event::Restart => *self = Self::new(),
+            Event::Restart { .. } => *self = Self::new(),
             Event::Samples(samples) => match samples.stream {
                 Stream::Raw => {
                     for sample in samples.iter() {

@@ -141,7 +141,7 @@ impl Listen for LinkOverview {
         let boot = self.latest();
         boot.estimator.heard(role, arrival);
         match &arrival.event {
-            Event::Restart if boot.greeted || boot.raw + boot.epochs > 0 => {
+            Event::Restart { .. } if boot.greeted || boot.raw + boot.epochs > 0 => {
                 self.boots.push(BootOverview::default());
             }
             Event::Hello(hello) => {

@@ -252,7 +252,7 @@ impl Listener {
         let look_up = now + 5 * GLANCE;
         while let Some(arrival) = self.client.next_event(self.pace.due_in(now).min(GLANCE))? {
             match &arrival.event {
-                Event::Restart => self.clock = ClockEstimator::new(),
+                Event::Restart { .. } => self.clock = ClockEstimator::new(),
                 Event::Status(status) => self.pace.told(self.role, status),
                 _ => {}
             }

@@ -33,7 +33,8 @@ pub enum Step {
     },
 }
 
-/// One start of the device: its boot count, or where that did not arrive the one before and one.
+/// One start of the device: its boot count where that is known. Where it is not, the start of the other
+/// link that began at the same time; else the one before and one.
 pub type Start = u32;
 
 /// Walks through a recording; `each` gets every step with its link and the device's start.
@@ -56,6 +57,7 @@ pub fn walk<R: Read>(
 #[derive(Debug, Default)]
 pub struct Walker {
     links: BTreeMap<u8, Link>,
+    begun: Begun,
 }
 
 impl Walker {
@@ -77,7 +79,7 @@ impl Walker {
         let link = self.links.entry(role.number()).or_insert_with(|| Link {
             role,
             decoder: Decoder::new(),
-            start: None,
+            place: Place::default(),
             held: Vec::new(),
         });
         match entry {
@@ -85,20 +87,15 @@ impl Walker {
                 let mut outcome = Ok(());
                 let Link {
                     decoder,
-                    start,
+                    place,
                     held,
                     ..
                 } = link;
                 decoder.push(received.host_ns, &received.bytes, |arrival| {
-                    match (&arrival.event, &mut *start) {
-                        (Event::Restart, Some(start)) => *start += 1,
-                        (Event::Hello(hello), Some(start)) => *start = hello.boot_count.max(*start),
-                        (Event::Hello(hello), start) => *start = Some(hello.boot_count),
-                        _ => {}
-                    }
+                    place.see(&arrival, &mut self.begun);
                     held.push(Step::Arrival(arrival));
-                    if outcome.is_ok() && (start.is_some() || held.len() > MAX_HELD) {
-                        let start = *start.get_or_insert(0);
+                    if outcome.is_ok() && (place.now.is_some() || held.len() > MAX_HELD) {
+                        let start = place.settle();
                         outcome = held.drain(..).try_for_each(|step| each(role, start, step));
                     }
                 });
@@ -121,12 +118,15 @@ impl Walker {
         self,
         each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
     ) -> Result<Vec<(LinkRole, LinkStatistics)>> {
-        let known = self.links.values().find_map(|link| link.start);
+        let known = self.links.values().find_map(|link| link.place.now);
         self.links
             .into_values()
-            .map(|link| {
+            .map(|mut link| {
                 // Nobody said which start this was: the other link's, if there is one.
-                let start = link.start.or(known).unwrap_or(0);
+                if link.place.before.is_none() {
+                    link.place.now = link.place.now.or(known);
+                }
+                let start = link.place.settle();
                 for step in link.held {
                     each(link.role, start, step)?;
                 }
@@ -136,14 +136,16 @@ impl Walker {
     }
 }
 
-/// Steps before the board has said who it is: more than arrive until it does.
+/// Steps before it is known which start they are of: more than arrive until it is.
 const MAX_HELD: usize = 4096;
+/// Starts of which two links say that they began so far apart are one, ns: a link may be late.
+const SAME_START_NS: u64 = 5_000_000_000;
 
 #[derive(Debug)]
 struct Link {
     role: LinkRole,
     decoder: Decoder,
-    start: Option<Start>,
+    place: Place,
     /// What came before the start was known.
     held: Vec<Step>,
 }
@@ -154,13 +156,66 @@ impl Link {
         step: Step,
         each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
     ) -> Result<()> {
-        match self.start {
+        match self.place.now {
             Some(start) => each(self.role, start, step),
             None => {
                 self.held.push(step);
                 Ok(())
             }
         }
+    }
+}
+
+/// When each start began, ns of the host, as the links tell: the latest of both.
+#[derive(Debug, Default)]
+struct Begun(BTreeMap<Start, u64>);
+
+impl Begun {
+    /// The start that began at about `began_ns`.
+    fn at(&self, began_ns: u64) -> Option<Start> {
+        let apart = |(start, known): (&Start, &u64)| (known.abs_diff(began_ns), *start);
+        let (apart, start) = self.0.iter().map(apart).min()?;
+        (apart <= SAME_START_NS).then_some(start)
+    }
+}
+
+/// Which start a link is in.
+#[derive(Debug, Default)]
+struct Place {
+    now: Option<Start>,
+    before: Option<Start>,
+}
+
+impl Place {
+    fn see(&mut self, arrival: &Arrival, begun: &mut Begun) {
+        let began_ns = |time_us: u64| arrival.host_ns.saturating_sub(time_us.saturating_mul(1000));
+        match &arrival.event {
+            Event::Restart { boot_count } => {
+                self.before = self.now.or(self.before);
+                self.now = *boot_count;
+            }
+            Event::Hello(hello) => {
+                self.now = Some(hello.boot_count);
+                begun.0.insert(hello.boot_count, began_ns(hello.uptime_us));
+            }
+            Event::Epoch { epoch, .. } => {
+                let began_ns = began_ns(epoch.time_us);
+                if self.now.is_none() {
+                    let next = |before: Start| before.saturating_add(1);
+                    self.now = begun.at(began_ns).or(self.before.map(next));
+                }
+                if let Some(start) = self.now {
+                    begun.0.insert(start, began_ns);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The start, for want of a sign the one after that before.
+    fn settle(&mut self) -> Start {
+        let next = self.before.map_or(0, |before| before.saturating_add(1));
+        *self.now.get_or_insert(next)
     }
 }
 

@@ -17,8 +17,13 @@ fn framed(
 }
 
 fn hello(boot_count: u32) -> Vec<u8> {
+    hello_at(boot_count, 0)
+}
+
+fn hello_at(boot_count: u32, uptime_us: u64) -> Vec<u8> {
     let hello = Hello {
         boot_count,
+        uptime_us,
         ..Hello::new(LinkRole::Wireless)
     };
     framed(|frame| hello.encode(frame))
@@ -141,7 +146,8 @@ fn losses_damage_and_repeats_are_counted() {
         StreamStatistics {
             received: 40,
             missing: 16,
-            duplicated: 24
+            duplicated: 24,
+            late: 0
         }
     );
 }
@@ -198,33 +204,157 @@ fn after_a_long_silence_samples_wait_for_an_epoch() {
     assert_eq!(sequences(&events), (2_000..2_016).collect::<Vec<_>>());
 }
 
+fn restarts(events: &[Event]) -> Vec<Option<u32>> {
+    let restart = |event: &Event| match event {
+        Event::Restart { boot_count } => Some(*boot_count),
+        _ => None,
+    };
+    events.iter().filter_map(restart).collect()
+}
+
+/// What a device sends of samples `from` to `to`: an epoch a second, batches of 16; with the times at
+/// which it does, of a device that started at `started_us` of the host.
+fn course(from: u32, to: u32, started_us: u64) -> Vec<(u64, Vec<u8>)> {
+    let mut frames = Vec::new();
+    for first in (from..to).step_by(16) {
+        if (first - from).is_multiple_of(96) {
+            let number = (first / 96) as u8;
+            let frame = numbered_epoch(number, first, time(first));
+            frames.push((started_us + time(first), frame));
+        }
+        frames.push((started_us + time(first + 15), samples(first, 16)));
+    }
+    frames
+}
+
+fn decode_timed(decoder: &mut Decoder, frames: &[(u64, Vec<u8>)]) -> Vec<Event> {
+    let mut events = Vec::new();
+    for (host_us, frame) in frames {
+        decoder.push(host_us * 1000, frame, |arrival| events.push(arrival.event));
+    }
+    events
+}
+
 #[test]
 fn a_restart_begins_numbers_anew() {
-    let restarts = |events: &[Event]| {
-        events
-            .iter()
-            .filter(|event| matches!(event, Event::Restart))
-            .count()
-    };
     let mut decoder = Decoder::new();
     let before = [hello(1), epoch(5_000, time(5_000)), samples(5_000, 16)];
     let events = decode(&mut decoder, &before);
-    assert_eq!(restarts(&events), 0);
+    assert_eq!(restarts(&events), []);
     let again = [hello(1), hello(2), samples(0, 16), epoch(16, time(16))];
     let events = decode(&mut decoder, &again);
-    assert_eq!(restarts(&events), 1);
+    assert_eq!(restarts(&events), [Some(2)]);
     assert_eq!(sequences(&events), (0..16).collect::<Vec<_>>());
-    // The greeting is lost: the epoch's time tells.
-    let mut decoder = Decoder::new();
-    decode(&mut decoder, &before);
-    let events = decode(&mut decoder, &[epoch(0, time(0)), samples(0, 16)]);
-    assert_eq!(restarts(&events), 1);
-    assert_eq!(sequences(&events), (0..16).collect::<Vec<_>>());
-    // It comes when it is asked for, and tells of no other start.
-    let events = decode(&mut decoder, &[hello(2), samples(16, 16)]);
-    assert_eq!(restarts(&events), 0);
+    // What the start before sent comes again: it was another one all the same.
+    let events = decode(&mut decoder, &[hello(1), samples(16, 16)]);
+    assert_eq!(restarts(&events), []);
     assert_eq!(sequences(&events), (16..32).collect::<Vec<_>>());
-    assert_eq!(decoder.statistics().raw.missing, 0);
+}
+
+#[test]
+fn a_restart_without_a_greeting_is_known_by_what_follows_and_its_samples_are_kept() {
+    for lost_frames in [0, 1, 3] {
+        let mut decoder = Decoder::new();
+        let mut frames = vec![(0, hello(1))];
+        frames.extend(course(0, 2_000, 0));
+        // Up again after 0.7 s.
+        let started_us = time(2_000) + 700_000;
+        frames.extend(course(0, 1_600, started_us).split_off(lost_frames));
+        let events = decode_timed(&mut decoder, &frames);
+        assert_eq!(restarts(&events), [None]);
+        // Without its first epoch the new start is known from the second on.
+        let heard = if lost_frames == 0 { 0 } else { 96 };
+        let expected: Vec<_> = (0..2_000).chain(heard..1_600).collect();
+        assert!(sequences(&events) == expected, "{lost_frames} lost");
+        // The greeting comes when it is asked for, and tells of no other start.
+        let now_us = time(1_600);
+        let asked = [
+            (started_us + now_us, hello_at(2, now_us)),
+            (started_us + time(1_615), samples(1_600, 16)),
+        ];
+        let events = decode_timed(&mut decoder, &asked);
+        assert_eq!(restarts(&events), []);
+        assert_eq!(sequences(&events), (1_600..1_616).collect::<Vec<_>>());
+        // One more start, of which the greeting does arrive.
+        let again = [(started_us + 30_000_000, hello_at(3, 1_000))];
+        let events = decode_timed(&mut decoder, &again);
+        assert_eq!(restarts(&events), [Some(3)]);
+        let raw = decoder.statistics().raw;
+        assert_eq!((raw.missing, raw.duplicated, raw.late), (0, 0, 0));
+    }
+}
+
+#[test]
+fn the_first_greeting_that_is_heard_tells_whether_it_is_of_this_start() {
+    let mut decoder = Decoder::new();
+    let mut frames = course(0, 2_000, 0);
+    let started_us = time(2_000) + 700_000;
+    frames.push((started_us + 1_000, hello_at(8, 1_000)));
+    frames.extend(course(0, 160, started_us));
+    let events = decode_timed(&mut decoder, &frames);
+    assert_eq!(restarts(&events), [Some(8)]);
+    assert_eq!(sequences(&events).len(), 2_160);
+}
+
+#[test]
+fn a_late_or_repeated_stretch_is_no_restart_and_nothing_in_it_counts_twice() {
+    let clean = course(0, 3_200, 0);
+    let numbers: Vec<_> = (0..3_200).collect();
+    // An epoch of long ago; the last 2 s once more; both, and then nothing for 4 s and all at once.
+    let stale = |at: usize, from: usize, length: usize| {
+        let mut frames = clean.clone();
+        let (now, _) = frames[at];
+        let again = clean[from..from + length].to_vec();
+        frames.splice(at..at, again.into_iter().map(|(_, frame)| (now, frame)));
+        frames
+    };
+    let held_up = |mut frames: Vec<(u64, Vec<u8>)>, from: usize| {
+        let until = frames[from].0 + 4_000_000;
+        for (host_us, _) in &mut frames[from..] {
+            *host_us = until.max(*host_us);
+        }
+        frames
+    };
+    let cases = [
+        (stale(140, 14, 1), 0),
+        (stale(140, 126, 14), 192),
+        (held_up(stale(140, 126, 14), 154), 192),
+        (held_up(stale(140, 14, 1), 141), 0),
+    ];
+    for (frames, duplicated) in cases {
+        let mut decoder = Decoder::new();
+        let events = decode_timed(&mut decoder, &frames);
+        assert_eq!(restarts(&events), []);
+        assert!(sequences(&events) == numbers);
+        let raw = decoder.statistics().raw;
+        assert_eq!((raw.missing, raw.duplicated), (0, duplicated));
+    }
+}
+
+#[test]
+fn samples_that_come_after_later_ones_are_late_not_lost_and_not_duplicated() {
+    let mut frames = course(0, 1_600, 0);
+    let mut swapped = 0;
+    // Of each seven frames the first is an epoch.
+    for at in (22..100).step_by(14) {
+        let [(_, one), (_, two)] = &mut frames[at..at + 2] else {
+            unreachable!()
+        };
+        std::mem::swap(one, two);
+        swapped += 1;
+    }
+    // One of them comes twice.
+    let again = frames[23].clone();
+    frames.insert(24, again);
+    let mut decoder = Decoder::new();
+    let events = decode_timed(&mut decoder, &frames);
+    assert_eq!(restarts(&events), []);
+    assert_eq!(sequences(&events).len() as u64, 1_600 - 16 * swapped);
+    let raw = decoder.statistics().raw;
+    assert_eq!(
+        (raw.missing, raw.duplicated, raw.late),
+        (0, 16, 16 * swapped)
+    );
 }
 
 #[test]

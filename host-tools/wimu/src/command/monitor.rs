@@ -228,7 +228,7 @@ impl Screen {
                     .say(format!("{:8.2} s  {event}", time.to_seconds()));
             }
             Event::Status(status) => self.status = Some(*status),
-            Event::Restart => self.restarted = true,
+            Event::Restart { .. } => self.restarted = true,
             Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
                 self.output.end_refresh();
                 self.output

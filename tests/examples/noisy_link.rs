@@ -32,11 +32,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         faults.frames_intact, faults.frames_damaged, faults.frames_fused, faults.frames_lost,
     );
     println!(
-        "samples    {} accepted of {} in intact frames, {} lost, {} counted as missing",
+        "samples    {} accepted of {} in intact frames, {} lost, {} counted as missing or late",
         outcome.accepted,
         outcome.samples_intact,
         outcome.lost,
-        counted.raw.missing + counted.corrected.missing,
+        outcome.counted_lost(),
     );
     println!("wrong      {}", outcome.wrong);
     println!(

@@ -41,6 +41,17 @@ pub struct Outcome {
     pub faults: FaultCounts,
 }
 
+impl Outcome {
+    /// Samples that the decoder says did not arrive, or too late.
+    pub fn counted_lost(&self) -> u64 {
+        let streams = [self.counted.raw, self.counted.corrected];
+        streams
+            .map(|stream| stream.missing + stream.late)
+            .iter()
+            .sum()
+    }
+}
+
 /// The counts of a sample: a slow motion, noise of 60 LSB, and now and then a shock.
 fn counts(sequence: u32) -> [i16; 3] {
     let mut bits = (u64::from(sequence) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);

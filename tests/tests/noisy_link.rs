@@ -18,7 +18,7 @@ fn no_wrong_sample_is_accepted_and_every_lost_one_is_counted() {
         let outcome = campaign::run(10_000, &faults("noisy"), seed);
         assert_eq!((outcome.wrong, outcome.restarts), (0, 0), "{outcome:?}");
         assert!(outcome.lost > 10_000, "{outcome:?}");
-        let counted = outcome.counted.raw.missing + outcome.counted.corrected.missing;
+        let counted = outcome.counted_lost();
         assert_eq!(outcome.lost, counted, "{outcome:?}");
         // All that arrived intact is accepted: the decoder is back with the frame after the one
         // whose zero was lost.
@@ -39,7 +39,7 @@ fn spliced_and_repeated_pieces_make_no_wrong_sample_either() {
     ] {
         let outcome = campaign::run(8_000, &faults(spec), seed);
         assert_eq!(outcome.wrong, 0, "{spec}: {outcome:?}");
-        let counted = outcome.counted.raw.missing + outcome.counted.corrected.missing;
+        let counted = outcome.counted_lost();
         assert_eq!(outcome.lost, counted, "{spec}: {outcome:?}");
     }
 }

@@ -255,12 +255,25 @@ impl<T: Transport> Client<T> {
         greeted
     }
 
-    fn greet(&mut self, patience: Duration) -> Result<()> {
+    /// Whether the device may have started anew, unseen: asking who it is tells.
+    pub fn is_in_doubt(&self) -> bool {
+        self.decoder.is_in_doubt()
+    }
+
+    /// Asks who the device is; the answer comes among its events.
+    ///
+    /// # Errors
+    /// Those of the transport.
+    pub fn ask_who(&mut self) -> Result<()> {
         let mut question = [0; MAX_FRAME + 1];
         // The zero in front ends whatever a host before may have left unfinished.
         let length = WhoAreYou::default()
             .encode(&mut question[1..])
             .map_or(0, |length| length + 1);
+        self.transport.write_all(&question[..length])
+    }
+
+    fn greet(&mut self, patience: Duration) -> Result<()> {
         let start = self.transport.now();
         let mut ask_at = start;
         // A greeting of before is none.
@@ -271,8 +284,7 @@ impl<T: Transport> Client<T> {
                 return Err(self.no_greeting());
             }
             if now >= ask_at {
-                let asked = self.transport.write_all(&question[..length]);
-                asked.map_err(|error| self.turned_away(error))?;
+                self.ask_who().map_err(|error| self.turned_away(error))?;
                 ask_at = now + ASK_EVERY;
             }
             self.poll(GLANCE).map_err(|error| self.turned_away(error))?;

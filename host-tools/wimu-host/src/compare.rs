@@ -4,7 +4,7 @@
 //! A recording is read three times and never held: first for the clocks, then for everything that
 //! is counted and fitted, then for what is left once the fit is taken off.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
 use serde::Serialize;
@@ -15,7 +15,7 @@ use wimu_link::message::{Answer, Payload};
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use crate::clock::{ClockModel, ClockSummary};
-use crate::decode::{Event, TimedSample};
+use crate::decode::Event;
 use crate::mcap_file::RecordingReader;
 use crate::walk::{Clocks, Start, Step, walk};
 use crate::{ErrorCode, HostError, Result};
@@ -23,6 +23,7 @@ use crate::{ErrorCode, HostError, Result};
 mod align;
 mod link;
 mod model;
+mod pairing;
 mod pictures;
 mod quantiles;
 
@@ -32,6 +33,7 @@ pub use model::LinkModel;
 pub use quantiles::Quantiles;
 
 use link::{ArrivalUser, LinkMeter};
+use pairing::{Pairing, Taken};
 
 /// The reference first.
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
@@ -39,8 +41,9 @@ const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 const SLICES: usize = 200;
 /// How much of the recording is shown sample by sample, ns.
 const EXCERPT_NS: u64 = 10_000_000_000;
-/// Samples that wait for their twin at most: over three minutes at 1344 Hz.
-const MAX_WAITING: usize = 1 << 18;
+
+/// Nothing is under way for longer, ns.
+const UNDER_WAY_NS: u64 = 5_000_000_000;
 
 /// What the comparison of two links found.
 #[derive(Clone, Debug, Serialize)]
@@ -183,14 +186,14 @@ pub fn compare<R: Read>(
     let links = [0, 1].map(|index| {
         let role = ROLES[index];
         let statistics = overview.statistics(role);
-        let duplicated = match overview.stream {
-            Stream::Raw => statistics.raw.duplicated,
-            Stream::Corrected => statistics.corrected.duplicated,
+        let stream = match overview.stream {
+            Stream::Raw => statistics.raw,
+            Stream::Corrected => statistics.corrected,
         };
         let clock = overview.single.get(index).and_then(Option::as_ref);
         LinkReport {
             by_arrival: Some(residual.by_arrival(index)),
-            ..counted.meters[index].report(role, &statistics, duplicated, clock)
+            ..counted.meters[index].report(role, &statistics, &stream, clock)
         }
     });
     let values = match (&found, model) {
@@ -250,6 +253,8 @@ struct Overview {
     /// Samples of the stream in each start.
     starts: BTreeMap<Start, u64>,
     span: (u64, u64),
+    /// When each link was first heard, host time.
+    heard_ns: [u64; 2],
     clocks: BTreeMap<Start, ClockModel>,
     single: [Option<ClockModel>; 2],
     statistics: Vec<(LinkRole, crate::decode::LinkStatistics)>,
@@ -263,11 +268,13 @@ impl Overview {
         let mut samples = [[0_u64; 2]; 2];
         let mut starts: BTreeMap<Start, [u64; 2]> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
+        let mut heard_ns = [None; 2];
         let statistics = walk(&mut reader, |role, start, step| {
             clocks.see(role, start, &step);
             if let Step::Arrival(arrival) = &step {
                 let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
                 span = Some((first.min(arrival.host_ns), last.max(arrival.host_ns)));
+                heard_ns[index_of(role)].get_or_insert(arrival.host_ns);
                 match &arrival.event {
                     Event::Hello(hello) => {
                         devices.insert(hello.device_id);
@@ -317,6 +324,7 @@ impl Overview {
                 .map(|(start, counts)| (start, counts[stream as usize]))
                 .collect(),
             span: span.unwrap_or_default(),
+            heard_ns: heard_ns.map(Option::unwrap_or_default),
             clocks: clocks.models(),
             single: ROLES.map(|role| clocks.of_link(role)),
             statistics,
@@ -395,87 +403,6 @@ impl Units {
     }
 }
 
-/// Finds the samples with the same number on both links, in bounded memory.
-#[derive(Default)]
-struct Pairing {
-    starts: BTreeMap<Start, [Waiting; 2]>,
-    /// Samples that the other link brought and this one did not.
-    lost: [u64; 2],
-}
-
-#[derive(Default)]
-struct Waiting {
-    samples: VecDeque<(u32, [i32; 3])>,
-    /// The first number that the link brought.
-    first: Option<u32>,
-    /// It carries every `every`th sample.
-    every: u8,
-}
-
-impl Waiting {
-    /// Whether the link should have brought this sample, given that it has brought `later` and not
-    /// this.
-    fn lacks(&self, sequence: u32, later: u32) -> bool {
-        let apart = later.wrapping_sub(sequence);
-        let carried = apart.is_multiple_of(u32::from(self.every.max(1)));
-        carried && self.first.is_some_and(|first| sequence > first)
-    }
-}
-
-impl Pairing {
-    /// Takes a link's next sample, of which it carries every `every`th; the other's value, if it has
-    /// brought it already.
-    fn take(
-        &mut self,
-        link: usize,
-        start: Start,
-        sample: &TimedSample,
-        every: u8,
-    ) -> Option<[i32; 3]> {
-        let [cable, wireless] = self.starts.entry(start).or_default();
-        let (own, other) = if link == 0 {
-            (cable, wireless)
-        } else {
-            (wireless, cable)
-        };
-        let number = sample.sequence;
-        own.first.get_or_insert(number);
-        own.every = every;
-        let mut twin = None;
-        // Each link brings its samples in order: what the other has brought before this one is
-        // not coming any more.
-        while let Some((sequence, value)) = other.samples.front().copied() {
-            if sequence > number {
-                break;
-            }
-            other.samples.pop_front();
-            if sequence == number {
-                twin = Some(value);
-            } else {
-                self.lost[link] += u64::from(own.lacks(sequence, number));
-            }
-        }
-        if twin.is_some() {
-            // The other is further: what of this link still waits for it waits in vain.
-            for (sequence, _) in own.samples.drain(..) {
-                self.lost[1 - link] += u64::from(other.lacks(sequence, number));
-            }
-        } else {
-            own.samples.push_back((number, sample.value));
-        }
-        if own.samples.len() > MAX_WAITING
-            && let Some((sequence, _)) = own.samples.pop_front()
-        {
-            self.lost[1 - link] += u64::from(other.lacks(sequence, sequence));
-        }
-        // A start that is over for both is forgotten.
-        if self.starts.len() > 4 {
-            self.starts.pop_first();
-        }
-        twin
-    }
-}
-
 /// How far values are apart.
 #[derive(Clone, Copy, Debug, Default)]
 struct Apart {
@@ -530,7 +457,7 @@ impl Counted {
         };
         let middle = overview.span.0 + overview.span_ns() / 2;
         let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
-        let mut pairing = Pairing::default();
+        let mut pairing = Pairing::new(overview.heard_ns);
         let mut units = Units::default();
         let mut current = [None; 2];
         let mut slice = 0;
@@ -567,7 +494,12 @@ impl Counted {
             };
             counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
             for sample in samples.iter() {
-                let Some(twin) = pairing.take(link, start, &sample, samples.every) else {
+                let taken = Taken {
+                    number: sample.sequence,
+                    value: sample.value,
+                    host_ns,
+                };
+                let Some(twin) = pairing.take(link, start, taken, samples.every) else {
                     continue;
                 };
                 let (cable, wireless) = if link == 0 {
@@ -600,7 +532,15 @@ impl Counted {
             }
             Ok(())
         })?;
-        for (meter, lost) in counted.meters.iter_mut().zip(pairing.lost) {
+        let under_way_ns = [0, 1].map(|link| {
+            let longest_ns = counted.meters[link].longest_age_ns();
+            overview.span.1.saturating_sub(longest_ns.min(UNDER_WAY_NS))
+        });
+        let lost = pairing.finish(under_way_ns, |link, run| {
+            let slices = run.iter().map(|host_ns| overview.slice(*host_ns));
+            counted.meters[link].lack(slices);
+        });
+        for (meter, lost) in counted.meters.iter_mut().zip(lost) {
             meter.lost = lost;
         }
         counted.excerpt.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -630,7 +570,7 @@ impl Residual {
             after: Apart::default(),
             users: [users(0), users(1)],
         };
-        let mut pairing = Pairing::default();
+        let mut pairing = Pairing::new(overview.heard_ns);
         let mut units = Units::default();
         let mut current = [None; 2];
         walk(&mut reader, |role, start, step| {
@@ -665,7 +605,12 @@ impl Residual {
                 return Ok(());
             };
             for sample in samples.iter() {
-                if let Some(twin) = pairing.take(link, start, &sample, samples.every) {
+                let taken = Taken {
+                    number: sample.sequence,
+                    value: sample.value,
+                    host_ns: arrival.host_ns,
+                };
+                if let Some(twin) = pairing.take(link, start, taken, samples.every) {
                     let (cable, wireless) = if link == 0 {
                         (sample.value, twin)
                     } else {

@@ -386,6 +386,12 @@ impl Decoder {
         }
     }
 
+    /// Whether the device may have started anew: what arrives is held until it is known. A greeting
+    /// tells at once.
+    pub fn is_in_doubt(&self) -> bool {
+        self.order.is_in_doubt()
+    }
+
     /// The wire version of the latest undamaged frame that is of another version than ours.
     pub fn foreign_version(&self) -> Option<u8> {
         self.foreign_version
@@ -448,6 +454,10 @@ impl Decoder {
             self.identity_before = self.identity;
             self.identity = Some(identity);
             self.restart(received, boot_count, of_before, each);
+        }
+        let goes_on = self.order.latest_us() <= Some(hello.uptime_us);
+        if goes_on && self.order.is_in_doubt() && self.identity == Some(identity) {
+            self.go_on(each);
         }
         self.identity.get_or_insert(identity);
         each(received.with(Event::Hello(hello)));

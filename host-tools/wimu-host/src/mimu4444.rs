@@ -23,6 +23,8 @@ const PAYLOAD: u8 = 100;
 const UNITS: usize = 8;
 /// The clock's nominal rate.
 const TICKS_PER_S: f64 = 64e6;
+/// From one packet to the next, nominally.
+const NOMINAL_TICKS: i64 = 1_024_000;
 /// The sensors' nominal rate: 1 kHz divided by 16, Hz.
 const NOMINAL_RATE_HZ: f64 = 62.5;
 
@@ -33,6 +35,11 @@ pub struct Packet {
     pub number: u64,
     /// Ticks of 64 MHz, continued over the wraps.
     pub ticks: u64,
+    /// Whether nothing tells how long after the one before it came.
+    pub after_restart: bool,
+    /// Both as they were sent.
+    short_number: u16,
+    short_ticks: u32,
     /// Accelerometers, 2048 LSB/g, then gyroscopes, 16.4 LSB/(deg/s), of each unit, all in the axes
     /// of the array: 32768 is a −32768 that is turned over.
     pub units: [[[i32; 3]; 2]; UNITS],
@@ -65,13 +72,18 @@ pub struct Summary {
     pub lost: u64,
     /// Packets that arrived again.
     pub duplicated: u64,
+    /// Packets that arrived after later ones, and were put in their places.
+    pub late: u64,
+    /// Times that the unit began its numbers anew, or was silent for more than eight minutes: nothing
+    /// tells for how long. Times go on as if the next packet had come at once.
+    pub restarts: u64,
     /// Places that begin as a packet and whose sum is wrong.
     pub damaged: u64,
     /// Bytes that belong to no packet, the acknowledgement and a packet cut off at the end included.
     pub other_bytes: u64,
     /// By the unit's clock, s.
     pub duration_s: f64,
-    /// Mean rate by the unit's clock, Hz.
+    /// Mean rate by the unit's clock, Hz, over what is between restarts.
     pub rate_hz: f64,
     /// How much faster than the nominal 62.5 Hz that is, ppm: the difference of the sensors' clock and
     /// the unit's. Against a host's clock nothing can be said: the capture has no times of arrival.
@@ -116,16 +128,7 @@ impl Capture {
                 continue;
             }
             at += PACKET;
-            let packet = decode(packet, packets.last());
-            match packets.last() {
-                Some(last) if packet.number <= last.number => {
-                    summary.duplicated += 1;
-                    continue;
-                }
-                Some(last) => summary.lost += packet.number - last.number - 1,
-                None => {}
-            }
-            packets.push(packet);
+            place(decode(packet), &mut packets, &mut summary);
         }
         let [first, .., last] = packets.as_slice() else {
             return Err(HostError::new(
@@ -137,17 +140,21 @@ impl Capture {
         };
         summary.packets = packets.len() as u64;
         summary.duration_s = last.time_s() - first.time_s();
-        summary.rate_hz = (last.number - first.number) as f64 / summary.duration_s;
-        summary.rate_ppm = (summary.rate_hz / NOMINAL_RATE_HZ - 1.0) * 1e6;
-        let squares: f64 = packets
-            .windows(2)
-            .map(|pair| {
-                let steps = (pair[1].number - pair[0].number) as f64;
-                let step = (pair[1].time_s() - pair[0].time_s()) / steps;
-                (step - 1.0 / summary.rate_hz).powi(2)
+        let steps = || {
+            let pairs = packets.windows(2).filter(|pair| !pair[1].after_restart);
+            pairs.map(|pair| {
+                let numbers = (pair[1].number - pair[0].number) as f64;
+                (numbers, pair[1].time_s() - pair[0].time_s())
             })
+        };
+        let (numbers, seconds) = steps().fold((0.0, 0.0), |(n, s), (m, t)| (n + m, s + t));
+        summary.lost = numbers as u64 - steps().count() as u64;
+        summary.rate_hz = numbers / seconds;
+        summary.rate_ppm = (summary.rate_hz / NOMINAL_RATE_HZ - 1.0) * 1e6;
+        let squares: f64 = steps()
+            .map(|(numbers, seconds)| (seconds / numbers - 1.0 / summary.rate_hz).powi(2))
             .sum();
-        summary.jitter_us = (squares / (packets.len() - 1) as f64).sqrt() * 1e6;
+        summary.jitter_us = (squares / steps().count() as f64).sqrt() * 1e6;
         Ok(Self {
             name: name.to_owned(),
             packets,
@@ -173,7 +180,7 @@ impl Capture {
         let outputs = self.packets.iter().map(|packet| {
             let after_gap = next
                 .replace(packet.number + 1)
-                .is_some_and(|n| n != packet.number);
+                .is_some_and(|n| n != packet.number || packet.after_restart);
             Output {
                 value: packet.units[chosen as usize][0].map(f64::from),
                 temperature_c: None,
@@ -235,22 +242,59 @@ impl Capture {
     }
 }
 
-fn decode(packet: &[u8; PACKET], last: Option<&Packet>) -> Packet {
+/// Ticks from one packet to another, of which the short counters tell `apart` and that are about
+/// `numbers` packets apart.
+fn ticks_apart(apart: u32, numbers: i64) -> i64 {
+    let foretold = numbers * NOMINAL_TICKS;
+    let wraps = (foretold - i64::from(apart) + (1 << 31)).div_euclid(1 << 32);
+    i64::from(apart) + (wraps << 32)
+}
+
+/// Puts the next packet in its place among `packets`, or counts it.
+fn place(next: Packet, packets: &mut Vec<Packet>, summary: &mut Summary) {
+    let Some(last) = packets.last().copied() else {
+        packets.push(next);
+        return;
+    };
+    // Back by less than half of what 16 bits count is back; anything else is ahead.
+    let ahead = i64::from(next.short_number.wrapping_sub(last.short_number) as i16);
+    let passed = ticks_apart(next.short_ticks.wrapping_sub(last.short_ticks), ahead);
+    let completed = Packet {
+        number: last.number.wrapping_add_signed(ahead),
+        ticks: last.ticks.wrapping_add_signed(passed),
+        ..next
+    };
+    if ahead > 0 {
+        packets.push(completed);
+        return;
+    }
+    let at = packets.partition_point(|packet| packet.number < completed.number);
+    let known = packets.get(at);
+    if known.is_some_and(|known| known.units == next.units && known.number == completed.number) {
+        summary.duplicated += 1;
+        return;
+    }
+    let is_missing = known.is_some_and(|known| known.number != completed.number);
+    let foretold = ahead * NOMINAL_TICKS;
+    if is_missing && at > 0 && passed.abs_diff(foretold) < NOMINAL_TICKS as u64 {
+        summary.late += 1;
+        packets.insert(at, completed);
+        return;
+    }
+    summary.restarts += 1;
+    packets.push(Packet {
+        number: last.number + 1,
+        ticks: last.ticks + NOMINAL_TICKS as u64,
+        after_restart: true,
+        ..next
+    });
+}
+
+/// A packet with its short counters alone.
+fn decode(packet: &[u8; PACKET]) -> Packet {
     let word = |at: usize| u16::from_be_bytes([packet[at], packet[at + 1]]);
     let short_number = word(1);
     let short_ticks = u32::from_be_bytes([packet[4], packet[5], packet[6], packet[7]]);
-    let (number, ticks) = match last {
-        None => (short_number.into(), short_ticks.into()),
-        Some(last) => {
-            // Back by less than half of what 16 bits count is back; anything else is ahead.
-            let ahead = i64::from(short_number.wrapping_sub(last.number as u16) as i16);
-            let passed = short_ticks.wrapping_sub(last.ticks as u32);
-            (
-                last.number.saturating_add_signed(ahead),
-                last.ticks + u64::from(passed),
-            )
-        }
-    };
     let mut units = [[[0; 3]; 2]; UNITS];
     for (index, value) in units.iter_mut().flatten().flatten().enumerate() {
         *value = i32::from(word(8 + 2 * index) as i16);
@@ -261,8 +305,11 @@ fn decode(packet: &[u8; PACKET], last: Option<&Packet>) -> Packet {
         *unit = [-y, -x, -z];
     }
     Packet {
-        number,
-        ticks,
+        number: short_number.into(),
+        ticks: short_ticks.into(),
+        short_number,
+        short_ticks,
+        after_restart: false,
         units,
     }
 }
@@ -312,6 +359,38 @@ mod tests {
         assert_eq!(capture.packets[0].units[1][0], [1300, 1400, 1200]);
         assert!(Capture::parse(b"nothing of the kind", "b.bin").is_err());
         assert!(Capture::parse(&[], "c.bin").is_err());
+    }
+
+    #[test]
+    fn a_restart_a_long_gap_and_packets_out_of_order_are_told_apart() {
+        // Each with other values: the number twice, and which start it is of.
+        let sent = |start: u8, number: u32| {
+            let mut bytes = packet(number as u16, number.wrapping_mul(1_024_000));
+            bytes[20] = start;
+            bytes.truncate(SUMMED);
+            let sum = bytes.iter().fold(0_u16, |s, b| s.wrapping_add((*b).into()));
+            bytes.extend(sum.to_be_bytes());
+            bytes
+        };
+        let mut order: Vec<(u8, u32)> = (0..200).map(|k| (0, k)).collect();
+        // Two change places, one comes again.
+        order.swap(50, 51);
+        order.insert(120, (0, 90));
+        // 72 s are missing, then the unit starts anew.
+        order.extend((4700..4800).map(|k| (0, k)));
+        order.extend((0..300).map(|k| (1, k)));
+        let bytes: Vec<u8> = order.into_iter().flat_map(|(s, k)| sent(s, k)).collect();
+        let capture = Capture::parse(&bytes, "a.bin").unwrap();
+        let found = capture.summary;
+        assert_eq!((found.packets, found.lost), (600, 4500), "{found:?}");
+        assert_eq!((found.duplicated, found.late, found.restarts), (1, 1, 1));
+        assert!(found.rate_ppm.abs() < 1e-6, "{found:?}");
+        assert!(capture.packets.is_sorted_by_key(|packet| packet.ticks));
+        let data = capture.dataset(Some(0)).unwrap();
+        let gaps = data.outputs.iter().filter(|output| output.after_gap);
+        assert_eq!(gaps.count(), 2);
+        let span = data.outputs[599].time_s.unwrap() - data.outputs[0].time_s.unwrap();
+        assert!((span - 0.016 * 5099.0).abs() < 1e-9, "{span}");
     }
 
     #[test]

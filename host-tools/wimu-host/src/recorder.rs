@@ -140,6 +140,7 @@ impl Recorder {
                         pace: Pace::on_line(client.transport().baud()),
                         client,
                         clock: ClockEstimator::new(),
+                        in_doubt: false,
                     };
                     listener.run(|heard| sender.send((index, heard)).is_ok(), finished);
                 });
@@ -195,6 +196,8 @@ struct Listener {
     client: LiveClient,
     clock: ClockEstimator,
     pace: Pace,
+    /// Whether the board was asked if it has started anew.
+    in_doubt: bool,
 }
 
 impl Listener {
@@ -248,6 +251,10 @@ impl Listener {
             self.pace.asked(now);
             self.client.ask_time()?;
             self.note_sent();
+        }
+        let doubted = std::mem::replace(&mut self.in_doubt, self.client.is_in_doubt());
+        if self.in_doubt && !doubted {
+            self.client.ask_who()?;
         }
         let look_up = now + 5 * GLANCE;
         while let Some(arrival) = self.client.next_event(self.pace.due_in(now).min(GLANCE))? {

@@ -436,3 +436,32 @@ fn a_link_that_carries_every_fourth_sample_has_lost_none() {
     assert_eq!((cable.lost, wireless.lost), (0, 0));
     assert_eq!(wireless.missing_on_both, 0, "{wireless:?}");
 }
+
+#[test]
+fn what_a_silent_link_did_not_bring_is_lost_at_either_end_of_a_start() {
+    let session = Session {
+        seconds: 24.0,
+        restart_at: Some(12.0),
+        wireless: "latency=5ms",
+        ..Session::default()
+    };
+    let recording = entries(&session.record());
+    // Until the end; before and over the restart; the whole of the second start.
+    for silence in [8.0..30.0, 6.0..15.0, 12.0..30.0] {
+        let is_heard = |entry: &&Recorded| {
+            let seconds = entry.host_ns() as f64 * 1e-9;
+            entry.role() == LinkRole::Cable || !silence.contains(&seconds)
+        };
+        let heard: Vec<_> = recording.iter().filter(is_heard).cloned().collect();
+        let found = compared(&file(&heard)).unwrap();
+        let [cable, wireless] = &found.links;
+        assert_eq!((cable.lost, found.identical), (0, found.pairs));
+        // But for a batch that may be under way at the end.
+        let known = wireless.delivered + wireless.lost;
+        assert!(
+            wireless.lost > 500 && cable.delivered - known <= 16,
+            "{silence:?}: {:?}",
+            found.links
+        );
+    }
+}

@@ -8,7 +8,7 @@ use wimu_link::message::Status;
 
 use super::quantiles::{Durations, Quantiles};
 use crate::clock::{ClockModel, ClockSummary};
-use crate::decode::{LinkStatistics, Samples};
+use crate::decode::{LinkStatistics, Samples, StreamStatistics};
 
 /// One link in numbers.
 #[derive(Clone, Debug, Serialize)]
@@ -17,12 +17,15 @@ pub struct LinkReport {
     pub link: String,
     /// Samples delivered, of the stream that is compared.
     pub delivered: u64,
-    /// Samples that the other link delivered and this one did not, between its first and last.
+    /// Samples that the other link delivered and this one did not, from when it was first heard; but
+    /// for those that may still have been under way when the recording ended.
     pub lost: u64,
     /// Samples that neither delivered: lost on both, or never taken by the device.
     pub missing_on_both: u64,
     /// Samples that arrived again.
     pub duplicated: u64,
+    /// Samples that arrived after later ones and were left out.
+    pub late: u64,
     /// Undamaged frames.
     pub frames: u64,
     /// Damaged frames.
@@ -82,7 +85,10 @@ pub(super) struct Slice {
 #[derive(Debug, Default)]
 pub(super) struct LinkMeter {
     pub delivered: u64,
+    /// Between the first and last sample of each start.
     pub lost: u64,
+    /// Outside of these.
+    lost_at_ends: u64,
     /// Gaps in this link's own numbers.
     gaps: u64,
     bursts: BTreeMap<u32, u64>,
@@ -152,6 +158,27 @@ impl LinkMeter {
         }
     }
 
+    /// A run of samples that the link did not bring before its first or after its last one of a start.
+    /// `slices` say where in the recording each of them arrived by the other link.
+    pub fn lack(&mut self, slices: impl Iterator<Item = usize>) {
+        let mut run = 0_u64;
+        for slice in slices {
+            run += 1;
+            if let Some(slice) = self.slices.get_mut(slice) {
+                slice.missing += 1;
+            }
+        }
+        if let Some(power) = run.checked_ilog2() {
+            self.lost_at_ends += run;
+            *self.bursts.entry(power).or_default() += 1;
+        }
+    }
+
+    /// The longest time from a sample to its arrival, ns.
+    pub fn longest_age_ns(&self) -> u64 {
+        (self.age.summary().max_ms * 1e6) as u64
+    }
+
     pub fn status(&mut self, role: LinkRole, status: &Status) {
         let link = match role {
             LinkRole::Cable => status.cable,
@@ -173,7 +200,7 @@ impl LinkMeter {
         &self,
         role: LinkRole,
         statistics: &LinkStatistics,
-        duplicated: u64,
+        stream: &StreamStatistics,
         clock: Option<&ClockModel>,
     ) -> LinkReport {
         let seconds = self.span.map_or(0.0, |(first, last)| {
@@ -192,9 +219,10 @@ impl LinkMeter {
         LinkReport {
             link: role.to_string(),
             delivered: self.delivered,
-            lost: self.lost,
+            lost: (self.lost + self.lost_at_ends).saturating_sub(stream.late),
             missing_on_both: self.gaps.saturating_sub(self.lost),
-            duplicated,
+            duplicated: stream.duplicated,
+            late: stream.late,
             frames: statistics.frames,
             damaged: statistics.frames_damaged,
             shed: self.shed_before + u64::from(shed),

@@ -9,7 +9,7 @@ const LATE_US: i64 = 500_000;
 /// How long a new start must have gone on without a sign of the old one, ns.
 const CERTAIN_NS: u64 = 3_000_000_000;
 /// The same where the numbers have passed the old one's.
-const CERTAIN_BEYOND_NS: u64 = 10_000_000_000;
+const CERTAIN_BEYOND_NS: u64 = 5_000_000_000;
 /// By how much a new start's frames may be later than its first, µs.
 const LATENCY_US: i64 = 1_000_000;
 /// Held at most: more than arrive while it is uncertain.
@@ -111,12 +111,15 @@ impl<T> Order<T> {
         let old = front.foretold_us(moment.host_ns);
         let new = doubt.foretold_us(moment.host_ns);
         let is_nearer_to_old = time > new + (old - new) / 2;
-        if place == Place::Next || (place == Place::Ahead && is_nearer_to_old) {
+        let is_late_for_new = time < new - LATENCY_US;
+        // After a stall what is next to the old is far behind both.
+        let is_old = is_nearer_to_old || (place == Place::Next && is_late_for_new);
+        if is_old && place != Place::Back {
             self.advance(moment);
             return Verdict::HeldWasLate;
         }
         let held_ns = moment.host_ns.saturating_sub(doubt.host_ns);
-        let fits_new = !is_nearer_to_old && time >= new - LATENCY_US;
+        let fits_new = !is_nearer_to_old && !is_late_for_new;
         let certain_ns = if place == Place::Back {
             CERTAIN_NS
         } else {

@@ -285,6 +285,30 @@ fn a_restart_without_a_greeting_is_known_by_what_follows_and_its_samples_are_kep
 }
 
 #[test]
+fn a_restart_within_a_silence_is_found_though_its_numbers_pass_the_old_ones() {
+    let old = course(0, 576, 0);
+    // Up again at 12 s; heard from 15 s on, when it is at number 192.
+    let new = course(0, 1_600, 12_000_000).split_off(14);
+    let mut decoder = Decoder::new();
+    let events = decode_timed(&mut decoder, &[old.clone(), new.clone()].concat());
+    assert_eq!(restarts(&events), [None]);
+    let expected: Vec<_> = (0..576).chain(192..1_600).collect();
+    assert!(sequences(&events) == expected);
+    // Asked, it tells at once; so does one that has not started anew.
+    let mut decoder = Decoder::new();
+    decode_timed(&mut decoder, &[vec![(0, hello(1))], old].concat());
+    assert!(decode_timed(&mut decoder, &new[..3]).is_empty() && decoder.is_in_doubt());
+    let answer = (new[2].0, hello_at(2, new[2].0 - 12_000_000));
+    let events = decode_timed(&mut decoder, &[answer]);
+    assert_eq!(restarts(&events), [Some(2)]);
+    assert_eq!(sequences(&events), (192..224).collect::<Vec<_>>());
+    assert!(decode_timed(&mut decoder, &[(15_100_000, epoch(0, time(0)))]).is_empty());
+    assert!(decoder.is_in_doubt());
+    let events = decode_timed(&mut decoder, &[(15_200_000, hello_at(2, 3_250_000))]);
+    assert!(restarts(&events).is_empty() && !decoder.is_in_doubt());
+}
+
+#[test]
 fn the_first_greeting_that_is_heard_tells_whether_it_is_of_this_start() {
     let mut decoder = Decoder::new();
     let mut frames = course(0, 2_000, 0);

@@ -13,10 +13,11 @@ const PACKET: u64 = 64;
 const PAUSE_NS: u64 = 3_000_000;
 /// Longest piece that comes in between, bytes.
 const LONGEST_SPLICE: u64 = 64;
-/// Longest piece that comes again, bytes.
+/// Longest piece that comes again, bytes; of one in sixteen, as of a ring buffer that is lapped.
 const LONGEST_DUPLICATE: u64 = 256;
+const LONGEST_LAP: u64 = 4096;
 /// Bytes remembered for both.
-const HISTORY: usize = 2048;
+const HISTORY: usize = LONGEST_LAP as usize;
 
 /// Draws of one generator each.
 const LOSSES: u64 = 64;
@@ -225,7 +226,12 @@ impl Channel {
             self.end_frame(now_ns);
         }
         if let Some(draw) = self.duplicates.at(place) {
-            let length = (1 + draw % LONGEST_DUPLICATE) as usize;
+            let longest = if (draw >> 32).is_multiple_of(16) {
+                LONGEST_LAP
+            } else {
+                LONGEST_DUPLICATE
+            };
+            let length = (1 + draw % longest) as usize;
             let skipped = self.history.len().saturating_sub(length);
             let piece: Vec<u8> = self.history.iter().skip(skipped).copied().collect();
             self.counts.bytes_duplicated += piece.len() as u64;

@@ -42,7 +42,7 @@ pub const DEFAULT_BUFFER: usize = 65_536;
 /// | `burst` | `20` | mean length of a run, bytes |
 /// | `bits` | `1e-4` | part of the bits flipped |
 /// | `splice` | `1e-5` | per byte: a piece of 1 to 64 bytes sent earlier comes in between |
-/// | `duplicate` | `1e-5` | per byte: the last 1 to 256 bytes come again |
+/// | `duplicate` | `1e-5` | per byte: the last 1 to 256 bytes come again, of one in sixteen up to 4096 |
 /// | `stall` | `3s@30s`, `1s@10s/20s` | nothing passes for 3 s from 30 s on; for 1 s from 10 s on and every 20 s; may be given again |
 /// | `disconnect` | likewise | both ends lose their connection, and what is under way |
 /// | `buffer` | `4096` | bytes held during latency and stalls; more are lost from a UART, and wait on TCP |

@@ -129,12 +129,13 @@ fn text(found: &Comparison) -> String {
 
 fn link_text(link: &LinkReport) -> String {
     let mut text = format!(
-        "\n{:8} {} delivered, {} lost, {} on neither link, {} duplicated; {} damaged frames, {} shed, {} interruptions",
+        "\n{:8} {} delivered, {} lost, {} on neither link, {} duplicated, {} late; {} damaged frames, {} shed, {} interruptions",
         link.link,
         link.delivered,
         link.lost,
         link.missing_on_both,
         link.duplicated,
+        link.late,
         link.damaged,
         link.shed,
         link.interruptions

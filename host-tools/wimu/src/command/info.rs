@@ -204,12 +204,14 @@ fn capture(path: &Path, output: Output) -> Result<()> {
     let capture = Capture::read(path)?;
     let summary = capture.summary;
     output.say(format!(
-        "{}: {:.1} s, {} packets of 8 accelerometers and gyroscopes; {} lost, {} duplicated, {} damaged, {} other bytes",
+        "{}: {:.1} s, {} packets of 8 accelerometers and gyroscopes; {} lost, {} duplicated, {} late, {} restarts, {} damaged, {} other bytes",
         capture.name,
         summary.duration_s,
         summary.packets,
         summary.lost,
         summary.duplicated,
+        summary.late,
+        summary.restarts,
         summary.damaged,
         summary.other_bytes
     ));

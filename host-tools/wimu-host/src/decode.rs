@@ -357,7 +357,7 @@ impl Decoder {
                 Message::Hello(hello) => self.take_hello(received, hello, &mut each),
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
                 Message::Event(event) if self.order.is_in_doubt() && event.is_of_a_start() => {
-                    self.order.hold((received, Held::Event(event)));
+                    self.order.hold((received, Held::Event(Box::new(event))));
                 }
                 Message::Event(event) => each(received.with(event)),
             }
@@ -421,7 +421,7 @@ impl Decoder {
                 Held::Epoch(epoch) if of_before(epoch.time_us) => {}
                 Held::Epoch(epoch) => self.take_epoch(received, *epoch, each),
                 Held::Batch(batch) => self.take_batch(received, &batch, each),
-                Held::Event(event) => each(received.with(event)),
+                Held::Event(event) => each(received.with(*event)),
             }
         }
     }
@@ -433,7 +433,7 @@ impl Decoder {
                 // What it told has been told by a later one.
                 Held::Epoch(_) => {}
                 Held::Batch(batch) => self.take_late(&batch),
-                Held::Event(event) => each(received.with(event)),
+                Held::Event(event) => each(received.with(*event)),
             }
         }
     }
@@ -635,7 +635,7 @@ impl Decoder {
 enum Held {
     Epoch(Box<Epoch>),
     Batch(Box<Batch>),
-    Event(Event),
+    Event(Box<Event>),
 }
 
 /// Numbers of samples that are missing, from and up to, the latest of them.

@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     campaign::run(frames / 10, &faults, !seed);
     let memory = peak_memory_kib();
     let outcome = campaign::run(frames, &faults, seed);
-    let (faults, counted) = (outcome.faults, outcome.counted);
+    let faults = outcome.faults;
     println!("{frames} frames through `{spec}`, seed {seed}");
     println!(
         "bytes      {} sent, {:.2} % lost, {} bits flipped ({:.1e})",

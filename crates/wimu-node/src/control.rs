@@ -648,8 +648,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     }
 
     fn announce_parameters(&self) {
-        let active = self.shared.active();
-        self.announce(&Message::Parameters(active_parameters(&active)));
+        for role in ROLES {
+            self.shared.tell_parameters(role);
+        }
     }
 
     fn announce(&self, message: &Message) {

@@ -3,16 +3,17 @@
 /// Bytes for frames that may be shed when the link is too slow.
 const TELEMETRY_BYTES: usize = 1024;
 /// Bytes for frames that may not: epochs, replies, Hello, parameters. The longest reply, the longest
-/// epoch and who the device is without its parameters fit at once, or the parameters and the rest.
-const KEPT_BYTES: usize = 2048;
+/// epoch and the longest Hello fit at once, or all that tells who the device is but its parameters, which
+/// are queued when there is room.
+const KEPT_BYTES: usize = 1600;
 /// A frame is taken in pieces of so many bytes.
 pub(crate) const PIECE: usize = 64;
 
 /// What waits for one link: telemetry, of which the oldest is shed when room runs out, and frames
 /// that are kept, which go first.
 pub(crate) struct FrameQueue {
-    kept: Ring<KEPT_BYTES>,
-    telemetry: Ring<TELEMETRY_BYTES>,
+    kept: Ring<[u8; KEPT_BYTES]>,
+    telemetry: Ring<[u8; TELEMETRY_BYTES]>,
     /// Telemetry frames shed so far.
     pub(crate) shed: u32,
     pub(crate) frames_sent: u32,
@@ -26,8 +27,8 @@ pub(crate) struct FrameQueue {
 impl FrameQueue {
     pub(crate) const fn new() -> Self {
         Self {
-            kept: Ring::new(),
-            telemetry: Ring::new(),
+            kept: Ring::new([0; _]),
+            telemetry: Ring::new([0; _]),
             shed: 0,
             frames_sent: 0,
             bytes_sent: 0,
@@ -38,8 +39,9 @@ impl FrameQueue {
 
     /// Queues a frame that may be shed.
     pub(crate) fn push_telemetry(&mut self, frame: &[u8]) {
-        while !self.telemetry.push(frame) {
-            if !self.telemetry.drop_oldest() {
+        let telemetry: &mut Ring<[u8]> = &mut self.telemetry;
+        while !telemetry.push(frame) {
+            if !telemetry.drop_oldest() {
                 return;
             }
             self.shed = self.shed.saturating_add(1);
@@ -49,30 +51,45 @@ impl FrameQueue {
     /// Queues a frame that may not be shed. On a link that has stalled for so long that there is
     /// no room, everything is dropped and counted, and the link starts over when it drains.
     pub(crate) fn push_kept(&mut self, frame: &[u8]) {
-        if self.kept.push(frame) {
+        let kept: &mut Ring<[u8]> = &mut self.kept;
+        if kept.push(frame) {
             return;
         }
         self.overflowed = true;
-        while self.kept.drop_oldest() || self.telemetry.drop_oldest() {
+        let telemetry: &mut Ring<[u8]> = &mut self.telemetry;
+        while kept.drop_oldest() || telemetry.drop_oldest() {
             self.shed = self.shed.saturating_add(1);
         }
-        self.kept.push(frame);
+        kept.push(frame);
+    }
+
+    /// Queues a frame that may not be shed if that costs no other its place.
+    pub(crate) fn push_kept_if_room(&mut self, frame: &[u8]) -> bool {
+        let kept: &mut Ring<[u8]> = &mut self.kept;
+        kept.push(frame)
+    }
+
+    /// Whether no kept frame waits, nor the rest of one.
+    pub(crate) fn has_all_room(&self) -> bool {
+        self.kept.used == 0
     }
 
     /// Whether no kept frame waits and nothing is being sent.
     pub(crate) fn is_drained(&self) -> bool {
-        self.kept.used == 0 && !self.sending
+        self.has_all_room() && !self.sending
     }
 
     /// Takes the next piece of the frame to send, or of the next one: its length, 0 if none waits,
     /// and whether it is the frame's last.
     pub(crate) fn pop(&mut self, piece: &mut [u8; PIECE]) -> (usize, bool) {
-        let begun = self.telemetry.begun > 0;
-        let length = match if begun { 0 } else { self.kept.pop(piece) } {
-            0 => self.telemetry.pop(piece),
+        let kept: &mut Ring<[u8]> = &mut self.kept;
+        let telemetry: &mut Ring<[u8]> = &mut self.telemetry;
+        let begun = telemetry.begun > 0;
+        let length = match if begun { 0 } else { kept.pop(piece) } {
+            0 => telemetry.pop(piece),
             length => length,
         };
-        let ended = self.kept.begun == 0 && self.telemetry.begun == 0;
+        let ended = kept.begun == 0 && telemetry.begun == 0;
         if length > 0 {
             self.sending = true;
             self.frames_sent = self.frames_sent.wrapping_add(ended.into());
@@ -82,31 +99,34 @@ impl FrameQueue {
     }
 }
 
-/// Frames in a ring of bytes, each behind its length.
-struct Ring<const N: usize> {
-    bytes: [u8; N],
+/// Frames in a ring of bytes, each behind its length. All that is done with them is done to `Ring<[u8]>`:
+/// there is one code for rings of any size.
+struct Ring<B: ?Sized> {
     start: usize,
     used: usize,
     /// Bytes left of a frame that has been taken in part. They are the first, without a length.
     begun: usize,
+    bytes: B,
 }
 
-impl<const N: usize> Ring<N> {
-    const fn new() -> Self {
+impl<B> Ring<B> {
+    const fn new(bytes: B) -> Self {
         Self {
-            bytes: [0; N],
             start: 0,
             used: 0,
             begun: 0,
+            bytes,
         }
     }
+}
 
+impl Ring<[u8]> {
     /// Appends a frame if there is room.
     fn push(&mut self, frame: &[u8]) -> bool {
         let Ok(length) = u16::try_from(frame.len()) else {
             return false;
         };
-        if frame.is_empty() || self.used + 2 + frame.len() > N {
+        if frame.is_empty() || self.used + 2 + frame.len() > self.bytes.len() {
             return false;
         }
         self.append(&length.to_le_bytes());
@@ -151,16 +171,16 @@ impl<const N: usize> Ring<N> {
         usize::from(u16::from_le_bytes([low, high]))
     }
 
-    /// Where the byte is that stands `offset` bytes behind the start. A processor without a division
-    /// has it in a mask.
+    /// Where the byte is that stands `offset` bytes behind the start, no more than there are: a processor
+    /// without a division need not divide.
     fn place(&self, offset: usize) -> usize {
-        const { assert!(N.is_power_of_two()) };
-        (self.start + offset) % N
+        let place = self.start + offset;
+        place.checked_sub(self.bytes.len()).unwrap_or(place)
     }
 
     fn append(&mut self, bytes: &[u8]) {
         let end = self.place(self.used);
-        let (before_wrap, after_wrap) = bytes.split_at(bytes.len().min(N - end));
+        let (before_wrap, after_wrap) = bytes.split_at(bytes.len().min(self.bytes.len() - end));
         self.bytes[end..end + before_wrap.len()].copy_from_slice(before_wrap);
         self.bytes[..after_wrap.len()].copy_from_slice(after_wrap);
         self.used += bytes.len();
@@ -229,6 +249,27 @@ mod tests {
         assert!(queue.overflowed);
         let order: std::vec::Vec<u8> = core::iter::from_fn(|| pop(&mut queue)).collect();
         assert_eq!(order.last(), Some(&19));
+    }
+
+    #[test]
+    fn a_frame_that_may_wait_costs_no_other_its_place() {
+        let mut queue = FrameQueue::new();
+        queue.push_kept(&[1; 900]);
+        assert!(!queue.push_kept_if_room(&[2; 860]));
+        assert_eq!((queue.shed, queue.overflowed), (0, false));
+        assert_eq!(pop(&mut queue), Some(1));
+        assert!(queue.has_all_room() && queue.push_kept_if_room(&[2; 860]));
+        assert_eq!(pop(&mut queue), Some(2));
+    }
+
+    #[test]
+    fn what_a_host_needs_at_once_has_room_at_its_longest() {
+        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each trouble.
+        const FRAMING: usize = 1 + 4 + 4 + 1;
+        let frames = [540, 110, 48, 180, 40, 40, 40, 40, 40, 40].map(|body| body + FRAMING + 2);
+        assert!(frames.iter().sum::<usize>() <= KEPT_BYTES);
+        let reply = wimu_link::frame::MAX_FRAME + 2;
+        assert!(reply + frames[0] + frames[1] <= KEPT_BYTES);
     }
 
     #[test]

@@ -112,6 +112,8 @@ pub(crate) struct Heard {
     pub(crate) repeated: u32,
     /// Somebody has begun to listen, or has missed something.
     epoch_wanted: bool,
+    /// The parameters in use are to be told, and there was no room for them.
+    parameters_wanted: bool,
 }
 
 impl Heard {
@@ -119,6 +121,7 @@ impl Heard {
         damaged: 0,
         repeated: 0,
         epoch_wanted: false,
+        parameters_wanted: false,
     };
 }
 
@@ -463,6 +466,17 @@ impl<M: RawMutex> Shared<M> {
         self.announce(message, ROLES.map(|other| other == role));
     }
 
+    /// Queues the parameters in use on one link, or has them queued when there is room.
+    pub(crate) fn tell_parameters(&self, role: LinkRole) {
+        let active = self.active();
+        let message: Message = Telemetry::Parameters(active_parameters(&active));
+        let mut frame = [0; MAX_FRAME];
+        let length = message.encode(&mut frame).unwrap_or(0);
+        let frame = frame.get(..length).unwrap_or_default();
+        let queued = self.with_outbox(role, |outbox| outbox.push_kept_if_room(frame));
+        self.with_heard(role, |heard| heard.parameters_wanted = !queued);
+    }
+
     /// Tells both links what has happened.
     pub(crate) fn report(&self, now: DeviceTimeUs, event: Event) {
         let time_us = now.0;
@@ -506,8 +520,7 @@ impl<M: RawMutex> Shared<M> {
             self.keep(role, frame.get(..length).unwrap_or_default());
         }
         self.tell(role, &Telemetry::Settings(published.settings));
-        let active = self.active();
-        self.tell(role, &Telemetry::Parameters(active_parameters(&active)));
+        self.tell_parameters(role);
         self.tell(role, &Telemetry::Status(self.status(now)));
         for &(since, event) in published.troubles.iter().flatten() {
             let time_us = since.0;
@@ -589,6 +602,10 @@ impl<M: RawMutex> Shared<M> {
     ) -> (usize, bool) {
         let link = self.link(role);
         loop {
+            let room = link.outbox.lock(|outbox| outbox.borrow().has_all_room());
+            if room && self.with_heard(role, |heard| heard.parameters_wanted) {
+                self.tell_parameters(role);
+            }
             let (taken, stalled) = link.outbox.lock(|outbox| {
                 let mut outbox = outbox.borrow_mut();
                 let taken = outbox.pop(piece);

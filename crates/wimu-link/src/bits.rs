@@ -117,6 +117,8 @@ fn seldom() {}
 #[derive(Clone, Copy)]
 pub(crate) struct BitReader<'a> {
     bytes: &'a [u8],
+    /// The last eight bytes, with zeros before them if there are fewer.
+    last: u64,
     /// Bytes taken in, those of zeros past the end included.
     taken: usize,
     /// The next `available` bits and perhaps some more, at the top, inverted: a run of ones is then
@@ -127,8 +129,15 @@ pub(crate) struct BitReader<'a> {
 
 impl<'a> BitReader<'a> {
     pub(crate) fn new(bytes: &'a [u8]) -> Self {
+        let last = match bytes.last_chunk::<8>() {
+            Some(last) => u64::from_be_bytes(*last),
+            None => bytes
+                .iter()
+                .fold(0, |last, &byte| last << 8 | u64::from(byte)),
+        };
         Self {
             bytes,
+            last,
             taken: 0,
             held: 0,
             available: 0,
@@ -138,21 +147,15 @@ impl<'a> BitReader<'a> {
     /// Takes in bytes until at least 57 bits are held.
     #[inline(always)]
     pub(crate) fn refill(&mut self) {
-        let rest = self.bytes.get(self.taken..).unwrap_or_default();
-        if let Some(word) = rest.first_chunk::<8>() {
-            // What does not fill a byte comes in again with the next word: the same bits.
-            self.held |= !u64::from_be_bytes(*word) >> self.available;
-            let whole = (63 - self.available) / 8;
-            self.taken += whole as usize;
-            self.available += 8 * whole;
-            return;
-        }
-        while self.available <= 56 {
-            let byte = self.bytes.get(self.taken).copied().unwrap_or(0);
-            self.taken += 1;
-            self.held |= u64::from(!byte) << (56 - self.available);
-            self.available += 8;
-        }
+        let rest = self.bytes.get(self.taken..);
+        let word = match rest.and_then(|rest| rest.first_chunk()) {
+            Some(word) => u64::from_be_bytes(*word),
+            None => last_word(self.last, self.bytes.len().saturating_sub(self.taken)),
+        };
+        // What does not fill a byte comes in again with the next word: the same bits.
+        self.held |= !word >> self.available;
+        self.taken += ((63 ^ self.available) >> 3) as usize;
+        self.available |= 56;
     }
 
     #[inline(always)]
@@ -161,54 +164,73 @@ impl<'a> BitReader<'a> {
         self.available -= count;
     }
 
-    /// The next `count` (0..=32) bits.
+    /// The next `count` (0..=32) bits, without taking them.
     #[inline(always)]
-    pub(crate) fn pull(&mut self, count: u32) -> u32 {
-        self.refill();
+    pub(crate) fn peek(&self, count: u32) -> u32 {
         // In two steps, because a shift by 64 is none.
-        let value = (!self.held >> 1 >> (63 - count)) as u32;
+        (!self.held >> 1 >> (63 - count)) as u32
+    }
+
+    /// The next `count` (0..=32) bits. The reader was [filled](Self::refill): that is enough for
+    /// as many numbers as have 57 bits at most.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, count: u32) -> u32 {
+        let value = self.peek(count);
         self.skip(count);
         value
     }
 
+    /// [Fills](Self::refill), and the next `count` (0..=32) bits.
+    #[inline(always)]
+    pub(crate) fn pull(&mut self, count: u32) -> u32 {
+        self.refill();
+        self.take(count)
+    }
+
     /// A number as [`BitWriter::push_rice`] writes it; one of more than `width` bits if there is such
     /// a quotient. k is below `width`, and the reader was [filled](Self::refill): that is enough for
-    /// as many numbers as have 57 bits at most.
+    /// as many numbers as have 57 bits at most, where an escape counts as `escape`
+    /// bits and k.
     #[inline(always)]
-    pub(crate) fn pull_rice(&mut self, k: u32, escape: u32, width: u32) -> u64 {
+    pub(crate) fn take_rice(&mut self, k: u32, escape: u32, width: u32) -> u64 {
         let held = self.held;
         if held >> (64 - escape) != 0 {
             // What the next number waits for comes first: as few steps as there are.
-            let length = k + 64 - held.ilog2();
-            self.held = held << length;
-            self.available -= length;
-            let ones = length - k - 1;
-            // The zero that ends the ones and the k bits after it, from the top down.
-            let parted = u128::from(held << ones) * u128::from(2_u64 << k);
-            let low = u64::MAX >> (63 - k) ^ (parted >> 64) as u64;
-            (u64::from(ones) << k) + low
+            let highest = held.ilog2();
+            let below = highest - k;
+            self.held = held << (below.wrapping_neg() & 63);
+            self.available = self.available.wrapping_add(below).wrapping_sub(64);
+            // The zero that ends the ones, inverted, and the k bits after it, inverted: with q ones
+            // before it, (q + 2) 2^k − 1 less these.
+            let power = 1_u64 << k;
+            (65 * power - 1) - u64::from(highest) * power - (held >> below)
         } else {
             seldom();
             self.skip(escape);
-            self.pull(width).into()
+            let number = self.pull(width);
+            self.refill();
+            number.into()
         }
     }
 
     /// Whether exactly the whole slice was read, up to zeros in the last byte.
     pub(crate) fn finish(&self) -> Result<(), Remainder> {
-        let used_bits = self.taken as u64 * 8 - u64::from(self.available);
+        let used_bits = 8 * self.taken - self.available as usize;
         let used_bytes = used_bits.div_ceil(8);
-        let length = self.bytes.len() as u64;
-        if used_bytes > length {
+        if used_bytes > self.bytes.len() {
             Err(Remainder::Missing)
-        } else if used_bytes < length
-            || !self.held >> 1 >> (63 - (used_bits.wrapping_neg() & 7)) != 0
-        {
+        } else if used_bytes < self.bytes.len() || self.peek(self.available & 7) != 0 {
             Err(Remainder::Left)
         } else {
             Ok(())
         }
     }
+}
+
+/// The last `left` (0..=7) of the bytes in `last`, and zeros.
+#[cold]
+fn last_word(last: u64, left: usize) -> u64 {
+    last.unbounded_shl(64 - 8 * left as u32)
 }
 
 /// How a slice differs from what was read of it.
@@ -248,9 +270,9 @@ mod tests {
         let bytes = [0b1101_1111, 0b1111_1110, 0b1000_0000];
         let mut reader = BitReader::new(&bytes);
         reader.refill();
-        assert_eq!(reader.pull_rice(0, 12, 0), 2);
-        assert_eq!(reader.pull_rice(0, 12, 1), 0);
-        assert_eq!(reader.pull_rice(1, 12, 1), 0b10);
+        assert_eq!(reader.take_rice(0, 12, 0), 2);
+        assert_eq!(reader.take_rice(0, 12, 1), 0);
+        assert_eq!(reader.take_rice(1, 12, 1), 0b10);
         assert!(reader.finish().is_ok());
     }
 
@@ -283,7 +305,7 @@ mod tests {
             reader.pull(before);
             for number in numbers {
                 reader.refill();
-                prop_assert_eq!(reader.pull_rice(k, 12, 32), number.into());
+                prop_assert_eq!(reader.take_rice(k, 12, 32), number.into());
             }
             prop_assert!(reader.finish().is_ok());
         }

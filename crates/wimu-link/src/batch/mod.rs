@@ -31,13 +31,13 @@
 
 mod packing;
 mod predict;
+mod unpacking;
 
 use core::fmt;
 use core::num::NonZeroU8;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
-use self::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Past, unfold};
 use crate::bits::{BitReader, Remainder};
 use crate::frame::{self, EncodeError, Kind};
 
@@ -278,8 +278,10 @@ impl Batch {
         let samples = batch.samples.get_mut(..batch.length).unwrap_or_default();
         // Each with the stream's numbers in it.
         match stream {
-            Stream::Raw => decode_axes::<Counts>(samples, shift, &mut reader)?,
-            Stream::Corrected => decode_axes::<SpecificForceQ16>(samples, shift, &mut reader)?,
+            Stream::Raw => unpacking::decode_axes::<Counts>(samples, shift, &mut reader)?,
+            Stream::Corrected => {
+                unpacking::decode_axes::<SpecificForceQ16>(samples, shift, &mut reader)?
+            }
         }
         reader.finish().map_err(|remainder| match remainder {
             Remainder::Missing => BatchError::TooShort,
@@ -339,152 +341,6 @@ impl Batch {
         } else {
             &[]
         }
-    }
-}
-
-fn decode_axes<S: Sample>(
-    samples: &mut [[i32; 3]],
-    shift: u32,
-    reader: &mut BitReader<'_>,
-) -> Result<(), BatchError> {
-    let mut latest_k = None;
-    for axis in 0..3 {
-        decode_axis::<S>(samples, axis, shift, &mut latest_k, reader)?;
-    }
-    Ok(())
-}
-
-fn decode_axis<S: Sample>(
-    samples: &mut [[i32; 3]],
-    axis: usize,
-    shift: u32,
-    latest_k: &mut Option<u32>,
-    reader: &mut BitReader<'_>,
-) -> Result<(), BatchError> {
-    let stream = S::STREAM;
-    let field = stream.field();
-    let coding = Coding::from_bits(reader.pull(2)).ok_or(BatchError::Value)?;
-    let shifted = |value: i32| stream.wrap(value << shift);
-    if coding == Coding::Fixed {
-        let width = reader.pull(field) + 1;
-        for sample in samples {
-            let spare = 32 - width;
-            sample[axis] = shifted((reader.pull(width) << spare) as i32 >> spare);
-        }
-        return Ok(());
-    }
-
-    let k = match *latest_k {
-        None => reader.pull(field),
-        Some(latest) => {
-            if reader.pull(1) == 0 {
-                latest
-            } else if reader.pull(1) == 1 {
-                reader.pull(field)
-            } else if reader.pull(1) == 0 {
-                latest + 1
-            } else {
-                latest.checked_sub(1).ok_or(BatchError::Value)?
-            }
-        }
-    };
-    if k >= stream.width() {
-        return Err(BatchError::Value);
-    }
-    *latest_k = Some(k);
-
-    let length = reader.pull(field);
-    let negative = reader.pull(1) == 1;
-    let magnitude = match length.checked_sub(1) {
-        Some(low_bits) => (1 << low_bits) | reader.pull(low_bits),
-        None => 0,
-    };
-    let first = if negative { !magnitude } else { magnitude } as i32;
-    let axis = Axis { axis, shift, k };
-    match coding {
-        Coding::Linear => axis.decode::<S, _>(Linear::of(first), first, samples, reader),
-        _ => axis.decode::<S, _>(<Mean as Past>::of(first), first, samples, reader),
-    }
-}
-
-/// An axis that is predicted.
-struct Axis {
-    axis: usize,
-    shift: u32,
-    k: u32,
-}
-
-impl Axis {
-    // Not inlined, so that each loop has all registers for itself.
-    #[inline(never)]
-    fn decode<S: Sample, P: Past>(
-        self,
-        mut past: P,
-        first: i32,
-        samples: &mut [[i32; 3]],
-        reader: &mut BitReader<'_>,
-    ) -> Result<(), BatchError> {
-        let Self { axis, shift, k } = self;
-        let (stream, axis) = (S::STREAM, axis.min(2));
-        let width = stream.width();
-        let Some((first_sample, rest)) = samples.split_first_mut() else {
-            return Ok(());
-        };
-        first_sample[axis] = stream.wrap(first << shift);
-        // The bits first and then the values: neither waits for the other.
-        let mut residuals = [0; MAX_BATCH - 1];
-        let residuals = residuals.get_mut(..rest.len()).unwrap_or_default();
-        let mut all = 0;
-        let mut bits = *reader;
-        let mut pull = |residual: &mut i32, bits: &mut BitReader<'_>| {
-            let folded = bits.pull_rice(k, ESCAPE, width);
-            all |= folded;
-            *residual = unfold(folded as u32);
-        };
-        // A raw residual has 28 bits at most, a corrected one 44.
-        let (pairs, last) = residuals.as_chunks_mut::<2>();
-        for [one, other] in pairs {
-            bits.refill();
-            pull(one, &mut bits);
-            if stream == Stream::Corrected {
-                bits.refill();
-            }
-            pull(other, &mut bits);
-        }
-        for residual in last {
-            bits.refill();
-            pull(residual, &mut bits);
-        }
-        *reader = bits;
-        if all >> width != 0 {
-            return Err(BatchError::Value);
-        }
-        let start = past;
-        let mut wrapped = 0;
-        for ((sample, &residual), &weight) in rest.iter_mut().zip(&*residuals).zip(&MEAN_WEIGHTS) {
-            let sum = past.predict().wrapping_add(residual);
-            let value = stream.wrap(sum);
-            wrapped |= value ^ sum;
-            sample[axis] = value;
-            past.go_on(residual, weight);
-        }
-        if wrapped != 0 {
-            // The next prediction needs the value then.
-            past = start;
-            for ((sample, &residual), &weight) in
-                rest.iter_mut().zip(&*residuals).zip(&MEAN_WEIGHTS)
-            {
-                let value = stream.wrap(past.predict().wrapping_add(residual));
-                sample[axis] = value;
-                past.add(value, weight);
-            }
-        }
-        if shift > 0 {
-            for sample in rest {
-                sample[axis] = stream.wrap(sample[axis] << shift);
-            }
-        }
-        Ok(())
     }
 }
 

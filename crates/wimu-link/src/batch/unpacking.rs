@@ -1,0 +1,151 @@
+//! The reader's half: values from bits.
+
+use super::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Past, unfold};
+use super::{BatchError, ESCAPE, MAX_BATCH, Sample, Stream};
+use crate::bits::BitReader;
+
+/// Reads all three axes, their samples shifted left by `shift`.
+pub(super) fn decode_axes<S: Sample>(
+    samples: &mut [[i32; 3]],
+    shift: u32,
+    reader: &mut BitReader<'_>,
+) -> Result<(), BatchError> {
+    let mut latest_k = None;
+    for axis in 0..3 {
+        decode_axis::<S>(samples, axis, shift, &mut latest_k, reader)?;
+    }
+    Ok(())
+}
+
+fn decode_axis<S: Sample>(
+    samples: &mut [[i32; 3]],
+    axis: usize,
+    shift: u32,
+    latest_k: &mut Option<u32>,
+    reader: &mut BitReader<'_>,
+) -> Result<(), BatchError> {
+    let stream = S::STREAM;
+    let field = stream.field();
+    // What stands before the residuals has 45 bits at most.
+    reader.refill();
+    let coding = Coding::from_bits(reader.take(2)).ok_or(BatchError::Value)?;
+    let shifted = |value: i32| stream.wrap(value << shift);
+    if coding == Coding::Fixed {
+        let width = reader.take(field) + 1;
+        for sample in samples {
+            let spare = 32 - width;
+            sample[axis] = shifted((reader.pull(width) << spare) as i32 >> spare);
+        }
+        return Ok(());
+    }
+
+    let k = match *latest_k {
+        None => reader.take(field),
+        Some(latest) => match reader.peek(3) {
+            code @ 0..0b110 => {
+                // Without a branch: which it is cannot be foretold.
+                let differs = code >> 2;
+                reader.take(1 + 2 * differs);
+                latest
+                    .wrapping_add(differs & !code)
+                    .wrapping_sub(differs & code)
+            }
+            _ => reader.take(2 + field) & (stream.width() - 1),
+        },
+    };
+    if k >= stream.width() {
+        return Err(BatchError::Value);
+    }
+    *latest_k = Some(k);
+
+    let length = reader.take(field);
+    let negative = reader.take(1) as i32;
+    let magnitude = (1_u32 << length >> 1) | reader.take(length.saturating_sub(1));
+    let first = magnitude as i32 ^ -negative;
+    let axis = Axis { axis, shift, k };
+    match coding {
+        Coding::Linear => axis.decode::<S, Linear>(first, samples, reader),
+        _ => axis.decode::<S, Mean>(first, samples, reader),
+    }
+}
+
+/// An axis that is predicted.
+#[derive(Clone, Copy)]
+struct Axis {
+    axis: usize,
+    shift: u32,
+    k: u32,
+}
+
+impl Axis {
+    // Not inlined, so that each loop has all registers for itself.
+    #[inline(never)]
+    fn decode<S: Sample, P: Past>(
+        self,
+        first: i32,
+        samples: &mut [[i32; 3]],
+        reader: &mut BitReader<'_>,
+    ) -> Result<(), BatchError> {
+        let Self { axis, shift, k } = self;
+        let (stream, axis) = (S::STREAM, axis.min(2));
+        let width = stream.width();
+        let Some((first_sample, rest)) = samples.split_first_mut() else {
+            return Ok(());
+        };
+        first_sample[axis] = stream.wrap(first << shift);
+        // The bits first and then the values: neither waits for the other.
+        let mut folded = [0; MAX_BATCH];
+        let folded = folded.get_mut(..rest.len()).unwrap_or_default();
+        let mut bits = *reader;
+        let mut all = 0;
+        let mut next = |residual: &mut u32, bits: &mut BitReader<'_>| {
+            let number = bits.take_rice(k, ESCAPE, width);
+            all |= number;
+            *residual = number as u32;
+        };
+        // A raw residual has 27 bits at most, a corrected one 43.
+        let (pairs, last) = folded.as_chunks_mut::<2>();
+        for [one, other] in pairs {
+            bits.refill();
+            next(one, &mut bits);
+            if stream == Stream::Corrected {
+                bits.refill();
+            }
+            next(other, &mut bits);
+        }
+        for residual in last {
+            bits.refill();
+            next(residual, &mut bits);
+        }
+        if all >> width != 0 {
+            return Err(BatchError::Value);
+        }
+        let mut past = P::of(first);
+        let (mut beyond, half) = (0, 1_i32.unbounded_shl(width - 1));
+        for ((sample, &residual), &weight) in rest.iter_mut().zip(&*folded).zip(&MEAN_WEIGHTS) {
+            let residual = unfold(residual);
+            let sum = past.predict().wrapping_add(residual);
+            // Above W bits if it is negative or too large.
+            beyond |= sum.wrapping_add(half) as u32;
+            sample[axis] = sum;
+            past.go_on(residual, weight);
+        }
+        if beyond.unbounded_shr(width) != 0 {
+            // The next prediction waits for the value then.
+            let mut past = P::of(first);
+            for ((sample, &residual), &weight) in rest.iter_mut().zip(&*folded).zip(&MEAN_WEIGHTS) {
+                let residual = unfold(residual);
+                let value = stream.wrap(past.predict().wrapping_add(residual));
+                sample[axis] = value;
+                past.add(value, weight);
+            }
+        }
+        *reader = bits;
+        if shift > 0 {
+            for sample in rest {
+                sample[axis] = stream.wrap(sample[axis] << shift);
+            }
+        }
+        Ok(())
+    }
+}

@@ -230,7 +230,13 @@ impl Chart {
                 drawn.map_err(|e| say(&e))?;
             } else {
                 for piece in within(&series.points, shown) {
-                    let drawn = chart.draw_series(LineSeries::new(piece, style));
+                    let drawn = if fine > 1 {
+                        // Step by step: the corners of a broad line of pixels stick out.
+                        let steps = piece.windows(2);
+                        chart.draw_series(steps.map(|step| PathElement::new(step.to_vec(), style)))
+                    } else {
+                        chart.draw_series([PathElement::new(piece, style)])
+                    };
                     drawn.map_err(|e| say(&e))?;
                 }
             }
@@ -269,6 +275,31 @@ impl Chart {
         }
         Ok(())
     }
+}
+
+/// Points of a line with a break wherever some are missing: where the way from one to the next is more
+/// than twice the usual one.
+pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let mut steps: Vec<f64> = (points.windows(2))
+        .map(|pair| pair[1].0 - pair[0].0)
+        .collect();
+    let middle = steps.len() / 2;
+    if steps.is_empty() {
+        return points;
+    }
+    let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let mut broken = Vec::with_capacity(points.len());
+    for point in points {
+        if let Some((x, _)) = broken
+            .last()
+            .copied()
+            .filter(|(x, _)| point.0 - x > 2.0 * usual)
+        {
+            broken.push((x, f64::NAN));
+        }
+        broken.push(point);
+    }
+    broken
 }
 
 /// The pieces of a line that lie in this range of y, cut where it leaves it.
@@ -346,6 +377,21 @@ mod tests {
             vec![(5.0, 0.5)],
         ];
         assert_eq!(pieces, expected);
+    }
+
+    #[test]
+    fn a_line_is_broken_where_points_are_missing() {
+        let line = |xs: &[f64]| xs.iter().map(|x| (*x, 1.0)).collect::<Vec<_>>();
+        let found = broken(line(&[0.0, 1.0, 2.0, 7.0, 8.0]));
+        assert_eq!(found.len(), 6);
+        assert!(found[3].0 == 2.0 && found[3].1.is_nan());
+        assert_eq!(
+            within(&found, &(0.0..2.0)),
+            [line(&[0.0, 1.0, 2.0]), line(&[7.0, 8.0])]
+        );
+        for whole in [&[][..], &[0.0], &[0.0, 5.0], &[0.0, 1.0, 3.0]] {
+            assert_eq!(broken(line(whole)), line(whole));
+        }
     }
 
     #[test]

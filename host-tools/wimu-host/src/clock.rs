@@ -36,6 +36,8 @@ const MAX_LINES: usize = 4096;
 const HOST_SD_NS: f64 = 50_000.0;
 /// Delays that look the same to this, ns, may drift by it over the time that they are looked at.
 const LEAST_ERROR_NS: f64 = 20_000.0;
+/// No question is answered sooner than it was asked, but for what the clocks drift meanwhile, ns.
+const RESTART_NS: f64 = 0.5e9;
 /// What arrives sooner behind what came before may have been held up by it, ns.
 const BEHIND_NS: u64 = 3_000_000;
 /// Questions that may wait for their answer.
@@ -61,6 +63,8 @@ pub struct ClockEstimator {
     asked: HashMap<(u32, u32), (u64, usize)>,
     /// When the latest of anything came, by link: to the host, and questions to the device; ns.
     latest: [Latest; envelope::LINKS],
+    /// Host time less device time of the latest samples, ns.
+    newest: Option<f64>,
     /// Length of the latest question on each link, and how often it has changed.
     question: [(usize, u32); envelope::LINKS],
     transfers: u64,
@@ -126,6 +130,7 @@ impl ClockEstimator {
                         Stream::Raw => Class::Raw,
                         Stream::Corrected => Class::Corrected,
                     };
+                    self.newest = Some(self.difference(last.time, arrival.began_ns));
                     self.transfer(link, class, last.time, arrival.began_ns, alone);
                 }
             }
@@ -135,6 +140,15 @@ impl ClockEstimator {
                 };
                 let (asked_ns, length) = self.asked.remove(&(reply.session, reply.id))?;
                 let trip = arrival.host_ns.checked_sub(asked_ns)?;
+                // Asked later than the device says that it answered, by all that came before: it has
+                // started anew.
+                let difference = self.difference(DeviceTimeUs(uptime_us), asked_ns);
+                if self
+                    .newest
+                    .is_some_and(|newest| difference > newest + RESTART_NS)
+                {
+                    return Some(trip);
+                }
                 // Of unequal lengths, the directions take unequally long.
                 if length.abs_diff(wire_length(reply)) > MAX_UNEQUAL_BYTES {
                     return Some(trip);
@@ -180,6 +194,14 @@ impl ClockEstimator {
         self.transfers
     }
 
+    /// Host time less device time since the origin, ns; sets the origin if there is none.
+    fn difference(&mut self, time: DeviceTimeUs, host_ns: u64) -> f64 {
+        let (origin_us, origin_ns) = *self.origin.get_or_insert((time.0, host_ns));
+        let device_us = time.0.wrapping_sub(origin_us) as i64;
+        let host_ns = host_ns.wrapping_sub(origin_ns) as i64;
+        host_ns.wrapping_sub(device_us.wrapping_mul(1000)) as f64
+    }
+
     /// One transfer: what the device timed at `time` arrived, or for a question was sent, at
     /// `host_ns`. It could have come by so much earlier, ns, and would still have come by itself; if
     /// negative, later.
@@ -191,10 +213,9 @@ impl ClockEstimator {
         host_ns: u64,
         alone_ns: f64,
     ) {
-        let (origin_us, origin_ns) = *self.origin.get_or_insert((time.0, host_ns));
+        let difference = self.difference(time, host_ns);
+        let origin_us = self.origin.map_or(time.0, |(origin_us, _)| origin_us);
         let device_us = time.0.wrapping_sub(origin_us) as i64;
-        let host_ns = host_ns.wrapping_sub(origin_ns) as i64;
-        let difference = host_ns.wrapping_sub(device_us.wrapping_mul(1000)) as f64;
         let v = class.sign() * difference;
         let transfer = Transfer {
             link,

@@ -10,16 +10,17 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Seek, Write};
+use std::io::{self, BufReader, Read, Seek, Write};
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use mcap::records::{Metadata, Record};
+use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, linear_reader::LinearReaderOptions};
 use wimu_link::LinkRole;
 
 use crate::error::{ErrorCode, HostError, Result};
 
+mod container;
 mod reader;
 mod writer;
 
@@ -94,8 +95,7 @@ uint32 size
 uint32 stride
 ";
 const METADATA: &str = "wimu";
-/// A chunk is closed at this size or after [`FLUSH_NS`], whichever comes first.
-const CHUNK_BYTES: u64 = 256 * 1024;
+/// A chunk is closed after this time, or when it is full.
 const FLUSH_NS: u64 = 1_000_000_000;
 /// No record of a recording comes near this; a length beyond it is damage.
 const MAX_RECORD_BYTES: usize = 64 * 1024 * 1024;

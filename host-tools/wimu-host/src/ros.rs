@@ -139,7 +139,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
 }
 
 struct Writer<'a> {
-    out: RecordingWriter<std::io::BufWriter<std::fs::File>>,
+    out: RecordingWriter<std::fs::File>,
     topics: BTreeMap<(u8, Kind), Topic>,
     /// m/s² per LSB of raw samples.
     units: BTreeMap<(u8, Start), f64>,
@@ -241,7 +241,7 @@ impl Writer<'_> {
         let topic = match self.topics.get(&(role.number(), kind)) {
             Some(topic) => *topic,
             None => {
-                let topic = self.out.topic(&name, kind.schema_name(), &kind.schema())?;
+                let topic = self.out.topic(&name, kind.schema_name(), &kind.schema());
                 self.topics.insert((role.number(), kind), topic);
                 topic
             }

@@ -1,4 +1,4 @@
-//! Long recordings: what reads them needs no more memory for them than for short ones.
+//! Long recordings: what writes and what reads them needs no more memory for them than for short ones.
 
 use std::path::Path;
 
@@ -14,15 +14,13 @@ const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 
 /// A recording of both links at 100 Hz for so many minutes, in a file: frames as a board sends them,
 /// every tenth of the wireless ones lost.
-fn long_file(minutes: u32) -> std::path::PathBuf {
-    let path =
-        std::env::temp_dir().join(format!("wimu-long-{}-{minutes}.mcap", std::process::id()));
-    let _ = std::fs::remove_file(&path);
+fn write_long_file(path: &Path, minutes: u32) {
+    let _ = std::fs::remove_file(path);
     let anchor = ClockAnchor {
         monotonic_ns: 0,
         utc_ns: 1_795_222_920_000_000_000,
     };
-    let mut writer = RecordingWriter::create(&path, anchor).unwrap();
+    let mut writer = RecordingWriter::create(path, anchor).unwrap();
     let mut frame = [0; MAX_FRAME];
     let mut write = |role, at_ns: u64, frame: &[u8]| writer.append(role, at_ns, frame).unwrap();
     for role in ROLES {
@@ -74,7 +72,6 @@ fn long_file(minutes: u32) -> std::path::PathBuf {
         }
     }
     writer.finish().unwrap();
-    path
 }
 
 /// Most memory that this process has had, MB.
@@ -85,15 +82,20 @@ fn peak_mb() -> f64 {
     kb.unwrap_or(0.0) / 1024.0
 }
 
-/// What reads recordings.
-const READERS: [&str; 3] = ["compare", "info", "export"];
-/// Name the reader and the file for a process that only reads: writing keeps an index in memory.
-const READER: &str = "WIMU_TEST_READER";
+/// What writes a recording and what reads it.
+const STEPS: [&str; 4] = ["record", "compare", "info", "export"];
+/// Name the step, the file and how many minutes it has, for a process that does nothing else.
+const STEP: &str = "WIMU_TEST_STEP";
 const FILE: &str = "WIMU_TEST_LONG_FILE";
+const MINUTES: &str = "WIMU_TEST_MINUTES";
 
-/// Reads the file as `reader` does; how many samples were there.
-fn read(reader: &str, path: &Path) -> u64 {
-    match reader {
+/// Writes or reads the file; how many samples of the wireless link were there.
+fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
+    match step {
+        "record" => {
+            write_long_file(path, minutes);
+            (0..minutes * 375).filter(|batch| batch % 10 != 3).count() as u64 * 16
+        }
         "compare" => {
             let found = compare(|| RecordingReader::open(path), "a.mcap").unwrap();
             assert_eq!(found.identical, found.pairs);
@@ -112,14 +114,16 @@ fn read(reader: &str, path: &Path) -> u64 {
     }
 }
 
-/// Most memory that each reader needs for so many minutes, MB, in a process of its own.
-fn peaks_mb(test: &str, minutes: u32) -> [f64; 3] {
-    let path = long_file(minutes);
-    let peaks = READERS.map(|reader| {
+/// Most memory that each step needs for so many minutes, MB, in a process of its own.
+fn peaks_mb(test: &str, minutes: u32) -> [f64; STEPS.len()] {
+    let file = format!("wimu-long-{}-{minutes}.mcap", std::process::id());
+    let path = std::env::temp_dir().join(file);
+    let peaks = STEPS.map(|step| {
         let ran = std::process::Command::new(std::env::current_exe().unwrap())
             .args(["--include-ignored", "--exact", "--nocapture", test])
-            .env(READER, reader)
+            .env(STEP, step)
             .env(FILE, &path)
+            .env(MINUTES, minutes.to_string())
             .output()
             .unwrap();
         let text = String::from_utf8_lossy(&ran.stdout);
@@ -130,7 +134,7 @@ fn peaks_mb(test: &str, minutes: u32) -> [f64; 3] {
             .split_once(' ')
             .unwrap();
         println!(
-            "{reader}, {minutes} min: {samples} samples of the wireless link, {peak} MB at most"
+            "{step}, {minutes} min: {samples} samples of the wireless link, {peak} MB at most"
         );
         // Nine of ten batches arrived.
         let samples: f64 = samples.parse().unwrap();
@@ -141,16 +145,20 @@ fn peaks_mb(test: &str, minutes: u32) -> [f64; 3] {
     peaks
 }
 
-/// That no reader needs more for a long file than for a short one, but for what the clock keeps.
+/// That no step needs more for a long file than for a short one, but for what the clock keeps.
 fn memory_is_the_same(test: &str, minutes: [u32; 2]) {
-    if let (Ok(reader), Ok(path)) = (std::env::var(READER), std::env::var(FILE)) {
-        let samples = read(&reader, path.as_ref());
-        println!("PEAK {} {samples}", peak_mb());
+    if let (Ok(step), Ok(path), Ok(minutes)) = (
+        std::env::var(STEP),
+        std::env::var(FILE),
+        std::env::var(MINUTES),
+    ) {
+        let samples = do_step(&step, path.as_ref(), minutes.parse().unwrap());
+        println!("PEAK {:.1} {samples}", peak_mb());
         return;
     }
     let [short, long] = minutes.map(|minutes| peaks_mb(test, minutes));
-    for ((reader, short), long) in READERS.into_iter().zip(short).zip(long) {
-        assert!(long < short + 4.0, "{reader}: {short} MB, then {long} MB");
+    for ((step, short), long) in STEPS.into_iter().zip(short).zip(long) {
+        assert!(long < short + 4.0, "{step}: {short} MB, then {long} MB");
     }
 }
 

@@ -27,6 +27,8 @@ const SHAPES: [f64; 6] = [1.0, 1.5, 2.0, 3.0, 4.0, 6.0];
 const DEPTHS: usize = 24;
 /// How many transfers apart late ones may be for one reason.
 const NEAR: u32 = 3;
+/// Two rates of one clock may differ by so many standard deviations.
+const CHANCE: f64 = 2.0;
 /// Slopes at which the likelihood is summed up.
 const SLOPES: usize = 41;
 
@@ -258,23 +260,7 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
             tops.clear();
             vec![Terms::new(&edges, &tops, rate)]
         }
-        None => {
-            let mut rate = likeliest_rate(&edges);
-            let mut summed = Vec::new();
-            // Which delays are the least depends on the slope.
-            for _ in 0..4 {
-                let all = edges.iter_mut().chain(&mut tops);
-                all.for_each(|edge| edge.narrow(rate));
-                summed = slopes(&edges, &tops, rate)?;
-                let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
-                let moved = (mean - rate).abs();
-                rate = mean.clamp(-MAX_RATE, MAX_RATE);
-                if moved < variance.sqrt() {
-                    break;
-                }
-            }
-            summed
-        }
+        None => posterior(&mut edges, &mut tops)?,
     };
     let (rate, rate_variance) = moments(&summed, |term| (term.rate, 0.0))?;
     let (lower, upper) = bounds(&edges, rate);
@@ -295,7 +281,7 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
         let touched = upper.unwrap_or(mean);
         (touched, variance + (touched - mean).powi(2), 0.0)
     };
-    Some(Fit {
+    let mut fit = Fit {
         rate,
         rate_variance,
         middle,
@@ -303,7 +289,98 @@ pub(super) fn fit(blocks: &[&Folded], x: f64, given: Option<f64>) -> Option<Fit>
         covariance,
         lower,
         upper,
-    })
+    };
+    if let (None, Some(apart)) = (given, contradiction(&edges, &tops)) {
+        let (first, last) = (blocks.first()?.span.0, blocks.last()?.span.1);
+        fit.admit(apart, &mut edges, last - first);
+    }
+    Some(fit)
+}
+
+impl Fit {
+    /// Widens what is told of a link whose least delay has changed: equation (63a).
+    fn admit(&mut self, apart: Apart, edges: &mut [Edge], span: f64) {
+        self.rate += apart.share * (apart.middle - self.rate);
+        edges.iter_mut().for_each(|edge| edge.narrow(self.rate));
+        let terms = Terms::new(edges, &[], self.rate);
+        if let Some((middle, _)) = best_link(edges, self.rate).and_then(|link| terms.centre(link)) {
+            self.middle = middle;
+        }
+        (self.lower, self.upper) = bounds(edges, self.rate);
+        self.rate_variance += apart.excess;
+        self.middle_variance += apart.excess * (0.25 * span).powi(2);
+        self.covariance = 0.0;
+    }
+}
+
+/// By how much the rates that both directions of a link show differ more than they may.
+#[derive(Clone, Copy, Debug)]
+struct Apart {
+    /// Their mean.
+    middle: f64,
+    /// The square of half their difference, less what chance makes.
+    excess: f64,
+    /// The part of their difference that is not chance.
+    share: f64,
+}
+
+/// Whether on every link the directions contradict each other; then those of the link that does so
+/// least.
+fn contradiction(edges: &[Edge], tops: &[Edge]) -> Option<Apart> {
+    let mut least: Option<Apart> = None;
+    for link in 0..LINKS {
+        let by = |questions: bool| {
+            let of = |all: &[Edge]| -> Vec<Edge> {
+                let own = |edge: &&Edge| {
+                    edge.link == link
+                        && edge.class.is_question() == questions
+                        && edge.class.shows_rate()
+                };
+                all.iter().filter(own).cloned().collect()
+            };
+            let (mut edges, mut tops) = (of(edges), of(tops));
+            if edges.is_empty() {
+                return None;
+            }
+            let summed = posterior(&mut edges, &mut tops)?;
+            moments(&summed, |term| (term.rate, 0.0))
+        };
+        let (Some(here), Some(there)) = (by(false), by(true)) else {
+            continue;
+        };
+        let square = (here.0 - there.0).powi(2);
+        let excess = square - CHANCE * CHANCE * (here.1 + there.1);
+        if excess <= 0.0 {
+            return None;
+        }
+        if least.is_none_or(|least| 0.25 * excess < least.excess) {
+            least = Some(Apart {
+                middle: 0.5 * (here.0 + there.0),
+                excess: 0.25 * excess,
+                share: excess / square,
+            });
+        }
+    }
+    least
+}
+
+/// The likelihood over the slopes, of the transfers that are least delayed about it.
+fn posterior(edges: &mut [Edge], tops: &mut [Edge]) -> Option<Vec<Terms>> {
+    let mut rate = likeliest_rate(edges);
+    let mut summed = Vec::new();
+    // Which delays are the least depends on the slope.
+    for _ in 0..4 {
+        let all = edges.iter_mut().chain(&mut *tops);
+        all.for_each(|edge| edge.narrow(rate));
+        summed = slopes(edges, tops, rate)?;
+        let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
+        let moved = (mean - rate).abs();
+        rate = mean.clamp(-MAX_RATE, MAX_RATE);
+        if moved < variance.sqrt() {
+            break;
+        }
+    }
+    Some(summed)
 }
 
 /// The likelihood over the slopes about `centre` where it is: neither much more nor less.
@@ -360,6 +437,7 @@ fn moments(terms: &[Terms], of: impl Fn(&Terms) -> (f64, f64)) -> Option<(f64, f
 }
 
 /// The transfers of a kind, at least one, times about the middle.
+#[derive(Clone)]
 struct Edge {
     link: usize,
     class: Class,

@@ -51,6 +51,8 @@ struct Link {
     jitter: Jitter,
     /// Least time towards the host, and towards the device, ns.
     least: [f64; 2],
+    /// By how much these grow over the session, ns.
+    creep: [f64; 2],
     /// ns a byte.
     byte: f64,
     rate_ppm: f64,
@@ -67,6 +69,7 @@ impl Default for Link {
         Self {
             jitter: Jitter::Uniform(50e6),
             least: [15e6, 15e6],
+            creep: [0.0; 2],
             byte: 1e10 / 115_200.0,
             rate_ppm: 37.0,
             duration_s: 60.0,
@@ -105,6 +108,11 @@ impl Link {
     fn truth(&self, device_s: f64) -> f64 {
         let drift = self.wander_ppm_h * device_s * device_s / 7200.0;
         START_NS + device_s * 1e9 + (self.rate_ppm * device_s + drift) * 1e3
+    }
+
+    /// The least time of a direction, ns.
+    fn takes(&self, direction: usize, device_s: f64) -> f64 {
+        self.least[direction] + self.creep[direction] * device_s / self.duration_s
     }
 
     /// An estimator after a session: batches of 16 at 100 Hz and what travels beside them, all in
@@ -159,7 +167,7 @@ impl Link {
             line_free = line_free.max(asked) + self.byte * QUESTION;
             let late = self.jitter.draw(&mut random, &mut lasts[0]);
             // One after the other.
-            heard = (heard + 1e3).max(stalled(line_free + self.least[1] + late));
+            heard = (heard + 1e3).max(stalled(line_free + self.takes(1, time) + late));
             let heard_s = time + (heard - asked) * 1e-9;
             if other.next() >= SHORT_LOST {
                 frames.push((heard_s, Some(Class::Answer), QUESTION, asked));
@@ -189,7 +197,7 @@ impl Link {
                 }
                 packet += 1;
                 line_free += self.byte;
-                arrived = arrived.max(stalled(line_free + self.least[0] + late));
+                arrived = arrived.max(stalled(line_free + self.takes(0, ready_s) + late));
                 began.get_or_insert(arrived);
             }
             let began = began.unwrap_or(arrived);
@@ -320,6 +328,36 @@ fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
                 0.3
             };
             assert!(stated < 3.0 * error.max(least), "{name}: {error} {stated}");
+        }
+    }
+}
+
+#[test]
+fn a_latency_that_changes_slowly_is_in_the_intervals() {
+    for jitter in [Jitter::Uniform(1e6), Jitter::Exponential(3e6)] {
+        for creep in [[6.5e6, 6.5e6], [6.5e6, 0.0], [0.0, 6.5e6], [-6.5e6, -6.5e6]] {
+            let link = Link {
+                jitter,
+                creep,
+                ..Link::default()
+            };
+            let [offsets, rates] = errors(&link, 12);
+            // Its times at the end are those that a wrong rate makes most wrong; half of what the
+            // directions take unequally long nobody can know.
+            let unequal = 0.5 * (creep[0] - creep[1]).abs();
+            let end = DeviceTimeUs((link.duration_s * 1e6) as u64);
+            let held = (0..12).filter(|seed| {
+                let model = link.session(*seed).model().unwrap();
+                let error = model.host_ns(end) as f64 - link.truth(link.duration_s);
+                error.abs() <= unequal + 1.96 * model.sd_ns(end)
+            });
+            let found = [rates.shares(0.0)[2], 100.0 * held.count() as f64 / 12.0];
+            println!(
+                "{jitter:?} {creep:?}: rate {:?} ppm rms, stated; {found:.0?} % held, offset {:?} ms",
+                rates.rms(),
+                offsets.rms()
+            );
+            assert!(found.iter().all(|share| *share >= 83.0), "{found:?}");
         }
     }
 }

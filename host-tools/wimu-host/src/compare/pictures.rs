@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::link::Slice;
 use super::{Comparison, History, Values};
 use crate::Result;
 use crate::chart::{self, Band, Chart, Series};
@@ -52,7 +53,9 @@ impl Comparison {
         let sides = |pairs: &[(f64, [[f64; 3]; 2])], wireless: &str| {
             let side = |which: usize, name: &str| Series {
                 name: name.to_owned(),
-                points: thin(pairs.iter().map(|(time, pair)| (*time, pair[which][axis]))),
+                points: chart::broken(thin(
+                    pairs.iter().map(|(time, pair)| (*time, pair[which][axis])),
+                )),
                 dots: false,
             };
             vec![side(1, wireless), side(0, "cable")]
@@ -126,14 +129,14 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
         let series = (0..3)
             .map(|axis| Series {
                 name: AXES[axis].to_owned(),
-                points: thin(history.excerpt.iter().map(|(time, [c, w])| {
+                points: chart::broken(thin(history.excerpt.iter().map(|(time, [c, w])| {
                     let w = if corrected {
                         values.model.correct(*w)
                     } else {
                         *w
                     };
                     (*time, (w[axis] - c[axis]) * 1e3)
-                })),
+                }))),
                 dots: false,
             })
             .collect();
@@ -203,14 +206,17 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
             series,
         )
     };
-    let lost = |slices: &[super::link::Slice], link: &str| Series {
+    let lost = |slices: &[Slice], other: &[Slice], link: &str| Series {
         name: link.to_owned(),
-        points: slices
-            .iter()
-            .enumerate()
-            .map(|(k, slice)| {
-                let all = (slice.delivered + slice.missing).max(1);
-                (time(k), 100.0 * slice.missing as f64 / all as f64)
+        points: (slices.iter().zip(other).enumerate())
+            .map(|(k, (slice, other))| {
+                let all = slice.delivered + slice.missing;
+                // A link that is not there shows no gap of its own.
+                let share = match all {
+                    0 if other.delivered > 0 => 1.0,
+                    _ => slice.missing as f64 / all.max(1) as f64,
+                };
+                (time(k), 100.0 * share)
             })
             .collect(),
         dots: false,
@@ -219,7 +225,10 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
     let loss = chart(
         "Samples that did not arrive".to_owned(),
         "%",
-        vec![lost(wireless, "wireless"), lost(cable, "cable")],
+        vec![
+            lost(wireless, cable, "wireless"),
+            lost(cable, wireless, "cable"),
+        ],
     );
     [("latency", latency), ("loss", loss)]
 }

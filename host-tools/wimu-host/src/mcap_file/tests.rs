@@ -28,7 +28,7 @@ fn record(count: u64, close: bool) -> Vec<u8> {
         writer.finish().unwrap().into_inner()
     } else {
         writer.flush().unwrap();
-        writer.writer.into_inner().into_inner()
+        writer.container.abandon().into_inner()
     }
 }
 
@@ -50,6 +50,108 @@ fn what_is_recorded_reads_back_the_same() {
     assert_eq!(received, (0..95).map(entry).collect::<Vec<_>>());
     assert_eq!(reader.wholeness(), Wholeness::default());
     assert_eq!(ANCHOR.to_utc_ns(5_001), 1_795_222_920_123_456_790);
+}
+
+#[test]
+fn other_readers_find_every_message_by_the_index_and_without_it() {
+    // More chunks than are indexed at a time, with times that do not rise.
+    let mut writer = RecordingWriter::new(Cursor::new(Vec::new()), "a.mcap", ANCHOR).unwrap();
+    let further = writer.topic("/a", "std_msgs/msg/String", TEXT_SCHEMA);
+    let mut times = Vec::new();
+    for index in 0..1500_u64 {
+        let host_ns = 7_000 + (index ^ 3) * 400_000_000;
+        writer.append(LinkRole::Cable, host_ns, &[7; 30]).unwrap();
+        writer.publish(further, host_ns, 5, &[0, 1, 0, 0]).unwrap();
+        times.extend([ANCHOR.to_utc_ns(host_ns); 2]);
+        if index % 3 == 0 {
+            writer.flush().unwrap();
+        }
+    }
+    let bytes = writer.finish().unwrap().into_inner();
+    let linear: Vec<_> = (mcap::MessageStream::new(&bytes).unwrap())
+        .map(|message| message.unwrap().log_time)
+        .collect();
+    assert_eq!(linear, times);
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let statistics = summary.stats.as_ref().unwrap();
+    assert_eq!(statistics.message_count, 3000);
+    assert_eq!(statistics.chunk_count as usize, summary.chunk_indexes.len());
+    assert_eq!(summary.metadata_indexes.len(), 1);
+    assert_eq!((summary.channels.len(), summary.schemas.len()), (7, 2));
+    let (mut found, mut messages) = (0, 0);
+    for chunk in &summary.chunk_indexes {
+        found += summary.stream_chunk(&bytes, chunk).unwrap().count();
+        // That of schemas and channels.
+        if chunk.message_index_offsets.is_empty() {
+            continue;
+        }
+        let by_channel = summary.read_message_indexes(&bytes, chunk).unwrap();
+        for (channel, entries) in by_channel {
+            messages += entries.len();
+            for entry in entries {
+                let message = summary.seek_message(&bytes, chunk, &entry).unwrap();
+                assert_eq!(message.log_time, entry.log_time);
+                assert_eq!(message.channel.id, channel.id);
+                let within = chunk.message_start_time..=chunk.message_end_time;
+                assert!(within.contains(&entry.log_time));
+            }
+        }
+    }
+    assert_eq!((found, messages), (3000, 3000));
+    let (first, last) = (times.iter().min(), times.iter().max());
+    assert_eq!(Some(&statistics.message_start_time), first);
+    assert_eq!(Some(&statistics.message_end_time), last);
+    // The footer's CRC is that of the summary.
+    let footer = bytes.len() - mcap::MAGIC.len() - 4;
+    let summary_start = u64::from_le_bytes(bytes[footer - 16..footer - 8].try_into().unwrap());
+    let crc = crc32fast::hash(&bytes[summary_start as usize..footer]);
+    assert_eq!(bytes[footer..footer + 4], crc.to_le_bytes());
+}
+
+/// A file on a full disk, from some byte on.
+struct Full(Cursor<Vec<u8>>, u64);
+
+impl Read for Full {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer)
+    }
+}
+
+impl Write for Full {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let room = self.1.saturating_sub(self.0.position()) as usize;
+        match bytes.len().min(room) {
+            0 => Err(io::Error::other("full")),
+            some => self.0.write(&bytes[..some]),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Full {
+    fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+#[test]
+fn a_full_disk_is_told_wherever_it_fills_up() {
+    let all = record(40, true);
+    for room in (0..all.len() as u64).step_by(37) {
+        let sink = Full(Cursor::new(Vec::new()), room);
+        let recorded = RecordingWriter::new(sink, "a.mcap", ANCHOR).and_then(|mut writer| {
+            for index in 0..40 {
+                let entry = entry(index);
+                writer.append(entry.role, entry.host_ns, &entry.bytes)?;
+            }
+            writer.finish()
+        });
+        let error = recorded.err().unwrap();
+        assert_eq!(error.code(), ErrorCode::FileFailed, "at {room}");
+    }
 }
 
 #[test]

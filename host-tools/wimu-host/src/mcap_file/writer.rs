@@ -1,17 +1,18 @@
 //! Writing a recording while it happens.
 
+use super::container::{Container, Message};
 use super::*;
 
 /// A further topic of a [`RecordingWriter`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topic(u16);
 
-/// Writes a recording while it happens.
+/// Writes a recording while it happens. Memory does not grow with its length.
 ///
 /// Dropping it closes the file as well; [`RecordingWriter::finish`] also tells whether that worked.
-pub struct RecordingWriter<W: Write + Seek> {
+pub struct RecordingWriter<W: Read + Write + Seek> {
     name: String,
-    pub(super) writer: mcap::Writer<W>,
+    pub(super) container: Container<W>,
     anchor: ClockAnchor,
     /// Channel and messages so far, in the order of [`TOPICS`].
     channels: [(u16, u32); TOPICS.len()],
@@ -19,40 +20,34 @@ pub struct RecordingWriter<W: Write + Seek> {
     message: Vec<u8>,
 }
 
-impl RecordingWriter<BufWriter<File>> {
+impl RecordingWriter<File> {
     /// Creates a file; one that exists is left alone.
     ///
     /// # Errors
     /// `file_exists`, `file_unreadable`, `file_failed`.
     pub fn create(path: &Path, anchor: ClockAnchor) -> Result<Self> {
         let name = path.display().to_string();
-        let file = File::create_new(path).map_err(|e| HostError::file(&name, "create", &e))?;
-        Self::new(BufWriter::new(file), &name, anchor)
+        let file = File::options()
+            .read(true)
+            .write(true)
+            .create_new(true)
+            .open(path)
+            .map_err(|e| HostError::file(&name, "create", &e))?;
+        Self::new(file, &name, anchor)
     }
 }
 
-impl<W: Write + Seek> RecordingWriter<W> {
-    /// Starts a recording in `sink`, which errors call `name`.
+impl<W: Read + Write + Seek> RecordingWriter<W> {
+    /// Starts a recording in `sink`, which is empty and which errors call `name`.
     ///
     /// # Errors
     /// `file_failed`.
     pub fn new(sink: W, name: &str, anchor: ClockAnchor) -> Result<Self> {
-        let failed = |error| write_error(name, error);
-        let mut writer = mcap::WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("wimu ", env!("CARGO_PKG_VERSION")))
-            .compression(None)
-            .chunk_size(Some(CHUNK_BYTES))
-            // Buffers a chunk and appends it whole, instead of going back to write its header.
-            .disable_seeking(true)
-            .create(sink)
-            .map_err(failed)?;
-        let schema = writer
-            .add_schema(SCHEMA_NAME, "ros2msg", SCHEMA.as_bytes())
-            .map_err(failed)?;
-        let text = writer
-            .add_schema(TEXT_SCHEMA_NAME, "ros2msg", TEXT_SCHEMA.as_bytes())
-            .map_err(failed)?;
+        let failed = |error| HostError::file(name, "write", &error);
+        let library = concat!("wimu ", env!("CARGO_PKG_VERSION"));
+        let mut container = Container::new(sink, "ros2", library).map_err(failed)?;
+        let bytes = container.schema(SCHEMA_NAME, SCHEMA);
+        let text = container.schema(TEXT_SCHEMA_NAME, TEXT_SCHEMA);
         let mut metadata = vec![
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("anchor_monotonic_ns", anchor.monotonic_ns.to_string()),
@@ -61,28 +56,20 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let mut channels = [(0, 0); TOPICS.len()];
         for (channel, (_, content, topic, key)) in channels.iter_mut().zip(TOPICS) {
             let schema = match content {
-                Content::Received | Content::Sent => schema,
+                Content::Received | Content::Sent => bytes,
                 Content::State => text,
             };
-            channel.0 = writer
-                .add_channel(schema, topic, "cdr", &BTreeMap::new())
-                .map_err(failed)?;
+            channel.0 = container.channel(schema, topic);
             // The channels stand in the first chunk alone: damage there must not lose the rest.
             metadata.push((key, channel.0.to_string()));
         }
-        writer
-            .write_metadata(&Metadata {
-                name: METADATA.to_owned(),
-                metadata: metadata
-                    .into_iter()
-                    .map(|(key, value)| (key.to_owned(), value))
-                    .collect(),
-            })
+        container
+            .write_metadata(METADATA, &metadata)
             .map_err(failed)?;
-        writer.flush().map_err(failed)?;
+        container.flush().map_err(failed)?;
         Ok(Self {
             name: name.to_owned(),
-            writer,
+            container,
             anchor,
             channels,
             last_flush_ns: None,
@@ -146,36 +133,24 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let wanted =
             |topic: &(LinkRole, Content, &str, &str)| (topic.0, topic.1) == (role, content);
         let index = TOPICS.iter().position(wanted).unwrap_or(0);
-        let (channel_id, sequence) = self.channels[index];
+        let (channel, sequence) = self.channels[index];
         self.channels[index].1 = sequence.wrapping_add(1);
         let log_time = self.anchor.to_utc_ns(host_ns);
-        let header = mcap::records::MessageHeader {
-            channel_id,
+        let written = self.container.write(&Message {
+            channel,
             sequence,
             log_time,
             publish_time: log_time,
-        };
-        self.writer
-            .write_to_known_channel(&header, message)
-            .map_err(|error| write_error(&self.name, error))?;
+            data: message,
+        });
+        written.map_err(|error| self.failed(&error))?;
         self.tick(host_ns)
     }
 
     /// A further topic, of ROS messages in CDR.
-    ///
-    /// # Errors
-    /// `file_failed`.
-    pub fn topic(&mut self, name: &str, schema_name: &str, schema: &str) -> Result<Topic> {
-        let failed = |error| write_error(&self.name, error);
-        let schema = self
-            .writer
-            .add_schema(schema_name, "ros2msg", schema.as_bytes())
-            .map_err(failed)?;
-        let channel = self
-            .writer
-            .add_channel(schema, name, "cdr", &BTreeMap::new())
-            .map_err(|error| write_error(&self.name, error))?;
-        Ok(Topic(channel))
+    pub fn topic(&mut self, name: &str, schema_name: &str, schema: &str) -> Topic {
+        let schema = self.container.schema(schema_name, schema);
+        Topic(self.container.channel(schema, name))
     }
 
     /// Appends a message on a further topic that arrived at `host_ns`, on the anchored monotonic
@@ -190,15 +165,14 @@ impl<W: Write + Seek> RecordingWriter<W> {
         stamp_utc_ns: u64,
         message: &[u8],
     ) -> Result<()> {
-        let header = mcap::records::MessageHeader {
-            channel_id: topic.0,
+        let written = self.container.write(&Message {
+            channel: topic.0,
             sequence: 0,
             log_time: self.anchor.to_utc_ns(host_ns),
             publish_time: stamp_utc_ns,
-        };
-        self.writer
-            .write_to_known_channel(&header, message)
-            .map_err(|error| write_error(&self.name, error))
+            data: message,
+        });
+        written.map_err(|error| self.failed(&error))
     }
 
     /// Host's monotonic clock to UTC.
@@ -224,34 +198,23 @@ impl<W: Write + Seek> RecordingWriter<W> {
     /// # Errors
     /// `file_failed`.
     pub fn flush(&mut self) -> Result<()> {
-        self.writer
-            .flush()
-            .map_err(|error| write_error(&self.name, error))
+        let flushed = self.container.flush();
+        flushed.map_err(|error| self.failed(&error))
     }
 
     /// Closes the recording with its index.
     ///
     /// # Errors
     /// `file_failed`.
-    pub fn finish(mut self) -> Result<W> {
-        self.writer
-            .finish()
-            .map_err(|error| write_error(&self.name, error))?;
-        let mut sink = self.writer.into_inner();
-        sink.flush()
-            .map_err(|error| HostError::file(&self.name, "write", &error))?;
-        Ok(sink)
+    pub fn finish(self) -> Result<W> {
+        let Self {
+            name, container, ..
+        } = self;
+        let finished = container.finish();
+        finished.map_err(|error| HostError::file(&name, "write", &error))
     }
-}
 
-fn write_error(name: &str, error: mcap::McapError) -> HostError {
-    match error {
-        mcap::McapError::Io(error) => HostError::file(name, "write", &error),
-        other => HostError::new(
-            ErrorCode::FileFailed,
-            format!("the recording cannot be written: {other}"),
-            "start a new recording",
-        )
-        .at(name),
+    fn failed(&self, error: &io::Error) -> HostError {
+        HostError::file(&self.name, "write", error)
     }
 }

@@ -156,15 +156,19 @@ fn summary(progress: &Progress) -> String {
 /// A clock in a line, two standard deviations.
 pub fn clock_text(clock: &ClockSummary) -> String {
     let rate = format!(
-        "device clock {:+.1} ± {:.1} ppm",
-        clock.rate_ppm,
-        2.0 * clock.rate_sd_ppm
+        "device clock {:.1} ± {:.1} ppm {}",
+        clock.rate_ppm.abs(),
+        2.0 * clock.rate_sd_ppm,
+        if clock.rate_ppm > 0.0 { "slow" } else { "fast" }
     );
     match clock.offset_bound_ms {
-        Some(bound) => format!(
-            "{rate}; its times in host time to {:.2} ms if both directions take equally long, to {bound:.1} ms in any case",
-            (2.0 * clock.offset_sd_ms).min(bound)
-        ),
+        Some(bound) => {
+            let sd = 2.0 * clock.offset_sd_ms;
+            format!(
+                "{rate}; its times in host time to {sd:.2} ms if both directions take equally long, to {:.2} ms in any case",
+                bound.max(sd)
+            )
+        }
         None => format!("{rate}; its times are late by what the fastest transfer took"),
     }
 }

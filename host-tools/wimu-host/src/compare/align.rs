@@ -24,6 +24,14 @@ const MIN_CORRELATION: f64 = 0.6;
 /// Another place that fits within this makes the answer ambiguous.
 const MIN_LEAD: f64 = 0.03;
 
+/// A sensor's bias makes the magnitude at rest another than 1 g by about this, as a part of it.
+const LEAST_UNIT_SD: f64 = 0.03;
+/// A value stands at its sensor's end that stays for so many rows, so many times, and comes or goes by more
+/// than so many of the finest steps at once.
+const MIN_STAY: usize = 2;
+const MIN_STOPS: usize = 2;
+const STEEP: f64 = 4.0;
+
 /// What the alignment of two tables found.
 #[derive(Clone, Debug, Serialize)]
 pub struct Alignment {
@@ -42,6 +50,11 @@ pub struct Alignment {
     pub rate_hz: f64,
     /// Values compared.
     pub pairs: u64,
+    /// Moments left out because a value of either stands at its sensor's end.
+    pub saturated: u64,
+    /// Of the reference and the other: for a table in LSB, whose median magnitude is taken for 1 g,
+    /// how far that may be off, as a part of 1. It is in the standard deviations.
+    pub unit_sd: [Option<f64>; 2],
     /// The other against the reference, X, Y, Z; `None` where they say nothing about each other.
     pub axes: Option<[Axis; 3]>,
     /// Why not.
@@ -54,6 +67,10 @@ struct Signal {
     times: Vec<f64>,
     /// m/s².
     values: Vec<[f64; 3]>,
+    /// Whether an axis stands at its sensor's end.
+    saturated: Vec<bool>,
+    /// How far the unit may be off, where it is guessed, as a part of 1.
+    unit_sd: Option<f64>,
 }
 
 /// Evenly sampled magnitudes, less their mean.
@@ -129,24 +146,36 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let slope = rate.unwrap_or(0.0);
     // Any two devices: nobody says which is the noisier.
     let mut transfer = ReferenceTransfer::of_unknown_noise();
-    let mut squares = [0.0; 3];
+    let (mut squares, mut sums, mut saturated) = ([0.0; 3], [[0.0; 3]; 2], 0);
     let count = ((end - start) / step).max(0.0) as usize;
     for k in 0..count {
         let time = start + k as f64 * step;
         let theirs = time - offset_s - slope * (time - middle);
         if let (Some(x), Some(y)) = (a.at(time), b.at(theirs)) {
+            if a.is_saturated_at(time) || b.is_saturated_at(theirs) {
+                saturated += 1;
+                continue;
+            }
             transfer.push(x, y);
             for axis in 0..3 {
                 squares[axis] += (y[axis] - x[axis]).powi(2);
+                sums[0][axis] += x[axis];
+                sums[1][axis] += y[axis];
             }
         }
     }
     let found = transfer.result();
     let pairs = found.as_ref().map_or(count as u64, |found| found.samples);
+    let unit_sd = [a.unit_sd, b.unit_sd];
     let axes = found.as_ref().ok().map(|found| {
-        [0, 1, 2].map(|axis| Axis {
-            rms_before_mps2: (squares[axis] / found.samples.max(1) as f64).sqrt(),
-            ..Axis::new(found, axis, 0.0)
+        let count = found.samples.max(1) as f64;
+        [0, 1, 2].map(|axis| {
+            let plain = Axis {
+                rms_before_mps2: (squares[axis] / count).sqrt(),
+                ..Axis::new(found, axis, 0.0)
+            };
+            let means = [0, 1].map(|table| sums[table][axis] / count);
+            plain.with_units_to(unit_sd.map(Option::unwrap_or_default), means)
         })
     });
     Ok(Alignment {
@@ -157,9 +186,67 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         overlap_s: end - start,
         rate_hz,
         pairs,
+        saturated,
+        unit_sd,
         axes,
         axes_reason: found.err().map(|refusal| refusal.to_string()),
     })
+}
+
+impl Axis {
+    /// The same where the units of reference and other are known to these parts of 1 only; their means,
+    /// m/s².
+    fn with_units_to(mut self, unit_sd: [f64; 2], means: [f64; 2]) -> Self {
+        let widen = |sd: &mut f64, by: f64| *sd = sd.hypot(by);
+        for (sd, mean) in unit_sd.into_iter().zip(means) {
+            widen(&mut self.offset_sd_mps2, sd * mean);
+        }
+        if let Some(line) = &mut self.line {
+            widen(&mut line.bias_sd_mps2, unit_sd[1] * line.bias_mps2);
+            widen(
+                &mut line.scale_sd,
+                unit_sd[0].hypot(unit_sd[1]) * line.scale,
+            );
+        }
+        self
+    }
+}
+
+/// Which rows have an axis at the end of what its sensor shows: at its largest or smallest value, where the
+/// motion stops and stays more than once.
+fn saturated(values: &[[f64; 3]]) -> Vec<bool> {
+    let mut saturated = vec![false; values.len()];
+    for axis in 0..3 {
+        let of = |row: usize| values[row][axis];
+        // The finest step between two rows: a value may stay by itself for as coarse as it is.
+        let steps = values
+            .windows(2)
+            .map(|pair| (pair[1][axis] - pair[0][axis]).abs());
+        let finest = steps.filter(|step| *step > 0.0).fold(f64::MAX, f64::min);
+        for sign in [1.0, -1.0] {
+            let end = values
+                .iter()
+                .map(|value| sign * value[axis])
+                .fold(f64::MIN, f64::max);
+            let at_end: Vec<usize> = (0..values.len())
+                .filter(|row| sign * of(*row) == end)
+                .collect();
+            let runs = at_end.chunk_by(|row, next| row + 1 == *next);
+            let stops = runs.filter(|run| {
+                let outside = [run[0].checked_sub(1), Some(run[run.len() - 1] + 1)];
+                let steep = outside
+                    .into_iter()
+                    .flatten()
+                    .filter(|row| *row < values.len())
+                    .any(|row| (of(row) - of(run[0])).abs() > STEEP * finest);
+                run.len() >= MIN_STAY && steep
+            });
+            if stops.count() >= MIN_STOPS {
+                at_end.iter().for_each(|row| saturated[*row] = true);
+            }
+        }
+    }
+    saturated
 }
 
 fn read(path: &Path) -> Result<Signal> {
@@ -180,6 +267,8 @@ fn read(path: &Path) -> Result<Signal> {
     let mut signal = Signal {
         times: Vec::new(),
         values: Vec::new(),
+        saturated: Vec::new(),
+        unit_sd: None,
     };
     for row in reader {
         let row = row?;
@@ -206,10 +295,16 @@ fn read(path: &Path) -> Result<Signal> {
         AccelerationUnit::Lsb => {
             let mut norms: Vec<_> = signal.values.iter().map(norm).collect();
             norms.sort_by(f64::total_cmp);
-            STANDARD_GRAVITY_MPS2 / norms[norms.len() / 2].max(1e-9)
+            let at = |share: f64| norms[(share * (norms.len() - 1) as f64) as usize];
+            let median = at(0.5).max(1e-9);
+            // In motion the median is not the magnitude at rest.
+            let spread = 0.5 * (at(0.84) - at(0.16)) / median;
+            signal.unit_sd = Some(spread.hypot(LEAST_UNIT_SD));
+            STANDARD_GRAVITY_MPS2 / median
         }
         other => other.mps2().unwrap_or(1.0),
     };
+    signal.saturated = saturated(&signal.values);
     for value in &mut signal.values {
         *value = value.map(|v| v * factor);
     }
@@ -243,6 +338,13 @@ impl Signal {
         let v1 = self.values[next];
         let share = (time - t0) / (t1 - t0);
         (t1 - t0 < 1.0).then(|| [0, 1, 2].map(|axis| v0[axis] + share * (v1[axis] - v0[axis])))
+    }
+
+    /// Whether the value at a time is made of one at its sensor's end.
+    fn is_saturated_at(&self, time: f64) -> bool {
+        let next = self.times.partition_point(|t| *t <= time);
+        let rows = next.saturating_sub(1)..(next + 1).min(self.saturated.len());
+        self.saturated[rows].contains(&true)
     }
 
     fn grid(&self, step: f64) -> Grid {

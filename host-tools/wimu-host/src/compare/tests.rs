@@ -64,6 +64,47 @@ fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
 }
 
 #[test]
+fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_interval() {
+    let a = table("f", times(100.0, 0.0, 60.0).map(|t| (t, force(t))), "m/s²");
+    let seen = |t: f64| {
+        let [x, y, z] = force(t);
+        [1.01 * x + 0.2, 0.98 * y - 0.1, 1.02 * z]
+    };
+    let all: Vec<_> = times(100.0, 0.0, 60.0).map(|t| (t, seen(t))).collect();
+    let most = |axis: usize| all.iter().map(|(_, v)| v[axis].abs()).fold(0.0, f64::max);
+    let ends = [0, 1, 2].map(|axis| 0.8 * most(axis));
+    let clip = |v: [f64; 3]| [0, 1, 2].map(|k| v[k].clamp(-ends[k], ends[k]));
+    let clipped = table("g", all.iter().map(|(t, v)| (*t, clip(*v))), "m/s²");
+    let found = align(&a, &clipped).unwrap();
+    assert!(found.saturated > 50, "{found:?}");
+    let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
+    for (line, scale) in lines.iter().zip([1.01, 0.98, 1.02]) {
+        assert!((line.scale - scale).abs() < 0.01, "{lines:?}");
+    }
+    // In LSB the scale is that of the magnitude in motion: told, and in the interval.
+    let counts = table(
+        "h",
+        all.iter()
+            .map(|(t, v)| (*t, v.map(|v| (v * 417.7).round()))),
+        "LSB",
+    );
+    let found = align(&a, &counts).unwrap();
+    assert_eq!(found.saturated, 0);
+    assert!(found.unit_sd[0].is_none() && found.unit_sd[1].is_some_and(|sd| sd >= 0.03));
+    let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
+    for (line, scale) in lines.iter().zip([1.01, 0.98, 1.02]) {
+        let apart = (line.scale - scale).abs();
+        assert!(
+            apart < 2.0 * line.scale_sd && line.scale_sd >= 0.029,
+            "{line:?}"
+        );
+    }
+    for path in [a, clipped, counts] {
+        std::fs::remove_file(path).unwrap();
+    }
+}
+
+#[test]
 fn tables_that_do_not_fit_or_fit_twice_are_refused() {
     let a = table("c", times(100.0, 0.0, 30.0).map(|t| (t, force(t))), "m/s²");
     let stranger = table(

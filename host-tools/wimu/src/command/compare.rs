@@ -228,6 +228,22 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
             "; its clock is {ppm:+.0} ppm slow"
         ))
     );
+    for (source, sd) in found.sources.iter().zip(found.unit_sd) {
+        if let Some(sd) = sd {
+            let _ = write!(
+                text,
+                "\n{source} is in LSB: its median magnitude is taken for 1 g, which may be off by {:.0} %, all scales alike",
+                200.0 * sd
+            );
+        }
+    }
+    if found.saturated > 0 {
+        let _ = write!(
+            text,
+            "\n{} moments at a sensor's end are left out",
+            found.saturated
+        );
+    }
     match (&found.axes, &found.axes_reason) {
         (Some(axes), _) => text += &axes_text(axes),
         (None, Some(reason)) => {

@@ -240,9 +240,21 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
 fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
     let mut texts = [Vec::new(), Vec::new()];
     for spec in specs {
-        match spec.strip_prefix("cable:") {
-            Some(cable) => texts[0].push(cable),
-            None => texts[1].push(spec.strip_prefix("wireless:").unwrap_or(spec)),
+        // A link holds for what follows it, up to another one.
+        let mut link = 1;
+        for part in spec.split(',').map(str::trim) {
+            let fault = match (part.strip_prefix("cable:"), part.strip_prefix("wireless:")) {
+                (Some(fault), _) => {
+                    link = 0;
+                    fault
+                }
+                (_, Some(fault)) => {
+                    link = 1;
+                    fault
+                }
+                _ => part,
+            };
+            texts[link].push(fault);
         }
     }
     let read = |texts: &Vec<&str>| {
@@ -270,4 +282,27 @@ fn counts_of(arguments: &Simulate, path: &Path) -> Result<Vec<Counts>> {
         ..LoadOptions::default()
     };
     Dataset::from_csv(path, &load)?.counts()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_stands_once_before_its_faults_or_before_each() {
+        let of = |specs: &[&str]| {
+            let specs: Vec<_> = specs.iter().map(|spec| (*spec).to_owned()).collect();
+            faults_of(&specs).unwrap()
+        };
+        let expected = of(&["latency=20ms,loss=2%", "cable:latency=2ms,bits=1e-5"]);
+        assert_ne!(expected[0], expected[1]);
+        for specs in [
+            &["wireless:latency=20ms,wireless:loss=2%,cable:latency=2ms,bits=1e-5"][..],
+            &["cable:latency=2ms, cable:bits=1e-5, wireless:latency=20ms, loss=2%"],
+            &["latency=20ms,loss=2%,cable:latency=2ms,cable:bits=1e-5"],
+        ] {
+            assert_eq!(of(specs), expected, "{specs:?}");
+        }
+        assert!(faults_of(&["usb:latency=2ms".to_owned()]).is_err());
+    }
 }

@@ -12,11 +12,12 @@ use wimu_calib::{NoiseRatio, ReferenceTransfer, Transfer};
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_link::message::{Answer, Payload};
-use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
+use wimu_model::SpecificForceQ16;
 
 use crate::clock::{ClockModel, ClockSummary};
-use crate::decode::Event;
-use crate::mcap_file::RecordingReader;
+use crate::decode::{Event, TimedSample};
+use crate::mcap_file::{RecordingReader, Wholeness};
+use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, walk};
 use crate::{ErrorCode, HostError, Result};
 
@@ -54,6 +55,9 @@ pub struct Comparison {
     pub device_id: Option<String>,
     /// Host time from the first arrival to the last, s.
     pub duration_s: f64,
+    /// How whole the recording is.
+    #[serde(flatten)]
+    pub wholeness: Wholeness,
     /// Starts of the device in it.
     pub starts: usize,
     /// The stream that both links carry: `raw` or `corrected`.
@@ -64,6 +68,8 @@ pub struct Comparison {
     pub identical: u64,
     /// With a saturated axis on either: left out of the values.
     pub saturated: u64,
+    /// Raw, from where the range may have changed and no epoch tells: left out of the values.
+    pub without_unit: u64,
     /// The cable and the wireless link.
     pub links: [LinkReport; 2],
     /// The device's clock by both links together.
@@ -214,6 +220,7 @@ pub fn compare<R: Read>(
         source: name.to_owned(),
         device_id,
         duration_s: overview.span_ns() as f64 * 1e-9,
+        wholeness: overview.wholeness,
         starts: overview.starts.len(),
         stream: match overview.stream {
             Stream::Raw => "raw",
@@ -222,6 +229,7 @@ pub fn compare<R: Read>(
         pairs: counted.pairs,
         identical: counted.identical,
         saturated: counted.saturated,
+        without_unit: counted.without_unit,
         links,
         clock: overview
             .longest()
@@ -255,6 +263,8 @@ struct Overview {
     span: (u64, u64),
     /// When each link was first heard, host time.
     heard_ns: [u64; 2],
+    wholeness: Wholeness,
+    units: Units,
     clocks: BTreeMap<Start, ClockModel>,
     single: [Option<ClockModel>; 2],
     statistics: Vec<(LinkRole, crate::decode::LinkStatistics)>,
@@ -269,6 +279,7 @@ impl Overview {
         let mut starts: BTreeMap<Start, [u64; 2]> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
         let mut heard_ns = [None; 2];
+        let mut raw_units: BTreeMap<Start, RawUnits> = BTreeMap::new();
         let statistics = walk(&mut reader, |role, start, step| {
             clocks.see(role, start, &step);
             if let Step::Arrival(arrival) = &step {
@@ -279,6 +290,7 @@ impl Overview {
                     Event::Hello(hello) => {
                         devices.insert(hello.device_id);
                     }
+                    Event::Epoch { epoch, .. } => raw_units.entry(start).or_default().see(epoch),
                     Event::Samples(heard) => {
                         let count = heard.values.len() as u64;
                         samples[heard.stream as usize][index_of(role)] += count;
@@ -325,6 +337,11 @@ impl Overview {
                 .collect(),
             span: span.unwrap_or_default(),
             heard_ns: heard_ns.map(Option::unwrap_or_default),
+            wholeness: reader.wholeness(),
+            units: match stream {
+                Stream::Raw => Units::Raw(raw_units),
+                Stream::Corrected => Units::Corrected,
+            },
             clocks: clocks.models(),
             single: ROLES.map(|role| clocks.of_link(role)),
             statistics,
@@ -357,9 +374,11 @@ impl Overview {
     }
 }
 
-/// What a stream's values are, in each start.
-#[derive(Default)]
-struct Units(BTreeMap<Start, Unit>);
+/// What a stream's values are, in each start: by the epochs of both links together.
+enum Units {
+    Raw(BTreeMap<Start, RawUnits>),
+    Corrected,
+}
 
 #[derive(Clone, Copy)]
 struct Unit {
@@ -379,27 +398,21 @@ impl Unit {
 }
 
 impl Units {
-    fn see(&mut self, stream: Stream, start: Start, event: &Event) {
-        let Event::Epoch { epoch, .. } = event else {
-            return;
-        };
-        let unit = match stream {
-            Stream::Raw => Unit {
-                mps2_per_lsb: STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g,
-                full_scale: u32::from(epoch.full_scale.unsigned_abs()),
-            },
-            Stream::Corrected => Unit {
+    /// That of the sample of this number; `None` where no epoch tells.
+    fn of(&self, start: Start, sequence: u32) -> Option<Unit> {
+        Some(match self {
+            Self::Raw(starts) => {
+                let unit = starts.get(&start)?.of(sequence)?;
+                Unit {
+                    mps2_per_lsb: unit.mps2_per_lsb(),
+                    full_scale: unit.full_scale.into(),
+                }
+            }
+            Self::Corrected => Unit {
                 mps2_per_lsb: 1.0 / SpecificForceQ16::LSB_PER_MPS2,
                 full_scale: u32::MAX,
             },
-        };
-        if unit.mps2_per_lsb.is_finite() && unit.mps2_per_lsb > 0.0 {
-            self.0.insert(start, unit);
-        }
-    }
-
-    fn of(&self, start: Start) -> Option<Unit> {
-        self.0.get(&start).copied()
+        })
     }
 }
 
@@ -432,6 +445,7 @@ struct Counted {
     pairs: u64,
     identical: u64,
     saturated: u64,
+    without_unit: u64,
     transfer: ReferenceTransfer,
     before: Apart,
     /// The coarsest LSB, m/s².
@@ -449,6 +463,7 @@ impl Counted {
             pairs: 0,
             identical: 0,
             saturated: 0,
+            without_unit: 0,
             transfer: ReferenceTransfer::new(ratio),
             before: Apart::default(),
             lsb_mps2: 0.0,
@@ -458,7 +473,6 @@ impl Counted {
         let middle = overview.span.0 + overview.span_ns() / 2;
         let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
         let mut pairing = Pairing::new(overview.heard_ns);
-        let mut units = Units::default();
         let mut current = [None; 2];
         let mut slice = 0;
         walk(&mut reader, |role, start, step| {
@@ -469,7 +483,6 @@ impl Counted {
             if current[link].replace(start).is_some_and(|s| s != start) {
                 counted.meters[link].restart();
             }
-            units.see(overview.stream, start, &arrival.event);
             let samples = match &arrival.event {
                 Event::Samples(samples) if samples.stream == overview.stream => samples,
                 Event::Status(status) => {
@@ -489,10 +502,6 @@ impl Counted {
                 return Ok(());
             };
             counted.meters[link].take(samples, host_ns, clock, overview.slice(host_ns));
-            let Some(unit) = units.of(start) else {
-                return Ok(());
-            };
-            counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
             for sample in samples.iter() {
                 let taken = Taken {
                     number: sample.sequence,
@@ -507,9 +516,14 @@ impl Counted {
                 } else {
                     (twin, sample.value)
                 };
-                let [c, w] = [cable, wireless].map(|value| unit.mps2(value));
                 counted.pairs += 1;
                 counted.identical += u64::from(cable == wireless);
+                let Some(unit) = overview.units.of(start, sample.sequence) else {
+                    counted.without_unit += 1;
+                    continue;
+                };
+                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
+                let [c, w] = [cable, wireless].map(|value| unit.mps2(value));
                 if unit.is_saturated(cable) || unit.is_saturated(wireless) {
                     counted.saturated += 1;
                 } else {
@@ -571,21 +585,20 @@ impl Residual {
             users: [users(0), users(1)],
         };
         let mut pairing = Pairing::new(overview.heard_ns);
-        let mut units = Units::default();
         let mut current = [None; 2];
         walk(&mut reader, |role, start, step| {
             let Step::Arrival(arrival) = step else {
                 return Ok(());
             };
             let link = index_of(role);
-            units.see(overview.stream, start, &arrival.event);
             let samples = match &arrival.event {
                 Event::Samples(samples) if samples.stream == overview.stream => samples,
                 _ => return Ok(()),
             };
-            let (Some(clock), Some(unit)) = (overview.clocks.get(&start), units.of(start)) else {
+            let Some(clock) = overview.clocks.get(&start) else {
                 return Ok(());
             };
+            let unit = |sample: &TimedSample| overview.units.of(start, sample.sequence);
             let new = current[link].replace(start) != Some(start);
             let count = samples.values.len();
             for user in &mut residual.users[link] {
@@ -593,6 +606,10 @@ impl Residual {
                     user.restart();
                 }
                 for (index, sample) in samples.iter().enumerate() {
+                    let Some(unit) = unit(&sample) else {
+                        user.restart();
+                        continue;
+                    };
                     // A batch arrives at once; its samples are spread out behind its end.
                     let apart_ns = u64::from(samples.period.0) * u64::from(samples.every);
                     let before_ns = (count - 1 - index) as u64 * apart_ns;
@@ -615,6 +632,9 @@ impl Residual {
                         (sample.value, twin)
                     } else {
                         (twin, sample.value)
+                    };
+                    let Some(unit) = unit(&sample) else {
+                        continue;
                     };
                     if unit.is_saturated(cable) || unit.is_saturated(wireless) {
                         continue;

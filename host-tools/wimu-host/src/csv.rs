@@ -2,7 +2,9 @@
 //!
 //! `Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²),Magnetometer X (µT),…,Temperature (°C)`.
 //! Several accelerometers are `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …. A byte order
-//! mark, CRLF, quotes and both µ characters are accepted. Other columns are kept as text.
+//! mark, CRLF, quotes and both µ characters are accepted. Other columns are kept as text. A column
+//! `Sensitivity (LSB/g)` says what counts are: a table is read as long as that stays the same, and rows
+//! where it is empty, whose unit is unknown, are left out.
 //!
 //! ```
 //! use wimu_host::csv::CsvReader;
@@ -28,6 +30,9 @@ use columns::{Columns, Quantity};
 use line::Lines;
 
 use crate::error::{ErrorCode, HostError, Result};
+
+/// The column that says what the counts of a row are.
+pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
 
 /// One line of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -81,6 +86,10 @@ pub struct CsvReader<R> {
     /// Field to compare, and with what.
     filter: Vec<(usize, String)>,
     ordered: bool,
+    /// The field of a table of counts that says its row's sensitivity.
+    sensitivity: Option<usize>,
+    /// The sensitivity of the rows so far, as written.
+    unit: Option<String>,
     /// Time and line of the last row.
     last: Option<(i64, u64)>,
 }
@@ -139,8 +148,12 @@ impl<R: BufRead> CsvReader<R> {
         }
         let (header, columns) =
             columns::parse(&fields).map_err(|error| location(error, lines.number))?;
+        let counts = header.acceleration_unit == AccelerationUnit::Lsb;
+        let sensitivity = columns.names().iter().position(|name| name == SENSITIVITY);
         Ok(Self {
             name: name.to_owned(),
+            sensitivity: sensitivity.filter(|_| counts && !header.accelerometers.is_empty()),
+            unit: None,
             lines,
             fields,
             header,
@@ -190,8 +203,8 @@ impl<R: BufRead> CsvReader<R> {
     /// The next row, `None` at the end.
     ///
     /// # Errors
-    /// `csv_bad_number`, `csv_field_count`, `csv_time_backwards`, `csv_not_utf8`, with line and
-    /// column; `file_failed`. Reading can go on with the next row.
+    /// `csv_bad_number`, `csv_field_count`, `csv_time_backwards`, `csv_mixed_units` where the
+    /// sensitivity changes, `csv_not_utf8`, with line and column; `file_failed`. Reading can go on with the next row.
     pub fn next_row(&mut self) -> Result<Option<Row>> {
         loop {
             let found = self
@@ -213,7 +226,7 @@ impl<R: BufRead> CsvReader<R> {
                 )
                 .at(self.location(None)));
             }
-            if self.passes_filter() {
+            if self.passes_filter() && self.has_unit()? {
                 let row = self.parse_row()?;
                 self.check_order(&row)?;
                 return Ok(Some(row));
@@ -227,6 +240,33 @@ impl<R: BufRead> CsvReader<R> {
             field == value
                 || matches!((field.parse::<f64>(), value.parse::<f64>()), (Ok(a), Ok(b)) if a == b)
         })
+    }
+
+    /// Whether it is known what the counts of the line are.
+    fn has_unit(&mut self) -> Result<bool> {
+        let Some(index) = self.sensitivity else {
+            return Ok(true);
+        };
+        let field = &self.fields[index];
+        if field.is_empty() {
+            return Ok(false);
+        }
+        match &self.unit {
+            Some(unit) if unit != field => Err(HostError::new(
+                ErrorCode::CsvMixedUnits,
+                format!("the range was changed: from here on 1 g is {field} LSB, before {unit}"),
+                format!(
+                    "take the rows of one range, with --where \"{SENSITIVITY}={unit}\" where the command has \
+                     that; or record at one range"
+                ),
+            )
+            .at(self.location(Some(index)))),
+            Some(_) => Ok(true),
+            None => {
+                self.unit = Some(field.clone());
+                Ok(true)
+            }
+        }
     }
 
     fn parse_row(&self) -> Result<Row> {

@@ -8,15 +8,16 @@ use std::path::Path;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_link::message::{Environment, Navigation};
-use wimu_model::{DeviceTimeUs, STANDARD_GRAVITY_MPS2, SpecificForceQ16};
+use wimu_model::{DeviceTimeUs, SpecificForceQ16};
 
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
-use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
+use crate::csv::{AccelerationUnit, CsvWriter, Header, Row, SENSITIVITY};
 use crate::decode::{Arrival, Decoder, Event, TimedSample};
 use crate::history::Boot;
-use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader};
+use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::overview::{BootOverview, Overview};
+use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
 /// The column that says whether the magnetic field is corrected.
@@ -33,7 +34,8 @@ const MAX_WAITING: usize = 4096;
 /// What a table holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportStream {
-    /// Counts, LSB, with magnetic field as the magnetometer put it out, and temperature.
+    /// Counts, LSB, with magnetic field as the magnetometer put it out, temperature, and the sensor's
+    /// nominal sensitivity, empty where the range may have changed and no epoch tells.
     Raw,
     /// Specific force, m/s², body axes, as the device corrected it. Where `Field Calibrated` is 1
     /// the magnetic field is corrected by the parameters in use then, body axes; where it is 0 it is
@@ -44,10 +46,26 @@ pub enum ExportStream {
     Navigation,
 }
 
+/// What was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Exported {
+    /// Of which link.
+    pub role: LinkRole,
+    /// Lines below the header.
+    pub rows: usize,
+    /// Raw samples whose range no epoch tells: rows without a sensitivity, or under a link model,
+    /// which cannot be taken off them, no rows at all.
+    pub without_unit: usize,
+    /// Whether the range changes from row to row.
+    pub ranges_differ: bool,
+    /// How whole the recording is.
+    pub wholeness: Wholeness,
+}
+
 /// Writes a stream of a recording's link as a CSV file: of the link of `role`, or without one of the
 /// cable if it has raw samples, else of the one with most. Times are UTC where the recording tells
-/// it, device time elsewhere. A link model is taken off. Returns how many rows of which link were
-/// written. Reads the recording twice; memory does not grow with its length.
+/// it, device time elsewhere. A link model is taken off. Reads the recording twice; memory does not
+/// grow with its length.
 ///
 /// # Errors
 /// Those of [`Overview::read`]; `no_rows` when the link carried no such stream; `data_refused` when
@@ -58,7 +76,7 @@ pub fn to_csv(
     link_model: Option<&LinkModel>,
     stream: ExportStream,
     path: &Path,
-) -> Result<(usize, LinkRole)> {
+) -> Result<Exported> {
     let overview = Overview::read(recording)?;
     let link = overview
         .link(role)
@@ -92,6 +110,10 @@ pub fn to_csv(
         clock: None,
         writer: CsvWriter::new(BufWriter::new(file), &name, header(stream))?,
         rows: 0,
+        sensitivity: None,
+        ranges_differ: false,
+        without_unit: 0,
+        units: None,
         start: Start::default(),
     };
     table.begin(boots.next());
@@ -114,7 +136,13 @@ pub fn to_csv(
     }
     table.write_until(u64::MAX)?;
     table.writer.finish()?;
-    Ok((table.rows, role))
+    Ok(Exported {
+        role,
+        rows: table.rows,
+        without_unit: table.without_unit,
+        ranges_differ: table.ranges_differ,
+        wholeness: overview.wholeness,
+    })
 }
 
 fn header(stream: ExportStream) -> Header {
@@ -127,7 +155,10 @@ fn header(stream: ExportStream) -> Header {
         other: vec!["Sequence".to_owned()],
     };
     match stream {
-        ExportStream::Raw => samples(AccelerationUnit::Lsb),
+        ExportStream::Raw => Header {
+            other: vec!["Sequence".to_owned(), SENSITIVITY.to_owned()],
+            ..samples(AccelerationUnit::Lsb)
+        },
         ExportStream::Corrected => Header {
             other: vec!["Sequence".to_owned(), FIELD_CALIBRATED.to_owned()],
             ..samples(AccelerationUnit::Mps2)
@@ -180,6 +211,11 @@ struct Table<'a> {
     clock: Option<&'a ClockModel>,
     writer: CsvWriter<BufWriter<File>>,
     rows: usize,
+    /// Of the latest raw sample, LSB/g.
+    sensitivity: Option<f64>,
+    ranges_differ: bool,
+    without_unit: usize,
+    units: Option<&'a RawUnits>,
     start: Start,
 }
 
@@ -188,6 +224,7 @@ impl<'a> Table<'a> {
     fn begin(&mut self, boot: Option<&'a BootOverview>) {
         self.start = Start::default();
         self.clock = boot.and_then(|boot| boot.clock.as_ref());
+        self.units = boot.map(|boot| &boot.units);
         self.start.boot.parameters = boot.map_or_else(Vec::new, |boot| boot.parameters.clone());
     }
 
@@ -299,13 +336,18 @@ impl<'a> Table<'a> {
             };
             SpecificForceQ16(value).to_mps2().0
         } else {
-            let epoch = start.boot.epoch_of(sample.sequence);
-            let value = match (self.link_model, epoch) {
-                (Some(model), Some(epoch)) => {
-                    let unit = STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g;
-                    model.correct_lsb(sample.value, unit)
-                }
-                _ => sample.value,
+            let unit = self.units.and_then(|units| units.of(sample.sequence));
+            let lsb_per_g = unit.map(|unit| unit.sensitivity.lsb_per_g());
+            self.without_unit += usize::from(unit.is_none());
+            if let Some(sensitivity) = lsb_per_g {
+                let before = self.sensitivity.replace(sensitivity);
+                self.ranges_differ |= before.is_some_and(|before| before != sensitivity);
+            }
+            other.push(lsb_per_g.map_or(String::new(), |sensitivity| sensitivity.to_string()));
+            let value = match (self.link_model, unit) {
+                (Some(model), Some(unit)) => model.correct_lsb(sample.value, unit.mps2_per_lsb()),
+                (Some(_), None) => return Ok(()),
+                (None, _) => sample.value,
             };
             value.map(f64::from)
         };

@@ -179,15 +179,6 @@ impl Boot {
         }
     }
 
-    /// The epoch that a sample is in: the first for those before it.
-    pub(crate) fn epoch_of(&self, sequence: u32) -> Option<&Epoch> {
-        let after = self
-            .epochs
-            .partition_point(|mark| mark.epoch.sequence <= sequence);
-        let mark = self.epochs.get(after.saturating_sub(1))?;
-        Some(&mark.epoch)
-    }
-
     pub(crate) fn is_empty(&self) -> bool {
         self.hello.is_none() && self.raw.is_empty() && self.epochs.is_empty()
     }

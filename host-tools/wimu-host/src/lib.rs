@@ -29,6 +29,7 @@ pub mod recorder;
 pub mod replay;
 pub mod ros;
 pub mod transport;
+pub mod units;
 pub mod walk;
 
 pub use error::{ErrorCode, HostError, Result};

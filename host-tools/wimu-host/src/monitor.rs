@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use wimu_integrator::{Integrator, State};
 use wimu_link::batch::Stream;
 use wimu_link::message::{Environment, Epoch, Navigation};
-use wimu_model::{
-    Counts, DeviceTimeUs, ParameterId, Sensitivity, SpecificForceMps2, SpecificForceQ16,
-};
+use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceMps2, SpecificForceQ16};
 
 use crate::decode::Event;
 use crate::history::Boot;
+use crate::units::RawUnits;
 
 /// Samples kept while their corrected twin may still come.
 const KEPT: usize = 256;
@@ -73,11 +72,11 @@ pub struct Reading {
 }
 
 /// Makes [`Reading`]s of a link's events: one for each corrected sample, or for each raw sample of
-/// a link that carries no corrected ones.
+/// a link that carries no corrected ones, but for those whose range no epoch has told yet.
 #[derive(Debug, Default)]
 pub struct Readings {
     raw: BTreeMap<u32, [i32; 3]>,
-    sensitivity: Option<Sensitivity>,
+    units: RawUnits,
     parameters: Option<ParameterId>,
     /// Epoch and parameters.
     known: Boot,
@@ -111,7 +110,8 @@ impl Readings {
             Event::Epoch { epoch, .. } => {
                 self.parameters = Some(epoch.parameter_id());
                 self.heading = Heading::of(epoch);
-                self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
+                self.units.see(epoch);
+                self.units.forget_old();
             }
             Event::Settings(settings) => {
                 // Either link's choice: where both carry corrected samples, none is made twice.
@@ -123,13 +123,13 @@ impl Readings {
                     for sample in samples.iter() {
                         if self.corrected_come {
                             self.raw.insert(sample.sequence, sample.value);
-                        } else if let Some(sensitivity) = self.sensitivity {
+                        } else if let Some(unit) = self.units.of(sample.sequence) {
                             let counts = Counts(sample.value.map(|v| v as i16));
                             each(Reading {
                                 sequence: sample.sequence,
                                 time: sample.time,
                                 raw: Some(counts),
-                                specific_force: sensitivity.to_mps2(counts),
+                                specific_force: unit.sensitivity.to_mps2(counts),
                                 corrected: false,
                                 parameters: self.parameters,
                                 environment: self.environment,

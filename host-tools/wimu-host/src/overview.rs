@@ -13,6 +13,7 @@ use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
+use crate::units::RawUnits;
 
 /// Events of a link that are kept as text.
 const MAX_EVENTS: usize = 500;
@@ -69,6 +70,8 @@ pub struct BootOverview {
     /// The parameter sets in use, each once, as the device said them: the first 500. A set is often
     /// told after the first samples that it made.
     pub parameters: Vec<ActiveParameters>,
+    /// What its raw samples are.
+    pub units: RawUnits,
     greeted: bool,
     estimator: ClockEstimator,
 }
@@ -154,6 +157,7 @@ impl Listen for LinkOverview {
             },
             Event::Epoch { epoch, .. } => {
                 boot.epochs += 1;
+                boot.units.see(epoch);
                 let id = epoch.parameter_id();
                 if self.parameter_ids.last() != Some(&id)
                     && self.parameter_ids.len() < MAX_PARAMETERS

@@ -14,12 +14,13 @@ use std::path::Path;
 use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_model::{DeviceTimeUs, STANDARD_GRAVITY_MPS2, SpecificForceQ16};
+use wimu_model::{DeviceTimeUs, SpecificForceQ16};
 
 use crate::compare::LinkModel;
 use crate::decode::Event;
 use crate::history::Boot;
-use crate::mcap_file::{RecordingReader, RecordingWriter, Topic};
+use crate::mcap_file::{RecordingReader, RecordingWriter, Topic, Wholeness};
+use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, Walker, walk};
 use crate::{ErrorCode, HostError, Result};
 
@@ -35,6 +36,11 @@ pub struct Decoded {
     pub messages: BTreeMap<String, u64>,
     /// Messages left out because no clock tells when they were.
     pub without_time: u64,
+    /// Raw samples left out because the range may have changed there and no epoch tells.
+    pub without_unit: u64,
+    /// How whole the recording is.
+    #[serde(flatten)]
+    pub wholeness: Wholeness,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -98,11 +104,15 @@ impl Kind {
 /// model is another device's.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
     let mut clocks = Clocks::default();
+    let mut units: BTreeMap<Start, RawUnits> = BTreeMap::new();
     walk(&mut RecordingReader::open(from)?, |role, start, step| {
-        if let (Step::Arrival(arrival), Some(model)) = (&step, link_model)
-            && let Event::Hello(hello) = &arrival.event
-        {
-            model.check_device(hello.device_id)?;
+        if let Step::Arrival(arrival) = &step {
+            match (&arrival.event, link_model) {
+                (Event::Hello(hello), Some(model)) => model.check_device(hello.device_id)?,
+                // What one link has lost, the other may tell.
+                (Event::Epoch { epoch, .. }, _) => units.entry(start).or_default().see(epoch),
+                _ => {}
+            }
         }
         clocks.see(role, start, &step);
         Ok(())
@@ -120,7 +130,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     let mut decoder = Writer {
         out: RecordingWriter::create(to, anchor)?,
         topics: BTreeMap::new(),
-        units: BTreeMap::new(),
+        units,
         parameters: BTreeMap::new(),
         link_model,
         decoded: Decoded::default(),
@@ -135,14 +145,15 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     }
     walker.finish(&mut |role, start, step| decoder.take(role, start, &step, clocks.get(&start)))?;
     decoder.out.finish()?;
+    decoder.decoded.wholeness = reader.wholeness();
     Ok(decoder.decoded)
 }
 
 struct Writer<'a> {
     out: RecordingWriter<std::fs::File>,
     topics: BTreeMap<(u8, Kind), Topic>,
-    /// m/s² per LSB of raw samples.
-    units: BTreeMap<(u8, Start), f64>,
+    /// Of raw samples.
+    units: BTreeMap<Start, RawUnits>,
     /// What tells how the field is corrected: parameters and the latest epoch.
     parameters: BTreeMap<(u8, Start), Boot>,
     link_model: Option<&'a LinkModel>,
@@ -172,22 +183,24 @@ impl Writer<'_> {
         let held = self.parameters.entry((role.number(), start)).or_default();
         held.take_parameters(&arrival.event);
         match &arrival.event {
-            Event::Epoch { epoch, .. } => {
-                let unit = STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g;
-                self.units.insert((role.number(), start), unit);
-            }
             Event::Samples(samples) => {
-                let (kind, unit) = match samples.stream {
-                    Stream::Raw => {
-                        let Some(unit) = self.units.get(&(role.number(), start)) else {
-                            return Ok(());
-                        };
-                        (Kind::Raw, *unit)
-                    }
-                    Stream::Corrected => (Kind::Corrected, 1.0 / SpecificForceQ16::LSB_PER_MPS2),
+                let kind = match samples.stream {
+                    Stream::Raw => Kind::Raw,
+                    Stream::Corrected => Kind::Corrected,
                 };
                 let model = self.link_model.filter(|model| model.is_of(role));
                 for sample in samples.iter() {
+                    let unit = match samples.stream {
+                        Stream::Raw => {
+                            let units = self.units.get(&start);
+                            let Some(unit) = units.and_then(|units| units.of(sample.sequence)) else {
+                                self.decoded.without_unit += 1;
+                                continue;
+                            };
+                            unit.mps2_per_lsb()
+                        }
+                        Stream::Corrected => 1.0 / SpecificForceQ16::LSB_PER_MPS2,
+                    };
                     let force = sample.value.map(|v| f64::from(v) * unit);
                     let force = model.map_or(force, |model| model.correct(force));
                     let mut fields = [0.0; 37];

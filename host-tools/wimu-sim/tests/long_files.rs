@@ -107,7 +107,7 @@ fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
             let wireless = Some(LinkRole::Wireless);
             let rows = to_csv(path, wireless, None, ExportStream::Raw, &table)
                 .unwrap()
-                .0;
+                .rows;
             std::fs::remove_file(table).unwrap();
             rows as u64
         }

@@ -1,5 +1,7 @@
 use std::path::PathBuf;
 
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
 use super::*;
 
 /// A motion that never repeats itself, m/s².

@@ -12,6 +12,23 @@ pub struct Wholeness {
     pub damaged_chunks: u32,
 }
 
+impl Wholeness {
+    /// What is wrong with the file, if anything.
+    pub fn fault(&self) -> Option<String> {
+        let cut = "the file is cut off at the end, or damaged from there on".to_owned();
+        let damaged = match self.damaged_chunks {
+            1 => "1 damaged part of the file was left out".to_owned(),
+            parts => format!("{parts} damaged parts of the file were left out"),
+        };
+        match (self.truncated, self.damaged_chunks) {
+            (false, 0) => None,
+            (true, 0) => Some(cut),
+            (false, _) => Some(damaged),
+            (true, _) => Some(format!("{damaged}; {cut}")),
+        }
+    }
+}
+
 /// Reads a recording from its start; memory does not grow with the file.
 pub struct RecordingReader<R> {
     name: String,

@@ -1,13 +1,16 @@
 //! Values that change between the sensor and the frame.
 
+use std::num::NonZeroU8;
+
+use wimu_host::units::RawUnits;
 use wimu_link::{Batch, Deframer, Kind, MAX_FRAME, Telemetry, batch};
-use wimu_model::{Counts, DeviceTimeUs, STANDARD_GRAVITY_MPS2, SpecificForceQ16};
+use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
 use super::ValueFaults;
 use crate::random::Random;
 
 /// Takes frames apart, changes the samples of batches, and puts them together again. What is no
-/// frame passes as it is, and so do raw samples before the first epoch tells their unit.
+/// frame passes as it is, and so do raw samples whose unit no epoch has told.
 #[derive(Debug)]
 pub(super) struct ValueChanger {
     faults: ValueFaults,
@@ -17,7 +20,9 @@ pub(super) struct ValueChanger {
     held: Vec<u8>,
     /// What left last.
     out: Vec<u8>,
-    mps2_per_lsb: Option<f64>,
+    units: RawUnits,
+    /// The number of the latest epoch's first sample.
+    latest: u32,
 }
 
 impl ValueChanger {
@@ -28,7 +33,8 @@ impl ValueChanger {
             deframer: Deframer::new(),
             held: Vec::new(),
             out: Vec::new(),
-            mps2_per_lsb: None,
+            units: RawUnits::default(),
+            latest: 0,
         }
     }
 
@@ -45,8 +51,13 @@ impl ValueChanger {
             match frame.kind {
                 Kind::Telemetry => {
                     if let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(frame.body) {
-                        self.mps2_per_lsb =
-                            Some(STANDARD_GRAVITY_MPS2 / epoch.sensitivity_lsb_per_g);
+                        if epoch.sequence < self.latest {
+                            // The board has started anew.
+                            self.units = RawUnits::default();
+                        }
+                        self.units.see(&epoch);
+                        self.units.forget_old();
+                        self.latest = epoch.sequence;
                     }
                 }
                 Kind::Batch => {
@@ -65,11 +76,16 @@ impl ValueChanger {
         // Only the low bits travel.
         let sequence = u32::from(batch.sequence_low());
         let time = DeviceTimeUs(batch.time_low().into());
+        let Some(every) = NonZeroU8::new(batch.every()) else {
+            return;
+        };
         let encoded = match batch.stream() {
             batch::Stream::Raw => {
-                let Some(mps2_per_lsb) = self.mps2_per_lsb else {
+                let number = batch::extend_sequence(batch.sequence_low(), self.latest);
+                let Some(unit) = self.units.of(number) else {
                     return;
                 };
+                let mps2_per_lsb = unit.mps2_per_lsb();
                 let samples: Vec<Counts> = batch
                     .samples()
                     .iter()
@@ -79,7 +95,7 @@ impl ValueChanger {
                         Counts(lsb.map(|value| libm::round(value) as i16))
                     })
                     .collect();
-                batch::encode(sequence, time, &samples, &mut frame)
+                batch::encode_every(every, sequence, time, &samples, &mut frame)
             }
             batch::Stream::Corrected => {
                 let samples: Vec<SpecificForceQ16> = batch
@@ -90,7 +106,7 @@ impl ValueChanger {
                         SpecificForceQ16(lsb.map(|value| libm::round(value) as i32))
                     })
                     .collect();
-                batch::encode(sequence, time, &samples, &mut frame)
+                batch::encode_every(every, sequence, time, &samples, &mut frame)
             }
         };
         if let Ok(length) = encoded {

@@ -108,6 +108,9 @@ fn text(found: &Comparison) -> String {
             starts => format!("; {starts} starts of the board"),
         }
     );
+    if let Some(fault) = found.wholeness.fault() {
+        let _ = write!(text, "\n  {fault}");
+    }
     for link in &found.links {
         text += &link_text(link);
     }
@@ -123,6 +126,13 @@ fn text(found: &Comparison) -> String {
             let _ = write!(text, "\nvalues: {reason}");
         }
         (None, None) => {}
+    }
+    if found.without_unit > 0 {
+        let _ = write!(
+            text,
+            "\n  {} samples left out of the values: the range may have changed, and the epoch that tells is lost",
+            found.without_unit
+        );
     }
     text
 }

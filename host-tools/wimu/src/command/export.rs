@@ -3,13 +3,15 @@
 use serde::Serialize;
 use wimu_host::calibration::{KalibrNoise, read_parameters, to_c, to_kalibr, to_rust};
 use wimu_host::compare::LinkModel;
+use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportStream};
+use wimu_host::mcap_file::Wholeness;
 use wimu_host::mimu4444::Capture;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{ErrorCode, HostError, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
-use crate::command::not_over_input;
+use crate::command::{not_over_input, say_fault};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -19,6 +21,10 @@ struct Exported {
     file: String,
     link: Option<String>,
     rows: usize,
+    /// Raw samples whose range no epoch tells.
+    without_unit: usize,
+    #[serde(flatten)]
+    wholeness: Wholeness,
 }
 
 #[derive(Serialize)]
@@ -45,6 +51,8 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             "leave it out",
         ));
     }
+    let mut without_unit = 0;
+    let mut wholeness = Wholeness::default();
     let (rows, link) = match arguments.format {
         ExportFormat::Rust | ExportFormat::C | ExportFormat::Kalibr => {
             let set = read_parameters(&arguments.input)?;
@@ -65,6 +73,19 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             for (topic, count) in &decoded.messages {
                 output.say(format!("{file}: {count} messages on {topic}"));
             }
+            if decoded.without_time > 0 {
+                output.say(format!(
+                    "  {} messages left out: no clock tells when they were",
+                    decoded.without_time
+                ));
+            }
+            if decoded.without_unit > 0 {
+                output.say(format!(
+                    "  {} raw samples left out: the range may have changed, and the epoch that tells is lost",
+                    decoded.without_unit
+                ));
+            }
+            say_fault(decoded.wholeness, output);
             output.object(&ExportedTopics {
                 schema: "wimu.export_topics/1",
                 status: "ok",
@@ -91,26 +112,45 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
                 Stream::Navigation => ExportStream::Navigation,
             };
             let role = arguments.link.map(Into::into);
-            let (rows, role) = export::to_csv(
+            let table = export::to_csv(
                 &arguments.input,
                 role,
                 model.as_ref(),
                 stream,
                 &arguments.output,
             )?;
-            (rows, Some(role.to_string()))
+            if table.ranges_differ {
+                output.say(format!(
+                    "{file}: the range changes; the column `{SENSITIVITY}` tells each row's"
+                ));
+            }
+            without_unit = table.without_unit;
+            wholeness = table.wholeness;
+            (table.rows, Some(table.role.to_string()))
         }
     };
     let of = link
         .as_ref()
         .map_or(String::new(), |link| format!(" of the {link} link"));
     output.say(format!("{file}: {rows} rows{of}"));
+    if without_unit > 0 {
+        output.say(format!(
+            "  {without_unit} raw samples {}: the range may have changed, and the epoch that tells is lost",
+            match model {
+                Some(_) => "left out",
+                None => "have no sensitivity in it",
+            }
+        ));
+    }
+    say_fault(wholeness, output);
     output.object(&Exported {
         schema: "wimu.export/1",
         status: "ok",
         file,
         link,
         rows,
+        without_unit,
+        wholeness,
     });
     Ok(())
 }

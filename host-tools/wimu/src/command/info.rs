@@ -13,7 +13,7 @@ use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::{Foreign, Info};
-use crate::command::connect;
+use crate::command::{connect, say_fault};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -259,22 +259,8 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         wholeness: recording.wholeness,
         links,
     };
-    output.say(format!(
-        "{}: {:.1} s{}",
-        contents.source,
-        contents.duration_s,
-        if contents.wholeness.truncated {
-            ", cut off at the end"
-        } else {
-            ""
-        }
-    ));
-    if contents.wholeness.damaged_chunks > 0 {
-        output.say(format!(
-            "  {} damaged chunks were left out",
-            contents.wholeness.damaged_chunks
-        ));
-    }
+    output.say(format!("{}: {:.1} s", contents.source, contents.duration_s));
+    say_fault(contents.wholeness, output);
     for link in &contents.links {
         output.say(format!(
             "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames, {} bytes",

@@ -25,6 +25,7 @@ use std::time::{Duration, Instant};
 
 use wimu_host::client::{self, Client};
 use wimu_host::keys::KeyFolder;
+use wimu_host::mcap_file::Wholeness;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
@@ -63,6 +64,13 @@ fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<boo
             output.say(format!("not authenticated: {error}"));
             Ok((client, Some(false)))
         }
+    }
+}
+
+/// Says what is wrong with a recording's file, if anything.
+fn say_fault(wholeness: Wholeness, output: Output) {
+    if let Some(fault) = wholeness.fault() {
+        output.say(format!("  {fault}"));
     }
 }
 

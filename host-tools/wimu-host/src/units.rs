@@ -1,0 +1,183 @@
+//! What one LSB of a raw sample is. The range may change while samples flow: the epoch that holds for
+//! a sample's number tells, not the one that came last.
+
+use wimu_link::message::{Epoch, EpochReason};
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
+
+/// A device sends an epoch at least this often, ns of samples.
+const EPOCH_WITHIN_NS: u64 = 1_000_000_000;
+
+/// What the counts of a raw sample are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RawUnit {
+    /// Nominal sensitivity.
+    pub sensitivity: Sensitivity,
+    /// Values at or beyond ± this are saturated, LSB.
+    pub full_scale: u16,
+}
+
+impl RawUnit {
+    fn of(epoch: &Epoch) -> Option<Self> {
+        Some(Self {
+            sensitivity: Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok()?,
+            full_scale: epoch.full_scale.unsigned_abs(),
+        })
+    }
+
+    /// m/s² of one LSB.
+    pub fn mps2_per_lsb(&self) -> f64 {
+        STANDARD_GRAVITY_MPS2 / self.sensitivity.lsb_per_g()
+    }
+}
+
+/// The units of a device's raw samples from one start to the next, by their sequence numbers.
+///
+/// Epochs may come in any order, more than once, and from both links. Where one is missing that may
+/// have changed the range, the unit is unknown until the next: from the last epoch of the old range to
+/// the first of the new one; and where three or more in a row are missing, even between two of the
+/// same range. Within a second before the first epoch and after the last, none need have been lost:
+/// theirs is the unit there. Memory grows with the number of places where epochs are missing only.
+#[derive(Clone, Debug, Default)]
+pub struct RawUnits {
+    /// By sequence number, without overlap.
+    runs: Vec<Run>,
+}
+
+/// Epochs of one unit between which no other can have been.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    unit: RawUnit,
+    first: Mark,
+    last: Mark,
+}
+
+/// An epoch, as far as it tells about those around it.
+#[derive(Clone, Copy, Debug)]
+struct Mark {
+    sequence: u32,
+    number: u8,
+    reason: EpochReason,
+    /// Within so many samples comes the next.
+    most: u32,
+}
+
+impl Mark {
+    fn of(epoch: &Epoch) -> Self {
+        let most = EPOCH_WITHIN_NS / u64::from(epoch.period_ns.max(1)) + 1;
+        Self {
+            sequence: epoch.sequence,
+            number: epoch.number,
+            reason: epoch.reason,
+            most: u32::try_from(most).unwrap_or(u32::MAX),
+        }
+    }
+
+    /// Of how many epochs the next is later by number; `None` if the numbers may have run around
+    /// meanwhile.
+    fn steps_to(&self, next: &Self) -> Option<u8> {
+        let steps = next.number.wrapping_sub(self.number);
+        let apart = next.sequence.checked_sub(self.sequence)?;
+        // The last of the steps may be an epoch that was sent again for a new listener.
+        let most = u64::from(self.most.max(next.most)) * (u64::from(steps) + 1);
+        (u64::from(apart) <= most).then_some(steps)
+    }
+
+    /// Whether the range can have changed with this epoch.
+    fn may_change_range(&self) -> bool {
+        match self.reason {
+            EpochReason::Periodic
+            | EpochReason::Stillness
+            | EpochReason::Temperature
+            | EpochReason::Heading
+            | EpochReason::Gap => false,
+            EpochReason::Start
+            | EpochReason::Settings
+            | EpochReason::Parameters
+            | EpochReason::Other(_) => true,
+        }
+    }
+
+    /// Whether the range of this epoch and of `next`, which is the same, is that of all samples
+    /// between: there and back are two changes.
+    fn holds_until(&self, next: &Self) -> bool {
+        match self.steps_to(next) {
+            Some(0 | 1) => true,
+            Some(2) => !next.may_change_range(),
+            _ => false,
+        }
+    }
+
+    /// Whether the range of this epoch ends with `next`, which is of another.
+    fn ends_with(&self, next: &Self) -> bool {
+        // One that was sent again for a new listener comes later than the change: it is periodic.
+        self.steps_to(next) == Some(1) && next.may_change_range()
+    }
+}
+
+impl RawUnits {
+    /// Takes an epoch.
+    pub fn see(&mut self, epoch: &Epoch) {
+        let Some(unit) = RawUnit::of(epoch) else {
+            return;
+        };
+        let mark = Mark::of(epoch);
+        let mut run = Run {
+            unit,
+            first: mark,
+            last: mark,
+        };
+        let mut at = self
+            .runs
+            .partition_point(|run| run.first.sequence <= mark.sequence);
+        if let Some(before) = at.checked_sub(1).and_then(|index| self.runs.get(index)) {
+            if mark.sequence <= before.last.sequence {
+                return;
+            }
+            if before.unit == unit && before.last.holds_until(&mark) {
+                run.first = before.first;
+                at -= 1;
+                self.runs.remove(at);
+            }
+        }
+        if let Some(after) = self.runs.get(at)
+            && after.unit == unit
+            && mark.holds_until(&after.first)
+        {
+            run.last = after.last;
+            self.runs.remove(at);
+        }
+        self.runs.insert(at, run);
+    }
+
+    /// Forgets what is before the latest change or loss of epochs but three: for what goes on without
+    /// end and only looks at the newest samples.
+    pub fn forget_old(&mut self) {
+        let old = self.runs.len().saturating_sub(4);
+        self.runs.drain(..old);
+    }
+
+    /// The unit of the raw sample of this number; `None` where no epoch tells.
+    pub fn of(&self, sequence: u32) -> Option<RawUnit> {
+        let at = self
+            .runs
+            .partition_point(|run| run.first.sequence <= sequence);
+        let after = self.runs.get(at);
+        let Some(run) = at.checked_sub(1).and_then(|index| self.runs.get(index)) else {
+            // On their way when listening began: none need have been lost.
+            return after
+                .filter(|after| !after.first.may_change_range())
+                .filter(|after| after.first.sequence - sequence <= after.first.most)
+                .map(|after| after.unit);
+        };
+        let known = match after {
+            _ if sequence <= run.last.sequence => true,
+            Some(after) if after.unit == run.unit => run.last.holds_until(&after.first),
+            Some(after) => run.last.ends_with(&after.first),
+            None => sequence - run.last.sequence < run.last.most,
+        };
+        known.then_some(run.unit)
+    }
+}
+
+#[cfg(test)]
+mod tests;

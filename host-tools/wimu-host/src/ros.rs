@@ -193,7 +193,8 @@ impl Writer<'_> {
                     let unit = match samples.stream {
                         Stream::Raw => {
                             let units = self.units.get(&start);
-                            let Some(unit) = units.and_then(|units| units.of(sample.sequence)) else {
+                            let Some(unit) = units.and_then(|units| units.of(sample.sequence))
+                            else {
                                 self.decoded.without_unit += 1;
                                 continue;
                             };

@@ -8,8 +8,9 @@ use wimu_host::ErrorCode;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::{Decoder, Event};
 use wimu_host::transport::Transport;
+use wimu_host::units::RawUnits;
 use wimu_link::frame::{self, Deframer, Kind, MAX_FRAME};
-use wimu_link::{Batch, LinkRole};
+use wimu_link::{Batch, LinkRole, batch};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_sim::board::{Board, BoardConfig, SimLink};
 use wimu_sim::faults::{Channel, Fate, FaultSpecError, Jitter, LinkFaults, Loss, Outage, PRESETS};
@@ -371,6 +372,77 @@ fn values_differ_by_what_was_said_and_everything_else_is_the_cables() {
                 assert!((found - expected).abs() <= 0.501 * mps2_per_lsb);
             }
         }
+    }
+}
+
+#[test]
+fn values_change_in_the_unit_of_their_range_and_leave_the_decimation() {
+    let spec = faults("bias=12/-8/5mg,scale=0.4/-0.3/0.2%");
+    let values = spec.values.expect("values");
+    let board = RefCell::new(board(BoardConfig {
+        wireless_faults: spec,
+        ..BoardConfig::default()
+    }));
+    let link = SimLink::new(&board, LinkRole::Cable);
+    let options = ConnectOptions {
+        session: Some(1),
+        ..ConnectOptions::default()
+    };
+    let mut client = Client::connect(link, "the cable", options).expect("a board");
+    for (seconds, range_g, every) in [(4, 2, 1), (4, 8, 4), (4, 2, 3)] {
+        let mut settings = client.settings().expect("settings");
+        (settings.range_g, settings.wireless.every) = (range_g, every);
+        client.set_settings(settings).expect("settings");
+        let until_us = board.borrow().now_us() + seconds * 1_000_000;
+        board.borrow_mut().run_until(until_us);
+    }
+    let mut cable = std::collections::BTreeMap::new();
+    let mut units = RawUnits::default();
+    while let Some(arrival) = client.next_event(Duration::ZERO).expect("a board") {
+        match arrival.event {
+            Event::Samples(samples) if samples.stream == batch::Stream::Raw => {
+                cable.extend(samples.iter().map(|sample| (sample.sequence, sample.value)));
+            }
+            Event::Epoch { epoch, .. } => units.see(&epoch),
+            _ => {}
+        }
+    }
+    let mut compared = std::collections::BTreeMap::<(u8, bool), u32>::new();
+    let wireless = board.borrow_mut().link(LinkRole::Wireless).pull();
+    Decoder::new().push(
+        0,
+        &wireless,
+        |arrival| {
+            let Event::Samples(samples) = arrival.event else {
+                return;
+            };
+            if samples.stream != batch::Stream::Raw {
+                return;
+            }
+            for sample in samples.iter() {
+                let (Some(cable), Some(unit)) =
+                    (cable.get(&sample.sequence), units.of(sample.sequence))
+                else {
+                    continue;
+                };
+                for axis in 0..3 {
+                    let lsb = f64::from(cable[axis]) * (1.0 + values.scale[axis])
+                        + values.bias_mps2[axis] / unit.mps2_per_lsb();
+                    assert!(
+                        (f64::from(sample.value[axis]) - lsb).abs() <= 0.501,
+                        "{sample:?}"
+                    );
+                }
+                let wide = unit.sensitivity.lsb_per_g() < 10_000.0;
+                *compared.entry((samples.every, wide)).or_default() += 1;
+            }
+        },
+    );
+    for kind in [(1, false), (4, true), (3, false)] {
+        assert!(
+            compared.get(&kind).is_some_and(|count| *count > 60),
+            "{compared:?}"
+        );
     }
 }
 

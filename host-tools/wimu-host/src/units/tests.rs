@@ -125,12 +125,7 @@ fn numbers_that_ran_around_in_a_long_silence_join_nothing() {
 fn a_day_of_epochs_is_one_entry() {
     let mut units = RawUnits::default();
     for number in 0..86_400_u32 {
-        units.see(&epoch(
-            number as u8,
-            number * 90,
-            2,
-            EpochReason::Periodic,
-        ));
+        units.see(&epoch(number as u8, number * 90, 2, EpochReason::Periodic));
     }
     assert_eq!(units.runs.len(), 1);
 }

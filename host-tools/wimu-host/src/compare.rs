@@ -22,6 +22,7 @@ use crate::walk::{Clocks, Start, Step, walk};
 use crate::{ErrorCode, HostError, Result};
 
 mod align;
+mod holes;
 mod link;
 mod model;
 mod pairing;
@@ -33,6 +34,7 @@ pub use link::{Burst, ByArrival, LinkReport};
 pub use model::LinkModel;
 pub use quantiles::Quantiles;
 
+use holes::Holes;
 use link::{ArrivalUser, LinkMeter};
 use pairing::{Pairing, Taken};
 
@@ -264,6 +266,7 @@ struct Overview {
     /// When each link was first heard, host time.
     heard_ns: [u64; 2],
     wholeness: Wholeness,
+    holes: Holes,
     units: Units,
     clocks: BTreeMap<Start, ClockModel>,
     single: [Option<ClockModel>; 2],
@@ -279,9 +282,16 @@ impl Overview {
         let mut starts: BTreeMap<Start, [u64; 2]> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
         let mut heard_ns = [None; 2];
+        // By stream.
+        let mut holes: [Holes; 2] = Default::default();
         let mut raw_units: BTreeMap<Start, RawUnits> = BTreeMap::new();
         let statistics = walk(&mut reader, |role, start, step| {
             clocks.see(role, start, &step);
+            if let Step::Damaged = step {
+                holes
+                    .iter_mut()
+                    .for_each(|holes| holes.open(index_of(role)));
+            }
             if let Step::Arrival(arrival) = &step {
                 let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
                 span = Some((first.min(arrival.host_ns), last.max(arrival.host_ns)));
@@ -293,6 +303,7 @@ impl Overview {
                     Event::Epoch { epoch, .. } => raw_units.entry(start).or_default().see(epoch),
                     Event::Samples(heard) => {
                         let count = heard.values.len() as u64;
+                        holes[heard.stream as usize].take(index_of(role), start, heard);
                         samples[heard.stream as usize][index_of(role)] += count;
                         starts.entry(start).or_default()[heard.stream as usize] += count;
                     }
@@ -328,6 +339,8 @@ impl Overview {
                     "let both carry the same: `wimu settings set LINK --cable raw --wireless raw`",
                 )
             })?;
+        let mut holes = std::mem::take(&mut holes[stream as usize]);
+        holes.close();
         Ok(Self {
             stream,
             devices: devices.into_iter().collect(),
@@ -338,6 +351,7 @@ impl Overview {
             span: span.unwrap_or_default(),
             heard_ns: heard_ns.map(Option::unwrap_or_default),
             wholeness: reader.wholeness(),
+            holes,
             units: match stream {
                 Stream::Raw => Units::Raw(raw_units),
                 Stream::Corrected => Units::Corrected,
@@ -472,14 +486,19 @@ impl Counted {
         };
         let middle = overview.span.0 + overview.span_ns() / 2;
         let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
-        let mut pairing = Pairing::new(overview.heard_ns);
+        let mut pairing = Pairing::new(overview.heard_ns, &overview.holes);
         let mut current = [None; 2];
         let mut slice = 0;
         walk(&mut reader, |role, start, step| {
-            let Step::Arrival(arrival) = step else {
-                return Ok(());
-            };
             let link = index_of(role);
+            let arrival = match step {
+                Step::Arrival(arrival) => arrival,
+                Step::Damaged => {
+                    counted.meters[link].skip();
+                    return Ok(());
+                }
+                _ => return Ok(()),
+            };
             if current[link].replace(start).is_some_and(|s| s != start) {
                 counted.meters[link].restart();
             }
@@ -584,13 +603,18 @@ impl Residual {
             after: Apart::default(),
             users: [users(0), users(1)],
         };
-        let mut pairing = Pairing::new(overview.heard_ns);
+        let mut pairing = Pairing::new(overview.heard_ns, &overview.holes);
         let mut current = [None; 2];
         walk(&mut reader, |role, start, step| {
-            let Step::Arrival(arrival) = step else {
-                return Ok(());
-            };
             let link = index_of(role);
+            let arrival = match step {
+                Step::Arrival(arrival) => arrival,
+                Step::Damaged => {
+                    current[link] = None;
+                    return Ok(());
+                }
+                _ => return Ok(()),
+            };
             let samples = match &arrival.event {
                 Event::Samples(samples) if samples.stream == overview.stream => samples,
                 _ => return Ok(()),

@@ -268,6 +268,8 @@ pub struct Decoder {
     latest: [Option<(u32, u8)>; 2],
     /// The samples of each that are missing, as far as they may still come.
     gaps: [Gaps; 2],
+    /// Whether what came before the next samples of each is unknown.
+    skipped: [bool; 2],
     order: Order<(Received, Held)>,
     /// Who the device is and which start this is, and what it was in the start before.
     identity: Option<(u64, u32)>,
@@ -295,6 +297,7 @@ impl Decoder {
             began_ns: None,
             latest: [None; 2],
             gaps: Default::default(),
+            skipped: [false; 2],
             order: Order::new(),
             identity: None,
             identity_before: None,
@@ -375,6 +378,15 @@ impl Decoder {
         self.statistics.interruptions += 1;
     }
 
+    /// A part of what the link brought is not known here: what it held is not counted as missing or
+    /// damaged.
+    pub fn skip(&mut self) {
+        self.deframer = Deframer::new();
+        self.listening = false;
+        self.began_ns = None;
+        self.skipped = [true; 2];
+    }
+
     /// What the link carried and lost so far.
     pub fn statistics(&self) -> LinkStatistics {
         let held = self.order.held().iter();
@@ -410,6 +422,7 @@ impl Decoder {
         self.unplaced.clear();
         self.anchors = [None; 2];
         self.latest = [None; 2];
+        self.skipped = [false; 2];
         self.gaps = Default::default();
         self.order = Order::new();
         self.last_epoch_time = None;
@@ -581,9 +594,12 @@ impl Decoder {
             every: batch.every(),
             values: batch.samples().to_vec(),
         };
+        let skipped = std::mem::take(&mut self.skipped[index]);
         if let Some((latest, every_before)) = latest {
             let ahead = sequence.wrapping_sub(latest) as i32;
-            if ahead > 0 {
+            if ahead > 0 && skipped {
+                // What was left out is not known to be missing.
+            } else if ahead > 0 {
                 // Where the decimation changes, fewer than its larger one are left out.
                 let missing = (ahead as u32 - 1) / every.max(every_before.into());
                 statistics.missing += u64::from(missing);

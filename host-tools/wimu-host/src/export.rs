@@ -131,6 +131,7 @@ pub fn to_csv(
                 outcome?;
             }
             Recorded::Lost { role: lost, .. } if lost == role => decoder.interrupt(),
+            Recorded::Damaged { role: damaged, .. } if damaged == role => decoder.skip(),
             _ => {}
         }
     }

@@ -77,6 +77,7 @@ const TOPICS: [(LinkRole, Content, &str, &str); 6] = [
 ];
 const CONNECTED: &str = "connected";
 const LOST: &str = "lost: ";
+const DAMAGED: &str = "a part of the recording is missing";
 const TEXT_SCHEMA_NAME: &str = "std_msgs/msg/String";
 const TEXT_SCHEMA: &str = "string data\n";
 const SCHEMA_NAME: &str = "std_msgs/msg/UInt8MultiArray";
@@ -178,6 +179,13 @@ pub enum Recorded {
         /// When, ns on the host's monotonic clock.
         host_ns: u64,
     },
+    /// A part of the file is damaged and left out: what the link brought in it is not known.
+    Damaged {
+        /// Which link.
+        role: LinkRole,
+        /// From when on, ns on the host's monotonic clock.
+        host_ns: u64,
+    },
 }
 
 impl Recorded {
@@ -187,7 +195,8 @@ impl Recorded {
             Self::Received(received) => received.host_ns,
             Self::Sent { host_ns, .. }
             | Self::Lost { host_ns, .. }
-            | Self::Connected { host_ns, .. } => *host_ns,
+            | Self::Connected { host_ns, .. }
+            | Self::Damaged { host_ns, .. } => *host_ns,
         }
     }
 
@@ -195,9 +204,10 @@ impl Recorded {
     pub fn role(&self) -> LinkRole {
         match self {
             Self::Received(received) => received.role,
-            Self::Sent { role, .. } | Self::Lost { role, .. } | Self::Connected { role, .. } => {
-                *role
-            }
+            Self::Sent { role, .. }
+            | Self::Lost { role, .. }
+            | Self::Connected { role, .. }
+            | Self::Damaged { role, .. } => *role,
         }
     }
 }

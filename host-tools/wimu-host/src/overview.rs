@@ -247,6 +247,7 @@ pub(crate) fn listen<R: Read, L: Listen>(
             }
             Recorded::Sent { host_ns, bytes, .. } => link.asked(host_ns, &bytes),
             Recorded::Lost { .. } => decoder.interrupt(),
+            Recorded::Damaged { .. } => decoder.skip(),
             Recorded::Connected { .. } => {}
         }
     }

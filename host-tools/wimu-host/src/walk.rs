@@ -31,6 +31,8 @@ pub enum Step {
         /// When, ns on the host's monotonic clock.
         host_ns: u64,
     },
+    /// A part of the file is damaged and left out: what the link brought in it is not known.
+    Damaged,
 }
 
 /// One start of the device: its boot count where that is known. Where it is not, the start of the other
@@ -105,6 +107,10 @@ impl Walker {
             Recorded::Lost { host_ns, .. } => {
                 link.decoder.interrupt();
                 link.step(Step::Lost { host_ns }, each)
+            }
+            Recorded::Damaged { .. } => {
+                link.decoder.skip();
+                link.step(Step::Damaged, each)
             }
             Recorded::Connected { .. } => Ok(()),
         }
@@ -237,7 +243,7 @@ impl Clocks {
                     clock.heard(role, arrival);
                 }
                 Step::Sent { host_ns, bytes } => clock.asked(*host_ns, bytes),
-                Step::Lost { .. } => {}
+                Step::Lost { .. } | Step::Damaged => {}
             }
         }
     }

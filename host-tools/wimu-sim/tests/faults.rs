@@ -409,35 +409,31 @@ fn values_change_in_the_unit_of_their_range_and_leave_the_decimation() {
     }
     let mut compared = std::collections::BTreeMap::<(u8, bool), u32>::new();
     let wireless = board.borrow_mut().link(LinkRole::Wireless).pull();
-    Decoder::new().push(
-        0,
-        &wireless,
-        |arrival| {
-            let Event::Samples(samples) = arrival.event else {
-                return;
+    Decoder::new().push(0, &wireless, |arrival| {
+        let Event::Samples(samples) = arrival.event else {
+            return;
+        };
+        if samples.stream != batch::Stream::Raw {
+            return;
+        }
+        for sample in samples.iter() {
+            let (Some(cable), Some(unit)) =
+                (cable.get(&sample.sequence), units.of(sample.sequence))
+            else {
+                continue;
             };
-            if samples.stream != batch::Stream::Raw {
-                return;
+            for axis in 0..3 {
+                let lsb = f64::from(cable[axis]) * (1.0 + values.scale[axis])
+                    + values.bias_mps2[axis] / unit.mps2_per_lsb();
+                assert!(
+                    (f64::from(sample.value[axis]) - lsb).abs() <= 0.501,
+                    "{sample:?}"
+                );
             }
-            for sample in samples.iter() {
-                let (Some(cable), Some(unit)) =
-                    (cable.get(&sample.sequence), units.of(sample.sequence))
-                else {
-                    continue;
-                };
-                for axis in 0..3 {
-                    let lsb = f64::from(cable[axis]) * (1.0 + values.scale[axis])
-                        + values.bias_mps2[axis] / unit.mps2_per_lsb();
-                    assert!(
-                        (f64::from(sample.value[axis]) - lsb).abs() <= 0.501,
-                        "{sample:?}"
-                    );
-                }
-                let wide = unit.sensitivity.lsb_per_g() < 10_000.0;
-                *compared.entry((samples.every, wide)).or_default() += 1;
-            }
-        },
-    );
+            let wide = unit.sensitivity.lsb_per_g() < 10_000.0;
+            *compared.entry((samples.every, wide)).or_default() += 1;
+        }
+    });
     for kind in [(1, false), (4, true), (3, false)] {
         assert!(
             compared.get(&kind).is_some_and(|count| *count > 60),

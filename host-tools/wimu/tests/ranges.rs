@@ -263,6 +263,15 @@ fn a_damaged_or_cut_file_is_said() {
             assert_eq!(object["damaged_chunks"], chunks, "{ran:?}");
             assert_eq!(object["truncated"], chunks == 0, "{ran:?}");
             assert!(ran.stderr.contains(says), "{ran:?}");
+            // What is wrong with the file is no fault of the links.
+            for link in object["links"].as_array().into_iter().flatten() {
+                let statistics = link.get("statistics");
+                let counts = match statistics {
+                    Some(statistics) => vec![&statistics["raw"]["missing"]],
+                    None => vec![&link["lost"], &link["missing_on_both"], &link["damaged"]],
+                };
+                assert!(counts.iter().all(|count| **count == 0), "{object}");
+            }
         }
     }
 }

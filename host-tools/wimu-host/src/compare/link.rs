@@ -121,6 +121,12 @@ impl LinkMeter {
         }
     }
 
+    /// A part of the file is missing: what comes next does not follow what came before.
+    pub fn skip(&mut self) {
+        self.latest = None;
+        self.last_latency = None;
+    }
+
     /// Samples that arrived at `host_ns`; `slice` says where in the recording.
     pub fn take(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel, slice: usize) {
         let count = samples.values.len() as u64;

@@ -1,7 +1,9 @@
 //! The samples with the same number on both links, in bounded memory, and what one of them lost.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::RangeInclusive;
 
+use super::holes::Holes;
 use crate::walk::Start;
 
 /// Samples that wait for their twin at most: over three minutes at 1344 Hz.
@@ -21,7 +23,8 @@ pub(super) struct Taken {
 }
 
 /// Finds the samples with the same number on both links.
-pub(super) struct Pairing {
+pub(super) struct Pairing<'a> {
+    holes: &'a Holes,
     /// When each link was first heard, ns on the host's clock.
     heard_ns: [u64; 2],
     starts: BTreeMap<Start, [Waiting; 2]>,
@@ -42,11 +45,16 @@ struct Waiting {
     before_first: Vec<Taken>,
     /// It carries every `every`th sample.
     every: u8,
+    /// Numbers of which the file does not tell whether it brought them.
+    holes: Vec<RangeInclusive<u32>>,
 }
 
 impl Waiting {
-    /// Whether the link carries this sample, given that it has brought `known`.
+    /// Whether the link carries this sample as far as is known, given that it has brought `known`.
     fn carries(&self, number: u32, known: u32) -> bool {
+        if self.holes.iter().any(|hole| hole.contains(&number)) {
+            return false;
+        }
         let apart = known.wrapping_sub(number) as i32;
         apart
             .unsigned_abs()
@@ -67,10 +75,11 @@ impl Waiting {
     }
 }
 
-impl Pairing {
+impl<'a> Pairing<'a> {
     /// Of links that were first heard at `heard_ns` of the host.
-    pub fn new(heard_ns: [u64; 2]) -> Self {
+    pub fn new(heard_ns: [u64; 2], holes: &'a Holes) -> Self {
         Self {
+            holes,
             heard_ns,
             starts: BTreeMap::new(),
             begun: [None; 2],
@@ -89,7 +98,13 @@ impl Pairing {
         every: u8,
     ) -> Option<[i32; 3]> {
         self.begun[link].get_or_insert((start, every)).1 = every;
-        let [cable, wireless] = self.starts.entry(start).or_default();
+        let holes = self.holes;
+        let begun = |link| Waiting {
+            holes: holes.of(link, start),
+            ..Waiting::default()
+        };
+        let links = self.starts.entry(start);
+        let [cable, wireless] = links.or_insert_with(|| [0, 1].map(begun));
         let (own, other) = if link == 0 {
             (cable, wireless)
         } else {
@@ -168,6 +183,7 @@ impl Pairing {
             note(before.filter(is_heard).collect());
             let grid = Waiting {
                 every,
+                holes: waiting.holes.clone(),
                 ..Waiting::default()
             };
             let arrived_in_time = |sample: &&Taken| {
@@ -192,7 +208,8 @@ mod tests {
     /// Numbers that each link brings of each start, by turns; returns what each lost between and at
     /// the ends.
     fn lost(starts: &[[&[u32]; 2]], heard_ns: u64, under_way_ns: [u64; 2]) -> ([u64; 2], [u64; 2]) {
-        let mut pairing = Pairing::new([0, heard_ns]);
+        let holes = Holes::default();
+        let mut pairing = Pairing::new([0, heard_ns], &holes);
         for (start, links) in (7..).zip(starts) {
             let mut turns: Vec<(u32, usize)> = Vec::new();
             for (link, numbers) in links.iter().enumerate() {

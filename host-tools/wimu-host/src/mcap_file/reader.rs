@@ -39,6 +39,9 @@ pub struct RecordingReader<R> {
     channels: BTreeMap<u16, (LinkRole, Content)>,
     /// Messages of the chunk being read, last first.
     pending: Vec<Recorded>,
+    /// Links that have brought something, and the latest time of it, ns on the host's monotonic clock.
+    heard: Vec<LinkRole>,
+    latest_ns: u64,
     wholeness: Wholeness,
     /// Whether the start is that of an MCAP file.
     started: bool,
@@ -74,6 +77,8 @@ impl<R: Read> RecordingReader<R> {
             anchor: None,
             channels: BTreeMap::new(),
             pending: Vec::new(),
+            heard: Vec::new(),
+            latest_ns: 0,
             wholeness: Wholeness::default(),
             started: false,
             done: false,
@@ -229,7 +234,15 @@ impl<R: Read> RecordingReader<R> {
                         }
                         self.pending.reverse();
                     }
-                    _ => self.wholeness.damaged_chunks += 1,
+                    _ => {
+                        self.wholeness.damaged_chunks += 1;
+                        let host_ns = self.latest_ns;
+                        let damaged = |role: &LinkRole| Recorded::Damaged {
+                            role: *role,
+                            host_ns,
+                        };
+                        self.pending = self.heard.iter().map(damaged).collect();
+                    }
                 }
                 Ok(())
             }
@@ -279,10 +292,15 @@ impl<R: Read> RecordingReader<R> {
                                 host_ns,
                                 reason: reason.to_owned(),
                             },
+                            None if text == DAMAGED => Recorded::Damaged { role, host_ns },
                             None => Recorded::Connected { role, host_ns },
                         }
                     }
                 };
+                if !self.heard.contains(&role) {
+                    self.heard.push(role);
+                }
+                self.latest_ns = self.latest_ns.max(host_ns);
                 self.pending.push(entry);
             }
             _ => {}

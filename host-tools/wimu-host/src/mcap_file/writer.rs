@@ -120,6 +120,10 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
                 encode_text(CONNECTED, &mut message);
                 self.write(*role, Content::State, *host_ns, &message)
             }
+            Recorded::Damaged { role, host_ns } => {
+                encode_text(DAMAGED, &mut message);
+                self.write(*role, Content::State, *host_ns, &message)
+            }
         }
     }
 

@@ -6,7 +6,7 @@ use super::{
     UnitSample, VELOCITY,
 };
 use crate::Real;
-use crate::vector::{Vector, add, cross, dot, norm, product, scale, sub, times, turn};
+use crate::vector::{Vector, add, cross, dot, norm, product, scale, skew, sub, times, turn};
 
 impl<R: Real> UnitFilter<R> {
     pub(super) fn gather(&mut self, force: Vector<R>, sample: &UnitSample<R>, step: R) {
@@ -113,6 +113,16 @@ impl<R: Real> UnitFilter<R> {
     pub fn set_start(&mut self, position_m: [R; 3], velocity_mps: [R; 3], heading_rad: R) {
         let now = libm::atan2(self.attitude[1][0].to_f64(), self.attitude[0][0].to_f64());
         let nothing = R::default();
+        if let Some(field) = self.field {
+            // The field's direction is known no better than the heading was: what was not known of
+            // that is a disturbance from here on, and still goes with the tilt.
+            let mut m = skew(field);
+            for row in &mut m {
+                row[0] = nothing;
+                row[1] = nothing;
+            }
+            self.cov.couple(FIELD, PHI, &m);
+        }
         let by = turn([nothing, nothing, heading_rad - R::from_f64(now)]);
         self.attitude = product(&by, &self.attitude);
         self.field = self.field.map(|field| times(&by, field));

@@ -16,12 +16,11 @@ use crate::csv::{AccelerationUnit, CsvWriter, Header, Row, SENSITIVITY};
 use crate::decode::{Arrival, Decoder, Event, TimedSample};
 use crate::history::Boot;
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
+use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
-/// The column that says whether the magnetic field is corrected.
-const FIELD_CALIBRATED: &str = "Field Calibrated";
 /// The column of the heading's standard deviation, empty where it is uncalibrated.
 const HEADING_SD: &str = "Heading SD (deg)";
 /// Samples wait so long for what belongs to them and arrives later, µs of device time.

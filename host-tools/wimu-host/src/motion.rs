@@ -26,6 +26,61 @@ impl Truth {
     }
 }
 
+/// The column that says whether the magnetic field is corrected.
+pub(crate) const FIELD_CALIBRATED: &str = "Field Calibrated";
+
+const RATE_UNITS: [(&str, f64); 3] = [
+    ("rad/s", 1.0),
+    ("deg/s", std::f64::consts::PI / 180.0),
+    ("dps", std::f64::consts::PI / 180.0),
+];
+
+/// The column called `name` and the factor of its unit; `None` where there is none.
+fn unit_of(names: &[String], name: &str, units: &[(&str, f64)]) -> Result<Option<(usize, f64)>> {
+    let parts = |column: &str| {
+        let (start, unit) = column.split_once('(').unwrap_or((column, ")"));
+        (start.trim() == name).then(|| unit.trim_end_matches(')').trim().to_owned())
+    };
+    let Some((k, unit)) = names
+        .iter()
+        .enumerate()
+        .find_map(|(k, n)| Some((k, parts(n)?)))
+    else {
+        return Ok(None);
+    };
+    match units.iter().find(|(known, _)| *known == unit) {
+        Some((_, factor)) => Ok(Some((k, *factor))),
+        None => {
+            let known: Vec<String> = units
+                .iter()
+                .map(|(u, _)| format!("`{name} ({u})`"))
+                .collect();
+            Err(HostError::new(
+                ErrorCode::UnknownFormat,
+                format!("the unit of `{}` is not known", names[k]),
+                format!("give it as {}", known.join(" or ")),
+            ))
+        }
+    }
+}
+
+/// Three axes or none.
+fn complete(
+    name: &str,
+    axes: [Result<Option<(usize, f64)>>; 3],
+) -> Result<Option<[(usize, f64); 3]>> {
+    let [x, y, z] = axes;
+    match [x?, y?, z?] {
+        [Some(x), Some(y), Some(z)] => Ok(Some([x, y, z])),
+        [None, None, None] => Ok(None),
+        _ => Err(HostError::new(
+            ErrorCode::CsvMissingColumn,
+            format!("`{name}` has not all its axes"),
+            "give all three, or none",
+        )),
+    }
+}
+
 /// Samples of one unit, corrected, in SI.
 #[derive(Clone, Debug, Default)]
 pub struct MotionRecording {
@@ -37,6 +92,8 @@ pub struct MotionRecording {
     pub samples: Vec<UnitSample>,
     /// `Truth …` columns, where they are filled in.
     pub truth: Vec<Option<Truth>>,
+    /// What was noticed at reading.
+    pub remarks: Vec<String>,
     other: Vec<(String, Vec<f64>)>,
 }
 
@@ -48,16 +105,19 @@ impl MotionRecording {
             truth: vec![None; samples.len()],
             times_s,
             samples,
+            remarks: Vec::new(),
             other: Vec::new(),
         }
     }
 
     /// Reads a CSV file with times and one accelerometer in g or m/s²; `Gyroscope X (rad/s)` or
-    /// `(deg/s)`, the magnetometer and `Truth Position E (m)`, `Truth Quaternion W`, … if there are.
+    /// `(deg/s)`, the magnetometer and `Truth Position E (m)`, `Truth Quaternion W`, … if there are. A
+    /// magnetic field whose `Field Calibrated` is 0 is left out.
     ///
     /// # Errors
-    /// Those of [`CsvReader`]; `csv_missing_column` without times or with other than one
-    /// accelerometer; `unknown_format` for raw counts.
+    /// Those of [`CsvReader`]; `csv_missing_column` without times, with other than one accelerometer or
+    /// with an axis whose neighbours are there; `unknown_format` for raw counts and units that are not
+    /// known.
     pub fn from_csv(path: &Path) -> Result<Self> {
         let reader = CsvReader::open(path)?;
         let header = reader.header().clone();
@@ -88,30 +148,30 @@ impl MotionRecording {
                 .collect(),
             ..Self::default()
         };
-        let rate = ["X", "Y", "Z"].map(|axis| {
-            header
-                .other
-                .iter()
-                .position(|n| n.starts_with(&format!("Gyroscope {axis} (")))
-        });
-        let unit = match rate[0].map(|k| header.other[k].as_str()) {
-            None => 1.0,
-            Some(name) if name.contains("(rad/s)") => 1.0,
-            Some(name) if name.contains("(deg/s)") || name.contains("(dps)") => {
-                std::f64::consts::PI / 180.0
-            }
-            Some(column) => {
-                return Err(HostError::new(
-                    ErrorCode::UnknownFormat,
-                    format!("the unit of `{column}` is not known"),
-                    "give the angular rate in rad/s, deg/s or dps",
-                )
-                .at(format!("{} line 1", recording.name)));
-            }
+        let column = |name: String, units: &[(&str, f64)]| {
+            unit_of(&header.other, &name, units)
+                .map_err(|e| e.at(format!("{} line 1", recording.name)))
         };
-        let find = |start: &str| header.other.iter().position(|n| n.starts_with(start));
-        let position = ["E", "N", "U"].map(|a| find(&format!("Truth Position {a}")));
+        let rate = complete(
+            "Gyroscope",
+            ["X", "Y", "Z"].map(|axis| column(format!("Gyroscope {axis}"), &RATE_UNITS)),
+        )
+        .map_err(|e| e.at(format!("{} line 1", recording.name)))?;
+        let strange = |n: &&String| {
+            let name = n.to_lowercase();
+            rate.is_none() && (name.starts_with("gyr") || name.starts_with("angular"))
+        };
+        if let Some(column) = header.other.iter().find(strange) {
+            recording.remarks.push(format!(
+                "`{column}` is not read: an angular rate is called `Gyroscope X (rad/s)` or `(deg/s)`"
+            ));
+        }
+        let metres = |axis| column(format!("Truth Position {axis}"), &[("m", 1.0)]);
+        let position = complete("Truth Position", ["E", "N", "U"].map(metres))
+            .map_err(|e| e.at(format!("{} line 1", recording.name)))?;
+        let find = |name: &str| header.other.iter().position(|n| n == name);
         let quaternion = ["W", "X", "Y", "Z"].map(|a| find(&format!("Truth Quaternion {a}")));
+        let calibrated = find(FIELD_CALIBRATED);
         let mut last = None;
         for row in reader {
             let row = row?;
@@ -122,7 +182,12 @@ impl MotionRecording {
                     .ok()
                     .filter(|v| v.is_finite())
             };
-            let all = |at: [Option<usize>; 3]| Some([value(at[0])?, value(at[1])?, value(at[2])?]);
+            let all = |at: Option<[(usize, f64); 3]>| {
+                let [x, y, z] = at?.map(|(k, by)| value(Some(k)).map(|v| v * by));
+                Some([x?, y?, z?])
+            };
+            // As a magnetometer put it out that is not calibrated, a field says nothing of directions.
+            let uncalibrated = calibrated.is_some_and(|k| value(Some(k)) == Some(0.0));
             let time = row.time_ns.unwrap_or_default() as f64 * 1e-9;
             recording.samples.push(UnitSample {
                 step_s: time - last.unwrap_or(time),
@@ -132,8 +197,8 @@ impl MotionRecording {
                     .copied()
                     .unwrap_or_default()
                     .map(|a| a * factor),
-                field_ut: row.magnetic_field_ut,
-                rate_rad_s: all(rate).map(|r| r.map(|w| w * unit)),
+                field_ut: row.magnetic_field_ut.filter(|_| !uncalibrated),
+                rate_rad_s: all(rate),
             });
             recording.times_s.push(time);
             last = Some(time);

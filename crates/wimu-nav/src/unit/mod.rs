@@ -30,7 +30,7 @@ use crate::vector::{
 /// Samples are brought together over so long before the filter looks at them, s: it follows what a
 /// hand does, and costs a few operations a sample.
 const UPDATE_S: f64 = 0.035;
-/// The first attitude is from so much, s.
+/// The first attitude is from so much, s, and from what shows whether it rests.
 const ALIGN_S: f64 = 1.0;
 /// A pause longer than this is a gap: what happened in it is not known.
 const GAP_S: f64 = 0.25;
@@ -125,7 +125,8 @@ pub struct UnitState<R = f64> {
     pub since_rest_s: R,
     /// Whether it seems to be at rest now.
     pub resting: bool,
-    /// False before the first alignment, and after a gap until the next rest.
+    /// False before the first alignment, until the first rest where it moved then, and after a gap until
+    /// the next rest. Position is measured from where it was valid first.
     pub valid: bool,
     /// Updates of the magnetic field that were left out as disturbed.
     pub disturbed: u32,
@@ -169,6 +170,10 @@ pub struct UnitFilter<R = f64> {
     since_rest_s: R,
     aligned: bool,
     valid: bool,
+    /// Position was valid once.
+    begun: bool,
+    /// The rest that it seems to be at was not believed.
+    doubted: bool,
     disturbed: u32,
     even: u32,
 }
@@ -207,6 +212,8 @@ impl<R: Real> UnitFilter<R> {
             since_rest_s: R::default(),
             aligned: false,
             valid: false,
+            begun: false,
+            doubted: false,
             disturbed: 0,
             even: 0,
         }
@@ -251,7 +258,7 @@ impl<R: Real> UnitFilter<R> {
             self.strapdown(force, sample, step);
         } else {
             self.gather(force, sample, step);
-            if self.group.time_s >= R::from_f64(ALIGN_S) {
+            if self.group.time_s >= R::from_f64(ALIGN_S) && self.quiet.is_known() {
                 self.align();
             }
         }
@@ -264,6 +271,7 @@ impl<R: Real> UnitFilter<R> {
     /// Nobody knows what happened in a gap.
     fn lose(&mut self, step_s: R) {
         self.valid = false;
+        self.quiet.end();
         self.group = Group::default();
         let step = step_s.to_f64();
         for i in 0..3 {

@@ -50,8 +50,10 @@ const LEAST_NOISE_MPS2: f64 = 0.01;
 const ZUPT_MPS: f64 = 0.005;
 /// A velocity beyond so many variances at a seeming rest is even motion ...
 const EVEN_GATE: f64 = 9.0;
-/// ... of which the filter begins to doubt in this time, s.
+/// ... unless the velocity's deviation is wrong: it grows e-fold in this time, s.
 const EVEN_S: f64 = 10.0;
+/// Speed where nothing is known of it, m/s.
+pub(super) const UNKNOWN_MPS: f64 = 2.0;
 
 impl<R: Real> UnitFilter<R> {
     pub(super) fn update(&mut self) {
@@ -278,9 +280,10 @@ impl<R: Real> UnitFilter<R> {
     }
 
     /// What looks like a rest is one, unless the velocity is known to be another. Then both may be
-    /// true, even motion and a wrong velocity: until it has lasted, the velocity is doubted more and
-    /// more. Without an angular rate the velocity's error came and went with a tilt that nobody knows:
-    /// it says nothing about the way before, and position and its covariance stay as they are.
+    /// true, even motion and a velocity whose deviation is too small: that grows while it lasts. Where it
+    /// was, the position is as uncertain as a velocity that went wrong some time since the rest before.
+    /// Without an angular rate the velocity's error came and went with a tilt that nobody knows: it says
+    /// nothing about the way before, and the position stays as it is.
     fn see_rest(&mut self, dt: R, rated: bool) {
         let velocity = self.part(VELOCITY);
         let one = diagonal(R::from_f64(1.0));
@@ -296,11 +299,23 @@ impl<R: Real> UnitFilter<R> {
                 self.put(POSITION, position);
                 self.cov.set(POSITION, &covariance);
             }
+            if !self.begun {
+                self.set_origin();
+                self.begun = true;
+            } else if self.doubted {
+                let lasted = self.since_rest_s * self.since_rest_s * R::from_f64(1.0 / 3.0);
+                for (i, speed) in velocity.iter().enumerate() {
+                    self.cov.add(POSITION, i, *speed * *speed * lasted);
+                }
+            }
+            self.doubted = false;
             self.since_rest_s = R::default();
             self.valid = true;
         } else {
             self.even = self.even.saturating_add(1);
-            let doubt = dot(velocity, velocity) * dt * R::from_f64(1.0 / EVEN_S);
+            self.doubted = true;
+            let [x, y, z] = self.cov.variance(VELOCITY);
+            let doubt = (x + y + z) * dt * R::from_f64(2.0 / 3.0 / EVEN_S);
             for i in 0..3 {
                 self.cov.add(VELOCITY, i, doubt);
             }

@@ -2,7 +2,7 @@
 
 use super::UnitFilter;
 use crate::Real;
-use crate::vector::{Vector, dot, norm, scale, sub};
+use crate::vector::{Vector, add, dot, norm, scale, sub};
 
 /// A rest shows less than this, m/s² rms, ...
 const REST_MPS2: f64 = 0.12;
@@ -13,35 +13,76 @@ const FLOOR_MPS2: f64 = 0.03;
 /// ... a force this near to gravity, m/s², and an angular rate below this, rad/s, ...
 const NEAR_MPS2: f64 = 0.3;
 const STILL_RAD_S: f64 = 0.1;
-/// ... for this long, s.
-const REST_S: f64 = 0.5;
-/// Mean and variance are over so long, s, and so many samples.
-const QUIET_S: f64 = 0.2;
-const QUIET_SAMPLES: f64 = 20.0;
+/// ... over so many parts, each of at least so long, s, and so many samples.
+const PARTS: usize = 5;
+const PART_S: f64 = 0.1;
+const PART_SAMPLES: f64 = 4.0;
 
-/// Slow mean and variance of the force.
+/// Sums of force and angular rate over a part.
+#[derive(Clone, Copy, Debug, Default)]
+struct Part<R> {
+    time_s: R,
+    count: R,
+    force: Vector<R>,
+    force_square: R,
+    rates: R,
+    rate: Vector<R>,
+    rate_square: R,
+}
+
+impl<R: Real> Part<R> {
+    fn plus(&self, other: &Self) -> Self {
+        Self {
+            time_s: self.time_s + other.time_s,
+            count: self.count + other.count,
+            force: add(self.force, other.force),
+            force_square: self.force_square + other.force_square,
+            rates: self.rates + other.rates,
+            rate: add(self.rate, other.rate),
+            rate_square: self.rate_square + other.rate_square,
+        }
+    }
+}
+
+/// Variance of a component from the sum, the sum of squares and the count.
+fn variance<R: Real>(sum: Vector<R>, square: R, count: R) -> R {
+    let value = (square - dot(sum, sum) / count) / (R::from_f64(3.0) * count);
+    if value > R::default() {
+        value
+    } else {
+        R::default()
+    }
+}
+
+/// The last half second and more, as it moves on.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Quiet<R> {
-    mean: Vector<R>,
-    variance: R,
-    rate: Vector<R>,
-    rate_variance: R,
-    /// The least variance of a second and more, of the force and of the angular rate times the step.
+    /// What is taken off before squares are summed, so that f32 keeps their difference.
+    about: Vector<R>,
+    parts: [Part<R>; PARTS],
+    now: Part<R>,
+    filled: usize,
+    rest: bool,
+    /// The least variance so far, of the force and of the angular rate times the step.
     level: Option<R>,
     walk: Option<R>,
-    time_s: R,
-    started: bool,
-    age_s: R,
 }
 
 impl<R: Real> Quiet<R> {
     pub fn is_rest(&self) -> bool {
-        self.time_s >= R::from_f64(REST_S)
+        self.rest
     }
 
     /// What was taken for a rest is none.
     pub fn end(&mut self) {
-        self.time_s = R::default();
+        self.rest = false;
+        self.filled = 0;
+        self.now = Part::default();
+    }
+
+    /// Whether enough was seen to say so.
+    pub fn is_known(&self) -> bool {
+        self.filled == PARTS
     }
 
     /// Variance of a sample's force at the quietest rest, (m/s²)².
@@ -53,6 +94,39 @@ impl<R: Real> Quiet<R> {
     pub fn angle_walk2(&self) -> Option<R> {
         self.walk
     }
+
+    /// Takes a sample; the sums of the last parts where one is full.
+    fn gather(&mut self, force: Vector<R>, rate: Option<Vector<R>>, step: R) -> Option<Part<R>> {
+        if self.now.count == R::default() && self.filled == 0 {
+            self.about = force;
+        }
+        let force = sub(force, self.about);
+        let mut sample = Part {
+            time_s: step,
+            count: R::from_f64(1.0),
+            force,
+            force_square: dot(force, force),
+            ..Part::default()
+        };
+        if let Some(rate) = rate {
+            sample.rates = sample.count;
+            sample.rate = rate;
+            sample.rate_square = dot(rate, rate);
+        }
+        self.now = self.now.plus(&sample);
+        let full =
+            self.now.time_s >= R::from_f64(PART_S) && self.now.count >= R::from_f64(PART_SAMPLES);
+        if !full {
+            return None;
+        }
+        self.parts.rotate_left(1);
+        if let Some(last) = self.parts.last_mut() {
+            *last = core::mem::take(&mut self.now);
+        }
+        self.filled = (self.filled + 1).min(PARTS);
+        let all = |sum: Part<R>, part: &Part<R>| sum.plus(part);
+        (self.filled == PARTS).then(|| self.parts.iter().fold(Part::default(), all))
+    }
 }
 
 fn least<R: Real>(a: R, b: R) -> R {
@@ -62,30 +136,19 @@ fn least<R: Real>(a: R, b: R) -> R {
 impl<R: Real> UnitFilter<R> {
     pub(super) fn judge(&mut self, force: Vector<R>, rate: Option<Vector<R>>, step: R) {
         let gravity = R::from_f64(self.config.gravity_mps2);
-        let turning = rate.is_some_and(|rate| {
-            let rate = sub(rate, self.part(super::OMEGA));
-            dot(rate, rate) > R::from_f64(STILL_RAD_S * STILL_RAD_S)
-        });
+        let bias = self.part(super::OMEGA);
         let quiet = &mut self.quiet;
-        if !quiet.started {
-            quiet.mean = force;
-            quiet.rate = rate.unwrap_or_default();
-            quiet.started = true;
-        }
-        let share = least(
-            step * R::from_f64(1.0 / QUIET_S),
-            R::from_f64(1.0 / QUIET_SAMPLES),
-        );
-        let away = sub(force, quiet.mean);
-        quiet.mean = crate::vector::add(quiet.mean, scale(away, share));
-        quiet.variance += (dot(away, away) * R::from_f64(1.0 / 3.0) - quiet.variance) * share;
-        if let Some(rate) = rate {
-            let away = sub(rate, quiet.rate);
-            quiet.rate = crate::vector::add(quiet.rate, scale(away, share));
-            let square = dot(away, away) * R::from_f64(1.0 / 3.0);
-            quiet.rate_variance += (square - quiet.rate_variance) * share;
-        }
-        quiet.age_s += step;
+        let Some(all) = quiet.gather(force, rate, step) else {
+            return;
+        };
+        let one = R::from_f64(1.0);
+        let mean = add(quiet.about, scale(all.force, one / all.count));
+        let spread = variance(all.force, all.force_square, all.count);
+        let rated = all.rates > R::default();
+        let turning = rated && {
+            let rate = sub(scale(all.rate, one / all.rates), bias);
+            dot(rate, rate) > R::from_f64(STILL_RAD_S * STILL_RAD_S)
+        };
         let most = match quiet.level {
             Some(level) => {
                 let floor = R::from_f64(FLOOR_MPS2 * FLOOR_MPS2);
@@ -97,19 +160,13 @@ impl<R: Real> UnitFilter<R> {
             }
             None => R::from_f64(REST_MPS2 * REST_MPS2),
         };
-        let near = (norm(quiet.mean) - gravity).abs() < R::from_f64(NEAR_MPS2);
-        if near && !turning && quiet.variance < most {
-            quiet.time_s += step;
-        } else {
-            quiet.time_s = R::default();
-        }
-        if quiet.is_rest() && quiet.age_s > R::from_f64(1.0) {
-            quiet.level = Some(match quiet.level {
-                Some(level) => least(level, quiet.variance),
-                None => quiet.variance,
-            });
-            if rate.is_some() {
-                let walk = quiet.rate_variance * step;
+        let near = (norm(mean) - gravity).abs() < R::from_f64(NEAR_MPS2);
+        quiet.rest = near && !turning && spread < most;
+        if quiet.rest {
+            quiet.level = Some(quiet.level.map_or(spread, |before| least(before, spread)));
+            if rated {
+                let square = variance(all.rate, all.rate_square, all.rates);
+                let walk = square * all.time_s / all.count;
                 quiet.walk = Some(quiet.walk.map_or(walk, |before| least(before, walk)));
             }
         }

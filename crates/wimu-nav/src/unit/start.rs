@@ -1,6 +1,6 @@
 //! The first attitude, and what is given from outside.
 
-use super::model::{BIAS_MPS2, DISTURBANCE_UT};
+use super::model::{BIAS_MPS2, DISTURBANCE_UT, UNKNOWN_MPS};
 use super::{
     ACCELERATION, BIAS, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING, UnitFilter,
     UnitSample, VELOCITY,
@@ -96,7 +96,15 @@ impl<R: Real> UnitFilter<R> {
         self.last_force = acceleration;
         self.since_rest_s = R::default();
         self.aligned = true;
-        self.valid = true;
+        self.valid = self.quiet.is_rest();
+        self.begun = self.valid;
+        if !self.valid {
+            // It moves, nobody knows how fast.
+            for i in 0..3 {
+                self.cov
+                    .add(VELOCITY, i, R::from_f64(UNKNOWN_MPS * UNKNOWN_MPS));
+            }
+        }
     }
 
     /// Measures position from here: it is zero, exactly, and from here on its covariance is that of the
@@ -144,5 +152,6 @@ impl<R: Real> UnitFilter<R> {
         }
         self.since_rest_s = nothing;
         self.valid = self.aligned;
+        self.begun = self.aligned;
     }
 }

@@ -20,6 +20,7 @@
 //! # Ok::<(), wimu_host::HostError>(())
 //! ```
 
+mod sense;
 mod slide;
 
 pub use slide::{Leg, legs};
@@ -265,12 +266,13 @@ impl InertialPath {
 ///
 /// # Errors
 /// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
-/// [`Method::Slide`], nothing to align with; `usage` for [`Method::Array`], which needs
+/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity; `usage` for [`Method::Array`], which needs
 /// [`navigate_array`].
 pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
     let refused = |message: &str, remedy: &str| {
         Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name))
     };
+    let senses = sense::Senses::of(recording)?;
     let mut path = match choice.method {
         Method::Array => {
             return Err(HostError::new(
@@ -288,6 +290,11 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         }
         method => {
             let mut samples = once_each_field(&recording.samples);
+            if let Some(from) = senses.rate_ends {
+                for sample in &mut samples[from..] {
+                    sample.rate_rad_s = None;
+                }
+            }
             if method != Method::Strapdown {
                 for sample in &mut samples {
                     sample.rate_rad_s = None;
@@ -308,6 +315,13 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             "hold the unit still for a second first, and see that its times go on",
         );
     }
+    if let Some(from) = senses.force_ends {
+        for point in &mut path.points[from..] {
+            point.valid = false;
+        }
+    }
+    path.remarks.splice(0..0, senses.remarks);
+    path.remarks.splice(0..0, recording.remarks.iter().cloned());
     compare(&mut path, &recording.truth);
     Ok(path)
 }

@@ -1,0 +1,156 @@
+//! Whether a recording can be what it says it is: gravity, and axes that go on.
+
+use crate::motion::MotionRecording;
+use crate::{ErrorCode, HostError, Result};
+
+/// What a rest shows is gravity within this share.
+const NEAR: f64 = 0.1;
+/// |f| of a whole recording is, in the median, gravity within this factor.
+const FAR: f64 = 1.5;
+/// A second in which |f| departs by less than this is quiet, m/s² rms.
+const QUIET_MPS2: f64 = 0.15;
+/// An axis that gives one value for so long, s, and in so many samples, ...
+const STUCK_S: f64 = 1.0;
+const STUCK_SAMPLES: usize = 50;
+/// ... while both others change, and one by more than this, is dead: m/s², rad/s.
+const MOVES_MPS2: f64 = 1.0;
+const MOVES_RAD_S: f64 = 0.3;
+
+/// What was found.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Senses {
+    /// From this sample on an axis of the accelerometer is dead.
+    pub force_ends: Option<usize>,
+    /// The same of the angular rate.
+    pub rate_ends: Option<usize>,
+    pub remarks: Vec<String>,
+}
+
+impl Senses {
+    /// Looks at a recording.
+    ///
+    /// # Errors
+    /// `data_refused` where what it shows at rest is not gravity.
+    pub fn of(recording: &MotionRecording) -> Result<Self> {
+        gravity(recording)?;
+        let mut senses = Self::default();
+        let force = |k: usize| Some(recording.samples[k].force_mps2);
+        let rate = |k: usize| recording.samples[k].rate_rad_s;
+        if let Some((from, axis)) = stuck(recording, force, MOVES_MPS2) {
+            senses.say(
+                recording,
+                "accelerometer",
+                from,
+                axis,
+                "position is not valid from there on",
+            );
+            senses.force_ends = Some(from);
+        }
+        if let Some((from, axis)) = stuck(recording, rate, MOVES_RAD_S) {
+            senses.say(
+                recording,
+                "gyroscope",
+                from,
+                axis,
+                "it is left out from there on",
+            );
+            senses.rate_ends = Some(from);
+        }
+        Ok(senses)
+    }
+
+    fn say(&mut self, of: &MotionRecording, sensor: &str, from: usize, axis: usize, so: &str) {
+        let (axis, at) = (["X", "Y", "Z"][axis], of.times_s[from]);
+        self.remarks.push(format!(
+            "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
+        ));
+    }
+}
+
+fn gravity(recording: &MotionRecording) -> Result<()> {
+    let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+    let mut sizes: Vec<f64> = recording
+        .samples
+        .iter()
+        .map(|s| s.force_mps2.iter().map(|f| f * f).sum::<f64>().sqrt())
+        .collect();
+    let (mut quiet, mut from) = (Vec::new(), 0);
+    while from < sizes.len() {
+        let end = recording.times_s[from] + 1.0;
+        let to = recording
+            .times_s
+            .partition_point(|t| *t < end)
+            .max(from + 1);
+        let second = &sizes[from..to];
+        let mean = second.iter().sum::<f64>() / second.len() as f64;
+        let square = second.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / second.len() as f64;
+        if second.len() >= 10 && square < QUIET_MPS2 * QUIET_MPS2 {
+            quiet.push(mean);
+        }
+        from = to;
+    }
+    sizes.sort_by(f64::total_cmp);
+    let Some(median) = sizes.get(sizes.len() / 2).copied() else {
+        return Ok(());
+    };
+    let refused = |seen: f64| {
+        let remedy = if (seen - 1.0).abs() < NEAR {
+            "1 at rest is g: name the columns `Accelerometer X (g)`, …"
+        } else {
+            "see that the unit in the columns' names is right, and that the accelerometer works"
+        };
+        Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!("its accelerometer shows {seen:.2} m/s² where gravity should be"),
+            remedy,
+        )
+        .at(&recording.name))
+    };
+    let near = |seen: &f64| (seen / standard - 1.0).abs() < NEAR;
+    if !(standard / FAR..standard * FAR).contains(&median) {
+        return refused(median);
+    }
+    match quiet.first() {
+        Some(first) if !quiet.iter().any(near) => refused(*first),
+        _ => Ok(()),
+    }
+}
+
+/// The sample and axis at which one stands still to the end of a long run while others change.
+fn stuck(
+    recording: &MotionRecording,
+    value: impl Fn(usize) -> Option<[f64; 3]>,
+    moves: f64,
+) -> Option<(usize, usize)> {
+    let count = recording.samples.len();
+    let mut found: Option<(usize, usize)> = None;
+    for axis in 0..3 {
+        let mut first = 0;
+        while first < count {
+            let mut end = first + 1;
+            let here = value(first);
+            let (mut low, mut high) = (here.unwrap_or_default(), here.unwrap_or_default());
+            while let (Some(here), true) = (here, end < count) {
+                let Some(next) = value(end).filter(|next| next[axis] == here[axis]) else {
+                    break;
+                };
+                for i in 0..3 {
+                    low[i] = low[i].min(next[i]);
+                    high[i] = high[i].max(next[i]);
+                }
+                end += 1;
+            }
+            let lasts = recording.times_s[end - 1] - recording.times_s[first] >= STUCK_S
+                && end - first >= STUCK_SAMPLES;
+            let alive = (0..3).all(|i| i == axis || high[i] > low[i]);
+            if lasts && alive && (0..3).any(|i| high[i] - low[i] > moves) {
+                if found.is_none_or(|(before, _)| first < before) {
+                    found = Some((first, axis));
+                }
+                break;
+            }
+            first = end;
+        }
+    }
+    found
+}

@@ -95,11 +95,11 @@ fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
 
 #[test]
 fn even_motion_after_a_push_is_not_taken_for_rest() {
-    // With a gyroscope the push is known well: 1 m/s for 1.5 s, then quiet.
+    // With a gyroscope the push is known well: 1 m/s, then quiet for 8.5 s.
     let mut random = Random(8);
     let mut filter = UnitFilter::new(config());
     let mut worst = 0.0_f64;
-    for k in 0..600 {
+    for k in 0..1100 {
         let mut sample = at_rest(&mut random);
         sample.rate_rad_s = Some(random.normals(1e-3));
         if (200..250).contains(&k) {
@@ -121,6 +121,65 @@ fn even_motion_after_a_push_is_not_taken_for_rest() {
     }
     assert!(filter.state().even > 20, "{:?}", filter.state());
     assert!(worst < 4.0, "{worst} standard deviations");
+    let speed = filter.state().velocity_mps[0];
+    assert!((speed - 1.0).abs() < 0.1, "{speed} m/s");
+}
+
+#[test]
+fn a_pause_of_a_second_is_a_rest_at_any_rate_and_the_motion_before_it_is_not() {
+    for rate in [50, 100, 400] {
+        let mut random = Random(21);
+        let mut filter = UnitFilter::new(config());
+        for k in 0..5 * rate {
+            let mut sample = at_rest(&mut random);
+            sample.step_s = 1.0 / f64::from(rate);
+            let t = f64::from(k) / f64::from(rate);
+            let moves = (2.0..4.0).contains(&t);
+            if moves {
+                sample.force_mps2[0] += 1.5 * (std::f64::consts::PI * t).sin();
+            }
+            filter.push(&sample).unwrap();
+            if (2.3..4.0).contains(&t) {
+                assert!(!filter.state().resting, "{rate} Hz, {t} s");
+            }
+        }
+        let state = filter.state();
+        let speed = state.velocity_mps.map(|v| v * v).iter().sum::<f64>().sqrt();
+        assert!(state.resting && speed < 0.01, "{rate} Hz: {speed} m/s");
+    }
+}
+
+#[test]
+fn a_start_in_motion_is_not_valid_before_the_first_rest_and_position_begins_there() {
+    let mut random = Random(22);
+    let mut filter = UnitFilter::new(config());
+    for k in 0..600 {
+        let mut sample = at_rest(&mut random);
+        if k < 300 {
+            sample.force_mps2[1] += 1.5 * (f64::from(k) * 0.03).cos();
+        }
+        filter.push(&sample).unwrap();
+        assert!(k >= 300 || !filter.state().valid, "{k}");
+    }
+    let state = filter.state();
+    assert!(state.valid && state.position_sd_m() < 0.02, "{state:?}");
+}
+
+#[test]
+fn a_gyroscopes_offset_is_found_at_the_first_rest() {
+    let mut random = Random(23);
+    let mut filter = UnitFilter::new(config());
+    for _ in 0..500 {
+        let mut sample = at_rest(&mut random);
+        let noise = random.normals(3e-3);
+        sample.rate_rad_s = Some([0.2 + noise[0], -0.3 + noise[1], noise[2]]);
+        filter.push(&sample).unwrap();
+    }
+    let state = filter.state();
+    assert!(state.valid && state.resting, "{state:?}");
+    let rate = state.rate_rad_s.map(f64::abs);
+    assert!(rate.iter().all(|r| *r < 0.02), "{rate:?}");
+    assert!(state.quaternion[0].abs() > 0.9999, "{state:?}");
 }
 
 #[test]

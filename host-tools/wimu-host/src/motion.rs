@@ -230,7 +230,8 @@ impl MotionRecording {
     }
 
     /// Mean |f| of the first second at rest, m/s²; standard gravity where there is no rest in the
-    /// first minute, or it is not within 2 % of gravity.
+    /// first minute, or it is not within 10 % of gravity: an accelerometer that is not calibrated shows its
+    /// own.
     pub fn gravity_at_first_rest(&self) -> f64 {
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
         let mut from = 0;
@@ -246,7 +247,7 @@ impl MotionRecording {
             let mean = window.iter().map(norm).sum::<f64>() / window.len() as f64;
             let spread =
                 window.iter().map(|s| (norm(s) - mean).powi(2)).sum::<f64>() / window.len() as f64;
-            if spread < 0.15 * 0.15 && (mean / standard - 1.0).abs() < 0.02 {
+            if spread < 0.15 * 0.15 && (mean / standard - 1.0).abs() < 0.1 {
                 return mean;
             }
             from = to;

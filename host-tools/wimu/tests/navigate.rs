@@ -396,3 +396,39 @@ fn a_boards_recording_is_navigated_by_every_method_that_it_supports() {
     // A path says nothing of where boards sit on their body.
     wimu(&["navigate", &session, "--geometry", &out]).fails(2, "csv_missing_column");
 }
+
+#[allow(dead_code)]
+#[path = "../../wimu-host/examples/navigate.rs"]
+mod example;
+
+#[test]
+fn the_librarys_example_finds_the_same_numbers() {
+    let folder = folder();
+    for gyroscope in [true, false] {
+        let made = Made { gyroscope, ..PLAIN };
+        let csv = made.write(folder.path(), "in.csv");
+        let said = wimu(&["navigate", &csv]).succeeds();
+        let path = example::path_of(Path::new(&csv)).unwrap();
+        let last = path.points[path.points.len() - 1];
+        // JSON's decimals are read back to the last bit but one.
+        let same = |key: &str, value: f64| {
+            let found = number(&said, key);
+            assert!(
+                (found - value).abs() <= 1e-12 * value.abs(),
+                "{key}: {found} {value}"
+            );
+        };
+        same("/distance_m", path.distance_m());
+        for axis in 0..3 {
+            same(&format!("/final_position_m/{axis}"), last.position_m[axis]);
+            same(&format!("/final_sigma_m/{axis}"), last.sigma_m()[axis]);
+        }
+        match path.horizon_s(0.1) {
+            Some(seconds) => same("/horizon/to_0_1_m_s", seconds),
+            None => assert!(said["horizon"]["to_0_1_m_s"].is_null()),
+        }
+        let (median, below) = path.consistency().unwrap();
+        same("/nees/median", median);
+        same("/nees/share_below_7_81", below);
+    }
+}

@@ -6,13 +6,16 @@ use crate::vector::{Vector, add, dot, norm, scale, sub};
 
 /// A rest shows less than this, m/s² rms, ...
 const REST_MPS2: f64 = 0.12;
-/// ... less than so many times the variance of the quietest time so far, ...
+/// ... less than so many times the variance of the quietest time so far, and of what it is within a tenth
+/// of a second (slow motion differs in its means), ...
 const REST_RATIO: f64 = 4.0;
 /// ... where that is more than a sensor shows whose steps are coarse, m/s² rms, ...
 const FLOOR_MPS2: f64 = 0.03;
 /// ... a force this near to gravity, m/s², and an angular rate below this, rad/s, ...
 const NEAR_MPS2: f64 = 0.3;
 const STILL_RAD_S: f64 = 0.1;
+/// ... before a rest has shown what is its bias: this, rad/s, ...
+const OFFSET_RAD_S: f64 = 0.5;
 /// ... over so many parts, each of at least so long, s, and so many samples.
 const PARTS: usize = 5;
 const PART_S: f64 = 0.1;
@@ -28,6 +31,8 @@ struct Part<R> {
     rates: R,
     rate: Vector<R>,
     rate_square: R,
+    /// Of the force, about each part's own mean.
+    within: R,
 }
 
 impl<R: Real> Part<R> {
@@ -40,6 +45,7 @@ impl<R: Real> Part<R> {
             rates: self.rates + other.rates,
             rate: add(self.rate, other.rate),
             rate_square: self.rate_square + other.rate_square,
+            within: self.within + other.within,
         }
     }
 }
@@ -66,6 +72,8 @@ pub(super) struct Quiet<R> {
     /// The least variance so far, of the force and of the angular rate times the step.
     level: Option<R>,
     walk: Option<R>,
+    /// Mean angular rate at the rest that it is at, rad/s.
+    still: Option<Vector<R>>,
 }
 
 impl<R: Real> Quiet<R> {
@@ -78,6 +86,16 @@ impl<R: Real> Quiet<R> {
         self.rest = false;
         self.filled = 0;
         self.now = Part::default();
+    }
+
+    /// Mean angular rate at the rest that it is at, rad/s.
+    pub fn still(&self) -> Option<Vector<R>> {
+        self.still.filter(|_| self.rest)
+    }
+
+    /// Whether a variance is that of a rest: of the force over a longer time, each axis.
+    pub fn is_steady(&self, spread: R) -> bool {
+        self.rest && self.level.is_some_and(|level| spread < most(level))
     }
 
     /// Whether enough was seen to say so.
@@ -119,9 +137,11 @@ impl<R: Real> Quiet<R> {
         if !full {
             return None;
         }
+        let mut part = core::mem::take(&mut self.now);
+        part.within = part.force_square - dot(part.force, part.force) / part.count;
         self.parts.rotate_left(1);
         if let Some(last) = self.parts.last_mut() {
-            *last = core::mem::take(&mut self.now);
+            *last = part;
         }
         self.filled = (self.filled + 1).min(PARTS);
         let all = |sum: Part<R>, part: &Part<R>| sum.plus(part);
@@ -131,6 +151,16 @@ impl<R: Real> Quiet<R> {
 
 fn least<R: Real>(a: R, b: R) -> R {
     if a < b { a } else { b }
+}
+
+/// The most variance of a rest where that of the quietest is `level`.
+fn most<R: Real>(level: R) -> R {
+    let floor = R::from_f64(FLOOR_MPS2 * FLOOR_MPS2);
+    let level = if level > floor { level } else { floor };
+    least(
+        level * R::from_f64(REST_RATIO),
+        R::from_f64(REST_MPS2 * REST_MPS2),
+    )
 }
 
 impl<R: Real> UnitFilter<R> {
@@ -145,23 +175,20 @@ impl<R: Real> UnitFilter<R> {
         let mean = add(quiet.about, scale(all.force, one / all.count));
         let spread = variance(all.force, all.force_square, all.count);
         let rated = all.rates > R::default();
-        let turning = rated && {
-            let rate = sub(scale(all.rate, one / all.rates), bias);
-            dot(rate, rate) > R::from_f64(STILL_RAD_S * STILL_RAD_S)
-        };
-        let most = match quiet.level {
-            Some(level) => {
-                let floor = R::from_f64(FLOOR_MPS2 * FLOOR_MPS2);
-                let level = if level > floor { level } else { floor };
-                least(
-                    level * R::from_f64(REST_RATIO),
-                    R::from_f64(REST_MPS2 * REST_MPS2),
-                )
-            }
-            None => R::from_f64(REST_MPS2 * REST_MPS2),
-        };
+        quiet.still = rated.then(|| scale(all.rate, one / all.rates));
+        let turning = quiet.still.is_some_and(|rate| {
+            let rate = sub(rate, bias);
+            let limit = match quiet.level {
+                Some(_) => STILL_RAD_S,
+                None => OFFSET_RAD_S,
+            };
+            dot(rate, rate) > R::from_f64(limit * limit)
+        });
+        let degrees = R::from_f64(3.0) * (all.count - R::from_f64(PARTS as f64));
+        let within = all.within / degrees;
+        let level = quiet.level.map_or(within, |level| least(level, within));
         let near = (norm(mean) - gravity).abs() < R::from_f64(NEAR_MPS2);
-        quiet.rest = near && !turning && spread < most;
+        quiet.rest = near && !turning && spread < most(level);
         if quiet.rest {
             quiet.level = Some(quiet.level.map_or(spread, |before| least(before, spread)));
             if rated {

@@ -71,7 +71,10 @@ impl<R: Real> UnitFilter<R> {
             .then(|| times(&self.attitude, scale(group.field, one / group.fields)));
         let departure = (length - g) * (length - g);
         let bias = R::from_f64(BIAS_MPS2 * BIAS_MPS2);
-        let tilt = ((spread + departure) * R::from_f64(0.25) + bias) / (g * g) + R::from_f64(1e-6);
+        let still = self.quiet.is_steady(spread * R::from_f64(1.0 / 3.0));
+        // What is pushed to and fro has a mean less than its spread; what is pushed once may not.
+        let share = R::from_f64(if still { 0.25 } else { 1.0 });
+        let tilt = ((spread + departure) * share + bias) / (g * g) + R::from_f64(1e-6);
         self.cov = Covariance::zero();
         for i in 0..3 {
             let small = R::from_f64(1e-4);
@@ -96,8 +99,13 @@ impl<R: Real> UnitFilter<R> {
         self.last_force = acceleration;
         self.since_rest_s = R::default();
         self.aligned = true;
-        self.valid = self.quiet.is_rest();
+        self.valid = still;
         self.begun = self.valid;
+        if let Some(rate) = self.quiet.still()
+            && self.config.zupt
+        {
+            self.put(OMEGA, rate);
+        }
         if !self.valid {
             // It moves, nobody knows how fast.
             for i in 0..3 {

@@ -284,8 +284,9 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         Method::Slide => slide::slide(recording, choice)?,
         Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
             return refused(
-                "there is no angular rate in it",
-                "name the columns `Gyroscope X (rad/s)`, …, or use --method tilt",
+                "there is no angular rate in it, and strapdown is the method of a gyroscope",
+                "use --method tilt, slide or auto; in a CSV file name a gyroscope's columns \
+                 `Gyroscope X (rad/s)`, …; wimu's boards have none",
             );
         }
         method => {
@@ -493,6 +494,7 @@ fn filter(
 ) -> InertialPath {
     let mut filter = UnitFilter::new(config);
     let (mut gaps, mut bad, mut backwards) = (0, 0, 0);
+    let (mut begun, mut moved) = (false, false);
     let mut points = Vec::with_capacity(samples.len());
     for (sample, time_s) in samples.iter().zip(times_s) {
         match filter.push(sample) {
@@ -502,6 +504,9 @@ fn filter(
             Err(_) => bad += 1,
         }
         let state = filter.state();
+        // Aligned, and no rest yet.
+        moved |= !begun && !state.valid && state.attitude_sd_rad[0] > 0.0;
+        begun |= state.valid;
         let known = state.position_sd_m() <= choice.limit_m;
         points.push(PathPoint {
             time_s: *time_s,
@@ -514,6 +519,12 @@ fn filter(
         });
     }
     let mut remarks = Vec::new();
+    if let (true, Some(first)) = (moved, points.iter().find(|p| p.valid)) {
+        remarks.push(format!(
+            "no rest at the start: position is measured from the first rest, at {:.2} s",
+            first.time_s
+        ));
+    }
     let mut remark = |count: u32, what: &str| {
         if count > 0 {
             remarks.push(format!("{count} {what}"));

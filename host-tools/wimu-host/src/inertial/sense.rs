@@ -5,6 +5,8 @@ use crate::{ErrorCode, HostError, Result};
 
 /// What a rest shows is gravity within this share.
 const NEAR: f64 = 0.1;
+/// Beyond this share an accelerometer is not calibrated.
+const CALIBRATED: f64 = 0.02;
 /// |f| of a whole recording is, in the median, gravity within this factor.
 const FAR: f64 = 1.5;
 /// A second in which |f| departs by less than this is quiet, m/s² rms.
@@ -32,8 +34,17 @@ impl Senses {
     /// # Errors
     /// `data_refused` where what it shows at rest is not gravity.
     pub fn of(recording: &MotionRecording) -> Result<Self> {
-        gravity(recording)?;
+        let rest = gravity(recording)?;
         let mut senses = Self::default();
+        let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+        if let Some(rest) = rest
+            && (rest / standard - 1.0).abs() > CALIBRATED
+        {
+            senses.remarks.push(format!(
+                "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: calibrate it, `wimu calibrate`",
+                100.0 * (rest / standard - 1.0)
+            ));
+        }
         let force = |k: usize| Some(recording.samples[k].force_mps2);
         let rate = |k: usize| recording.samples[k].rate_rad_s;
         if let Some((from, axis)) = stuck(recording, force, MOVES_MPS2) {
@@ -67,7 +78,8 @@ impl Senses {
     }
 }
 
-fn gravity(recording: &MotionRecording) -> Result<()> {
+/// |f| in the first quiet second in which it may be gravity, m/s²; `None` without such a second.
+fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
     let mut sizes: Vec<f64> = recording
         .samples
@@ -91,7 +103,7 @@ fn gravity(recording: &MotionRecording) -> Result<()> {
     }
     sizes.sort_by(f64::total_cmp);
     let Some(median) = sizes.get(sizes.len() / 2).copied() else {
-        return Ok(());
+        return Ok(None);
     };
     let refused = |seen: f64| {
         let remedy = if (seen - 1.0).abs() < NEAR {
@@ -110,9 +122,9 @@ fn gravity(recording: &MotionRecording) -> Result<()> {
     if !(standard / FAR..standard * FAR).contains(&median) {
         return refused(median);
     }
-    match quiet.first() {
-        Some(first) if !quiet.iter().any(near) => refused(*first),
-        _ => Ok(()),
+    match (quiet.iter().find(|seen| near(seen)), quiet.first()) {
+        (None, Some(first)) => refused(*first),
+        (found, _) => Ok(found.copied()),
     }
 }
 

@@ -1,0 +1,50 @@
+//! What `wimu navigate FILE.csv` says, from the library:
+//! `cargo run -p wimu-host --example navigate -- FILE.csv`.
+
+use std::path::Path;
+
+use wimu_host::inertial::{Choice, InertialPath, Method, navigate};
+use wimu_host::motion::MotionRecording;
+
+/// The path of a file: strapdown where there is an angular rate, else from tilt.
+pub fn path_of(file: &Path) -> wimu_host::Result<InertialPath> {
+    let recording = MotionRecording::from_csv(file)?;
+    let rated = recording.samples.iter().any(|s| s.rate_rad_s.is_some());
+    let method = if rated {
+        Method::Strapdown
+    } else {
+        Method::Tilt
+    };
+    let choice = Choice {
+        method,
+        ..Choice::default()
+    };
+    navigate(&recording, &choice)
+}
+
+fn main() -> wimu_host::Result<()> {
+    let file = std::env::args().nth(1).unwrap_or("path.csv".into());
+    let path = path_of(Path::new(&file))?;
+    let last = path.points[path.points.len() - 1];
+    let [e, n, u] = last.position_m;
+    println!(
+        "{:?}: path {:.3} m, ends at E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m",
+        path.method,
+        path.distance_m(),
+        last.sd_m()
+    );
+    match path.horizon_s(1.0) {
+        Some(seconds) => println!("1 σ passes 1 m after {seconds:.1} s"),
+        None => println!("1 σ stays below 1 m"),
+    }
+    if let Some((median, below)) = path.consistency() {
+        println!(
+            "NEES: median {median:.2}, below 7.81 in {:.0} %",
+            100.0 * below
+        );
+    }
+    for remark in &path.remarks {
+        println!("note: {remark}");
+    }
+    Ok(())
+}

@@ -1,0 +1,237 @@
+//! What `wimu navigate` makes of input that is not what it says: units, dead axes, no rest.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use kit::{Background, Simulator, folder, wimu};
+use serde_json::Value;
+
+const G: f64 = 9.80665;
+
+/// Noise without a pattern, -0.5 to 0.5.
+fn noise(k: u32) -> f64 {
+    let mut x = u64::from(k)
+        .wrapping_add(1)
+        .wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+}
+
+/// A sample: time, force, angular rate, place.
+#[derive(Clone, Copy)]
+struct Sample {
+    t: f64,
+    force: [f64; 3],
+    rate: [f64; 3],
+    x: f64,
+}
+
+/// Moves along x, `way` m in `last` s each, to and fro, with rests of 1.5 s between, from 2 s on, at 100 Hz.
+fn moves(way: f64, last: f64) -> Vec<Sample> {
+    let period = last + 1.5;
+    let count = ((2.0 + 3.0 * period) * 100.0) as u32;
+    let sample = |k: u32| {
+        let t = f64::from(k) * 0.01;
+        let (mut x, mut push) = (0.0, 0.0);
+        for n in 0..3 {
+            let tau = ((t - 2.0 - f64::from(n) * period) / last).clamp(0.0, 1.0);
+            let sign = if n % 2 == 0 { way } else { -way };
+            x += sign * tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
+            push += sign * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (last * last);
+        }
+        let n = |i: u32| 0.08 * noise(6 * k + i);
+        Sample {
+            t,
+            force: [0.03 + push + n(0), -0.02 + n(1), G + n(2)],
+            rate: [3, 4, 5].map(|i| 0.004 + 0.1 * n(i)),
+            x,
+        }
+    };
+    (0..count).map(sample).collect()
+}
+
+const FORCE: &str = "Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)";
+const RATE: &str = ",Gyroscope X (rad/s),Gyroscope Y (rad/s),Gyroscope Z (rad/s)";
+const TRUTH: &str = ",Truth Position E (m),Truth Position N (m),Truth Position U (m),\
+                     Truth Quaternion W,Truth Quaternion X,Truth Quaternion Y,Truth Quaternion Z";
+
+fn write(folder: &Path, header: &str, samples: &[Sample]) -> String {
+    let mut text = format!("Time (s),{header}\n");
+    for Sample { t, force, rate, x } in samples {
+        write!(text, "{t:.3},{},{},{}", force[0], force[1], force[2]).unwrap();
+        if header.contains("Gyroscope") || header.contains("Gyro ") {
+            write!(text, ",{},{},{}", rate[0], rate[1], rate[2]).unwrap();
+        }
+        if header.contains("Truth") {
+            write!(text, ",{x},0,0,1,0,0,0").unwrap();
+        }
+        text.push('\n');
+    }
+    let path = folder.join("in.csv");
+    fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+fn remarks(said: &Value) -> String {
+    said["remarks"].to_string()
+}
+
+fn number(value: &Value, pointer: &str) -> f64 {
+    let found = value.pointer(pointer).and_then(Value::as_f64);
+    found.unwrap_or_else(|| panic!("{pointer} of {value}"))
+}
+
+#[test]
+fn accelerations_that_are_not_gravity_at_rest_are_refused_with_the_unit_that_they_look_like() {
+    let folder = folder();
+    for (factor, remedy) in [(1.0 / G, "is g"), (0.0, "works"), (1000.0, "unit")] {
+        let mut samples = moves(0.4, 1.0);
+        for sample in &mut samples {
+            sample.force = sample.force.map(|f| f * factor);
+        }
+        let csv = write(folder.path(), &format!("{FORCE}{RATE}"), &samples);
+        for method in ["strapdown", "tilt", "slide"] {
+            let failure = wimu(&["navigate", &csv, "--method", method]).fails(3, "data_refused");
+            let text = failure["remedy"].as_str().unwrap();
+            assert!(text.contains(remedy), "{factor} {method}: {failure}");
+        }
+    }
+}
+
+#[test]
+fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
+    let folder = folder();
+    let header = format!("{FORCE}{RATE}{TRUTH}");
+    let mut samples = moves(0.4, 1.0);
+    for sample in &mut samples[250..] {
+        sample.force[1] = 0.1;
+    }
+    let csv = write(folder.path(), &header, &samples);
+    for method in ["strapdown", "slide"] {
+        let said = wimu(&["navigate", &csv, "--method", method]).succeeds();
+        assert!(
+            remarks(&said).contains("accelerometer Y gives one"),
+            "{said}"
+        );
+        assert!(number(&said, "/valid_share") < 0.4, "{said}");
+    }
+    // Shaken about y from the first move on, the gyroscope's z stuck.
+    let mut samples = moves(0.4, 1.0);
+    for sample in &mut samples[250..] {
+        let t = sample.t;
+        sample.rate[1] += 0.5 * (9.0 * t).sin();
+        sample.rate[2] = 0.7;
+    }
+    let csv = write(folder.path(), &header, &samples);
+    let said = wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds();
+    assert!(remarks(&said).contains("gyroscope Z gives one"), "{said}");
+    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+}
+
+#[test]
+fn columns_that_are_nearly_right_are_refused_or_said() {
+    let folder = folder();
+    let samples = moves(0.4, 1.0);
+    let ran = |rate: &str, truth: &str| {
+        let header = format!("{FORCE}{rate}{truth}");
+        wimu(&["navigate", &write(folder.path(), &header, &samples)])
+    };
+    ran(&RATE.replace("Gyroscope Y (rad/s)", "Other"), "").fails(2, "csv_missing_column");
+    ran(RATE, &TRUTH.replace("Position E (m)", "Position E (mm)")).fails(2, "unknown_format");
+    ran(&RATE.replace("Z (rad/s)", "Z (rpm)"), "").fails(2, "unknown_format");
+    let said = ran(&RATE.replace("Gyroscope", "Gyro "), "").succeeds();
+    assert_eq!(said["method"], "tilt");
+    assert!(remarks(&said).contains("is not read"), "{said}");
+    // Each axis has its own unit.
+    let mut samples = samples.clone();
+    for sample in &mut samples {
+        sample.rate[0] = sample.rate[0].to_degrees();
+    }
+    let header = format!("{FORCE}{}{TRUTH}", RATE.replace("X (rad/s)", "X (deg/s)"));
+    let said = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
+    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+}
+
+#[test]
+fn without_a_rest_at_the_start_position_is_measured_from_the_first_rest_and_that_is_said() {
+    let folder = folder();
+    let samples = moves(0.4, 2.0);
+    // From the middle of the first move.
+    let csv = write(
+        folder.path(),
+        &format!("{FORCE}{RATE}{TRUTH}"),
+        &samples[300..],
+    );
+    for method in ["strapdown", "tilt"] {
+        let said = wimu(&["navigate", &csv, "--method", method]).succeeds();
+        assert!(remarks(&said).contains("no rest at the start"), "{said}");
+        assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    }
+    let zupt = ["navigate", &csv, "--method", "strapdown", "--zupt", "off"];
+    wimu(&zupt).fails(3, "data_refused");
+}
+
+#[test]
+fn even_motion_after_a_push_stays_known_with_a_gyroscope() {
+    let folder = folder();
+    // 1 m/s for 8 s.
+    let mut samples = moves(0.0, 1.0);
+    samples.extend_from_within(..);
+    let (mut x, mut v) = (0.0, 0.0);
+    for (k, sample) in samples.iter_mut().enumerate() {
+        sample.t = k as f64 * 0.01;
+        let ramp = |from: f64| {
+            let tau = (sample.t - from).clamp(0.0, 1.0);
+            2.0 * (std::f64::consts::PI * tau).sin().powi(2)
+        };
+        let push = ramp(3.0) - ramp(12.0);
+        sample.force[0] += push;
+        v += 0.01 * push;
+        x += 0.01 * v;
+        sample.x = x;
+    }
+    let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
+    let said = wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds();
+    assert!(remarks(&said).contains("even motion"), "{said}");
+    assert!(number(&said, "/nees/share_below_7_81") > 0.95, "{said}");
+    let end = number(&said, "/final_position_m/0");
+    assert!((end - 9.0).abs() < 1.0, "{said}");
+}
+
+#[test]
+fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (session, table) = (path("s.mcap"), path("s.csv"));
+    let motion = ["--motion", "slide", "--seed", "4", "--speed", "10"];
+    let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
+    let record = ["record", &board.cable, "-o", &session, "--reconnect", "0.5"];
+    Background::start(&record).finish().succeeds();
+    wimu(&["export", &session, "--stream", "corrected", "-o", &table]).succeeds();
+    let tilt = |input: &str| wimu(&["navigate", input, "--method", "tilt"]).succeeds();
+    let (of_session, of_table) = (tilt(&session), tilt(&table));
+    let of_session = &of_session["path"];
+    for key in [
+        "/duration_s",
+        "/distance_m",
+        "/valid_share",
+        "/final_position_m/0",
+    ] {
+        let (a, b) = (number(of_session, key), number(&of_table, key));
+        assert!((a - b).abs() < 1e-3 + 1e-3 * a.abs(), "{key}: {a} {b}");
+    }
+    // The board's magnetometer is not calibrated: both leave it out.
+    assert!(remarks(&of_table).contains("no magnetometer"), "{of_table}");
+    let failure = wimu(&["navigate", &session, "--method", "strapdown"]).fails(3, "data_refused");
+    assert!(
+        failure["remedy"]
+            .as_str()
+            .unwrap()
+            .contains("wimu's boards"),
+        "{failure}"
+    );
+}

@@ -166,6 +166,46 @@ fn a_start_in_motion_is_not_valid_before_the_first_rest_and_position_begins_ther
 }
 
 #[test]
+fn what_a_gyroscope_leaves_out_is_doubted_and_its_bias_is_not_taken_for_a_rate() {
+    // A quarter turn to and fro about x every 4 s; the gyroscope fails for so long, s, at its fastest.
+    for fails_s in [0.0, 0.1, 0.2, 1.0] {
+        let mut random = Random(24);
+        let mut filter = UnitFilter::new(config());
+        for k in 0..900 {
+            let t = f64::from(k) / RATE - 2.0;
+            let phase = std::f64::consts::FRAC_PI_2 * t.max(0.0);
+            let (angle, rate) = if t > 0.0 {
+                (
+                    0.4 * (1.0 - phase.cos()),
+                    0.4 * std::f64::consts::FRAC_PI_2 * phase.sin(),
+                )
+            } else {
+                (0.0, 0.0)
+            };
+            let noise = random.normals(0.01);
+            let body = |v: [f64; 3]| {
+                let (sin, cos) = angle.sin_cos();
+                [v[0], cos * v[1] + sin * v[2], cos * v[2] - sin * v[1]]
+            };
+            let force = body([0.0, 0.0, G]);
+            let fails = t > 1.0 && t < 1.0 + fails_s;
+            let sample = UnitSample {
+                step_s: 1.0 / RATE,
+                force_mps2: std::array::from_fn(|i| force[i] + noise[i]),
+                field_ut: Some(body(FIELD)),
+                rate_rad_s: (!fails).then_some([0.1 + rate, -0.1, 0.05]),
+            };
+            filter.push(&sample).unwrap();
+            let state = filter.state();
+            let [w, x, ..] = state.quaternion;
+            let apart = (2.0 * x.atan2(w) - angle).abs();
+            let sd = state.attitude_sd_rad[0];
+            assert!(apart < 5.0 * sd + 0.01, "{fails_s} s, {t}: {apart} of {sd}");
+        }
+    }
+}
+
+#[test]
 fn a_gyroscopes_offset_is_found_at_the_first_rest() {
     let mut random = Random(23);
     let mut filter = UnitFilter::new(config());

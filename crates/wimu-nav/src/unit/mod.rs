@@ -32,6 +32,8 @@ use crate::vector::{
 const UPDATE_S: f64 = 0.035;
 /// The first attitude is from so much, s, and from what shows whether it rests.
 const ALIGN_S: f64 = 1.0;
+/// Bias of a gyroscope that is not known, rad/s.
+const BIAS_RAD_S: f64 = 0.01;
 /// A pause longer than this is a gap: what happened in it is not known.
 const GAP_S: f64 = 0.25;
 
@@ -174,6 +176,7 @@ pub struct UnitFilter<R = f64> {
     begun: bool,
     /// The rest that it seems to be at was not believed.
     doubted: bool,
+    gyroscope: Gyroscope<R>,
     disturbed: u32,
     even: u32,
 }
@@ -192,6 +195,17 @@ struct Group<R> {
     rated: R,
     /// What it turned by while it was rated, rad, body axes.
     turned: Vector<R>,
+}
+
+/// Whether an angular rate is measured: the state is its bias then, and else the rate.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gyroscope<R> {
+    on: bool,
+    /// The last reading, rad/s, and the time since, s.
+    last: Vector<R>,
+    out_s: R,
+    /// The bias before it failed, rad/s.
+    bias: Vector<R>,
 }
 
 impl<R: Real> UnitFilter<R> {
@@ -214,6 +228,7 @@ impl<R: Real> UnitFilter<R> {
             valid: false,
             begun: false,
             doubted: false,
+            gyroscope: Gyroscope::default(),
             disturbed: 0,
             even: 0,
         }
@@ -293,12 +308,13 @@ impl<R: Real> UnitFilter<R> {
 
     /// Attitude, velocity and position over one sample: equation (82).
     fn strapdown(&mut self, force: Vector<R>, sample: &UnitSample<R>, step: R) {
+        let measured = self.measured_rate(sample.rate_rad_s, step);
         let state = self.part(OMEGA);
-        self.rate = match sample.rate_rad_s {
+        self.rate = match measured {
             Some(rate) => sub(rate, state),
             None => state,
         };
-        if sample.rate_rad_s.is_some() {
+        if measured.is_some() {
             self.group.rated += step;
             self.group.turned = add(self.group.turned, scale(self.rate, step));
         }
@@ -321,6 +337,48 @@ impl<R: Real> UnitFilter<R> {
         if let Some(field) = sample.field_ut {
             self.group.field = add(self.group.field, times(&self.attitude, field));
             self.group.fields += R::from_f64(1.0);
+        }
+    }
+
+    /// The angular rate that is measured, the last one through a short failure. After that the rate is a
+    /// state, and when it comes back its bias is again.
+    fn measured_rate(&mut self, rate: Option<Vector<R>>, step: R) -> Option<Vector<R>> {
+        let nothing = R::default();
+        if let Some(rate) = rate {
+            if !self.gyroscope.on {
+                self.gyroscope.on = true;
+                self.know_rate(self.gyroscope.bias, R::from_f64(BIAS_RAD_S));
+            }
+            self.gyroscope.last = rate;
+            self.gyroscope.out_s = nothing;
+            return Some(rate);
+        }
+        if !self.gyroscope.on {
+            return None;
+        }
+        self.gyroscope.out_s += step;
+        let (out, last) = (self.gyroscope.out_s, self.gyroscope.last);
+        let usual = self.manner.turn();
+        if out > R::from_f64(GAP_S) {
+            self.gyroscope.on = false;
+            self.gyroscope.bias = self.part(OMEGA);
+            self.know_rate(zero(), usual);
+            return None;
+        }
+        // It may have changed by as much as it was.
+        let variance = usual * usual + dot(last, last) * R::from_f64(1.0 / 3.0);
+        for i in 0..3 {
+            self.cov.add(PHI, i, (out + out) * step * variance);
+        }
+        Some(last)
+    }
+
+    /// Makes the state of the angular rate, or of its bias, another one.
+    fn know_rate(&mut self, mean: Vector<R>, sd: R) {
+        self.put(OMEGA, mean);
+        for i in 0..3 {
+            self.cov.know(OMEGA.0 + i);
+            self.cov.add(OMEGA, i, sd * sd);
         }
     }
 

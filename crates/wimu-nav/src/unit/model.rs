@@ -62,7 +62,7 @@ impl<R: Real> UnitFilter<R> {
         let one = R::from_f64(1.0);
         let force = scale(group.force, one / group.count);
         let noise = self.force_noise(group.count);
-        let rated = group.rated > R::from_f64(0.5) * dt;
+        let rated = self.gyroscope.on && group.rated > R::default();
         self.predict(force, &group, noise, rated);
         self.see_gravity(force, noise, dt);
         if group.fields > R::default() {
@@ -112,7 +112,8 @@ impl<R: Real> UnitFilter<R> {
     /// Equation (83) over a group, in which the mean force was `force`, navigation axes.
     fn predict(&mut self, force: Vector<R>, group: &Group<R>, noise: R, rated: bool) {
         let dt = group.time_s;
-        let resting = self.quiet.is_rest();
+        // Without ZUPT what looks like a rest may be even motion or a steady push.
+        let resting = self.config.zupt && self.quiet.is_rest();
         let motion = if resting {
             R::from_f64(REST_MPS2)
         } else {

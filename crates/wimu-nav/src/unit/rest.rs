@@ -166,7 +166,7 @@ fn most<R: Real>(level: R) -> R {
 impl<R: Real> UnitFilter<R> {
     pub(super) fn judge(&mut self, force: Vector<R>, rate: Option<Vector<R>>, step: R) {
         let gravity = R::from_f64(self.config.gravity_mps2);
-        let bias = self.part(super::OMEGA);
+        let (bias, known) = (self.part(super::OMEGA), self.gyroscope.on);
         let quiet = &mut self.quiet;
         let Some(all) = quiet.gather(force, rate, step) else {
             return;
@@ -178,10 +178,7 @@ impl<R: Real> UnitFilter<R> {
         quiet.still = rated.then(|| scale(all.rate, one / all.rates));
         let turning = quiet.still.is_some_and(|rate| {
             let rate = sub(rate, bias);
-            let limit = match quiet.level {
-                Some(_) => STILL_RAD_S,
-                None => OFFSET_RAD_S,
-            };
+            let limit = if known { STILL_RAD_S } else { OFFSET_RAD_S };
             dot(rate, rate) > R::from_f64(limit * limit)
         });
         let degrees = R::from_f64(3.0) * (all.count - R::from_f64(PARTS as f64));

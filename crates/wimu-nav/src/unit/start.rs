@@ -2,8 +2,8 @@
 
 use super::model::{BIAS_MPS2, DISTURBANCE_UT, UNKNOWN_MPS};
 use super::{
-    ACCELERATION, BIAS, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING, UnitFilter,
-    UnitSample, VELOCITY,
+    ACCELERATION, BIAS, BIAS_RAD_S, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
+    UnitFilter, UnitSample, VELOCITY,
 };
 use crate::Real;
 use crate::vector::{Vector, add, cross, dot, norm, product, scale, skew, sub, times, turn};
@@ -77,7 +77,7 @@ impl<R: Real> UnitFilter<R> {
         let tilt = ((spread + departure) * share + bias) / (g * g) + R::from_f64(1e-6);
         self.cov = Covariance::zero();
         for i in 0..3 {
-            let small = R::from_f64(1e-4);
+            let small = R::from_f64(BIAS_RAD_S * BIAS_RAD_S);
             self.cov
                 .add(PHI, i, if i == 2 { yaw_sd * yaw_sd } else { tilt });
             self.cov.add(OMEGA, i, small);
@@ -104,7 +104,7 @@ impl<R: Real> UnitFilter<R> {
         if let Some(rate) = self.quiet.still()
             && self.config.zupt
         {
-            self.put(OMEGA, rate);
+            self.gyroscope.bias = rate;
         }
         if !self.valid {
             // It moves, nobody knows how fast.

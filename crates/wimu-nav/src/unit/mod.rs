@@ -43,7 +43,8 @@ pub struct UnitConfig {
     /// Local gravity, m/s².
     pub gravity_mps2: f64,
     /// Whether a rest is taken for zero velocity: an accelerometer cannot tell it from uniform
-    /// motion. A rest at which the velocity is known to be another is not taken for one.
+    /// motion, nor without an angular rate from a steady push. Without, only that at the start is one.
+    /// A rest at which the velocity is known to be another is not taken for one.
     pub zupt: bool,
     /// Noise of the mean of 35 ms of force, m/s²; `None`: what the rests show, and 0.05 before the
     /// first.
@@ -174,6 +175,8 @@ pub struct UnitFilter<R = f64> {
     valid: bool,
     /// Position was valid once.
     begun: bool,
+    /// It is not at the rest any more that it began with.
+    moved: bool,
     /// The rest that it seems to be at was not believed.
     doubted: bool,
     gyroscope: Gyroscope<R>,
@@ -227,6 +230,7 @@ impl<R: Real> UnitFilter<R> {
             aligned: false,
             valid: false,
             begun: false,
+            moved: false,
             doubted: false,
             gyroscope: Gyroscope::default(),
             disturbed: 0,

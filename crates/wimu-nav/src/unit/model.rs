@@ -63,6 +63,7 @@ impl<R: Real> UnitFilter<R> {
         let force = scale(group.force, one / group.count);
         let noise = self.force_noise(group.count);
         let rated = self.gyroscope.on && group.rated > R::default();
+        self.moved |= !self.quiet.is_rest();
         self.predict(force, &group, noise, rated);
         self.see_gravity(force, noise, dt);
         if group.fields > R::default() {
@@ -112,8 +113,8 @@ impl<R: Real> UnitFilter<R> {
     /// Equation (83) over a group, in which the mean force was `force`, navigation axes.
     fn predict(&mut self, force: Vector<R>, group: &Group<R>, noise: R, rated: bool) {
         let dt = group.time_s;
-        // Without ZUPT what looks like a rest may be even motion or a steady push.
-        let resting = self.config.zupt && self.quiet.is_rest();
+        // Without ZUPT what looks like a rest may be even motion or a steady push, but for that at the start.
+        let resting = self.quiet.is_rest() && (self.config.zupt || !self.moved);
         let motion = if resting {
             R::from_f64(REST_MPS2)
         } else {

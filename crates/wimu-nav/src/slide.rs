@@ -284,6 +284,11 @@ impl<R: Real> Slide<R> {
         self.time_s
     }
 
+    /// Velocity as it was integrated, m/s, axes at the start.
+    pub fn velocity_mps(&self) -> [R; 3] {
+        self.velocity
+    }
+
     /// Body axes now to those at the start, rows.
     pub fn attitude(&self) -> [[R; 3]; 3] {
         self.attitude

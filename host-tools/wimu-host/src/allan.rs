@@ -359,6 +359,7 @@ impl NoiseReport {
             log: true,
             y_range: None,
             bands: Vec::new(),
+            marked: Vec::new(),
             series: series.collect(),
         })?;
         let rows: Vec<Vec<String>> = self

@@ -25,6 +25,7 @@ const COLOURS: [RGBColor; 4] = [
 ];
 const INK: RGBColor = RGBColor(40, 40, 40);
 const GRID: RGBColor = RGBColor(225, 225, 225);
+const MARK: RGBColor = RGBColor(236, 236, 236);
 
 /// Writes every picture under its name into a folder, which is made if it is not there, as SVG and
 /// as PNG; returns the files.
@@ -73,6 +74,8 @@ pub struct Chart {
     pub series: Vec<Series>,
     /// Where they may lie.
     pub bands: Vec<Band>,
+    /// Stretches of x that are marked in grey.
+    pub marked: Vec<(f64, f64)>,
 }
 
 /// Where a series of a [`Chart`] may lie.
@@ -195,10 +198,19 @@ impl Chart {
             .y_label_area_size(68 * fine)
             .build_cartesian_2d(x, y)
             .map_err(|e| say(&e))?;
+        for &(from, to) in &self.marked {
+            let corners = [(from, shown.start), (to, shown.end)];
+            chart
+                .draw_series([Rectangle::new(corners, MARK.filled())])
+                .map_err(|e| say(&e))?;
+        }
+        let linear = (shown.end - shown.start) / 10.0;
+        let log = self.log;
         chart
             .configure_mesh()
             .x_desc(&self.x)
             .y_desc(&self.y)
+            .y_label_formatter(&|y| if log { decade(*y) } else { rounded(*y, linear) })
             .light_line_style(WHITE)
             .bold_line_style(GRID.stroke_width(fine))
             .axis_style(INK.stroke_width(fine))
@@ -213,9 +225,10 @@ impl Chart {
                     .iter()
                     .filter(|(_, low, high)| low.is_finite() && high.is_finite())
             };
+            let inside = |y: f64| y.clamp(shown.start, shown.end);
             let outline: Vec<_> = finite()
-                .map(|&(x, low, _)| (x, low))
-                .chain(finite().rev().map(|&(x, _, high)| (x, high)))
+                .map(|&(x, low, _)| (x, inside(low)))
+                .chain(finite().rev().map(|&(x, _, high)| (x, inside(high))))
                 .collect();
             chart
                 .draw_series([Polygon::new(outline, colour.filled())])
@@ -302,6 +315,27 @@ pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     broken
 }
 
+/// A value on a logarithmic axis.
+fn decade(value: f64) -> String {
+    let short = format!("{value:.2e}").parse::<f64>().unwrap_or(value);
+    if (1e-3..1e4).contains(&short.abs()) {
+        short.to_string()
+    } else {
+        format!("{short:e}")
+    }
+}
+
+/// A value on an axis whose ticks are about `step` apart, without the digits that rounding leaves.
+fn rounded(value: f64, step: f64) -> String {
+    let digits = (2.0 - step.abs().max(1e-12).log10().floor()).clamp(0.0, 12.0) as usize;
+    let text = format!("{value:.digits$}");
+    let short = match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.'),
+        false => &text,
+    };
+    if short == "-0" { "0" } else { short }.to_owned()
+}
+
 /// The pieces of a line that lie in this range of y, cut where it leaves it.
 fn within(points: &[(f64, f64)], range: &Range<f64>) -> Vec<Vec<(f64, f64)>> {
     let inside = |point: (f64, f64)| (range.start..=range.end).contains(&point.1);
@@ -357,6 +391,7 @@ mod tests {
                 series: 0,
                 points: vec![(0.0, f64::NAN, 1.0), (0.0, 0.5, 1.0), (1.0, 0.5, 1.5)],
             }],
+            marked: vec![(0.2, 0.4)],
         }
     }
 
@@ -392,6 +427,19 @@ mod tests {
         for whole in [&[][..], &[0.0], &[0.0, 5.0], &[0.0, 1.0, 3.0]] {
             assert_eq!(broken(line(whole)), line(whole));
         }
+    }
+
+    #[test]
+    fn ticks_are_named_without_the_digits_that_rounding_leaves() {
+        let tick = 10f64.powf(-5.0) * (1.0 - 1e-15);
+        assert_eq!(
+            [tick, 0.001, 0.1, 99.999_999_999, 1e5].map(decade),
+            ["1e-5", "0.001", "0.1", "100", "1e5"]
+        );
+        assert_eq!(
+            [0.1 + 0.2, -1e-17, 12.5, 100.0].map(|v| rounded(v, 0.1)),
+            ["0.3", "0", "12.5", "100"]
+        );
     }
 
     #[test]

@@ -1,9 +1,12 @@
 //! One unit's recording: accelerometer, and magnetometer, angular rate and true path where the file
 //! has them.
 
+mod rests;
+
+pub use rests::{RestSpan, gap_s, median_step_s, rests};
+
 use std::path::Path;
 
-use wimu_nav::slide::Rest;
 use wimu_nav::unit::UnitSample;
 
 use crate::csv::CsvReader;
@@ -276,141 +279,4 @@ pub fn nees(error: [f64; 3], p: [[f64; 3]; 3]) -> f64 {
             det(changed) / whole * error[column]
         })
         .sum()
-}
-
-/// A rest in a recording.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RestSpan {
-    /// First sample.
-    pub first: usize,
-    /// One past the last sample.
-    pub end: usize,
-    /// Mean force and its uncertainty.
-    pub rest: Rest,
-}
-
-/// Blocks that rests are made of, s, and the least samples of one.
-const BLOCK_S: f64 = 0.1;
-const BLOCK_SAMPLES: f64 = 5.0;
-/// Blocks of the shortest rest.
-const REST_BLOCKS: usize = 3;
-/// What a rest may differ by from block to block, m/s², an axis.
-const REST_STEP_MPS2: f64 = 0.12;
-/// What the angular rate of a rest may differ by from the quietest time's, rad/s, an axis.
-const REST_RATE_RAD_S: f64 = 0.03;
-
-struct Block {
-    first: usize,
-    end: usize,
-    mean: [f64; 3],
-    variance: f64,
-    rate: Option<[f64; 3]>,
-}
-
-fn mean3(values: impl Iterator<Item = [f64; 3]>) -> Option<[f64; 3]> {
-    let (mut sum, mut count) = ([0.0; 3], 0.0);
-    for value in values {
-        for (s, v) in sum.iter_mut().zip(value) {
-            *s += v;
-        }
-        count += 1.0;
-    }
-    (count > 0.0).then(|| sum.map(|s| s / count))
-}
-
-fn blocks(times_s: &[f64], samples: &[UnitSample]) -> Vec<Block> {
-    let length = BLOCK_S.max(BLOCK_SAMPLES * median_step_s(times_s));
-    let mut blocks = Vec::new();
-    let mut first = 0;
-    while first < samples.len() {
-        let end = times_s
-            .partition_point(|t| *t < times_s[first] + length)
-            .clamp(first + 1, samples.len());
-        let part = &samples[first..end];
-        let n = part.len() as f64;
-        let mean = mean3(part.iter().map(|s| s.force_mps2)).unwrap_or_default();
-        let square = part
-            .iter()
-            .flat_map(|s| (0..3).map(|i| (s.force_mps2[i] - mean[i]).powi(2)))
-            .sum::<f64>();
-        if part.len() >= 4 {
-            blocks.push(Block {
-                first,
-                end,
-                mean,
-                variance: square / (3.0 * (n - 1.0)),
-                rate: mean3(part.iter().filter_map(|s| s.rate_rad_s)),
-            });
-        }
-        first = end;
-    }
-    blocks
-}
-
-/// Median time between samples, s; 0 with fewer than two.
-pub fn median_step_s(times_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
-}
-
-/// What looks like a rest in a recording, 0.3 s and longer: runs of blocks of 0.1 s that are as quiet as
-/// the quietest such run (up to 3 times), agree with each other, and turn no more than it does. Even
-/// motion without vibration looks the same.
-pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
-    let blocks = blocks(times_s, samples);
-    let quietest = blocks.windows(REST_BLOCKS).min_by(|a, b| {
-        let sum = |w: &[Block]| w.iter().map(|b| b.variance).sum::<f64>();
-        sum(a).total_cmp(&sum(b))
-    });
-    let Some(quietest) = quietest else {
-        return Vec::new();
-    };
-    let level = (quietest.iter().map(|b| b.variance).sum::<f64>() / quietest.len() as f64).sqrt();
-    let still = mean3(quietest.iter().filter_map(|b| b.rate));
-    let mut found = Vec::new();
-    let mut run: Vec<&Block> = Vec::new();
-    let mut close = |run: &mut Vec<&Block>| {
-        if run.len() >= REST_BLOCKS {
-            let (first, end) = (run[0].first, run[run.len() - 1].end);
-            let part = &samples[first..end];
-            let force_mps2 = mean3(part.iter().map(|s| s.force_mps2)).unwrap_or_default();
-            // Blocks' means say how slow the noise is.
-            let scatter = run
-                .iter()
-                .flat_map(|b| (0..3).map(move |i| (b.mean[i] - force_mps2[i]).powi(2)))
-                .sum::<f64>();
-            let sd_mps2 = (scatter / 3.0 / (run.len() * (run.len() - 1)) as f64).sqrt();
-            found.push(RestSpan {
-                first,
-                end,
-                rest: Rest {
-                    force_mps2,
-                    sd_mps2,
-                    rate_rad_s: mean3(part.iter().filter_map(|s| s.rate_rad_s)),
-                },
-            });
-        }
-        run.clear();
-    };
-    for block in &blocks {
-        let apart =
-            |a: [f64; 3], b: [f64; 3], most: f64| (0..3).all(|i| (a[i] - b[i]).abs() < most);
-        let turns = match (block.rate, still) {
-            (Some(rate), Some(still)) => !apart(rate, still, REST_RATE_RAD_S),
-            _ => false,
-        };
-        let quiet = block.variance.sqrt() < 3.0 * level + 0.02 && !turns;
-        let agrees = run
-            .last()
-            .is_none_or(|last| apart(last.mean, block.mean, REST_STEP_MPS2));
-        if !quiet || !agrees {
-            close(&mut run);
-        }
-        if quiet {
-            run.push(block);
-        }
-    }
-    close(&mut run);
-    found
 }

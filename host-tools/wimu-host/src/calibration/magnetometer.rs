@@ -333,6 +333,7 @@ impl MagnetometerReport {
                 log: false,
                 y_range: None,
                 bands: Vec::new(),
+                marked: Vec::new(),
                 series: vec![Series {
                     name: name.to_owned(),
                     points,

@@ -43,6 +43,7 @@ impl CalibrationReport {
                 log: false,
                 y_range: None,
                 bands: Vec::new(),
+                marked: Vec::new(),
                 series: vec![series],
             })?;
         }
@@ -66,6 +67,7 @@ impl CalibrationReport {
                 log: false,
                 y_range: Some((-95.0, 95.0)),
                 bands: Vec::new(),
+                marked: Vec::new(),
                 series,
             })?;
         }

@@ -20,6 +20,7 @@
 //! # Ok::<(), wimu_host::HostError>(())
 //! ```
 
+mod report;
 mod sense;
 mod slide;
 
@@ -33,8 +34,6 @@ use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
 use crate::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
-use crate::chart::{Chart, Series};
-use crate::html::Report;
 use crate::motion::{MotionRecording, Truth, nees};
 use crate::{ErrorCode, HostError, Result};
 
@@ -92,6 +91,8 @@ pub struct PathPoint {
     pub rate_rad_s: [f64; 3],
     /// Covariance of the position, m².
     pub covariance_m2: [[f64; 3]; 3],
+    /// Whether it is taken to rest: never with ZUPT off.
+    pub resting: bool,
     /// Whether the position is of use: known to the limit, no gap since the last rest.
     pub valid: bool,
 }
@@ -108,6 +109,33 @@ impl PathPoint {
     }
 }
 
+/// How long a position can be used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Horizon {
+    /// Seconds that the unit moved from the first position on: rests do not count, as far as they are
+    /// taken for zero velocity.
+    pub moving_s: f64,
+    /// When it ends, s, as in the file.
+    pub at_s: f64,
+    /// Seconds since the end of the last rest before, where there is one.
+    pub since_rest_s: Option<f64>,
+    /// Whether it ends for another reason than the limit: after a gap, or a move that is none.
+    pub lost: bool,
+}
+
+/// A move between two rests of a path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlideMove {
+    /// What was found.
+    pub done: Move,
+    /// From when to when, s, as in the file.
+    pub from_s: f64,
+    /// Its end.
+    pub to_s: f64,
+    /// Whether it is one: not after a gap, a turn or a field that leave the way open.
+    pub valid: bool,
+}
+
 /// A path.
 #[derive(Clone, Debug)]
 pub struct InertialPath {
@@ -116,16 +144,23 @@ pub struct InertialPath {
     /// One point a sample.
     pub points: Vec<PathPoint>,
     /// The moves, with [`Method::Slide`].
-    pub moves: Vec<Move>,
+    pub moves: Vec<SlideMove>,
     /// What was noticed on the way.
     pub remarks: Vec<String>,
-    /// NEES of the position at each valid sample that has truth; both begin at the same place and
-    /// heading.
+    /// Points known no better than this, m, are not valid.
+    pub limit_m: f64,
+    /// NEES of the position at each valid sample that has truth, which is taken to be right to 1 mm; both
+    /// begin at the same place and heading.
     pub nees: Vec<f64>,
     /// NEES of an array's angular rate at each valid sample, where the truth tells it.
     pub rate_nees: Vec<f64>,
     /// That of its velocity.
     pub velocity_nees: Vec<f64>,
+    /// Where the unit truly was, m, in the path's axes, at each sample that has truth; empty without.
+    pub truth_m: Vec<Option<[f64; 3]>>,
+    /// Whether the truth has no heading, and the one was taken that fits the path best: NEES then says
+    /// nothing of the heading.
+    pub heading_fitted: bool,
 }
 
 /// Median NEES of three components and the share below 7.81 (95 % of a right covariance); `None` of none.
@@ -151,13 +186,31 @@ impl InertialPath {
             .sum()
     }
 
-    /// After how many seconds the standard deviation of the position first passes `limit_m`; `None`
-    /// when it never does.
-    pub fn horizon_s(&self, limit_m: f64) -> Option<f64> {
-        let first = self.points.first()?.time_s;
+    /// When the standard deviation of the position first passes `limit_m`, or the position is lost by a
+    /// gap or a move that is none; `None` when it never does.
+    pub fn horizon(&self, limit_m: f64) -> Option<Horizon> {
+        let start = self.points.iter().position(|p| p.valid).unwrap_or(0);
+        let known = &self.points[start..];
+        // Not valid below the limit that is set for the path: lost.
+        let lost = |p: &PathPoint| !p.valid && p.sd_m() <= self.limit_m;
         // Not a number counts as passed.
-        let beyond = |p: &&PathPoint| p.sd_m().is_nan() || p.sd_m() > limit_m;
-        Some(self.points.iter().find(beyond)?.time_s - first)
+        let end = known
+            .iter()
+            .position(|p| p.sd_m().is_nan() || p.sd_m() > limit_m || lost(p))?;
+        let at_s = known[end].time_s;
+        let moving = known[..=end].windows(2).filter(|w| !w[1].resting);
+        let rest = known[..end].iter().rfind(|p| p.resting);
+        Some(Horizon {
+            moving_s: moving.map(|w| w[1].time_s - w[0].time_s).sum(),
+            at_s,
+            since_rest_s: rest.map(|p| at_s - p.time_s),
+            lost: lost(&known[end]),
+        })
+    }
+
+    /// After how many seconds of motion that is: [`Horizon::moving_s`].
+    pub fn horizon_s(&self, limit_m: f64) -> Option<f64> {
+        Some(self.horizon(limit_m)?.moving_s)
     }
 
     /// Share of the points that are valid.
@@ -204,70 +257,14 @@ impl InertialPath {
         }
         sink.flush().map_err(failed)
     }
-
-    /// Pictures of the path: position with its standard deviation, and the plan.
-    ///
-    /// # Errors
-    /// Those of [`Report`].
-    pub fn report(&self, source: &str, text: &str, file: &FilePath) -> Result<()> {
-        let thin = (self.points.len() / 2000).max(1);
-        let shown: Vec<&PathPoint> = self.points.iter().step_by(thin).collect();
-        let over_time = |name: &str, value: &dyn Fn(&PathPoint) -> f64| Series {
-            name: name.to_owned(),
-            points: shown.iter().map(|p| (p.time_s, value(p))).collect(),
-            dots: false,
-        };
-        let chart = |title: &str, y: &str, log: bool, series: Vec<Series>| Chart {
-            title: title.to_owned(),
-            x: "time, s".to_owned(),
-            y: y.to_owned(),
-            log,
-            y_range: None,
-            bands: Vec::new(),
-            series,
-        };
-        let mut report = Report::new(format!("Path of {source}"));
-        report.printed(text);
-        report.chart(&chart(
-            "Position",
-            "m",
-            false,
-            vec![
-                over_time("east", &|p| p.position_m[0]),
-                over_time("north", &|p| p.position_m[1]),
-                over_time("up", &|p| p.position_m[2]),
-            ],
-        ))?;
-        report.chart(&chart(
-            "How well it is known (1 σ in space)",
-            "m",
-            true,
-            vec![over_time("1 σ", &|p| p.sd_m().clamp(1e-6, 1e9))],
-        ))?;
-        let mut plan = chart("Plan, as far as it is valid", "north, m", false, Vec::new());
-        plan.x = "east, m".to_owned();
-        plan.series.push(Series {
-            name: "path".to_owned(),
-            points: shown
-                .iter()
-                .filter(|p| p.valid)
-                .map(|p| (p.position_m[0], p.position_m[1]))
-                .collect(),
-            dots: false,
-        });
-        if plan.series[0].points.len() > 1 {
-            report.chart(&plan)?;
-        }
-        report.write(file)
-    }
 }
 
 /// Navigates one unit's recording.
 ///
 /// # Errors
 /// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
-/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity; `usage` for [`Method::Array`], which needs
-/// [`navigate_array`].
+/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity; `usage` for
+/// [`Method::Array`], which needs [`navigate_array`], and for a slide without ZUPT.
 pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
     let refused = |message: &str, remedy: &str| {
         Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name))
@@ -413,14 +410,18 @@ pub fn navigate_array(
                 quaternion: state.quaternion,
                 rate_rad_s: state.rate_rad_s,
                 covariance_m2: state.position_covariance,
+                resting: choice.zupt && state.resting,
                 valid: state.valid && state.position_sd_m() <= choice.limit_m,
             })
             .collect(),
         moves: Vec::new(),
         remarks: recording.remarks.clone(),
+        limit_m: choice.limit_m,
         nees: Vec::new(),
         rate_nees: Vec::new(),
         velocity_nees: Vec::new(),
+        truth_m: Vec::new(),
+        heading_fitted: false,
     };
     path.remarks.extend(remarks);
     path.remarks.extend(agreement.map(|a| a.remark()));
@@ -515,6 +516,7 @@ fn filter(
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,
+            resting: choice.zupt && state.resting,
             valid: state.valid && known,
         });
     }
@@ -552,9 +554,12 @@ fn filter(
         points,
         moves: Vec::new(),
         remarks,
+        limit_m: choice.limit_m,
         nees: Vec::new(),
         rate_nees: Vec::new(),
         velocity_nees: Vec::new(),
+        truth_m: Vec::new(),
+        heading_fitted: false,
     }
 }
 
@@ -570,41 +575,60 @@ fn quaternion([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64
     ]
 }
 
-/// NEES where there is truth: both paths begin at the first valid point, at the same heading.
+/// The truth is right to this, m.
+const TRUTH_M: f64 = 0.001;
+
+/// NEES where there is truth: both paths begin at the first valid point, at the same heading, or at that
+/// which fits best where the truth has none.
 fn compare(path: &mut InertialPath, truth: &[Option<Truth>]) {
     let usable = |k: &usize| path.points[*k].valid && truth.get(*k).is_some_and(Option::is_some);
-    let Some(first) = (0..path.points.len()).find(usable) else {
+    let both: Vec<(&PathPoint, Truth)> = (0..path.points.len())
+        .filter(usable)
+        .filter_map(|k| Some((&path.points[k], truth[k]?)))
+        .collect();
+    let Some((first, start)) = both.first() else {
         return;
     };
-    let Some(start) = truth[first] else {
-        return;
+    let ways = |(point, truth): &(&PathPoint, Truth)| {
+        let found: [f64; 3] = std::array::from_fn(|i| point.position_m[i] - first.position_m[i]);
+        let real: [f64; 3] = std::array::from_fn(|i| truth.position_m[i] - start.position_m[i]);
+        (found, real)
     };
-    let by = start.heading_rad() - heading_rad(path.points[first].quaternion);
-    let (sin, cos) = if by.is_finite() {
-        by.sin_cos()
-    } else {
-        (0.0, 1.0)
-    };
-    let origin = path.points[first].position_m;
-    let mut all = Vec::new();
-    for k in (first..path.points.len()).filter(usable) {
-        let (point, Some(truth)) = (&path.points[k], truth[k]) else {
-            continue;
-        };
-        let true_move: [f64; 3] =
-            std::array::from_fn(|i| truth.position_m[i] - start.position_m[i]);
-        // The truth in the path's axes.
-        let expected = [
-            cos * true_move[0] + sin * true_move[1],
-            cos * true_move[1] - sin * true_move[0],
-            true_move[2],
-        ];
-        let error: [f64; 3] =
-            std::array::from_fn(|i| point.position_m[i] - origin[i] - expected[i]);
-        let value = nees(error, point.covariance_m2);
-        if value.is_finite() {
-            all.push(value);
+    let by = start.heading_rad() - heading_rad(first.quaternion);
+    let fitted = !by.is_finite();
+    let (sin, cos) = if fitted {
+        let (mut sine, mut cosine) = (0.0, 0.0);
+        for (found, real) in both.iter().map(ways) {
+            sine += real[1] * found[0] - real[0] * found[1];
+            cosine += real[0] * found[0] + real[1] * found[1];
         }
-    }
+        f64::atan2(sine, cosine).sin_cos()
+    } else {
+        by.sin_cos()
+    };
+    let in_path = |truth: &Truth| -> [f64; 3] {
+        let way: [f64; 3] = std::array::from_fn(|i| truth.position_m[i] - start.position_m[i]);
+        let turned = [
+            cos * way[0] + sin * way[1],
+            cos * way[1] - sin * way[0],
+            way[2],
+        ];
+        std::array::from_fn(|i| first.position_m[i] + turned[i])
+    };
+    let of = |(point, truth): &(&PathPoint, Truth)| {
+        let expected = in_path(truth);
+        let mut p = point.covariance_m2;
+        for (i, row) in p.iter_mut().enumerate() {
+            row[i] += TRUTH_M * TRUTH_M;
+        }
+        nees(
+            std::array::from_fn(|i| point.position_m[i] - expected[i]),
+            p,
+        )
+    };
+    let all = both.iter().map(of).collect();
+    let truth_m = truth.iter().map(|t| Some(in_path(t.as_ref()?))).collect();
+    path.heading_fitted = fitted;
+    path.truth_m = truth_m;
     path.nees = all;
 }

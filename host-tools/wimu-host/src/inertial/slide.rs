@@ -2,8 +2,8 @@
 
 use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 
-use super::{Choice, InertialPath, Method, PathPoint, quaternion};
-use crate::motion::{MotionRecording, RestSpan, median_step_s, rests};
+use super::{Choice, InertialPath, Method, PathPoint, SlideMove, quaternion};
+use crate::motion::{MotionRecording, RestSpan, gap_s, median_step_s, rests};
 use crate::{ErrorCode, HostError, Result};
 
 /// Without an angular rate a move that ends at another tilt is no slide, rad.
@@ -18,8 +18,20 @@ const AHEAD: usize = 20;
 const EVEN_MPS: f64 = 1.0;
 /// Odds that what looks like a rest is one.
 const REST_ODDS: f64 = 20.0;
+/// Degrees of freedom of what a velocity left could be.
+const FREEDOM: f64 = 10.0;
 /// Least uncertainty of a velocity, m/s.
 const FLOOR_MPS: f64 = 0.005;
+/// Gravity at two rests of a slide differs by this in the body, m/s², ...
+const LEVEL_MPS2: f64 = 0.03;
+/// ... and with an angular rate by this share of the angle turned more.
+const RATE_SCALE: f64 = 0.02;
+/// Minus the logarithm of the odds that a slide ends at another tilt.
+const TILTED: f64 = 25.0;
+/// From this on a tilt may be an acceleration that rose softly.
+const SOFT: f64 = 2.0;
+/// What looks like a rest before the first one lasts so long, s.
+const BEFORE_S: f64 = 0.3;
 
 /// A move between two rests.
 #[derive(Clone, Debug)]
@@ -60,14 +72,20 @@ pub fn legs(recording: &MotionRecording, config: SlideConfig) -> Vec<Leg> {
         .collect()
 }
 
-/// The likeliest chain of true rests: each velocity left at one costs its Student density, each that is
-/// passed over that of a unit that moves evenly there.
+/// The likeliest chain of true rests: each velocity left at one and each change of gravity costs, and so
+/// does each that is passed over: the unit moves evenly there, or is accelerated evenly.
 fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]) -> Vec<usize> {
     let count = found.len();
-    // Least cost of a chain that ends at each, and the one before.
-    let mut best = vec![(f64::INFINITY, None); count];
-    if let Some(first) = best.first_mut() {
-        first.0 = 0.0;
+    let lasts = |i: usize| {
+        let (first, last) = (found[i].first, found[i].end.max(1) - 1);
+        recording.times_s[last] - recording.times_s[first]
+    };
+    // Least cost of a chain that ends at each, and the one before. It may begin later than at the first.
+    let mut before = 0.0;
+    let mut best = Vec::with_capacity(count);
+    for i in 0..count {
+        best.push((before, None));
+        before += REST_ODDS.ln() + lasts(i) / BEFORE_S;
     }
     // The chain that ends here, all that looks like rests after it passed over.
     let (mut least, mut end) = (f64::INFINITY, 0);
@@ -75,14 +93,25 @@ fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]
         let mut passed = 0.0;
         let last = count.min(i + 1 + AHEAD);
         for j in i + 1..last {
-            let (_, done) = integrate(recording, config, found[i], found[j].first, found[j].rest);
+            let (rest, next) = (found[i], found[j]);
+            // What happened in a gap is not known: it says nothing for or against a rest after it.
+            if gap(recording, rest.end, next.first).is_some() {
+                if best[i].0 + passed < best[j].0 {
+                    best[j] = (best[i].0 + passed, Some(i));
+                }
+                break;
+            }
+            let Leg { states, done, .. } = leg(recording, config, rest, next);
             let left = length(done.left_mps);
-            let cost = student(left, done.left_sd_mps.max(FLOOR_MPS));
-            let whole = best[i].0 + passed + cost;
+            let sd = done.left_sd_mps.max(FLOOR_MPS);
+            let tilt = tilted(config, rest, next, &done);
+            let whole = best[i].0 + passed + student(left, sd) + tilt;
             if whole < best[j].0 {
                 best[j] = (whole, Some(i));
             }
-            passed += student(left, EVEN_MPS) + REST_ODDS.ln();
+            let speeds = states.iter().map(|s| length(s.velocity_mps()));
+            let speed = speeds.fold(0.0, f64::max);
+            passed += passing(&done, speed, tilt) + gained(&done, lasts(j));
         }
         // Beyond that nobody looks: as many rests would have been found either way.
         if best[i].0 + passed <= least {
@@ -98,9 +127,59 @@ fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]
     chain
 }
 
-/// Minus the logarithm of Student's density in space with three degrees of freedom, but for a constant.
+/// Minus the logarithm of the density of the velocity left where what looks like a rest is none, after a way
+/// with speeds up to `speed`: even motion that fast, or an acceleration that rose softly to what looks like a
+/// tilt.
+fn passing(done: &Move, speed: f64, tilt: f64) -> f64 {
+    let left = length(done.left_mps);
+    let even = student(left, speed.clamp(FLOOR_MPS, EVEN_MPS)) + REST_ODDS.ln();
+    let rise = length(done.change_mps2) * done.duration_s;
+    let soft = tilt > SOFT && speed < rise + FLOOR_MPS;
+    if soft {
+        even.min(student(left, rise / 3.0 + FLOOR_MPS))
+    } else {
+        even
+    }
+}
+
+/// The same of the velocity that it then gains while it looks like a rest for so long, s.
+fn gained(done: &Move, lasts_s: f64) -> f64 {
+    let gained = length(done.change_mps2) * lasts_s / EVEN_MPS;
+    3.0 * (gained * gained / 3.0).ln_1p()
+}
+
+/// Minus the logarithm of the odds of the change of gravity between two rests: what the unit turned by and
+/// its bias explain, or else it ended at another tilt, which a slide hardly does.
+fn tilted(config: SlideConfig, before: RestSpan, after: RestSpan, done: &Move) -> f64 {
+    let turned = if before.rest.rate_rad_s.is_some() {
+        done.turned_rad
+    } else {
+        0.0
+    };
+    let sd = [
+        LEVEL_MPS2,
+        before.rest.sd_mps2,
+        after.rest.sd_mps2,
+        RATE_SCALE * turned * config.gravity_mps2,
+        2.0 * config.bias_mps2 * (0.5 * turned.min(std::f64::consts::PI)).sin(),
+    ];
+    let variance = sd.iter().map(|s| s * s).sum::<f64>();
+    let change = length(done.change_mps2);
+    (0.5 * change * change / variance).min(TILTED)
+}
+
+/// The longest gap between a rest's end and the first sample of the next, s.
+fn gap(recording: &MotionRecording, end: usize, next: usize) -> Option<f64> {
+    let times = &recording.times_s;
+    let steps = (end.max(1)..=next.min(times.len().max(1) - 1)).map(|k| times[k] - times[k - 1]);
+    let longest = steps.fold(0.0, f64::max);
+    (longest > gap_s(times)).then_some(longest)
+}
+
+/// Minus the logarithm of Student's density in space, but for a constant: deviations are known that well.
 fn student(size: f64, sd: f64) -> f64 {
-    3.0 * sd.ln() + 3.0 * (size * size / (3.0 * sd * sd)).ln_1p()
+    let ratio = size * size / (FREEDOM * sd * sd);
+    3.0 * sd.ln() + 0.5 * (FREEDOM + 3.0) * ratio.ln_1p()
 }
 
 fn length(v: [f64; 3]) -> f64 {
@@ -114,7 +193,12 @@ fn integrate(
     to: usize,
     after: Rest,
 ) -> (Vec<Slide>, Move) {
-    let step = |k: usize| recording.times_s[k] - recording.times_s[k - 1];
+    // Nobody knows what happened in a gap: nothing is made up for it.
+    let most = gap_s(&recording.times_s);
+    let step = |k: usize| {
+        let step = recording.times_s[k] - recording.times_s[k - 1];
+        if step > most { 0.0 } else { step }
+    };
     run(recording, config, before, to, after, &step)
 }
 
@@ -174,12 +258,14 @@ fn level(force_mps2: [f64; 3], east: [f64; 3]) -> [[f64; 3]; 3] {
         east = part([0.0, 1.0, 0.0]);
     }
     let east = east.map(|e| e / length(east));
-    let north = [
-        up[1] * east[2] - up[2] * east[1],
-        up[2] * east[0] - up[0] * east[2],
-        up[0] * east[1] - up[1] * east[0],
-    ];
-    [east, north, up]
+    [east, cross(up, east), up]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        a[j] * b[k] - a[k] * b[j]
+    })
 }
 
 fn times(m: [[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
@@ -200,9 +286,14 @@ fn plus(a: [[f64; 3]; 3], b: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|i| std::array::from_fn(|j| a[i][j] + b[i][j]))
 }
 
-/// Why the path is not known from a leg's end on.
+/// Why the path is not known from within a leg on.
 fn broken(recording: &MotionRecording, leg: &Leg) -> Option<String> {
     let at = recording.times_s[leg.after.first.min(recording.times_s.len() - 1)];
+    if let Some(gap) = gap(recording, leg.before.end, leg.after.first) {
+        return Some(format!(
+            "a gap of {gap:.2} s before the rest at {at:.2} s: position is not valid from there on"
+        ));
+    }
     if leg.before.rest.rate_rad_s.is_some() {
         return (leg.done.open_rad > OPEN_RAD).then(|| {
             format!(
@@ -217,15 +308,8 @@ fn broken(recording: &MotionRecording, leg: &Leg) -> Option<String> {
             leg.done.turned_rad.to_degrees()
         ));
     }
-    let field = |span: &RestSpan| {
-        let samples = &recording.samples[span.first..span.end];
-        let mut sum = [0.0; 3];
-        for value in samples.iter().filter_map(|s| s.field_ut) {
-            sum = std::array::from_fn(|i| sum[i] + value[i]);
-        }
-        sum
-    };
-    let (a, b) = (field(&leg.before), field(&leg.after));
+    let a = field_at(recording, &leg.before)?;
+    let b = field_at(recording, &leg.after)?;
     let cosine = (0..3).map(|i| a[i] * b[i]).sum::<f64>() / (length(a) * length(b));
     let angle = cosine.clamp(-1.0, 1.0).acos();
     (angle > FIELD_RAD).then(|| {
@@ -236,9 +320,60 @@ fn broken(recording: &MotionRecording, leg: &Leg) -> Option<String> {
     })
 }
 
+/// A magnetic field shorter than this says nothing of north, µT.
+const WEAK_UT: f64 = 1.0;
+
+/// Mean magnetic field at a rest, µT, body axes, where there is one.
+fn field_at(recording: &MotionRecording, rest: &RestSpan) -> Option<[f64; 3]> {
+    let fields = recording.samples[rest.first..rest.end]
+        .iter()
+        .filter_map(|s| s.field_ut);
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for field in fields {
+        sum = std::array::from_fn(|i| sum[i] + field[i]);
+        count += 1.0;
+    }
+    let mean = sum.map(|b| b / f64::max(count, 1.0));
+    (length(mean) > WEAK_UT).then_some(mean)
+}
+
+/// East in the body at the first rest: that of the magnetic field, or x.
+fn east(recording: &MotionRecording, rest: &RestSpan, remarks: &mut Vec<String>) -> [f64; 3] {
+    let up = rest.rest.force_mps2;
+    if let Some(field) = field_at(recording, rest) {
+        let east = cross(field, up);
+        if length(east) > 0.05 * length(field) * length(up) {
+            return east.map(|e| e / length(east));
+        }
+        remarks.push(
+            "the magnetic field is upright: east is body x, levelled, at the first rest".to_owned(),
+        );
+    } else {
+        remarks
+            .push("no magnetometer at the first rest: east is body x, levelled, there".to_owned());
+    }
+    [1.0, 0.0, 0.0]
+}
+
+/// Covariance of a unit that may have moved evenly for so long, m².
+fn astray(covariance: [[f64; 3]; 3], for_s: f64) -> [[f64; 3]; 3] {
+    let way = EVEN_MPS * for_s;
+    let mut more = covariance;
+    for (i, row) in more.iter_mut().enumerate() {
+        row[i] += way * way;
+    }
+    more
+}
+
 /// The path of a recording, move by move.
 pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
-    let samples = recording.times_s.len();
+    if !choice.zupt {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "a slide lies between two rests: without zero velocity there it is not corrected",
+            "leave --zupt off out, or use --method tilt or strapdown",
+        ));
+    }
     let config = SlideConfig {
         gravity_mps2: recording.gravity_at_first_rest(),
         ..SlideConfig::default()
@@ -248,7 +383,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
         return Err(HostError::new(
             ErrorCode::DataRefused,
             "a slide lies between two rests of 0.3 s and more, and there are fewer that agree",
-            "hold the unit still before and after each move",
+            "hold the unit still before and after each move; without an angular rate it must not turn",
         )
         .at(&recording.name));
     };
@@ -256,85 +391,153 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     let candidates = rests(&recording.times_s, &recording.samples).len();
     if candidates > legs.len() + 1 {
         remarks.push(format!(
-            "{} times it seemed to rest, but the velocity was not zero: even motion",
+            "{} times it seemed to rest, but its velocity was not zero, or gravity was another: even motion, \
+             an even acceleration, or it turned",
             candidates - legs.len() - 1
         ));
     }
-    let mut points: Vec<PathPoint> = Vec::with_capacity(samples);
-    let mut at = [0.0; 3];
-    let mut covariance = [[0.0; 3]; 3];
-    let mut sound = true;
-    let mut axes = level(first.before.rest.force_mps2, [1.0, 0.0, 0.0]);
-    let put = |k: usize,
-               position_m: [f64; 3],
-               velocity_mps: [f64; 3],
-               axes: [[f64; 3]; 3],
-               rate_rad_s: [f64; 3],
-               covariance_m2: [[f64; 3]; 3],
-               sound: bool| {
+    let east = east(recording, &first.before, &mut remarks);
+    let mut track = Track {
+        recording,
+        limit_m: choice.limit_m,
+        points: Vec::with_capacity(recording.times_s.len()),
+        at: [0.0; 3],
+        covariance: [[0.0; 3]; 3],
+        sound: false,
+        lost_s: 0.0,
+        axes: level(first.before.rest.force_mps2, east),
+    };
+    track.rest(first.before.first);
+    track.sound = true;
+    track.rest(first.before.end);
+    let mut moves = Vec::new();
+    for leg in &legs {
+        if let Some(why) = broken(recording, leg) {
+            track.sound = false;
+            remarks.push(why);
+        }
+        moves.push(SlideMove {
+            done: leg.done,
+            from_s: recording.times_s[leg.before.end.max(1) - 1],
+            to_s: recording.times_s[leg.after.first],
+            valid: track.sound,
+        });
+        track.go(config, leg);
+        track.rest(leg.after.end);
+    }
+    // What comes after the last rest is not known.
+    track.sound = false;
+    track.stray();
+    Ok(InertialPath {
+        method: Method::Slide,
+        points: track.points,
+        moves,
+        remarks,
+        limit_m: choice.limit_m,
+        nees: Vec::new(),
+        rate_nees: Vec::new(),
+        velocity_nees: Vec::new(),
+        truth_m: Vec::new(),
+        heading_fitted: false,
+    })
+}
+
+/// The path as it grows.
+struct Track<'a> {
+    recording: &'a MotionRecording,
+    limit_m: f64,
+    points: Vec<PathPoint>,
+    at: [f64; 3],
+    covariance: [[f64; 3]; 3],
+    sound: bool,
+    /// For how long it has moved so that its way is not known, s.
+    lost_s: f64,
+    /// Navigation axes in the body, rows.
+    axes: [[f64; 3]; 3],
+}
+
+impl Track<'_> {
+    fn put(
+        &mut self,
+        position_m: [f64; 3],
+        velocity_mps: [f64; 3],
+        axes: [[f64; 3]; 3],
+        rate_rad_s: [f64; 3],
+        covariance_m2: [[f64; 3]; 3],
+        resting: bool,
+    ) {
         let mut point = PathPoint {
-            time_s: recording.times_s[k],
+            time_s: self.recording.times_s[self.points.len()],
             position_m,
             velocity_mps,
             quaternion: quaternion(axes),
             rate_rad_s,
-            covariance_m2,
+            covariance_m2: astray(covariance_m2, self.lost_s),
+            resting,
             valid: false,
         };
-        point.valid = sound && point.sd_m() <= choice.limit_m;
-        point
-    };
-    let still = [0.0; 3];
-    for k in 0..first.before.end {
-        let begun = k >= first.before.first;
-        points.push(put(k, at, still, axes, still, covariance, begun));
+        point.valid = self.sound && point.sd_m() <= self.limit_m;
+        self.points.push(point);
     }
-    for leg in &legs {
-        if let Some(why) = broken(recording, leg) {
-            sound = false;
-            remarks.push(why);
+
+    /// At rest up to this sample.
+    fn rest(&mut self, to: usize) {
+        while self.points.len() < to {
+            let (at, axes, covariance) = (self.at, self.axes, self.covariance);
+            self.put(at, [0.0; 3], axes, [0.0; 3], covariance, true);
         }
+    }
+
+    /// To the recording's end, without knowing where.
+    fn stray(&mut self) {
+        let times = &self.recording.times_s;
+        while self.points.len() < times.len() {
+            let k = self.points.len();
+            self.lost_s += times[k] - times[k.max(1) - 1];
+            let (at, axes, covariance) = (self.at, self.axes, self.covariance);
+            self.put(at, [0.0; 3], axes, [0.0; 3], covariance, false);
+        }
+    }
+
+    /// Through a move.
+    fn go(&mut self, config: SlideConfig, leg: &Leg) {
+        let times_s = &self.recording.times_s;
         let start = Slide::new(config, leg.before.rest);
+        let axes = self.axes;
         for (offset, state) in leg.states.iter().enumerate() {
             let k = leg.before.end + offset;
+            if !self.sound {
+                self.lost_s += times_s[k] - times_s[k.max(1) - 1];
+            }
             let (position, velocity) = state.corrected(&leg.done);
             let way = times(axes, position);
             let own = leg.done.covariance(&start, state, position);
-            let rate = match (recording.samples[k].rate_rad_s, leg.before.rest.rate_rad_s) {
+            let rate = match (
+                self.recording.samples[k].rate_rad_s,
+                leg.before.rest.rate_rad_s,
+            ) {
                 (Some(rate), Some(bias)) => std::array::from_fn(|i| rate[i] - bias[i]),
-                _ => still,
+                _ => [0.0; 3],
             };
-            points.push(put(
-                k,
-                std::array::from_fn(|i| at[i] + way[i]),
+            self.put(
+                std::array::from_fn(|i| self.at[i] + way[i]),
                 times(axes, velocity),
                 product(axes, state.attitude()),
                 rate,
-                plus(covariance, turned(axes, own)),
-                sound,
-            ));
+                plus(self.covariance, turned(axes, own)),
+                false,
+            );
+        }
+        if !self.sound {
+            let k = leg.after.first;
+            self.lost_s += times_s[k] - times_s[k.max(1) - 1];
         }
         let moved = times(axes, leg.done.displacement_m);
-        at = std::array::from_fn(|i| at[i] + moved[i]);
-        covariance = plus(covariance, turned(axes, leg.done.covariance_at_end()));
+        self.at = std::array::from_fn(|i| self.at[i] + moved[i]);
+        self.covariance = plus(self.covariance, turned(axes, leg.done.covariance_at_end()));
         if let Some(last) = leg.states.last() {
             // Level again by the rest, heading as it was carried there.
-            axes = level(leg.after.rest.force_mps2, product(axes, last.attitude())[0]);
-        }
-        for k in points.len()..leg.after.end {
-            points.push(put(k, at, still, axes, still, covariance, sound));
+            self.axes = level(leg.after.rest.force_mps2, product(axes, last.attitude())[0]);
         }
     }
-    for k in points.len()..samples {
-        points.push(put(k, at, still, axes, still, covariance, false));
-    }
-    Ok(InertialPath {
-        method: Method::Slide,
-        points,
-        moves: legs.iter().map(|leg| leg.done).collect(),
-        remarks,
-        nees: Vec::new(),
-        rate_nees: Vec::new(),
-        velocity_nees: Vec::new(),
-    })
 }

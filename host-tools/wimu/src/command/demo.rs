@@ -211,6 +211,7 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         log: true,
         y_range: Some((0.01, 2000.0)),
         bands: Vec::new(),
+        marked: Vec::new(),
         series: vec![
             tilt(0, "as the sensor puts it out"),
             tilt(1, "corrected on the board"),
@@ -240,6 +241,7 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         log: false,
         y_range: Some((0.0, 3.0)),
         bands: Vec::new(),
+        marked: Vec::new(),
         series: vec![
             path(&outcome.uncalibrated_path, "uncalibrated"),
             path(&outcome.calibrated_path, "calibrated"),

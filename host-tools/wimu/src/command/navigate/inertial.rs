@@ -37,13 +37,25 @@ pub struct Found {
     remarks: Vec<String>,
 }
 
-/// Seconds after which the position's standard deviation passes a limit; null when it never does.
+/// Seconds of motion after which the position's standard deviation passes a limit, or the position is lost;
+/// null when it never is.
 #[derive(Serialize)]
 struct Horizon {
     to_0_1_m_s: Option<f64>,
     to_1_m_s: Option<f64>,
     limit_m: f64,
     to_limit_s: Option<f64>,
+    /// The same with when that is.
+    ends: Vec<End>,
+}
+
+#[derive(Serialize)]
+struct End {
+    limit_m: f64,
+    moving_s: f64,
+    at_s: f64,
+    since_rest_s: Option<f64>,
+    lost: bool,
 }
 
 #[derive(Serialize)]
@@ -51,20 +63,30 @@ struct Nees {
     samples: usize,
     median: f64,
     share_below_7_81: f64,
+    /// `truth`, or `fitted` where the truth has none: the one that fits the path best.
+    heading: &'static str,
 }
 
 impl Nees {
-    fn of(all: &[f64]) -> Option<Self> {
+    fn of(all: &[f64], path: &InertialPath) -> Option<Self> {
         consistency(all).map(|(median, share_below_7_81)| Self {
             samples: all.len(),
             median,
             share_below_7_81,
+            heading: if path.heading_fitted {
+                "fitted"
+            } else {
+                "truth"
+            },
         })
     }
 }
 
 #[derive(Serialize)]
 struct MoveFound {
+    from_s: f64,
+    to_s: f64,
+    valid: bool,
     length_m: f64,
     length_sd_m: f64,
     duration_s: f64,
@@ -249,23 +271,48 @@ fn found(
             to_1_m_s: path.horizon_s(1.0),
             limit_m: choice.limit_m,
             to_limit_s: path.horizon_s(choice.limit_m),
+            ends: limits(choice)
+                .into_iter()
+                .filter_map(|limit_m| {
+                    let end = path.horizon(limit_m)?;
+                    Some(End {
+                        limit_m,
+                        moving_s: end.moving_s,
+                        at_s: end.at_s,
+                        since_rest_s: end.since_rest_s,
+                        lost: end.lost,
+                    })
+                })
+                .collect(),
         },
-        nees: Nees::of(&path.nees),
-        rate_nees: Nees::of(&path.rate_nees),
-        velocity_nees: Nees::of(&path.velocity_nees),
+        nees: Nees::of(&path.nees, path),
+        rate_nees: Nees::of(&path.rate_nees, path),
+        velocity_nees: Nees::of(&path.velocity_nees, path),
         moves: path
             .moves
             .iter()
             .map(|m| MoveFound {
-                length_m: m.length_m,
-                length_sd_m: m.length_sd_m,
-                duration_s: m.duration_s,
-                turned_deg: m.turned_rad.to_degrees(),
+                from_s: m.from_s,
+                to_s: m.to_s,
+                valid: m.valid,
+                length_m: m.done.length_m,
+                length_sd_m: m.done.length_sd_m,
+                duration_s: m.done.duration_s,
+                turned_deg: m.done.turned_rad.to_degrees(),
             })
             .collect(),
         refined: None,
         remarks: path.remarks.clone(),
     }
+}
+
+/// What horizons are said of, m.
+fn limits(choice: &Choice) -> Vec<f64> {
+    let mut limits = vec![0.1, 1.0];
+    if !limits.contains(&choice.limit_m) {
+        limits.push(choice.limit_m);
+    }
+    limits
 }
 
 fn duration(path: &InertialPath) -> f64 {
@@ -290,15 +337,25 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         last.sd_m(),
         if last.valid { "" } else { " (not valid)" }
     );
-    let mut limits = vec![0.1, 1.0];
-    if !limits.contains(&choice.limit_m) {
-        limits.push(choice.limit_m);
-    }
-    for limit in limits {
-        let _ = match path.horizon_s(limit) {
-            Some(after) => writeln!(text, "horizon: 1 σ passes {limit} m after {after:.1} s"),
-            None => writeln!(text, "horizon: 1 σ stays below {limit} m"),
+    for limit in limits(choice) {
+        let Some(end) = path.horizon(limit) else {
+            let _ = writeln!(text, "horizon: 1 σ stays below {limit} m");
+            continue;
         };
+        let since = end
+            .since_rest_s
+            .map(|since| format!(", {since:.1} s after its last rest"))
+            .unwrap_or_default();
+        let what = if end.lost {
+            format!("1 σ is below {limit} m until the position is lost,")
+        } else {
+            format!("1 σ passes {limit} m")
+        };
+        let _ = writeln!(
+            text,
+            "horizon: {what} after {:.1} s of motion, at {:.2} s{since}",
+            end.moving_s, end.at_s
+        );
     }
     let _ = writeln!(
         text,
@@ -309,13 +366,22 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     for (index, one) in path.moves.iter().enumerate() {
         let _ = writeln!(
             text,
-            "move {}: {:.3} ± {:.3} m in {:.2} s",
+            "move {} from {:.2} to {:.2} s: {}",
             index + 1,
-            one.length_m,
-            one.length_sd_m,
-            one.duration_s
+            one.from_s,
+            one.to_s,
+            if one.valid {
+                format!("{:.3} ± {:.3} m", one.done.length_m, one.done.length_sd_m)
+            } else {
+                "its length is not known".to_owned()
+            }
         );
     }
+    let fitted = if path.heading_fitted {
+        ", turned to fit as it has no heading"
+    } else {
+        ""
+    };
     for (what, nees) in [
         ("", &path.nees),
         ("angular rate, ", &path.rate_nees),
@@ -324,7 +390,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         if let Some((median, share)) = consistency(nees) {
             let _ = writeln!(
                 text,
-                "against the truth: {what}NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is \
+                "against the truth{fitted}: {what}NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is \
                  right)",
                 100.0 * share
             );

@@ -1,0 +1,299 @@
+//! What a slide between rests claims, and how long a path can be used.
+
+use wimu_host::ErrorCode;
+use wimu_host::inertial::{Choice, InertialPath, Method, navigate};
+use wimu_host::motion::{MotionRecording, Truth};
+use wimu_nav::unit::UnitSample;
+
+const G: f64 = 9.80665;
+
+/// Noise of mean 0 and deviation 1.
+fn noise(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    move || {
+        let mut sum = 0.0;
+        for _ in 0..12 {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            sum += (state >> 11) as f64 / (1u64 << 53) as f64;
+        }
+        sum - 6.0
+    }
+}
+
+/// What a recording is of: rests of 1.5 s between moves along x, with least jerk.
+#[derive(Clone, Copy)]
+struct Run {
+    first_rest_s: f64,
+    move_s: f64,
+    way_m: f64,
+    moves: usize,
+    gyroscope: bool,
+    /// Direction of the magnetic north in the body, rad from x to y.
+    north: Option<f64>,
+    /// From the first move's end on the unit is tilted by this, rad.
+    tilt: f64,
+    seed: u64,
+}
+
+const RUN: Run = Run {
+    first_rest_s: 2.0,
+    move_s: 1.0,
+    way_m: 0.4,
+    moves: 3,
+    gyroscope: false,
+    north: None,
+    tilt: 0.0,
+    seed: 1,
+};
+
+impl Run {
+    fn recording(self) -> MotionRecording {
+        let mut noise = noise(self.seed);
+        let bias = [0; 3].map(|_| 0.025 * noise());
+        let rate_hz = 200.0;
+        let whole = self.first_rest_s + self.moves as f64 * (self.move_s + 1.5);
+        let (mut times, mut samples, mut truth) = (Vec::new(), Vec::new(), Vec::new());
+        for k in 0..(whole * rate_hz) as usize {
+            let t = k as f64 / rate_hz;
+            let (mut way, mut push, mut tilt) = (0.0, 0.0, 0.0);
+            for m in 0..self.moves {
+                let start = self.first_rest_s + m as f64 * (self.move_s + 1.5);
+                let tau = ((t - start) / self.move_s).clamp(0.0, 1.0);
+                let signed = if m % 2 == 0 { self.way_m } else { -self.way_m };
+                let curve = tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
+                way += signed * curve;
+                push += signed * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / self.move_s.powi(2);
+                if m == 0 {
+                    tilt = self.tilt * curve;
+                }
+            }
+            let (sin, cos) = tilt.sin_cos();
+            let force = [push * cos - G * sin, 0.0, G * cos + push * sin];
+            times.push(t);
+            samples.push(UnitSample {
+                step_s: if k == 0 { 0.0 } else { 1.0 / rate_hz },
+                force_mps2: std::array::from_fn(|i| force[i] + bias[i] + 0.02 * noise()),
+                field_ut: self
+                    .north
+                    .map(|by| [20.0 * by.cos(), 20.0 * by.sin(), -44.0]),
+                rate_rad_s: self
+                    .gyroscope
+                    .then(|| std::array::from_fn(|i| 0.01 * i as f64 + 0.002 * noise())),
+            });
+            truth.push(Some(Truth {
+                position_m: [way, 0.0, 0.0],
+                quaternion: [1.0, 0.0, 0.0, 0.0],
+            }));
+        }
+        let mut recording = MotionRecording::new("run", times, samples);
+        recording.truth = truth;
+        recording
+    }
+}
+
+fn slide(recording: &MotionRecording) -> InertialPath {
+    let choice = Choice {
+        method: Method::Slide,
+        ..Choice::default()
+    };
+    navigate(recording, &choice).unwrap()
+}
+
+#[test]
+fn soft_and_slow_moves_are_found_whole() {
+    for (move_s, way_m) in [
+        (1.6, 0.4),
+        (2.0, 0.4),
+        (3.0, 0.4),
+        (4.0, 0.4),
+        (3.0, 1.0),
+        (1.0, 0.05),
+    ] {
+        for seed in 1..6 {
+            for gyroscope in [false, true] {
+                let run = Run {
+                    move_s,
+                    way_m,
+                    gyroscope,
+                    seed,
+                    ..RUN
+                };
+                let path = slide(&run.recording());
+                let lengths: Vec<(f64, f64)> = path
+                    .moves
+                    .iter()
+                    .map(|m| (m.done.length_m, m.done.length_sd_m))
+                    .collect();
+                let case = format!("{way_m} m in {move_s} s, seed {seed}: {lengths:?}");
+                assert_eq!(lengths.len(), 3, "{case}");
+                for (length, sd) in lengths {
+                    assert!((length - way_m).abs() < 3.0 * sd && sd < 0.1, "{case}");
+                }
+                assert!(path.moves.iter().all(|m| m.valid), "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_slide_over_a_gap_or_a_jump_of_time_is_not_known() {
+    let whole = RUN.recording();
+    let end = slide(&whole);
+    assert!(end.moves.iter().all(|m| m.valid) && end.horizon(1.0).is_some_and(|h| h.at_s > 9.0));
+    // In the second move.
+    let from = whole.times_s.partition_point(|t| *t < 4.7);
+    for (left_out, jump_s) in [(100, 0.0), (0, 3600.0)] {
+        let mut recording = whole.clone();
+        for k in from..recording.times_s.len() {
+            recording.times_s[k] += jump_s;
+        }
+        recording.times_s.drain(from..from + left_out);
+        recording.samples.drain(from..from + left_out);
+        recording.truth.drain(from..from + left_out);
+        let path = slide(&recording);
+        let valid: Vec<bool> = path.moves.iter().map(|m| m.valid).collect();
+        assert_eq!(valid, [true, false, false]);
+        assert!(path.points[from + 1..].iter().all(|p| !p.valid));
+        assert!(
+            path.remarks.iter().any(|r| r.contains("gap")),
+            "{:?}",
+            path.remarks
+        );
+        let horizon = path.horizon(0.5).unwrap();
+        assert!(horizon.lost && horizon.at_s < 4.8 && (1.0..2.0).contains(&horizon.moving_s));
+        // The unit may have gone on for so long.
+        assert!(path.points.last().unwrap().sd_m() > 0.5 + jump_s);
+    }
+}
+
+#[test]
+fn a_move_that_turns_the_unit_ends_the_horizon() {
+    let run = Run { tilt: 0.05, ..RUN };
+    let recording = run.recording();
+    let choice = Choice {
+        method: Method::Slide,
+        ..Choice::default()
+    };
+    // The rests after the turn agree among each other: the path may begin there, or end before.
+    let path = navigate(&recording, &choice).unwrap();
+    let turned = |m: &wimu_host::inertial::SlideMove| m.from_s < 2.5;
+    assert!(path.moves.iter().filter(|m| turned(m)).all(|m| !m.valid));
+    let first = recording.times_s.partition_point(|t| *t < 2.5);
+    let after = recording.times_s.partition_point(|t| *t < 3.0);
+    assert!(path.points[first..after].iter().all(|p| !p.valid));
+    assert!(
+        path.remarks.iter().any(|r| r.contains("turned")),
+        "{:?}",
+        path.remarks
+    );
+}
+
+#[test]
+fn zero_velocity_cannot_be_switched_off_for_a_slide() {
+    let choice = Choice {
+        method: Method::Slide,
+        zupt: false,
+        ..Choice::default()
+    };
+    let refused = navigate(&RUN.recording(), &choice).unwrap_err();
+    assert_eq!(refused.code(), ErrorCode::Usage);
+}
+
+#[test]
+fn a_slides_east_is_that_of_the_magnetic_field() {
+    let end = |north| {
+        let path = slide(
+            &Run {
+                north,
+                moves: 1,
+                ..RUN
+            }
+            .recording(),
+        );
+        let said = path.remarks.iter().any(|r| r.contains("no magnetometer"));
+        let point = path.points.iter().rfind(|p| p.valid).unwrap();
+        (point.position_m, said)
+    };
+    // Body x is north: the way of 0.4 m along it, too.
+    let ([e, n, _], said) = end(Some(0.0));
+    assert!(e.abs() < 0.02 && (n - 0.4).abs() < 0.02 && !said, "{e} {n}");
+    let ([e, n, _], said) = end(Some(std::f64::consts::FRAC_PI_2));
+    assert!((e - 0.4).abs() < 0.02 && n.abs() < 0.02 && !said, "{e} {n}");
+    let ([e, n, _], said) = end(None);
+    assert!((e - 0.4).abs() < 0.02 && n.abs() < 0.02 && said, "{e} {n}");
+}
+
+#[test]
+fn when_the_clock_began_changes_nothing() {
+    let recording = RUN.recording();
+    let end = |by: f64| {
+        let mut moved = recording.clone();
+        for time in &mut moved.times_s {
+            *time += by;
+        }
+        slide(&moved)
+            .points
+            .iter()
+            .rfind(|p| p.valid)
+            .unwrap()
+            .position_m
+    };
+    let at = end(0.0);
+    for by in [-5.0, 0.3, 1e5, 1.7e9] {
+        let apart = end(by)
+            .iter()
+            .zip(at)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max);
+        assert!(apart < 1e-4, "{by} s: {apart} m");
+    }
+}
+
+#[test]
+fn standing_still_makes_no_horizon_longer() {
+    let horizon = |first_rest_s| {
+        let choice = Choice {
+            limit_m: 0.5,
+            ..Choice::default()
+        };
+        let run = Run {
+            first_rest_s,
+            move_s: 3.0,
+            way_m: 1.0,
+            moves: 1,
+            north: Some(0.0),
+            ..RUN
+        };
+        let path = navigate(&run.recording(), &choice).unwrap();
+        path.horizon(0.02)
+            .expect("a tilt that is not known moves it by 2 cm")
+    };
+    let (short, long) = (horizon(3.0), horizon(13.0));
+    assert!(
+        (long.at_s - short.at_s - 10.0).abs() < 1.0,
+        "{short:?} {long:?}"
+    );
+    assert!(
+        (long.moving_s - short.moving_s).abs() < 1.0,
+        "{short:?} {long:?}"
+    );
+    assert!(short.since_rest_s.is_some_and(|s| s < 3.0) && !short.lost);
+}
+
+#[test]
+fn a_truth_without_a_heading_is_turned_to_fit() {
+    let mut recording = RUN.recording();
+    for truth in recording.truth.iter_mut().flatten() {
+        let [e, n, u] = truth.position_m;
+        *truth = Truth {
+            position_m: [-n, e, u],
+            quaternion: [f64::NAN; 4],
+        };
+    }
+    let path = slide(&recording);
+    let (_, below) = path.consistency().unwrap();
+    assert!(path.heading_fitted && below > 0.9, "{below}");
+    assert!(!slide(&RUN.recording()).heading_fitted);
+}

@@ -1,4 +1,4 @@
-//! What a slide between rests claims, and how long a path can be used.
+//! What a slide between rests claims, how long a path can be used, and what a gyroscope may lack.
 
 use wimu_host::ErrorCode;
 use wimu_host::inertial::{Choice, InertialPath, Method, navigate};
@@ -296,4 +296,99 @@ fn a_truth_without_a_heading_is_turned_to_fit() {
     let (_, below) = path.consistency().unwrap();
     assert!(path.heading_fitted && below > 0.9, "{below}");
     assert!(!slide(&RUN.recording()).heading_fitted);
+}
+
+/// Turned about y by 0.3 rad and back, twice, with rests between.
+fn turned(scale: f64, signs: [f64; 3]) -> MotionRecording {
+    let mut noise = noise(7);
+    let (mut times, mut samples) = (Vec::new(), Vec::new());
+    for k in 0..1000 {
+        let t = f64::from(k) * 0.01;
+        let (mut angle, mut rate) = (0.0, 0.0);
+        for m in 0..4 {
+            let tau = (t - 2.0 - 2.0 * f64::from(m)).clamp(0.0, 1.0);
+            let sign = if m % 2 == 0 { 0.3 } else { -0.3 };
+            angle += sign * tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
+            rate += sign * 30.0 * (tau * (1.0 - tau)).powi(2);
+        }
+        times.push(t);
+        let force = [-G * f64::sin(angle), 0.0, G * f64::cos(angle)];
+        let rates = [0.0, rate, 0.0];
+        samples.push(UnitSample {
+            step_s: if k == 0 { 0.0 } else { 0.01 },
+            force_mps2: std::array::from_fn(|i| force[i] + 0.02 * noise()),
+            rate_rad_s: Some(std::array::from_fn(|i| {
+                scale * (signs[i] * rates[i] + 0.005 + 0.002 * noise())
+            })),
+            ..UnitSample::default()
+        });
+    }
+    MotionRecording::new("turned", times, samples)
+}
+
+#[test]
+fn an_angular_rate_in_another_unit_than_its_columns_say_is_refused() {
+    let choice = |method| Choice {
+        method,
+        ..Choice::default()
+    };
+    for method in [Method::Strapdown, Method::Slide] {
+        for (scale, unit) in [(57.2958, "deg/s"), (1.0 / 57.2958, "rad/s")] {
+            let refused = navigate(&turned(scale, [1.0; 3]), &choice(method)).unwrap_err();
+            assert_eq!(refused.code(), ErrorCode::DataRefused);
+            assert!(refused.remedy().contains(unit), "{refused}");
+        }
+    }
+    let right = navigate(&turned(1.0, [1.0; 3]), &choice(Method::Strapdown)).unwrap();
+    assert!(
+        !right.remarks.iter().any(|r| r.contains("turn")),
+        "{:?}",
+        right.remarks
+    );
+    // A wrong sign is no unit: it is said.
+    let wrong = navigate(&turned(1.0, [1.0, -1.0, 1.0]), &choice(Method::Strapdown)).unwrap();
+    assert!(
+        wrong.remarks.iter().any(|r| r.contains("signs")),
+        "{:?}",
+        wrong.remarks
+    );
+    // Without the rate nothing of that matters.
+    assert!(navigate(&turned(57.2958, [1.0; 3]), &choice(Method::Tilt)).is_ok());
+}
+
+#[test]
+fn attitude_is_not_known_where_the_angular_rate_is_missing() {
+    let choice = Choice {
+        method: Method::Strapdown,
+        ..Choice::default()
+    };
+    let without = |count: usize| {
+        let mut recording = turned(1.0, [1.0; 3]);
+        for sample in &mut recording.samples[240..240 + count] {
+            sample.rate_rad_s = None;
+        }
+        recording
+    };
+    let whole = navigate(&without(0), &choice).unwrap();
+    let filled = navigate(&without(3), &choice).unwrap();
+    let lost = navigate(&without(20), &choice).unwrap();
+    let apart = (0..3)
+        .map(|i| (whole.points[300].position_m[i] - filled.points[300].position_m[i]).abs())
+        .fold(0.0, f64::max);
+    assert!(filled.points[300].valid && apart < 0.01, "{apart}");
+    assert!(lost.points[240..290].iter().all(|p| !p.valid));
+    assert!(lost.points[280].sd_m() > 0.2 && whole.points[280].sd_m() < 0.2);
+    assert!(
+        lost.remarks
+            .iter()
+            .any(|r| r.contains("missing in 20 samples")),
+        "{:?}",
+        lost.remarks
+    );
+    let choice = Choice {
+        method: Method::Slide,
+        ..choice
+    };
+    let lost = navigate(&without(20), &choice).unwrap();
+    assert!(lost.points[240..300].iter().all(|p| !p.valid));
 }

@@ -287,6 +287,16 @@ impl<R: Real> UnitFilter<R> {
         if gap { Err(UnitFault::Gap) } else { Ok(()) }
     }
 
+    /// Says that a sample of this step was left out, as of an angular rate that is missing for a while: what
+    /// happened is not known, and position is not valid from here to the next rest.
+    pub fn interrupt(&mut self, step_s: R) {
+        if step_s >= R::default() && step_s.is_finite() {
+            self.age_s += step_s;
+            self.since_rest_s += step_s;
+            self.lose(step_s);
+        }
+    }
+
     /// Nobody knows what happened in a gap.
     fn lose(&mut self, step_s: R) {
         self.valid = false;

@@ -20,6 +20,7 @@
 //! # Ok::<(), wimu_host::HostError>(())
 //! ```
 
+mod rates;
 mod report;
 mod sense;
 mod slide;
@@ -27,6 +28,7 @@ mod slide;
 pub use slide::{Leg, legs};
 
 use std::io::Write as _;
+use std::ops::Range;
 use std::path::Path as FilePath;
 
 use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
@@ -278,7 +280,14 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                 "give --geometry FILE",
             ));
         }
-        Method::Slide => slide::slide(recording, choice)?,
+        Method::Slide => {
+            let wrong = rates::checked(recording)?;
+            let mut whole = recording.clone();
+            rates::filled(&whole.times_s, &mut whole.samples);
+            let mut path = slide::slide(&whole, choice)?;
+            path.remarks.extend(wrong);
+            path
+        }
         Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
             return refused(
                 "there is no angular rate in it, and strapdown is the method of a gyroscope",
@@ -298,13 +307,20 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                     sample.rate_rad_s = None;
                 }
             }
+            let mut wrong = None;
+            if method == Method::Strapdown {
+                wrong = rates::checked(recording)?;
+            }
+            let holes = rates::filled(&recording.times_s, &mut samples);
             let config = UnitConfig {
                 gravity_mps2: recording.gravity_at_first_rest(),
                 zupt: choice.zupt,
                 drift: choice.drift,
                 ..UnitConfig::default()
             };
-            filter(&recording.times_s, &samples, config, choice, method)
+            let mut path = filter(&recording.times_s, &samples, &holes, config, choice, method);
+            path.remarks.extend(wrong);
+            path
         }
     };
     if path.points.iter().all(|p| !p.valid) && path.moves.is_empty() {
@@ -489,6 +505,7 @@ fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
 fn filter(
     times_s: &[f64],
     samples: &[UnitSample],
+    holes: &[Range<usize>],
     config: UnitConfig,
     choice: &Choice,
     method: Method,
@@ -497,12 +514,19 @@ fn filter(
     let (mut gaps, mut bad, mut backwards) = (0, 0, 0);
     let (mut begun, mut moved) = (false, false);
     let mut points = Vec::with_capacity(samples.len());
-    for (sample, time_s) in samples.iter().zip(times_s) {
-        match filter.push(sample) {
-            Ok(()) => {}
-            Err(UnitFault::Gap) => gaps += 1,
-            Err(UnitFault::NoTime) => backwards += 1,
-            Err(_) => bad += 1,
+    let mut next_holes = holes.iter().peekable();
+    for (k, (sample, time_s)) in samples.iter().zip(times_s).enumerate() {
+        next_holes.next_if(|hole| hole.end <= k);
+        // Without the angular rate attitude is not known, and so no way.
+        if next_holes.peek().is_some_and(|hole| hole.contains(&k)) {
+            filter.interrupt(sample.step_s);
+        } else {
+            match filter.push(sample) {
+                Ok(()) => {}
+                Err(UnitFault::Gap) => gaps += 1,
+                Err(UnitFault::NoTime) => backwards += 1,
+                Err(_) => bad += 1,
+            }
         }
         let state = filter.state();
         // Aligned, and no rest yet.
@@ -527,6 +551,7 @@ fn filter(
             first.time_s
         ));
     }
+    remarks.extend(rates::remark(holes, times_s));
     let mut remark = |count: u32, what: &str| {
         if count > 0 {
             remarks.push(format!("{count} {what}"));

@@ -30,8 +30,8 @@ const RATE_SCALE: f64 = 0.02;
 const TILTED: f64 = 25.0;
 /// From this on a tilt may be an acceleration that rose softly.
 const SOFT: f64 = 2.0;
-/// What looks like a rest before the first one lasts so long, s.
-const BEFORE_S: f64 = 0.3;
+/// What looks like a rest before the first one or after the last lasts so long, s.
+const OUTSIDE_S: f64 = 0.3;
 
 /// A move between two rests.
 #[derive(Clone, Debug)]
@@ -80,14 +80,16 @@ fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]
         let (first, last) = (found[i].first, found[i].end.max(1) - 1);
         recording.times_s[last] - recording.times_s[first]
     };
-    // Least cost of a chain that ends at each, and the one before. It may begin later than at the first.
+    // What lies before or after the chain is not known, and says nothing of velocities.
+    let outside = |i: usize| REST_ODDS.ln() + lasts(i) / OUTSIDE_S;
+    let mut after: f64 = (0..count).map(outside).sum();
     let mut before = 0.0;
+    // Least cost of a chain that ends at each, and the one before.
     let mut best = Vec::with_capacity(count);
     for i in 0..count {
         best.push((before, None));
-        before += REST_ODDS.ln() + lasts(i) / BEFORE_S;
+        before += outside(i);
     }
-    // The chain that ends here, all that looks like rests after it passed over.
     let (mut least, mut end) = (f64::INFINITY, 0);
     for i in 0..count {
         let mut passed = 0.0;
@@ -113,9 +115,9 @@ fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]
             let speed = speeds.fold(0.0, f64::max);
             passed += passing(&done, speed, tilt) + gained(&done, lasts(j));
         }
-        // Beyond that nobody looks: as many rests would have been found either way.
-        if best[i].0 + passed <= least {
-            (least, end) = (best[i].0 + passed, i);
+        after -= outside(i);
+        if best[i].0 + after <= least {
+            (least, end) = (best[i].0 + after, i);
         }
     }
     let mut chain = vec![end];
@@ -295,6 +297,12 @@ fn broken(recording: &MotionRecording, leg: &Leg) -> Option<String> {
         ));
     }
     if leg.before.rest.rate_rad_s.is_some() {
+        let samples = &recording.samples[leg.before.end..leg.after.first.max(leg.before.end)];
+        if samples.iter().any(|s| s.rate_rad_s.is_none()) {
+            return Some(format!(
+                "the angular rate is missing in the move that ends at {at:.2} s: position is not valid from there on"
+            ));
+        }
         return (leg.done.open_rad > OPEN_RAD).then(|| {
             format!(
                 "the angular rate leaves {:.1}° of the turn in the move that ends at {at:.2} s unexplained: position is not valid from there on",

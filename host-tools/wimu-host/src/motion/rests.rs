@@ -17,6 +17,8 @@ pub struct RestSpan {
 /// Blocks that rests are made of, s, and the least samples of one.
 const BLOCK_S: f64 = 0.1;
 const BLOCK_SAMPLES: f64 = 5.0;
+/// A block that a gap cuts off counts from so many samples on.
+const LEAST_SAMPLES: usize = 4;
 /// Blocks of the shortest rest.
 const REST_BLOCKS: usize = 3;
 /// From so many on the outermost ones are left out: a move may begin softly.
@@ -74,7 +76,7 @@ fn blocks(times_s: &[f64], samples: &[UnitSample]) -> Vec<Block> {
             .iter()
             .flat_map(|s| (0..3).map(|i| (s.force_mps2[i] - mean[i]).powi(2)))
             .sum::<f64>();
-        if part.len() >= 4 {
+        if part.len() >= LEAST_SAMPLES {
             blocks.push(Block {
                 first,
                 end,
@@ -175,14 +177,21 @@ fn span(
     if creeps(run, level) {
         return None;
     }
+    // No move begins where the recording does, or ends with it.
+    let starts = run.first()?.first == 0;
+    let left = samples.len() - run.last()?.end;
+    let ends = left < LEAST_SAMPLES;
     let long = run.len() >= TRIMMED_BLOCKS;
-    let from = usize::from(long || slow.0);
-    let to = run.len().saturating_sub(usize::from(long || slow.1));
+    let from = usize::from((long && !starts) || slow.0);
+    let to = run.len() - usize::from((long && !ends) || slow.1);
     let run = run.get(from..to)?;
     if run.len() < REST_BLOCKS {
         return None;
     }
-    let (first, end) = (run[0].first, run[run.len() - 1].end);
+    let (first, mut end) = (run[0].first, run[run.len() - 1].end);
+    if ends && !slow.1 {
+        end += left;
+    }
     let part = &samples[first..end];
     let force_mps2 = mean3(part.iter().map(|s| s.force_mps2)).unwrap_or_default();
     // Blocks' means say how slow the noise is.

@@ -1,5 +1,7 @@
 //! What looks like a rest in a recording.
 
+use std::ops::RangeInclusive;
+
 use wimu_nav::slide::Rest;
 use wimu_nav::unit::UnitSample;
 
@@ -117,6 +119,10 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
     let level = (quietest.iter().map(|b| b.variance).sum::<f64>() / quietest.len() as f64).sqrt();
     let still = mean3(quietest.iter().filter_map(|b| b.rate));
     let gap = gap_s(times_s);
+    // Where a last block may end: what comes after it is too short for one.
+    let gaps = times_s.windows(2).rposition(|w| w[1] - w[0] > gap);
+    let after_gap = gaps.map_or(0, |k| k + 2);
+    let tail = after_gap.max((samples.len() + 1).saturating_sub(LEAST_SAMPLES))..=samples.len();
     let mut found = Vec::new();
     let mut run: Vec<&Block> = Vec::new();
     let mut was_slow = false;
@@ -137,7 +143,7 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
         if !(quiet && agrees && goes_on) {
             // Quiet and another: it changes slowly, as a move that begins softly does.
             let slow = quiet && goes_on && !run.is_empty();
-            found.extend(span(&run, samples, (was_slow, slow), level));
+            found.extend(span(&run, samples, (was_slow, slow), level, &tail));
             run.clear();
             was_slow = slow;
         }
@@ -145,7 +151,7 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
             run.push(block);
         }
     }
-    found.extend(span(&run, samples, (was_slow, false), level));
+    found.extend(span(&run, samples, (was_slow, false), level, &tail));
     found
 }
 
@@ -173,14 +179,14 @@ fn span(
     samples: &[UnitSample],
     slow: (bool, bool),
     level: f64,
+    tail: &RangeInclusive<usize>,
 ) -> Option<RestSpan> {
     if creeps(run, level) {
         return None;
     }
     // No move begins where the recording does, or ends with it.
     let starts = run.first()?.first == 0;
-    let left = samples.len() - run.last()?.end;
-    let ends = left < LEAST_SAMPLES;
+    let ends = tail.contains(&run.last()?.end);
     let long = run.len() >= TRIMMED_BLOCKS;
     let from = usize::from((long && !starts) || slow.0);
     let to = run.len() - usize::from((long && !ends) || slow.1);
@@ -190,7 +196,7 @@ fn span(
     }
     let (first, mut end) = (run[0].first, run[run.len() - 1].end);
     if ends && !slow.1 {
-        end += left;
+        end = samples.len();
     }
     let part = &samples[first..end];
     let force_mps2 = mean3(part.iter().map(|s| s.force_mps2)).unwrap_or_default();

@@ -93,8 +93,11 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<String>> {
     let Some(now) = open(1.0).filter(|open| *open > OPEN_RAD) else {
         return Ok(None);
     };
+    // Where gravity did not turn, a smaller rate always fits better.
+    let turned = open(0.0).unwrap_or_default();
     for (factor, unit) in [(PI / 180.0, "deg/s"), (180.0 / PI, "rad/s")] {
-        if open(factor).is_some_and(|other| other < FITS * now && other < OPEN_RAD) {
+        let other = open(factor).unwrap_or(f64::INFINITY);
+        if other < FITS * now.min(turned) && other < OPEN_RAD {
             let message = format!(
                 "its angular rate leaves {:.0}° of gravity's turn between rests open, in {unit} it would not",
                 now.to_degrees()

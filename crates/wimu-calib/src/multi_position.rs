@@ -255,16 +255,20 @@ pub(crate) fn with_terms<R: Real>(
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
     let need = what.parameters() + 1;
-    let have = input::different(poses, need);
-    if have < need {
-        return Err(Refusal::TooFewPoses {
-            have,
-            need,
-            model: what.model,
-            instead: None,
-        });
+    let too_few = |have| Refusal::TooFewPoses {
+        have,
+        need,
+        model: what.model,
+        instead: None,
+    };
+    if poses.len() < need {
+        return Err(too_few(poses.len()));
     }
     input::check(poses.iter(), gravity)?;
+    let different = input::different(poses, need);
+    if different < need {
+        return Err(too_few(different));
+    }
     let varies = |value: fn(&Pose) -> Option<f64>| {
         let range = range(poses, value);
         range.is_some_and(|[low, high]| high > low)

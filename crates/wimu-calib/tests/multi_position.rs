@@ -342,9 +342,15 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
         .flat_map(|s| [[s, 0.0, 0.0], [0.0, s, 0.0], [0.0, 0.0, s]])
         .cycle()
         .take(18)
-        .map(|up| pose(&perfect, G, up))
+        .enumerate()
+        .map(|(k, up)| {
+            // No sensor repeats itself to the last digit.
+            let mut visit = pose(&perfect, G, up);
+            visit.mean_mps2[0] += 1e-7 * k as f64;
+            visit
+        })
         .collect();
-    for (poses, have) in [(&same, Some(1)), (&plane, None), (&faces, Some(6))] {
+    for (poses, have) in [(&same, Some(1)), (&plane, None), (&faces, None)] {
         let Err(refusal) = multi_position(poses, exact(), Model::Full9) else {
             panic!("answered");
         };

@@ -242,7 +242,8 @@ fn filtered<const M: usize>(
     let mut remarks = Vec::new();
     if moving_start == Some(true) {
         remarks.push(
-            "no rest at the start: velocity is not known before the first rest, nor attitude well"
+            "no rest at the start: neither velocity nor attitude are known before the first rest, where \
+             the position begins"
                 .to_owned(),
         );
     } else if !zupt {

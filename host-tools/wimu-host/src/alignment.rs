@@ -3,12 +3,12 @@
 use std::fmt;
 
 use serde::Serialize;
-use wimu_calib::{KnownDirection, Pose, align, find_poses, straight_move};
+use wimu_calib::{KnownDirection, Pose, align, straight_move};
 use wimu_link::message::parameter_id;
-use wimu_model::{CentiCelsius, ParameterSet, SpecificForceMps2};
+use wimu_model::ParameterSet;
 
 use crate::calibration::{HELD_SCHEMA, describe};
-use crate::dataset::{Dataset, OutputUnit};
+use crate::dataset::Dataset;
 use crate::error::{ErrorCode, HostError, Result};
 
 /// More rests than anyone names.
@@ -66,6 +66,8 @@ pub struct AlignmentReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
+    /// What the numbers do not show and a user should know.
+    pub remarks: Vec<String>,
     /// The data.
     pub source: String,
     /// Rests found.
@@ -107,36 +109,27 @@ impl AlignmentReport {
 ///
 /// Data that do not support an answer give a report that says so.
 pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
-    let scale = match data.unit {
-        OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
-        OutputUnit::Mps2 => 1.0,
-    };
-    let mut forces = Vec::with_capacity(data.outputs.len());
-    for output in &data.outputs {
-        if output.after_gap {
-            forces.push([f64::NAN; 3]);
-        }
-        let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
-        let temperature = output.temperature_c.map(CentiCelsius::from_celsius);
-        forces.push(set.model.correct(sensed, temperature).0);
-    }
-    let mut rests = vec![Pose::default(); MAX_RESTS];
-    let found = find_poses(forces.iter().map(|f| (*f, None)), data.rate_hz, &mut rests);
-    rests.truncate(found);
-    let outcome = directions(&forces, &rests, data.rate_hz, options)
+    let forces = data.corrected(set);
+    let rests = data.rests(&forces);
+    let outcome = directions(data, &forces, &rests, options)
         .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
     let mut report = AlignmentReport {
         schema: HELD_SCHEMA,
         status: "refused",
         reason: None,
+        remarks: data.temperature_remark(set).into_iter().collect(),
         source: data.name.clone(),
-        rests: found,
+        rests: rests.len(),
         found: rests
             .iter()
-            .map(|rest| FoundRest {
-                from_s: rest.first_sample as f64 / data.rate_hz,
-                to_s: (rest.first_sample + u64::from(rest.samples)) as f64 / data.rate_hz,
-                up_m_s2: rest.mean_mps2,
+            .take(MAX_RESTS)
+            .map(|rest| {
+                let last = rest.first_sample + u64::from(rest.samples).saturating_sub(1);
+                FoundRest {
+                    from_s: data.since_start_s(rest.first_sample as usize),
+                    to_s: data.since_start_s(last as usize),
+                    up_m_s2: rest.mean_mps2,
+                }
             })
             .collect(),
         alignment_wxyz: None,
@@ -166,9 +159,9 @@ pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> 
 
 /// What is known of the body at the rests and between them.
 fn directions(
+    data: &Dataset,
     forces: &[[f64; 3]],
     rests: &[Pose],
-    rate_hz: f64,
     options: &AlignOptions,
 ) -> Result<Vec<KnownDirection>, String> {
     let needed = options.up.len().max(1);
@@ -203,7 +196,7 @@ fn directions(
     }
     if options.forward {
         let first = chosen.first().copied().unwrap_or(0);
-        let (sensor, sd) = push(forces, rests.get(first..).unwrap_or(&[]), rate_hz)?;
+        let (sensor, sd) = push(data, forces, rests.get(first..).unwrap_or(&[]))?;
         known.push(KnownDirection {
             sensor,
             body: [1.0, 0.0, 0.0],
@@ -216,18 +209,23 @@ fn directions(
 /// The direction of the push after the first rest, in sensor axes, and its standard deviation, rad.
 ///
 /// A push leaves the attitude as it was, so that the rests before and after are one to the finder.
-fn push(forces: &[[f64; 3]], rests: &[Pose], rate_hz: f64) -> Result<([f64; 3], f64), String> {
+fn push(data: &Dataset, forces: &[[f64; 3]], rests: &[Pose]) -> Result<([f64; 3], f64), String> {
     let Some(rest) = rests.first() else {
         return Err("no rest was found before the push: hold it still for two seconds".to_owned());
     };
-    let second = (rate_hz as usize).max(8);
+    let second = (data.rate_hz as usize).max(8);
     let block = second / 8;
     let start = rest.first_sample as usize;
     let end = rests
         .get(1)
         .map_or(forces.len(), |next| next.first_sample as usize);
     let part = forces.get(start..end).unwrap_or(&[]);
-    if part.iter().flatten().any(|axis| !axis.is_finite()) {
+    let missing = |index: usize| {
+        data.outputs
+            .get(index)
+            .is_some_and(|output| output.after_gap)
+    };
+    if (start + 1..end).any(missing) {
         return Err("samples are missing about the push: record it again".to_owned());
     }
     let moving: Vec<usize> = part
@@ -257,7 +255,7 @@ fn push(forces: &[[f64; 3]], rests: &[Pose], rate_hz: f64) -> Result<([f64; 3], 
         mean(&before[before.len().saturating_sub(2 * second)..]),
         mean(&after[..after.len().min(2 * second)]),
         part[from..to].iter().copied(),
-        rate_hz,
+        data.rate_hz,
     )
     .map_err(|refusal| refusal.to_string())
 }
@@ -279,11 +277,15 @@ impl fmt::Display for AlignmentReport {
                     rest.from_s, rest.to_s
                 )?;
             }
-            return write!(
+            write!(
                 out,
                 "\nrefused: {}",
                 self.reason.as_deref().unwrap_or("no reason")
-            );
+            )?;
+            return self
+                .remarks
+                .iter()
+                .try_for_each(|remark| write!(out, "\n{remark}"));
         };
         if let Some(residual) = self.residual_deg {
             write!(out, ", the directions agree to {residual:.2}°")?;
@@ -291,6 +293,99 @@ impl fmt::Display for AlignmentReport {
         for line in describe(set) {
             write!(out, "\n{line}")?;
         }
-        Ok(())
+        self.remarks
+            .iter()
+            .try_for_each(|remark| write!(out, "\n{remark}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use wimu_model::{
+        CentiCelsius, ErrorModel, ErrorTerms, Sensitivity, SpecificForceMps2, TemperatureTerms,
+    };
+
+    use super::*;
+    use crate::dataset::{Output, OutputUnit, RateSource};
+
+    /// A sensor whose bias goes with the temperature by 1 and 2 mg/K.
+    fn warm() -> ParameterSet {
+        let temperature = TemperatureTerms {
+            reference_c: 28.0,
+            bias_mps2_per_k: [0.01, -0.02, 0.01],
+            ..TemperatureTerms::default()
+        };
+        let terms = ErrorTerms {
+            bias_mps2: [0.1, 0.2, -0.1],
+            temperature,
+            ..ErrorTerms::default()
+        };
+        ParameterSet {
+            model: ErrorModel::new(terms).unwrap(),
+            ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap())
+        }
+    }
+
+    /// Two rests at 5 °C of a sensor in body axes, its z and then its x up; the temperature in every
+    /// tenth row only, where it is known.
+    fn cold(told: bool) -> Dataset {
+        let output = |k: u32| {
+            let turned = (f64::from(k) * 0.01 - 5.0).clamp(0.0, 1.0) * std::f64::consts::FRAC_PI_2;
+            let rough = 0.005 * (f64::from(k) * 2.4).sin();
+            let force = [turned.sin(), 0.0, turned.cos()].map(|up| 9.80665 * up + rough);
+            let at = Some(CentiCelsius::from_celsius(5.0));
+            let sensed = warm().model.distort(SpecificForceMps2(force), at);
+            Output {
+                value: sensed.0,
+                temperature_c: (told && k % 10 == 3).then_some(5.0),
+                samples: 1,
+                after_gap: false,
+                time_s: Some(f64::from(k) * 0.01),
+                magnetic_field_nt: None,
+            }
+        };
+        Dataset {
+            name: "cold".to_owned(),
+            unit: OutputUnit::Mps2,
+            poses: false,
+            rate_hz: 100.0,
+            rate_source: RateSource::Times,
+            datasheet: None,
+            outputs: (0..1100).map(output).collect(),
+            sensor: None,
+        }
+    }
+
+    #[test]
+    fn the_temperature_of_the_rests_is_taken_out() {
+        let options = AlignOptions {
+            up: ["z", "x"].map(|axis| axis.parse().unwrap()).to_vec(),
+            rests: None,
+            forward: false,
+            placement_sd_rad: 0.003,
+        };
+        let off_deg = |report: &AlignmentReport| {
+            let [_, x, y, z] = report.alignment_wxyz.unwrap();
+            [x, y, z].map(|half| (2.0 * half).to_degrees().abs())
+        };
+        let report = alignment(&cold(true), &warm(), &options);
+        assert!(
+            off_deg(&report).iter().all(|off| *off < 0.02),
+            "{:?}",
+            off_deg(&report)
+        );
+        assert_eq!(report.remarks, [""; 0]);
+
+        // Without a thermometer it cannot be, and that is said.
+        let report = alignment(&cold(false), &warm(), &options);
+        assert!(
+            report.remarks.iter().any(|r| r.contains("28.0 °C")),
+            "{report}"
+        );
+        assert!(report.to_string().contains("28.0 °C"), "{report}");
+        assert!(
+            report.alignment_wxyz.is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
+            "{report}"
+        );
     }
 }

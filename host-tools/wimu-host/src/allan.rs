@@ -145,7 +145,9 @@ pub fn noise(data: &Dataset, sensitivity: Option<Sensitivity>) -> NoiseReport {
         }
         allan.push(output.value.map(|axis| axis * scale));
     }
-    NoiseReport::new(&data.name, data.rate_hz, data.rate_source, &allan)
+    let mut report = NoiseReport::new(&data.name, data.rate_hz, data.rate_source, &allan);
+    report.remarks.extend(data.gaps_remark());
+    report
 }
 
 /// The noise of a board at rest, while its samples arrive.

@@ -7,14 +7,15 @@ mod page;
 mod reference;
 mod report;
 mod update;
+mod weights;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
-pub use export::{KalibrNoise, to_c, to_kalibr, to_rust};
+pub use export::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
 pub use magnetometer::{FieldPose, MagnetometerReport, calibrate_magnetometer};
 pub use reference::{AxisReport, NoiseSource, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
-    describe, not_observed, read_parameters, write_report,
+    describe, not_observed, range_remark, read_parameters, write_report,
 };
 
 pub use update::{RestReport, UpdateReport, update};
@@ -23,7 +24,7 @@ use std::collections::HashSet;
 
 use wimu_calib::{
     Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation,
-    Parameter, Placement, Pose, Refusal, Term, Terms, best_model, find_poses, four_angle,
+    Parameter, Placement, Pose, Refusal, Term, Terms, UnitHint, best_model, four_angle,
     multi_position_with, six_position, six_position_labelled, three_angle,
 };
 use wimu_link::message::parameter_id;
@@ -34,6 +35,8 @@ use crate::error::{ErrorCode, HostError, Result};
 
 /// More poses than anyone holds still for.
 const MAX_POSES: usize = 1000;
+/// Below this a board cannot be told a sensitivity, LSB/*g*: [`Sensitivity::from_lsb_per_g`].
+const LEAST_OF_A_BOARD_LSB_PER_G: f64 = 160.0;
 /// Most orientations that are advised at once.
 const MOST_ADVISED: usize = 6;
 
@@ -94,6 +97,8 @@ pub struct CalibrateOptions {
     pub gravity_mps2: Option<f64>,
     /// Nominal sensitivity, LSB/g; else the board's, else the fit's mean.
     pub sensitivity_lsb_per_g: Option<f64>,
+    /// Full-scale range at which the data were taken, ± *g*, where they do not say it.
+    pub range_g: Option<u8>,
     /// How well known orientations were squared, degrees, 1 σ; 1 where it is not given.
     pub placement_sd_deg: Option<f64>,
     /// The sensor's datasheet, to compare with; without it the device's sensor, where it is known.
@@ -157,13 +162,18 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .map_err(|e| usage(e.to_string(), "--placement-sd"))?,
         None => Placement::BY_HAND,
     };
+    // A coarse sensor can be calibrated, though no board be told.
+    let coarse = |lsb_per_g: &f64| (1.0..LEAST_OF_A_BOARD_LSB_PER_G).contains(lsb_per_g);
+    let given_coarse = options.sensitivity_lsb_per_g.filter(coarse);
     let given = options
         .sensitivity_lsb_per_g
+        .filter(|lsb_per_g| !coarse(lsb_per_g))
         .map(Sensitivity::from_lsb_per_g)
         .transpose()
         .map_err(|e| usage(e.to_string(), "--sensitivity"))?;
 
     let (known, source) = match (given, data.unit) {
+        (None, _) if given_coarse.is_some() => (None, Some(Source::Given)),
         (Some(given), _) => (Some(given), Some(Source::Given)),
         (None, OutputUnit::Counts { nominal, .. }) => match nominal {
             Some(nominal) => (Some(nominal), Some(Source::Board)),
@@ -175,7 +185,10 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     let scale = match (data.unit, known) {
         (OutputUnit::Mps2, _) => 1.0,
         (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
-        (OutputUnit::Counts { .. }, None) => gravity.mps2() / median_magnitude(data),
+        (OutputUnit::Counts { .. }, None) => match given_coarse {
+            Some(lsb_per_g) => STANDARD_GRAVITY_MPS2 / lsb_per_g,
+            None => gravity.mps2() / median_magnitude(data),
+        },
     };
     let mut found = poses(data, scale);
     let repeated = match options.method {
@@ -226,7 +239,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     };
     let mut sensitivity = known;
     // What the fit says of it, whether or not a board could hold it.
-    let mut fitted_lsb_per_g = None;
+    let mut fitted_lsb_per_g = given_coarse;
     if source == Some(Source::Fit)
         && let Ok(estimate) = &outcome
     {
@@ -239,37 +252,61 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         fitted = found.scaled(STANDARD_GRAVITY_MPS2 / lsb_per_g);
         outcome = fit(&fitted);
     }
+    let mut noise_seen_mps2 = None;
+    if data.poses && options.method == MethodChoice::MultiPosition {
+        let bare = fitted.clone();
+        // Twice: what is left is judged by a fit that rests on it.
+        for _ in 0..2 {
+            let Ok(estimate) = &outcome else { break };
+            let Some(poses) = weights::with_noise(estimate, &bare) else {
+                break;
+            };
+            let Ok(better) = fit(&poses) else { break };
+            noise_seen_mps2 = poses.first().map(|pose| pose.sd_mps2[0]);
+            (outcome, fitted) = (Ok(better), poses);
+        }
+    }
     let lsb_per_g = sensitivity.map(Sensitivity::lsb_per_g).or(fitted_lsb_per_g);
+    let range = Range::of(data.unit, options.range_g, sensitivity);
 
     let (estimate, refusal) = match outcome {
         Ok(estimate) => (Some(estimate), None),
         Err(refusal) => (None, Some(refusal)),
     };
-    let parameters = estimate
-        .as_ref()
-        .zip(sensitivity)
-        .map(|(estimate, sensitivity)| ParameterSet {
-            model: estimate.model,
-            quality: estimate.quality(options.utc_s, &fitted),
-            sensor: data.sensor,
-            ..ParameterSet::uncalibrated(range_g(data.unit, sensitivity), sensitivity)
-        });
+    let parameters =
+        estimate
+            .as_ref()
+            .zip(sensitivity.zip(range))
+            .map(|(estimate, (sensitivity, range))| ParameterSet {
+                model: estimate.model,
+                quality: estimate.quality(options.utc_s, &fitted),
+                sensor: data.sensor,
+                ..ParameterSet::uncalibrated(range.g, sensitivity)
+            });
+    let mut remarks: Vec<String> = said_of_repeated(repeated)
+        .into_iter()
+        .chain(remarks(
+            data,
+            options,
+            estimate.as_ref(),
+            sensitivity.zip(range),
+            lsb_per_g,
+        ))
+        .collect();
+    remarks.extend(noise_seen_mps2.map(|sd| {
+        format!(
+            "poses of fewer samples scatter more: a noise of {:.0} mm/s² a sample is seen in that, and the \
+             poses count by it",
+            sd * 1e3
+        )
+    }));
     Ok(CalibrationReport {
         schema: CalibrationReport::SCHEMA,
         status: if estimate.is_some() { "ok" } else { "refused" },
         reason: refusal
             .as_ref()
             .map(|refusal| reason(refusal, &fitted, data, options)),
-        remarks: said_of_repeated(repeated)
-            .into_iter()
-            .chain(remarks(
-                data,
-                options,
-                estimate.as_ref(),
-                sensitivity,
-                lsb_per_g,
-            ))
-            .collect(),
+        remarks,
         source: data.name.clone(),
         method: options.method.name(),
         terms: terms(estimate.as_ref(), options),
@@ -281,6 +318,8 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         gravity_source,
         sensitivity_lsb_per_g: lsb_per_g,
         sensitivity_source: source.filter(|_| lsb_per_g.is_some()),
+        range_g: range.map(|range| range.g),
+        range_source: range.map(|range| range.source),
         uncalibrated_rms_mm_s2: rms(fitted
             .iter()
             .map(|pose| magnitude(pose.mean_mps2) - gravity.mps2()))
@@ -308,14 +347,12 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .zip(estimate.as_ref())
             .map(|(datasheet, estimate)| {
                 let (used, range) = match data.unit {
-                    OutputUnit::Counts { range_g: known, .. } => {
-                        (lsb_per_g, known.or(sensitivity.map(likely_range_g)))
-                    }
+                    OutputUnit::Counts { .. } => (lsb_per_g, range.map(|range| range.g)),
                     OutputUnit::Mps2 => (None, None),
                 };
                 DatasheetReport::new(datasheet, estimate, used, range)
             }),
-        fit: estimate.map(|estimate| numbers(&estimate, data.unit)),
+        fit: estimate.map(|estimate| numbers(&estimate, range)),
         parameter_id: parameters.as_ref().map(|set| parameter_id(set).to_string()),
         parameters,
     })
@@ -339,7 +376,7 @@ fn begins(data: &Dataset, poses: &[Pose]) -> String {
     if data.poses || poses.is_empty() || poses.len() > 40 {
         return String::new();
     }
-    let begin = |pose: &Pose| format!("{:.0}", pose.first_sample as f64 / data.rate_hz);
+    let begin = |pose: &Pose| format!("{:.0}", data.since_start_s(pose.first_sample as usize));
     let begins: Vec<String> = poses.iter().map(begin).collect();
     format!(", which begin {} s after the start", begins.join(", "))
 }
@@ -411,24 +448,29 @@ fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal
     if !known || data.poses || found.poses.len() > 3 {
         return None;
     }
-    let typical = Pose::from_mean([median_magnitude(data) * found.scale, 0.0, 0.0]);
-    multi_position_with(
-        &[typical; 4],
-        gravity,
-        MultiPosition {
-            model: Model::Bias3,
-            ..MultiPosition::default()
-        },
-    )
-    .err()
-    .filter(|refusal| matches!(refusal, Refusal::UnexpectedMagnitude { .. }))
+    let mean_mps2 = median_magnitude(data) * found.scale;
+    let hint = not_gravity(mean_mps2, gravity)?;
+    Some(Refusal::UnexpectedMagnitude { mean_mps2, hint })
+}
+
+/// What an output that is so long at rest, m/s², looks like where it cannot be gravity.
+fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
+    let typical = Pose::from_mean([mps2, 0.0, 0.0]);
+    let bias = MultiPosition {
+        model: Model::Bias3,
+        ..MultiPosition::default()
+    };
+    match multi_position_with(&[typical; 4], gravity, bias) {
+        Err(Refusal::UnexpectedMagnitude { hint, .. }) => Some(hint),
+        _ => None,
+    }
 }
 
 /// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 
 /// Why a calibration cannot go to a board.
-const NO_SENSITIVITY: &str = "the data are in m/s²: to push or export this calibration, calibrate \
+const NO_SENSITIVITY: &str = "the data are in m/s² or g, not in counts: to push or export this calibration, calibrate \
      again with --sensitivity, the nominal LSB/g of the board's range";
 
 /// What the numbers do not show.
@@ -436,7 +478,7 @@ fn remarks(
     data: &Dataset,
     options: &CalibrateOptions,
     estimate: Option<&Estimate>,
-    sensitivity: Option<Sensitivity>,
+    told: Option<(Sensitivity, Range)>,
     lsb_per_g: Option<f64>,
 ) -> Vec<String> {
     let mut remarks = Vec::new();
@@ -452,6 +494,7 @@ fn remarks(
             data.rate_hz
         ));
     }
+    remarks.extend(data.gaps_remark());
     let Some(estimate) = estimate else {
         return remarks;
     };
@@ -512,7 +555,8 @@ fn remarks(
              is too small, or poses are bad"
         ));
     }
-    if let (None, Some(lsb_per_g)) = (sensitivity, lsb_per_g) {
+    remarks.extend(told.and_then(|(sensitivity, range)| range.remark(sensitivity)));
+    if let (None, Some(lsb_per_g)) = (told, lsb_per_g) {
         remarks.push(format!(
             "{lsb_per_g:.1} LSB/g is outside what a board can be told (160 to 65536): this calibration \
              cannot be pushed or exported"
@@ -521,8 +565,7 @@ fn remarks(
     if lsb_per_g.is_none() {
         remarks.push(NO_SENSITIVITY.to_owned());
     }
-    let told = options.method == MethodChoice::SixPosition && options.sides.is_some();
-    if !told {
+    if options.method != MethodChoice::SixPosition || options.sides.is_none() {
         remarks.push(
             "nothing here shows axes that are swapped, mirrored or inverted: --method six-position \
              --sides does"
@@ -545,20 +588,10 @@ fn poses(data: &Dataset, scale: f64) -> Poses {
         };
         data.outputs.iter().enumerate().map(pose).collect()
     } else {
-        // A sample that is no number ends a hold, as missing ones do.
-        let samples = data.outputs.iter().flat_map(|output| {
-            let gap = output.after_gap.then_some(([f64::NAN; 3], None));
-            let sample = (output.value.map(|axis| axis * scale), output.temperature_c);
-            gap.into_iter().chain([sample])
-        });
-        let mut poses = vec![Pose::default(); MAX_POSES];
-        let found = find_poses(samples.clone(), data.rate_hz, &mut poses);
-        if found > poses.len() {
-            poses.resize(found, Pose::default());
-            find_poses(samples.clone(), data.rate_hz, &mut poses);
-        }
-        poses.truncate(found);
-        saturated = saturated_axis(samples.map(|(sample, _)| sample), &poses);
+        let si = |output: &Output| output.value.map(|axis| axis * scale);
+        let forces: Vec<[f64; 3]> = data.outputs.iter().map(si).collect();
+        let poses = data.rests(&forces);
+        saturated = saturated_axis(forces.into_iter(), &poses);
         poses
     };
     Poses {
@@ -637,17 +670,15 @@ pub(crate) fn mps2_per_unit(data: &Dataset, given: Option<Sensitivity>, gravity_
 }
 
 fn median_magnitude(data: &Dataset) -> f64 {
-    let mut magnitudes: Vec<f64> = data
-        .outputs
-        .iter()
-        .map(|output| magnitude(output.value))
-        .collect();
-    magnitudes.sort_by(f64::total_cmp);
-    magnitudes
-        .get(magnitudes.len() / 2)
-        .copied()
+    median(data.outputs.iter().map(|output| magnitude(output.value)))
         .filter(|median| *median > 0.0)
         .unwrap_or(1.0)
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 fn magnitude(vector: [f64; 3]) -> f64 {
@@ -661,13 +692,38 @@ fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0.0).then(|| (sum / count).sqrt())
 }
 
-fn range_g(unit: OutputUnit, sensitivity: Sensitivity) -> u8 {
-    match unit {
-        OutputUnit::Counts {
-            range_g: Some(range_g),
-            ..
-        } => range_g,
-        _ => likely_range_g(sensitivity),
+/// A full-scale range, and who said it.
+#[derive(Clone, Copy)]
+struct Range {
+    /// ± *g*.
+    g: u8,
+    source: Source,
+}
+
+impl Range {
+    /// As the data say it, else as given, else as 16 bits have it at this sensitivity.
+    fn of(unit: OutputUnit, given: Option<u8>, sensitivity: Option<Sensitivity>) -> Option<Self> {
+        let board = match unit {
+            OutputUnit::Counts { range_g, .. } => range_g,
+            OutputUnit::Mps2 => None,
+        };
+        let told = |source| move |g| Self { g, source };
+        let likely = || sensitivity.map(likely_range_g);
+        (board.map(told(Source::Board)))
+            .or_else(|| given.map(told(Source::Given)))
+            .or_else(|| likely().map(told(Source::SixteenBits)))
+    }
+
+    /// That nobody has said it.
+    fn remark(self, sensitivity: Sensitivity) -> Option<String> {
+        (self.source == Source::SixteenBits).then(|| {
+            format!(
+                "the range is not known: ±{} g is taken, as of 16 bits at {:.0} LSB/g; a board takes the \
+                 calibration only at its range: say it with --range",
+                self.g,
+                sensitivity.lsb_per_g()
+            )
+        })
     }
 }
 
@@ -708,11 +764,9 @@ fn wanted(options: &CalibrateOptions) -> Model {
     }
 }
 
-fn numbers(estimate: &Estimate, unit: OutputUnit) -> Fit {
-    let range_g = match unit {
-        OutputUnit::Counts { range_g, .. } => range_g,
-        OutputUnit::Mps2 => None,
-    };
+fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
+    let known = range.filter(|range| range.source != Source::SixteenBits);
+    let range_g = known.map(|range| range.g);
     let sd = estimate.sd();
     let bias = estimate.model.terms().bias_mps2;
     let matrix = estimate.model.terms().matrix;

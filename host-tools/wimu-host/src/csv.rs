@@ -6,6 +6,11 @@
 //! `Sensitivity (LSB/g)` says what counts are: a table is read as long as that stays the same, and rows
 //! where it is empty, whose unit is unknown, are left out.
 //!
+//! Other programs' files are read where they leave no doubt: `Acceleration x (m/s^2)`, `acc_x [g]`,
+//! `AccelX (mg)`, `Timestamp (ms)`, `Magnetic field x (µT)` and the like, always with a unit and only where
+//! no column of ours holds the same; semicolons or tabs between the fields, then with decimal commas too;
+//! lines that begin with `#` are left out.
+//!
 //! ```
 //! use wimu_host::csv::CsvReader;
 //!
@@ -90,6 +95,8 @@ pub struct CsvReader<R> {
     sensitivity: Option<usize>,
     /// The sensitivity of the rows so far, as written.
     unit: Option<String>,
+    /// What stands before decimals, where a number has shown it.
+    decimal_mark: Option<char>,
     /// Time and line of the last row.
     last: Option<(i64, u64)>,
 }
@@ -135,13 +142,13 @@ impl<R: BufRead> CsvReader<R> {
             .at(name));
         }
         if let [only] = fields.as_slice()
-            && let Some(separator) = only.chars().find(|c| matches!(c, ';' | '\t' | '|'))
+            && only.contains('|')
         {
             return Err(location(
                 HostError::new(
                     ErrorCode::CsvNoHeader,
-                    format!("the fields are separated by {separator:?}, not by commas"),
-                    "write commas between the fields, and points in the numbers",
+                    "the fields are separated by '|'",
+                    "write commas, semicolons or tabs between the fields",
                 ),
                 lines.number,
             ));
@@ -160,6 +167,7 @@ impl<R: BufRead> CsvReader<R> {
             columns,
             filter: Vec::new(),
             ordered: true,
+            decimal_mark: None,
             last: None,
         })
     }
@@ -227,6 +235,7 @@ impl<R: BufRead> CsvReader<R> {
                 .at(self.location(None)));
             }
             if self.passes_filter() && self.has_unit()? {
+                self.write_points()?;
                 let row = self.parse_row()?;
                 self.check_order(&row)?;
                 return Ok(Some(row));
@@ -269,6 +278,38 @@ impl<R: BufRead> CsvReader<R> {
         }
     }
 
+    /// Decimal points for decimal commas, where no comma parts the fields.
+    fn write_points(&mut self) -> Result<()> {
+        if self.lines.separator() == ',' {
+            return Ok(());
+        }
+        for index in 0..self.fields.len() {
+            let text = &self.fields[index];
+            let quantity = self.columns.quantity(index);
+            let Some(mark) = text.chars().find(|c| matches!(c, ',' | '.')) else {
+                continue;
+            };
+            if quantity == Quantity::Other {
+                continue;
+            }
+            let counts = self.header.acceleration_unit == AccelerationUnit::Lsb
+                && matches!(quantity, Quantity::Acceleration { .. });
+            let thousands = mark == ',' && counts && number::has_thousands(text);
+            if thousands || *self.decimal_mark.get_or_insert(mark) != mark {
+                return Err(HostError::new(
+                    ErrorCode::CsvBadNumber,
+                    format!("the comma or point in `{text}` may be of decimals or of thousands"),
+                    "write a point before decimals, and nothing between thousands",
+                )
+                .at(self.location(Some(index))));
+            }
+            if mark == ',' {
+                self.fields[index] = text.replacen(',', ".", 1);
+            }
+        }
+        Ok(())
+    }
+
     fn parse_row(&self) -> Result<Row> {
         let mut row = Row {
             line: self.lines.number,
@@ -300,9 +341,11 @@ impl<R: BufRead> CsvReader<R> {
                     })?;
                     row.time_ns = Some(time);
                 }
-                Quantity::Acceleration { sensor, axis } => {
-                    row.accelerations[sensor][axis] = number()?;
-                }
+                Quantity::Acceleration {
+                    sensor,
+                    axis,
+                    factor,
+                } => row.accelerations[sensor][axis] = number()? * factor,
                 Quantity::MagneticField { axis, ut_per_unit } if !text.is_empty() => {
                     magnetic[axis] = Some(number()? * ut_per_unit);
                 }

@@ -1,21 +1,31 @@
 //! One accelerometer's output over time, or static-pose means, from a CSV file or a recording:
 //! what a calibration reads.
 
+mod times;
+
 use std::path::Path;
 
-use wimu_calib::Datasheet;
+use wimu_calib::{Datasheet, Pose, find_poses};
 use wimu_link::LinkRole;
 use wimu_link::hello::sensor;
-use wimu_model::{Counts, DeviceTimeUs, Sensitivity, SensorId};
+use wimu_model::{
+    CentiCelsius, Counts, DeviceTimeUs, ParameterSet, Sensitivity, SensorId, SpecificForceMps2,
+    TemperatureTerms,
+};
 
-use crate::csv::{AccelerationUnit, CsvReader, Filter};
+use crate::csv::{AccelerationUnit, CsvReader, Filter, Header};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::history::{Boot, LinkHistory, Recording};
+use times::RowTimes;
 
 /// Sample rate of a file without times, Hz.
 const ASSUMED_RATE_HZ: f64 = 100.0;
-/// A longer pause between two rows is a break in the file, not a slow rate, ns.
-const BREAK_NS: i64 = 1_000_000_000;
+/// So far beyond the temperatures of its poses a calibration is trusted in silence, K.
+const BEYOND_K: f64 = 5.0;
+/// Most columns that an error lists.
+const MOST_NAMED: usize = 12;
+/// More rests than anyone holds still for.
+const USUAL_RESTS: usize = 1000;
 
 /// What to take from a file.
 #[derive(Clone, Debug, Default)]
@@ -67,7 +77,8 @@ pub struct Output {
     pub samples: u32,
     /// Whether samples are missing before this one.
     pub after_gap: bool,
-    /// Time of the row of a CSV file, s, where it has one.
+    /// When it was taken, s, where that is known: in a CSV file as its rows have it, in a recording by the
+    /// device's clock from the first sample on, which counts on where the device started again.
     pub time_s: Option<f64>,
     /// What the magnetometer put out, nT: in a recording with the first sample after it was read, in
     /// a CSV file as its rows have it.
@@ -111,21 +122,22 @@ impl Dataset {
         }
         let header = reader.header().clone();
         let name = reader.name().to_owned();
-        let sensor = choose(&name, &header.accelerometers, options.accelerometer)?;
+        let sensor = choose(&name, &header, options.accelerometer)?;
         let factor = header.acceleration_unit.mps2().unwrap_or(1.0);
         let weights = header.other.iter().position(|column| column == "Samples");
         let mut outputs = Vec::new();
-        let mut clock = RowClock::default();
+        let mut times = RowTimes::default();
         for row in reader {
             let row = row?;
-            clock.see(row.time_ns);
-            let weight = weights
-                .filter(|_| options.poses)
-                .and_then(|column| row.other.get(column)?.parse().ok());
+            times.push(row.time_ns);
+            let samples = match weights.filter(|_| options.poses) {
+                Some(column) => samples_of(row.other.get(column), row.line, &name)?,
+                None => 1,
+            };
             outputs.push(Output {
                 value: row.accelerations[sensor].map(|axis| axis * factor),
                 temperature_c: row.temperature_c,
-                samples: weight.unwrap_or(1),
+                samples,
                 after_gap: false,
                 time_s: row.time_ns.map(|ns| ns as f64 * 1e-9),
                 magnetic_field_nt: row.magnetic_field_ut.map(|field| field.map(|ut| ut * 1e3)),
@@ -142,8 +154,14 @@ impl Dataset {
             )
             .at(name));
         }
-        let (rate_hz, rate_source) = match clock.rate_hz() {
-            Some(rate) => (rate, RateSource::Times),
+        let (rate_hz, rate_source) = match times.rate_and_gaps() {
+            Some((rate, gaps)) => {
+                // Pose means are no time series: nothing is missing between them.
+                for row in gaps.into_iter().filter(|_| !options.poses) {
+                    outputs[row].after_gap = true;
+                }
+                (rate, RateSource::Times)
+            }
             None => (ASSUMED_RATE_HZ, RateSource::Assumed),
         };
         Ok(Self {
@@ -162,6 +180,117 @@ impl Dataset {
             outputs,
             sensor: None,
         })
+    }
+
+    /// When an output was taken, s from the first: by the data's own times, else by the rate.
+    pub fn since_start_s(&self, index: usize) -> f64 {
+        let time = |index: usize| self.outputs.get(index)?.time_s;
+        match (time(0), time(index)) {
+            (Some(first), Some(time)) => time - first,
+            _ => index as f64 / self.rate_hz,
+        }
+    }
+
+    /// In how many places samples are missing, and for how long in all, s.
+    pub fn gaps(&self) -> (usize, f64) {
+        let gaps = (1..self.outputs.len()).filter(|index| self.outputs[*index].after_gap);
+        gaps.fold((0, 0.0), |(count, total_s), index| {
+            let step_s = self.since_start_s(index) - self.since_start_s(index - 1);
+            (count + 1, total_s + (step_s - 1.0 / self.rate_hz).max(0.0))
+        })
+    }
+
+    /// A remark on the places where samples are missing; `None` where there is none.
+    pub(crate) fn gaps_remark(&self) -> Option<String> {
+        let (count, total_s) = self.gaps();
+        (count > 0).then(|| {
+            format!(
+                "samples are missing in {count} place{}, {total_s:.1} s in all: nothing is averaged across \
+                 them",
+                if count == 1 { "" } else { "s" }
+            )
+        })
+    }
+
+    /// The outputs as `set` corrects them, each at its temperature, m/s², sensor axes. A row without one
+    /// has that of the rows before it.
+    pub(crate) fn corrected(&self, set: &ParameterSet) -> Vec<[f64; 3]> {
+        let scale = match self.unit {
+            OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
+            OutputUnit::Mps2 => 1.0,
+        };
+        let mut celsius = self.outputs.iter().find_map(|output| output.temperature_c);
+        let correct = |output: &Output| {
+            celsius = output.temperature_c.or(celsius);
+            let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
+            let at = celsius.map(CentiCelsius::from_celsius);
+            set.model.correct(sensed, at).0
+        };
+        self.outputs.iter().map(correct).collect()
+    }
+
+    /// A remark on what the temperatures, or their lack, leave of a correction by `set`; `None` where they
+    /// are those it was made at.
+    pub(crate) fn temperature_remark(&self, set: &ParameterSet) -> Option<String> {
+        let terms = set.model.terms().temperature;
+        let moves = TemperatureTerms {
+            reference_c: TemperatureTerms::default().reference_c,
+            ..terms
+        } != TemperatureTerms::default();
+        let known = self
+            .outputs
+            .iter()
+            .filter_map(|output| output.temperature_c);
+        let (lowest, highest) = known.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
+            (low.min(c), high.max(c))
+        });
+        if lowest > highest {
+            return moves.then(|| {
+                format!(
+                    "the calibration goes with the temperature and the data have none: they are corrected as \
+                     at {:.1} °C",
+                    terms.reference_c
+                )
+            });
+        }
+        let made = set.quality?.terms().temperature?;
+        let (from, to) = (f64::from(made.lowest_c), f64::from(made.highest_c));
+        (lowest < from - BEYOND_K || highest > to + BEYOND_K).then(|| {
+            format!(
+                "the data are from {lowest:.1} to {highest:.1} °C, the calibration was made from {from:.1} to \
+                 {to:.1} °C: what the temperature does beyond is not in the ±"
+            )
+        })
+    }
+
+    /// The rests of the outputs, given as `forces`, m/s², one for each output. A gap ends a rest.
+    ///
+    /// [`Pose::first_sample`] is the place in [`outputs`](Self::outputs), [`Pose::time_s`] counts from the
+    /// first output by the data's own times.
+    pub(crate) fn rests(&self, forces: &[[f64; 3]]) -> Vec<Pose> {
+        // A sample that is no number ends a hold.
+        let samples = self.outputs.iter().zip(forces).flat_map(|(output, force)| {
+            let gap = output.after_gap.then_some(([f64::NAN; 3], None));
+            gap.into_iter().chain([(*force, output.temperature_c)])
+        });
+        let mut rests = vec![Pose::default(); USUAL_RESTS];
+        let found = find_poses(samples.clone(), self.rate_hz, &mut rests);
+        if found > rests.len() {
+            rests.resize(found, Pose::default());
+            find_poses(samples, self.rate_hz, &mut rests);
+        }
+        rests.truncate(found);
+        let gaps = (0..self.outputs.len()).filter(|index| self.outputs[*index].after_gap);
+        // Where the gaps stand among the samples as the finder counted them.
+        let gaps: Vec<usize> = gaps.enumerate().map(|(k, index)| index + k).collect();
+        for rest in &mut rests {
+            let counted = rest.first_sample as usize;
+            let first = counted - gaps.partition_point(|gap| *gap < counted);
+            let last = first + (rest.samples as usize).saturating_sub(1);
+            rest.first_sample = first as u64;
+            rest.time_s = 0.5 * (self.since_start_s(first) + self.since_start_s(last));
+        }
+        rests
     }
 
     /// The outputs as a sensor's registers held them.
@@ -247,9 +376,11 @@ impl Dataset {
             (None, Some(mark)) => 1e9 / f64::from(mark.epoch.period_ns.max(1)),
             (None, None) => ASSUMED_RATE_HZ,
         };
-        let mut outputs = Vec::new();
+        let mut outputs: Vec<Output> = Vec::new();
         for boot in &boots {
             let mut next = None;
+            let before_s = outputs.last().and_then(|output| output.time_s);
+            let begin_us = boot.raw.first().map_or(0, |sample| sample.time.0);
             let mut surroundings = Surroundings::new(boot);
             for sample in &boot.raw {
                 outputs.push(Output {
@@ -258,7 +389,11 @@ impl Dataset {
                     temperature_c: surroundings.temperature,
                     samples: 1,
                     after_gap: next != Some(sample.sequence) && !outputs.is_empty(),
-                    time_s: None,
+                    time_s: Some(
+                        before_s.map_or(0.0, |before| before + 1.0 / rate_hz)
+                            + sample.time.0.saturating_sub(begin_us).saturating_mul(1000) as f64
+                                * 1e-9,
+                    ),
                 });
                 next = Some(sample.sequence.wrapping_add(1));
             }
@@ -283,8 +418,25 @@ impl Dataset {
     }
 }
 
+/// How many samples a mean is of.
+fn samples_of(field: Option<&String>, line: u64, name: &str) -> Result<u32> {
+    let text = field.map_or("", String::as_str);
+    // 1434.0 is as good.
+    let number = text.parse::<f64>().ok();
+    let whole = number.filter(|n| n.trunc() == *n && (1.0..=f64::from(u32::MAX)).contains(n));
+    whole.map(|n| n as u32).ok_or_else(|| {
+        HostError::new(
+            ErrorCode::CsvBadNumber,
+            format!("`{text}` is no number of samples"),
+            "write how many samples the mean is of, a whole number from 1 on, or remove the column",
+        )
+        .at(format!("{name} line {line}, column `Samples`"))
+    })
+}
+
 /// Index of the accelerometer to read.
-fn choose(name: &str, sensors: &[Option<u32>], wanted: Option<u32>) -> Result<usize> {
+fn choose(name: &str, header: &Header, wanted: Option<u32>) -> Result<usize> {
+    let sensors = header.accelerometers.as_slice();
     let list = || {
         let numbers: Vec<_> = sensors.iter().flatten().map(u32::to_string).collect();
         numbers.join(", ")
@@ -292,8 +444,16 @@ fn choose(name: &str, sensors: &[Option<u32>], wanted: Option<u32>) -> Result<us
     match (sensors, wanted) {
         ([], _) => Err(HostError::new(
             ErrorCode::CsvMissingColumn,
-            "there is no accelerometer in it",
-            "name the columns `Accelerometer X (g)`, `Accelerometer Y (g)` and `Accelerometer Z (g)`, in LSB, g or m/s²",
+            match header.other.as_slice() {
+                [] => "there is no accelerometer in it".to_owned(),
+                others => format!(
+                    "there is no accelerometer with a unit among its columns: {}{}",
+                    others[..others.len().min(MOST_NAMED)].join(", "),
+                    if others.len() > MOST_NAMED { ", …" } else { "" }
+                ),
+            },
+            "name the columns `Accelerometer X (g)`, `Accelerometer Y (g)` and `Accelerometer Z (g)`, in LSB, g, \
+             mg or m/s²; an acceleration without gravity is none",
         )
         .at(format!("{name} line 1"))),
         ([_], None) => Ok(0),
@@ -320,30 +480,6 @@ fn choose(name: &str, sensors: &[Option<u32>], wanted: Option<u32>) -> Result<us
                 )
                 .at(name)
             }),
-    }
-}
-
-/// The rate of rows with times: their mean distance, breaks left out.
-#[derive(Default)]
-struct RowClock {
-    last: Option<i64>,
-    total_ns: i64,
-    steps: u32,
-}
-
-impl RowClock {
-    fn see(&mut self, time_ns: Option<i64>) {
-        if let (Some(last), Some(time)) = (self.last, time_ns)
-            && (0..=BREAK_NS).contains(&time.saturating_sub(last))
-        {
-            self.total_ns += time - last;
-            self.steps += 1;
-        }
-        self.last = time_ns.or(self.last);
-    }
-
-    fn rate_hz(&self) -> Option<f64> {
-        (self.total_ns > 0).then(|| f64::from(self.steps) * 1e9 / self.total_ns as f64)
     }
 }
 

@@ -262,9 +262,9 @@ Example: wimu export session.mcap -o session.csv --stream corrected
 pub struct Export {
     /// A recording, or a calibration for the formats rust, c and kalibr
     pub input: PathBuf,
-    /// The table, or the file for your own firmware or tools
+    /// The table, or the file for your own firmware or tools; without it a calibration is printed
     #[arg(short, long, value_name = "FILE")]
-    pub output: PathBuf,
+    pub output: Option<PathBuf>,
     /// How it is written
     #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
     pub format: ExportFormat,
@@ -372,6 +372,9 @@ pub struct Calibrate {
     /// Nominal sensitivity; without it the board's, or for a CSV file the fit's mean
     #[arg(long, value_name = "LSB_PER_G")]
     pub sensitivity: Option<f64>,
+    /// Full-scale range at which a CSV file was taken, ± g; without it that of 16 bits at the sensitivity
+    #[arg(long, value_name = "G", value_parser = clap::value_parser!(u8).range(1..=127))]
+    pub range: Option<u8>,
     /// Compare with the datasheet of this sensor, such as MPU-6050; without it the board's sensor
     #[arg(long, value_name = "NAME")]
     pub sensor_model: Option<String>,
@@ -387,6 +390,10 @@ pub struct Calibrate {
     /// Which accelerometer of a CSV file is the reference; without it the first (method reference)
     #[arg(long, value_name = "N")]
     pub reference: Option<u32>,
+    /// Nominal sensitivity of the reference of a CSV file of counts, where it is not --sensitivity (method
+    /// reference)
+    #[arg(long, value_name = "LSB_PER_G")]
+    pub reference_sensitivity: Option<f64>,
     /// Noise of the output per noise of the reference (method reference): 2 where it is twice as noisy;
     /// without it as both show at rest, or as neighbouring samples tell
     #[arg(long, value_name = "RATIO")]

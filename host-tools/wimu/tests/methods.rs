@@ -269,6 +269,19 @@ fn the_noise_of_a_sensor_at_rest_is_told_and_motion_is_refused() {
         text.contains("\naccelerometer_noise_density: 0.00"),
         "{text}"
     );
+    // A random walk that was not seen in so short a rest has a bound: Kalibr refuses 0.
+    assert!(report["axes"][0]["acceleration_random_walk_m_s2_rts"].is_null());
+    assert!(text.contains("# Not seen in the recording"), "{text}");
+    let walk = text
+        .lines()
+        .find_map(|line| line.strip_prefix("accelerometer_random_walk: "));
+    let walk: f64 = walk.unwrap().parse().unwrap();
+    let bounds = [0, 1, 2].map(|axis| {
+        let axis = &report["axes"][axis];
+        let figure = |key: &str| axis[key].as_f64().unwrap();
+        figure("floor_m_s2") * (3.0 / figure("floor_tau_s")).sqrt()
+    });
+    assert!(walk > 0.0 && bounds.contains(&walk), "{walk} {bounds:?}");
     wimu(&[&kalibr[..], &["--noise", &cal]].concat()).fails(2, "bad_calibration");
 
     fs::write(&csv, two_accelerometers()).unwrap();
@@ -411,6 +424,17 @@ fn two_rests_or_a_push_align_the_sensor_with_its_body() {
         assert!(fs::read_to_string(&file).unwrap().contains(word));
     }
     wimu(&["export", &csv, "--format", "c", "-o", &path("c")]).fails(2, "bad_calibration");
+    // Without -o it is printed; a table needs a file.
+    let printed = wimu(&["export", &aligned, "--format", "kalibr"]).succeeds();
+    assert!(
+        printed["text"]
+            .as_str()
+            .unwrap()
+            .contains("accelerometers:")
+    );
+    let left_out = printed["remarks"].to_string();
+    assert!(left_out.contains("alignment is left out"), "{printed}");
+    wimu(&["export", &aligned]).fails(2, "usage");
 
     // One direction, a rest that is not there, no axis.
     wimu(&["align", &csv, "--calibration", &cal]).fails(2, "usage");

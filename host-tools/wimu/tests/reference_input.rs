@@ -111,3 +111,45 @@ fn streams_in_another_unit_are_told_so() {
         "{said}"
     );
 }
+
+#[test]
+fn a_reference_of_another_sensitivity_is_said_by_its_own_flag() {
+    let (csv, _folder) = in_folder("counts.csv");
+    let mut text = String::from("Time (s)");
+    for sensor in [0, 1] {
+        for axis in ["X", "Y", "Z"] {
+            write!(text, ",Accelerometer {sensor} {axis} (LSB)").unwrap();
+        }
+    }
+    for k in 0..2000 {
+        let t = f64::from(k) * 0.01;
+        let [x, y, z] = moving(t).map(|f| f / 9.80665);
+        let [a, b, c] = [x, y, z].map(|f| (16384.0 * f).round());
+        let [u, v, w] = [x, y, z].map(|f| (4096.0 * (1.01 * f + 0.02)).round());
+        write!(text, "\n{t:.2},{a},{b},{c},{u},{v},{w}").unwrap();
+    }
+    fs::write(&csv, text).unwrap();
+    let of = ["calibrate", &csv, "--method", "reference"];
+    let with = |flags: &[&str]| wimu(&[&of[..], flags].concat());
+    for flags in [&[][..], &["--sensitivity", "16384"]] {
+        let ran = with(flags);
+        assert_eq!(ran.code, 3, "{ran:?}");
+        let told = ran.object()["reason"].to_string();
+        assert!(told.contains("--reference-sensitivity"), "{told}");
+    }
+    let both = ["--sensitivity", "4096", "--reference-sensitivity", "16384"];
+    let found = with(&both).succeeds();
+    for axis in 0..3 {
+        let scale = found["model"]["matrix"][axis][axis].as_f64().unwrap();
+        let bias = found["model"]["bias_m_s2"][axis].as_f64().unwrap();
+        assert!((scale - 1.01).abs() < 1e-3, "{found}");
+        assert!((bias - 0.02 * 9.80665).abs() < 5e-3, "{found}");
+    }
+    assert_eq!(found["range_source"], "sixteen_bits");
+    let at = [&both[..], &["--range", "4"]].concat();
+    let found = with(&at).succeeds();
+    assert_eq!(found["parameters"]["range_g"], 4);
+    assert_eq!(found["range_source"], "given");
+    with(&["--reference-sensitivity", "16384"]).fails(2, "usage");
+    with(&["--sensitivity", "4096", "--reference-sensitivity", "0"]).fails(2, "usage");
+}

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use wimu_link::message::parameter_id;
-use wimu_model::{Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
+use wimu_model::{Alignment, Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
 
 use crate::allan::NoiseReport;
 use crate::error::{ErrorCode, HostError, Result};
@@ -16,8 +16,10 @@ use crate::error::{ErrorCode, HostError, Result};
 pub struct KalibrNoise {
     /// Velocity random walk N, m/s/√s.
     pub density: f64,
-    /// Acceleration random walk K, m/s²/√s.
+    /// Acceleration random walk K, m/s²/√s; above 0.
     pub random_walk: f64,
+    /// Whether it was seen; else it is the most that was not.
+    pub random_walk_seen: bool,
     /// Sample rate, Hz.
     pub rate_hz: f64,
     /// Whether an axis' counts are coarser than its noise: then this is the noise of rounding.
@@ -25,8 +27,9 @@ pub struct KalibrNoise {
 }
 
 impl KalibrNoise {
-    /// Reads what `wimu allan --json` printed; of the three axes the noisiest counts. An acceleration
-    /// random walk that was not seen is 0.
+    /// Reads what `wimu allan --json` printed; of the three axes the noisiest counts. Of an acceleration
+    /// random walk that was not seen the most that would not have been is taken: Kalibr wants a number
+    /// above 0. It alone would be σ(τ) = K √(τ/3) at the lowest σ.
     ///
     /// # Errors
     /// `file_unreadable`; `bad_calibration` when it is no such report, or one that was refused.
@@ -50,9 +53,23 @@ impl KalibrNoise {
             let of = |axis: &Value| axis[key]["value"].as_f64();
             axes.iter().filter_map(of).reduce(f64::max)
         };
+        let walk = |axis: &Value| {
+            let seen = axis["acceleration_random_walk_m_s2_rts"]["value"].as_f64();
+            let (floor, tau) = (axis["floor_m_s2"].as_f64()?, axis["floor_tau_s"].as_f64()?);
+            let most = floor * (3.0 / tau).sqrt();
+            Some((seen.unwrap_or(most), seen.is_some()))
+        };
+        let axes = report["axes"].as_array().ok_or_else(bad)?;
+        let (random_walk, random_walk_seen) = axes
+            .iter()
+            .filter_map(walk)
+            .filter(|(walk, _)| walk.is_finite() && *walk > 0.0)
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .ok_or_else(bad)?;
         Ok(Self {
             density: worst("velocity_random_walk_m_s_rts").ok_or_else(bad)?,
-            random_walk: worst("acceleration_random_walk_m_s2_rts").unwrap_or(0.0),
+            random_walk,
+            random_walk_seen,
             rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?,
             coarse: report["axes"]
                 .as_array()
@@ -142,6 +159,28 @@ pub fn to_c(set: &ParameterSet) -> String {
     out
 }
 
+/// What of a set [`to_kalibr`] leaves out, in lines for people: Kalibr's file has no place for it.
+pub fn not_in_kalibr(set: &ParameterSet) -> Vec<String> {
+    let terms = set.model.terms();
+    let t = &terms.temperature;
+    let moves = [t.bias_mps2_per_k, t.bias_mps2_per_k2, t.scale_per_k];
+    let mut left_out = Vec::new();
+    if moves != [[0.0; 3]; 3] {
+        left_out.push(format!(
+            "M and b are those at {:.2} °C: how they go with the temperature is left out",
+            t.reference_c
+        ));
+    }
+    if terms.nonlinearity != [0.0; 3] {
+        left_out.push("the nonlinearity is left out".to_owned());
+    }
+    if set.alignment != Alignment::IDENTITY {
+        left_out
+            .push("the alignment is left out: axes are the sensor's, not the body's".to_owned());
+    }
+    left_out
+}
+
 /// Kalibr's IMU file: noise, and the accelerometer's intrinsics in its convention,
 /// y = M f + b, which is ours: M is A, b the bias.
 pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
@@ -155,7 +194,7 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
         Some(noise) => writeln!(
             out,
             "{}update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
-             accelerometer_noise_density: {:?}\naccelerometer_random_walk: {:?}",
+             accelerometer_noise_density: {:?}\n{}accelerometer_random_walk: {:?}",
             if noise.coarse {
                 "# Counts are coarser than the noise: this is the noise of rounding, the sensor's is another.\n"
             } else {
@@ -163,6 +202,11 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
             },
             noise.rate_hz,
             noise.density,
+            if noise.random_walk_seen {
+                ""
+            } else {
+                "# Not seen in the recording: it is this at the most, m/s^2/sqrt(s).\n"
+            },
             noise.random_walk
         ),
         None => writeln!(
@@ -174,9 +218,12 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
     let _ = writeln!(
         out,
         "# Output = M * specific force + b, sensor axes, m/s^2. A gyroscope is not wimu's business:\n\
-         # gyroscope_noise_density and gyroscope_random_walk are yours to add.\n\
-         accelerometers:\n  M:"
+         # gyroscope_noise_density and gyroscope_random_walk are yours to add."
     );
+    for line in not_in_kalibr(set) {
+        let _ = writeln!(out, "# {line}.");
+    }
+    out.push_str("accelerometers:\n  M:\n");
     for row in terms.matrix {
         let _ = writeln!(out, "  - {row:?}");
     }

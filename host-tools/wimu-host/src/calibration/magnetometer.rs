@@ -4,16 +4,13 @@ use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{
-    Guide, MagneticEstimate, MagneticPose, MagneticRefusal, Model, Orientation, Pose, find_poses,
-    magnetometer,
+    Guide, MagneticEstimate, MagneticPose, MagneticRefusal, Model, Orientation, Pose, magnetometer,
 };
 use wimu_link::message::parameter_id;
-use wimu_model::{
-    MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet, SpecificForceMps2,
-};
+use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
 use super::report::NextPose;
-use super::{HELD_SCHEMA, MAX_POSES, magnitude};
+use super::{HELD_SCHEMA, magnitude};
 use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, OutputUnit, RateSource};
 use crate::error::{ErrorCode, HostError, Result};
@@ -91,44 +88,26 @@ pub fn calibrate_magnetometer(
     dip_rad: Option<f64>,
 ) -> Result<MagnetometerReport> {
     check(data, set)?;
-    let scale = match data.unit {
-        OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
-        OutputUnit::Mps2 => 1.0,
-    };
-    // A gap ends a hold.
-    let samples: Vec<([f64; 3], Option<[f64; 3]>)> = data
-        .outputs
-        .iter()
-        .flat_map(|output| {
-            let gap = output.after_gap.then_some(([f64::NAN; 3], None));
-            let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
-            let force = set.model.correct(sensed, None).0;
-            gap.into_iter().chain([(force, output.magnetic_field_nt)])
-        })
-        .collect();
+    let forces = data.corrected(set);
     let rests = if data.poses {
-        let rest = |(index, (force, _)): (usize, &([f64; 3], _))| Pose {
+        let rest = |(index, force): (usize, &[f64; 3])| Pose {
             first_sample: index as u64,
             ..Pose::from_mean(*force)
         };
-        samples.iter().enumerate().map(rest).collect()
+        forces.iter().enumerate().map(rest).collect()
     } else {
-        let forces = samples.iter().map(|(force, _)| (*force, None));
-        let mut rests = vec![Pose::default(); MAX_POSES];
-        let found = find_poses(forces, data.rate_hz, &mut rests);
-        rests.truncate(found);
-        rests
+        data.rests(&forces)
     };
     let mut fitted = Vec::new();
     let mut guide = Guide::new(Model::Full9);
     let mut poses = Vec::new();
     for rest in &rests {
         let first = rest.first_sample as usize;
-        let part = samples.get(first..).unwrap_or(&[]);
+        let part = data.outputs.get(first..).unwrap_or(&[]);
         let part = &part[..part.len().min(rest.samples as usize)];
         let fields: Vec<[f64; 3]> = part
             .iter()
-            .filter_map(|(_, field)| *field)
+            .filter_map(|output| output.magnetic_field_nt)
             // Registers read before the first conversion hold zeros.
             .filter(|field| *field != [0.0; 3] && field.iter().all(|axis| axis.is_finite()))
             .collect();
@@ -151,7 +130,7 @@ pub fn calibrate_magnetometer(
         schema: HELD_SCHEMA,
         status: "refused",
         reason: None,
-        remarks: Vec::new(),
+        remarks: data.temperature_remark(set).into_iter().collect(),
         source: data.name.clone(),
         sensor: "magnetometer",
         rests: rests.len(),
@@ -186,7 +165,8 @@ pub fn calibrate_magnetometer(
         }
         Ok(found) => report.accept(&found, set, &fitted),
     }
-    report.remarks = report.remarks(data, dip_rad);
+    let more = report.remarks(data, dip_rad);
+    report.remarks.extend(more);
     Ok(report)
 }
 

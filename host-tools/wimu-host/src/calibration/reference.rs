@@ -15,7 +15,7 @@ use wimu_model::{
     Sensitivity, SensorId, TermDeviations,
 };
 
-use super::{CalibrationReport, MAX_POSES, likely_range_g, median_magnitude};
+use super::{CalibrationReport, MAX_POSES, Range, Source, magnitude, median, median_magnitude};
 use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
@@ -36,7 +36,9 @@ pub struct Paired {
     pub rate_hz: f64,
     /// Sensitivity that turned counts into m/s², or that a board is to be told for data in m/s².
     pub sensitivity: Option<Sensitivity>,
-    /// Full-scale range, ± *g*, where it is known.
+    /// The unit that the reference came in.
+    pub unit: OutputUnit,
+    /// Full-scale range, ± *g*, where the data do not say it and somebody did.
     pub range_g: Option<u8>,
     /// The accelerometer, where a device has said which.
     pub sensor: Option<SensorId>,
@@ -46,8 +48,9 @@ impl Paired {
     /// Rows of a CSV file with several accelerometers: `reference` (the first of the file if
     /// `None`) and `output` (the other one if `None` and there are two).
     ///
-    /// `sensitivity`, LSB/g, is for both; where it is not given, the median magnitude of the
-    /// reference's counts is taken for 1 g. Data in m/s² ask for it only so that a board can be told.
+    /// `sensitivity`, LSB/g, is the output's, and the reference's too unless `reference_sensitivity` is
+    /// given; where it is not given, the median magnitude of the reference's counts is taken for 1 g.
+    /// Data in m/s² ask for it only so that a board can be told.
     ///
     /// # Errors
     /// Those of [`Dataset::from_csv`]; `usage` when the file does not have the two.
@@ -57,6 +60,7 @@ impl Paired {
         reference: Option<u32>,
         output: Option<u32>,
         sensitivity: Option<Sensitivity>,
+        reference_sensitivity: Option<Sensitivity>,
     ) -> Result<Self> {
         let sensors: Vec<u32> = {
             let reader = CsvReader::open(path)?;
@@ -121,6 +125,13 @@ impl Paired {
         let sensitivity = match (x.unit, sensitivity) {
             (_, Some(given)) => Some(given),
             (OutputUnit::Mps2, None) => None,
+            (OutputUnit::Counts { .. }, None) if reference_sensitivity.is_some() => {
+                return Err(usage(
+                    "of the reference's counts it is said what they are worth, of the others' not"
+                        .to_owned(),
+                    "give --sensitivity too".to_owned(),
+                ));
+            }
             (OutputUnit::Counts { .. }, None) => Some(
                 Sensitivity::from_lsb_per_g(median_magnitude(&x)).map_err(|error| {
                     usage(
@@ -130,11 +141,14 @@ impl Paired {
                 })?,
             ),
         };
-        let scale = match (x.unit, sensitivity) {
+        let scale = |known: Option<Sensitivity>| match (x.unit, known) {
             (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
             _ => 1.0,
         };
-        let si = |value: [f64; 3]| value.map(|axis| axis * scale);
+        let scales = [
+            scale(reference_sensitivity.or(sensitivity)),
+            scale(sensitivity),
+        ];
         Ok(Self {
             reference: format!("accelerometer {reference}"),
             output: format!("accelerometer {output}"),
@@ -142,14 +156,29 @@ impl Paired {
                 .outputs
                 .iter()
                 .zip(&y.outputs)
-                .map(|(x, y)| [si(x.value), si(y.value)])
+                .map(|(x, y)| {
+                    [
+                        x.value.map(|v| v * scales[0]),
+                        y.value.map(|v| v * scales[1]),
+                    ]
+                })
                 .collect(),
             rate_hz: x.rate_hz,
             sensitivity,
+            unit: x.unit,
             range_g: None,
             sensor: None,
             name,
         })
+    }
+
+    /// The same, taken at this full-scale range, ± *g*, where it is said.
+    #[must_use]
+    pub fn at_range(self, range_g: Option<u8>) -> Self {
+        Self {
+            range_g: range_g.or(self.range_g),
+            ..self
+        }
     }
 
     /// The raw samples of a recording that came over both links, the cable's as reference.
@@ -206,26 +235,22 @@ impl Paired {
             pairs,
             rate_hz,
             sensitivity: Some(sensitivity),
-            range_g: Some(range_g),
+            unit: OutputUnit::Counts {
+                nominal: Some(sensitivity),
+                range_g: Some(range_g),
+            },
+            range_g: None,
             sensor,
         })
     }
 
-    /// Noise of one per noise of the other, from what both show while they are held still.
-    fn noise_ratio(&self) -> Option<NoiseRatio> {
-        let sd = |which: usize| -> Option<f64> {
-            let mut poses = vec![Pose::default(); MAX_POSES];
-            let samples = self.pairs.iter().map(|pair| (pair[which], None));
-            let found = find_poses(samples, self.rate_hz, &mut poses);
-            let mut sds: Vec<f64> = poses
-                .iter()
-                .take(found)
-                .map(|pose| pose.sd_mps2.iter().map(|sd| sd * sd).sum::<f64>().sqrt())
-                .collect();
-            sds.sort_by(f64::total_cmp);
-            sds.get(sds.len() / 2).copied()
-        };
-        NoiseRatio::new(sd(1)?, sd(0)?)
+    /// While the reference, 0, or the output, 1, was held still.
+    fn rests(&self, which: usize) -> Vec<Pose> {
+        let mut rests = vec![Pose::default(); MAX_POSES];
+        let samples = self.pairs.iter().map(|pair| (pair[which], None));
+        let found = find_poses(samples, self.rate_hz, &mut rests);
+        rests.truncate(found);
+        rests
     }
 }
 
@@ -297,6 +322,8 @@ pub struct ReferenceReport {
     pub axes: Option<[AxisReport; 3]>,
     /// Nominal sensitivity, LSB/g; `None` for data in m/s² without one given.
     pub sensitivity_lsb_per_g: Option<f64>,
+    /// Where the full-scale range of the parameters comes from.
+    pub range_source: Option<Source>,
     /// The error model that makes the reference of the output.
     pub model: Option<ErrorTerms>,
     /// Standard deviations, 1 σ, in the model's shape; what datasheets make likely for what was not
@@ -341,7 +368,10 @@ pub fn compare_with_reference(
     };
     let (ratio, known_from) = match noise_ratio {
         Some(ratio) => (Some(given(ratio)?), NoiseSource::Given),
-        None => (data.noise_ratio(), NoiseSource::Rests),
+        None => (
+            noise_ratio_at([0, 1].map(|which| data.rests(which))),
+            NoiseSource::Rests,
+        ),
     };
     let mut transfer =
         ratio.map_or_else(ReferenceTransfer::of_unknown_noise, ReferenceTransfer::new);
@@ -365,6 +395,7 @@ pub fn compare_with_reference(
         not_observed: Vec::new(),
         axes: None,
         sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
+        range_source: None,
         model: None,
         sd: None,
         covariance: None,
@@ -393,7 +424,8 @@ pub fn compare_with_reference(
         Ok(model) => model,
         Err(error) => {
             report.reason = Some(format!(
-                "the result is no accelerometer's: {error}; check the units of both streams"
+                "the result is no accelerometer's: {error}; check the units of both streams; counts of \
+                 another sensitivity than the output's ask for --reference-sensitivity"
             ));
             return Ok(report);
         }
@@ -436,20 +468,27 @@ pub fn compare_with_reference(
         ..super::no_terms()
     });
     report.covariance = Some(covariance);
-    report.parameters = data.sensitivity.map(|sensitivity| ParameterSet {
+    let range = Range::of(data.unit, data.range_g, data.sensitivity);
+    let told = data.sensitivity.zip(range);
+    report.range_source = told.map(|(_, range)| range.source);
+    (report.remarks).extend(told.and_then(|(sensitivity, range)| range.remark(sensitivity)));
+    report.parameters = told.map(|(sensitivity, range)| ParameterSet {
         model,
         quality: quality(&found, &covariance, utc_s),
         sensor: data.sensor,
-        ..ParameterSet::uncalibrated(
-            data.range_g.unwrap_or_else(|| likely_range_g(sensitivity)),
-            sensitivity,
-        )
+        ..ParameterSet::uncalibrated(range.g, sensitivity)
     });
     report.parameter_id = report
         .parameters
         .as_ref()
         .map(|set| wimu_link::message::parameter_id(set).to_string());
     Ok(report)
+}
+
+/// Noise of the output per noise of the reference, from what both show while they are held still.
+fn noise_ratio_at([reference, output]: [Vec<Pose>; 2]) -> Option<NoiseRatio> {
+    let sd = |rests: &[Pose]| median(rests.iter().map(|rest| magnitude(rest.sd_mps2)));
+    NoiseRatio::new(sd(&output)?, sd(&reference)?)
 }
 
 fn refused(mut report: ReferenceReport, refusal: &TransferRefusal) -> ReferenceReport {

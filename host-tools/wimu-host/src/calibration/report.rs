@@ -8,7 +8,7 @@ use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
-use super::{DatasheetReport, MethodChoice};
+use super::{DatasheetReport, MethodChoice, Range};
 use crate::dataset::RateSource;
 use crate::error::{ErrorCode, HostError, Result};
 
@@ -24,6 +24,8 @@ pub enum Source {
     Board,
     /// The fit, so that the mean scale factor is 1.
     Fit,
+    /// Nothing: a sensor of 16 bits would have it at this sensitivity.
+    SixteenBits,
 }
 
 /// A pose that would help.
@@ -170,6 +172,10 @@ pub struct CalibrationReport {
     pub sensitivity_lsb_per_g: Option<f64>,
     /// Where it comes from.
     pub sensitivity_source: Option<Source>,
+    /// Full-scale range, ± *g*; `None` without a sensitivity, where nothing says it.
+    pub range_g: Option<u8>,
+    /// Where it comes from.
+    pub range_source: Option<Source>,
     /// |y| − g over all poses before correction, mm/s² rms.
     pub uncalibrated_rms_mm_s2: Option<f64>,
     /// The estimate, if there is one.
@@ -226,7 +232,7 @@ impl fmt::Display for CalibrationReport {
             let source = match source {
                 Source::Fit => "the mean of the fit",
                 Source::Board => "the board's",
-                Source::Given | Source::Default => "as given",
+                Source::Given | Source::Default | Source::SixteenBits => "as given",
             };
             writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
         }
@@ -578,7 +584,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     let set = file.parameters.ok_or_else(|| {
         let why = match file.sensitivity_lsb_per_g {
             Some(own) => format!("{own:.1} LSB/g is not what a board can be told"),
-            None => "its data were in m/s²".to_owned(),
+            None => "its data were in m/s² or g".to_owned(),
         };
         bad(
             format!("it has no parameters for a board: {why}"),
@@ -597,6 +603,17 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         .at(name));
     }
     Ok(set)
+}
+
+/// What a calibration file says of its range where nobody knew it; `None` where it is known.
+pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let file: serde_json::Value = serde_json::from_str(&text).ok()?;
+    let likely = Range {
+        g: set.range_g,
+        source: Source::SixteenBits,
+    };
+    (file["range_source"] == "sixteen_bits").then(|| likely.remark(set.sensitivity))?
 }
 
 /// Writes a report as the file that [`read_parameters`] reads.

@@ -311,9 +311,10 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     let folder = std::env::temp_dir().join(format!("wimu-host-same-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join("counts.csv");
-    let mut text = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
-    for [x, y, z] in &counts {
-        text.push_str(&format!("{x},{y},{z}\n"));
+    let mut text =
+        "Time (ms),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
+    for (k, [x, y, z]) in counts.iter().enumerate() {
+        text.push_str(&format!("{},{x},{y},{z}\n", 10 * k));
     }
     std::fs::write(&path, text).unwrap();
     let from_csv = Dataset::from_csv(&path, &LoadOptions::default()).unwrap();
@@ -359,6 +360,8 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
         for field in [
             "source",
             "rate_source",
+            "range_g",
+            "range_source",
             "remarks",
             "parameters",
             "parameter_id",

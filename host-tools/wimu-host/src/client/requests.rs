@@ -197,6 +197,17 @@ impl<T: Transport> Client<T> {
         let (message, remedy) = text
             .split_once("; ")
             .unwrap_or((&text, "see the board's settings"));
+        let remedy = match refusal {
+            Refusal::WrongRange {
+                parameters_g,
+                device_g,
+            } => format!(
+                "if the data were taken at ±{device_g} g, calibrate again with --range {device_g} and the \
+                 board's own sensitivity; if at ±{parameters_g} g, set the board to it with \
+                 `wimu settings set LINK --range {parameters_g}`"
+            ),
+            _ => remedy.to_owned(),
+        };
         HostError::new(code, message, remedy).at(&self.name)
     }
 

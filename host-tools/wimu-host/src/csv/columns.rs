@@ -86,6 +86,8 @@ pub enum Quantity {
     Acceleration {
         sensor: usize,
         axis: usize,
+        /// Of the header's unit in the column's.
+        factor: f64,
     },
     MagneticField {
         axis: usize,
@@ -128,6 +130,7 @@ impl Columns {
 }
 
 /// A column's meaning before its unit is looked at.
+#[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Time,
     Acceleration { number: Option<u32>, axis: usize },
@@ -155,7 +158,7 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
     };
     let mut quantities = Vec::with_capacity(names.len());
     // The first column with a unit, which the others must share.
-    let mut acceleration: Option<(&str, AccelerationUnit)> = None;
+    let mut acceleration: Option<(&str, (AccelerationUnit, f64))> = None;
     let mut magnetic: Option<(&str, f64)> = None;
     for (index, name) in names.iter().enumerate() {
         let (bare, unit) = split_unit(name);
@@ -170,8 +173,11 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
             )
             .at(name));
         }
-        quantities.push(match kind(bare) {
+        quantities.push(match meaning(names, bare, unit) {
             Kind::Time => {
+                if header.time {
+                    return Err(twice(name, "time"));
+                }
                 header.time = true;
                 Quantity::Time {
                     exponent: lookup(name, unit, &TIME_UNITS)?,
@@ -183,13 +189,22 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
                 if unit != first_unit {
                     return Err(mixed_units(name, first));
                 }
+                let (unit, factor) = unit;
                 header.acceleration_unit = unit;
                 let known = header.accelerometers.iter().position(|n| *n == number);
                 let sensor = known.unwrap_or_else(|| {
                     header.accelerometers.push(number);
                     header.accelerometers.len() - 1
                 });
-                Quantity::Acceleration { sensor, axis }
+                let earlier = |q: &Quantity| matches!(*q, Quantity::Acceleration { sensor: s, axis: a, .. } if (s, a) == (sensor, axis));
+                if quantities.iter().any(earlier) {
+                    return Err(twice(name, "this axis"));
+                }
+                Quantity::Acceleration {
+                    sensor,
+                    axis,
+                    factor,
+                }
             }
             Kind::MagneticField { axis } => {
                 let ut_per_unit = lookup(name, unit, &MAGNETIC_UNITS)?;
@@ -197,11 +212,18 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
                 if ut_per_unit != first_unit {
                     return Err(mixed_units(name, first));
                 }
+                let earlier = |q: &Quantity| matches!(*q, Quantity::MagneticField { axis: a, .. } if a == axis);
+                if quantities.iter().any(earlier) {
+                    return Err(twice(name, "this axis"));
+                }
                 header.magnetometer = true;
                 Quantity::MagneticField { axis, ut_per_unit }
             }
             Kind::Temperature => {
                 lookup(name, unit, &TEMPERATURE_UNITS)?;
+                if header.temperature {
+                    return Err(twice(name, "temperature"));
+                }
                 header.temperature = true;
                 Quantity::Temperature
             }
@@ -214,8 +236,8 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
     for (sensor, number) in header.accelerometers.iter().enumerate() {
         let sensor_name =
             number.map_or("Accelerometer".to_owned(), |n| format!("Accelerometer {n}"));
-        all_axes(&sensor_name, header.acceleration_unit.as_str(), |axis| {
-            quantities.contains(&Quantity::Acceleration { sensor, axis })
+        all_axes(&sensor_name, header.acceleration_unit.as_str(), |wanted| {
+            quantities.iter().any(|q| matches!(*q, Quantity::Acceleration { sensor: s, axis, .. } if (s, axis) == (sensor, wanted)))
         })?;
     }
     if header.magnetometer {
@@ -232,58 +254,120 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
     Ok((header, columns))
 }
 
-fn kind(bare: &str) -> Kind {
-    let words: Vec<&str> = bare.split_whitespace().collect();
-    let is = |word: &str, name: &str| word.eq_ignore_ascii_case(name);
-    let axis = |word: &str| AXES.iter().position(|axis| axis.eq_ignore_ascii_case(word));
-    match words[..] {
-        [time] if is(time, "Time") => Kind::Time,
-        [temperature] if is(temperature, "Temperature") => Kind::Temperature,
-        [sensor, word] if is(sensor, "Accelerometer") => axis(word).map_or(Kind::Other, |axis| {
-            Kind::Acceleration { number: None, axis }
+/// What a column of these `names` holds. Other programs' names count where they have a unit that goes with
+/// them and the file has no column of ours for the same.
+fn meaning(names: &[String], bare: &str, unit: Option<&str>) -> Kind {
+    let ours = kind_of_ours(bare);
+    if ours != Kind::Other {
+        return ours;
+    }
+    let theirs = kind_of_theirs(bare);
+    let goes = match theirs {
+        Kind::Time => find(unit, &TIME_UNITS).is_some(),
+        Kind::Acceleration { .. } => find(unit, &ACCELERATION_UNITS).is_some(),
+        Kind::MagneticField { .. } => find(unit, &MAGNETIC_UNITS).is_some(),
+        Kind::Temperature => find(unit, &TEMPERATURE_UNITS).is_some(),
+        Kind::Other => false,
+    };
+    let alike = |kind: Kind| std::mem::discriminant(&kind) == std::mem::discriminant(&theirs);
+    let has_ours = || {
+        names
+            .iter()
+            .any(|name| alike(kind_of_ours(split_unit(name).0)))
+    };
+    if goes && !has_ours() {
+        theirs
+    } else {
+        Kind::Other
+    }
+}
+
+/// `Time`, `Accelerometer X`, `Accelerometer 2 X`, ….
+fn kind_of_ours(bare: &str) -> Kind {
+    let bare = bare.to_ascii_lowercase();
+    match bare.split_whitespace().collect::<Vec<_>>()[..] {
+        ["time"] => Kind::Time,
+        ["temperature"] => Kind::Temperature,
+        ["accelerometer", word] => axis(word).map_or(Kind::Other, |axis| Kind::Acceleration {
+            number: None,
+            axis,
         }),
-        [sensor, number, word] if is(sensor, "Accelerometer") => match (number.parse(), axis(word))
-        {
+        ["accelerometer", number, word] => match (number.parse(), axis(word)) {
             (Ok(number), Some(axis)) => Kind::Acceleration {
                 number: Some(number),
                 axis,
             },
             _ => Kind::Other,
         },
-        [sensor, word] if is(sensor, "Magnetometer") => {
+        ["magnetometer", word] => {
             axis(word).map_or(Kind::Other, |axis| Kind::MagneticField { axis })
         }
         _ => Kind::Other,
     }
 }
 
-/// `Name (unit)` in its two parts.
+/// `Timestamp`, `Acceleration x`, `acc_x`, `AccelX`, `ax`, `Magnetic field x`, `Temp`, ….
+fn kind_of_theirs(bare: &str) -> Kind {
+    let bare = bare.to_ascii_lowercase().replace('_', " ");
+    if ["timestamp", "t"].contains(&bare.as_str()) {
+        return Kind::Time;
+    }
+    if bare == "temp" {
+        return Kind::Temperature;
+    }
+    let Some((at, last)) = bare.char_indices().last() else {
+        return Kind::Other;
+    };
+    let Some(axis) = axis(&last.to_string()) else {
+        return Kind::Other;
+    };
+    match bare[..at].trim_end() {
+        "acceleration" | "accelerometer" | "accel" | "acc" | "a" => {
+            Kind::Acceleration { number: None, axis }
+        }
+        "magnetic field" | "magnetometer" | "mag" | "m" => Kind::MagneticField { axis },
+        _ => Kind::Other,
+    }
+}
+
+fn axis(word: &str) -> Option<usize> {
+    AXES.iter().position(|axis| axis.eq_ignore_ascii_case(word))
+}
+
+/// `Name (unit)` or `Name [unit]` in its two parts.
 fn split_unit(name: &str) -> (&str, Option<&str>) {
-    match name.strip_suffix(')').and_then(|n| n.rsplit_once('(')) {
+    let within = |open, close| name.strip_suffix(close)?.rsplit_once(open);
+    match within('(', ')').or_else(|| within('[', ']')) {
         Some((bare, unit)) => (bare.trim(), Some(unit.trim())),
         None => (name.trim(), None),
     }
 }
 
 const TIME_UNITS: [(&str, i32); 5] = [("s", 9), ("ms", 6), ("us", 3), ("µs", 3), ("ns", 0)];
-const ACCELERATION_UNITS: [(&str, AccelerationUnit); 5] = [
-    ("LSB", AccelerationUnit::Lsb),
-    ("g", AccelerationUnit::G),
-    ("m/s²", AccelerationUnit::Mps2),
-    ("m/s2", AccelerationUnit::Mps2),
-    ("m/s^2", AccelerationUnit::Mps2),
+/// With how many of it one is.
+const ACCELERATION_UNITS: [(&str, (AccelerationUnit, f64)); 8] = [
+    ("LSB", (AccelerationUnit::Lsb, 1.0)),
+    ("counts", (AccelerationUnit::Lsb, 1.0)),
+    ("g", (AccelerationUnit::G, 1.0)),
+    ("mg", (AccelerationUnit::G, 1e-3)),
+    ("m/s²", (AccelerationUnit::Mps2, 1.0)),
+    ("m/s2", (AccelerationUnit::Mps2, 1.0)),
+    ("m/s^2", (AccelerationUnit::Mps2, 1.0)),
+    ("m/s/s", (AccelerationUnit::Mps2, 1.0)),
 ];
 /// µT per unit.
 const MAGNETIC_UNITS: [(&str, f64); 4] = [("µT", 1.0), ("uT", 1.0), ("T", 1e6), ("G", 100.0)];
 const TEMPERATURE_UNITS: [(&str, ()); 2] = [("°C", ()), ("C", ())];
 
-fn lookup<T: Copy>(name: &str, unit: Option<&str>, known: &[(&str, T)]) -> Result<T> {
+fn find<T: Copy>(unit: Option<&str>, known: &[(&str, T)]) -> Option<T> {
     // Greek mu for the micro sign: they look the same.
-    let unit = unit.map(|unit| unit.replace('\u{3bc}', "\u{b5}"));
-    let found = known
-        .iter()
-        .find(|(text, _)| Some(*text) == unit.as_deref());
-    found.map(|(_, value)| *value).ok_or_else(|| {
+    let unit = unit?.replace('\u{3bc}', "\u{b5}");
+    let found = known.iter().find(|(text, _)| **text == *unit)?;
+    Some(found.1)
+}
+
+fn lookup<T: Copy>(name: &str, unit: Option<&str>, known: &[(&str, T)]) -> Result<T> {
+    find(unit, known).ok_or_else(|| {
         let message = match unit {
             Some(unit) => format!("the unit `{unit}` is not known here"),
             None => "the unit is missing".to_owned(),
@@ -296,6 +380,15 @@ fn lookup<T: Copy>(name: &str, unit: Option<&str>, known: &[(&str, T)]) -> Resul
         )
         .at(name)
     })
+}
+
+fn twice(name: &str, what: &str) -> HostError {
+    HostError::new(
+        ErrorCode::CsvDuplicateColumn,
+        format!("another column holds {what} already"),
+        "rename or remove one",
+    )
+    .at(name)
 }
 
 fn mixed_units(name: &str, first: &str) -> HostError {

@@ -8,6 +8,8 @@ use crate::error::{ErrorCode, HostError, Result};
 pub struct Lines<R> {
     source: R,
     bytes: Vec<u8>,
+    /// What parts the fields; known from the first line on.
+    separator: Option<char>,
     /// Number of the line last read, from 1.
     pub number: u64,
 }
@@ -17,11 +19,17 @@ impl<R: BufRead> Lines<R> {
         Self {
             source,
             bytes: Vec::new(),
+            separator: None,
             number: 0,
         }
     }
 
-    /// The fields of the next line that is not blank, trimmed; `None` at the end. An error has no
+    /// What parts the fields.
+    pub fn separator(&self) -> char {
+        self.separator.unwrap_or(',')
+    }
+
+    /// The fields of the next line that is neither blank nor begins with `#`, trimmed; `None` at the end. An error has no
     /// location yet.
     pub fn next_fields(&mut self, fields: &mut Vec<String>) -> Result<Option<()>> {
         loop {
@@ -45,43 +53,54 @@ impl<R: BufRead> Lines<R> {
                 .strip_prefix('\u{feff}')
                 .filter(|_| self.number == 1)
                 .unwrap_or(text);
-            if !text.trim().is_empty() {
-                split(text.trim_end_matches(['\r', '\n']), fields)?;
+            if !text.trim().is_empty() && !text.starts_with('#') {
+                let line = text.trim_end_matches(['\r', '\n']);
+                let separator = *self.separator.get_or_insert_with(|| separator(line));
+                split(line, separator, fields)?;
                 return Ok(Some(()));
             }
         }
     }
 }
 
-fn split(line: &str, fields: &mut Vec<String>) -> Result<()> {
+/// Commas; where there is none outside quotes, semicolons or tabs.
+fn separator(line: &str) -> char {
+    let bare: String = line.split('"').step_by(2).collect();
+    [',', ';', '\t']
+        .into_iter()
+        .find(|separator| bare.contains(*separator))
+        .unwrap_or(',')
+}
+
+fn split(line: &str, separator: char, fields: &mut Vec<String>) -> Result<()> {
     fields.clear();
     let mut rest = line;
     loop {
-        let start = rest.trim_start();
+        let start = rest.trim_start_matches(' ');
         let field;
         if let Some(quoted) = start.strip_prefix('"') {
-            (field, rest) = unquote(quoted).ok_or_else(|| {
+            (field, rest) = unquote(quoted, separator).ok_or_else(|| {
                 HostError::new(
                     ErrorCode::CsvFieldCount,
                     "a quoted field does not end on its line, or text follows its end",
-                    "write a quote inside quotes twice, and a comma after the closing one",
+                    "write a quote inside quotes twice, and a separator after the closing one",
                 )
             })?;
         } else {
-            let end = rest.find(',').unwrap_or(rest.len());
+            let end = rest.find(separator).unwrap_or(rest.len());
             field = rest[..end].trim().to_owned();
             rest = &rest[end..];
         }
         fields.push(field);
-        match rest.strip_prefix(',') {
+        match rest.strip_prefix(separator) {
             Some(next) => rest = next,
             None => return Ok(()),
         }
     }
 }
 
-/// The field after an opening quote, and what follows it: a comma or nothing.
-fn unquote(text: &str) -> Option<(String, &str)> {
+/// The field after an opening quote, and what follows it: a separator or nothing.
+fn unquote(text: &str, separator: char) -> Option<(String, &str)> {
     let mut field = String::new();
     let mut rest = text;
     loop {
@@ -93,8 +112,9 @@ fn unquote(text: &str) -> Option<(String, &str)> {
                 more
             }
             None => {
-                let after = after.trim_start();
-                return (after.is_empty() || after.starts_with(',')).then_some((field, after));
+                let after = after.trim_start_matches(' ');
+                return (after.trim().is_empty() || after.starts_with(separator))
+                    .then_some((field, after));
             }
         };
     }

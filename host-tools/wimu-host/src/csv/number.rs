@@ -6,6 +6,18 @@ pub fn finite(text: &str) -> Option<f64> {
     text.parse::<f64>().ok().filter(|value| value.is_finite())
 }
 
+/// Whether commas part `text` in groups of three digits, as `16,384`.
+pub fn has_thousands(text: &str) -> bool {
+    let digits = text.trim_start_matches(['-', '+']);
+    let mut groups = digits.split(',');
+    let first = groups.next().unwrap_or_default();
+    let whole = |group: &str| group.bytes().all(|b| b.is_ascii_digit());
+    (1..=3).contains(&first.len())
+        && first != "0"
+        && whole(first)
+        && groups.all(|group| group.len() == 3 && whole(group))
+}
+
 /// `text` · 10^`exponent` as an integer, rounded half away from zero: exact where f64 is not, so
 /// that a UTC time in seconds keeps its nanoseconds. `None` if it is no decimal number or does not fit.
 pub fn decimal(text: &str, exponent: i32) -> Option<i64> {

@@ -114,10 +114,10 @@ fn bad_input_says_which_line_and_column() {
         ),
         ("\n\n", ErrorCode::CsvEmpty, "a.csv", "empty"),
         (
-            "Time (s);Accelerometer X (g)\n0;1\n",
+            "Time (s)|Accelerometer X (g)\n0|1\n",
             ErrorCode::CsvNoHeader,
             "a.csv line 1",
-            "';'",
+            "'|'",
         ),
         (
             "1,2,3\n4,5,6\n",
@@ -360,4 +360,127 @@ fn every_public_recording_reads() {
         }
     }
     assert!(files >= 15, "only {files} files found");
+}
+
+/// A header of three axes made of one name.
+fn axes(name: &str, separator: &str) -> String {
+    ["x", "y", "z"]
+        .map(|axis| name.replace('#', axis))
+        .join(separator)
+}
+
+#[test]
+fn other_programs_names_are_read_where_they_leave_no_doubt() {
+    use AccelerationUnit::{G, Lsb, Mps2};
+    for (name, unit, value) in [
+        ("Acceleration # (m/s^2)", Mps2, 9.5),
+        ("acc_# [g]", G, 9.5),
+        ("Accel# (g)", G, 9.5),
+        ("Accel_# (mg)", G, 0.0095),
+        ("a# (m/s²)", Mps2, 9.5),
+        ("ACC # [m/s/s]", Mps2, 9.5),
+        ("Accelerometer_# (counts)", Lsb, 9.5),
+        ("Accelerometer # [LSB]", Lsb, 9.5),
+    ] {
+        let text = format!("Timestamp (ms),{}\n1,0,0,9.5\n", axes(name, ","));
+        let reader = CsvReader::new(text.as_bytes(), "a.csv").unwrap();
+        assert_eq!(reader.header().acceleration_unit, unit, "{name}");
+        let rows = read(&text).unwrap();
+        assert_eq!(rows[0].accelerations, [[0.0, 0.0, value]], "{name}");
+        assert_eq!(rows[0].time_ns, Some(1_000_000), "{name}");
+    }
+    let text = format!("{}\n1,2,3\n", axes("Magnetic field # (µT)", ","));
+    assert_eq!(
+        read(&text).unwrap()[0].magnetic_field_ut,
+        Some([1.0, 2.0, 3.0])
+    );
+    assert_eq!(
+        read("Temp [°C]\n21\n").unwrap()[0].temperature_c,
+        Some(21.0)
+    );
+
+    // Without gravity, without a unit, in a unit nobody knows, or beside columns of ours: not taken.
+    for name in [
+        "Linear Acceleration # (m/s^2)",
+        "acc_#",
+        "ax_# (g)",
+        "Accel # (raw)",
+        "Gyroscope # (rad/s)",
+    ] {
+        let text = format!("{}\n1,2,3\n", axes(name, ","));
+        let reader = CsvReader::new(text.as_bytes(), "a.csv").unwrap();
+        assert_eq!(reader.header().accelerometers, [], "{name}");
+        assert_eq!(reader.header().other.len(), 3, "{name}");
+    }
+    let both = format!(
+        "Time (s),t (s),{XYZ},{}\n5,6,1,2,3,4,5,6\n",
+        axes("acc_# (mg)", ",")
+    );
+    let rows = read(&both).unwrap();
+    assert_eq!(
+        (rows[0].time_ns, &rows[0].accelerations[..]),
+        (Some(5_000_000_000), &[[1.0, 2.0, 3.0]][..])
+    );
+    assert_eq!(rows[0].other, ["6", "4", "5", "6"]);
+
+    // Two of the same kind leave a doubt.
+    let twice = format!(
+        "{},{}\n",
+        axes("acc_# (g)", ","),
+        axes("Acceleration # (m/s^2)", ",")
+    );
+    let error = read(&twice).unwrap_err();
+    assert_eq!(error.code(), ErrorCode::CsvMixedUnits);
+    let twice = format!(
+        "{},{}\n",
+        axes("acc_# (g)", ","),
+        axes("Acceleration # (g)", ",")
+    );
+    assert_eq!(
+        read(&twice).unwrap_err().code(),
+        ErrorCode::CsvDuplicateColumn
+    );
+    let error = read("t (s),Timestamp (ms)\n").unwrap_err();
+    assert_eq!(error.code(), ErrorCode::CsvDuplicateColumn);
+}
+
+#[test]
+fn semicolons_tabs_decimal_commas_and_comments_are_read() {
+    let expected = [[0.5, -1.0, 9.807]];
+    for (separator, mark) in [(";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", ".")] {
+        let names = axes("\"Acceleration # (m/s^2)\"", separator);
+        let row = ["0.25E0", "0.5", "-1", "9.807", ""]
+            .join(separator)
+            .replace('.', mark);
+        let text =
+            format!("# made by hand\n\"Time (s)\"{separator}{names}{separator}Note\n#\n{row}\n");
+        let rows = read(&text).unwrap();
+        assert_eq!(rows[0].accelerations, expected, "{text}");
+        assert_eq!(
+            (rows[0].time_ns, rows[0].line),
+            (Some(250_000_000), 4),
+            "{text}"
+        );
+        assert_eq!(rows[0].other, [""], "{text}");
+    }
+    // A comma that may be of thousands, two kinds of marks, and both in one number.
+    let lsb = axes("Accelerometer # (LSB)", ";");
+    let g = axes("Accelerometer # (g)", ";");
+    for text in [
+        format!("{lsb}\n16,384;0;0\n"),
+        format!("{g}\n0,5;0.5;0\n"),
+        format!("{g}\n0.5;0;1\n0;0,5;1\n"),
+        format!("{g}\n1,000.5;0;0\n"),
+    ] {
+        let error = read(&text).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::CsvBadNumber, "{text}");
+        assert!(
+            error.location().unwrap().contains("column `Accelerometer"),
+            "{error}"
+        );
+    }
+    assert_eq!(
+        read(&format!("{lsb}\n1183,25;0;0\n")).unwrap()[0].accelerations[0][0],
+        1183.25
+    );
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::process::Command;
 
-use wimu_host::calibration::{KalibrNoise, to_c, to_kalibr, to_rust};
+use wimu_host::calibration::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
 use wimu_model::{
     Alignment, CentiCelsius, Counts, ErrorModel, ErrorTerms, ParameterSet, Sensitivity,
     TemperatureTerms,
@@ -107,6 +107,7 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     let noise = KalibrNoise {
         density: 0.002,
         random_walk: 1e-4,
+        random_walk_seen: true,
         rate_hz: 100.0,
         coarse: false,
     };
@@ -123,6 +124,21 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
     assert!(!text.contains("rounding"));
+    assert!(!text.contains("Not seen"));
+    let unseen = KalibrNoise {
+        random_walk_seen: false,
+        ..noise
+    };
+    let unseen = to_kalibr(&set(), Some(unseen));
+    assert!(unseen.contains("# Not seen in the recording: it is this at the most"));
+    assert!(unseen.contains("\naccelerometer_random_walk: 0.0001\n"));
+    // What Kalibr has no place for is said.
+    for word in ["at 24.50 °C", "nonlinearity", "alignment"] {
+        assert!(text.contains(word), "{word} in {text}");
+        assert!(not_in_kalibr(&set()).iter().any(|line| line.contains(word)));
+    }
+    let plain = ParameterSet::uncalibrated(4, set().sensitivity);
+    assert!(not_in_kalibr(&plain).is_empty());
     let coarse = KalibrNoise {
         coarse: true,
         ..noise

@@ -47,6 +47,10 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
     let of_reference = [
         ("--reference", arguments.reference.is_some()),
+        (
+            "--reference-sensitivity",
+            arguments.reference_sensitivity.is_some(),
+        ),
         ("--noise-ratio", arguments.noise_ratio.is_some()),
     ];
     if let Some((flag, _)) = of_reference.into_iter().find(|(_, given)| *given) {
@@ -146,6 +150,16 @@ fn only_what_counts(arguments: &Calibrate) -> Result<()> {
             "a recording only",
         ),
         (
+            "--range",
+            arguments.range.is_some() && !csv,
+            "a CSV file only",
+        ),
+        (
+            "--reference-sensitivity",
+            arguments.reference_sensitivity.is_some() && !csv,
+            "a CSV file only",
+        ),
+        (
             "--placement-sd",
             arguments.placement_sd.is_some() && !known_orientations,
             "--method six-position, four-angle or three-angle only",
@@ -187,13 +201,14 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
         ));
     }
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    let sensitivity = arguments
-        .sensitivity
-        .map(Sensitivity::from_lsb_per_g)
-        .transpose()
-        .map_err(|error| {
-            HostError::new(ErrorCode::Usage, error.to_string(), "check --sensitivity")
-        })?;
+    let worth = |lsb_per_g: Option<f64>, flag: &str| {
+        let known = lsb_per_g.map(Sensitivity::from_lsb_per_g).transpose();
+        known.map_err(|error| {
+            HostError::new(ErrorCode::Usage, error.to_string(), format!("check {flag}"))
+        })
+    };
+    let sensitivity = worth(arguments.sensitivity, "--sensitivity")?;
+    let of_reference = worth(arguments.reference_sensitivity, "--reference-sensitivity")?;
     let data = match Input::parse(&arguments.input)? {
         Input::Csv(path) => Paired::from_csv(
             &path,
@@ -206,7 +221,9 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
             arguments.reference,
             arguments.accelerometer,
             sensitivity,
-        )?,
+            of_reference,
+        )?
+        .at_range(arguments.range),
         Input::Recording(path) => Paired::from_recording(&Recording::load(&path)?)?,
         Input::Link(_) => {
             return Err(HostError::new(
@@ -236,7 +253,12 @@ fn updated(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--placement-sd", arguments.placement_sd.is_some()),
         ("--sides", arguments.sides.is_some()),
         ("--reference", arguments.reference.is_some()),
+        (
+            "--reference-sensitivity",
+            arguments.reference_sensitivity.is_some(),
+        ),
         ("--noise-ratio", arguments.noise_ratio.is_some()),
+        ("--range", arguments.range.is_some()),
         ("--report", arguments.report.is_some()),
         ("--format", arguments.format.is_some()),
         ("--push", arguments.push),
@@ -368,6 +390,7 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         sides,
         gravity_mps2: arguments.gravity,
         sensitivity_lsb_per_g: arguments.sensitivity,
+        range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,
         datasheet: arguments
             .sensor_model

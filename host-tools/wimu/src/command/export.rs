@@ -1,7 +1,9 @@
 //! `wimu export`.
 
 use serde::Serialize;
-use wimu_host::calibration::{KalibrNoise, read_parameters, to_c, to_kalibr, to_rust};
+use wimu_host::calibration::{
+    KalibrNoise, not_in_kalibr, range_remark, read_parameters, to_c, to_kalibr, to_rust,
+};
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportStream};
@@ -27,6 +29,18 @@ struct Exported {
     wholeness: Wholeness,
 }
 
+/// A calibration for other programs.
+#[derive(Serialize)]
+struct ExportedCalibration {
+    schema: &'static str,
+    status: &'static str,
+    /// Where it was written; null where it is `text`.
+    file: Option<String>,
+    text: Option<String>,
+    /// What it does not say.
+    remarks: Vec<String>,
+}
+
 #[derive(Serialize)]
 struct ExportedTopics {
     schema: &'static str,
@@ -37,8 +51,7 @@ struct ExportedTopics {
 }
 
 pub fn run(arguments: &Export, output: Output) -> Result<()> {
-    not_over_input(&arguments.input, Some(&arguments.output))?;
-    let file = arguments.output.display().to_string();
+    not_over_input(&arguments.input, arguments.output.as_deref())?;
     let model = arguments
         .link_model
         .as_deref()
@@ -51,25 +64,25 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             "leave it out",
         ));
     }
+    let to = match (arguments.format, arguments.output.as_deref()) {
+        (ExportFormat::Rust | ExportFormat::C | ExportFormat::Kalibr, _) => {
+            return calibration(arguments, output);
+        }
+        (_, Some(to)) => to,
+        (_, None) => {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "it is not said where the table goes",
+                "name a file with -o FILE",
+            ));
+        }
+    };
+    let file = to.display().to_string();
     let mut without_unit = 0;
     let mut wholeness = Wholeness::default();
     let (rows, link) = match arguments.format {
-        ExportFormat::Rust | ExportFormat::C | ExportFormat::Kalibr => {
-            let set = read_parameters(&arguments.input)?;
-            let text = match arguments.format {
-                ExportFormat::Rust => to_rust(&set),
-                ExportFormat::C => to_c(&set),
-                _ => {
-                    let noise = arguments.noise.as_deref();
-                    to_kalibr(&set, noise.map(KalibrNoise::read).transpose()?)
-                }
-            };
-            std::fs::write(&arguments.output, &text)
-                .map_err(|error| HostError::file(&file, "write", &error))?;
-            (text.lines().count(), None)
-        }
         ExportFormat::Mcap => {
-            let decoded = ros::decode(&arguments.input, &arguments.output, model.as_ref())?;
+            let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
             for (topic, count) in &decoded.messages {
                 output.say(format!("{file}: {count} messages on {topic}"));
             }
@@ -103,22 +116,16 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
                 ));
             }
             let capture = Capture::read(&arguments.input)?;
-            (capture.write_csv(&arguments.output)?, None)
+            (capture.write_csv(to)?, None)
         }
-        ExportFormat::Csv => {
+        _ => {
             let stream = match arguments.stream {
                 Stream::Raw => ExportStream::Raw,
                 Stream::Corrected => ExportStream::Corrected,
                 Stream::Navigation => ExportStream::Navigation,
             };
             let role = arguments.link.map(Into::into);
-            let table = export::to_csv(
-                &arguments.input,
-                role,
-                model.as_ref(),
-                stream,
-                &arguments.output,
-            )?;
+            let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
             if table.ranges_differ {
                 output.say(format!(
                     "{file}: the range changes; the column `{SENSITIVITY}` tells each row's"
@@ -151,6 +158,45 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         rows,
         without_unit,
         wholeness,
+    });
+    Ok(())
+}
+
+/// Writes a calibration as other programs read it, or prints it.
+fn calibration(arguments: &Export, output: Output) -> Result<()> {
+    let set = read_parameters(&arguments.input)?;
+    let mut remarks: Vec<String> = range_remark(&arguments.input, &set).into_iter().collect();
+    let text = match arguments.format {
+        ExportFormat::Rust => to_rust(&set),
+        ExportFormat::C => to_c(&set),
+        _ => {
+            remarks.extend(not_in_kalibr(&set));
+            let noise = arguments.noise.as_deref();
+            to_kalibr(&set, noise.map(KalibrNoise::read).transpose()?)
+        }
+    };
+    let file = arguments
+        .output
+        .as_ref()
+        .map(|path| path.display().to_string());
+    match (&arguments.output, &file) {
+        (Some(path), Some(file)) => {
+            std::fs::write(path, &text).map_err(|error| HostError::file(file, "write", &error))?;
+            output.say(format!("{file}: {} lines", text.lines().count()));
+            for remark in &remarks {
+                output.say(remark);
+            }
+        }
+        // What is printed says it itself.
+        _ if !output.is_json() => output.say(text.trim_end()),
+        _ => {}
+    }
+    output.object(&ExportedCalibration {
+        schema: "wimu.export_calibration/1",
+        status: "ok",
+        text: file.is_none().then_some(text),
+        file,
+        remarks,
     });
     Ok(())
 }

@@ -1,0 +1,163 @@
+//! What a sample's noise is where only means and their numbers of samples are given.
+
+use wimu_calib::{Estimate, Parameter, Pose};
+
+/// Numbers of samples that differ by less tell nothing.
+const LEAST_RATIO: u32 = 4;
+/// Fewer degrees of freedom tell nothing.
+const LEAST_DOF: usize = 4;
+/// A gain in the logarithm of the likelihood that chance gives once in twenty times.
+const EVIDENCE: f64 = 1.92;
+
+/// The same poses with the standard deviation of a sample, where what `estimate` leaves of them shows that
+/// the mean of fewer samples is worse; `None` where it does not, or it is known.
+pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
+    let counts = || poses.iter().map(|pose| pose.samples.max(1));
+    let differ = counts().max()? / counts().min()? >= LEAST_RATIO;
+    if !differ || estimate.dof < LEAST_DOF || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3]) {
+        return None;
+    }
+    let kept = |(index, _): &(usize, &Pose)| !estimate.rejected.as_slice().contains(index);
+    let rows: Vec<Row> = (poses.iter().enumerate().filter(kept))
+        .map(|(_, pose)| Row {
+            residual: estimate.residual_mps2(pose),
+            samples: f64::from(pose.samples.max(1)),
+            by_parameter: by_parameter(estimate, pose),
+        })
+        .collect();
+    let variance = noise(&rows)?;
+    let with = |pose: &Pose| Pose {
+        sd_mps2: [variance.sqrt(); 3],
+        ..*pose
+    };
+    Some(poses.iter().map(with).collect())
+}
+
+/// What is left of a pose.
+struct Row {
+    residual: f64,
+    samples: f64,
+    /// How the residual goes with each of the basic parameters that were fitted.
+    by_parameter: Vec<f64>,
+}
+
+/// |f| goes with the bias as the direction, with A as the direction's products.
+fn by_parameter(estimate: &Estimate, pose: &Pose) -> Vec<f64> {
+    let length = pose.mean_mps2.iter().map(|y| y * y).sum::<f64>().sqrt();
+    let up = pose.mean_mps2.map(|y| y / length.max(f64::MIN_POSITIVE));
+    let fitted = |parameter: &Parameter| estimate.fitted.contains(*parameter);
+    let derivative = |parameter: Parameter| match parameter.index() {
+        axis @ 0..3 => up[axis],
+        place => up[(place - 3) / 3] * up[(place - 3) % 3],
+    };
+    Parameter::ALL
+        .into_iter()
+        .filter(fitted)
+        .map(derivative)
+        .collect()
+}
+
+/// The likeliest variance of a sample, for residuals whose variance is `common + variance / samples`;
+/// `None` where a common variance alone is as likely. The likelihood is that of what the parameters leave
+/// (restricted maximum likelihood), so that it does not matter with which weights they were fitted.
+fn noise(rows: &[Row]) -> Option<f64> {
+    // Both variances per `share` of the noise in a mean of one sample.
+    let likelihood = |share: f64| {
+        let parameters = rows.first()?.by_parameter.len();
+        let mut normal = vec![vec![0.0; parameters]; parameters];
+        let mut right = vec![0.0; parameters];
+        let (mut squares, mut logs) = (0.0, 0.0);
+        for row in rows {
+            let relative = (1.0 - share) + share / row.samples;
+            squares += row.residual * row.residual / relative;
+            logs += relative.ln();
+            for (i, a) in row.by_parameter.iter().enumerate() {
+                right[i] += a * row.residual / relative;
+                for (j, b) in row.by_parameter.iter().enumerate() {
+                    normal[i][j] += a * b / relative;
+                }
+            }
+        }
+        let (explained, log_determinant) = solve(&mut normal, &mut right)?;
+        let free = rows
+            .len()
+            .checked_sub(parameters)
+            .filter(|free| *free > 0)? as f64;
+        let variance = (squares - explained).max(0.0) / free;
+        let log = free * variance.max(f64::MIN_POSITIVE).ln() + logs + log_determinant;
+        Some((-0.5 * log, share * variance))
+    };
+    let (equal, _) = likelihood(0.0)?;
+    // From a thousandth to a million samples' worth of noise, and nothing but it.
+    let shares = (-12..=24).map(|k| 10_f64.powf(0.25 * f64::from(k)));
+    let shares = shares.map(|ratio| ratio / (1.0 + ratio)).chain([1.0]);
+    let (best, variance) = shares
+        .filter_map(likelihood)
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (best - equal > EVIDENCE && variance > 0.0).then_some(variance)
+}
+
+/// rᵀ N⁻¹ r and ln det N of normal equations, by Cholesky's decomposition in place; `None` where they are
+/// singular.
+fn solve(normal: &mut [Vec<f64>], right: &mut [f64]) -> Option<(f64, f64)> {
+    let (mut explained, mut log_determinant) = (0.0, 0.0);
+    for k in 0..right.len() {
+        for j in 0..=k {
+            let known: f64 = (0..j).map(|i| normal[k][i] * normal[j][i]).sum();
+            let left = normal[k][j] - known;
+            normal[k][j] = if j < k {
+                left / normal[j][j]
+            } else if left > 1e-12 * normal[k][k] {
+                left.sqrt()
+            } else {
+                return None;
+            };
+        }
+        let known: f64 = (0..k).map(|i| normal[k][i] * right[i]).sum();
+        right[k] = (right[k] - known) / normal[k][k];
+        explained += right[k] * right[k];
+        log_determinant += 2.0 * normal[k][k].ln();
+    }
+    Some((explained, log_determinant))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Residuals whose mean square is what it should be, of poses with 10 or 1000 samples.
+    fn rows(common: f64, variance: f64) -> Vec<Row> {
+        (0..40)
+            .map(|k| {
+                let samples = if k % 2 == 0 { 10.0 } else { 1000.0 };
+                // 0.2 to 1.8, twenty of each, mean 1.
+                let spread: f64 = 0.2 + 1.6 * f64::from(k / 2) / 19.0;
+                Row {
+                    residual: ((common + variance / samples) * spread).sqrt(),
+                    samples,
+                    by_parameter: Vec::new(),
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_noise_comes_back_and_equal_scatter_is_none() {
+        let found = noise(&rows(1e-6, 1e-2)).unwrap();
+        assert!((0.6e-2..1.6e-2).contains(&found), "{found}");
+        let found = noise(&rows(0.0, 1e-2)).unwrap();
+        assert!((0.8e-2..1.2e-2).contains(&found), "{found}");
+        assert_eq!(noise(&rows(1e-6, 0.0)), None);
+        assert_eq!(noise(&rows(0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn normal_equations_are_solved_and_singular_ones_refused() {
+        // N⁻¹ r = (1, 2): rᵀ N⁻¹ r = 8 · 1 + 8 · 2, det N = 8.
+        let mut normal = vec![vec![4.0, 2.0], vec![2.0, 3.0]];
+        let (explained, log) = solve(&mut normal, &mut [8.0, 8.0]).unwrap();
+        assert!((explained - 24.0).abs() < 1e-12 && (log - 8_f64.ln()).abs() < 1e-12);
+        let mut normal = vec![vec![1.0, 1.0], vec![1.0, 1.0]];
+        assert_eq!(solve(&mut normal, &mut [1.0, 1.0]), None);
+    }
+}

@@ -1,0 +1,322 @@
+//! Recordings of other people's loggers: pauses, ranges, weights, names and marks as they have them.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+
+use kit::{in_folder, wimu};
+use serde_json::Value;
+
+const G: f64 = 9.80665;
+const NAMES: &str = "Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)";
+
+/// Evenly spread directions.
+fn spread(count: u32) -> Vec<[f64; 3]> {
+    let n = f64::from(count);
+    (0..count)
+        .map(|k| {
+            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
+            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            [flat * cos, flat * sin, z]
+        })
+        .collect()
+}
+
+/// Noise of variance 1, the same in every run.
+fn noise() -> impl FnMut() -> f64 {
+    let mut state = 1_u64;
+    move || {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        sum
+    }
+}
+
+/// A sensor held still for three seconds each way up at 50 Hz, its bias drifting by `drift` over the whole
+/// time; the logger pauses for so long half-way.
+fn turned(ups: &[[f64; 3]], drift: [f64; 3], pause_s: f64) -> String {
+    let mut rough = noise();
+    let mut text = format!("Time (s),{NAMES}");
+    let rows = ups.len() * 200;
+    let time = |k: usize| k as f64 * 0.02 + if k < rows / 2 { 0.0 } else { pause_s };
+    let whole = time(rows - 1);
+    for k in 0..rows {
+        let (pose, within) = (k / 200, k % 200);
+        let next = ups[(pose + 1) % ups.len()];
+        // A second on the way to the next.
+        let way = (within as f64 - 150.0).max(0.0) / 50.0;
+        let mut up = [0, 1, 2].map(|i| ups[pose][i] * (1.0 - way) + next[i] * way);
+        up[0] += 0.3 * (way * std::f64::consts::PI).sin();
+        let length = up.iter().map(|u| u * u).sum::<f64>().sqrt();
+        let t = time(k);
+        write!(text, "\n{t:.2}").unwrap();
+        for i in 0..3 {
+            let value = G * up[i] / length + drift[i] * t / whole + 0.005 * rough();
+            write!(text, ",{value:.5}").unwrap();
+        }
+    }
+    text
+}
+
+fn remarks(report: &Value) -> String {
+    report["remarks"].to_string()
+}
+
+#[test]
+fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
+    let (csv, _folder) = in_folder("turned.csv");
+    let drift = [0.04, -0.03, 0.03];
+    let of = [
+        "calibrate",
+        &csv,
+        "--gravity",
+        "9.80665",
+        "--model",
+        "9+drift",
+    ];
+    // In no order, so that the drift is not taken for the sensor's.
+    let even = spread(24);
+    let ups: Vec<_> = (0..24).map(|k| even[7 * k % 24]).collect();
+    for pause_s in [0.0, 1200.0] {
+        fs::write(&csv, turned(&ups, drift, pause_s)).unwrap();
+        let report = wimu(&of).succeeds();
+        assert_eq!(report["poses"], 24, "{report}");
+        let span = report["drift"]["span_s"].as_f64().unwrap();
+        let poses = report["static_poses"].as_array().unwrap();
+        let time = |k: usize| poses[k]["time_s"].as_f64().unwrap();
+        // 23 poses of four seconds.
+        assert!((span - 92.0 - pause_s).abs() < 1.0, "{span}");
+        assert!((time(23) - time(0) - 92.0 - pause_s).abs() < 1.0);
+        assert!((time(11) - time(0) - 44.0).abs() < 1.0);
+        let whole = 96.0 + pause_s;
+        for axis in 0..3 {
+            let change = report["drift"]["change_m_s2"][axis].as_f64().unwrap();
+            let truth = drift[axis] * span / whole;
+            assert!((change - truth).abs() < 0.004, "{change} {truth} {pause_s}");
+        }
+        assert!(report["rms_mm_s2"].as_f64().unwrap() < 2.0, "{report}");
+        let told = remarks(&report).contains("missing in 1 place, 1200.0 s");
+        assert_eq!(told, pause_s > 0.0, "{report}");
+        let first = poses[12]["first_sample"].as_u64().unwrap();
+        assert!((2400..2430).contains(&first), "{first}");
+    }
+}
+
+#[test]
+fn the_noise_is_not_taken_across_a_pause() {
+    let (csv, _folder) = in_folder("rest.csv");
+    let run = |step: f64| {
+        let mut rough = noise();
+        let mut text = format!("Time (s),{NAMES}");
+        for k in 0..6000 {
+            let (t, off) = match k {
+                ..3000 => (0.0, 0.0),
+                _ => (100.0, step),
+            };
+            let [x, y, z] = [0.1, 0.2, G].map(|f| f + off + 0.02 * rough());
+            write!(
+                text,
+                "\n{:.2},{x:.6},{y:.6},{z:.6}",
+                t + f64::from(k) * 0.01
+            )
+            .unwrap();
+        }
+        fs::write(&csv, text).unwrap();
+        wimu(&["allan", &csv]).succeeds()
+    };
+    // What the sensor did meanwhile is not seen.
+    let (still, moved) = (run(0.0), run(0.05));
+    let curve = |report: &Value| -> Vec<f64> {
+        let points = report["points"].as_array().unwrap().iter();
+        points
+            .flat_map(|point| [0, 1, 2].map(|axis| point["deviation_m_s2"][axis].as_f64().unwrap()))
+            .collect()
+    };
+    assert!(curve(&still).len() > 20);
+    for (a, b) in curve(&still).into_iter().zip(curve(&moved)) {
+        assert!((a - b).abs() < 1e-6, "{a} {b}");
+    }
+    let told = remarks(&moved);
+    assert!(told.contains("missing in 1 place, 100.0 s"), "{told}");
+    assert!((moved["rate_hz"].as_f64().unwrap() - 100.0).abs() < 1e-6);
+}
+
+/// Means of poses of a sensor without errors, by `per_g` counts.
+fn counts(per_g: f64) -> String {
+    let mut text =
+        String::from("Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
+    for up in spread(24) {
+        let [x, y, z] = up.map(|u| u * per_g);
+        write!(text, "\n{x:.2},{y:.2},{z:.2}").unwrap();
+    }
+    text
+}
+
+#[test]
+fn a_range_that_nobody_said_is_said_to_be_a_guess() {
+    let (csv, folder) = in_folder("counts.csv");
+    fs::write(&csv, counts(256.0)).unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (cal, header) = (path("CAL.json"), path("cal.h"));
+    let of = [
+        "calibrate",
+        &csv,
+        "--poses",
+        "--sensitivity",
+        "256",
+        "-o",
+        &cal,
+    ];
+    let guessed = wimu(&of).succeeds();
+    assert_eq!(guessed["range_source"], "sixteen_bits");
+    assert!(
+        remarks(&guessed).contains("the range is not known"),
+        "{guessed}"
+    );
+    assert!(remarks(&guessed).contains("--range"), "{guessed}");
+    assert!(guessed["units"]["bias_percent_of_full_scale"].is_null());
+    let export = ["export", &cal, "--format", "c", "-o", &header];
+    let exported = wimu(&export).succeeds();
+    assert!(
+        remarks(&exported).contains("range is not known"),
+        "{exported}"
+    );
+
+    let told = wimu(&[&of[..], &["--range", "2"]].concat()).succeeds();
+    assert_eq!(told["parameters"]["range_g"], 2);
+    assert_eq!(
+        (&told["range_g"], &told["range_source"]),
+        (&2.into(), &"given".into())
+    );
+    assert!(!remarks(&told).contains("range"), "{told}");
+    assert!(told["units"]["bias_percent_of_full_scale"].is_array());
+    assert_eq!(wimu(&export).succeeds()["remarks"], serde_json::json!([]));
+    let text = fs::read_to_string(&header).unwrap();
+    assert!(text.contains("+/-2 g accelerometer"), "{text}");
+    for wrong in ["0", "128", "-2", "two"] {
+        assert_eq!(wimu(&[&of[..], &["--range", wrong]].concat()).code, 2);
+    }
+    // What has a range of its own is not told another.
+    let recording = wimu(&["calibrate", "tcp://127.0.0.1:1", "--range", "2"]);
+    recording.fails(2, "usage");
+}
+
+#[test]
+fn a_coarse_sensor_is_calibrated_and_cannot_be_pushed() {
+    let (csv, _folder) = in_folder("counts.csv");
+    fs::write(&csv, counts(64.0)).unwrap();
+    let of = ["calibrate", &csv, "--poses", "--sensitivity"];
+    let report = wimu(&[&of[..], &["64"]].concat()).succeeds();
+    assert_eq!(report["sensitivity_lsb_per_g"], 64.0);
+    assert!(report["parameters"].is_null());
+    assert!(remarks(&report).contains("cannot be pushed"), "{report}");
+    let bias = report["model"]["bias_m_s2"][0].as_f64().unwrap();
+    assert!(bias.abs() < 0.01, "{report}");
+    for wrong in ["0", "-5", "NaN", "1e9"] {
+        wimu(&[&of[..], &[wrong]].concat()).fails(2, "usage");
+    }
+}
+
+#[test]
+fn poses_count_by_their_samples_where_these_make_a_difference() {
+    let (csv, _folder) = in_folder("means.csv");
+    let of = ["calibrate", &csv, "--poses", "--gravity", "9.80665"];
+    let bias = |report: &Value| {
+        let axis = |k: usize| report["model"]["bias_m_s2"][k].as_f64().unwrap();
+        [0, 1, 2]
+            .map(|k| axis(k).powi(2))
+            .iter()
+            .sum::<f64>()
+            .sqrt()
+    };
+    let table = |rough: &mut dyn FnMut() -> f64, column: bool| {
+        let mut text = String::from(NAMES);
+        text.push_str(if column { ",Samples" } else { "" });
+        for (k, up) in spread(24).into_iter().enumerate() {
+            let samples = if k % 2 == 0 { 10.0 } else { 1000.0_f64 };
+            let [x, y, z] = up.map(|u| u * G + 0.1 / samples.sqrt() * rough());
+            write!(text, "\n{x},{y},{z}").unwrap();
+            if column {
+                write!(text, ",{samples}").unwrap();
+            }
+        }
+        text
+    };
+    let (mut with, mut without, mut told) = (0.0, 0.0, 0);
+    for column in [true, false] {
+        let mut rough = noise();
+        for _ in 0..10 {
+            fs::write(&csv, table(&mut rough, column)).unwrap();
+            let report = wimu(&of).succeeds();
+            *(if column { &mut with } else { &mut without }) += bias(&report).powi(2);
+            let weighted = remarks(&report).contains("count by it");
+            assert!(column || !weighted, "{report}");
+            told += u32::from(weighted);
+        }
+    }
+    assert!(with < 0.5 * without && told > 5, "{with} {without} {told}");
+
+    for wrong in ["0", "-5", "100.5", "many", ""] {
+        let text = table(&mut noise(), true).replace(",1000\n", &format!(",{wrong}\n"));
+        fs::write(&csv, text).unwrap();
+        let told = wimu(&of).fails(2, "csv_bad_number");
+        assert!(
+            told["where"].as_str().unwrap().contains("column `Samples`"),
+            "{told}"
+        );
+        assert!(told["where"].as_str().unwrap().contains("line 3"), "{told}");
+    }
+}
+
+#[test]
+fn files_of_other_programs_are_read_or_their_columns_named() {
+    let (csv, _folder) = in_folder("theirs.csv");
+    let ours = turned(&spread(14), [0.0; 3], 0.0);
+    let body = ours.split_once('\n').unwrap().1;
+    fs::write(&csv, &ours).unwrap();
+    let expected = wimu(&["calibrate", &csv]).succeeds();
+    assert_eq!(expected["poses"], 14);
+    let names = |name: &str, separator: &str| {
+        let axes = ["x", "y", "z"].map(|axis| name.replace('#', axis));
+        axes.join(separator)
+    };
+    let phone = format!(
+        "\"Time (s)\";{}\n{}",
+        names("\"Acceleration # (m/s^2)\"", ";"),
+        body.replace(',', ";").replace('.', ",")
+    );
+    let logger = format!(
+        "# a logger\nTimestamp (s)\t{}\n{}",
+        names("acc_# [m/s2]", "\t"),
+        body.replace(',', "\t")
+    );
+    for theirs in [phone, logger] {
+        fs::write(&csv, theirs).unwrap();
+        let report = wimu(&["calibrate", &csv]).succeeds();
+        assert_eq!(report["model"], expected["model"]);
+        assert_eq!(report["rate_hz"], expected["rate_hz"]);
+    }
+    for theirs in ["acc_#", "Linear Acceleration # (m/s^2)", "Accel # (raw)"] {
+        fs::write(&csv, format!("time,{}\n{body}", names(theirs, ","))).unwrap();
+        let told = wimu(&["calibrate", &csv]);
+        assert_eq!(told.code, 2, "{told:?}");
+        let said = told.object().to_string();
+        // The name of the time lacks its unit, or the accelerometer is not there.
+        assert!(said.contains("csv_unknown_unit"), "{said}");
+        fs::write(&csv, format!("Time (s),{}\n{body}", names(theirs, ","))).unwrap();
+        let told = wimu(&["calibrate", &csv]).fails(2, "csv_missing_column");
+        let said = told["message"].as_str().unwrap();
+        assert!(said.contains(&theirs.replace('#', "x")), "{told}");
+        assert!(
+            told["remedy"].as_str().unwrap().contains("mg or m/s²"),
+            "{told}"
+        );
+    }
+}

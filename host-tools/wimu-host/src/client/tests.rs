@@ -309,7 +309,7 @@ fn refusals_come_with_the_boards_reason_and_exit_code_4() {
         (ErrorCode::DeviceRefused, 4)
     );
     assert!(error.message().contains("±8 g"), "{error}");
-    for way in ["--range 4 ", "`wimu settings set LINK --range 8`"] {
+    for way in ["--range 2 ", "`wimu settings set LINK --range 8`"] {
         assert!(error.remedy().contains(way), "{error}");
     }
     let error = client.status().unwrap_err();

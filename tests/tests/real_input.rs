@@ -40,6 +40,15 @@ fn essence(report: &CalibrationReport) -> Value {
     for key in ["source", "rate_source", "remarks", "parameter_id"] {
         object.remove(key).unwrap();
     }
+    for key in ["range_g", "range_source"] {
+        object.remove(key);
+    }
+    let poses = object.get_mut("static_poses");
+    for pose in poses.and_then(Value::as_array_mut).into_iter().flatten() {
+        // By the device's clock, and by the file's.
+        let micros = pose["time_s"].as_f64().unwrap() * 1e6;
+        pose["time_s"] = (micros.round() as i64).into();
+    }
     object.remove("units");
     if let Some(parameters) = object["parameters"].as_object_mut() {
         parameters.remove("range_g").unwrap();

@@ -2,7 +2,7 @@
 
 use wimu_model::{PositionNm, VelocityNmps, root};
 
-use crate::segment::round_shift;
+use crate::segment::{product, round_shift};
 
 /// Fraction bits of a direction.
 pub(crate) const DIRECTION_BITS: u32 = 30;
@@ -70,7 +70,7 @@ impl Attitude {
     /// Whether this east is within 10° of another attitude's.
     pub(crate) fn is_headed_as(&self, other: &Self) -> bool {
         let along: i128 = (self.east().iter().zip(other.east()))
-            .map(|(a, b)| i128::from(*a) * i128::from(b))
+            .map(|(a, b)| i128::from(i64::from(*a) * i64::from(b)))
             .sum();
         along >= HEADED_AS
     }
@@ -86,7 +86,7 @@ impl Attitude {
     fn rotate(&self, body: [i64; 3]) -> [i64; 3] {
         self.axes.map(|axis| {
             let sum: i128 = (0..3)
-                .map(|i| i128::from(axis[i]) * i128::from(body[i]))
+                .map(|i| product(body[i].into(), axis[i].into()))
                 .sum();
             round_shift(sum, DIRECTION_BITS)
         })

@@ -4,7 +4,7 @@ use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
 use crate::attitude::{Attitude, unit};
 use crate::compass::MagneticHeading;
-use crate::segment::{Segment, billionth};
+use crate::segment::{Segment, billionth, product};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
 use crate::stillness::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
 
@@ -261,14 +261,14 @@ impl Integrator {
         let position = self
             .attitude
             .position(segment.position_nm(remainder, period));
-        let elapsed_ns = i128::from(segment.steps) * i128::from(period.0);
+        let elapsed_ns = i128::from(u64::from(segment.steps) * u64::from(period.0));
         let since_rest_ms = self.since_rest_ns(segment) / 1_000_000;
         Navigation {
             velocity: VelocityNmps(core::array::from_fn(|axis| {
                 velocity.0[axis].saturating_add(state.base_velocity_nmps[axis])
             })),
             position: PositionNm(core::array::from_fn(|axis| {
-                let coasted = billionth(i128::from(state.base_velocity_nmps[axis]) * elapsed_ns);
+                let coasted = billionth(product(elapsed_ns, state.base_velocity_nmps[axis]));
                 position.0[axis]
                     .saturating_add(state.base_position_nm[axis])
                     .saturating_add(saturate(coasted))
@@ -419,7 +419,7 @@ impl Integrator {
         let left = self.at(end);
         let leg_ns = i128::from(self.since_rest_ns(end));
         for axis in 0..3 {
-            let twice = billionth(i128::from(left.velocity.0[axis]) * leg_ns);
+            let twice = billionth(product(leg_ns, left.velocity.0[axis]));
             // Half of it, towards zero. A `/ 2` would be a division of 128 bits.
             let correction = (twice - (twice >> 127)) >> 1;
             self.state.base_position_nm[axis] =

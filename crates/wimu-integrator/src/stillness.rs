@@ -27,7 +27,7 @@ const SPREAD_LSB: u64 = 128;
 /// 2⁻¹⁶ m/s².
 const SHIFT_LSB: u64 = 1638;
 /// 2⁻¹⁶ m/s².
-const HALF_G_LSB: i128 = 321_344;
+const HALF_G_LSB: u64 = 321_344;
 /// Beyond this distance from the window's first sample the spread is large enough to know: 16 m/s²
 /// in 2⁻¹⁰ m/s². Keeps a square within 32 bits.
 const FAR_LSB: i32 = 1 << 14;
@@ -92,10 +92,9 @@ impl Window {
     /// Σ (f_k + f_k+1): a unit in free fall and a dead sensor are quiet too.
     pub(crate) fn is_quiet(&self, total: [i64; 3]) -> bool {
         let n = u64::from(self.samples.max(1));
-        let square: i128 = total
-            .iter()
-            .map(|&sum| i128::from(sum / (2 * n as i64)).pow(2))
-            .sum();
+        // What is cut off is too much already.
+        let mean = |sum: i64| (sum / (2 * n as i64)).unsigned_abs().min(4 * HALF_G_LSB);
+        let square: u64 = total.iter().map(|&sum| mean(sum).pow(2)).sum();
         self.scatter() <= (SPREAD_LSB * n).pow(2)
             && (HALF_G_LSB.pow(2)..=(3 * HALF_G_LSB).pow(2)).contains(&square)
     }

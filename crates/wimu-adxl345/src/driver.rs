@@ -1,7 +1,7 @@
 use embedded_hal_async::i2c::I2c;
 
 use crate::registers::*;
-use crate::{DataFormat, Error, Fifo, Interrupts, Rate};
+use crate::{DataFormat, Error, Fifo, Interrupts, Rate, Setup};
 
 /// The chip's address, by the level of its pin SDO/ALT ADDRESS.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -79,6 +79,31 @@ impl<I2C: I2c> Adxl345<I2C> {
         }
     }
 
+    /// Sets up the chip anew, in whatever state it is, and has it measure: FIFO emptied, nothing added to
+    /// an axis, no self-test. The first sample is good 1.1 ms + one sample period later.
+    ///
+    /// # Errors
+    /// [`Error::Bus`]: part of it may have been done.
+    pub async fn start(&mut self, setup: &Setup) -> Result<(), Error<I2C::Error>> {
+        let registers = [
+            (POWER_CTL, 0),
+            (OFSX, 0),
+            (OFSY, 0),
+            (OFSZ, 0),
+            (DATA_FORMAT, setup.format.register()),
+            (BW_RATE, setup.rate.register(setup.low_power)),
+            (FIFO_CTL, Fifo::Bypass.register()),
+            (FIFO_CTL, setup.fifo.register()),
+            (INT_MAP, setup.on_int2.0),
+            (INT_ENABLE, setup.interrupts.0),
+            (POWER_CTL, POWER_CTL_MEASURE),
+        ];
+        for (register, value) in registers {
+            self.write(register, value).await?;
+        }
+        Ok(())
+    }
+
     /// Stops measuring: change settings in standby.
     ///
     /// # Errors
@@ -109,8 +134,7 @@ impl<I2C: I2c> Adxl345<I2C> {
     /// # Errors
     /// [`Error::Bus`].
     pub async fn set_rate(&mut self, rate: Rate, low_power: bool) -> Result<(), Error<I2C::Error>> {
-        let power = if low_power { BW_RATE_LOW_POWER } else { 0 };
-        self.write(BW_RATE, power | rate.code()).await
+        self.write(BW_RATE, rate.register(low_power)).await
     }
 
     /// Sets what the FIFO does, emptied.

@@ -11,4 +11,4 @@ mod settings;
 pub use driver::{Address, Adxl345, FifoLevel};
 pub use error::Error;
 pub use self_test::SelfTest;
-pub use settings::{DataFormat, Fifo, Interrupts, Justify, Range, Rate, Resolution};
+pub use settings::{DataFormat, Fifo, Interrupts, Justify, Range, Rate, Resolution, Setup};

@@ -2,6 +2,8 @@
 
 pub(crate) const DEVID: u8 = 0x00;
 pub(crate) const OFSX: u8 = 0x1E;
+pub(crate) const OFSY: u8 = 0x1F;
+pub(crate) const OFSZ: u8 = 0x20;
 pub(crate) const BW_RATE: u8 = 0x2C;
 pub(crate) const POWER_CTL: u8 = 0x2D;
 pub(crate) const INT_ENABLE: u8 = 0x2E;

@@ -131,6 +131,11 @@ impl Rate {
         Self::Hz3200,
     ];
 
+    /// Register BW_RATE.
+    pub(crate) fn register(self, low_power: bool) -> u8 {
+        self.code() | if low_power { BW_RATE_LOW_POWER } else { 0 }
+    }
+
     /// Its code in BW_RATE: 0x06..=0x0F.
     pub(crate) const fn code(self) -> u8 {
         0x06 + self as u8
@@ -209,4 +214,22 @@ impl Interrupts {
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
+}
+
+/// All that the chip is told before it measures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Setup {
+    /// What a sample looks like.
+    pub format: DataFormat,
+    /// How often one is taken.
+    pub rate: Rate,
+    /// Less power at the price of noise; it has an effect only where [`Rate::has_low_power`].
+    pub low_power: bool,
+    /// What the FIFO does.
+    pub fifo: Fifo,
+    /// Which interrupts drive the pins, active high.
+    pub interrupts: Interrupts,
+    /// Which of them drive INT2 instead of INT1.
+    pub on_int2: Interrupts,
 }

@@ -5,7 +5,7 @@ use embedded_hal_async::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use wimu_adxl345::{
-    Address, Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution,
+    Address, Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution, Setup,
 };
 
 const AT: u8 = 0x53;
@@ -71,6 +71,42 @@ fn measuring_starts_and_stops() {
         sensor.standby().await
     });
     assert_eq!(outcome, Ok(()));
+}
+
+#[test]
+fn a_start_sets_everything_in_standby_and_measures_last() {
+    let setup = Setup {
+        format: DataFormat {
+            range: Range::G16,
+            resolution: Resolution::Full,
+            justify: Justify::Left,
+        },
+        rate: Rate::Hz100,
+        low_power: true,
+        fifo: Fifo::Stream { watermark: 8 },
+        interrupts: Interrupts::WATERMARK.with(Interrupts::OVERRUN),
+        on_int2: Interrupts::OVERRUN,
+    };
+    let expected = [
+        write(0x2D, 0x00),
+        write(0x1E, 0x00),
+        write(0x1F, 0x00),
+        write(0x20, 0x00),
+        write(0x31, 0x0F),
+        write(0x2C, 0x1A),
+        write(0x38, 0x00),
+        write(0x38, 0x88),
+        write(0x2F, 0x01),
+        write(0x2E, 0x03),
+        write(0x2D, 0x08),
+    ];
+    let outcome = on_bus(&expected, async |sensor| sensor.start(&setup).await);
+    assert_eq!(outcome, Ok(()));
+    // Nobody answers half-way: nothing more is written, and it does not measure.
+    let mut failing = expected[..5].to_vec();
+    failing[4] = write(0x31, 0x0F).with_error(ErrorKind::Bus);
+    let outcome = on_bus(&failing, async |sensor| sensor.start(&setup).await);
+    assert_eq!(outcome, Err(Error::Bus(ErrorKind::Bus)));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use embedded_hal_async::i2c::{self, I2c};
 use wimu_adxl345::{
-    Address, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step,
+    Address, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step, Setup,
 };
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{Counts, PeriodNs, Sensitivity};
@@ -63,25 +63,18 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
         let (Some(&(_, range)), Some(&(_, rate))) = (range, rate) else {
             return Ok(()); // Not of a plan of this sensor.
         };
-        let device = &mut self.device;
-        device.check_identity().await?;
-        device.standby().await?;
-        // What the chip would add is part of the calibration.
-        device.set_offset([0; 3]).await?;
-        device
-            .set_data_format(format(range, plan.settings.resolution))
-            .await?;
-        let low_power = plan.settings.resolution == Resolution::LowPower;
-        device.set_rate(rate, low_power).await?;
-        device
-            .set_fifo(Fifo::Stream {
+        let setup = Setup {
+            format: format(range, plan.settings.resolution),
+            rate,
+            low_power: plan.settings.resolution == Resolution::LowPower,
+            fifo: Fifo::Stream {
                 watermark: self.fifo.watermark(),
-            })
-            .await?;
-        device
-            .set_interrupts(Interrupts::WATERMARK, Interrupts::NONE)
-            .await?;
-        device.measure().await
+            },
+            interrupts: Interrupts::WATERMARK,
+            on_int2: Interrupts::NONE,
+        };
+        self.device.check_identity().await?;
+        self.device.start(&setup).await
     }
 
     /// Waits until the FIFO holds what the line waits for, or less if that takes too long.

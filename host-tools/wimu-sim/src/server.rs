@@ -13,6 +13,8 @@ use crate::board::Board;
 const HELD_BYTES: usize = 4096;
 /// How often bytes are carried.
 const TICK: Duration = Duration::from_millis(1);
+/// The board runs for at most so long, by its own clock, before it is looked at.
+const STEP_US: u64 = 5000;
 
 /// A board that listens. Each port takes one client at a time, as a serial port does; what the
 /// board says while nobody listens is lost.
@@ -77,22 +79,23 @@ impl Server {
         &mut self.board
     }
 
-    /// Serves until `stop` returns true; it sees the board a thousand times a second.
+    /// Serves until `stop` returns true; it sees the board a thousand times a second, and however late that
+    /// is, every 5 ms of the board's own time.
     pub fn run(&mut self, mut stop: impl FnMut(&mut Board) -> bool) {
-        while !stop(&mut self.board) {
-            self.tick();
+        while !stop(&mut self.board) && !self.tick(&mut stop) {
             std::thread::sleep(TICK);
         }
         // What was on its way is delivered.
         let deadline = Instant::now() + Duration::from_secs(1);
         while Instant::now() < deadline && (self.cable.owes() || self.wireless.owes()) {
-            self.tick();
+            self.tick(&mut |_| false);
             std::thread::sleep(TICK);
         }
     }
 
-    /// Carries what has arrived and lets the board catch up with the time.
-    fn tick(&mut self) {
+    /// Carries what has arrived and lets the board catch up with the time, or until `stop` says so; whether
+    /// it does.
+    fn tick(&mut self, stop: &mut impl FnMut(&mut Board) -> bool) -> bool {
         for port in [&mut self.cable, &mut self.wireless] {
             // First, so that a client that has gone makes room for the next.
             port.follow_connection(&mut self.board);
@@ -103,20 +106,23 @@ impl Server {
         if self.started.is_none() && (connected || !self.wait_for_client) {
             self.started = Some(Instant::now());
         }
+        let mut stopped = false;
         if let Some(started) = self.started {
             let now_us = (started.elapsed().as_secs_f64() * self.speed * 1e6) as u64;
             // In small steps, so that a fast board's links are emptied in between.
-            while self.board.now_us() < now_us {
-                let step = (self.board.now_us() + 5000).min(now_us);
+            while !stopped && self.board.now_us() < now_us {
+                let step = (self.board.now_us() + STEP_US).min(now_us);
                 self.board.run_until(step);
                 for port in [&mut self.cable, &mut self.wireless] {
                     port.fetch(&mut self.board);
                 }
+                stopped = stop(&mut self.board);
             }
         }
         for port in [&mut self.cable, &mut self.wireless] {
             port.deliver(&mut self.board);
         }
+        stopped
     }
 }
 

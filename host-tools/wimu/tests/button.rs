@@ -72,9 +72,19 @@ fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
 
 #[test]
 fn a_press_is_a_mark_in_the_recording_and_on_the_screen() {
-    let board = Simulator::start(&["--motion", "rest", "--speed", "4", "--press", "2.5,1.5"]);
+    // The board waits for the recorder, which records until the board is gone.
+    let pace = ["--motion", "rest", "--speed", "10", "--exit-when-done"];
+    let board = Simulator::start(&[&pace[..], &["--press", "2.5,1.5"]].concat());
     let (recording, _folder) = in_folder("marked.mcap");
-    wimu(&["record", &board.cable, "-o", &recording, "--for", "1.5"]).succeeds();
+    let record = [
+        "record",
+        &board.cable,
+        "-o",
+        &recording,
+        "--reconnect",
+        "0.5",
+    ];
+    Background::start(&record).finish().succeeds();
     let info = wimu(&["info", &recording]).succeeds();
     let text = info.to_string();
     for mark in [

@@ -31,21 +31,7 @@ impl<I2C: ErrorType, T> ErrorType for PatientBus<I2C, T> {
 }
 
 impl<I2C: I2c, T: Timer> I2c for PatientBus<I2C, T> {
-    async fn write(&mut self, address: u8, bytes: &[u8]) -> Result<(), Self::Error> {
-        let transfer = self.bus.write(address, bytes);
-        in_time(&self.timer, transfer).await
-    }
-
-    async fn write_read(
-        &mut self,
-        address: u8,
-        bytes: &[u8],
-        buffer: &mut [u8],
-    ) -> Result<(), Self::Error> {
-        let transfer = self.bus.write_read(address, bytes, buffer);
-        in_time(&self.timer, transfer).await
-    }
-
+    // `write`, `read` and `write_read` are this one, so that what gives up on them is there once.
     async fn transaction(
         &mut self,
         address: u8,

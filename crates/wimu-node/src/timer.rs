@@ -12,10 +12,9 @@ pub trait Timer: Clone {
     /// Completes at `moment`, or at once if that has passed.
     async fn until(&self, moment: DeviceTimeUs);
 
-    /// Completes `micros` from now.
-    async fn after_us(&self, micros: u64) {
+    /// Completes `micros` from the call on.
+    fn after_us(&self, micros: u64) -> impl Future<Output = ()> {
         self.until(DeviceTimeUs(self.now().0.saturating_add(micros)))
-            .await;
     }
 
     /// Waits for `future`, but not beyond `moment`.

@@ -13,7 +13,7 @@ impl Timer for BoardTimer {
         DeviceTimeUs(Instant::now().as_micros())
     }
 
-    async fn until(&self, moment: DeviceTimeUs) {
-        embassy_time::Timer::at(Instant::from_micros(moment.0)).await;
+    fn until(&self, moment: DeviceTimeUs) -> impl Future<Output = ()> {
+        embassy_time::Timer::at(Instant::from_micros(moment.0))
     }
 }

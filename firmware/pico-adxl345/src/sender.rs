@@ -25,7 +25,7 @@ impl Write for Sender {
         Ok(count)
     }
 
-    async fn flush(&mut self) -> Result<(), Error> {
-        Write::flush(&mut self.uart).await
+    fn flush(&mut self) -> impl Future<Output = Result<(), Error>> {
+        Write::flush(&mut self.uart)
     }
 }

@@ -7,10 +7,11 @@ use crate::linear::{Cholesky, Real, double};
 use crate::multi_position::{Fitted, with_terms};
 use crate::outliers::Rejected;
 use crate::terms::{PERFECT, Slot, Term, Terms, Theta, theta_of};
+use crate::visits::Visits;
 use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
 
 /// Degrees of freedom without which no term is taken in.
-const LEAST_DOF: usize = 4;
+const LEAST_DOF: f64 = 4.0;
 /// By how much n ln(left-out error²) has to fall for each parameter of a term.
 const PER_PARAMETER: f64 = 1.0;
 /// Left-out error of a pose that the fit does without, per that of the others: more poses left out
@@ -44,7 +45,8 @@ pub fn best_model(
     least: Terms,
     reject: bool,
 ) -> Result<Estimate, Refusal> {
-    let mut best: Option<(Estimate, f64)> = None;
+    let visits = Visits::of(poses);
+    let mut best: Option<(Fitted, f64)> = None;
     let mut nine = None;
     let mut average = Average::NOTHING;
     let mut nine_known = false;
@@ -59,7 +61,7 @@ pub fn best_model(
                 terms,
                 reject,
             };
-            let fitted = match with_terms::<f64>(poses, gravity, what, true) {
+            let fitted = match with_terms::<f64>(poses, &visits, gravity, what, true) {
                 Ok(fitted) => fitted,
                 Err(refusal) => {
                     nine = nine.or(Some(refusal).filter(|_| model == Model::Full9));
@@ -67,13 +69,13 @@ pub fn best_model(
                 }
             };
             nine_known |= model == Model::Full9;
-            average.add(&fitted.estimate, fitted.evidence);
-            if terms != least && fitted.estimate.dof < LEAST_DOF {
+            average.add(&fitted);
+            if terms != least && fitted.dof < LEAST_DOF {
                 continue;
             }
-            let badness = badness(&fitted, terms, poses.len());
+            let badness = badness(&fitted, terms);
             if best.as_ref().is_none_or(|(_, least)| badness < *least) {
-                best = Some((fitted.estimate, badness));
+                best = Some((fitted, badness));
             }
         }
     }
@@ -81,7 +83,7 @@ pub fn best_model(
     if let Some(refusal @ (Refusal::PoorFit { .. } | Refusal::Saturated { .. })) = nine
         && best
             .as_ref()
-            .is_some_and(|(best, _)| best.method != Method::MultiPosition(Model::Full9))
+            .is_some_and(|(best, _)| best.estimate.method != Method::MultiPosition(Model::Full9))
     {
         return Err(refusal);
     }
@@ -89,13 +91,13 @@ pub fn best_model(
         return Err(nine.unwrap_or(Refusal::NotConverged));
     };
     average.widen(&mut best, nine_known);
-    Ok(best)
+    Ok(best.estimate)
 }
 
-/// n ln of the squared error with each pose left out, more for each parameter.
-fn badness(fitted: &Fitted, terms: Terms, poses: usize) -> f64 {
+/// n ln of the squared error with each orientation left out, more for each parameter.
+fn badness(fitted: &Fitted, terms: Terms) -> f64 {
     let rejected = fitted.estimate.rejected.as_slice().len() as f64;
-    let n = poses as f64;
+    let n = fitted.telling + rejected;
     let square = fitted.kept_left_out_mps2 * fitted.kept_left_out_mps2;
     let all = square * (n + (LEFT_OUT * LEFT_OUT - 1.0) * rejected) / n;
     n * libm::log(all.max(1e-24)) + PER_PARAMETER * terms.parameters() as f64
@@ -105,13 +107,16 @@ fn badness(fitted: &Fitted, terms: Terms, poses: usize) -> f64 {
 pub(crate) fn evidence<R: Real, const N: usize>(
     fit: &Fit<R, N>,
     free: &[Slot; N],
-    kept: usize,
+    kept: f64,
+    telling: f64,
     rejected: Rejected,
 ) -> f64 {
-    let half_dof = 0.5 * (kept - N) as f64;
-    let cost = fit.cost.max(LEAST_SQUARE);
+    // Visits of one orientation that share their error are less than as many poses.
+    let share = telling / kept;
+    let half_dof = 0.5 * (telling - N as f64).max(1.0);
+    let cost = share * fit.cost.max(LEAST_SQUARE);
     let variance = 0.5 * cost / half_dof;
-    let inverse = fit.inverse.map(double);
+    let inverse = fit.inverse.map(double) / share;
     // About a perfect sensor; what is not known beforehand has no part in it.
     let mut known = SMatrix::<f64, N, N>::identity();
     let mut off = SVector::<f64, N>::zeros();
@@ -179,7 +184,8 @@ impl Average {
         squares: [0.0; Slot::COUNT],
     };
 
-    fn add(&mut self, estimate: &Estimate, evidence: f64) {
+    fn add(&mut self, fitted: &Fitted) {
+        let (estimate, evidence) = (&fitted.estimate, fitted.evidence);
         if evidence > self.most {
             let shrink = libm::exp(self.most - evidence);
             self.weight *= shrink;
@@ -196,7 +202,7 @@ impl Average {
         }
         let theta = all_of(estimate);
         self.weight += weight;
-        for (sum, dof) in self.per_dof.iter_mut().zip(freedoms(estimate)) {
+        for (sum, dof) in self.per_dof.iter_mut().zip(freedoms(fitted)) {
             *sum += weight / dof;
         }
         for i in 0..Slot::COUNT {
@@ -221,10 +227,12 @@ impl Average {
     }
 
     /// Gives `best` the spread of all about it.
-    fn widen(&self, best: &mut Estimate, nine_known: bool) {
+    fn widen(&self, best: &mut Fitted, nine_known: bool) {
         if self.weight.is_nan() || self.weight <= 0.0 {
             return;
         }
+        let own = freedoms(best);
+        let best = &mut best.estimate;
         let theta = all_of(best);
         for i in 0..Parameter::COUNT {
             for j in 0..Parameter::COUNT {
@@ -263,14 +271,16 @@ impl Average {
         // What smaller models leave out is known once nine parameters are among them.
         let which = usize::from(!nine_known);
         let mean = self.weight / self.per_dof[which];
-        best.interval_dof = Some(mean.min(freedoms(best)[which]));
+        best.interval_dof = Some(mean.min(own[which]));
     }
 }
 
 /// Degrees of freedom of its residuals and of its intervals.
-fn freedoms(estimate: &Estimate) -> [f64; 2] {
-    let dof = estimate.dof as f64;
-    [dof, estimate.interval_dof.unwrap_or(dof)]
+fn freedoms(fitted: &Fitted) -> [f64; 2] {
+    [
+        fitted.dof,
+        fitted.estimate.interval_dof.unwrap_or(fitted.dof),
+    ]
 }
 
 /// The model's parameters with the drift among them.

@@ -34,6 +34,8 @@ pub struct Estimate {
     pub gravity: Gravity,
     /// How many poses were fitted.
     pub poses: usize,
+    /// How many orientations these are: poses within 10° of each other count as visits of one.
+    pub orientations: usize,
     /// Degrees of freedom: observations beyond the parameters fitted.
     pub dof: usize,
     /// Degrees of freedom of the standard deviations, for [`Estimate::half_width_95`]; `None` where
@@ -48,6 +50,9 @@ pub struct Estimate {
     /// |f| − g of each pose under the model fitted without it, m/s² rms over all poses; `None`
     /// where a pose cannot be spared (six-position with one pose a side).
     pub loo_rms_mps2: Option<f64>,
+    /// The same with all visits of the pose's orientation left out, which is what decides; `None` where none
+    /// came again. Beyond 256 poses those that came again have no part in it.
+    pub loo_orientation_rms_mps2: Option<f64>,
     /// Poses that the others contradict beyond chance, left out of the fit.
     pub rejected: Rejected,
     /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g; 1 is best.

@@ -26,7 +26,7 @@ pub(crate) fn check<'a>(
     let mean_mps2 = sum / count;
     match unit(mean_mps2, gravity.mps2()) {
         Some(hint) => Err(Refusal::UnexpectedMagnitude { mean_mps2, hint }),
-        None => match silent_at_its_end(poses) {
+        None => match silent_at_its_end(poses.clone()).or_else(|| nothing_between(poses)) {
             Some(axis) => Err(Refusal::Saturated { axis }),
             None => Ok(()),
         },
@@ -73,6 +73,23 @@ fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Optio
         }
         3 * noisy >= 2 * count && (low.1 || high.1)
     })
+}
+
+/// Fewer poses than this may all lie in the corners of a cube.
+const CORNERS: usize = 5;
+
+/// An axis, where each of the three has two silent readings and nothing between in all poses: its two ends.
+fn nothing_between<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
+    let two = |axis: usize| {
+        let readings = || poses.clone().map(move |pose| pose.mean_mps2[axis]);
+        let low = readings().fold(f64::INFINITY, f64::min);
+        let high = readings().fold(f64::NEG_INFINITY, f64::max);
+        low < high && readings().all(|y| y == low || y == high)
+    };
+    let silent =
+        |pose: &Pose| pose.samples >= MANY_SAMPLES && pose.sd_mps2.iter().all(|sd| *sd <= 0.0);
+    let count = poses.clone().count();
+    (count > CORNERS && poses.clone().all(silent) && (0..3).all(two)).then_some(0)
 }
 
 /// What |y| of this mean size looks like where it cannot be gravity in m/s².

@@ -3,10 +3,11 @@
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::force::Evaluated;
-use crate::least_squares::{Fit, Magnitude, Normal};
+use crate::least_squares::{Fit, Magnitude, Normal, Without};
 use crate::linear::{Real, double, eigen, eigenvalue_range, real, times};
 use crate::outliers::Weighting;
 use crate::terms::{Slot, Theta};
+use crate::visits::Shared;
 use crate::{MultiPosition, Orientation, Refusal};
 
 /// Beyond, some orientation is predicted so badly that the model is of no use there. Twelve well
@@ -51,6 +52,24 @@ impl<R: Real, const N: usize> Knowledge<R, N> {
 }
 
 impl<const N: usize> Magnitude<'_, N> {
+    /// Standard deviation of |f| − g in the worst orientation, m/s².
+    pub fn worst_sd<R: Real>(
+        &self,
+        fit: &Fit<R, N>,
+        knowledge: &Knowledge<R, N>,
+        shared: &Shared<R, N>,
+    ) -> f64 {
+        let amplification = if shared.spread == fit.inverse {
+            knowledge.amplification
+        } else {
+            Evaluated::new(&fit.theta, self.terms).map_or(f64::INFINITY, |at| {
+                self.with_condition(&at, R::one(), &shared.spread)
+                    .amplification
+            })
+        };
+        amplification * libm::sqrt(shared.variance)
+    }
+
     /// What the poses' orientations tell of the parameters that were fitted.
     pub fn knowledge<R: Real>(&self, fit: &Fit<R, N>) -> Option<Knowledge<R, N>> {
         if self.weighting.is_equal() {
@@ -64,7 +83,7 @@ impl<const N: usize> Magnitude<'_, N> {
     /// The same at `theta`, converged or not.
     pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
         let at = Evaluated::new(theta, self.terms)?;
-        let normal = self.weighted_normal(theta, None, &Weighting::EQUAL, None)?;
+        let normal = self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)?;
         if let Some(inverse) = normal.inverse() {
             return self.told(&at, &normal, &inverse);
         }

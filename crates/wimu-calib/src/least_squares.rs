@@ -7,6 +7,7 @@ use crate::force::{Applied, Conditions, Evaluated};
 use crate::linear::{Cholesky, Real, double, real, times};
 use crate::outliers::{Rejected, Weighting};
 use crate::terms::{Slot, Theta};
+use crate::visits::Visits;
 
 /// Iterations after which a fit counts as not converged; a good one takes 3 to 6.
 const MOST_ITERATIONS: usize = 100;
@@ -22,6 +23,15 @@ const MOST_REFITS: usize = 256;
 /// Leverage up to which the first step of the refit is the refit: what it leaves is of second
 /// order in the step, which grows with 1 / (1 − h).
 const MOST_LEVERAGE: f64 = 0.5;
+
+/// What a fit is made without, beside the poses that are rejected.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Without {
+    Nothing,
+    Pose(usize),
+    /// All visits of one.
+    Orientation(usize),
+}
 
 /// Sums over poses: JᵀWJ, JᵀWr and rᵀWr.
 #[derive(Clone)]
@@ -87,6 +97,7 @@ fn unscaled<R: Real, const N: usize>(
 /// The fit of some parameters to |f| = g over static poses: equations (12) to (17), (40), (41).
 pub(crate) struct Magnitude<'a, const N: usize> {
     pub poses: &'a [Pose],
+    pub visits: &'a Visits,
     pub gravity_mps2: f64,
     pub conditions: Conditions,
     pub weighting: Weighting,
@@ -119,6 +130,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     pub fn smaller(&self) -> Magnitude<'a, 6> {
         Magnitude {
             poses: self.poses,
+            visits: self.visits,
             gravity_mps2: self.gravity_mps2,
             conditions: self.conditions,
             weighting: self.weighting,
@@ -151,15 +163,33 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         SVector::from_fn(|i, _| all[self.free[i].index()])
     }
 
-    fn normal<R: Real>(&self, theta: &Theta<R>, skip: Option<usize>) -> Option<Normal<R, N>> {
-        self.weighted_normal(theta, skip, &self.weighting, None)
+    /// The same times the root of the pose's weight.
+    pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
+        let root: R = real(libm::sqrt(self.weighting.of(pose)));
+        let (residual, row) = self.row(at, pose);
+        (residual * root, row * root)
+    }
+
+    /// Whether pose `k` has no part in a fit.
+    #[inline(always)]
+    pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
+        self.rejected.contains(k)
+            || match without {
+                Without::Nothing => false,
+                Without::Pose(one) => one == k,
+                Without::Orientation(group) => self.visits.group(k, pose) == group,
+            }
+    }
+
+    fn normal<R: Real>(&self, theta: &Theta<R>, without: Without) -> Option<Normal<R, N>> {
+        self.weighted_normal(theta, without, &self.weighting, None)
     }
 
     /// With `cauchy`, m/s², each residual counts as cauchy² ln(1 + (r/cauchy)²) instead of r².
     pub fn weighted_normal<R: Real>(
         &self,
         theta: &Theta<R>,
-        skip: Option<usize>,
+        without: Without,
         weighting: &Weighting,
         cauchy: Option<f64>,
     ) -> Option<Normal<R, N>> {
@@ -171,7 +201,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             poses: 0,
         };
         for (k, pose) in self.poses.iter().enumerate() {
-            if Some(k) == skip || self.rejected.contains(k) {
+            if self.is_out(without, k, pose) {
                 continue;
             }
             let (residual, row) = self.row(&at, pose);
@@ -197,16 +227,17 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         normal.cost.is_finite().then_some(normal)
     }
 
-    /// Damped Gauss-Newton from `start`, leaving out pose `skip`. `None` when it does not converge
+    /// Damped Gauss-Newton from `start`. `None` when it does not converge
     /// or a parameter is not determined at all.
-    pub fn solve<R: Real>(&self, start: &Theta<R>, skip: Option<usize>) -> Option<Fit<R, N>> {
-        self.minimise(start, |theta| self.normal(theta, skip))
+    pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R, N>> {
+        self.minimise(start, |theta| self.normal(theta, without))
     }
 
     /// The fit that large residuals pull on ever less, beyond `cauchy`, m/s².
     pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R, N>> {
-        let normal =
-            |theta: &Theta<R>| self.weighted_normal(theta, None, &Weighting::EQUAL, Some(cauchy));
+        let normal = |theta: &Theta<R>| {
+            self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, Some(cauchy))
+        };
         self.minimise(start, normal)
     }
 
@@ -312,6 +343,35 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         ))
     }
 
+    /// The parameters without one orientation.
+    pub fn solve_without<R: Real>(&self, fit: &Fit<R, N>, group: usize) -> Option<Theta<R>> {
+        let at = Evaluated::new(&fit.theta, self.terms)?;
+        let mut rest = fit.normal.clone();
+        let mut leverage = R::zero();
+        let mut pull = SVector::<R, N>::zeros();
+        for (k, pose) in self.poses.iter().enumerate() {
+            if self.visits.group(k, pose) != group || self.rejected.contains(k) {
+                continue;
+            }
+            let (residual, row) = self.weighted_row(&at, pose);
+            leverage += row.dot(&times(&fit.inverse, &row));
+            pull += row * residual;
+            rest.information -= row * row.transpose();
+        }
+        if double(leverage) > MOST_LEVERAGE {
+            let refit = self.solve(&fit.theta, Without::Orientation(group));
+            return refit.map(|without| without.theta);
+        }
+        let scale = rest.scale()?;
+        let factor = Cholesky::new(&rest.scaled(&scale))?;
+        let step = factor.solve(&pull.component_mul(&scale));
+        let mut theta = fit.theta;
+        for (i, slot) in self.free.iter().enumerate() {
+            theta[slot.index()] += step[i] * scale[i];
+        }
+        Some(theta)
+    }
+
     /// Goes over all poses with the residual of each and the one under the fit to all others:
     /// equation (16); infinite for a pose that cannot be spared.
     pub fn leave_out<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, f64, f64)) {
@@ -329,7 +389,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             let step = times(&fit.inverse, &row);
             let leverage = weight * row.dot(&step);
             let left_out = if few && double(leverage) > MOST_LEVERAGE {
-                self.solve(&fit.theta, Some(k))
+                self.solve(&fit.theta, Without::Pose(k))
                     .and_then(|without| self.residual(&without.theta, pose))
             } else {
                 let by = weight * residual / (R::one() - leverage);

@@ -32,6 +32,7 @@ mod student;
 mod terms;
 mod turn;
 mod unfitted;
+mod visits;
 
 pub use alignment::{
     AlignmentEstimate, AlignmentRefusal, KnownDirection, align, align_f32, straight_move,

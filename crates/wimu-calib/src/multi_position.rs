@@ -8,11 +8,12 @@ use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::force::Conditions;
 use crate::knowledge::Knowledge;
-use crate::least_squares::{Fit, Magnitude};
+use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
 use crate::outliers::{Rejected, Weighting};
 use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::unfitted::Unfitted;
+use crate::visits::Visits;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, choice, design,
     input, outliers, pose,
@@ -140,7 +141,6 @@ impl MultiPosition {
 /// [`Refusal`] when the poses cannot support the model; each says what to do.
 pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
     basic::<f64>(poses, gravity, model)
-        .map_err(|refusal| refusal.advise(|m| basic::<f64>(poses, gravity, m).is_ok()))
 }
 
 /// [`multi_position`] computed in f32, for a processor that has no f64: on poses of condition up to
@@ -154,21 +154,26 @@ pub fn multi_position_f32(
     model: Model,
 ) -> Result<Estimate, Refusal> {
     basic::<f32>(poses, gravity, model)
-        .map_err(|refusal| refusal.advise(|m| basic::<f32>(poses, gravity, m).is_ok()))
 }
 
 fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
-    let what = MultiPosition {
-        model,
-        ..MultiPosition::default()
+    let visits = Visits::of(poses);
+    let of = |model| {
+        let what = MultiPosition {
+            model,
+            ..MultiPosition::default()
+        };
+        check(poses, gravity, what)?;
+        match model {
+            Model::Bias3 => fit::<R, 3>(poses, &visits, gravity, what, false),
+            Model::BiasScale6 => fit::<R, 6>(poses, &visits, gravity, what, false),
+            Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, false),
+        }
     };
-    check(poses, gravity, what)?;
-    let fitted = match model {
-        Model::Bias3 => fit::<R, 3>(poses, gravity, what, false),
-        Model::BiasScale6 => fit::<R, 6>(poses, gravity, what, false),
-        Model::Full9 => fit::<R, 9>(poses, gravity, what, false),
-    };
-    fitted.map(Fitted::alone)
+    match of(model) {
+        Ok(fitted) => Ok(fitted.alone()),
+        Err(refusal) => Err(refusal.advise(|smaller| of(smaller).is_ok())),
+    }
 }
 
 /// The same with terms on top, and with bad poses left out where that is asked for. Equations (41)
@@ -207,19 +212,26 @@ fn advised<R: Real>(
     gravity: Gravity,
     what: MultiPosition,
 ) -> Result<Estimate, Refusal> {
-    let supported =
-        |model| with_terms::<R>(poses, gravity, MultiPosition { model, ..what }, false).is_ok();
-    match with_terms::<R>(poses, gravity, what, false) {
+    let visits = Visits::of(poses);
+    let of = |model| {
+        let what = MultiPosition { model, ..what };
+        with_terms::<R>(poses, &visits, gravity, what, false)
+    };
+    match of(what.model) {
         Ok(fitted) => Ok(fitted.alone()),
-        Err(refusal) => Err(refusal.advise(supported)),
+        Err(refusal) => Err(refusal.advise(|smaller| of(smaller).is_ok())),
     }
 }
 
 /// An estimate, and what chooses between several.
 pub(crate) struct Fitted {
     pub estimate: Estimate,
-    /// |f| − g of each pose that was fitted under the model without it, m/s² rms.
+    /// |f| − g of each pose that was fitted under the model without its orientation, m/s² rms.
     pub kept_left_out_mps2: f64,
+    /// Degrees of freedom of its residuals, by orientation.
+    pub dof: f64,
+    /// So many poses, each in an orientation of its own, would tell as much.
+    pub telling: f64,
     /// ln of the probability of the poses under this model, where it was asked for.
     pub evidence: f64,
 }
@@ -237,19 +249,20 @@ impl Fitted {
 /// With `weigh`, what the choice between models asks for, too.
 pub(crate) fn with_terms<R: Real>(
     poses: &[Pose],
+    visits: &Visits,
     gravity: Gravity,
     what: MultiPosition,
     weigh: bool,
 ) -> Result<Fitted, Refusal> {
     check(poses, gravity, what)?;
     match what.parameters() {
-        3 => fit::<R, 3>(poses, gravity, what, weigh),
-        6 => fit::<R, 6>(poses, gravity, what, weigh),
-        9 => fit::<R, 9>(poses, gravity, what, weigh),
-        12 => fit::<R, 12>(poses, gravity, what, weigh),
-        15 => fit::<R, 15>(poses, gravity, what, weigh),
-        18 => fit::<R, 18>(poses, gravity, what, weigh),
-        _ => fit::<R, 21>(poses, gravity, what, weigh),
+        3 => fit::<R, 3>(poses, visits, gravity, what, weigh),
+        6 => fit::<R, 6>(poses, visits, gravity, what, weigh),
+        9 => fit::<R, 9>(poses, visits, gravity, what, weigh),
+        12 => fit::<R, 12>(poses, visits, gravity, what, weigh),
+        15 => fit::<R, 15>(poses, visits, gravity, what, weigh),
+        18 => fit::<R, 18>(poses, visits, gravity, what, weigh),
+        _ => fit::<R, 21>(poses, visits, gravity, what, weigh),
     }
 }
 
@@ -309,12 +322,14 @@ fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
 
 fn fit<R: Real, const N: usize>(
     poses: &[Pose],
+    visits: &Visits,
     gravity: Gravity,
     what: MultiPosition,
     weigh: bool,
 ) -> Result<Fitted, Refusal> {
     let mut problem = Magnitude::<N> {
         poses,
+        visits,
         gravity_mps2: gravity.mps2(),
         conditions: conditions(poses, what.terms),
         weighting: Weighting::EQUAL,
@@ -336,7 +351,7 @@ fn fit<R: Real, const N: usize>(
     let not_converged = || input::mixed_units(poses).unwrap_or(Refusal::NotConverged);
     let unsolved = |problem: &Magnitude<N>| {
         // What the poses tell where they nearly are: by the bias and scale factors that fit them.
-        let smaller = problem.smaller().solve(&perfect, None);
+        let smaller = problem.smaller().solve(&perfect, Without::Nothing);
         let near = smaller.map_or(perfect, |fit| fit.theta);
         match problem.knowledge_at(&near) {
             Some(knowledge) if !knowledge.suffices() => not_observable(&knowledge, problem),
@@ -346,7 +361,7 @@ fn fit<R: Real, const N: usize>(
     let squares = [ellipsoid, Some(perfect)]
         .into_iter()
         .flatten()
-        .find_map(|start| problem.solve(&start, None));
+        .find_map(|start| problem.solve(&start, Without::Nothing));
     // A pose that is far off may keep least squares from converging, not a fit that gives it up.
     let robust = |problem: &Magnitude<N>| problem.solve_robust(&perfect, FAR_OFF_MPS2);
     let converged = squares.is_some();
@@ -366,8 +381,9 @@ fn fit<R: Real, const N: usize>(
     }
     let mut fitted = result(&problem, &fit, &knowledge, gravity, what)?;
     if weigh {
-        let poses = fitted.estimate.poses;
-        fitted.evidence = choice::evidence(&fit, &problem.free, poses, problem.rejected);
+        let poses = fitted.estimate.poses as f64;
+        fitted.evidence =
+            choice::evidence(&fit, &problem.free, poses, fitted.telling, problem.rejected);
     }
     Ok(fitted)
 }
@@ -379,7 +395,7 @@ fn refine<R: Real, const N: usize>(
     what: MultiPosition,
 ) -> Result<Fit<R, N>, Refusal> {
     if what.reject {
-        fit = outliers::reject(problem, fit);
+        fit = outliers::reject(problem, fit, what.model);
     }
     if problem
         .poses
@@ -392,7 +408,7 @@ fn refine<R: Real, const N: usize>(
     for _ in 0..2 {
         problem.weighting = outliers::weighting(problem, &fit);
         fit = problem
-            .solve(&fit.theta, None)
+            .solve(&fit.theta, Without::Nothing)
             .ok_or(Refusal::NotConverged)?;
     }
     Ok(fit)
@@ -427,18 +443,38 @@ fn result<R: Real, const N: usize>(
 
     let fitted_poses = poses.len() - problem.rejected.as_slice().len();
     let dof = fitted_poses - N;
-    let sd = fit.sd(dof);
+    let visited = problem.visited();
+    let shared = problem
+        .shared(fit, &visited)
+        .ok_or_else(|| Refusal::TooFewPoses {
+            have: visited.apart,
+            need: N + 1,
+            model: what.model,
+            instead: None,
+        })?;
+    let sd = libm::sqrt(shared.variance);
     let mut all = Residuals::default();
     let mut left_out = Residuals::default();
     let mut kept = Residuals::default();
+    // By orientation: a visit more of it is no proof of what is known there.
     let mut kept_left_out = Residuals::default();
+    let mut by_orientation = Residuals::default();
     problem.leave_out(fit, |k, residual, without| {
         all.add(k, residual);
         left_out.add(k, without);
-        if !problem.rejected.contains(k) {
-            kept.add(k, residual);
-            kept_left_out.add(k, without);
+        if problem.rejected.contains(k) {
+            by_orientation.add(k, without);
+            return;
         }
+        kept.add(k, residual);
+        if !problem.comes_again(&visited, k) {
+            kept_left_out.add(k, without);
+            by_orientation.add(k, without);
+        }
+    });
+    problem.leave_orientations_out(fit, &visited, |k, without| {
+        kept_left_out.add(k, without);
+        by_orientation.add(k, without);
     });
     if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
         && let Some(axis) = input::clipped_axis(poses)
@@ -468,21 +504,21 @@ fn result<R: Real, const N: usize>(
         });
     }
 
-    let unfitted = Unfitted::of(problem, fit, what, dof, true);
+    let unfitted = Unfitted::of(problem, fit, &shared, what, true);
     // Poses in a plane tell the bias across it by its square, and so either of two: those of a perfect
     // sensor tell none.
     let perfect = unfitted
         .is_some()
         .then(|| at_perfect(problem, fit))
         .flatten();
-    let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, what, dof, false));
+    let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, &shared, what, false));
     for unfitted in [&unfitted, &perfect].into_iter().flatten() {
         if let Some(refusal) = unfitted.refusal(what.model) {
             return Err(refusal);
         }
     }
     let added = |r, c| unfitted.as_ref().map_or(0.0, |u| u.covariance[(r, c)]);
-    let known = |r, c| sd * sd * double(fit.inverse[(r, c)]) + added(r, c);
+    let known = |r, c| shared.variance * double(shared.spread[(r, c)]) + added(r, c);
     let mut covariance = Covariance::ZERO;
     let mut term_sd = TermDeviations::default();
     for (r, &a) in free.iter().enumerate() {
@@ -505,17 +541,20 @@ fn result<R: Real, const N: usize>(
         term_sd,
         gravity,
         poses: fitted_poses,
+        orientations: visited.orientations,
         dof,
-        interval_dof: Some(unfitted.as_ref().map_or(dof as f64, |u| u.dof)),
+        interval_dof: Some(unfitted.as_ref().map_or(shared.dof, |u| u.dof)),
         rms_mps2: all.rms_mps2(),
         max_mps2: all.largest_mps2,
         worst_pose: all.worst_pose,
         loo_rms_mps2: Some(left_out.rms_mps2()),
+        loo_orientation_rms_mps2: visited.again.then(|| by_orientation.rms_mps2()),
         rejected: problem.rejected,
         condition: knowledge.condition,
-        worst_sd_mps2: unfitted
-            .as_ref()
-            .map_or(knowledge.amplification * sd, |u| u.worst_sd_mps2),
+        worst_sd_mps2: unfitted.as_ref().map_or_else(
+            || problem.worst_sd(fit, knowledge, &shared),
+            |u| u.worst_sd_mps2,
+        ),
         coverage: design::coverage(poses),
         temperature_c: pose::mean_temperature(poses.iter()),
         temperature_range_c: range(poses, |pose| pose.temperature_c),
@@ -528,6 +567,8 @@ fn result<R: Real, const N: usize>(
     Ok(Fitted {
         estimate,
         kept_left_out_mps2: predicted,
+        dof: shared.dof,
+        telling: shared.poses,
         evidence: 0.0,
     })
 }
@@ -538,7 +579,7 @@ fn at_perfect<R: Real, const N: usize>(
     fit: &Fit<R, N>,
 ) -> Option<Fit<R, N>> {
     let theta = PERFECT.map(real::<R>);
-    let normal = problem.weighted_normal(&theta, None, &problem.weighting, None)?;
+    let normal = problem.weighted_normal(&theta, Without::Nothing, &problem.weighting, None)?;
     Some(Fit {
         inverse: normal.inverse()?,
         cost: fit.cost,

@@ -1,9 +1,9 @@
 //! Poses that the others contradict, and how much each counts.
 
-use crate::least_squares::{Fit, Magnitude};
+use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::Real;
-use crate::terms::Theta;
-use crate::{Pose, student};
+use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
+use crate::{Model, Pose, student};
 
 /// Chance that a good set of poses loses one.
 const SIGNIFICANCE: f64 = 1e-3;
@@ -101,23 +101,33 @@ impl Weighting {
 pub(crate) fn reject<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     fit: Fit<R, N>,
+    model: Model,
 ) -> Fit<R, N> {
     let count = problem.poses.len();
-    let most = count
+    let most = problem
+        .visits
+        .apart(count)
         .saturating_sub(N + LEAST_DOF)
         .min(count / DOUBTED)
         .min(Rejected::MOST);
     if most == 0 || count > MANY {
         return fit;
     }
+    // What the model leaves out is no pose's fault.
+    let unfitted_mps2 = problem.gravity_mps2
+        * match model {
+            Model::Bias3 => USUAL_SCALE,
+            Model::BiasScale6 => USUAL_ACROSS,
+            Model::Full9 => 0.0,
+        };
     problem.rejected = farthest(problem, &robust(problem, &fit), most);
-    let Some(mut inner) = problem.solve(&fit.theta, None) else {
+    let Some(mut inner) = problem.solve(&fit.theta, Without::Nothing) else {
         problem.rejected = Rejected::default();
         return fit;
     };
-    while let Some((place, deviate)) = nearest(problem, &inner) {
-        let inside = count - problem.rejected.as_slice().len();
-        let limit = student::two_sided(SIGNIFICANCE / count as f64, (inside - N) as f64);
+    while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
+        let dof = problem.visited().apart.saturating_sub(N).max(1);
+        let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
         let known = problem
             .knowledge(&inner)
             .is_some_and(|knowledge| knowledge.suffices());
@@ -125,7 +135,7 @@ pub(crate) fn reject<R: Real, const N: usize>(
             return inner;
         }
         problem.rejected = problem.rejected.without(place);
-        match problem.solve(&inner.theta, None) {
+        match problem.solve(&inner.theta, Without::Nothing) {
             Some(wider) => inner = wider,
             None => break,
         }
@@ -200,13 +210,15 @@ fn farthest<R: Real, const N: usize>(
 fn nearest<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
+    unfitted_mps2: f64,
 ) -> Option<(usize, f64)> {
     let inside = problem.poses.len() - problem.rejected.as_slice().len();
     let sd = fit.sd(inside - N);
     let mut nearest: Option<(usize, f64)> = None;
     for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
         let (residual, growth) = problem.predicted(fit, pose)?;
-        let deviate = residual.abs() / (sd * libm::sqrt(1.0 + growth));
+        let variance = sd * sd * (1.0 + growth) + unfitted_mps2 * unfitted_mps2;
+        let deviate = residual.abs() / libm::sqrt(variance);
         if nearest.is_none_or(|(_, least)| deviate < least) {
             nearest = Some((place, deviate));
         }

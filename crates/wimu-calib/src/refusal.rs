@@ -345,8 +345,8 @@ impl fmt::Display for Refusal {
                 }
                 write!(
                     out,
-                    ": pose {pose} (from 0) decides alone; put the sensor down that way again, and \
-                     in other orientations that you have only once"
+                    ": pose {pose} (from 0) decides alone; add poses in other orientations, unlike \
+                     those you have"
                 )?;
                 smaller(out, instead)
             }

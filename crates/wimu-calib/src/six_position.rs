@@ -390,12 +390,14 @@ fn estimate<'a, R: Real>(
         term_sd: TermDeviations::default(),
         gravity,
         poses: fitted,
+        orientations: 6,
         dof: 3 * fitted - Parameter::COUNT,
         interval_dof: Some(interval_dof).filter(|dof| dof.is_finite()),
         rms_mps2: residuals.rms_mps2(),
         max_mps2: residuals.largest_mps2,
         worst_pose: residuals.worst_pose,
         loo_rms_mps2,
+        loo_orientation_rms_mps2: None,
         rejected,
         // Half sums and half differences of pairs: their design is orthogonal.
         condition: 1.0,
@@ -465,7 +467,7 @@ impl<R: Real> Revisits<R> {
         let tilt = placement_rad * placement_rad;
         let sixth: R = real(1.0 / 6.0);
         let (mut squares, mut dof) = (R::zero(), R::zero());
-        let (mut noise, mut explained) = (R::zero(), R::zero());
+        let mut explained = R::zero();
         for (index, side) in sides.iter().enumerate() {
             let axis = index / 2;
             let across = (0..3).fold(R::zero(), |sum, other| {
@@ -475,12 +477,10 @@ impl<R: Real> Revisits<R> {
             let own = side.noise_variance()[axis] / side.share();
             squares += side.upright_squares;
             dof += side.visits - R::one();
-            noise += own * sixth;
             explained += (own + g * g * tilt * across) * sixth;
         }
         let usual: R = real(REVISIT_MPS2 * REVISIT_MPS2);
         let taken = usual.min(real::<R>(SEEN_AT_MOST) * seen_mps2 * seen_mps2);
-        let taken = (taken - noise).max(R::zero());
         let beyond = (squares - dof * explained).max(R::zero());
         let seen = double(dof) as usize;
         let more = (real::<R>(REVISIT_DOF) * (R::one() - dof * sixth)).max(R::zero());

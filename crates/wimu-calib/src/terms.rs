@@ -51,9 +51,8 @@ impl Slot {
     pub fn usual_sd(self) -> Option<f64> {
         match self.0 {
             0..3 => None,
-            // 3 % of sensitivity, 2 % across the axes.
-            3 | 7 | 11 => Some(0.03),
-            3..12 => Some(0.02),
+            3 | 7 | 11 => Some(USUAL_SCALE),
+            3..12 => Some(USUAL_ACROSS),
             // 2 mg over a session, ½ mg/K, 0.02 %/K, 1 mg at 1 g.
             12..15 => Some(0.02),
             15..18 => Some(0.005),
@@ -73,6 +72,10 @@ impl Slot {
         }
     }
 }
+
+/// What datasheets make likely, 1 σ: of a sensitivity, and across the axes.
+pub(crate) const USUAL_SCALE: f64 = 0.03;
+pub(crate) const USUAL_ACROSS: f64 = 0.02;
 
 /// A perfect sensor.
 pub(crate) const PERFECT: Theta<f64> = {

@@ -8,6 +8,7 @@ use crate::estimate::{Residuals, TermDeviations};
 use crate::linear::{Real, double, real};
 use crate::outliers::Rejected;
 use crate::terms::{self, PERFECT, Terms};
+use crate::visits::Visits;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal, design,
     force, input, pose, student,
@@ -324,12 +325,14 @@ fn turns<R: Real, const N: usize>(
         term_sd: TermDeviations::default(),
         gravity,
         poses: poses.len(),
+        orientations: Visits::of(poses).orientations(),
         dof: checks,
         interval_dof: contradicted.then_some(checks as f64),
         rms_mps2: residuals.rms_mps2(),
         max_mps2: residuals.largest_mps2,
         worst_pose: residuals.worst_pose,
         loo_rms_mps2: None,
+        loo_orientation_rms_mps2: None,
         rejected: Rejected::default(),
         // Mean and first harmonic of equal steps are orthogonal.
         condition: 1.0,

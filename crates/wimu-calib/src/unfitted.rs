@@ -7,6 +7,7 @@ use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, real};
 use crate::terms::Slot;
+use crate::visits::Shared;
 use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
 
 /// Parameters that a model can leave out: three scale factors and three misalignments.
@@ -37,8 +38,8 @@ impl<const N: usize> Unfitted<N> {
     pub fn of<R: Real>(
         problem: &Magnitude<N>,
         fit: &Fit<R, N>,
+        shared: &Shared<R, N>,
         what: MultiPosition,
-        dof: usize,
         seen: bool,
     ) -> Option<Self> {
         let left_out = Model::Full9.fitted().without(what.model.fitted());
@@ -76,8 +77,8 @@ impl<const N: usize> Unfitted<N> {
         let gain = fit.inverse * both;
         let left = (own - both.tr_mul(&gain)).map(double);
         let gain = gain.map(double);
-        let variance = fit.cost / dof.max(1) as f64;
-        let inverse = fit.inverse.map(double);
+        let (variance, dof) = (shared.variance, shared.dof);
+        let inverse = shared.spread.map(double);
         let (mut trace, mut square) = (0.0, 0.0);
         for i in 0..MOST {
             trace += usual[i] * left[(i, i)].max(0.0);
@@ -121,15 +122,15 @@ impl<const N: usize> Unfitted<N> {
                 counted * products.sum::<f64>()
             }),
             worst_sd_mps2: 0.0,
-            dof: dof as f64,
+            dof,
             parameters: Parameters::default(),
             terms: Terms::NONE,
             poorest: Orientation::ALL[0],
         };
         for (i, slot) in problem.free.iter().enumerate() {
             let (noise, more) = (variance * inverse[(i, i)], found.covariance[(i, i)]);
-            let freedom = (noise + more) * (noise + more)
-                / (noise * noise / dof as f64 + more * more / share_dof);
+            let freedom =
+                (noise + more) * (noise + more) / (noise * noise / dof + more * more / share_dof);
             if freedom.is_finite() {
                 found.dof = found.dof.min(freedom.max(1.0));
             }
@@ -145,7 +146,7 @@ impl<const N: usize> Unfitted<N> {
             let applied = at.at(Vector3::from(up));
             let row = problem.derivatives(&at, &applied);
             let others = pick(&at.derivatives(&applied)).map(double);
-            let noise = variance * double(row.dot(&(fit.inverse * row)));
+            let noise = variance * double(row.dot(&(shared.spread * row)));
             let row = row.map(double);
             let more: f64 = (0..MOST)
                 .map(|j| {

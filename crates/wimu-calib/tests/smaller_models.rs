@@ -4,8 +4,11 @@
 mod common;
 
 use common::{Random, norm, parameters, pose, unit};
-use wimu_calib::multi_position_with;
-use wimu_calib::{Estimate, Gravity, Model, MultiPosition, Pose, Refusal, Terms, best_model};
+
+use wimu_calib::{
+    Estimate, Gravity, Model, MultiPosition, Parameter, Pose, Refusal, Terms, best_model,
+    multi_position_with,
+};
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 const G: f64 = 9.80665;
@@ -140,5 +143,89 @@ fn what_a_smaller_model_leaves_out_is_in_what_it_says_of_the_rest() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn a_pose_that_alone_shows_what_a_small_model_leaves_out_is_not_taken_for_a_bad_one() {
+    let gravity = Gravity::new(G, 0.0).expect("gravity");
+    type Fit = fn(&[Pose], Gravity) -> Result<Estimate, Refusal>;
+    let three: Fit = |poses, gravity| {
+        let what = MultiPosition {
+            model: Model::Bias3,
+            reject: true,
+            ..MultiPosition::default()
+        };
+        multi_position_with(poses, gravity, what)
+    };
+    let six: Fit = |poses, gravity| {
+        let what = MultiPosition {
+            model: Model::BiasScale6,
+            reject: true,
+            ..MultiPosition::default()
+        };
+        multi_position_with(poses, gravity, what)
+    };
+    let auto: Fit = |poses, gravity| best_model(poses, gravity, Terms::NONE, true);
+    // The sides as people hold them: Z down comes once, or all twice; and anywhere.
+    let once: &[usize] = &[0, 1, 2, 3, 4, 5, 0, 1, 2, 4];
+    let often: &[usize] = &[0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 5];
+    let twice: &[usize] = &[0, 1, 2, 3, 4, 5, 0, 1, 2, 3, 4, 5];
+    for (name, sides, fit) in [
+        ("ten of six sides, auto", once, auto),
+        ("ten of six sides, 3", once, three),
+        ("one side once, the others three times, 3", often, three),
+        ("six sides twice, auto", twice, auto),
+        ("anywhere, 6", &[6; 12], six),
+    ] {
+        let (mut answered, mut rejected, mut held, mut all, mut far) = (0, 0, 0, 0, 0);
+        for seed in 0..150 {
+            let mut random = Random(seed);
+            let mut terms = ErrorTerms::default();
+            for row in 0..3 {
+                terms.bias_mps2[row] = 0.3 * random.normal();
+                terms.matrix[row][row] += 0.02 * random.normal();
+                for column in 0..row {
+                    terms.matrix[row][column] = 0.01 * random.normal();
+                }
+            }
+            let truth = ErrorModel::new(terms).expect("within bounds");
+            let poses: Vec<Pose> = sides
+                .iter()
+                .map(|&side| {
+                    let mut up = random.direction();
+                    if side < 6 {
+                        let tilt = [0, 1, 2].map(|_| 0.017 * random.normal());
+                        up = tilt;
+                        up[side / 2] += if side % 2 == 0 { 1.0 } else { -1.0 };
+                    }
+                    let mut one = pose(&truth, G, unit(up));
+                    for y in &mut one.mean_mps2 {
+                        *y += 0.001 * random.normal();
+                    }
+                    one
+                })
+                .collect();
+            let Ok(estimate) = fit(&poses, gravity) else {
+                continue;
+            };
+            answered += 1;
+            rejected += estimate.rejected.as_slice().len();
+            for i in 0..3 {
+                let parameter = Parameter::ALL[i];
+                let off = (parameters(&estimate.model)[i] - parameters(&truth)[i]).abs();
+                let half = estimate.half_width_95(parameter);
+                all += 1;
+                held += usize::from(off <= half);
+                far += usize::from(off > 2.0 * half);
+            }
+        }
+        let percent = 100.0 * held as f64 / all as f64;
+        println!(
+            "{name}: answered {answered} of 150, {rejected} good poses left out, bias held {percent:.1} %, \
+             beyond twice the half width {far} of {all}"
+        );
+        assert_eq!(rejected, 0, "{name}");
+        assert!(percent >= 93.0 && 100 * far <= all, "{name}");
     }
 }

@@ -362,7 +362,8 @@ pub struct Calibrate {
     #[arg(long, value_enum, default_value_t = Method::MultiPosition)]
     pub method: Method,
     /// How many parameters: 9 = bias, scale and misalignment (default), 6 without misalignment,
-    /// 3 bias only, auto = the least error on poses left out; six-position has 12, the turns 6.
+    /// 3 bias only, auto = the one that predicts poses left out best, a larger one only for more than
+    /// chance; six-position has 12, the turns 6.
     /// On top: +drift (of the bias over the session), +temperature, +quadratic, as in 9+drift
     #[arg(long, value_name = "3|6|9|12|auto[+TERM…]")]
     pub model: Option<String>,

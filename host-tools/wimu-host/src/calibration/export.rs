@@ -78,12 +78,24 @@ impl KalibrNoise {
     }
 }
 
-/// A Rust module that builds the set with `wimu-model`.
-pub fn to_rust(set: &ParameterSet) -> String {
+/// What it is a calibration of; nobody may have said its range.
+fn accelerometer(set: &ParameterSet, range_known: bool) -> String {
+    let (range_g, lsb_per_g) = (set.range_g, set.sensitivity.lsb_per_g());
+    if range_known {
+        format!("a +/-{range_g} g accelerometer")
+    } else {
+        format!(
+            "an accelerometer of {lsb_per_g:.0} LSB/g; its range is not known (+/-{range_g} g if it had 16 bits)"
+        )
+    }
+}
+
+/// A Rust module that builds the set with `wimu-model`. Where the range is not known, it says so.
+pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
     let terms = set.model.terms();
     let t = &terms.temperature;
     format!(
-        "//! Calibration {id} of a ±{range} g accelerometer, exported by wimu.\n\n\
+        "//! Calibration {id} of {what}, exported by wimu.\n\n\
          use wimu_model::{{\n    Alignment, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,\n}};\n\n\
          /// The error model, y = b(T) + A(T) u: m/s², sensor axes.\n\
          pub const TERMS: ErrorTerms = ErrorTerms {{\n    \
@@ -97,6 +109,7 @@ pub fn to_rust(set: &ParameterSet) -> String {
          alignment: Alignment::try_from({alignment:?}).ok()?,\n        \
          ..ParameterSet::uncalibrated({range}, Sensitivity::from_lsb_per_g({sensitivity:?}).ok()?)\n    }})\n}}\n",
         id = parameter_id(set),
+        what = accelerometer(set, range_known).replace("+/-", "±"),
         range = set.range_g,
         bias = terms.bias_mps2,
         matrix = terms.matrix,
@@ -110,15 +123,16 @@ pub fn to_rust(set: &ParameterSet) -> String {
     )
 }
 
-/// A C header with one function: counts to specific force in body axes.
-pub fn to_c(set: &ParameterSet) -> String {
+/// A C header with one function: counts to specific force in body axes. Where the range is not known, it
+/// says so.
+pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
     let terms = set.model.terms();
     let t = &terms.temperature;
     let mut out = format!(
-        "/* Calibration {} of a +/-{} g accelerometer, exported by wimu. C99. */\n\
+        "/* Calibration {} of {}, exported by wimu. C99. */\n\
          #ifndef WIMU_CALIBRATION_H\n#define WIMU_CALIBRATION_H\n\n#include <stdint.h>\n\n",
         parameter_id(set),
-        set.range_g
+        accelerometer(set, range_known)
     );
     let vector = |v: [f64; 3]| format!("{{{:?}, {:?}, {:?}}}", v[0], v[1], v[2]);
     let matrix = |m: Matrix3| format!("{{{}, {}, {}}}", vector(m[0]), vector(m[1]), vector(m[2]));

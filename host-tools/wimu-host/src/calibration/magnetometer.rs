@@ -9,8 +9,9 @@ use wimu_calib::{
 use wimu_link::message::parameter_id;
 use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
+use super::HELD_SCHEMA;
+use super::input::magnitude;
 use super::report::NextPose;
-use super::{HELD_SCHEMA, magnitude};
 use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, OutputUnit, RateSource};
 use crate::error::{ErrorCode, HostError, Result};
@@ -45,12 +46,25 @@ pub struct MagnetometerReport {
     pub magnetometer: Option<MagnetometerTerms>,
     /// Standard deviation of the rotation's error about the accelerometer's axes, degrees.
     pub rotation_sd_deg: Option<[f64; 3]>,
+    /// 95 % intervals are values plus and minus these.
+    pub half_width_95: Option<MagneticHalfWidths>,
     /// Angle of the field below the horizontal, degrees.
     pub dip_deg: Option<f64>,
     /// The accelerometer's set with the magnetometer.
     pub parameters: Option<ParameterSet>,
     /// Its id.
     pub parameter_id: Option<String>,
+}
+
+/// Half widths of 95 % intervals, by Student's t.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct MagneticHalfWidths {
+    /// Of the hard iron, µT.
+    pub hard_iron_ut: [f64; 3],
+    /// Of the soft iron, xx yy zz xy xz yz.
+    pub soft_iron: [f64; 6],
+    /// Of the rotation's error about the accelerometer's axes, degrees.
+    pub rotation_deg: Option<[f64; 3]>,
 }
 
 /// The magnetic field at one rest.
@@ -140,6 +154,7 @@ pub fn calibrate_magnetometer(
         poses_worth_adding: guide.worth(|_| true),
         magnetometer: None,
         rotation_sd_deg: None,
+        half_width_95: None,
         dip_deg: None,
         parameters: None,
         parameter_id: None,
@@ -369,6 +384,13 @@ impl MagnetometerReport {
         self.rotation_sd_deg = terms
             .to_accelerometer
             .map(|r| [0, 1, 2].map(|axis| r.covariance.sd(axis).to_degrees()));
+        self.half_width_95 = Some(MagneticHalfWidths {
+            hard_iron_ut: found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3),
+            soft_iron: found.soft_iron_half_width_95(),
+            rotation_deg: found
+                .rotation_half_width_95_rad()
+                .map(|axes| axes.map(f64::to_degrees)),
+        });
         self.dip_deg = terms
             .to_accelerometer
             .map(|r| f64::from(r.dip_rad).to_degrees());
@@ -397,10 +419,14 @@ impl fmt::Display for MagnetometerReport {
         let ut = |nt: [f32; 3]| list(&nt.map(|axis| axis / 1e3), 3);
         write!(
             out,
-            "\nhard iron {} µT, 1 σ {}\nsoft iron xx yy zz xy xz yz {}\n     1 σ {}\n\
+            "\nhard iron {} µT, 1 σ {}{}\nsoft iron xx yy zz xy xz yz {}\n     1 σ {}\n\
              field {:.2} µT, {:.3} µT rms, left out {:.3}, condition {:.1}",
             ut(m.hard_iron_nt),
             ut(m.hard_iron_sd_nt),
+            self.half_width_95.map_or(String::new(), |half_width| {
+                let [x, y, z] = half_width.hard_iron_ut;
+                format!(", 95 % ± {x:.3} {y:.3} {z:.3}")
+            }),
             list(&m.soft_iron, 5),
             list(&m.soft_iron_sd, 5),
             m.field_nt / 1e3,

@@ -15,7 +15,10 @@ use wimu_model::{
     Sensitivity, SensorId, TermDeviations,
 };
 
-use super::{CalibrationReport, MAX_POSES, Range, Source, magnitude, median, median_magnitude};
+use super::input::{magnitude, median, median_magnitude};
+use super::numbers::MAX_POSES;
+use super::range::Range;
+use super::{CalibrationReport, Source, saturation};
 use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
@@ -402,6 +405,15 @@ pub fn compare_with_reference(
         parameters: None,
         parameter_id: None,
     };
+    if let Some((which, axis, at_mps2)) = saturation::of_pairs(&data.pairs) {
+        let stream = [&data.reference, &data.output][which];
+        report.reason = Some(format!(
+            "axis {} of {stream} stops at {at_mps2:.3} m/s² while the other stream goes on: it is at its full \
+             scale; choose a larger range, or move it less, and record again",
+            ["X", "Y", "Z"][axis]
+        ));
+        return Ok(report);
+    }
     let found = match transfer.result() {
         Ok(found) => found,
         Err(refusal) => return Ok(refused(report, &refusal)),
@@ -465,7 +477,7 @@ pub fn compare_with_reference(
     report.sd = Some(ErrorTerms {
         bias_mps2: [sd(0), sd(1), sd(2)],
         matrix: std::array::from_fn(|row| std::array::from_fn(|col| sd(3 + 3 * row + col))),
-        ..super::no_terms()
+        ..super::numbers::no_terms()
     });
     report.covariance = Some(covariance);
     let range = Range::of(data.unit, data.range_g, data.sensitivity);
@@ -605,7 +617,7 @@ impl fmt::Display for ReferenceReport {
             self.dof.unwrap_or(0)
         )?;
         if self.parameters.is_none() {
-            write!(out, "\n{}", super::NO_SENSITIVITY)?;
+            write!(out, "\n{}", super::words::NO_SENSITIVITY)?;
         }
         Ok(())
     }

@@ -8,7 +8,8 @@ use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
-use super::{DatasheetReport, MethodChoice, Range};
+use super::range::Range;
+use super::{DatasheetReport, MethodChoice};
 use crate::dataset::RateSource;
 use crate::error::{ErrorCode, HostError, Result};
 
@@ -66,6 +67,11 @@ pub struct Fit {
     /// |f| − g of each pose under the model fitted without it, mm/s² rms; `None` where no pose can
     /// be spared.
     pub loo_rms_mm_s2: Option<f64>,
+    /// The same with all visits of the pose's orientation left out, which is what decides; `None` where
+    /// orientations did not come again.
+    pub loo_orientation_rms_mm_s2: Option<f64>,
+    /// Orientations among the poses: those within 10° of each other are visits of one.
+    pub orientations: usize,
     /// Condition of the fit, 1 is best.
     pub condition: f64,
     /// Standard deviation of |f| − g to be expected in the worst orientation, mm/s².
@@ -306,6 +312,13 @@ impl fmt::Display for CalibrationReport {
                 out,
                 "no pose can be left out: nothing tells the error elsewhere"
             )?,
+        }
+        if let Some(loo) = fit.loo_orientation_rms_mm_s2 {
+            write!(
+                out,
+                "; with all visits of its orientation, of {}: {loo:.3}",
+                fit.orientations
+            )?;
         }
         writeln!(
             out,

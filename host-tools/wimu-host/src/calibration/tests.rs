@@ -1,9 +1,11 @@
 use std::path::PathBuf;
 
+use wimu_calib::Orientation;
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
-use wimu_model::{Counts, DeviceTimeUs, ErrorModel, SpecificForceMps2};
+use wimu_model::{Counts, DeviceTimeUs, ErrorModel, ErrorTerms, SpecificForceMps2};
 
+use super::range::likely_range_g;
 use super::*;
 use crate::dataset::{LoadOptions, Output, RateSource};
 use crate::decode::Decoder;

@@ -7,7 +7,8 @@ use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
 use wimu_link::message::parameter_id;
 use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms};
 
-use super::{CalibrationReport, poses};
+use super::CalibrationReport;
+use super::input::poses;
 use crate::dataset::{Dataset, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
 

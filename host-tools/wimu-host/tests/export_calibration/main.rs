@@ -51,9 +51,9 @@ fn rust_is_the_set_again_as_compiled() {
         "/tests/export_calibration/exported_calibration.rs"
     );
     if std::env::var_os("WRITE_VECTORS").is_some() {
-        fs::write(path, to_rust(&set())).unwrap();
+        fs::write(path, to_rust(&set(), true)).unwrap();
     }
-    assert_eq!(fs::read_to_string(path).unwrap(), to_rust(&set()));
+    assert_eq!(fs::read_to_string(path).unwrap(), to_rust(&set(), true));
     assert_eq!(exported_calibration::parameters(), Some(set()));
 }
 
@@ -61,7 +61,7 @@ fn rust_is_the_set_again_as_compiled() {
 fn c_computes_the_same() {
     let folder = std::env::temp_dir().join(format!("wimu-export-{}", std::process::id()));
     fs::create_dir_all(&folder).unwrap();
-    fs::write(folder.join("wimu_calibration.h"), to_c(&set())).unwrap();
+    fs::write(folder.join("wimu_calibration.h"), to_c(&set(), true)).unwrap();
     let mut program = String::from(
         "#include <stdio.h>\n#include \"wimu_calibration.h\"\nint main(void) {\n    double f[3];\n",
     );

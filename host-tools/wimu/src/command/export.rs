@@ -166,9 +166,10 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
 fn calibration(arguments: &Export, output: Output) -> Result<()> {
     let set = read_parameters(&arguments.input)?;
     let mut remarks: Vec<String> = range_remark(&arguments.input, &set).into_iter().collect();
+    let range_known = remarks.is_empty();
     let text = match arguments.format {
-        ExportFormat::Rust => to_rust(&set),
-        ExportFormat::C => to_c(&set),
+        ExportFormat::Rust => to_rust(&set, range_known),
+        ExportFormat::C => to_c(&set, range_known),
         _ => {
             remarks.extend(not_in_kalibr(&set));
             let noise = arguments.noise.as_deref();

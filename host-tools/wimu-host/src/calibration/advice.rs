@@ -1,0 +1,46 @@
+//! Poses that would help.
+
+use wimu_calib::{Face, Guide, Orientation, Pose, Refusal};
+
+use super::{CalibrateOptions, MethodChoice, NextPose, wanted};
+
+/// Most orientations that are advised at once.
+const MOST_ADVISED: usize = 6;
+
+/// Poses that would help against this refusal.
+pub(super) fn next_poses(
+    refusal: &Refusal,
+    poses: &[Pose],
+    options: &CalibrateOptions,
+) -> Vec<NextPose> {
+    match *refusal {
+        // The same orientation once more tells little: it may have the same error again.
+        Refusal::NotObservable { .. }
+        | Refusal::Confounded { .. }
+        | Refusal::PoorPrediction { .. } => advice(poses, options, 1),
+        Refusal::PoseMissing { .. } => Face::ALL
+            .into_iter()
+            .filter(|face| poses.iter().all(|pose| Face::of(pose) != Some(*face)))
+            .map(|face| Orientation::from(face).into())
+            .collect(),
+        Refusal::TooFewPoses { have, need, .. } => {
+            advice(poses, options, need.saturating_sub(have))
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// The orientations that add most to these poses, as many as are worth it, `least` in any case.
+pub(super) fn advice(poses: &[Pose], options: &CalibrateOptions, least: usize) -> Vec<NextPose> {
+    if options.method != MethodChoice::MultiPosition {
+        return Vec::new();
+    }
+    let mut guide = Guide::after(wanted(options), poses);
+    let count = guide.worth(|_| true).min(MOST_ADVISED).max(least);
+    let next = |remaining| {
+        let next = guide.next_of(remaining, |_| true)?;
+        guide.take(next.up());
+        Some(next.into())
+    };
+    (1..=count).rev().map_while(next).collect()
+}

@@ -1,0 +1,138 @@
+//! The static poses of a dataset, and what its values can be.
+
+use std::collections::HashSet;
+
+use wimu_calib::{Gravity, Model, MultiPosition, Pose, Refusal, UnitHint, multi_position_with};
+use wimu_model::Sensitivity;
+
+use super::saturation;
+use crate::dataset::{Dataset, Output, OutputUnit};
+
+/// Static poses in the unit of their dataset.
+pub(super) struct Poses {
+    pub poses: Vec<Pose>,
+    /// m/s² per unit under which they were looked for.
+    pub scale: f64,
+    /// An axis that stood at its limit in some of them.
+    pub saturated: Option<usize>,
+}
+
+impl Poses {
+    /// Takes out what is equal to an earlier pose to the last digit: a file that was joined to itself, or
+    /// a logger that repeats, tells nothing new. Says how many they were.
+    pub fn take_out_repeated(&mut self) -> usize {
+        let all = self.poses.len();
+        let mut seen = HashSet::with_capacity(all);
+        self.poses
+            .retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
+        all - self.poses.len()
+    }
+
+    /// The same at another scale.
+    pub fn scaled(&self, scale: f64) -> Vec<Pose> {
+        let change = scale / self.scale;
+        let scaled = |pose: &Pose| Pose {
+            mean_mps2: pose.mean_mps2.map(|axis| axis * change),
+            sd_mps2: pose.sd_mps2.map(|axis| axis * change),
+            rounding_sd_mps2: pose.rounding_sd_mps2.map(|axis| axis * change),
+            ..*pose
+        };
+        self.poses.iter().map(scaled).collect()
+    }
+}
+
+pub(super) fn poses(data: &Dataset, scale: f64) -> Poses {
+    let mut saturated = None;
+    let poses = if data.poses {
+        let pose = |(index, output): (usize, &Output)| Pose {
+            samples: output.samples,
+            temperature_c: output.temperature_c,
+            first_sample: index as u64,
+            // Without times nothing shows a drift.
+            time_s: output.time_s.unwrap_or(0.0),
+            ..Pose::from_mean(output.value.map(|axis| axis * scale))
+        };
+        data.outputs.iter().enumerate().map(pose).collect()
+    } else {
+        let si = |output: &Output| output.value.map(|axis| axis * scale);
+        let forces: Vec<[f64; 3]> = data.outputs.iter().map(si).collect();
+        let poses = data.rests(&forces);
+        let lsb_mps2 = matches!(data.unit, OutputUnit::Counts { .. }).then_some(scale);
+        saturated = saturation::full_scale(&forces, &poses, lsb_mps2)
+            .or_else(|| saturation::at_rest(forces.into_iter(), &poses));
+        poses
+    };
+    Poses {
+        poses,
+        scale,
+        saturated,
+    }
+}
+
+/// Samples among which hardly a pose is found may be in another unit than is said: then their noise
+/// passes for motion. Those of unknown worth have none.
+pub(super) fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal> {
+    let known = match data.unit {
+        OutputUnit::Mps2 => true,
+        OutputUnit::Counts { nominal, .. } => nominal.is_some(),
+    };
+    if !known || data.poses || found.poses.len() > 3 {
+        return None;
+    }
+    let mean_mps2 = median_magnitude(data) * found.scale;
+    let hint = not_gravity(mean_mps2, gravity)?;
+    Some(Refusal::UnexpectedMagnitude { mean_mps2, hint })
+}
+
+/// What an output that is so long at rest, m/s², looks like where it cannot be gravity.
+fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
+    let typical = Pose::from_mean([mps2, 0.0, 0.0]);
+    let bias = MultiPosition {
+        model: Model::Bias3,
+        ..MultiPosition::default()
+    };
+    match multi_position_with(&[typical; 4], gravity, bias) {
+        Err(Refusal::UnexpectedMagnitude { hint, .. }) => Some(hint),
+        _ => None,
+    }
+}
+
+/// m/s² per unit of a dataset's values: by the sensitivity given, else the board's, else so that the
+/// median output is `gravity_mps2`.
+pub(crate) fn mps2_per_unit(data: &Dataset, given: Option<Sensitivity>, gravity_mps2: f64) -> f64 {
+    match (data.unit, given) {
+        (OutputUnit::Mps2, _) => 1.0,
+        (_, Some(known))
+        | (
+            OutputUnit::Counts {
+                nominal: Some(known),
+                ..
+            },
+            None,
+        ) => known.mps2_per_lsb(),
+        _ => gravity_mps2 / median_magnitude(data),
+    }
+}
+
+pub(super) fn median_magnitude(data: &Dataset) -> f64 {
+    median(data.outputs.iter().map(|output| magnitude(output.value)))
+        .filter(|median| *median > 0.0)
+        .unwrap_or(1.0)
+}
+
+pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+pub(super) fn magnitude(vector: [f64; 3]) -> f64 {
+    vector.iter().map(|axis| axis * axis).sum::<f64>().sqrt()
+}
+
+pub(super) fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
+        (sum + value * value, count + 1.0)
+    });
+    (count > 0.0).then(|| (sum / count).sqrt())
+}

@@ -1,0 +1,121 @@
+//! Axes that stood at their limit.
+
+use wimu_calib::Pose;
+
+/// So many samples at rest at one end of an axis, and so many times those at the next value, are at its
+/// limit, where noise is more than so many steps of the output: of free ones few are at their end.
+const AT_THE_LIMIT: usize = 10;
+const PER_NEXT: usize = 3;
+const FINE_STEPS: f64 = 2.0;
+
+/// The axis that stood at its limit in some poses, all the time or when its noise took it there.
+pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
+    let mut values = [const { Vec::new() }; 3];
+    let mut holds = poses.iter().peekable();
+    for (index, sample) in (0..).zip(samples) {
+        while holds
+            .next_if(|pose| index >= pose.first_sample + u64::from(pose.samples))
+            .is_some()
+        {}
+        if holds.peek().is_some_and(|pose| index >= pose.first_sample) {
+            for (values, value) in values.iter_mut().zip(sample) {
+                values.push(value);
+            }
+        }
+    }
+    (0..3).find(|&axis| {
+        let values = &mut values[axis];
+        values.sort_by(f64::total_cmp);
+        let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
+        let step = steps
+            .filter(|step| *step > 0.0)
+            .fold(f64::INFINITY, f64::min);
+        let mut noises: Vec<f64> = poses.iter().map(|pose| pose.sd_mps2[axis]).collect();
+        noises.sort_by(f64::total_cmp);
+        let usual = noises.get(noises.len() / 2).copied().unwrap_or(0.0);
+        // Values from that end on.
+        let at_limit = |from_end: &mut dyn Iterator<Item = f64>| {
+            let mut counts = [0; 2];
+            let (mut place, mut last) = (0, None);
+            for value in from_end {
+                place += usize::from(last.is_some_and(|last: f64| last != value));
+                last = Some(value);
+                match counts.get_mut(place) {
+                    Some(count) => *count += 1,
+                    None => break,
+                }
+            }
+            counts[0] >= AT_THE_LIMIT && counts[0] >= PER_NEXT * counts[1]
+        };
+        usual > FINE_STEPS * step
+            && (at_limit(&mut values.iter().copied())
+                || at_limit(&mut values.iter().rev().copied()))
+    })
+}
+
+/// Counts from which on a power of two is no likely reading of 1 g.
+const LEAST_FULL_SCALE: f64 = 255.0;
+/// So many of the six ends of the axes are not at full scale by chance.
+const ENDS: usize = 3;
+/// How near to it the mean of a rest is, counts.
+const AT_FULL_SCALE: f64 = 0.25;
+
+/// The axis that rests at full scale, where rests of several do: the counts reach from −2ᵏ to 2ᵏ − 1 and not
+/// beyond, as those of a sensor of that many bits. Shows what is too coarse for noise to show.
+pub(super) fn full_scale(
+    samples: &[[f64; 3]],
+    poses: &[Pose],
+    lsb_mps2: Option<f64>,
+) -> Option<usize> {
+    let lsb_mps2 = lsb_mps2.filter(|lsb| *lsb > 0.0)?;
+    let all = || samples.iter().flatten().map(|y| (y / lsb_mps2).round());
+    let (low, high) = (all().fold(0.0, f64::min), all().fold(0.0, f64::max));
+    let power = (high + 1.0).log2();
+    if high < LEAST_FULL_SCALE || low != -high - 1.0 || power.fract() != 0.0 {
+        return None;
+    }
+    let reaches = |axis: usize, limit: f64| {
+        let mut means = poses.iter().map(|pose| pose.mean_mps2[axis] / lsb_mps2);
+        means.any(|mean| (mean - limit).abs() < AT_FULL_SCALE)
+    };
+    let ends = || (0..3).flat_map(|axis| [(axis, low), (axis, high)]);
+    let at = || ends().filter(|&(axis, limit)| reaches(axis, limit));
+    at().next()
+        .filter(|_| at().count() >= ENDS)
+        .map(|(axis, _)| axis)
+}
+
+/// By so much the other stream goes on while one stands at its limit, m/s².
+const GOES_ON_MPS2: f64 = 0.5;
+
+/// Of two streams of one motion the one, its axis and its reading, m/s², that stands still at its end while
+/// the other goes on.
+pub(super) fn of_pairs(pairs: &[[[f64; 3]; 2]]) -> Option<(usize, usize, f64)> {
+    for (which, axis) in (0..2).flat_map(|which| (0..3).map(move |axis| (which, axis))) {
+        let values = || pairs.iter().map(|pair| pair[which][axis]);
+        let low = values().fold(f64::INFINITY, f64::min);
+        let high = values().fold(f64::NEG_INFINITY, f64::max);
+        for end in [low, high] {
+            let mut count = 0;
+            let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+            // The value next to the end.
+            let mut next = f64::INFINITY;
+            for pair in pairs {
+                let off = (pair[which][axis] - end).abs();
+                if off > 0.0 {
+                    next = next.min(off);
+                    continue;
+                }
+                count += 1;
+                let other = pair[1 - which][axis];
+                (least, most) = (least.min(other), most.max(other));
+            }
+            let beside = values().filter(|y| (y - end).abs() == next).count();
+            let plateau = count >= AT_THE_LIMIT && count >= PER_NEXT * beside;
+            if plateau && low < high && most - least > GOES_ON_MPS2 {
+                return Some((which, axis, end));
+            }
+        }
+    }
+    None
+}

@@ -1,0 +1,203 @@
+//! What a calibration says beside its numbers.
+
+use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal};
+use wimu_model::Sensitivity;
+
+use super::input::{magnitude, median_magnitude};
+use super::range::Range;
+use super::{CalibrateOptions, MethodChoice, ModelChoice};
+use crate::dataset::{Dataset, Output, RateSource};
+
+pub(super) fn said_of_repeated(poses: usize) -> Option<String> {
+    let one = poses == 1;
+    (poses > 0).then(|| {
+        format!(
+            "{poses} pose{} equal to {} to the last digit and tell{} nothing new: left out, and not \
+             counted where poses are numbered",
+            if one { " is" } else { "s are" },
+            if one { "another" } else { "others" },
+            if one { "s" } else { "" },
+        )
+    })
+}
+
+/// When poses begin, for a person to find them by.
+pub(super) fn begins(data: &Dataset, poses: &[Pose]) -> String {
+    if data.poses || poses.is_empty() || poses.len() > 40 {
+        return String::new();
+    }
+    let begin = |pose: &Pose| format!("{:.0}", data.since_start_s(pose.first_sample as usize));
+    let begins: Vec<String> = poses.iter().map(begin).collect();
+    format!(", which begin {} s after the start", begins.join(", "))
+}
+
+/// Why it was refused, and what on the command line mends it.
+pub(super) fn reason(
+    refusal: &Refusal,
+    poses: &[Pose],
+    data: &Dataset,
+    options: &CalibrateOptions,
+) -> String {
+    let has = poses.len();
+    if let Refusal::NotATurn { steps, .. } = *refusal
+        && has < steps
+    {
+        return format!(
+            "{has} static pose{} found, a turn has {steps} steps of {}°: turn about one axis of the \
+             sensor, in one direction, and hold it still for two seconds at each step",
+            if has == 1 { "" } else { "s" },
+            360 / steps.max(1)
+        );
+    }
+    let mut reason = refusal.to_string();
+    if looks_like_means(data, has) {
+        return reason + "; the rows look like means over static poses: if they are, add --poses";
+    }
+    if has == 1 && !data.poses {
+        reason += "; what a sensor that lies still tells is its noise: `wimu allan`";
+    }
+    let lacks = matches!(
+        refusal,
+        Refusal::TooFewPoses { .. }
+            | Refusal::NotObservable { .. }
+            | Refusal::Confounded { .. }
+            | Refusal::PoorPrediction { .. }
+    );
+    if !lacks || options.method != MethodChoice::MultiPosition {
+        return reason;
+    }
+    let fixed = options.model != ModelChoice::Auto;
+    if fixed && has > Model::Bias3.parameters() {
+        reason += "; --model auto takes the model that these poses support best";
+    }
+    let up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
+    if Face::ALL.iter().all(up) {
+        reason += "; all six sides are there: where they were squared, --method six-position gives \
+                   all 12 parameters";
+    }
+    reason
+}
+
+/// More rows than anyone has poses.
+const MOST_MEANS: usize = 2000;
+
+/// Whether rows among which hardly a rest is found are each of the length of gravity, and too far apart
+/// for samples.
+fn looks_like_means(data: &Dataset, found: usize) -> bool {
+    if data.poses || found > 1 || data.outputs.len() > MOST_MEANS {
+        return false;
+    }
+    let median = median_magnitude(data);
+    let near = |output: &&Output| (magnitude(output.value) / median - 1.0).abs() < 0.2;
+    let alike = data.outputs.iter().filter(near).count();
+    data.rate_source == RateSource::Assumed && 10 * alike >= 9 * data.outputs.len()
+}
+
+/// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
+const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
+
+/// Why a calibration cannot go to a board.
+pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g, not in counts: to push or export this calibration, calibrate \
+     again with --sensitivity, the nominal LSB/g of the board's range";
+
+/// What the numbers do not show.
+pub(super) fn remarks(
+    data: &Dataset,
+    options: &CalibrateOptions,
+    estimate: Option<&Estimate>,
+    told: Option<(Sensitivity, Range)>,
+    lsb_per_g: Option<f64>,
+) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if data.rate_source == RateSource::Assumed && !data.poses {
+        let timed = data.outputs.iter().any(|output| output.time_s.is_some());
+        remarks.push(format!(
+            "the data have no {}: {} Hz assumed",
+            if timed {
+                "two times within a second of each other (is their unit right?)"
+            } else {
+                "times"
+            },
+            data.rate_hz
+        ));
+    }
+    remarks.extend(data.gaps_remark());
+    let Some(estimate) = estimate else {
+        return remarks;
+    };
+    let missing = |parameters: &[Parameter]| {
+        parameters
+            .iter()
+            .all(|parameter| !estimate.fitted.contains(*parameter))
+    };
+    let [mut scales, mut misalignments] = [false; 2];
+    if missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]) {
+        scales = true;
+        remarks.push("scale factors were not fitted and are taken as 1".to_owned());
+    }
+    if missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]) {
+        misalignments = true;
+        remarks.push("misalignments were not fitted and are taken as 0".to_owned());
+    }
+    let others: Vec<String> = estimate
+        .not_observed()
+        .iter()
+        .filter(|parameter| match parameter.index() {
+            0..3 => true,
+            3 | 7 | 11 => !scales,
+            _ => !misalignments,
+        })
+        .map(|parameter| parameter.to_string())
+        .collect();
+    if !others.is_empty() {
+        remarks.push(format!(
+            "nothing here shows {}: taken as those of a perfect sensor, as uncertain as datasheets have it",
+            others.join(", ")
+        ));
+    }
+    if let Method::SixPosition {
+        revisit_sd_mps2,
+        revisits,
+        unexplained,
+        ..
+    } = estimate.method
+    {
+        let mm = revisit_sd_mps2 * 1e3;
+        if unexplained {
+            remarks.push(format!(
+                "visits of one side differ by more than noise and placement explain, {mm:.1} mm/s² (1 σ): \
+                 the sensor drifts, or was not put down alike; the standard deviations include it"
+            ));
+        } else if revisits == 0 && mm > 0.0 {
+            remarks.push(format!(
+                "each side was up once: that a position comes back to {mm:.1} mm/s² (1 σ) is taken \
+                 from other sensors; put each up twice to see it"
+            ));
+        }
+    }
+    let left = estimate.rms_mps2 * 1e3;
+    if left > SUSPICIOUS_RMS_MM_S2 && estimate.rejected.as_slice().is_empty() {
+        remarks.push(format!(
+            "what is left, {left:.0} mm/s² rms, is more than poses of a sound sensor leave: the model \
+             is too small, or poses are bad"
+        ));
+    }
+    remarks.extend(told.and_then(|(sensitivity, range)| range.remark(sensitivity)));
+    if let (None, Some(lsb_per_g)) = (told, lsb_per_g) {
+        remarks.push(format!(
+            "{lsb_per_g:.1} LSB/g is outside what a board can be told (160 to 65536): this calibration \
+             cannot be pushed or exported"
+        ));
+    }
+    if lsb_per_g.is_none() {
+        remarks.push(NO_SENSITIVITY.to_owned());
+    }
+    if options.method != MethodChoice::SixPosition || options.sides.is_none() {
+        remarks.push(
+            "nothing here shows axes that are swapped, mirrored or inverted: --method six-position \
+             --sides does"
+                .to_owned(),
+        );
+    }
+    remarks
+}

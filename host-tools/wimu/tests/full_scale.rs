@@ -1,0 +1,139 @@
+//! Sensors at the end of their range: refused, however coarse or however they are compared.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+
+use kit::{folder, wimu};
+
+/// Holds of 3 s at 100 Hz, each axis in counts.
+fn held(poses: &[[i32; 3]]) -> String {
+    let mut text =
+        String::from("Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
+    let mut k = 0;
+    for (p, pose) in poses.iter().enumerate() {
+        for _ in 0..300 {
+            let [x, y, z] = pose;
+            write!(text, "\n{:.2},{x},{y},{z}", f64::from(k) * 0.01).unwrap();
+            k += 1;
+        }
+        // On to the next.
+        let next = poses.get(p + 1).unwrap_or(pose);
+        for step in 0..100 {
+            let at = f64::from(step) / 100.0;
+            let turn = |axis: usize| {
+                let (from, to) = (f64::from(pose[axis]), f64::from(next[axis]));
+                (from + (to - from) * at + 20.0 * (0.5 * f64::from(step)).sin())
+                    .clamp(-256.0, 255.0)
+            };
+            let [x, y, z] = [0, 1, 2].map(|axis| turn(axis).round());
+            write!(text, "\n{:.2},{x},{y},{z}", f64::from(k) * 0.01).unwrap();
+            k += 1;
+        }
+    }
+    text
+}
+
+#[test]
+fn counts_too_coarse_for_noise_that_stop_at_full_scale_are_refused() {
+    let folder = folder();
+    let csv = folder.path().join("six.csv").display().to_string();
+    let run = |text: String| {
+        fs::write(&csv, text).unwrap();
+        let six = ["--method", "six-position", "--sensitivity", "256"];
+        wimu(&[&["calibrate", csv.as_str()][..], &six].concat())
+    };
+    // Nine bits at 1 g: X stops at both ends, Y and Z at one.
+    let stuck = run(held(&[
+        [255, 12, 5],
+        [-256, 1, 7],
+        [3, 255, -4],
+        [-1, -252, 3],
+        [-1, 7, 255],
+        [-1, 7, -248],
+    ]));
+    assert_eq!(stuck.code, 3, "{stuck:?}");
+    assert!(stuck.stderr.contains("saturated"), "{stuck:?}");
+    // The same sensor a little below.
+    let free = run(held(&[
+        [251, 12, 5],
+        [-253, 1, 7],
+        [3, 254, -4],
+        [-1, -252, 3],
+        [-1, 7, 255],
+        [-1, 7, -248],
+    ]));
+    assert_eq!(free.code, 0, "{free:?}");
+}
+
+#[test]
+fn axes_that_are_always_at_one_end_or_the_other_are_refused() {
+    let folder = folder();
+    let csv = folder.path().join("rails.csv").display().to_string();
+    let (low, high) = (-32768, 32767);
+    let corners: Vec<[i32; 3]> = (0..8)
+        .map(|k| [0, 1, 2].map(|axis| if k >> axis & 1 == 1 { high } else { low }))
+        .collect();
+    let mut text =
+        String::from("Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
+    for k in 0..8 * 300_usize {
+        let [x, y, z] = corners[k / 300];
+        write!(text, "\n{:.2},{x},{y},{z}", k as f64 * 0.01).unwrap();
+    }
+    fs::write(&csv, text).unwrap();
+    for model in ["auto", "3", "6", "9"] {
+        let refused = wimu(&["calibrate", &csv, "--model", model]);
+        assert_eq!(refused.code, 3, "{model}: {refused:?}");
+        assert!(refused.stderr.contains("saturated"), "{model}: {refused:?}");
+    }
+}
+
+#[test]
+fn a_stream_that_stops_while_its_reference_goes_on_is_refused() {
+    let folder = folder();
+    let csv = folder.path().join("two.csv").display().to_string();
+    for (limit, code) in [(9.5, 3), (10.5, 3), (100.0, 0)] {
+        let mut text = String::from("Time (s)");
+        for sensor in 0..2 {
+            for axis in ["X", "Y", "Z"] {
+                write!(text, ",Accelerometer {sensor} {axis} (m/s²)").unwrap();
+            }
+        }
+        for k in 0..4000_u32 {
+            let t = f64::from(k) * 0.01;
+            let force = [
+                2.0 * (1.3 * t).sin() + 1.0,
+                2.5 * (0.9 * t + 0.3).sin() - 3.0,
+                2.0 * (1.7 * t).cos() + 9.0,
+            ];
+            // Noise enough that no two samples are alike.
+            let rough = |seed: f64| 0.02 * (f64::from(k) * seed).sin();
+            write!(text, "\n{t:.2}").unwrap();
+            for axis in 0..3 {
+                write!(text, ",{:.6}", force[axis] + rough(12.9 + axis as f64)).unwrap();
+            }
+            for axis in 0..3 {
+                let output: f64 = 0.1 + 1.01 * force[axis] + rough(78.2 + axis as f64);
+                write!(text, ",{:.6}", output.clamp(-limit, limit)).unwrap();
+            }
+        }
+        fs::write(&csv, text).unwrap();
+        let of = [
+            "calibrate",
+            &csv,
+            "--method",
+            "reference",
+            "--reference",
+            "0",
+        ];
+        let told = wimu(&[&of[..], &["--accelerometer", "1"]].concat());
+        assert_eq!(told.code, code, "{limit}: {told:?}");
+        if code == 3 {
+            assert!(
+                told.stderr.contains("stops at") && told.stderr.contains("full scale"),
+                "{told:?}"
+            );
+        }
+    }
+}

@@ -276,6 +276,17 @@ fn main_axis<R: Real, const N: usize>(matrix: SMatrix<R, N, N>) -> SVector<R, N>
 /// `before` and `after` are the mean specific force of the rests, m/s²; `samples` the specific force
 /// between them at `rate_hz`.
 ///
+/// ```
+/// use wimu_calib::straight_move;
+///
+/// // Pushed along the sensor's x and stopped again, on a level table, in a second.
+/// let rest = [0.0, 0.0, 9.81];
+/// let push = (0..100).map(|k| [2.0 * f64::sin(0.0628 * f64::from(k)), 0.0, 9.81]);
+/// let (ahead, sd_rad) = straight_move(rest, rest, push, 100.0)?;
+/// assert!(ahead[0] > 0.999 && sd_rad < 0.02);
+/// # Ok::<(), wimu_calib::AlignmentRefusal>(())
+/// ```
+///
 /// # Errors
 /// [`AlignmentRefusal::NotMoved`] and [`AlignmentRefusal::NotStraight`].
 pub fn straight_move(

@@ -11,7 +11,7 @@ use crate::visits::Visits;
 use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
 
 /// Degrees of freedom without which no term is taken in.
-const LEAST_DOF: f64 = 4.0;
+pub(crate) const LEAST_DOF: f64 = 4.0;
 /// By how much n ln(left-out error²) has to fall for each parameter of a term.
 const PER_PARAMETER: f64 = 1.0;
 /// Left-out error of a pose that the fit does without, per that of the others: more poses left out
@@ -37,9 +37,48 @@ const LEAST_SQUARE: f64 = 1e-12;
 /// Its standard deviations include that the data chose the model: what the others say that predict
 /// nearly as well.
 ///
+/// ```
+/// use wimu_calib::{Gravity, Method, Model, Orientation, Pose, Terms, best_model};
+///
+/// // Ten poses of a sensor of 0.2 m/s² of bias: too few to judge nine parameters by.
+/// let poses = [0, 3, 6, 9, 12, 14, 17, 20, 23, 25].map(|k| {
+///     let up = Orientation::ALL[k].up();
+///     let rough = 0.002 * f64::sin(2.3 * k as f64);
+///     Pose::from_mean(up.map(|c| 9.81 * c + 0.2 + rough))
+/// });
+/// let best = best_model(&poses, Gravity::new(9.81, 0.0)?, Terms::NONE, true)?;
+/// assert!(matches!(best.method, Method::MultiPosition(Model::Bias3)));
+/// // What smaller models leave out is in the interval.
+/// let half_width = best.half_width_95(wimu_calib::Parameter::BiasX);
+/// assert!((best.model.terms().bias_mps2[0] - 0.2).abs() < half_width);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// The refusal of nine parameters with the terms of `least`, when no model is supported.
 pub fn best_model(
+    poses: &[Pose],
+    gravity: Gravity,
+    least: Terms,
+    reject: bool,
+) -> Result<Estimate, Refusal> {
+    best::<f64>(poses, gravity, least, reject)
+}
+
+/// [`best_model`] computed in f32, for a processor that has no f64: the fits are, what weighs them is not.
+///
+/// # Errors
+/// Those of [`best_model`].
+pub fn best_model_f32(
+    poses: &[Pose],
+    gravity: Gravity,
+    least: Terms,
+    reject: bool,
+) -> Result<Estimate, Refusal> {
+    best::<f32>(poses, gravity, least, reject)
+}
+
+fn best<R: Real>(
     poses: &[Pose],
     gravity: Gravity,
     least: Terms,
@@ -61,7 +100,7 @@ pub fn best_model(
                 terms,
                 reject,
             };
-            let fitted = match with_terms::<f64>(poses, &visits, gravity, what, true) {
+            let fitted = match with_terms::<R>(poses, &visits, gravity, what, true) {
                 Ok(fitted) => fitted,
                 Err(refusal) => {
                     nine = nine.or(Some(refusal).filter(|_| model == Model::Full9));

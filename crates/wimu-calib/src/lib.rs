@@ -38,7 +38,7 @@ pub use alignment::{
     AlignmentEstimate, AlignmentRefusal, KnownDirection, align, align_f32, straight_move,
     straight_move_f32,
 };
-pub use choice::best_model;
+pub use choice::{best_model, best_model_f32};
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
 pub use estimate::{Covariance, Deviations, Drift, Estimate, Method, TermDeviations};

@@ -5,12 +5,12 @@ mod common;
 use common::{Random, misplaced, parameters, pose};
 use wimu_calib::{
     Estimate, Gravity, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model,
-    multi_position, multi_position_f32, multi_position_with,
+    best_model_f32, multi_position, multi_position_f32, multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 const G: f64 = 9.80665;
-const SEEDS: u64 = 100;
+const SEEDS: u64 = 60;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 fn exact() -> Gravity {
@@ -57,7 +57,7 @@ fn sensor(random: &mut Random) -> ErrorModel {
 #[test]
 fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is_new() {
     type Method = fn(&[Pose]) -> Result<Estimate, Refusal>;
-    let methods: [(&str, Method); 4] = [
+    let methods: [(&str, Method); 5] = [
         ("nine parameters", |poses| {
             multi_position(poses, exact(), Model::Full9)
         }),
@@ -73,6 +73,9 @@ fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is
         }),
         ("auto", |poses| {
             best_model(poses, exact(), Terms::NONE, true)
+        }),
+        ("auto in f32", |poses| {
+            best_model_f32(poses, exact(), Terms::NONE, true)
         }),
     ];
     for (orientations, visits) in [(12, 1), (12, 2), (12, 3), (18, 3), (20, 2), (26, 4)] {

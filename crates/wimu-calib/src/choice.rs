@@ -11,7 +11,7 @@ use crate::visits::Visits;
 use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
 
 /// Degrees of freedom without which no term is taken in.
-pub(crate) const LEAST_DOF: f64 = 4.0;
+const LEAST_DOF: f64 = 4.0;
 /// By how much n ln(left-out error²) has to fall for each parameter of a term.
 const PER_PARAMETER: f64 = 1.0;
 /// Left-out error of a pose that the fit does without, per that of the others: more poses left out

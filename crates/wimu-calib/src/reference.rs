@@ -454,10 +454,9 @@ impl<R: Scalar> ReferenceTransfer<R> {
                 add_slope(&mut covariance, libm::sqrt(more), transfer.at_mps2);
             }
         }
-        let [seen_of, carried] = self.seen_of(axis, used, &moments);
-        transfer.seen_of = seen_of;
+        transfer.seen_of = self.seen_of(axis, used, &moments);
         let all = self.all(used);
-        for (other, seen) in carried.into_iter().enumerate() {
+        for (other, seen) in transfer.seen_of.into_iter().enumerate() {
             // Its mean passes for bias, and as far as it moves along, for scale factor.
             let mean = origins[other][0] + all.0[other].moments().x;
             let along = all.1.along(axis, other, &all.0);
@@ -504,40 +503,31 @@ impl<R: Scalar> ReferenceTransfer<R> {
         squares.map(libm::sqrt)
     }
 
-    /// [`AxisTransfer::seen_of`], and what there may be of it though too little to be told from chance.
-    fn seen_of(&self, axis: usize, used: usize, moments: &Moments) -> [[f64; 3]; 2] {
-        let none = [[0.0; 3]; 2];
+    /// [`AxisTransfer::seen_of`].
+    fn seen_of(&self, axis: usize, used: usize, moments: &Moments) -> [f64; 3] {
         let (sums, across) = self.all(used);
         let moving = [0, 1, 2]
             .map(|other: usize| sums[other].moments().xx >= LEAST_MOTION_MPS2 * LEAST_MOTION_MPS2);
         let Some(seen) = across.seen_by(axis, &sums, moving) else {
-            return none;
+            return [0.0; 3];
         };
         let mut spread = Jackknife::<3>::default();
         for (block, more) in self.blocks.iter().zip(&self.across).take(used) {
             let left = [0, 1, 2].map(|other: usize| sums[other].plus(&block[other].seen(), -1.0));
             match across.plus(&more.seen(), -1.0).seen_by(axis, &left, moving) {
                 Some(without) => spread.take(without),
-                None => return none,
+                None => return [0.0; 3],
             }
         }
         let variance = spread.covariance();
         // Noise of the reference makes it see as much of an axis that moves along.
         let [low, high] = moments.bounds();
         let noise = 1.0 - low / high;
-        let [mut said, mut carried] = none;
-        for other in (0..3).filter(|other| *other != axis) {
-            let variance = variance[other][other];
-            let chance = SEEN_DEVIATIONS * libm::sqrt(variance) + noise + 1e-6;
-            if seen[other].abs() > chance {
-                said[other] = seen[other];
-                carried[other] = seen[other];
-            } else {
-                let more = seen[other] * seen[other] - variance - noise * noise;
-                carried[other] = libm::sqrt(more.max(0.0));
-            }
-        }
-        [said, carried]
+        core::array::from_fn(|other| {
+            let chance = SEEN_DEVIATIONS * libm::sqrt(variance[other][other]) + noise + 1e-6;
+            let beyond = other != axis && seen[other].abs() > chance;
+            if beyond { seen[other] } else { 0.0 }
+        })
     }
 }
 

@@ -26,8 +26,6 @@ pub use report::{
 
 pub use update::{RestReport, UpdateReport, update};
 
-use std::ops::RangeInclusive;
-
 use wimu_calib::{
     Datasheet, Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Placement, Pose,
     Refusal, Term, Terms, best_model, four_angle, multi_position_with, six_position,
@@ -45,10 +43,8 @@ use numbers::{numbers, static_poses};
 use range::Range;
 use words::{begins, reason, remarks, said_of_repeated};
 
-/// Outside this a board cannot be told a sensitivity, LSB/*g*: [`Sensitivity::from_lsb_per_g`].
-const OF_A_BOARD_LSB_PER_G: RangeInclusive<f64> = 160.0..=65536.0;
-/// Outside this nobody makes an accelerometer: from 8 bits at ±128 *g* to 24 at ±1 *g*.
-const OF_ANY_LSB_PER_G: RangeInclusive<f64> = 1.0..=8_388_608.0;
+/// Below this a board cannot be told a sensitivity, LSB/*g*: [`Sensitivity::from_lsb_per_g`].
+const LEAST_OF_A_BOARD_LSB_PER_G: f64 = 160.0;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -139,20 +135,18 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .map_err(|e| usage(e.to_string(), "--placement-sd"))?,
         None => Placement::BY_HAND,
     };
-    // A coarse or a very fine sensor can be calibrated, though no board be told.
-    let untold = |lsb_per_g: &f64| {
-        OF_ANY_LSB_PER_G.contains(lsb_per_g) && !OF_A_BOARD_LSB_PER_G.contains(lsb_per_g)
-    };
-    let given_untold = options.sensitivity_lsb_per_g.filter(untold);
+    // A coarse sensor can be calibrated, though no board be told.
+    let coarse = |lsb_per_g: &f64| (1.0..LEAST_OF_A_BOARD_LSB_PER_G).contains(lsb_per_g);
+    let given_coarse = options.sensitivity_lsb_per_g.filter(coarse);
     let given = options
         .sensitivity_lsb_per_g
-        .filter(|lsb_per_g| !untold(lsb_per_g))
+        .filter(|lsb_per_g| !coarse(lsb_per_g))
         .map(Sensitivity::from_lsb_per_g)
         .transpose()
         .map_err(|e| usage(e.to_string(), "--sensitivity"))?;
 
     let (known, source) = match (given, data.unit) {
-        (None, _) if given_untold.is_some() => (None, Some(Source::Given)),
+        (None, _) if given_coarse.is_some() => (None, Some(Source::Given)),
         (Some(given), _) => (Some(given), Some(Source::Given)),
         (None, OutputUnit::Counts { nominal, .. }) => match nominal {
             Some(nominal) => (Some(nominal), Some(Source::Board)),
@@ -164,7 +158,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     let scale = match (data.unit, known) {
         (OutputUnit::Mps2, _) => 1.0,
         (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
-        (OutputUnit::Counts { .. }, None) => match given_untold {
+        (OutputUnit::Counts { .. }, None) => match given_coarse {
             Some(lsb_per_g) => STANDARD_GRAVITY_MPS2 / lsb_per_g,
             None => gravity.mps2() / median_magnitude(data),
         },
@@ -218,7 +212,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     };
     let mut sensitivity = known;
     // What the fit says of it, whether or not a board could hold it.
-    let mut fitted_lsb_per_g = given_untold;
+    let mut fitted_lsb_per_g = given_coarse;
     if source == Some(Source::Fit)
         && let Ok(estimate) = &outcome
     {

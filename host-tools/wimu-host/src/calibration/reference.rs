@@ -18,7 +18,7 @@ use wimu_model::{
 use super::input::{magnitude, median, median_magnitude};
 use super::numbers::MAX_POSES;
 use super::range::Range;
-use super::{CalibrationReport, Source, saturation};
+use super::{CalibrationReport, Source};
 use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
@@ -405,15 +405,6 @@ pub fn compare_with_reference(
         parameters: None,
         parameter_id: None,
     };
-    if let Some((which, axis, at_mps2)) = saturation::of_pairs(&data.pairs) {
-        let stream = [&data.reference, &data.output][which];
-        report.reason = Some(format!(
-            "axis {} of {stream} stops at {at_mps2:.3} m/s² while the other stream goes on: it is at its full \
-             scale; choose a larger range, or move it less, and record again",
-            ["X", "Y", "Z"][axis]
-        ));
-        return Ok(report);
-    }
     let found = match transfer.result() {
         Ok(found) => found,
         Err(refusal) => return Ok(refused(report, &refusal)),

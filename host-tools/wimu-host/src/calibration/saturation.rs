@@ -84,38 +84,3 @@ pub(super) fn full_scale(
         .filter(|_| at().count() >= ENDS)
         .map(|(axis, _)| axis)
 }
-
-/// By so much the other stream goes on while one stands at its limit, m/s².
-const GOES_ON_MPS2: f64 = 0.5;
-
-/// Of two streams of one motion the one, its axis and its reading, m/s², that stands still at its end while
-/// the other goes on.
-pub(super) fn of_pairs(pairs: &[[[f64; 3]; 2]]) -> Option<(usize, usize, f64)> {
-    for (which, axis) in (0..2).flat_map(|which| (0..3).map(move |axis| (which, axis))) {
-        let values = || pairs.iter().map(|pair| pair[which][axis]);
-        let low = values().fold(f64::INFINITY, f64::min);
-        let high = values().fold(f64::NEG_INFINITY, f64::max);
-        for end in [low, high] {
-            let mut count = 0;
-            let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-            // The value next to the end.
-            let mut next = f64::INFINITY;
-            for pair in pairs {
-                let off = (pair[which][axis] - end).abs();
-                if off > 0.0 {
-                    next = next.min(off);
-                    continue;
-                }
-                count += 1;
-                let other = pair[1 - which][axis];
-                (least, most) = (least.min(other), most.max(other));
-            }
-            let beside = values().filter(|y| (y - end).abs() == next).count();
-            let plateau = count >= AT_THE_LIMIT && count >= PER_NEXT * beside;
-            if plateau && low < high && most - least > GOES_ON_MPS2 {
-                return Some((which, axis, end));
-            }
-        }
-    }
-    None
-}

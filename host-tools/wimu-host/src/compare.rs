@@ -11,7 +11,7 @@ use serde::Serialize;
 use wimu_calib::{NoiseRatio, ReferenceTransfer, Transfer};
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
-use wimu_link::message::{Answer, Payload};
+use wimu_link::message::{Answer, Payload, Status};
 use wimu_model::SpecificForceQ16;
 
 use crate::clock::{ClockModel, ClockSummary};
@@ -35,8 +35,8 @@ pub use model::LinkModel;
 pub use quantiles::Quantiles;
 
 use holes::Holes;
-use link::{ArrivalUser, LinkMeter};
-use pairing::{Pairing, Taken};
+use link::{ArrivalUser, LinkMeter, Slicing};
+use pairing::{Heard, Pairing};
 
 /// The reference first.
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
@@ -130,18 +130,28 @@ pub struct AxisLine {
 
 impl Axis {
     /// `lsb_mps2` is what values are rounded to: the same value is always rounded the same way, so
-    /// that no scatter shows it.
+    /// that no scatter shows it. At worst it goes with the motion all the way, and passes for a scale
+    /// factor.
     fn new(found: &Transfer, axis: usize, lsb_mps2: f64) -> Self {
         let axis = &found.axes[axis];
         let rounding_sd = lsb_mps2 / 12.0_f64.sqrt();
+        let rounding_scale_sd = rounding_sd / axis.motion_mps2.max(f64::MIN_POSITIVE);
+        // The bias is the line's value at 0, away from where the motion was.
+        let rounding_bias_sd = rounding_sd.hypot(rounding_scale_sd * axis.at_mps2);
         Self {
             offset_mps2: axis.offset_mps2,
             offset_sd_mps2: axis.offset_sd_mps2.hypot(rounding_sd),
             line: axis.line.map(|line| AxisLine {
                 bias_mps2: line.bias_mps2,
-                bias_sd_mps2: line.covariance[0][0].max(0.0).sqrt().hypot(rounding_sd),
+                bias_sd_mps2: line.covariance[0][0]
+                    .max(0.0)
+                    .sqrt()
+                    .hypot(rounding_bias_sd),
                 scale: line.scale,
-                scale_sd: line.covariance[1][1].max(0.0).sqrt(),
+                scale_sd: line.covariance[1][1]
+                    .max(0.0)
+                    .sqrt()
+                    .hypot(rounding_scale_sd),
             }),
             rms_before_mps2: 0.0,
             rms_after_mps2: axis.rms_mps2,
@@ -154,12 +164,12 @@ impl Axis {
 /// What changed over time.
 #[derive(Clone, Debug, Default)]
 struct History {
-    /// Start and length of a slice, s.
+    /// Length of a slice, s.
     slice_s: f64,
     /// The meters' slices, by link.
     slices: [Vec<link::Slice>; 2],
-    /// When, and the offset of each axis with its standard deviation as estimated by then.
-    evolution: Vec<(f64, [(f64, f64); 3])>,
+    /// When, and what was estimated by then.
+    evolution: Vec<(f64, [Axis; 3])>,
     /// When, and both values of a stretch in the middle, m/s².
     excerpt: Vec<(f64, [[f64; 3]; 2])>,
 }
@@ -186,10 +196,11 @@ pub fn compare<R: Read>(
     let device_id = overview.devices.first().map(|id| format!("{id:016x}"));
     let found = counted.transfer.result();
     let named = device_id.clone().unwrap_or_default();
+    let lines = |found: &Transfer| [0, 1, 2].map(|axis| Axis::new(found, axis, counted.lsb_mps2));
     let model = found
         .as_ref()
         .ok()
-        .map(|found| LinkModel::new(LinkRole::Wireless, &named, found));
+        .map(|found| LinkModel::new(LinkRole::Wireless, &named, &lines(found), found.samples));
     let residual = Residual::read(open()?, &overview, &counted, model.as_ref())?;
     let links = [0, 1].map(|index| {
         let role = ROLES[index];
@@ -211,7 +222,7 @@ pub fn compare<R: Read>(
                 rms_after_mps2: residual.after.rms(axis),
                 max_before_lsb: Some(counted.before.max_lsb[axis]),
                 max_after_lsb: Some(residual.after.max_lsb[axis]),
-                ..Axis::new(found, axis, counted.lsb_mps2)
+                ..lines(found)[axis]
             }),
             model,
         }),
@@ -263,8 +274,7 @@ struct Overview {
     /// Samples of the stream in each start.
     starts: BTreeMap<Start, u64>,
     span: (u64, u64),
-    /// When each link was first heard, host time.
-    heard_ns: [u64; 2],
+    heard: [Heard; 2],
     wholeness: Wholeness,
     holes: Holes,
     units: Units,
@@ -281,12 +291,16 @@ impl Overview {
         let mut samples = [[0_u64; 2]; 2];
         let mut starts: BTreeMap<Start, [u64; 2]> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
-        let mut heard_ns = [None; 2];
+        // When each link was opened and when it was first heard, host time, and its first decimation.
+        let (mut opened_ns, mut heard_ns, mut every) = ([None; 2], [None; 2], [None; 2]);
         // By stream.
         let mut holes: [Holes; 2] = Default::default();
         let mut raw_units: BTreeMap<Start, RawUnits> = BTreeMap::new();
         let statistics = walk(&mut reader, |role, start, step| {
             clocks.see(role, start, &step);
+            if let Step::Sent { host_ns, .. } = step {
+                opened_ns[index_of(role)].get_or_insert(host_ns);
+            }
             if let Step::Damaged = step {
                 holes
                     .iter_mut()
@@ -303,6 +317,7 @@ impl Overview {
                     Event::Epoch { epoch, .. } => raw_units.entry(start).or_default().see(epoch),
                     Event::Samples(heard) => {
                         let count = heard.values.len() as u64;
+                        every[index_of(role)].get_or_insert(heard.every);
                         holes[heard.stream as usize].take(index_of(role), start, heard);
                         samples[heard.stream as usize][index_of(role)] += count;
                         starts.entry(start).or_default()[heard.stream as usize] += count;
@@ -349,7 +364,15 @@ impl Overview {
                 .map(|(start, counts)| (start, counts[stream as usize]))
                 .collect(),
             span: span.unwrap_or_default(),
-            heard_ns: heard_ns.map(Option::unwrap_or_default),
+            heard: [0, 1].map(|link| {
+                let heard: u64 = heard_ns[link].unwrap_or_default();
+                let opened = opened_ns[link].unwrap_or(heard);
+                let was_silent = heard.saturating_sub(opened) > UNDER_WAY_NS;
+                Heard {
+                    from_ns: if was_silent { opened } else { heard },
+                    every: every[link].unwrap_or(1),
+                }
+            }),
             wholeness: reader.wholeness(),
             holes,
             units: match stream {
@@ -366,10 +389,12 @@ impl Overview {
         self.span.1 - self.span.0
     }
 
-    fn slice(&self, host_ns: u64) -> usize {
-        let passed = host_ns.saturating_sub(self.span.0) as f64;
-        let share = passed / (self.span_ns() as f64).max(1.0);
-        ((share * SLICES as f64) as usize).min(SLICES - 1)
+    fn slicing(&self) -> Slicing {
+        Slicing {
+            start_ns: self.span.0,
+            span_ns: self.span_ns(),
+            count: SLICES,
+        }
     }
 
     fn seconds(&self, host_ns: u64) -> f64 {
@@ -453,6 +478,18 @@ impl Apart {
     }
 }
 
+/// What an event says of how the device is.
+fn status_of(event: &Event) -> Option<Status> {
+    match event {
+        Event::Status(status) => Some(*status),
+        Event::Reply { reply, .. } => match reply.answer {
+            Answer::Accepted(Payload::Status(status)) => Some(status),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
 /// What the second reading counts.
 struct Counted {
     meters: [LinkMeter; 2],
@@ -464,7 +501,7 @@ struct Counted {
     before: Apart,
     /// The coarsest LSB, m/s².
     lsb_mps2: f64,
-    evolution: Vec<(f64, [(f64, f64); 3])>,
+    evolution: Vec<(f64, [Axis; 3])>,
     excerpt: Vec<(f64, [[f64; 3]; 2])>,
 }
 
@@ -473,7 +510,7 @@ impl Counted {
         // The same samples with the same noise: what differs is the wireless link's alone.
         let ratio = NoiseRatio::new(1.0, 1e-3).unwrap_or_default();
         let mut counted = Self {
-            meters: [(); 2].map(|()| LinkMeter::new(SLICES)),
+            meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
             pairs: 0,
             identical: 0,
             saturated: 0,
@@ -486,48 +523,57 @@ impl Counted {
         };
         let middle = overview.span.0 + overview.span_ns() / 2;
         let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
-        let mut pairing = Pairing::new(overview.heard_ns, &overview.holes);
+        let mut pairing = Pairing::new(overview.heard, &overview.holes);
         let mut current = [None; 2];
-        let mut slice = 0;
+        let (slicing, mut slice) = (overview.slicing(), 0);
         walk(&mut reader, |role, start, step| {
             let link = index_of(role);
+            let meter = &mut counted.meters[link];
             let arrival = match step {
                 Step::Arrival(arrival) => arrival,
+                Step::Sent { host_ns, .. } | Step::Connected { host_ns } => {
+                    meter.is_open(host_ns);
+                    return Ok(());
+                }
+                Step::Lost { host_ns } => {
+                    meter.close(host_ns);
+                    return Ok(());
+                }
                 Step::Damaged => {
-                    counted.meters[link].skip();
+                    meter.skip();
                     return Ok(());
                 }
-                _ => return Ok(()),
             };
+            meter.is_open(arrival.host_ns);
             if current[link].replace(start).is_some_and(|s| s != start) {
-                counted.meters[link].restart();
+                meter.skip();
             }
-            let samples = match &arrival.event {
-                Event::Samples(samples) if samples.stream == overview.stream => samples,
-                Event::Status(status) => {
-                    counted.meters[link].status(role, status);
-                    return Ok(());
-                }
-                Event::Reply { reply, .. } => {
-                    if let Answer::Accepted(Payload::Status(status)) = &reply.answer {
-                        counted.meters[link].status(role, status);
+            let (samples, is_late) = match &arrival.event {
+                Event::Samples(samples) if samples.stream == overview.stream => (samples, false),
+                Event::Late(samples) if samples.stream == overview.stream => (samples, true),
+                event => {
+                    // The device tells of both links on each.
+                    if let Some(status) = status_of(event) {
+                        let links = [status.cable, status.wireless];
+                        for (meter, status) in counted.meters.iter_mut().zip(links) {
+                            meter.told(start, status);
+                        }
                     }
                     return Ok(());
                 }
-                _ => return Ok(()),
             };
             let host_ns = arrival.host_ns;
             let Some(clock) = overview.clocks.get(&start) else {
                 return Ok(());
             };
-            counted.meters[link].take(samples, host_ns, clock, overview.slice(host_ns));
+            if is_late {
+                meter.take_late(samples, host_ns, clock);
+            } else {
+                meter.take(samples, host_ns, clock);
+            }
             for sample in samples.iter() {
-                let taken = Taken {
-                    number: sample.sequence,
-                    value: sample.value,
-                    host_ns,
-                };
-                let Some(twin) = pairing.take(link, start, taken, samples.every) else {
+                let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
+                let Some(twin) = twin else {
                     continue;
                 };
                 let (cable, wireless) = if link == 0 {
@@ -554,13 +600,11 @@ impl Counted {
                     counted.excerpt.push((overview.seconds(true_ns), [c, w]));
                 }
             }
-            if overview.slice(host_ns) > slice {
-                slice = overview.slice(host_ns);
+            if slicing.at(host_ns) > slice {
+                slice = slicing.at(host_ns);
                 if let Ok(found) = counted.transfer.result() {
-                    let offsets = found
-                        .axes
-                        .map(|axis| (axis.offset_mps2, axis.offset_sd_mps2));
-                    counted.evolution.push((overview.seconds(host_ns), offsets));
+                    let axes = [0, 1, 2].map(|axis| Axis::new(&found, axis, counted.lsb_mps2));
+                    counted.evolution.push((overview.seconds(host_ns), axes));
                 }
             }
             Ok(())
@@ -569,12 +613,14 @@ impl Counted {
             let longest_ns = counted.meters[link].longest_age_ns();
             overview.span.1.saturating_sub(longest_ns.min(UNDER_WAY_NS))
         });
-        let lost = pairing.finish(under_way_ns, |link, run| {
-            let slices = run.iter().map(|host_ns| overview.slice(*host_ns));
-            counted.meters[link].lack(slices);
-        });
-        for (meter, lost) in counted.meters.iter_mut().zip(lost) {
+        let (lost, at_ends) = pairing.finish(under_way_ns);
+        let found = lost.into_iter().zip(at_ends);
+        for (meter, (lost, at_ends)) in counted.meters.iter_mut().zip(found) {
             meter.lost = lost;
+            meter.before = at_ends.before;
+            meter.under_way = at_ends.under_way;
+            at_ends.lost.iter().for_each(|run| meter.lack(run));
+            meter.finish(overview.span.1);
         }
         counted.excerpt.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(counted)
@@ -603,7 +649,7 @@ impl Residual {
             after: Apart::default(),
             users: [users(0), users(1)],
         };
-        let mut pairing = Pairing::new(overview.heard_ns, &overview.holes);
+        let mut pairing = Pairing::new(overview.heard, &overview.holes);
         let mut current = [None; 2];
         walk(&mut reader, |role, start, step| {
             let link = index_of(role);
@@ -615,8 +661,9 @@ impl Residual {
                 }
                 _ => return Ok(()),
             };
-            let samples = match &arrival.event {
-                Event::Samples(samples) if samples.stream == overview.stream => samples,
+            let (samples, is_late) = match &arrival.event {
+                Event::Samples(samples) if samples.stream == overview.stream => (samples, false),
+                Event::Late(samples) if samples.stream == overview.stream => (samples, true),
                 _ => return Ok(()),
             };
             let Some(clock) = overview.clocks.get(&start) else {
@@ -625,7 +672,8 @@ impl Residual {
             let unit = |sample: &TimedSample| overview.units.of(start, sample.sequence);
             let new = current[link].replace(start) != Some(start);
             let count = samples.values.len();
-            for user in &mut residual.users[link] {
+            // Who goes by the time of arrival has no use for what is late.
+            for user in residual.users[link].iter_mut().filter(|_| !is_late) {
                 if new {
                     user.restart();
                 }
@@ -646,12 +694,8 @@ impl Residual {
                 return Ok(());
             };
             for sample in samples.iter() {
-                let taken = Taken {
-                    number: sample.sequence,
-                    value: sample.value,
-                    host_ns: arrival.host_ns,
-                };
-                if let Some(twin) = pairing.take(link, start, taken, samples.every) {
+                let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
+                if let Some(twin) = twin {
                     let (cable, wireless) = if link == 0 {
                         (sample.value, twin)
                     } else {

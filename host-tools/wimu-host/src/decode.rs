@@ -39,6 +39,8 @@ pub enum Event {
     },
     /// Consecutive samples.
     Samples(Samples),
+    /// Samples that arrived after later ones.
+    Late(Samples),
     /// From here on samples can be replayed; may come before samples that precede it.
     Epoch {
         /// As sent.
@@ -159,6 +161,9 @@ pub struct LinkStatistics {
     pub corrected: StreamStatistics,
     /// Batches that no epoch has told the place of.
     pub batches_unplaced: u64,
+    /// Magnetic field and temperature, velocity and position that arrived again or after later ones
+    /// and were left out.
+    pub readings_repeated: u64,
     /// How often the link was lost and had to be opened again.
     pub interruptions: u64,
 }
@@ -182,7 +187,7 @@ pub struct StreamStatistics {
     pub missing: u64,
     /// Samples that arrived again and were left out.
     pub duplicated: u64,
-    /// Samples that arrived after later ones and were left out.
+    /// Samples that arrived after later ones: not among those received.
     pub late: u64,
 }
 
@@ -276,6 +281,9 @@ pub struct Decoder {
     identity_before: Option<(u64, u32)>,
     last_epoch_time: Option<DeviceTimeUs>,
     last_epoch_number: Option<u8>,
+    /// Time of the latest magnetic field and temperature, number of the latest position.
+    last_environment: Option<u64>,
+    last_navigation: Option<u32>,
     foreign_version: Option<u8>,
 }
 
@@ -303,6 +311,8 @@ impl Decoder {
             identity_before: None,
             last_epoch_time: None,
             last_epoch_number: None,
+            last_environment: None,
+            last_navigation: None,
             foreign_version: None,
         }
     }
@@ -362,7 +372,7 @@ impl Decoder {
                 Message::Event(event) if self.order.is_in_doubt() && event.is_of_a_start() => {
                     self.order.hold((received, Held::Event(Box::new(event))));
                 }
-                Message::Event(event) => each(received.with(event)),
+                Message::Event(event) => self.take_event(received, event, &mut each),
             }
         }
         if bytes.last().is_some_and(|&byte| byte != 0) {
@@ -427,6 +437,8 @@ impl Decoder {
         self.order = Order::new();
         self.last_epoch_time = None;
         self.last_epoch_number = None;
+        self.last_environment = None;
+        self.last_navigation = None;
         let first = held.first().map_or(received, |(first, _)| *first);
         each(first.with(Event::Restart { boot_count }));
         for (received, held) in held {
@@ -434,7 +446,7 @@ impl Decoder {
                 Held::Epoch(epoch) if of_before(epoch.time_us) => {}
                 Held::Epoch(epoch) => self.take_epoch(received, *epoch, each),
                 Held::Batch(batch) => self.take_batch(received, &batch, each),
-                Held::Event(event) => each(received.with(*event)),
+                Held::Event(event) => self.take_event(received, *event, each),
             }
         }
     }
@@ -445,9 +457,23 @@ impl Decoder {
             match held {
                 // What it told has been told by a later one.
                 Held::Epoch(_) => {}
-                Held::Batch(batch) => self.take_late(&batch),
-                Held::Event(event) => each(received.with(*event)),
+                Held::Batch(batch) => self.take_late(received, &batch, each),
+                Held::Event(event) => self.take_event(received, *event, each),
             }
+        }
+    }
+
+    /// Hands on an event, a reading once.
+    fn take_event(&mut self, received: Received, event: Event, each: &mut impl FnMut(Arrival)) {
+        let is_new = match &event {
+            Event::Environment(reading) => is_later(&mut self.last_environment, reading.time_us),
+            Event::Navigation(reading) => is_later(&mut self.last_navigation, reading.sequence),
+            _ => true,
+        };
+        if is_new {
+            each(received.with(event));
+        } else {
+            self.statistics.readings_repeated += 1;
         }
     }
 
@@ -568,7 +594,7 @@ impl Decoder {
         let moment = received.at(DeviceTimeUs(time.0.saturating_add(last_us)));
         match self.order.judge(moment, place) {
             Verdict::InOrder => {}
-            Verdict::Late => return self.take_late(batch),
+            Verdict::Late => return self.take_late(received, batch, each),
             Verdict::Hold => {
                 return self.order.hold((received, Held::Batch(Box::new(*batch))));
             }
@@ -608,7 +634,9 @@ impl Decoder {
                 }
             } else {
                 let known = (ahead.unsigned_abs() / every + 1) as usize;
-                self.gaps[index].take(&samples, known, statistics);
+                for late in self.gaps[index].take(&samples, known, statistics) {
+                    each(received.with(Event::Late(late)));
+                }
                 let first = samples.iter().nth(known);
                 samples.values.drain(..known.min(samples.values.len()));
                 if let Some(first) = first {
@@ -627,8 +655,8 @@ impl Decoder {
         });
     }
 
-    /// Counts a batch of which nothing is new, or has come too late.
-    fn take_late(&mut self, batch: &Batch) {
+    /// Takes a batch of which nothing is new but what is missing.
+    fn take_late(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
         let Some(first) = self.place(batch) else {
             self.statistics.batches_unplaced += 1;
             return;
@@ -642,7 +670,10 @@ impl Decoder {
             values: batch.samples().to_vec(),
         };
         let gaps = &mut self.gaps[batch.stream() as usize];
-        gaps.take(&samples, usize::MAX, self.statistics.stream(batch.stream()));
+        let statistics = self.statistics.stream(batch.stream());
+        for late in gaps.take(&samples, usize::MAX, statistics) {
+            each(received.with(Event::Late(late)));
+        }
     }
 }
 
@@ -666,8 +697,15 @@ impl Gaps {
         }
     }
 
-    /// Counts the first `count` of `samples` as late or as duplicated.
-    fn take(&mut self, samples: &Samples, count: usize, statistics: &mut StreamStatistics) {
+    /// Counts the first `count` of `samples` as late or as duplicated; returns the late ones.
+    fn take(
+        &mut self,
+        samples: &Samples,
+        count: usize,
+        statistics: &mut StreamStatistics,
+    ) -> Vec<Samples> {
+        let mut found: Vec<Samples> = Vec::new();
+        let mut follows = false;
         for sample in samples.iter().take(count) {
             let number = sample.sequence;
             let gap = self
@@ -676,6 +714,7 @@ impl Gaps {
                 .position(|(from, to)| (*from..*to).contains(&number));
             let Some(index) = gap else {
                 statistics.duplicated += 1;
+                follows = false;
                 continue;
             };
             statistics.late += 1;
@@ -685,8 +724,28 @@ impl Gaps {
             if from < number {
                 self.0.insert(index, (from, number));
             }
+            match found.last_mut().filter(|_| follows) {
+                Some(run) => run.values.push(sample.value),
+                None => found.push(Samples {
+                    first_sequence: number,
+                    first_time: sample.time,
+                    values: vec![sample.value],
+                    ..*samples
+                }),
+            }
+            follows = true;
         }
+        found
     }
+}
+
+/// Whether `now` is behind `latest`, which it then becomes.
+fn is_later<T: PartialOrd>(latest: &mut Option<T>, now: T) -> bool {
+    let is_later = latest.as_ref().is_none_or(|latest| now > *latest);
+    if is_later {
+        *latest = Some(now);
+    }
+    is_later
 }
 
 /// A frame's content, before the decoder has made an event of it.

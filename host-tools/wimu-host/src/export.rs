@@ -145,6 +145,13 @@ pub fn to_csv(
     })
 }
 
+fn of(stream: Stream) -> ExportStream {
+    match stream {
+        Stream::Raw => ExportStream::Raw,
+        Stream::Corrected => ExportStream::Corrected,
+    }
+}
+
 fn header(stream: ExportStream) -> Header {
     let samples = |acceleration_unit| Header {
         time: true,
@@ -198,6 +205,8 @@ struct Start {
     boot: Boot,
     /// The latest device time, µs.
     latest_us: u64,
+    /// Number of the latest sample that was written.
+    written: Option<u32>,
     /// What samples go with from now on.
     temperature_c: Option<f64>,
     field_ut: Option<[f64; 3]>,
@@ -256,11 +265,18 @@ impl<'a> Table<'a> {
             Event::Navigation(navigation) if self.stream == ExportStream::Navigation => {
                 start.navigation.push_back(*navigation);
             }
+            Event::Late(samples) if self.stream == of(samples.stream) => {
+                for late in samples.iter() {
+                    if start.written.is_none_or(|written| late.sequence > written) {
+                        let at = start
+                            .samples
+                            .partition_point(|sample| sample.sequence < late.sequence);
+                        start.samples.insert(at, late);
+                    }
+                }
+            }
             Event::Samples(samples) => {
-                let wanted = match samples.stream {
-                    Stream::Raw => ExportStream::Raw,
-                    Stream::Corrected => ExportStream::Corrected,
-                };
+                let wanted = of(samples.stream);
                 if wanted == ExportStream::Raw {
                     // One tells that the device has started.
                     start.boot.raw.clear();
@@ -312,6 +328,7 @@ impl<'a> Table<'a> {
 
     fn sample(&mut self, sample: TimedSample) -> Result<()> {
         let start = &mut self.start;
+        start.written = Some(sample.sequence);
         let passed = |next: &Environment| next.time_us <= sample.time.0;
         while let Some(next) = pop_if(&mut start.environment, passed) {
             start.temperature_c = next

@@ -256,6 +256,16 @@ impl LinkHistory {
                 Stream::Raw => boot.raw.extend(samples.iter()),
                 Stream::Corrected => boot.corrected.extend(samples.iter()),
             },
+            Event::Late(samples) => {
+                let known = match samples.stream {
+                    Stream::Raw => &mut boot.raw,
+                    Stream::Corrected => &mut boot.corrected,
+                };
+                for late in samples.iter() {
+                    let at = known.partition_point(|sample| sample.sequence < late.sequence);
+                    known.insert(at, late);
+                }
+            }
             Event::Epoch { epoch, after_loss } => boot.epochs.push(EpochMark {
                 epoch: *epoch,
                 after_loss: *after_loss,

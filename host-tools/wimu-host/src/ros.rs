@@ -38,6 +38,11 @@ pub struct Decoded {
     pub without_time: u64,
     /// Raw samples left out because the range may have changed there and no epoch tells.
     pub without_unit: u64,
+    /// Samples left out because later ones had come before them.
+    pub late: u64,
+    /// Batches of samples left out because no epoch tells their place, at the very end of the recording
+    /// too.
+    pub unplaced: u64,
     /// How whole the recording is.
     #[serde(flatten)]
     pub wholeness: Wholeness,
@@ -143,7 +148,10 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
             decoder.take(role, start, &step, clocks.get(&start))
         })?;
     }
-    walker.finish(&mut |role, start, step| decoder.take(role, start, &step, clocks.get(&start)))?;
+    let links = walker
+        .finish(&mut |role, start, step| decoder.take(role, start, &step, clocks.get(&start)))?;
+    let unplaced = links.iter().map(|(_, link)| link.batches_unplaced);
+    decoder.decoded.unplaced = unplaced.sum();
     decoder.out.finish()?;
     decoder.decoded.wholeness = reader.wholeness();
     Ok(decoder.decoded)
@@ -213,6 +221,7 @@ impl Writer<'_> {
                     write(self, kind, sample.time, &fields)?;
                 }
             }
+            Event::Late(samples) => self.decoded.late += samples.values.len() as u64,
             Event::Environment(environment) => {
                 let time = DeviceTimeUs(environment.time_us);
                 let corrected = held.corrected_field_nt(environment);

@@ -28,6 +28,16 @@ impl RawUnit {
     pub fn mps2_per_lsb(&self) -> f64 {
         STANDARD_GRAVITY_MPS2 / self.sensitivity.lsb_per_g()
     }
+
+    /// A value in m/s².
+    pub fn mps2(&self, value: [i32; 3]) -> [f64; 3] {
+        value.map(|v| f64::from(v) * self.mps2_per_lsb())
+    }
+
+    /// The full-scale range, m/s².
+    pub fn range_mps2(&self) -> f64 {
+        f64::from(self.full_scale) * self.mps2_per_lsb()
+    }
 }
 
 /// The units of a device's raw samples from one start to the next, by their sequence numbers.
@@ -115,6 +125,15 @@ impl Mark {
 }
 
 impl RawUnits {
+    /// By these epochs.
+    pub fn of_epochs<'a>(epochs: impl IntoIterator<Item = &'a Epoch>) -> Self {
+        let mut units = Self::default();
+        for epoch in epochs {
+            units.see(epoch);
+        }
+        units
+    }
+
     /// Takes an epoch.
     pub fn see(&mut self, epoch: &Epoch) {
         let Some(unit) = RawUnit::of(epoch) else {

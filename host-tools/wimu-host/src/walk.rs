@@ -31,12 +31,18 @@ pub enum Step {
         /// When, ns on the host's monotonic clock.
         host_ns: u64,
     },
+    /// The link is back.
+    Connected {
+        /// When, ns on the host's monotonic clock.
+        host_ns: u64,
+    },
     /// A part of the file is damaged and left out: what the link brought in it is not known.
     Damaged,
 }
 
-/// One start of the device: its boot count where that is known. Where it is not, the start of the other
-/// link that began at the same time; else the one before and one.
+/// One start of the device, counted in the order in which the links tell of them: by what the decoder
+/// tells, as boot counts may repeat. The starts of two links are one that began at the same time and do
+/// not say different boot counts.
 pub type Start = u32;
 
 /// Walks through a recording; `each` gets every step with its link and the device's start.
@@ -59,7 +65,7 @@ pub fn walk<R: Read>(
 #[derive(Debug, Default)]
 pub struct Walker {
     links: BTreeMap<u8, Link>,
-    begun: Begun,
+    starts: Starts,
 }
 
 impl Walker {
@@ -94,10 +100,10 @@ impl Walker {
                     ..
                 } = link;
                 decoder.push(received.host_ns, &received.bytes, |arrival| {
-                    place.see(&arrival, &mut self.begun);
+                    place.see(&arrival, &mut self.starts);
                     held.push(Step::Arrival(arrival));
                     if outcome.is_ok() && (place.now.is_some() || held.len() > MAX_HELD) {
-                        let start = place.settle();
+                        let start = place.settle(&mut self.starts);
                         outcome = held.drain(..).try_for_each(|step| each(role, start, step));
                     }
                 });
@@ -112,7 +118,7 @@ impl Walker {
                 link.decoder.skip();
                 link.step(Step::Damaged, each)
             }
-            Recorded::Connected { .. } => Ok(()),
+            Recorded::Connected { host_ns, .. } => link.step(Step::Connected { host_ns }, each),
         }
     }
 
@@ -121,7 +127,7 @@ impl Walker {
     /// # Errors
     /// Those of `each`.
     pub fn finish(
-        self,
+        mut self,
         each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
     ) -> Result<Vec<(LinkRole, LinkStatistics)>> {
         let known = self.links.values().find_map(|link| link.place.now);
@@ -132,7 +138,7 @@ impl Walker {
                 if link.place.before.is_none() {
                     link.place.now = link.place.now.or(known);
                 }
-                let start = link.place.settle();
+                let start = link.place.settle(&mut self.starts);
                 for step in link.held {
                     each(link.role, start, step)?;
                 }
@@ -145,7 +151,7 @@ impl Walker {
 /// Steps before it is known which start they are of: more than arrive until it is.
 const MAX_HELD: usize = 4096;
 /// Starts of which two links say that they began so far apart are one, ns: a link may be late.
-const SAME_START_NS: u64 = 5_000_000_000;
+pub(crate) const SAME_START_NS: u64 = 5_000_000_000;
 
 #[derive(Debug)]
 struct Link {
@@ -172,16 +178,60 @@ impl Link {
     }
 }
 
-/// When each start began, ns of the host, as the links tell: the latest of both.
+/// The starts that any link has told of.
 #[derive(Debug, Default)]
-struct Begun(BTreeMap<Start, u64>);
+struct Starts(Vec<Known>);
 
-impl Begun {
-    /// The start that began at about `began_ns`.
-    fn at(&self, began_ns: u64) -> Option<Start> {
-        let apart = |(start, known): (&Start, &u64)| (known.abs_diff(began_ns), *start);
-        let (apart, start) = self.0.iter().map(apart).min()?;
-        (apart <= SAME_START_NS).then_some(start)
+/// What is known of a start.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    /// When it began, ns of the host, as the latest epoch of any link tells.
+    began_ns: Option<u64>,
+    /// As the device says: 0 at every start where it cannot count.
+    boot_count: Option<u32>,
+}
+
+impl Starts {
+    fn known(&self, start: Start) -> Known {
+        self.0.get(start as usize).copied().unwrap_or_default()
+    }
+
+    fn add(&mut self, known: Known) -> Start {
+        self.0.push(known);
+        self.0.len() as Start - 1
+    }
+
+    /// The start that a link is in which began so, given the one that it was in before; a new one if no
+    /// link has told of it.
+    fn find(&mut self, before: Option<Start>, began: Known) -> Start {
+        let earliest = before.map_or(0, |before| before as usize + 1);
+        let counted_before = before.and_then(|before| self.known(before).boot_count);
+        // A link may be later than anything, but a count that has gone on tells.
+        let counts = began.boot_count.is_some()
+            && counted_before.is_some()
+            && began.boot_count != counted_before;
+        let apart = |known: &Known| match (known.boot_count, began.boot_count) {
+            (Some(known), Some(count)) if known != count => None,
+            (Some(_), Some(_)) if counts => Some(0),
+            _ => {
+                let apart = known.began_ns?.abs_diff(began.began_ns?);
+                (apart <= SAME_START_NS).then_some(apart)
+            }
+        };
+        let known = self.0.iter().enumerate().skip(earliest);
+        let near = known.filter_map(|(index, known)| Some((apart(known)?, index as Start)));
+        match near.min() {
+            Some((_, start)) => start,
+            None => self.add(began),
+        }
+    }
+
+    /// Notes what a link says of a start that it is in.
+    fn note(&mut self, start: Start, said: Known) {
+        if let Some(known) = self.0.get_mut(start as usize) {
+            known.began_ns = said.began_ns.or(known.began_ns);
+            known.boot_count = known.boot_count.or(said.boot_count);
+        }
     }
 }
 
@@ -190,38 +240,46 @@ impl Begun {
 struct Place {
     now: Option<Start>,
     before: Option<Start>,
+    /// What a new start has said of itself before it is known when it began.
+    boot_count: Option<u32>,
 }
 
 impl Place {
-    fn see(&mut self, arrival: &Arrival, begun: &mut Begun) {
+    fn see(&mut self, arrival: &Arrival, starts: &mut Starts) {
         let began_ns = |time_us: u64| arrival.host_ns.saturating_sub(time_us.saturating_mul(1000));
-        match &arrival.event {
+        let said = match &arrival.event {
             Event::Restart { boot_count } => {
                 self.before = self.now.or(self.before);
-                self.now = *boot_count;
+                self.now = None;
+                self.boot_count = *boot_count;
+                return;
             }
-            Event::Hello(hello) => {
-                self.now = Some(hello.boot_count);
-                begun.0.insert(hello.boot_count, began_ns(hello.uptime_us));
-            }
-            Event::Epoch { epoch, .. } => {
-                let began_ns = began_ns(epoch.time_us);
-                if self.now.is_none() {
-                    let next = |before: Start| before.saturating_add(1);
-                    self.now = begun.at(began_ns).or(self.before.map(next));
-                }
-                if let Some(start) = self.now {
-                    begun.0.insert(start, began_ns);
-                }
-            }
-            _ => {}
-        }
+            Event::Hello(hello) => Known {
+                // Of a start that is known, a greeting that is late tells nothing new; and it may be
+                // the first sign of the next.
+                began_ns: self.now.is_none().then(|| began_ns(hello.uptime_us)),
+                boot_count: Some(hello.boot_count),
+            },
+            Event::Epoch { epoch, .. } => Known {
+                began_ns: Some(began_ns(epoch.time_us)),
+                boot_count: self.boot_count,
+            },
+            _ => return,
+        };
+        let before = self.before;
+        let start = *self.now.get_or_insert_with(|| starts.find(before, said));
+        starts.note(start, said);
     }
 
-    /// The start, for want of a sign the one after that before.
-    fn settle(&mut self) -> Start {
-        let next = self.before.map_or(0, |before| before.saturating_add(1));
-        *self.now.get_or_insert(next)
+    /// The start; for want of a sign, a new one.
+    fn settle(&mut self, starts: &mut Starts) -> Start {
+        let boot_count = self.boot_count;
+        *self.now.get_or_insert_with(|| {
+            starts.add(Known {
+                began_ns: None,
+                boot_count,
+            })
+        })
     }
 }
 
@@ -243,7 +301,7 @@ impl Clocks {
                     clock.heard(role, arrival);
                 }
                 Step::Sent { host_ns, bytes } => clock.asked(*host_ns, bytes),
-                Step::Lost { .. } | Step::Damaged => {}
+                Step::Lost { .. } | Step::Connected { .. } | Step::Damaged => {}
             }
         }
     }

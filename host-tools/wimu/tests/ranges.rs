@@ -8,6 +8,7 @@ use std::fs;
 use std::path::Path;
 
 use kit::{folder, wimu};
+use wimu_host::array::{Board, BoardOptions};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
@@ -185,6 +186,46 @@ fn pairs_of_an_unknown_range_are_left_out_of_the_values() {
     let compared = wimu(&["compare", &file(folder.path(), &links)]).succeeds();
     assert_eq!(compared["pairs"], SAMPLES, "{compared}");
     assert_eq!(compared["without_unit"], 159, "{compared}");
+}
+
+#[test]
+fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range() {
+    let folder = folder();
+    // The wireless link has lost a change, which the cable tells.
+    let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 300, &[960])];
+    let session = file(folder.path(), &links);
+    let found = wimu(&["calibrate", &session, "--method", "reference"]).succeeds();
+    assert_eq!(found["samples"], SAMPLES, "{found}");
+    let at = found["axes"][0]["at_m_s2"].as_f64().unwrap();
+    assert!((at - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{found}");
+
+    let options = BoardOptions {
+        sensitivity_lsb_per_g: 1.0,
+        link: Some(ROLES[0]),
+    };
+    let board = Board::read(Path::new(&session), &options).unwrap();
+    let magnitudes: Vec<f64> = board.values.iter().map(|value| value[0]).collect();
+    assert_eq!(magnitudes.len(), SAMPLES as usize);
+    are_one_g(&magnitudes);
+
+    // Where nothing tells, samples are left out, and it says so.
+    let links = ROLES.map(|role| link(role, 0, &[960]));
+    let session = file(folder.path(), &links);
+    let ran = wimu(&["calibrate", &session, "--method", "reference"]);
+    assert!(ran.stderr.contains("159 samples are left out"), "{ran:?}");
+    let found = ran.succeeds();
+    assert_eq!(found["samples"], SAMPLES - 159, "{found}");
+    let at = found["axes"][0]["at_m_s2"].as_f64().unwrap();
+    assert!((at - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{found}");
+    let board = Board::read(Path::new(&session), &options).unwrap();
+    assert_eq!(board.without_unit, 159);
+    are_one_g(
+        &board
+            .values
+            .iter()
+            .map(|value| value[0])
+            .collect::<Vec<_>>(),
+    );
 }
 
 #[test]

@@ -9,6 +9,7 @@ use super::ArrayGeometry;
 use crate::csv::{AccelerationUnit, CsvReader};
 use crate::history::{Boot, Recording};
 use crate::motion::Truth;
+use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
 /// Counts of a 16-bit sensor from which on an axis is at its limit.
@@ -101,6 +102,12 @@ impl ArrayRecording {
                 1.0 / series.period_s,
                 board.clock_sd_s * 1e6
             ));
+            if board.without_unit > 0 {
+                recording.remarks.push(format!(
+                    "{}: {} samples left out: the range may have changed, and the epoch that tells is lost",
+                    board.name, board.without_unit
+                ));
+            }
         }
         let jerk = recording.jerk_rms();
         let clock = boards.iter().map(|b| b.clock_sd_s).fold(0.0, f64::max);
@@ -415,6 +422,8 @@ pub struct Board {
     pub saturated: Vec<bool>,
     /// Standard deviation of the times, s: common to all of them, for the most part.
     pub clock_sd_s: f64,
+    /// Raw samples left out because the range may have changed there and no epoch tells.
+    pub without_unit: usize,
 }
 
 impl Board {
@@ -446,6 +455,7 @@ impl Board {
                 values: recording.outputs.iter().map(|row| row[0]).collect(),
                 saturated: recording.saturated.iter().map(|s| *s != 0).collect(),
                 clock_sd_s: 0.0,
+                without_unit: 0,
             });
         }
         let recording = Recording::load(path)?;
@@ -473,13 +483,11 @@ impl Board {
         let (Some(first), Some(last)) = (chosen.first(), chosen.last()) else {
             return Err(no_rows());
         };
-        let lsb = boot
+        let units = RawUnits::of_epochs(boot.epochs.iter().map(|mark| &mark.epoch));
+        let given = boot
             .nominal_sensitivity()
-            .map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g());
-        let factor = STANDARD_GRAVITY_MPS2 / lsb;
-        let range = boot.epochs.first().map_or(f64::INFINITY, |mark| {
-            f64::from(mark.epoch.range_g) * STANDARD_GRAVITY_MPS2
-        });
+            .is_none()
+            .then_some(STANDARD_GRAVITY_MPS2 / options.sensitivity_lsb_per_g);
         let host = |time| {
             let host_ns = boot.host_ns(time)?;
             let utc = recording.anchor.map_or(host_ns, |a| a.to_utc_ns(host_ns));
@@ -501,13 +509,25 @@ impl Board {
             values: Vec::with_capacity(chosen.len()),
             saturated: Vec::with_capacity(chosen.len()),
             clock_sd_s: boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9,
+            without_unit: 0,
         };
         for sample in chosen {
             let time_ns = host(sample.time).ok_or_else(no_clock)?;
-            let value = if corrected {
-                SpecificForceQ16(sample.value).to_mps2().0
-            } else {
-                sample.value.map(|count| f64::from(count) * factor)
+            let unit = units.of(sample.sequence);
+            let value = match (corrected, given, unit) {
+                (true, _, _) => SpecificForceQ16(sample.value).to_mps2().0,
+                (false, Some(factor), _) => sample.value.map(|count| f64::from(count) * factor),
+                (false, None, Some(unit)) => unit.mps2(sample.value),
+                (false, None, None) => {
+                    board.without_unit += 1;
+                    continue;
+                }
+            };
+            let range = match (given.filter(|_| !corrected), unit) {
+                (Some(factor), unit) => {
+                    unit.map_or(f64::INFINITY, |unit| f64::from(unit.full_scale) * factor)
+                }
+                (None, unit) => unit.map_or(f64::INFINITY, |unit| unit.range_mps2()),
             };
             let time_s = (time_ns - origin_ns) as f64 * 1e-9;
             if board.times_s.last().is_none_or(|last| time_s > *last) {

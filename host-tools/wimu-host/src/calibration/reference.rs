@@ -11,8 +11,8 @@ use wimu_calib::{
 };
 use wimu_link::LinkRole;
 use wimu_model::{
-    CalibrationMethod, CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
-    Sensitivity, SensorId, TermDeviations,
+    CalibrationMethod, CalibrationQuality, DeviceTimeUs, ErrorTerms, ModelCovariance, ParameterSet,
+    QualityTerms, Sensitivity, SensorId, TermDeviations,
 };
 
 use super::input::{magnitude, median, median_magnitude};
@@ -23,6 +23,8 @@ use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::history::{Boot, Recording};
+use crate::units::RawUnits;
+use crate::walk::SAME_START_NS;
 
 /// Two streams of one motion, sample by sample.
 #[derive(Clone, Debug)]
@@ -35,6 +37,8 @@ pub struct Paired {
     pub output: String,
     /// Reference and output, m/s², sensor axes, in order.
     pub pairs: Vec<[[f64; 3]; 2]>,
+    /// Raw samples of both left out because the range may have changed there and no epoch tells.
+    pub without_unit: usize,
     /// Sample rate, Hz.
     pub rate_hz: f64,
     /// Sensitivity that turned counts into m/s², or that a board is to be told for data in m/s².
@@ -166,6 +170,7 @@ impl Paired {
                     ]
                 })
                 .collect(),
+            without_unit: 0,
             rate_hz: x.rate_hz,
             sensitivity,
             unit: x.unit,
@@ -191,13 +196,13 @@ impl Paired {
     pub fn from_recording(recording: &Recording) -> Result<Self> {
         let cable = recording.link(Some(LinkRole::Cable))?;
         let wireless = recording.link(Some(LinkRole::Wireless))?;
-        let count = |boot: &Boot| boot.hello.map(|hello| hello.boot_count);
         let same_start = wireless.boots.iter().flat_map(|theirs| {
-            let ours = cable.boots.iter().find(|ours| {
-                !ours.raw.is_empty() && count(ours).is_some() && count(ours) == count(theirs)
-            });
-            ours.map(|ours| (ours, theirs))
+            let ours = cable.boots.iter().filter(|ours| !ours.raw.is_empty());
+            let apart = ours.filter_map(|ours| Some((began_apart_ns(ours, theirs)?, ours)));
+            let (_, ours) = apart.min_by_key(|(apart_ns, _)| *apart_ns)?;
+            Some((ours, theirs))
         });
+        let mut without_unit = 0;
         let mut pairs = Vec::new();
         let mut sensor = None;
         let mut known: Option<(Sensitivity, u8, f64)> = None;
@@ -212,15 +217,20 @@ impl Paired {
             let rate_hz = 1e9 / f64::from(mark.epoch.period_ns.max(1));
             sensor = sensor.or(ours.sensor());
             known.get_or_insert((sensitivity, mark.epoch.range_g, rate_hz));
-            let scale = sensitivity.mps2_per_lsb();
-            let si = |value: [i32; 3]| value.map(|axis| f64::from(axis) * scale);
+            // What one link has lost, the other may tell.
+            let epochs = ours.epochs.iter().chain(&theirs.epochs);
+            let units = RawUnits::of_epochs(epochs.map(|mark| &mark.epoch));
             for sample in &theirs.raw {
                 let found = ours
                     .raw
                     .binary_search_by_key(&sample.sequence, |sample| sample.sequence);
-                if let Ok(index) = found {
-                    pairs.push([si(ours.raw[index].value), si(sample.value)]);
-                }
+                let Ok(index) = found else { continue };
+                let Some(unit) = units.of(sample.sequence) else {
+                    without_unit += 1;
+                    continue;
+                };
+                let both = [ours.raw[index].value, sample.value];
+                pairs.push(both.map(|value| unit.mps2(value)));
             }
         }
         let Some((sensitivity, range_g, rate_hz)) = known.filter(|_| !pairs.is_empty()) else {
@@ -236,6 +246,7 @@ impl Paired {
             reference: "cable".to_owned(),
             output: "wireless".to_owned(),
             pairs,
+            without_unit,
             rate_hz,
             sensitivity: Some(sensitivity),
             unit: OutputUnit::Counts {
@@ -255,6 +266,18 @@ impl Paired {
         rests.truncate(found);
         rests
     }
+}
+
+/// How far apart what two links call a start began by their own clocks, ns; `None` where it is not one
+/// start: too far apart, or of different boot counts. The same count alone tells nothing: it may repeat.
+fn began_apart_ns(ours: &Boot, theirs: &Boot) -> Option<u64> {
+    let counts = [ours, theirs].map(|boot| boot.hello.map(|hello| hello.boot_count));
+    if counts[0].is_some() && counts[1].is_some() && counts[0] != counts[1] {
+        return None;
+    }
+    let [ours, theirs] = [ours, theirs].map(|boot| boot.host_ns(DeviceTimeUs(0)));
+    let apart_ns = (ours?.wrapping_sub(theirs?) as i64).unsigned_abs();
+    (apart_ns <= SAME_START_NS).then_some(apart_ns)
 }
 
 /// An axis in a [`ReferenceReport`].
@@ -409,6 +432,12 @@ pub fn compare_with_reference(
         Ok(found) => found,
         Err(refusal) => return Ok(refused(report, &refusal)),
     };
+    if data.without_unit > 0 {
+        report.remarks.push(format!(
+            "{} samples are left out: the range may have changed, and the epoch that tells is lost",
+            data.without_unit
+        ));
+    }
     report.dof = Some(found.dof);
     report.axes = Some(found.axes.map(|axis| AxisReport {
         offset_m_s2: axis.offset_mps2,

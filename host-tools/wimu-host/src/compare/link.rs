@@ -4,11 +4,13 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 use wimu_link::LinkRole;
-use wimu_link::message::Status;
+use wimu_link::message::LinkStatus;
 
+use super::pairing::Run;
 use super::quantiles::{Durations, Quantiles};
 use crate::clock::{ClockModel, ClockSummary};
 use crate::decode::{LinkStatistics, Samples, StreamStatistics};
+use crate::walk::Start;
 
 /// One link in numbers.
 #[derive(Clone, Debug, Serialize)]
@@ -17,23 +19,30 @@ pub struct LinkReport {
     pub link: String,
     /// Samples delivered, of the stream that is compared.
     pub delivered: u64,
-    /// Samples that the other link delivered and this one did not, from when it was first heard; but
-    /// for those that may still have been under way when the recording ended.
+    /// Samples that the other link delivered and this one did not, of those taken since it was first
+    /// heard, or since it was opened where it then was silent for more than 5 s.
     pub lost: u64,
+    /// Of the other's, those taken before that.
+    pub before: u64,
+    /// Of the other's, those that may still have been under way when the recording ended.
+    pub under_way: u64,
     /// Samples that neither delivered: lost on both, or never taken by the device.
     pub missing_on_both: u64,
     /// Samples that arrived again.
     pub duplicated: u64,
-    /// Samples that arrived after later ones and were left out.
+    /// Samples that arrived after later ones, among those delivered.
     pub late: u64,
     /// Undamaged frames.
     pub frames: u64,
     /// Damaged frames.
     pub damaged: u64,
-    /// Frames that the device shed because the link was too slow, as it says.
-    pub shed: u64,
+    /// Frames that the device shed because the link was too slow, as it says on either link; `None`
+    /// where it has not said it twice in a start.
+    pub shed: Option<u64>,
     /// How often the link was lost and came back.
     pub interruptions: u64,
+    /// Batches of samples whose place no epoch has told, those at the very end of the recording too.
+    pub unplaced: u64,
     /// Runs of missing samples: how many runs of how many samples, by powers of two.
     pub bursts: Vec<Burst>,
     /// From the newest sample of a batch to its arrival.
@@ -42,9 +51,12 @@ pub struct LinkReport {
     pub age: Quantiles,
     /// Mean change of the latency from one batch to the next, ms.
     pub jitter_ms: f64,
-    /// Samples a second.
+    /// For how long the link was open, from the first sign of it to the end of the recording, less the
+    /// times from when it was lost until it was back, s.
+    pub open_s: f64,
+    /// Samples delivered a second while it was open.
     pub samples_per_s: f64,
-    /// Bytes a second, everything included.
+    /// Bytes a second while it was open, everything included.
     pub bytes_per_s: f64,
     /// The device's clock by this link alone.
     pub clock: Option<ClockSummary>,
@@ -76,10 +88,84 @@ pub struct ByArrival {
 /// A stretch of the recording for the pictures.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slice {
+    /// Of what arrived in it.
     pub latency: Durations,
+    /// Of the samples taken in it.
     pub delivered: u64,
     pub missing: u64,
 }
+
+impl Slice {
+    /// What part of the samples that were taken in it did not arrive; `None` where none was.
+    pub fn lost_share(&self) -> Option<f64> {
+        let all = self.delivered + self.missing;
+        (all > 0).then(|| self.missing as f64 / all as f64)
+    }
+}
+
+/// The slices of a recording.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Slicing {
+    /// Host time, ns.
+    pub start_ns: u64,
+    pub span_ns: u64,
+    pub count: usize,
+}
+
+impl Slicing {
+    /// Which one is at a host time.
+    pub fn at(&self, host_ns: u64) -> usize {
+        let passed = host_ns.saturating_sub(self.start_ns) as f64;
+        let share = passed / (self.span_ns as f64).max(1.0);
+        ((share * self.count as f64) as usize).min(self.count.saturating_sub(1))
+    }
+}
+
+/// Samples that are missing in a link's own numbers.
+#[derive(Clone, Copy, Debug)]
+struct Gap {
+    first: u32,
+    /// From one to the next.
+    step: u32,
+    count: u32,
+    /// When the samples before the first and behind the last were taken, host time, ns.
+    between_ns: (u64, u64),
+}
+
+impl Gap {
+    fn time_ns(&self, index: u32) -> u64 {
+        let (from, to) = self.between_ns;
+        let share = f64::from(index + 1) / f64::from(self.count + 1);
+        from + (to.saturating_sub(from) as f64 * share) as u64
+    }
+
+    fn index_of(&self, number: u32) -> Option<u32> {
+        let behind = number.wrapping_sub(self.first);
+        let index = behind / self.step;
+        (behind.is_multiple_of(self.step) && index < self.count).then_some(index)
+    }
+
+    /// What is left before and behind one that came after all.
+    fn without(&self, index: u32) -> [Self; 2] {
+        let there_ns = self.time_ns(index);
+        [
+            Self {
+                count: index,
+                between_ns: (self.between_ns.0, there_ns),
+                ..*self
+            },
+            Self {
+                first: self.first.wrapping_add((index + 1) * self.step),
+                count: self.count - index - 1,
+                between_ns: (there_ns, self.between_ns.1),
+                ..*self
+            },
+        ]
+    }
+}
+
+/// Gaps that late samples may still fill, at most.
+const MAX_GAPS: usize = 256;
 
 /// Measures one link.
 #[derive(Debug, Default)]
@@ -89,95 +175,158 @@ pub(super) struct LinkMeter {
     pub lost: u64,
     /// Outside of these.
     lost_at_ends: u64,
-    /// Gaps in this link's own numbers.
-    gaps: u64,
+    pub before: u64,
+    pub under_way: u64,
+    /// Samples missing in this link's own numbers.
+    missing: u64,
+    gaps: VecDeque<Gap>,
     bursts: BTreeMap<u32, u64>,
     latency: Durations,
     age: Durations,
     last_latency: Option<i64>,
     jitter_sum_ns: f64,
     jitter_count: u64,
-    latest: Option<u32>,
-    shed: Option<(u32, u32)>,
-    shed_before: u64,
-    span: Option<(u64, u64)>,
+    /// Number of the latest sample, and when it was taken, host time, ns.
+    latest: Option<(u32, u64)>,
+    shed: BTreeMap<Start, Shed>,
+    /// When it was opened last, if it is open, and for how long it was before, ns.
+    opened_ns: Option<u64>,
+    open_ns: u64,
+    slicing: Slicing,
     pub slices: Vec<Slice>,
 }
 
+/// What the device says of one link in one start, on any.
+#[derive(Clone, Copy, Debug)]
+struct Shed {
+    least: u32,
+    most: u32,
+    times: u32,
+}
+
 impl LinkMeter {
-    pub fn new(slices: usize) -> Self {
+    pub fn new(slicing: Slicing) -> Self {
         Self {
-            slices: vec![Slice::default(); slices],
+            slicing,
+            slices: vec![Slice::default(); slicing.count],
             ..Self::default()
         }
     }
 
-    /// The device has started anew.
-    pub fn restart(&mut self) {
-        self.latest = None;
-        self.last_latency = None;
-        if let Some((first, last)) = self.shed.take() {
-            self.shed_before += u64::from(last.wrapping_sub(first));
-        }
-    }
-
-    /// A part of the file is missing: what comes next does not follow what came before.
+    /// What comes next does not follow what came before: the device has started anew, or a part of the
+    /// file is missing.
     pub fn skip(&mut self) {
         self.latest = None;
         self.last_latency = None;
+        self.count_gaps(0);
     }
 
-    /// Samples that arrived at `host_ns`; `slice` says where in the recording.
-    pub fn take(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel, slice: usize) {
-        let count = samples.values.len() as u64;
-        self.delivered += count;
-        let (first, _) = *self.span.get_or_insert((host_ns, host_ns));
-        self.span = Some((first, host_ns));
-        let mut missing = 0;
-        let mut last = None;
-        for sample in samples.iter() {
-            let latest = self.latest.replace(sample.sequence);
-            let ahead = latest.map_or(0, |latest| sample.sequence.wrapping_sub(latest));
-            let gap = ahead.saturating_sub(1) / u32::from(samples.every.max(1));
-            if gap > 0 && ahead < u32::MAX / 2 {
-                missing += u64::from(gap);
-                *self.bursts.entry(gap.ilog2()).or_default() += 1;
-            }
-            self.age.push(clock.delay_ns(sample.time, host_ns));
-            last = Some(sample);
+    /// There is a sign of the link.
+    pub fn is_open(&mut self, host_ns: u64) {
+        self.opened_ns.get_or_insert(host_ns);
+    }
+
+    /// The link was lost, or the recording is over.
+    pub fn close(&mut self, host_ns: u64) {
+        if let Some(opened) = self.opened_ns.take() {
+            self.open_ns += host_ns.saturating_sub(opened);
         }
-        self.gaps += missing;
-        let latency = last.map(|sample| clock.delay_ns(sample.time, host_ns));
+    }
+
+    /// Samples that arrived at `host_ns`.
+    pub fn take(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
+        self.delivered += samples.values.len() as u64;
+        let step = u32::from(samples.every.max(1));
+        let mut latency = None;
+        for sample in samples.iter() {
+            let taken_ns = clock.host_ns(sample.time);
+            if let Some((latest, before_ns)) = self.latest.replace((sample.sequence, taken_ns)) {
+                let ahead = sample.sequence.wrapping_sub(latest);
+                let count = ahead.saturating_sub(1) / step;
+                if count > 0 && ahead < u32::MAX / 2 {
+                    self.missing += u64::from(count);
+                    self.gaps.push_back(Gap {
+                        first: sample.sequence.wrapping_sub(count * step),
+                        step,
+                        count,
+                        between_ns: (before_ns, taken_ns),
+                    });
+                }
+            }
+            let delay = host_ns.wrapping_sub(taken_ns) as i64;
+            self.age.push(delay);
+            latency = Some(delay);
+            self.slice(taken_ns).delivered += 1;
+        }
+        self.count_gaps(MAX_GAPS);
         if let Some(latency) = latency {
             self.latency.push(latency);
+            self.slice(host_ns).latency.push(latency);
             if let Some(before) = self.last_latency.replace(latency) {
                 self.jitter_sum_ns += latency.abs_diff(before) as f64;
                 self.jitter_count += 1;
             }
         }
-        if let Some(slice) = self.slices.get_mut(slice) {
-            slice.delivered += count;
-            slice.missing += missing;
-            if let Some(latency) = latency {
-                slice.latency.push(latency);
+    }
+
+    /// Samples that arrived at `host_ns`, after later ones.
+    pub fn take_late(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
+        for sample in samples.iter() {
+            let taken_ns = clock.host_ns(sample.time);
+            self.delivered += 1;
+            self.age.push(host_ns.wrapping_sub(taken_ns) as i64);
+            self.slice(taken_ns).delivered += 1;
+            let found = self.gaps.iter().enumerate();
+            let mut found =
+                found.filter_map(|(at, gap)| Some((at, *gap, gap.index_of(sample.sequence)?)));
+            if let Some((at, gap, index)) = found.next() {
+                self.missing -= 1;
+                self.gaps.remove(at);
+                let left = gap.without(index).into_iter().rev();
+                for part in left.filter(|part| part.count > 0) {
+                    self.gaps.insert(at, part);
+                }
             }
         }
     }
 
-    /// A run of samples that the link did not bring before its first or after its last one of a start.
-    /// `slices` say where in the recording each of them arrived by the other link.
-    pub fn lack(&mut self, slices: impl Iterator<Item = usize>) {
-        let mut run = 0_u64;
-        for slice in slices {
-            run += 1;
-            if let Some(slice) = self.slices.get_mut(slice) {
-                slice.missing += 1;
-            }
+    fn slice(&mut self, host_ns: u64) -> &mut Slice {
+        let at = self.slicing.at(host_ns);
+        if self.slices.is_empty() {
+            self.slices.push(Slice::default());
         }
-        if let Some(power) = run.checked_ilog2() {
-            self.lost_at_ends += run;
+        let last = self.slices.len() - 1;
+        &mut self.slices[at.min(last)]
+    }
+
+    /// No late sample fills any gap but the last `left` any more.
+    fn count_gaps(&mut self, left: usize) {
+        while self.gaps.len() > left
+            && let Some(gap) = self.gaps.pop_front()
+        {
+            for index in 0..gap.count {
+                self.slice(gap.time_ns(index)).missing += 1;
+            }
+            *self.bursts.entry(gap.count.max(1).ilog2()).or_default() += 1;
+        }
+    }
+
+    /// A run of samples that the link did not bring before its first or after its last one of a start.
+    pub fn lack(&mut self, run: &Run) {
+        for taken_ns in &run.taken_ns {
+            self.slice(*taken_ns).missing += 1;
+        }
+        let count = run.taken_ns.len() as u64 + run.more;
+        if let Some(power) = count.checked_ilog2() {
+            self.lost_at_ends += count;
             *self.bursts.entry(power).or_default() += 1;
         }
+    }
+
+    /// The recording was over at `host_ns`.
+    pub fn finish(&mut self, host_ns: u64) {
+        self.close(host_ns);
+        self.count_gaps(0);
     }
 
     /// The longest time from a sample to its arrival, ns.
@@ -185,17 +334,30 @@ impl LinkMeter {
         (self.age.summary().max_ms * 1e6) as u64
     }
 
-    pub fn status(&mut self, role: LinkRole, status: &Status) {
-        let link = match role {
-            LinkRole::Cable => status.cable,
-            _ => status.wireless,
-        };
-        if let Some(link) = link {
-            let (first, _) = *self
-                .shed
-                .get_or_insert((link.telemetry_shed, link.telemetry_shed));
-            self.shed = Some((first, link.telemetry_shed));
-        }
+    /// What the device has said of this link, on any.
+    pub fn told(&mut self, start: Start, status: Option<LinkStatus>) {
+        let Some(status) = status else { return };
+        let now = status.telemetry_shed;
+        let shed = self.shed.entry(start).or_insert(Shed {
+            least: now,
+            most: now,
+            times: 0,
+        });
+        shed.least = shed.least.min(now);
+        shed.most = shed.most.max(now);
+        shed.times += 1;
+    }
+
+    /// What the device has shed while it was recorded.
+    fn shed(&self) -> Option<u64> {
+        let first = self.shed.keys().next()?;
+        let starts = self.shed.iter().map(|(start, shed)| {
+            // A start that began meanwhile was recorded from its beginning.
+            let least = if start == first { shed.least } else { 0 };
+            let known = start != first || shed.times > 1;
+            known.then_some(u64::from(shed.most - least))
+        });
+        starts.flatten().reduce(|all, shed| all + shed)
     }
 
     pub fn median_latency_ns(&self) -> f64 {
@@ -209,30 +371,28 @@ impl LinkMeter {
         stream: &StreamStatistics,
         clock: Option<&ClockModel>,
     ) -> LinkReport {
-        let seconds = self.span.map_or(0.0, |(first, last)| {
-            last.saturating_sub(first) as f64 * 1e-9
-        });
+        let open_s = self.open_ns as f64 * 1e-9;
         let per_s = |count: u64| {
-            if seconds > 0.0 {
-                count as f64 / seconds
+            if open_s > 0.0 {
+                count as f64 / open_s
             } else {
                 0.0
             }
         };
-        let shed = self
-            .shed
-            .map_or(0, |(first, last)| last.wrapping_sub(first));
         LinkReport {
             link: role.to_string(),
             delivered: self.delivered,
-            lost: (self.lost + self.lost_at_ends).saturating_sub(stream.late),
-            missing_on_both: self.gaps.saturating_sub(self.lost),
+            lost: self.lost + self.lost_at_ends,
+            before: self.before,
+            under_way: self.under_way,
+            missing_on_both: self.missing.saturating_sub(self.lost),
             duplicated: stream.duplicated,
             late: stream.late,
             frames: statistics.frames,
             damaged: statistics.frames_damaged,
-            shed: self.shed_before + u64::from(shed),
+            shed: self.shed(),
             interruptions: statistics.interruptions,
+            unplaced: statistics.batches_unplaced,
             bursts: self
                 .bursts
                 .iter()
@@ -245,6 +405,7 @@ impl LinkMeter {
             latency: self.latency.summary(),
             age: self.age.summary(),
             jitter_ms: self.jitter_sum_ns / self.jitter_count.max(1) as f64 * 1e-6,
+            open_s,
             samples_per_s: per_s(self.delivered),
             bytes_per_s: per_s(statistics.bytes),
             clock: clock.map(ClockModel::summary),

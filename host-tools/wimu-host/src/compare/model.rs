@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use wimu_calib::Transfer;
 use wimu_link::LinkRole;
 
+use super::Axis;
 use crate::{ErrorCode, HostError, Result};
 
 /// Bias and scale factor of a link's values against the reference link's, equation (65). It
@@ -33,21 +33,17 @@ pub struct LinkModel {
 const SCHEMA: &str = "wimu.link_model/1";
 
 impl LinkModel {
-    /// From what the comparison found.
-    pub fn new(role: LinkRole, device_id: &str, found: &Transfer) -> Self {
-        let axes = &found.axes;
+    /// From what the comparison found in so many pairs.
+    pub fn new(role: LinkRole, device_id: &str, axes: &[Axis; 3], pairs: u64) -> Self {
         Self {
             schema: SCHEMA.to_owned(),
             link: role.to_string(),
             device_id: device_id.to_owned(),
             bias_mps2: axes.map(|a| a.line.map_or(a.offset_mps2, |line| line.bias_mps2)),
             scale: axes.map(|a| a.line.map_or(1.0, |line| line.scale)),
-            bias_sd_mps2: axes.map(|a| {
-                a.line
-                    .map_or(a.offset_sd_mps2, |line| line.covariance[0][0].sqrt())
-            }),
-            scale_sd: axes.map(|a| a.line.map(|line| line.covariance[1][1].sqrt())),
-            pairs: found.samples,
+            bias_sd_mps2: axes.map(|a| a.line.map_or(a.offset_sd_mps2, |line| line.bias_sd_mps2)),
+            scale_sd: axes.map(|a| a.line.map(|line| line.scale_sd)),
+            pairs,
         }
     }
 

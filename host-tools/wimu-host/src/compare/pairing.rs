@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::ops::RangeInclusive;
 
 use super::holes::Holes;
+use crate::clock::ClockModel;
+use crate::decode::TimedSample;
 use crate::walk::Start;
 
 /// Samples that wait for their twin at most: over three minutes at 1344 Hz.
@@ -11,29 +13,69 @@ const MAX_WAITING: usize = 1 << 18;
 /// Starts of which samples wait: the links are at most so far apart.
 const MAX_STARTS: usize = 4;
 
+/// Samples that a link lacks and that may still come late, at most.
+const MAX_LACKED: usize = 1 << 14;
+
 /// A sample that a link has brought.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Taken {
+struct Taken {
     /// Its sequence number.
-    pub number: u32,
+    number: u32,
     /// X, Y, Z, LSB.
-    pub value: [i32; 3],
-    /// When it arrived, ns on the host's clock.
-    pub host_ns: u64,
+    value: [i32; 3],
+    /// When it was taken, ns on the host's clock.
+    taken_ns: u64,
+}
+
+/// From when on a link is listened to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Heard {
+    /// ns on the host's clock: what was taken before, it need not bring.
+    pub from_ns: u64,
+    /// It carries every `every`th sample at first.
+    pub every: u8,
+}
+
+/// Samples of the other link that a link did not bring, one behind the other.
+#[derive(Default)]
+pub(super) struct Run {
+    /// When they were taken, ns on the host's clock: the first of them.
+    pub taken_ns: Vec<u64>,
+    /// How many there are more.
+    pub more: u64,
+}
+
+impl Run {
+    fn push(&mut self, taken_ns: u64) {
+        if self.taken_ns.len() < MAX_WAITING {
+            self.taken_ns.push(taken_ns);
+        } else {
+            self.more += 1;
+        }
+    }
+}
+
+/// What a link did not bring before its first sample of each start and after its last.
+#[derive(Default)]
+pub(super) struct AtEnds {
+    /// In order.
+    pub lost: Vec<Run>,
+    /// Samples taken before it was listened to.
+    pub before: u64,
+    /// Samples that may still have been on their way.
+    pub under_way: u64,
 }
 
 /// Finds the samples with the same number on both links.
 pub(super) struct Pairing<'a> {
     holes: &'a Holes,
-    /// When each link was first heard, ns on the host's clock.
-    heard_ns: [u64; 2],
+    heard: [Heard; 2],
     starts: BTreeMap<Start, [Waiting; 2]>,
-    /// The first start in which each link brought something, and its decimation since.
-    begun: [Option<(Start, u8)>; 2],
     /// Samples that the other link brought and this one did not, between its first and last.
     lost: [u64; 2],
-    /// Runs of samples that the other link brought outside of these, by link: the arrivals there.
-    at_ends: Vec<(usize, Vec<u64>)>,
+    /// The latest of these.
+    lacked: [VecDeque<(Start, Taken)>; 2],
+    at_ends: [AtEnds; 2],
 }
 
 #[derive(Default)]
@@ -42,7 +84,11 @@ struct Waiting {
     /// The first number that the link brought.
     first: Option<u32>,
     /// What the other link brought before it.
-    before_first: Vec<Taken>,
+    before_first: Run,
+    /// And what it need not have brought.
+    before_heard: u64,
+    /// From when on it is listened to.
+    from_ns: u64,
     /// It carries every `every`th sample.
     every: u8,
     /// Numbers of which the file does not tell whether it brought them.
@@ -61,61 +107,69 @@ impl Waiting {
             .is_multiple_of(self.every.max(1).into())
     }
 
-    /// Notes that the other link has brought `sample` and this one, that has brought `later`, has not.
+    /// Notes that the other link has brought `sample` and this one, that has brought `known`, has not.
     /// Returns whether it is lost between this link's first and last.
-    fn lacks(&mut self, sample: Taken, later: u32) -> bool {
-        if !self.carries(sample.number, later) {
+    fn lacks(&mut self, sample: Taken, known: u32) -> bool {
+        if !self.carries(sample.number, known) {
             return false;
         }
         let is_between = self.first.is_some_and(|first| sample.number > first);
-        if !is_between && self.before_first.len() < MAX_WAITING {
-            self.before_first.push(sample);
+        if !is_between && sample.taken_ns <= self.from_ns {
+            self.before_heard += 1;
+        } else if !is_between {
+            self.before_first.push(sample.taken_ns);
         }
         is_between
     }
 }
 
 impl<'a> Pairing<'a> {
-    /// Of links that were first heard at `heard_ns` of the host.
-    pub fn new(heard_ns: [u64; 2], holes: &'a Holes) -> Self {
+    pub fn new(heard: [Heard; 2], holes: &'a Holes) -> Self {
         Self {
             holes,
-            heard_ns,
+            heard,
             starts: BTreeMap::new(),
-            begun: [None; 2],
             lost: [0; 2],
-            at_ends: Vec::new(),
+            lacked: Default::default(),
+            at_ends: Default::default(),
+        }
+    }
+
+    /// Takes a sample that a link has brought, after later ones or not: the other's value, if it has
+    /// brought it already.
+    pub fn pair(
+        &mut self,
+        link: usize,
+        start: Start,
+        sample: &TimedSample,
+        every: u8,
+        is_late: bool,
+        clock: &ClockModel,
+    ) -> Option<[i32; 3]> {
+        let taken = Taken {
+            number: sample.sequence,
+            value: sample.value,
+            taken_ns: clock.host_ns(sample.time),
+        };
+        if is_late {
+            self.take_late(link, start, taken)
+        } else {
+            self.take(link, start, taken, every)
         }
     }
 
     /// Takes a link's next sample, of which it carries every `every`th; the other's value, if it has
     /// brought it already.
-    pub fn take(
-        &mut self,
-        link: usize,
-        start: Start,
-        sample: Taken,
-        every: u8,
-    ) -> Option<[i32; 3]> {
-        self.begun[link].get_or_insert((start, every)).1 = every;
-        let holes = self.holes;
-        let begun = |link| Waiting {
-            holes: holes.of(link, start),
-            ..Waiting::default()
-        };
-        let links = self.starts.entry(start);
-        let [cable, wireless] = links.or_insert_with(|| [0, 1].map(begun));
-        let (own, other) = if link == 0 {
-            (cable, wireless)
-        } else {
-            (wireless, cable)
-        };
+    fn take(&mut self, link: usize, start: Start, sample: Taken, every: u8) -> Option<[i32; 3]> {
+        self.heard[link].every = every;
+        let [own, other] = self.links(link, start);
         let number = sample.number;
         own.first.get_or_insert(number);
         own.every = every;
         let mut twin = None;
-        // Each link brings its samples in order: what the other has brought before this one is
-        // not coming any more.
+        let mut lacked = [Vec::new(), Vec::new()];
+        // Each link brings its samples in order, but for late ones: what the other has brought before
+        // this one is not coming any more.
         while let Some(before) = other.samples.front().copied() {
             if before.number > number {
                 break;
@@ -123,80 +177,118 @@ impl<'a> Pairing<'a> {
             other.samples.pop_front();
             if before.number == number {
                 twin = Some(before.value);
-            } else {
-                self.lost[link] += u64::from(own.lacks(before, number));
+            } else if own.lacks(before, number) {
+                lacked[link].push(before);
             }
         }
         if twin.is_some() {
             // The other is further: what of this link still waits for it waits in vain.
             for before in std::mem::take(&mut own.samples) {
-                self.lost[1 - link] += u64::from(other.lacks(before, number));
+                if other.lacks(before, number) {
+                    lacked[1 - link].push(before);
+                }
             }
         } else {
             own.samples.push_back(sample);
         }
         if own.samples.len() > MAX_WAITING
             && let Some(before) = own.samples.pop_front()
+            && other.lacks(before, other.first.unwrap_or(0))
         {
-            self.lost[1 - link] += u64::from(other.lacks(before, before.number));
+            lacked[1 - link].push(before);
+        }
+        for (link, lacked) in lacked.into_iter().enumerate() {
+            self.lost[link] += lacked.len() as u64;
+            let known = &mut self.lacked[link];
+            known.extend(lacked.into_iter().map(|sample| (start, sample)));
+            let old = known.len().saturating_sub(MAX_LACKED);
+            known.drain(..old);
         }
         if self.starts.len() > MAX_STARTS
-            && let Some((start, links)) = self.starts.pop_first()
+            && let Some((_, links)) = self.starts.pop_first()
         {
-            self.end(start, links, None);
+            self.end(links, None);
         }
         twin
     }
 
-    /// The recording is over; what of the other link arrived at or after `under_way_ns` may still have
-    /// been on its way by each. Returns what each link lost between its first and last sample of each
-    /// start, and calls `at_end` with each link and run of samples that it lost outside of these, as
-    /// their times of arrival by the other.
-    pub fn finish(
-        mut self,
-        under_way_ns: [u64; 2],
-        mut at_end: impl FnMut(usize, &[u64]),
-    ) -> [u64; 2] {
-        while let Some((start, links)) = self.starts.pop_first() {
-            let is_last = self.starts.is_empty();
-            self.end(start, links, is_last.then_some(under_way_ns));
+    /// Takes a sample that a link has brought after later ones; the other's value, if it has brought it.
+    fn take_late(&mut self, link: usize, start: Start, sample: Taken) -> Option<[i32; 3]> {
+        let number = sample.number;
+        let lacked = &mut self.lacked[link];
+        let is_it = |(of, lacked): &(Start, Taken)| *of == start && lacked.number == number;
+        if let Some(at) = lacked.iter().position(is_it) {
+            self.lost[link] -= 1;
+            return lacked.remove(at).map(|(_, twin)| twin.value);
         }
-        for (link, run) in &self.at_ends {
-            at_end(*link, run);
+        let [own, other] = self.links(link, start);
+        let at = other.samples.partition_point(|twin| twin.number < number);
+        if other
+            .samples
+            .get(at)
+            .is_some_and(|twin| twin.number == number)
+        {
+            return other.samples.remove(at).map(|twin| twin.value);
         }
-        self.lost
+        let at = own.samples.partition_point(|before| before.number < number);
+        own.samples.insert(at, sample);
+        None
     }
 
-    fn end(&mut self, start: Start, links: [Waiting; 2], under_way_ns: Option<[u64; 2]>) {
-        for (link, waiting) in links.iter().enumerate() {
-            // Whether it was heard in a start before.
-            let Some((begun, every)) = self.begun[link].filter(|(begun, _)| *begun <= start) else {
-                continue;
-            };
-            let mut note = |run: Vec<u64>| {
-                if !run.is_empty() {
-                    self.at_ends.push((link, run));
+    /// What waits of a link and of the other one.
+    fn links(&mut self, link: usize, start: Start) -> [&mut Waiting; 2] {
+        let (holes, heard) = (self.holes, self.heard);
+        let begun = |link: usize| Waiting {
+            every: heard[link].every,
+            from_ns: heard[link].from_ns,
+            holes: holes.of(link, start),
+            ..Waiting::default()
+        };
+        let links = self.starts.entry(start);
+        let [cable, wireless] = links.or_insert_with(|| [0, 1].map(begun));
+        if link == 0 {
+            [cable, wireless]
+        } else {
+            [wireless, cable]
+        }
+    }
+
+    /// The recording is over; what the other link brought and was taken at or after `under_way_ns` may
+    /// still have been on its way by each. Returns what each link lost between its first and last sample
+    /// of each start, and what it did not bring outside of these.
+    pub fn finish(mut self, under_way_ns: [u64; 2]) -> ([u64; 2], [AtEnds; 2]) {
+        while let Some((_, links)) = self.starts.pop_first() {
+            let is_last = self.starts.is_empty();
+            self.end(links, is_last.then_some(under_way_ns));
+        }
+        (self.lost, self.at_ends)
+    }
+
+    fn end(&mut self, links: [Waiting; 2], under_way_ns: Option<[u64; 2]>) {
+        for link in 0..2 {
+            let (waiting, other) = (&links[link], &links[1 - link]);
+            let until_ns = under_way_ns.map_or(u64::MAX, |under_way_ns| under_way_ns[link]);
+            let found = &mut self.at_ends[link];
+            found.before += waiting.before_heard;
+            let mut run = Run::default();
+            for sample in &other.samples {
+                if !waiting.carries(sample.number, waiting.first.unwrap_or(0)) {
+                    continue;
                 }
-            };
-            let before = waiting.before_first.iter().map(|sample| sample.host_ns);
-            let is_heard = |host_ns: &u64| begun < start || *host_ns > self.heard_ns[link];
-            note(before.filter(is_heard).collect());
-            let grid = Waiting {
-                every,
-                holes: waiting.holes.clone(),
-                ..Waiting::default()
-            };
-            let arrived_in_time = |sample: &&Taken| {
-                under_way_ns.is_none_or(|under_way_ns| sample.host_ns < under_way_ns[link])
-            };
-            let carried = |sample: &&Taken| grid.carries(sample.number, waiting.first.unwrap_or(0));
-            let left = links[1 - link].samples.iter();
-            note(
-                left.filter(carried)
-                    .filter(arrived_in_time)
-                    .map(|sample| sample.host_ns)
-                    .collect(),
-            );
+                if sample.taken_ns <= waiting.from_ns {
+                    found.before += 1;
+                } else if sample.taken_ns >= until_ns {
+                    found.under_way += 1;
+                } else {
+                    run.push(sample.taken_ns);
+                }
+            }
+            found.lost.push(run);
+        }
+        for (found, waiting) in self.at_ends.iter_mut().zip(links) {
+            // What came before the first one is before what came behind the last one.
+            let at = found.lost.len().saturating_sub(1);
+            found.lost.insert(at, waiting.before_first);
         }
     }
 }
@@ -205,29 +297,45 @@ impl<'a> Pairing<'a> {
 mod tests {
     use super::*;
 
+    const STARTS_APART: u64 = 100;
+
     /// Numbers that each link brings of each start, by turns; returns what each lost between and at
     /// the ends.
     fn lost(starts: &[[&[u32]; 2]], heard_ns: u64, under_way_ns: [u64; 2]) -> ([u64; 2], [u64; 2]) {
         let holes = Holes::default();
-        let mut pairing = Pairing::new([0, heard_ns], &holes);
-        for (start, links) in (7..).zip(starts) {
+        let heard = [0, heard_ns].map(|from_ns| Heard { from_ns, every: 1 });
+        let mut pairing = Pairing::new(heard, &holes);
+        let mut brought = [0; 2];
+        for (start, links) in (0..).zip(starts) {
             let mut turns: Vec<(u32, usize)> = Vec::new();
             for (link, numbers) in links.iter().enumerate() {
                 turns.extend(numbers.iter().map(|number| (*number, link)));
+                brought[link] += numbers.len() as u64;
             }
             turns.sort_unstable();
             for (number, link) in turns {
                 let sample = Taken {
                     number,
                     value: [0; 3],
-                    host_ns: u64::from(number),
+                    taken_ns: 1 + u64::from(start) * STARTS_APART + u64::from(number),
                 };
                 pairing.take(link, start, sample, 1);
             }
         }
-        let mut at_ends = [0; 2];
-        let between = pairing.finish(under_way_ns, |link, run| at_ends[link] += run.len() as u64);
-        (between, at_ends)
+        let (between, at_ends) = pairing.finish(under_way_ns);
+        let lost = at_ends.each_ref().map(|found| {
+            found
+                .lost
+                .iter()
+                .map(|run| run.taken_ns.len())
+                .sum::<usize>() as u64
+        });
+        if brought[1] < brought[0] && between[0] + lost[0] == 0 {
+            // Every sample of the other is in one figure.
+            let others = at_ends[1].before + at_ends[1].under_way;
+            assert_eq!(brought[1] + between[1] + lost[1] + others, brought[0]);
+        }
+        (between, lost)
     }
 
     #[test]
@@ -235,17 +343,57 @@ mod tests {
         let all: &[u32] = &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9];
         let never = [u64::MAX; 2];
         // Heard from 1 on, dead after 5.
-        assert_eq!(lost(&[[all, &[3, 5]]], 1, never), ([0, 1], [0, 1 + 4]));
+        assert_eq!(lost(&[[all, &[3, 5]]], 2, never), ([0, 1], [0, 1 + 4]));
         // At the end of the recording some may be under way.
-        assert_eq!(lost(&[[all, &[3, 5]]], 9, [u64::MAX, 8]), ([0, 1], [0, 2]));
+        assert_eq!(lost(&[[all, &[3, 5]]], 10, [u64::MAX, 9]), ([0, 1], [0, 2]));
         // In the starts that follow all counts, a start without a sign of it too.
         let starts: [[&[u32]; 2]; 4] = [[all, &[8, 9]], [all, &[]], [all, &[5]], [&[0], &[0]]];
-        assert_eq!(lost(&starts, 9, never), ([0, 0], [0, 10 + 9]));
+        assert_eq!(lost(&starts, 10, never), ([0, 0], [0, 10 + 9]));
         // The other one likewise.
         let starts: [[&[u32]; 2]; 2] = [[all, all], [&[], all]];
         assert_eq!(lost(&starts, 0, never), ([0, 0], [10, 0]));
         // A link that was never heard before is not listened to.
         let starts: [[&[u32]; 2]; 2] = [[all, &[]], [&[0], &[0]]];
-        assert_eq!(lost(&starts, 0, never), ([0, 0], [0, 0]));
+        assert_eq!(lost(&starts, STARTS_APART, never), ([0, 0], [0, 0]));
+        // One that was open all the time has lost them.
+        assert_eq!(lost(&starts, 0, never), ([0, 0], [0, 10]));
+    }
+
+    #[test]
+    fn a_late_sample_is_not_lost_whichever_link_is_ahead() {
+        let holes = Holes::default();
+        let heard = [Heard {
+            from_ns: 0,
+            every: 1,
+        }; 2];
+        let sample = |number: u32| Taken {
+            number,
+            value: [number as i32; 3],
+            taken_ns: 1 + u64::from(number),
+        };
+        for cable_ahead in [true, false] {
+            let mut pairing = Pairing::new(heard, &holes);
+            let mut pairs = 0;
+            let cable = |pairing: &mut Pairing| {
+                let pairs = (0..8).filter(|k| pairing.take(0, 0, sample(*k), 1).is_some());
+                pairs.count()
+            };
+            if cable_ahead {
+                pairs += cable(&mut pairing);
+            }
+            // 2 and 3 after 5; 6 never.
+            for number in [0, 1, 4, 5, 7] {
+                pairs += usize::from(pairing.take(1, 0, sample(number), 1).is_some());
+            }
+            for number in [2, 3] {
+                let twin = pairing.take_late(1, 0, sample(number));
+                assert!(twin.is_none_or(|twin| twin == sample(number).value));
+                pairs += usize::from(twin.is_some());
+            }
+            if !cable_ahead {
+                pairs += cable(&mut pairing);
+            }
+            assert_eq!((pairs, pairing.finish([u64::MAX; 2]).0), (7, [0, 1]));
+        }
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::link::Slice;
-use super::{Comparison, History, Values};
+use super::{Axis, Comparison, History, Values};
 use crate::Result;
 use crate::chart::{self, Band, Chart, Series};
 use crate::html::Report;
@@ -46,6 +46,16 @@ impl Comparison {
         chart::write_all(folder, &self.charts())
     }
 
+    /// The largest part of the samples taken in a stretch of the pictures that did not arrive: of the
+    /// cable and of the wireless link.
+    pub fn worst_loss(&self) -> [f64; 2] {
+        let worst = |slices: &Vec<Slice>| {
+            let shares = slices.iter().filter_map(Slice::lost_share);
+            shares.fold(0.0, f64::max)
+        };
+        self.history.slices.each_ref().map(worst)
+    }
+
     /// The pictures, with what their files are called.
     fn charts(&self) -> Vec<(&'static str, Chart)> {
         let history = &self.history;
@@ -85,7 +95,7 @@ impl Comparison {
             ));
             charts.extend(gap(history, values));
         }
-        charts.push(("error", evolution(history)));
+        charts.extend(evolution(history));
         charts.extend(over_time(history));
         charts
     }
@@ -144,36 +154,61 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
     })
 }
 
-/// The estimated offset as the recording grows, with two standard deviations.
-fn evolution(history: &History) -> Chart {
-    let line = |axis: usize| Series {
-        name: AXES[axis].to_owned(),
-        points: history
-            .evolution
-            .iter()
-            .map(|(time, axes)| (*time, axes[axis].0 * 1e3))
-            .collect(),
-        dots: false,
+/// The estimated bias and scale factor as the recording grows, with two standard deviations: of an axis
+/// that hardly moves the offset, of others from when both are told apart.
+fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
+    let last = history.evolution.last().map(|(_, axes)| *axes);
+    let has_line = |axis: usize| last.is_some_and(|axes| axes[axis].line.is_some());
+    let picture = |title: &str, y: &str, of: &dyn Fn(usize, &Axis) -> Option<(f64, f64)>| {
+        let mut picture = chart(title.to_owned(), y, Vec::new());
+        for (axis, name) in AXES.into_iter().enumerate() {
+            let points: Vec<(f64, f64, f64)> = history
+                .evolution
+                .iter()
+                .filter_map(|(time, axes)| {
+                    let (value, sd) = of(axis, &axes[axis])?;
+                    Some((*time, value, sd))
+                })
+                .collect();
+            if points.is_empty() {
+                continue;
+            }
+            let band =
+                |(time, value, sd): &(f64, f64, f64)| (*time, value - 2.0 * sd, value + 2.0 * sd);
+            picture.bands.push(Band {
+                series: picture.series.len(),
+                points: points.iter().map(band).collect(),
+            });
+            picture.series.push(Series {
+                name: name.to_owned(),
+                points: points
+                    .iter()
+                    .map(|(time, value, _)| (*time, *value))
+                    .collect(),
+                dots: false,
+            });
+        }
+        picture
     };
-    let band = |axis: usize| Band {
-        series: axis,
-        points: history
-            .evolution
-            .iter()
-            .map(|(time, axes)| {
-                let (offset, sd) = axes[axis];
-                (*time, (offset - 2.0 * sd) * 1e3, (offset + 2.0 * sd) * 1e3)
-            })
-            .collect(),
+    let bias = |axis: usize, found: &Axis| match (has_line(axis), found.line) {
+        (true, line) => line.map(|line| (line.bias_mps2 * 1e3, line.bias_sd_mps2 * 1e3)),
+        (false, _) => Some((found.offset_mps2 * 1e3, found.offset_sd_mps2 * 1e3)),
     };
-    Chart {
-        bands: (0..3).map(band).collect(),
-        ..chart(
-            "Estimated error of the wireless link as the recording grows, ± 2 σ".to_owned(),
-            "mm/s²",
-            (0..3).map(line).collect(),
-        )
+    let scale = |_: usize, found: &Axis| {
+        let line = found.line?;
+        Some(((line.scale - 1.0) * 100.0, line.scale_sd * 100.0))
+    };
+    let bias = picture(
+        "Estimated bias of the wireless link as the recording grows, ± 2 σ",
+        "mm/s²",
+        &bias,
+    );
+    let scale = picture("Estimated error of its scale factor, ± 2 σ", "%", &scale);
+    let mut charts = vec![("error", bias)];
+    if !scale.series.is_empty() {
+        charts.push(("error-scale", scale));
     }
+    charts
 }
 
 /// Latency and loss over time.
@@ -206,29 +241,21 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
             series,
         )
     };
-    let lost = |slices: &[Slice], other: &[Slice], link: &str| Series {
+    let lost = |slices: &[Slice], link: &str| Series {
         name: link.to_owned(),
-        points: (slices.iter().zip(other).enumerate())
-            .map(|(k, (slice, other))| {
-                let all = slice.delivered + slice.missing;
-                // A link that is not there shows no gap of its own.
-                let share = match all {
-                    0 if other.delivered > 0 => 1.0,
-                    _ => slice.missing as f64 / all.max(1) as f64,
-                };
-                (time(k), 100.0 * share)
+        points: (slices.iter().enumerate())
+            .filter_map(|(k, slice)| {
+                let share = slice.lost_share()?;
+                Some((time(k), 100.0 * share))
             })
             .collect(),
         dots: false,
     };
     let [cable, wireless] = &history.slices;
     let loss = chart(
-        "Samples that did not arrive".to_owned(),
+        "Samples that did not arrive, by when they were taken".to_owned(),
         "%",
-        vec![
-            lost(wireless, cable, "wireless"),
-            lost(cable, wireless, "cable"),
-        ],
+        vec![lost(wireless, "wireless"), lost(cable, "cable")],
     );
     [("latency", latency), ("loss", loss)]
 }

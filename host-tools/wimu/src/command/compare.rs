@@ -9,7 +9,7 @@ use wimu_host::mcap_file::RecordingReader;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 
 use crate::arguments::Compare;
-use crate::command::record::clock_text;
+use crate::command::record::{clock_text, unplaced_text};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -139,7 +139,7 @@ fn text(found: &Comparison) -> String {
 
 fn link_text(link: &LinkReport) -> String {
     let mut text = format!(
-        "\n{:8} {} delivered, {} lost, {} on neither link, {} duplicated, {} late; {} damaged frames, {} shed, {} interruptions",
+        "\n{:8} {} delivered, {} lost, {} on neither link, {} duplicated, {} late; {} damaged frames, {} shed, {} interruptions{}",
         link.link,
         link.delivered,
         link.lost,
@@ -147,9 +147,18 @@ fn link_text(link: &LinkReport) -> String {
         link.duplicated,
         link.late,
         link.damaged,
-        link.shed,
-        link.interruptions
+        link.shed
+            .map_or("unknown".to_owned(), |shed| shed.to_string()),
+        link.interruptions,
+        unplaced_text(link.unplaced)
     );
+    if link.before + link.under_way > 0 {
+        let _ = write!(
+            text,
+            "\n         of the other link's samples {} were taken before this one was heard, {} may have been under way at the end",
+            link.before, link.under_way
+        );
+    }
     if !link.bursts.is_empty() {
         let runs: Vec<String> = link
             .bursts
@@ -168,14 +177,15 @@ fn link_text(link: &LinkReport) -> String {
     let latency = &link.latency;
     let _ = write!(
         text,
-        "\n         latency {:.1} ms median, {:.1} 95 %, {:.1} 99 %, {:.1} longest; jitter {:.1} ms; {:.1} samples/s, {:.0} bytes/s",
+        "\n         latency {:.1} ms median, {:.1} 95 %, {:.1} 99 %, {:.1} longest; jitter {:.1} ms; {:.1} samples/s, {:.0} bytes/s over the {:.1} s that it was open",
         latency.median_ms,
         latency.p95_ms,
         latency.p99_ms,
         latency.max_ms,
         link.jitter_ms,
         link.samples_per_s,
-        link.bytes_per_s
+        link.bytes_per_s,
+        link.open_s
     );
     if let Some(clock) = &link.clock {
         let _ = write!(text, "\n         {}", clock_text(clock));

@@ -86,19 +86,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             for (topic, count) in &decoded.messages {
                 output.say(format!("{file}: {count} messages on {topic}"));
             }
-            if decoded.without_time > 0 {
-                output.say(format!(
-                    "  {} messages left out: no clock tells when they were",
-                    decoded.without_time
-                ));
-            }
-            if decoded.without_unit > 0 {
-                output.say(format!(
-                    "  {} raw samples left out: the range may have changed, and the epoch that tells is lost",
-                    decoded.without_unit
-                ));
-            }
-            say_fault(decoded.wholeness, output);
+            say_left_out(&decoded, output);
             output.object(&ExportedTopics {
                 schema: "wimu.export_topics/1",
                 status: "ok",
@@ -160,6 +148,29 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         wholeness,
     });
     Ok(())
+}
+
+/// Says what decoded topics lack.
+pub fn say_left_out(decoded: &Decoded, output: Output) {
+    let lacks = [
+        (
+            decoded.without_time,
+            "messages left out: no clock tells when they were",
+        ),
+        (
+            decoded.without_unit,
+            "raw samples left out: the range may have changed, and the epoch that tells is lost",
+        ),
+        (decoded.late, "samples left out: they came after later ones"),
+        (
+            decoded.unplaced,
+            "batches left out: no epoch tells their place",
+        ),
+    ];
+    for (count, what) in lacks.into_iter().filter(|(count, _)| *count > 0) {
+        output.say(format!("  {count} {what}"));
+    }
+    say_fault(decoded.wholeness, output);
 }
 
 /// Writes a calibration as other programs read it, or prints it.

@@ -13,6 +13,7 @@ use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::{Foreign, Info};
+use crate::command::record::unplaced_text;
 use crate::command::{connect, say_fault};
 use crate::output::Output;
 
@@ -263,7 +264,7 @@ fn recording(path: &Path, output: Output) -> Result<()> {
     say_fault(contents.wholeness, output);
     for link in &contents.links {
         output.say(format!(
-            "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames, {} bytes",
+            "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes{}",
             link.role,
             link.raw_samples,
             link.corrected_samples,
@@ -271,7 +272,12 @@ fn recording(path: &Path, output: Output) -> Result<()> {
             link.navigation,
             link.statistics.raw.missing,
             link.statistics.frames_damaged,
-            link.statistics.bytes
+            unplaced_text(link.statistics.batches_unplaced),
+            link.statistics.bytes,
+            match link.starts {
+                0 | 1 => String::new(),
+                starts => format!("; {starts} starts of the board"),
+            }
         ));
         if let Some(device) = &link.device {
             output.say(format!("         {}", device.text()));

@@ -12,6 +12,7 @@ use wimu_host::ros::{self, Decoded};
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
 use crate::arguments::Record;
+use crate::command::export::say_left_out;
 use crate::command::{deadline, interrupted, is_over};
 use crate::output::Output;
 
@@ -23,6 +24,8 @@ struct Recorded {
     /// Why it ended by itself.
     ended: Option<HostError>,
     links: Vec<Link>,
+    /// What `--decoded` added.
+    decoded: Option<Decoded>,
 }
 
 #[derive(Serialize)]
@@ -86,13 +89,17 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
             output.say(format!("{:8} {}", link.role, clock_text(clock)));
         }
     }
-    if arguments.decoded {
-        let decoded = add_topics(&arguments.output)?;
+    let decoded = match arguments.decoded {
+        true => Some(add_topics(&arguments.output)?),
+        false => None,
+    };
+    if let Some(decoded) = &decoded {
         let count: u64 = decoded.messages.values().sum();
         output.say(format!(
             "decoded: {count} messages on {} topics",
             decoded.messages.len()
         ));
+        say_left_out(decoded, output);
     }
     if let Some(error) = &progress.ended {
         output.say(format!(
@@ -113,6 +120,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
                 clock: link.clock,
             })
             .collect(),
+        decoded,
         ended: progress.ended,
     });
     Ok(())
@@ -136,12 +144,13 @@ fn summary(progress: &Progress) -> String {
         .map(|link| {
             let statistics = &link.statistics;
             format!(
-                "{} {} samples, {} bytes, {} missing, {} damaged frames{}",
+                "{} {} samples, {} bytes, {} missing, {} damaged frames{}{}",
                 link.role,
                 statistics.raw.received,
                 statistics.bytes,
                 statistics.raw.missing,
                 statistics.frames_damaged,
+                unplaced_text(statistics.batches_unplaced),
                 if link.lost.is_some() {
                     ", LOST: trying again"
                 } else {
@@ -151,6 +160,14 @@ fn summary(progress: &Progress) -> String {
         })
         .collect();
     links.join("; ")
+}
+
+/// What is said of batches whose place no epoch tells: at the end of a recording too.
+pub fn unplaced_text(batches: u64) -> String {
+    match batches {
+        0 => String::new(),
+        _ => format!(", {batches} batches whose place no epoch tells"),
+    }
 }
 
 /// A clock in a line, two standard deviations.

@@ -502,43 +502,46 @@ fn a_late_wireless_link_connected_first_charges_the_cable_nothing() {
     }
 }
 
-/// The same recording with other boot counts: the `n`th start of the device has that of `count`.
-fn counted_anew(recording: &[u8], count: impl Fn(u32) -> u32) -> Vec<u8> {
+/// The same recording, what a link brought frame by frame.
+fn framed(recording: &[u8]) -> Vec<Recorded> {
     let mut waiting = [Vec::new(), Vec::new()];
-    let anew = entries(recording).into_iter().map(|entry| {
+    let mut anew = Vec::new();
+    for entry in entries(recording) {
         let Recorded::Received(mut heard) = entry else {
-            return entry;
+            anew.push(entry);
+            continue;
         };
         let waiting: &mut Vec<u8> = &mut waiting[usize::from(heard.role == LinkRole::Cable)];
         waiting.append(&mut heard.bytes);
-        let whole = waiting
-            .iter()
-            .rposition(|byte| *byte == 0)
-            .map_or(0, |at| at + 1);
-        for frame in waiting
-            .drain(..whole)
-            .as_slice()
-            .split_inclusive(|byte| *byte == 0)
-        {
-            let mut deframer = Deframer::new();
-            let mut rest = frame;
-            let hello = match deframer.next(&mut rest) {
-                Some(Ok(frame)) if frame.kind == Kind::Hello => Hello::decode(frame.body).ok(),
-                _ => None,
-            };
-            match hello {
-                Some(mut hello) => {
-                    hello.boot_count = count(hello.boot_count);
-                    let mut frame = [0; MAX_FRAME];
-                    let length = hello.encode(&mut frame).unwrap();
-                    heard.bytes.extend(&frame[..length]);
-                }
-                None => heard.bytes.extend(frame),
-            }
+        let ends = waiting.iter().rposition(|byte| *byte == 0);
+        let whole: Vec<u8> = waiting.drain(..ends.map_or(0, |end| end + 1)).collect();
+        for frame in whole.split_inclusive(|byte| *byte == 0) {
+            heard.bytes = frame.to_vec();
+            anew.push(Recorded::Received(heard.clone()));
         }
-        Recorded::Received(heard)
-    });
-    file(&anew.collect::<Vec<_>>())
+    }
+    anew
+}
+
+/// The same recording with other boot counts: the `n`th start of the device has that of `count`.
+fn counted_anew(recording: &[u8], count: impl Fn(u32) -> u32) -> Vec<u8> {
+    let mut anew = framed(recording);
+    for entry in &mut anew {
+        let Recorded::Received(heard) = entry else {
+            continue;
+        };
+        let mut deframer = Deframer::new();
+        let mut rest = &heard.bytes[..];
+        let mut hello = match deframer.next(&mut rest) {
+            Some(Ok(frame)) if frame.kind == Kind::Hello => Hello::decode(frame.body).unwrap(),
+            _ => continue,
+        };
+        hello.boot_count = count(hello.boot_count);
+        let mut frame = [0; MAX_FRAME];
+        let length = hello.encode(&mut frame).unwrap();
+        heard.bytes = frame[..length].to_vec();
+    }
+    file(&anew)
 }
 
 #[test]
@@ -597,7 +600,7 @@ fn late_samples_are_delivered_and_readings_come_once() {
         wireless: "latency=5ms",
         ..Session::default()
     };
-    let mut recording = entries(&session.record());
+    let mut recording = framed(&session.record());
     let at_most = |reach: &[Recorded]| {
         let mut decoder = Decoder::new();
         let mut readings = 0;

@@ -241,7 +241,8 @@ Example: wimu compare session.mcap --report compare.html -o LINK.json
 pub struct Compare {
     /// A recording of both links, or the CSV file of the reference
     pub input: String,
-    /// The CSV file of another device in the same motion
+    /// The CSV file of another device in the same motion, which must not repeat itself (that of
+    /// `wimu simulate --motion hand` does, every 10 s)
     pub other: Option<String>,
     /// Write the wireless link's error model here; `wimu export --link-model` takes it off
     #[arg(short, long, value_name = "LINK.json")]

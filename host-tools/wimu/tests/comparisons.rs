@@ -200,7 +200,7 @@ fn samples_out_of_order_make_no_wrong_pair() {
         ..Stretch::default()
     };
     let found = is_compared([Stretch::default().on(CABLE), swapped.on(WIRELESS)].concat());
-    // What comes late is left out, for nothing is held back for it, but not lost.
+    // What comes late is paired all the same.
     let wireless = &found["links"][1];
     let late = wireless["late"].as_u64().unwrap();
     assert!((1..700).contains(&late), "{wireless}");
@@ -208,8 +208,75 @@ fn samples_out_of_order_make_no_wrong_pair() {
         (&wireless["lost"], &wireless["duplicated"]),
         (&0.into(), &0.into())
     );
-    let pairs = found["pairs"].as_u64().unwrap();
-    assert_eq!(pairs + late, 1600, "{found}");
+    assert_eq!(wireless["bursts"], serde_json::json!([]), "{wireless}");
+    assert_eq!(found["pairs"], 1600, "{found}");
+}
+
+#[test]
+fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
+    let first = Stretch {
+        boot: 0,
+        ..Stretch::default()
+    };
+    let again = Stretch {
+        batches: (0, 60),
+        began_s: 30.0,
+        ..first
+    };
+    let folder = folder();
+    let session = file(folder.path(), [first.on_both(), again.on_both()].concat());
+    let found = wimu(&["compare", &session]).succeeds();
+    assert_eq!(
+        (&found["starts"], &found["pairs"]),
+        (&2.into(), &2560.into())
+    );
+    for link in found["links"].as_array().unwrap() {
+        assert_eq!(link["lost"], 0, "{link}");
+        assert!(
+            link["latency"]["max_ms"].as_f64().unwrap() < 100.0,
+            "{link}"
+        );
+    }
+    let ran = wimu(&["info", &session]);
+    assert!(ran.stderr.contains("2 starts of the board"), "{ran:?}");
+    assert_eq!(ran.succeeds()["links"][1]["starts"], 2);
+    // Where the cable knows the start that a sample of the wireless link is of, so does a calibration.
+    let found = wimu(&["calibrate", &session, "--method", "reference"]).object();
+    assert_eq!(found["samples"], 2560, "{found}");
+    // Times go on over the restart, the first start's from 1 s on, the second's from 31 s.
+    let table = folder.path().join("a.csv").display().to_string();
+    wimu(&["export", &session, "-o", &table]).succeeds();
+    let text = fs::read_to_string(&table).unwrap();
+    let times: Vec<f64> = text
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').next().unwrap().parse().unwrap())
+        .collect();
+    assert!(times.is_sorted() && times.len() == 2560);
+    let pause = times[1600] - times[1599];
+    assert!((pause - 14.01).abs() < 0.05, "{pause}");
+}
+
+#[test]
+fn what_is_held_at_the_very_end_is_counted_and_said() {
+    // A second of a new start that nothing announces: not enough to know that it is one.
+    let again = Stretch {
+        batches: (0, 6),
+        began_s: 30.0,
+        ..Stretch::default()
+    };
+    let folder = folder();
+    let brought = [Stretch::default().on_both(), again.on_both()].concat();
+    let session = file(folder.path(), brought);
+    let says = "6 batches whose place no epoch tells";
+    let ran = wimu(&["info", &session]);
+    assert!(ran.stderr.contains(says), "{ran:?}");
+    let ran = wimu(&["compare", &session]);
+    assert!(ran.stderr.contains(says), "{ran:?}");
+    assert_eq!(ran.succeeds()["links"][0]["unplaced"], 6);
+    let output = folder.path().join("decoded.mcap").display().to_string();
+    let ran = wimu(&["export", &session, "--format", "mcap", "-o", &output]);
+    assert!(ran.stderr.contains("12 batches left out"), "{ran:?}");
 }
 
 #[test]
@@ -277,6 +344,15 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
         let scale = axis["line"]["scale"].as_f64().unwrap();
         assert!((scale - 1.02).abs() < 0.005, "{found}");
     }
+    let of = |name: &str| found[name].as_f64().unwrap();
+    assert!(
+        (of("offset_s") - 1.3).abs() < 3.0 * of("offset_sd_s") + 1e-3,
+        "{found}"
+    );
+    assert!(
+        of("rate_ppm").abs() < 3.0 * of("rate_sd_ppm") + 5.0,
+        "{found}"
+    );
 }
 
 #[test]
@@ -324,6 +400,7 @@ fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
         "gap",
         "gap-corrected",
         "error",
+        "error-scale",
         "latency",
         "loss",
     ] {

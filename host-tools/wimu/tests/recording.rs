@@ -212,7 +212,13 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
         "-o",
         file,
     ];
-    wimu(&[&arguments[..], &["--for", "6", "--decoded"]].concat()).succeeds();
+    let said = wimu(&[&arguments[..], &["--for", "6", "--decoded"]].concat()).succeeds();
+    let decoded = &said["decoded"];
+    assert_eq!(
+        (&decoded["without_unit"], &decoded["late"]),
+        (&0.into(), &0.into()),
+        "{said}"
+    );
     // It is still a recording, and decodes again to the same.
     let info = wimu(&["info", file]).succeeds();
     let raw = info["links"][0]["raw_samples"].as_u64().unwrap();
@@ -227,6 +233,7 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     ];
     let exported = wimu(&arguments).succeeds();
     assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
+    assert_eq!(decoded["messages"]["/cable/imu/data_raw"], raw);
 
     let Some(python) = python_with_rosbags() else {
         return;

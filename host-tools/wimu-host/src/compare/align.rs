@@ -23,6 +23,20 @@ const MIN_OVERLAP: f64 = 0.2;
 const MIN_CORRELATION: f64 = 0.6;
 /// Another place that fits within this makes the answer ambiguous.
 const MIN_LEAD: f64 = 0.03;
+/// By so many standard deviations a correlation is more than chance; at the best of thousands of lags
+/// chance makes nearly four.
+const MIN_DEVIATIONS: f64 = 4.0;
+/// Two devices in one motion show as much of it, but for such a factor, however they are mounted.
+const MAX_SIZE: f64 = 1.4;
+/// What a motion shares with itself later than this counts as chance, s; at most so many products.
+const MAX_MEMORY_S: f64 = 5.0;
+const MAX_PRODUCTS: usize = 200_000_000;
+/// Below this overlap the clocks' rates are not compared, s.
+const MIN_RATE_OVERLAP_S: f64 = 9.0;
+/// Clocks farther apart than this are not compared.
+const MAX_RATE: f64 = 0.01;
+/// What is left is the same for so long, s: its parts are taken for independent beyond.
+const CLUSTER_S: f64 = 1.0;
 
 /// A sensor's bias makes the magnitude at rest another than 1 g by about this, as a part of it.
 const LEAST_UNIT_SD: f64 = 0.03;
@@ -39,9 +53,13 @@ pub struct Alignment {
     pub sources: [String; 2],
     /// Add to the other's time to get the reference's at the middle of the overlap, s.
     pub offset_s: f64,
+    /// Its standard deviation, s.
+    pub offset_sd_s: f64,
     /// By how many ppm the other's clock is slow against the reference's; `None` where the
     /// overlap is too short to tell.
     pub rate_ppm: Option<f64>,
+    /// Its standard deviation.
+    pub rate_sd_ppm: Option<f64>,
     /// Correlation of the magnitudes when aligned.
     pub correlation: f64,
     /// Length of the overlap, s.
@@ -131,26 +149,48 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         ));
     }
     // b[k] is at a[k + lag].
-    let shift = |lag: f64| fine_a.start - fine_b.start + lag * step;
-    let overlap_of = |lag: f64| {
-        let start = fine_a.start.max(fine_b.start + shift(lag));
-        let end = fine_a.end().min(fine_b.end() + shift(lag));
-        (start, end)
+    let lag = fine.lag.round() as i64;
+    if deviations(&fine_a.values, &fine_b.values, lag, step) < MIN_DEVIATIONS {
+        return Err(refused(
+            &both,
+            format!(
+                "what fits, to {:.2}, is so short or so even a motion that another would fit as well",
+                fine.score
+            ),
+            "record one motion with both at the same time, longer and more varied",
+        ));
+    }
+    let mut fit = TimeFit {
+        offset_s: fine_a.start - fine_b.start + fine.lag * step,
+        rate: 0.0,
+        middle: 0.0,
+        sd: [0.0; 2],
     };
-    let (start, end) = overlap_of(fine.lag);
-    let rate = drift(&fine_a, &fine_b, fine.lag, (start, end), shift(fine.lag));
-    let middle = 0.5 * (start + end);
-    let rate_ppm = rate.map(|rate| rate * 1e6);
-    let offset_s = shift(fine.lag);
-    // Reference time of the other's time.
-    let slope = rate.unwrap_or(0.0);
+    let overlap_at = |offset: f64| {
+        let start = fine_a.start.max(fine_b.start + offset);
+        (start, fine_a.end().min(fine_b.end() + offset))
+    };
+    let (start, end) = overlap_at(fit.offset_s);
+    fit.middle = 0.5 * (start + end);
+    let has_rate = end - start >= MIN_RATE_OVERLAP_S;
+    // The rate moves the ends: first a small correction, then what it leaves.
+    let rough = drift(&fine_a, &fine_b, fine.lag, (start, end), fit.offset_s);
+    fit.rate = rough.filter(|_| has_rate).unwrap_or(0.0);
+    for _ in 0..4 {
+        fit = fit
+            .refined(&a, &b, (start, end), step, has_rate)
+            .unwrap_or(fit);
+    }
+    let rate = has_rate.then_some((fit.rate, fit.sd[1]));
+    let offset_s = fit.offset_s;
     // Any two devices: nobody says which is the noisier.
     let mut transfer = ReferenceTransfer::of_unknown_noise();
     let (mut squares, mut sums, mut saturated) = ([0.0; 3], [[0.0; 3]; 2], 0);
+    let mut sizes = [0.0; 2];
     let count = ((end - start) / step).max(0.0) as usize;
     for k in 0..count {
         let time = start + k as f64 * step;
-        let theirs = time - offset_s - slope * (time - middle);
+        let theirs = fit.theirs(time);
         if let (Some(x), Some(y)) = (a.at(time), b.at(theirs)) {
             if a.is_saturated_at(time) || b.is_saturated_at(theirs) {
                 saturated += 1;
@@ -161,12 +201,31 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
                 squares[axis] += (y[axis] - x[axis]).powi(2);
                 sums[0][axis] += x[axis];
                 sums[1][axis] += y[axis];
+                sizes[0] += x[axis] * x[axis];
+                sizes[1] += y[axis] * y[axis];
             }
         }
     }
     let found = transfer.result();
     let pairs = found.as_ref().map_or(count as u64, |found| found.samples);
     let unit_sd = [a.unit_sd, b.unit_sd];
+    let [x, y] = [0, 1].map(|table| {
+        let mean: f64 = sums[table].iter().map(|sum| sum * sum).sum();
+        (sizes[table] - mean / pairs.max(1) as f64).max(0.0).sqrt()
+    });
+    // Noise is in both sizes, and in the correlation.
+    let most = MAX_SIZE / fine.score * (1.0 + 3.0 * unit_sd.iter().flatten().sum::<f64>());
+    if found.is_ok() && !(1.0 / most..=most).contains(&(y / x)) {
+        return Err(refused(
+            &both,
+            format!(
+                "what fits, to {:.2}, is {:.1} times as large a motion in the second as in the first",
+                fine.score,
+                y / x
+            ),
+            "record one motion with both at the same time; check the units",
+        ));
+    }
     let axes = found.as_ref().ok().map(|found| {
         let count = found.samples.max(1) as f64;
         [0, 1, 2].map(|axis| {
@@ -181,7 +240,9 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     Ok(Alignment {
         sources: names,
         offset_s,
-        rate_ppm,
+        offset_sd_s: fit.sd[0],
+        rate_ppm: rate.map(|(rate, _)| rate * 1e6),
+        rate_sd_ppm: rate.map(|(_, sd)| sd * 1e6),
         correlation: fine.score,
         overlap_s: end - start,
         rate_hz,
@@ -455,6 +516,181 @@ fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Best> {
     })
 }
 
+/// By how many standard deviations the correlation of what overlaps when b is moved by `lag` is more
+/// than chance: Fisher's transformation, with as many independent values as the motion has. It has as many
+/// as it is longer than what it shares with itself; and a short motion in a long rest is short.
+fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
+    let (x, y) = if lag >= 0 {
+        (a.get(lag as usize..).unwrap_or_default(), b)
+    } else {
+        (a, b.get(lag.unsigned_abs() as usize..).unwrap_or_default())
+    };
+    let count = x.len().min(y.len());
+    let about_mean = |values: &[f64]| -> Vec<f64> {
+        let mean = values.iter().take(count).sum::<f64>() / count.max(1) as f64;
+        values.iter().take(count).map(|v| v - mean).collect()
+    };
+    let (x, y) = (about_mean(x), about_mean(y));
+    let product = |p: &[f64], q: &[f64]| p.iter().zip(q).map(|(p, q)| p * q).sum::<f64>();
+    let (xx, yy) = (product(&x, &x), product(&y, &y));
+    let energies: f64 = x.iter().zip(&y).map(|(p, q)| (p * q).powi(2)).sum();
+    if !(xx > 0.0 && yy > 0.0 && energies > 0.0) {
+        return 0.0;
+    }
+    let moving = xx * yy / energies;
+    let memory = ((MAX_MEMORY_S / step) as usize)
+        .min(MAX_PRODUCTS / count.max(1))
+        .min(count.saturating_sub(1));
+    let shared: f64 = (1..=memory)
+        .map(|later| product(&x[later..], &x) / xx * product(&y[later..], &y) / yy)
+        .sum();
+    let independent = moving / (1.0 + 2.0 * shared).max(1.0);
+    let score = (product(&x, &y) / (xx * yy).sqrt()).min(1.0 - 1e-6);
+    score.atanh() * independent.sqrt()
+}
+
+/// The other's time in the reference's.
+#[derive(Clone, Copy, Debug)]
+struct TimeFit {
+    /// Added to the other's time, s, at the middle.
+    offset_s: f64,
+    /// How much it grows per second of the reference.
+    rate: f64,
+    middle: f64,
+    /// Standard deviations of both.
+    sd: [f64; 2],
+}
+
+impl TimeFit {
+    fn theirs(&self, time: f64) -> f64 {
+        time - self.offset_s - self.rate * (time - self.middle)
+    }
+
+    /// One step towards the best fit of |y| of the other by c + k|x|, by the change of |x| for an offset
+    /// and by how that grows for a rate. What is left is weighed by the change of |y|, whose noise is not
+    /// that of the change of |x|: so noise makes no step too small. The standard deviations let what is
+    /// left be alike within a second.
+    fn refined(
+        &self,
+        a: &Signal,
+        b: &Signal,
+        (start, end): (f64, f64),
+        step: f64,
+        has_rate: bool,
+    ) -> Option<Self> {
+        let row = |time: f64| {
+            let near = [time - step, time, time + step];
+            let theirs = self.theirs(time);
+            let is_saturated = |at: f64| a.is_saturated_at(at);
+            if near.into_iter().any(is_saturated) || b.is_saturated_at(theirs) {
+                return None;
+            }
+            let [before, now, after] = near.map(|at| a.at(at).map(|v| norm(&v)));
+            let now = now?;
+            let theirs = [theirs - step, theirs, theirs + step];
+            let [y_before, y, y_after] = theirs.map(|at| b.at(at).map(|v| norm(&v)));
+            let with = |change: f64| {
+                let change = change / (2.0 * step);
+                let growing = if has_rate {
+                    change * (time - self.middle)
+                } else {
+                    0.0
+                };
+                [1.0, now, change, growing]
+            };
+            Some((with(after? - before?), with(y_after? - y_before?), y?))
+        };
+        let unknowns = if has_rate { 4 } else { 3 };
+        let count = ((end - start) / step).max(0.0) as usize;
+        let rows = || (1..count).filter_map(|k| row(start + k as f64 * step).map(|row| (k, row)));
+        let (mut normal, mut right) = ([[0.0; 4]; 4], [0.0; 4]);
+        for (_, (x, weights, y)) in rows() {
+            for i in 0..unknowns {
+                right[i] += weights[i] * y;
+                for j in 0..unknowns {
+                    normal[i][j] += weights[i] * x[j];
+                }
+            }
+        }
+        let inverse = inverse(normal, unknowns)?;
+        let times =
+            |v: [f64; 4]| inverse.map(|row| (0..unknowns).map(|j| row[j] * v[j]).sum::<f64>());
+        let found = times(right);
+        let of_cluster = (CLUSTER_S / step).ceil() as usize;
+        let (mut sum, mut cluster, mut variances) = ([0.0; 4], 0, [0.0; 4]);
+        let mut close = |sum: [f64; 4]| {
+            for (variance, influence) in variances.iter_mut().zip(times(sum)) {
+                *variance += influence * influence;
+            }
+        };
+        for (k, (x, weights, y)) in rows() {
+            if k / of_cluster != cluster {
+                close(std::mem::take(&mut sum));
+                cluster = k / of_cluster;
+            }
+            let left = y - (0..unknowns).map(|i| x[i] * found[i]).sum::<f64>();
+            for i in 0..unknowns {
+                sum[i] += weights[i] * left;
+            }
+        }
+        close(sum);
+        // How much the other shows of the reference's motion.
+        let gain = found[1];
+        if gain.abs() < 0.1 {
+            return None;
+        }
+        let fit = Self {
+            offset_s: self.offset_s + found[2] / gain,
+            rate: self.rate + found[3] / gain,
+            middle: self.middle,
+            sd: [2, 3].map(|k| variances[k].sqrt() / gain.abs()),
+        };
+        // One step is small, or it leads nowhere.
+        let moved = (fit.offset_s - self.offset_s).abs();
+        (moved < 5.0 * step && fit.rate.abs() <= MAX_RATE).then_some(fit)
+    }
+}
+
+/// The inverse of the first `size` rows and columns of a matrix that is nearly symmetric and positive.
+fn inverse(mut matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
+    // Of like size first: seconds beside seconds squared.
+    let scale: [f64; 4] = std::array::from_fn(|k| matrix[k][k].sqrt());
+    let mut inverse = [[0.0; 4]; 4];
+    for row in 0..size {
+        // Not a number where it is negative.
+        if !(scale[row] > 0.0) {
+            return None;
+        }
+        for column in 0..size {
+            matrix[row][column] /= scale[row] * scale[column];
+        }
+        inverse[row][row] = 1.0;
+    }
+    for pivot in 0..size {
+        let by = matrix[pivot][pivot];
+        if by < 1e-9 {
+            return None;
+        }
+        for column in 0..size {
+            matrix[pivot][column] /= by;
+            inverse[pivot][column] /= by;
+        }
+        for row in (0..size).filter(|row| *row != pivot) {
+            let by = matrix[row][pivot];
+            for column in 0..size {
+                matrix[row][column] -= by * matrix[pivot][column];
+                inverse[row][column] -= by * inverse[pivot][column];
+            }
+        }
+    }
+    for row in 0..size {
+        for column in 0..size {
+            inverse[row][column] /= scale[row] * scale[column];
+        }
+    }
+    Some(inverse)
+}
+
 /// How much the lag grows from the first third of the overlap to the last, per second of the
 /// reference; `None` where a third does not fit on its own.
 fn drift(a: &Grid, b: &Grid, lag: f64, (start, end): (f64, f64), shift: f64) -> Option<f64> {
@@ -475,7 +711,7 @@ fn drift(a: &Grid, b: &Grid, lag: f64, (start, end): (f64, f64), shift: f64) -> 
         let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
         let expected = lag - (first_a as f64 - first_b as f64);
         // 1 % of clock error is the most.
-        let reach = (0.01 * (end - start) / a.step).ceil() as i64 + 1;
+        let reach = (MAX_RATE * (end - start) / a.step).ceil() as i64 + 1;
         let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
         (best.score >= MIN_CORRELATION)
             .then_some((best.lag + first_a as f64 - first_b as f64) * a.step)

@@ -275,7 +275,7 @@ impl<'a> Pairing<'a> {
                 if !waiting.carries(sample.number, waiting.first.unwrap_or(0)) {
                     continue;
                 }
-                if sample.taken_ns <= waiting.from_ns {
+                if waiting.first.is_none() && sample.taken_ns <= waiting.from_ns {
                     found.before += 1;
                 } else if sample.taken_ns >= until_ns {
                     found.under_way += 1;

@@ -55,7 +55,11 @@ fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
     let found = align(&a, &b).unwrap();
     // At the middle, 30 s, the other shows 37.306 s.
     assert!((found.offset_s + 7.306).abs() < 0.004, "{found:?}");
-    assert!((found.rate_ppm.unwrap() + 200.0).abs() < 60.0, "{found:?}");
+    let rate_error = (found.rate_ppm.unwrap() + 200.0).abs();
+    assert!(
+        rate_error < 60.0 && rate_error < 3.0 * found.rate_sd_ppm.unwrap(),
+        "{found:?}"
+    );
     assert!(found.correlation > 0.98 && found.overlap_s > 49.0);
     let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
     assert!((lines[0].bias_mps2 - 0.2).abs() < 0.02 && (lines[0].scale - 1.01).abs() < 0.01);
@@ -135,6 +139,111 @@ fn tables_that_do_not_fit_or_fit_twice_are_refused() {
     assert!(error.message().contains("more than one place"), "{error}");
     for path in [a, stranger, swing] {
         std::fs::remove_file(path).unwrap();
+    }
+}
+
+/// Noise of a standard deviation of 1, the same for the same seed and index.
+fn noise(seed: u64, index: u64) -> f64 {
+    let uniform = |salt: u64| {
+        let mut x = (seed << 40) ^ (index << 3) ^ salt;
+        for _ in 0..3 {
+            x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
+            x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            x ^= x >> 27;
+        }
+        (x >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    (0..6).map(|k| uniform(k) - 0.5).sum::<f64>() * 2.0_f64.sqrt()
+}
+
+fn noisy(
+    seed: u64,
+    sd: f64,
+    rate: f64,
+    of: impl Fn(f64) -> (f64, [f64; 3]),
+) -> Vec<(f64, [f64; 3])> {
+    let rows = times(rate, 0.0, 60.0).enumerate().map(|(row, t)| {
+        let (time, value) = of(t);
+        let add = |axis: usize| value[axis] + sd * noise(seed, 4 * row as u64 + axis as u64);
+        (time, [0, 1, 2].map(add))
+    });
+    rows.collect()
+}
+
+#[test]
+fn offset_and_rate_of_two_tables_are_within_their_intervals() {
+    let (mut inside, mut of) = ([0; 2], 0);
+    for seed in 1..=20_u64 {
+        let sd = [0.02, 0.1, 0.2][seed as usize % 3];
+        let (delay, ppm) = (0.37 * seed as f64, [0.0, 150.0, -80.0][seed as usize % 3]);
+        let a = table(
+            "q",
+            noisy(2 * seed, sd, 100.0, |t| (t, force(t))).into_iter(),
+            "m/s²",
+        );
+        let theirs = |t: f64| (delay + 30.0 + (t - 30.0) * (1.0 - ppm * 1e-6), force(t));
+        let b = table(
+            "r",
+            noisy(2 * seed + 1, sd, 110.0, theirs).into_iter(),
+            "m/s²",
+        );
+        let found = align(&a, &b).unwrap();
+        // At the middle of what overlaps, 30 s.
+        let errors = [
+            (found.offset_s + delay, found.offset_sd_s),
+            (found.rate_ppm.unwrap() - ppm, found.rate_sd_ppm.unwrap()),
+        ];
+        of += 1;
+        for (which, (error, sd)) in errors.into_iter().enumerate() {
+            inside[which] += u32::from(error.abs() <= 2.0 * sd);
+            assert!(error.abs() <= 4.0 * sd, "{seed}: {error} ± {sd}");
+        }
+        assert!(found.offset_sd_s < 0.002, "{found:?}");
+        for path in [a, b] {
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+    println!(
+        "within two sd: offset {} and rate {} of {of}",
+        inside[0], inside[1]
+    );
+    assert!(inside.iter().all(|inside| *inside >= 17), "{inside:?}");
+}
+
+#[test]
+fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
+    // A shake in a minute of rest, each table's own: two seconds, as even as a hand can; or four, each axis
+    // faster and faster at its own pace.
+    let shake = |seed: u64, from: f64, hz: f64, faster: f64| {
+        move |t: f64| {
+            let seconds = if faster > 0.0 { 4.0 } else { 2.0 };
+            let wave = |axis: f64| {
+                let hz = hz + faster * axis + 0.5 * faster * (t - from);
+                let is_on = (from..from + seconds).contains(&t);
+                f64::from(u8::from(is_on)) * (std::f64::consts::TAU * hz * (t - from)).sin()
+            };
+            let size = [0, 1, 2].map(|axis| 5.0 * noise(seed, 1000 + axis));
+            let value = |axis: usize| [0.3, 0.2, 9.8][axis] + wave(axis as f64) * size[axis];
+            (t, [0, 1, 2].map(value))
+        }
+    };
+    for seed in 1..=12_u64 {
+        let one = noisy(3 * seed, 0.02, 100.0, shake(seed, 10.0, 4.0, 0.0));
+        let other = noisy(3 * seed + 1, 0.02, 100.0, shake(seed + 100, 30.0, 4.5, 0.0));
+        let varied = shake(seed, 10.0, 2.5, 0.7);
+        let [first, same] = [2, 3].map(|k| noisy(5 * seed + k, 0.02, 100.0, varied));
+        let [one, other, first, same] = [("s", one), ("t", other), ("u", first), ("v", same)]
+            .map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
+        let error = align(&one, &other).unwrap_err();
+        assert_eq!(error.code(), ErrorCode::DataRefused, "{seed}: {error}");
+        let found = align(&first, &same).unwrap();
+        assert!(
+            found.offset_s.abs() < 4.0 * found.offset_sd_s + 1e-4,
+            "{found:?}"
+        );
+        for path in [one, other, first, same] {
+            std::fs::remove_file(path).unwrap();
+        }
     }
 }
 

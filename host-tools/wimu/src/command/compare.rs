@@ -237,16 +237,23 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
     let found: Alignment = align(reference, other)?;
     let mut text = format!(
         "{} against {}: {:.1} s in common at {:.1} Hz, magnitudes correlated by {:.3}\n\
-         its time + {:.4} s is the reference's{}",
+         its time {:+.4} ± {:.4} s is the reference's{}",
         found.sources[1],
         found.sources[0],
         found.overlap_s,
         found.rate_hz,
         found.correlation,
         found.offset_s,
-        found.rate_ppm.map_or(String::new(), |ppm| format!(
-            "; its clock is {ppm:+.0} ppm slow"
-        ))
+        2.0 * found.offset_sd_s,
+        match (found.rate_ppm, found.rate_sd_ppm) {
+            (Some(ppm), Some(sd)) => format!(
+                "; its clock is {:.1} ± {:.1} ppm {}",
+                ppm.abs(),
+                2.0 * sd,
+                if ppm > 0.0 { "slow" } else { "fast" }
+            ),
+            _ => String::new(),
+        }
     );
     for (source, sd) in found.sources.iter().zip(found.unit_sd) {
         if let Some(sd) = sd {

@@ -369,7 +369,7 @@ impl Overview {
                 let opened = opened_ns[link].unwrap_or(heard);
                 let was_silent = heard.saturating_sub(opened) > UNDER_WAY_NS;
                 Heard {
-                    from_ns: if was_silent { opened } else { heard },
+                    from_ns: if was_silent { opened } else { heard } as i64,
                     every: every[link].unwrap_or(1),
                 }
             }),
@@ -391,7 +391,7 @@ impl Overview {
 
     fn slicing(&self) -> Slicing {
         Slicing {
-            start_ns: self.span.0,
+            start_ns: self.span.0 as i64,
             span_ns: self.span_ns(),
             count: SLICES,
         }
@@ -600,8 +600,8 @@ impl Counted {
                     counted.excerpt.push((overview.seconds(true_ns), [c, w]));
                 }
             }
-            if slicing.at(host_ns) > slice {
-                slice = slicing.at(host_ns);
+            if slicing.at(host_ns as i64) > slice {
+                slice = slicing.at(host_ns as i64);
                 if let Ok(found) = counted.transfer.result() {
                     let axes = [0, 1, 2].map(|axis| Axis::new(&found, axis, counted.lsb_mps2));
                     counted.evolution.push((overview.seconds(host_ns), axes));
@@ -611,7 +611,7 @@ impl Counted {
         })?;
         let under_way_ns = [0, 1].map(|link| {
             let longest_ns = counted.meters[link].longest_age_ns();
-            overview.span.1.saturating_sub(longest_ns.min(UNDER_WAY_NS))
+            (overview.span.1 as i64).saturating_sub(longest_ns.min(UNDER_WAY_NS) as i64)
         });
         let (lost, at_ends) = pairing.finish(under_way_ns);
         let found = lost.into_iter().zip(at_ends);

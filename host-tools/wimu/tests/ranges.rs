@@ -59,6 +59,7 @@ fn link(role: LinkRole, late_ms: u64, lost: &[u32]) -> Vec<(LinkRole, u64, Vec<u
     let mut frame = [0; MAX_FRAME];
     let hello = Hello {
         boot_count: 1,
+        sensitivity_known: true,
         ..Hello::new(role)
     };
     let length = hello.encode(&mut frame).unwrap();

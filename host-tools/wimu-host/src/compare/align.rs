@@ -16,6 +16,8 @@ const MAX_RATE_HZ: f64 = 200.0;
 const ASSUMED_RATE_HZ: f64 = 100.0;
 /// Points of the search over all lags.
 const COARSE_POINTS: usize = 4000;
+/// No motion is over so soon, s.
+const SHORT_S: f64 = 0.1;
 /// Least that must overlap, s, and as a share of the shorter table.
 const MIN_OVERLAP_S: f64 = 2.0;
 const MIN_OVERLAP: f64 = 0.2;
@@ -437,10 +439,12 @@ impl Grid {
         self.start + (self.values.len() as f64 - 1.0) * self.step
     }
 
-    /// How much it moves within each `fold` points; itself for 1.
+    /// The mean of each `fold` points, or where these are longer than a motion how much it moves within
+    /// them.
     fn folded(&self, fold: usize) -> Self {
-        let values = if fold == 1 {
-            self.values.clone()
+        let values = if self.step * fold as f64 <= SHORT_S {
+            let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+            self.values.chunks_exact(fold).map(mean).collect()
         } else {
             let spread = |part: &[f64]| {
                 let mean = part.iter().sum::<f64>() / part.len() as f64;

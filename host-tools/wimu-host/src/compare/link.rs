@@ -107,15 +107,15 @@ impl Slice {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Slicing {
     /// Host time, ns.
-    pub start_ns: u64,
+    pub start_ns: i64,
     pub span_ns: u64,
     pub count: usize,
 }
 
 impl Slicing {
     /// Which one is at a host time.
-    pub fn at(&self, host_ns: u64) -> usize {
-        let passed = host_ns.saturating_sub(self.start_ns) as f64;
+    pub fn at(&self, host_ns: i64) -> usize {
+        let passed = host_ns.saturating_sub(self.start_ns).max(0) as f64;
         let share = passed / (self.span_ns as f64).max(1.0);
         ((share * self.count as f64) as usize).min(self.count.saturating_sub(1))
     }
@@ -129,14 +129,14 @@ struct Gap {
     step: u32,
     count: u32,
     /// When the samples before the first and behind the last were taken, host time, ns.
-    between_ns: (u64, u64),
+    between_ns: (i64, i64),
 }
 
 impl Gap {
-    fn time_ns(&self, index: u32) -> u64 {
+    fn time_ns(&self, index: u32) -> i64 {
         let (from, to) = self.between_ns;
         let share = f64::from(index + 1) / f64::from(self.count + 1);
-        from + (to.saturating_sub(from) as f64 * share) as u64
+        from + (to.saturating_sub(from) as f64 * share) as i64
     }
 
     fn index_of(&self, number: u32) -> Option<u32> {
@@ -187,7 +187,7 @@ pub(super) struct LinkMeter {
     jitter_sum_ns: f64,
     jitter_count: u64,
     /// Number of the latest sample, and when it was taken, host time, ns.
-    latest: Option<(u32, u64)>,
+    latest: Option<(u32, i64)>,
     shed: BTreeMap<Start, Shed>,
     /// When it was opened last, if it is open, and for how long it was before, ns.
     opened_ns: Option<u64>,
@@ -239,7 +239,7 @@ impl LinkMeter {
         let step = u32::from(samples.every.max(1));
         let mut latency = None;
         for sample in samples.iter() {
-            let taken_ns = clock.host_ns(sample.time);
+            let taken_ns = clock.host_ns(sample.time) as i64;
             if let Some((latest, before_ns)) = self.latest.replace((sample.sequence, taken_ns)) {
                 let ahead = sample.sequence.wrapping_sub(latest);
                 let count = ahead.saturating_sub(1) / step;
@@ -253,7 +253,7 @@ impl LinkMeter {
                     });
                 }
             }
-            let delay = host_ns.wrapping_sub(taken_ns) as i64;
+            let delay = (host_ns as i64).wrapping_sub(taken_ns);
             self.age.push(delay);
             latency = Some(delay);
             self.slice(taken_ns).delivered += 1;
@@ -261,7 +261,7 @@ impl LinkMeter {
         self.count_gaps(MAX_GAPS);
         if let Some(latency) = latency {
             self.latency.push(latency);
-            self.slice(host_ns).latency.push(latency);
+            self.slice(host_ns as i64).latency.push(latency);
             if let Some(before) = self.last_latency.replace(latency) {
                 self.jitter_sum_ns += latency.abs_diff(before) as f64;
                 self.jitter_count += 1;
@@ -272,9 +272,9 @@ impl LinkMeter {
     /// Samples that arrived at `host_ns`, after later ones.
     pub fn take_late(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
         for sample in samples.iter() {
-            let taken_ns = clock.host_ns(sample.time);
+            let taken_ns = clock.host_ns(sample.time) as i64;
             self.delivered += 1;
-            self.age.push(host_ns.wrapping_sub(taken_ns) as i64);
+            self.age.push((host_ns as i64).wrapping_sub(taken_ns));
             self.slice(taken_ns).delivered += 1;
             let found = self.gaps.iter().enumerate();
             let mut found =
@@ -290,7 +290,7 @@ impl LinkMeter {
         }
     }
 
-    fn slice(&mut self, host_ns: u64) -> &mut Slice {
+    fn slice(&mut self, host_ns: i64) -> &mut Slice {
         let at = self.slicing.at(host_ns);
         if self.slices.is_empty() {
             self.slices.push(Slice::default());

@@ -23,15 +23,15 @@ struct Taken {
     number: u32,
     /// X, Y, Z, LSB.
     value: [i32; 3],
-    /// When it was taken, ns on the host's clock.
-    taken_ns: u64,
+    /// When it was taken, ns on the host's clock: below 0 for what was under way when that began.
+    taken_ns: i64,
 }
 
 /// From when on a link is listened to.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Heard {
     /// ns on the host's clock: what was taken before, it need not bring.
-    pub from_ns: u64,
+    pub from_ns: i64,
     /// It carries every `every`th sample at first.
     pub every: u8,
 }
@@ -40,13 +40,13 @@ pub(super) struct Heard {
 #[derive(Default)]
 pub(super) struct Run {
     /// When they were taken, ns on the host's clock: the first of them.
-    pub taken_ns: Vec<u64>,
+    pub taken_ns: Vec<i64>,
     /// How many there are more.
     pub more: u64,
 }
 
 impl Run {
-    fn push(&mut self, taken_ns: u64) {
+    fn push(&mut self, taken_ns: i64) {
         if self.taken_ns.len() < MAX_WAITING {
             self.taken_ns.push(taken_ns);
         } else {
@@ -88,7 +88,7 @@ struct Waiting {
     /// And what it need not have brought.
     before_heard: u64,
     /// From when on it is listened to.
-    from_ns: u64,
+    from_ns: i64,
     /// It carries every `every`th sample.
     every: u8,
     /// Numbers of which the file does not tell whether it brought them.
@@ -149,7 +149,7 @@ impl<'a> Pairing<'a> {
         let taken = Taken {
             number: sample.sequence,
             value: sample.value,
-            taken_ns: clock.host_ns(sample.time),
+            taken_ns: clock.host_ns(sample.time) as i64,
         };
         if is_late {
             self.take_late(link, start, taken)
@@ -256,7 +256,7 @@ impl<'a> Pairing<'a> {
     /// The recording is over; what the other link brought and was taken at or after `under_way_ns` may
     /// still have been on its way by each. Returns what each link lost between its first and last sample
     /// of each start, and what it did not bring outside of these.
-    pub fn finish(mut self, under_way_ns: [u64; 2]) -> ([u64; 2], [AtEnds; 2]) {
+    pub fn finish(mut self, under_way_ns: [i64; 2]) -> ([u64; 2], [AtEnds; 2]) {
         while let Some((_, links)) = self.starts.pop_first() {
             let is_last = self.starts.is_empty();
             self.end(links, is_last.then_some(under_way_ns));
@@ -264,10 +264,10 @@ impl<'a> Pairing<'a> {
         (self.lost, self.at_ends)
     }
 
-    fn end(&mut self, links: [Waiting; 2], under_way_ns: Option<[u64; 2]>) {
+    fn end(&mut self, links: [Waiting; 2], under_way_ns: Option<[i64; 2]>) {
         for link in 0..2 {
             let (waiting, other) = (&links[link], &links[1 - link]);
-            let until_ns = under_way_ns.map_or(u64::MAX, |under_way_ns| under_way_ns[link]);
+            let until_ns = under_way_ns.map_or(i64::MAX, |under_way_ns| under_way_ns[link]);
             let found = &mut self.at_ends[link];
             found.before += waiting.before_heard;
             let mut run = Run::default();
@@ -297,16 +297,16 @@ impl<'a> Pairing<'a> {
 mod tests {
     use super::*;
 
-    const STARTS_APART: u64 = 100;
+    const STARTS_APART: i64 = 100;
 
     /// Numbers that each link brings of each start, by turns; returns what each lost between and at
     /// the ends.
-    fn lost(starts: &[[&[u32]; 2]], heard_ns: u64, under_way_ns: [u64; 2]) -> ([u64; 2], [u64; 2]) {
+    fn lost(starts: &[[&[u32]; 2]], heard_ns: i64, under_way_ns: [i64; 2]) -> ([u64; 2], [u64; 2]) {
         let holes = Holes::default();
         let heard = [0, heard_ns].map(|from_ns| Heard { from_ns, every: 1 });
         let mut pairing = Pairing::new(heard, &holes);
         let mut brought = [0; 2];
-        for (start, links) in (0..).zip(starts) {
+        for (start, links) in (0_u32..).zip(starts) {
             let mut turns: Vec<(u32, usize)> = Vec::new();
             for (link, numbers) in links.iter().enumerate() {
                 turns.extend(numbers.iter().map(|number| (*number, link)));
@@ -317,7 +317,7 @@ mod tests {
                 let sample = Taken {
                     number,
                     value: [0; 3],
-                    taken_ns: 1 + u64::from(start) * STARTS_APART + u64::from(number),
+                    taken_ns: 1 + i64::from(start) * STARTS_APART + i64::from(number),
                 };
                 pairing.take(link, start, sample, 1);
             }
@@ -341,11 +341,11 @@ mod tests {
     #[test]
     fn losses_count_from_the_moment_a_link_was_heard_until_the_end_of_each_start() {
         let all: &[u32] = &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9];
-        let never = [u64::MAX; 2];
+        let never = [i64::MAX; 2];
         // Heard from 1 on, dead after 5.
         assert_eq!(lost(&[[all, &[3, 5]]], 2, never), ([0, 1], [0, 1 + 4]));
         // At the end of the recording some may be under way.
-        assert_eq!(lost(&[[all, &[3, 5]]], 10, [u64::MAX, 9]), ([0, 1], [0, 2]));
+        assert_eq!(lost(&[[all, &[3, 5]]], 10, [i64::MAX, 9]), ([0, 1], [0, 2]));
         // In the starts that follow all counts, a start without a sign of it too.
         let starts: [[&[u32]; 2]; 4] = [[all, &[8, 9]], [all, &[]], [all, &[5]], [&[0], &[0]]];
         assert_eq!(lost(&starts, 10, never), ([0, 0], [0, 10 + 9]));
@@ -369,7 +369,7 @@ mod tests {
         let sample = |number: u32| Taken {
             number,
             value: [number as i32; 3],
-            taken_ns: 1 + u64::from(number),
+            taken_ns: 1 + i64::from(number),
         };
         for cable_ahead in [true, false] {
             let mut pairing = Pairing::new(heard, &holes);
@@ -393,7 +393,7 @@ mod tests {
             if !cable_ahead {
                 pairs += cable(&mut pairing);
             }
-            assert_eq!((pairs, pairing.finish([u64::MAX; 2]).0), (7, [0, 1]));
+            assert_eq!((pairs, pairing.finish([i64::MAX; 2]).0), (7, [0, 1]));
         }
     }
 }

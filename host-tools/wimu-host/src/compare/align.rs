@@ -442,7 +442,7 @@ impl Grid {
     /// The mean of each `fold` points, or where these are longer than a motion how much it moves within
     /// them.
     fn folded(&self, fold: usize) -> Self {
-        let values = if self.step * fold as f64 <= SHORT_S {
+        let values = if fold == 1 || self.step * fold as f64 <= SHORT_S {
             let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
             self.values.chunks_exact(fold).map(mean).collect()
         } else {

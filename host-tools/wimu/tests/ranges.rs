@@ -211,6 +211,7 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
 
     // Where nothing tells, samples are left out, and it says so.
     let links = ROLES.map(|role| link(role, 0, &[960]));
+    let folder = kit::folder();
     let session = file(folder.path(), &links);
     let ran = wimu(&["calibrate", &session, "--method", "reference"]);
     assert!(ran.stderr.contains("159 samples are left out"), "{ran:?}");

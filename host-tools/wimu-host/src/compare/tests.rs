@@ -174,7 +174,7 @@ fn noisy(
 fn offset_and_rate_of_two_tables_are_within_their_intervals() {
     let (mut inside, mut of) = ([0; 2], 0);
     for seed in 1..=20_u64 {
-        let sd = [0.02, 0.1, 0.2][seed as usize % 3];
+        let sd = [0.02, 0.05, 0.1][seed as usize % 3];
         let (delay, ppm) = (0.37 * seed as f64, [0.0, 150.0, -80.0][seed as usize % 3]);
         let a = table(
             "q",

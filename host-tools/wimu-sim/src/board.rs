@@ -186,6 +186,11 @@ impl Board {
         self.clock.now()
     }
 
+    /// When it has something to do by itself, µs since the first start.
+    pub fn next_deadline_us(&self) -> Option<u64> {
+        self.clock.next_deadline()
+    }
+
     /// When it last started, µs since the first start: 0 on the device's clock.
     pub fn started_us(&self) -> u64 {
         self.started_us

@@ -461,6 +461,17 @@ impl HostEnd {
         line.arrived.len()
     }
 
+    /// When [`pull`](Self::pull) gives something, of what is under way, µs on the clock.
+    pub fn next_arrival_us(&self) -> Option<u64> {
+        let mut line = self.to_host.borrow_mut();
+        line.settle(self.clock.now());
+        if line.arrived.is_empty() {
+            line.next_step_at()
+        } else {
+            Some(self.clock.now())
+        }
+    }
+
     /// How often the connection has been lost so far; `None` while there is none.
     pub fn connection(&self) -> Option<u64> {
         match &self.to_host.borrow().channel {

@@ -2,7 +2,9 @@
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use wimu_link::LinkRole;
@@ -11,13 +13,22 @@ use crate::board::Board;
 
 /// Bytes held for a client that reads slowly; beyond, the board's writer stalls and it sheds.
 const HELD_BYTES: usize = 4096;
-/// How often bytes are carried.
+/// How often somebody looks at least.
 const TICK: Duration = Duration::from_millis(1);
 /// The board runs for at most so long, by its own clock, before it is looked at.
 const STEP_US: u64 = 5000;
+/// Bytes that come one after the other are written together if no farther apart than this.
+const TOGETHER: Duration = Duration::from_micros(250);
+/// And no more than these.
+const FEW_BYTES: usize = 512;
+/// A client that takes nothing for so long reads slowly.
+const WRITE_PATIENCE: Duration = Duration::from_millis(1);
 
 /// A board that listens. Each port takes one client at a time, as a serial port does; what the
 /// board says while nobody listens is lost.
+///
+/// Bytes pass at their own time, not at that of a look now and then: the link's delays are to be
+/// those of its faults, and as sharp.
 pub struct Server {
     board: Board,
     cable: Port,
@@ -26,6 +37,16 @@ pub struct Server {
     speed: f64,
     started: Option<Instant>,
     wait_for_client: bool,
+    heard: Receiver<Heard>,
+    hear: Sender<Heard>,
+}
+
+/// What a client has sent, or nothing: it has gone.
+struct Heard {
+    role: LinkRole,
+    /// Which of the port's clients.
+    client: u64,
+    bytes: Vec<u8>,
 }
 
 impl Server {
@@ -39,6 +60,7 @@ impl Server {
         wireless: SocketAddr,
     ) -> Result<Self, (SocketAddr, io::Error)> {
         let listen = |address, role| Port::bind(address, role).map_err(|error| (address, error));
+        let (hear, heard) = mpsc::channel();
         Ok(Self {
             board,
             cable: listen(cable, LinkRole::Cable)?,
@@ -46,6 +68,8 @@ impl Server {
             speed: 1.0,
             started: None,
             wait_for_client: false,
+            heard,
+            hear,
         })
     }
 
@@ -79,28 +103,69 @@ impl Server {
         &mut self.board
     }
 
-    /// Serves until `stop` returns true; it sees the board a thousand times a second, and however late that
-    /// is, every 5 ms of the board's own time.
+    /// Serves until `stop` returns true; it sees the board a thousand times a second and more, and however
+    /// late that is, every 5 ms of the board's own time.
     pub fn run(&mut self, mut stop: impl FnMut(&mut Board) -> bool) {
         while !stop(&mut self.board) && !self.tick(&mut stop) {
-            std::thread::sleep(TICK);
+            self.wait();
         }
         // What was on its way is delivered.
         let deadline = Instant::now() + Duration::from_secs(1);
         while Instant::now() < deadline && (self.cable.owes() || self.wireless.owes()) {
             self.tick(&mut |_| false);
-            std::thread::sleep(TICK);
+            self.wait();
+        }
+    }
+
+    /// Waits for a client's bytes, or until the board has something to do or to say.
+    fn wait(&mut self) {
+        let Some(started) = self.started else {
+            return thread::sleep(TICK);
+        };
+        let at =
+            |time_us: u64| started + Duration::from_secs_f64(time_us as f64 * 1e-6 / self.speed);
+        let now = Instant::now();
+        let mut until = now + TICK;
+        if let Some(time_us) = self.board.next_deadline_us() {
+            until = until.min(at(time_us));
+        }
+        for port in [&self.cable, &self.wireless] {
+            let Some(client) = &port.client else {
+                continue;
+            };
+            let arrives = match port.outgoing.is_empty() {
+                true => self.board.link(port.role).next_arrival_us().map(at),
+                false => Some(now),
+            };
+            if let Some(arrives) = arrives {
+                until = until.min(arrives.max(client.written + TOGETHER));
+            }
+        }
+        if let Ok(heard) = self
+            .heard
+            .recv_timeout(until.saturating_duration_since(now))
+        {
+            self.take(heard);
+        }
+    }
+
+    fn take(&mut self, heard: Heard) {
+        match heard.role {
+            LinkRole::Cable => self.cable.take(heard),
+            _ => self.wireless.take(heard),
         }
     }
 
     /// Carries what has arrived and lets the board catch up with the time, or until `stop` says so; whether
     /// it does.
     fn tick(&mut self, stop: &mut impl FnMut(&mut Board) -> bool) -> bool {
+        // First, so that a client that has gone makes room for the next.
+        while let Ok(heard) = self.heard.try_recv() {
+            self.take(heard);
+        }
         for port in [&mut self.cable, &mut self.wireless] {
-            // First, so that a client that has gone makes room for the next.
             port.follow_connection(&mut self.board);
-            port.listen();
-            port.accept();
+            port.accept(&self.hear);
         }
         let connected = self.cable.client.is_some() || self.wireless.client.is_some();
         if self.started.is_none() && (connected || !self.wait_for_client) {
@@ -122,6 +187,8 @@ impl Server {
         for port in [&mut self.cable, &mut self.wireless] {
             port.deliver(&mut self.board);
         }
+        // It has heard that, and says when it has something to do.
+        self.board.run_until(self.board.now_us());
         stopped
     }
 }
@@ -129,11 +196,31 @@ impl Server {
 struct Port {
     role: LinkRole,
     listener: TcpListener,
-    client: Option<TcpStream>,
+    client: Option<Connected>,
+    /// Clients so far.
+    clients: u64,
+    /// When it last looked for one.
+    looked: Instant,
     /// The board's connection that the client has.
     connection: Option<u64>,
     incoming: Vec<u8>,
     outgoing: VecDeque<u8>,
+}
+
+/// A client.
+struct Connected {
+    stream: TcpStream,
+    /// When it was last written to.
+    written: Instant,
+    /// Whether it took nothing the last time in this tick.
+    is_slow: bool,
+}
+
+impl Drop for Connected {
+    /// Ends its listener, too.
+    fn drop(&mut self) {
+        let _ = self.stream.shutdown(Shutdown::Both);
+    }
 }
 
 impl Port {
@@ -144,6 +231,8 @@ impl Port {
             role,
             listener,
             client: None,
+            clients: 0,
+            looked: Instant::now(),
             connection: Some(0),
             incoming: Vec::new(),
             outgoing: VecDeque::new(),
@@ -165,32 +254,41 @@ impl Port {
 
     /// Takes a client if there is none; turns a second one away, and any while the link is
     /// disconnected.
-    fn accept(&mut self) {
-        if let Ok((client, _)) = self.listener.accept()
+    fn accept(&mut self, hear: &Sender<Heard>) {
+        if let Some(client) = &mut self.client {
+            client.is_slow = false;
+        }
+        if self.looked.elapsed() < TICK {
+            return;
+        }
+        self.looked = Instant::now();
+        if let Ok((stream, _)) = self.listener.accept()
             && self.client.is_none()
             && self.connection.is_some()
-            && client.set_nonblocking(true).is_ok()
-            && client.set_nodelay(true).is_ok()
+            && let Ok(ear) = stream.try_clone()
+            && stream.set_nonblocking(false).is_ok()
+            && stream.set_write_timeout(Some(WRITE_PATIENCE)).is_ok()
+            && stream.set_nodelay(true).is_ok()
         {
             self.outgoing.clear();
-            self.client = Some(client);
+            self.clients += 1;
+            let (role, client, hear) = (self.role, self.clients, hear.clone());
+            thread::spawn(move || listen(ear, role, client, &hear));
+            self.client = Some(Connected {
+                stream,
+                written: self.looked,
+                is_slow: false,
+            });
         }
     }
 
-    /// Takes what the client has sent.
-    fn listen(&mut self) {
-        let mut bytes = [0; 1024];
-        loop {
-            let Some(client) = &mut self.client else {
-                return;
-            };
-            match client.read(&mut bytes) {
-                Ok(0) => self.client = None,
-                Ok(count) => self.incoming.extend_from_slice(&bytes[..count]),
-                Err(error) if error.kind() == ErrorKind::WouldBlock => return,
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => self.client = None,
-            }
+    /// Takes what a client has sent, if it is still the port's.
+    fn take(&mut self, heard: Heard) {
+        if heard.client != self.clients || self.client.is_none() {
+        } else if heard.bytes.is_empty() {
+            self.client = None;
+        } else {
+            self.incoming.extend(heard.bytes);
         }
     }
 
@@ -203,28 +301,56 @@ impl Port {
     }
 
     fn fetch(&mut self, board: &mut Board) {
-        if self.client.is_none() {
+        let Some(client) = &mut self.client else {
             self.outgoing.clear();
             board.link(self.role).pull();
             return;
-        }
+        };
         if self.outgoing.len() < HELD_BYTES {
             self.outgoing.extend(board.link(self.role).pull());
         }
+        let waits = client.written.elapsed() < TOGETHER && self.outgoing.len() < FEW_BYTES;
+        if client.is_slow || waits {
+            return;
+        }
         while !self.outgoing.is_empty() {
-            let Some(client) = &mut self.client else {
-                return;
-            };
             let (front, _) = self.outgoing.as_slices();
-            match client.write(front) {
-                Ok(0) => self.client = None,
-                Ok(count) => {
+            client.written = Instant::now();
+            match client.stream.write(front) {
+                Ok(count) if count > 0 => {
                     self.outgoing.drain(..count);
                 }
-                Err(error) if error.kind() == ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => self.client = None,
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) =>
+                {
+                    client.is_slow = true;
+                    return;
+                }
+                _ => {
+                    self.client = None;
+                    return;
+                }
             }
+        }
+    }
+}
+
+/// Tells what a client sends, and when it has gone.
+fn listen(mut stream: TcpStream, role: LinkRole, client: u64, hear: &Sender<Heard>) {
+    let mut bytes = [0; 1024];
+    loop {
+        let count = match stream.read(&mut bytes) {
+            Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+            outcome => outcome.unwrap_or(0),
+        };
+        let heard = Heard {
+            role,
+            client,
+            bytes: bytes[..count].to_vec(),
+        };
+        if hear.send(heard).is_err() || count == 0 {
+            return;
         }
     }
 }

@@ -368,8 +368,9 @@ pub struct ClockSummary {
     pub rate_sd_ppm: f64,
     /// Standard deviation of device time in host time, if both directions take equally long, ms.
     pub offset_sd_ms: f64,
-    /// Whatever the directions take, the offset is wrong by no more than this, ms. Absent where
-    /// no question was answered: then times are late by what the fastest transfer took.
+    /// Whatever the directions take, the offset is wrong by no more than this, ms; two standard
+    /// deviations at least. Absent where no question was answered: then times are late by what the
+    /// fastest transfer took.
     pub offset_bound_ms: Option<f64>,
     /// Transfers used.
     pub transfers: u64,
@@ -427,13 +428,14 @@ impl ClockModel {
     pub fn summary(&self) -> ClockSummary {
         let (rate_ppm, rate_sd_ppm) = self.rate_ppm();
         let middle = self.lines[self.lines.len() / 2];
+        let least = 2.0 * middle.y_sd;
         ClockSummary {
             rate_ppm,
             rate_sd_ppm,
             offset_sd_ms: middle.y_sd * 1e-6,
             offset_bound_ms: middle
                 .lower
-                .map(|lower| (middle.y - lower).max(middle.upper - middle.y).max(0.0) * 1e-6),
+                .map(|lower| (middle.y - lower).max(middle.upper - middle.y).max(least) * 1e-6),
             transfers: self.transfers,
             exchanges: self.exchanges,
         }

@@ -3,9 +3,11 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use wimu_link::message::Status;
 use wimu_link::{Command, Deframer, Hello, Kind, LinkRole, Request};
 
 use crate::client::{Client, ConnectOptions};
@@ -128,11 +130,12 @@ impl Recorder {
             ended: None,
         };
         let finished = AtomicBool::new(false);
+        let board = Mutex::new(None);
         let (sender, receiver) = mpsc::channel();
         thread::scope(|scope| {
             for (index, (url, mut client)) in self.links.into_iter().enumerate() {
                 let sender = sender.clone();
-                let finished = &finished;
+                let (finished, board) = (&finished, &board);
                 scope.spawn(move || {
                     let listener = Listener {
                         role: client.hello().role,
@@ -141,6 +144,7 @@ impl Recorder {
                         client,
                         clock: ClockEstimator::new(),
                         in_doubt: false,
+                        board,
                     };
                     listener.run(|heard| sender.send((index, heard)).is_ok(), finished);
                 });
@@ -190,7 +194,7 @@ struct Heard {
 }
 
 /// Listens on one link and asks the board for its time.
-struct Listener {
+struct Listener<'a> {
     role: LinkRole,
     url: LinkUrl,
     client: LiveClient,
@@ -198,9 +202,11 @@ struct Listener {
     pace: Pace,
     /// Whether the board was asked if it has started anew.
     in_doubt: bool,
+    /// How the board said last that it is, on any link: a full one leaves that out.
+    board: &'a Mutex<Option<Status>>,
 }
 
-impl Listener {
+impl Listener<'_> {
     fn run(mut self, tell: impl Fn(Heard) -> bool, finished: &AtomicBool) {
         let mut told_clock = Instant::now();
         while !finished.load(Ordering::Relaxed) {
@@ -246,6 +252,10 @@ impl Listener {
     }
 
     fn listen(&mut self) -> Result<()> {
+        let told = *self.board.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(status) = told {
+            self.pace.told(self.role, &status);
+        }
         let now = self.client.transport().now();
         if self.pace.is_due(now) {
             self.pace.asked(now);
@@ -260,7 +270,9 @@ impl Listener {
         while let Some(arrival) = self.client.next_event(self.pace.due_in(now).min(GLANCE))? {
             match &arrival.event {
                 Event::Restart { .. } => self.clock = ClockEstimator::new(),
-                Event::Status(status) => self.pace.told(self.role, status),
+                Event::Status(status) => {
+                    *self.board.lock().unwrap_or_else(PoisonError::into_inner) = Some(*status);
+                }
                 _ => {}
             }
             let trip = self.clock.heard(self.role, &arrival);

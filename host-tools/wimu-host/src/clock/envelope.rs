@@ -1,6 +1,7 @@
 //! The lines that bound delays: equations (60) to (63).
 
 use std::cmp::Ordering;
+use std::collections::HashSet;
 
 /// Links that one clock is seen through.
 pub(super) const LINKS: usize = 2;
@@ -194,16 +195,25 @@ impl Folded {
         Some(folded)
     }
 
-    /// Keeps only those that can come near the edges of the delays over the slope that they have.
+    /// Keeps only those that can come near the edges of the delays over the slope that they have, all
+    /// together and those of their direction: where the directions contradict each other, they are to
+    /// do so still.
     #[must_use]
     pub fn reduced(mut self) -> Self {
         let middle = 0.5 * (self.span.0 + self.span.1);
         let rate = fit(&[&self], middle, None).map_or(0.0, |fit| fit.rate);
+        let (edges, tops) = (edges(&[&self], middle), tops(&[&self], middle));
+        let shown = |link, questions| {
+            direction(&edges, &tops, link, questions).map_or(rate, |(rate, _)| rate)
+        };
+        let of_link = |link| [false, true].map(|questions| shown(link, questions));
+        let own: [_; LINKS] = std::array::from_fn(of_link);
         for cell in &mut self.cells {
             if let Some(first) = cell.hull.first() {
-                let slope = first.class.sign() * rate;
-                keep_least(&mut cell.least, slope, KEPT);
-                keep_least(&mut cell.most, -slope, KEPT);
+                let own = own[first.link][usize::from(first.class.is_question())];
+                let slopes = [rate, own].map(|rate| first.class.sign() * rate);
+                keep_least_of(&mut cell.least, slopes, KEPT);
+                keep_least_of(&mut cell.most, slopes.map(|slope| -slope), KEPT);
             }
         }
         self
@@ -228,6 +238,18 @@ fn keep_least(transfers: &mut Vec<Transfer>, slope: f64, most: usize) {
         transfers.truncate(most);
     }
     transfers.sort_by(order);
+}
+
+/// Keeps those that are among the `most` over a line of one of these slopes.
+fn keep_least_of(transfers: &mut Vec<Transfer>, slopes: [f64; 2], most: usize) {
+    let [mut least, other] = slopes.map(|slope| {
+        let mut least = transfers.clone();
+        keep_least(&mut least, slope, most);
+        least
+    });
+    let known: HashSet<u32> = least.iter().map(|transfer| transfer.index).collect();
+    least.extend(other.iter().filter(|other| !known.contains(&other.index)));
+    *transfers = least;
 }
 
 /// Leaves out the first of `transfers`, in order, that are farther from the others than these
@@ -329,22 +351,7 @@ struct Apart {
 fn contradiction(edges: &[Edge], tops: &[Edge]) -> Option<Apart> {
     let mut least: Option<Apart> = None;
     for link in 0..LINKS {
-        let by = |questions: bool| {
-            let of = |all: &[Edge]| -> Vec<Edge> {
-                let own = |edge: &&Edge| {
-                    edge.link == link
-                        && edge.class.is_question() == questions
-                        && edge.class.shows_rate()
-                };
-                all.iter().filter(own).cloned().collect()
-            };
-            let (mut edges, mut tops) = (of(edges), of(tops));
-            if edges.is_empty() {
-                return None;
-            }
-            let summed = posterior(&mut edges, &mut tops)?;
-            moments(&summed, |term| (term.rate, 0.0))
-        };
+        let by = |questions| direction(edges, tops, link, questions);
         let (Some(here), Some(there)) = (by(false), by(true)) else {
             continue;
         };
@@ -362,6 +369,22 @@ fn contradiction(edges: &[Edge], tops: &[Edge]) -> Option<Apart> {
         }
     }
     least
+}
+
+/// The slope that one direction of a link shows, and its variance.
+fn direction(edges: &[Edge], tops: &[Edge], link: usize, questions: bool) -> Option<(f64, f64)> {
+    let of = |all: &[Edge]| -> Vec<Edge> {
+        let own = |edge: &&Edge| {
+            edge.link == link && edge.class.is_question() == questions && edge.class.shows_rate()
+        };
+        all.iter().filter(own).cloned().collect()
+    };
+    let (mut edges, mut tops) = (of(edges), of(tops));
+    if edges.is_empty() {
+        return None;
+    }
+    let summed = posterior(&mut edges, &mut tops)?;
+    moments(&summed, |term| (term.rate, 0.0))
 }
 
 /// The likelihood over the slopes, of the transfers that are least delayed about it.

@@ -18,6 +18,11 @@ const SLOW: Duration = Duration::from_millis(60);
 const LINE_SHARE: u32 = 4;
 /// Bits of a question on the line, about.
 const QUESTION_BITS: u32 = 240;
+/// A line that is full of questions and answers answers so late, or so many times the shortest trip,
+/// and all of them for so long: a stall's answers come all at once.
+const LATE: Duration = Duration::from_millis(250);
+const LATE_TRIPS: u32 = 4;
+const LATE_FOR: Duration = Duration::from_millis(300);
 /// Trips that tell how delays end, at most and at least.
 const TRIPS: usize = 64;
 const FEWEST_TRIPS: usize = 32;
@@ -27,7 +32,7 @@ const FEWEST_TRIPS: usize = 32;
 const SHARP: [f64; 2] = [0.8, 1.2];
 
 /// When to ask a board for its time: often at first, on a slow link less, seldom in the long run,
-/// while it does not answer, and when its line is full. Questions need not wait for the answers
+/// while it does not answer, and when its line is full: what the board has to say comes first. Questions need not wait for the answers
 /// before them.
 #[derive(Clone, Debug)]
 pub struct Pace {
@@ -40,7 +45,10 @@ pub struct Pace {
     /// Whether the delays end sharply, by the latest trips, or for all that is known.
     sharp: bool,
     often: Duration,
-    /// What the board had left out when it last said so, and whether that has become more.
+    /// Since when every answer has come late.
+    late_since: Option<Duration>,
+    /// What the board had left out when it last said so. Whether that has become more, or answers
+    /// stay late: the line is full.
     shed: Option<u32>,
     full: bool,
 }
@@ -55,6 +63,7 @@ impl Default for Pace {
             trips: VecDeque::new(),
             sharp: true,
             often: ASK_OFTEN,
+            late_since: None,
             shed: None,
             full: false,
         }
@@ -102,13 +111,23 @@ impl Pace {
     /// The board was asked, at `now`.
     pub fn asked(&mut self, now: Duration) {
         self.first.get_or_insert(now);
-        self.latest = Some(now);
+        // Whoever wakes up late is not to ask seldomer for it.
+        let late = self.latest.map_or(Duration::ZERO, |latest| {
+            now.saturating_sub(latest + self.often)
+        });
+        self.latest = Some(if late < self.often { now - late } else { now });
     }
 
     /// An answer has come at `now`, so long after its question.
     pub fn answered(&mut self, now: Duration, trip: Duration) {
         self.answered = Some(now);
         self.least_trip = Some(self.least_trip.map_or(trip, |least| least.min(trip)));
+        if trip < (LATE_TRIPS * self.least_trip.unwrap_or(trip)).max(LATE) {
+            self.late_since = None;
+        } else {
+            let since = *self.late_since.get_or_insert(now);
+            self.full |= now.saturating_sub(since) >= LATE_FOR;
+        }
         // Of questions that came one upon the other, the first have held up the others.
         if !is_often(now.saturating_sub(trip)) {
             self.trips.push_back(trip);

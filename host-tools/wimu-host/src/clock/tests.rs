@@ -334,11 +334,17 @@ fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
 
 #[test]
 fn a_latency_that_changes_slowly_is_in_the_intervals() {
-    for jitter in [Jitter::Uniform(1e6), Jitter::Exponential(3e6)] {
+    // Of the longer ones, the first block is closed.
+    for (jitter, duration_s) in [
+        (Jitter::Uniform(1e6), 60.0),
+        (Jitter::Exponential(3e6), 60.0),
+        (Jitter::Uniform(1e6), 70.0),
+    ] {
         for creep in [[6.5e6, 6.5e6], [6.5e6, 0.0], [0.0, 6.5e6], [-6.5e6, -6.5e6]] {
             let link = Link {
                 jitter,
                 creep,
+                duration_s,
                 ..Link::default()
             };
             let [offsets, rates] = errors(&link, 12);
@@ -353,7 +359,7 @@ fn a_latency_that_changes_slowly_is_in_the_intervals() {
             });
             let found = [rates.shares(0.0)[2], 100.0 * held.count() as f64 / 12.0];
             println!(
-                "{jitter:?} {creep:?}: rate {:?} ppm rms, stated; {found:.0?} % held, offset {:?} ms",
+                "{jitter:?} {creep:?} {duration_s} s: rate {:?} ppm rms, stated; {found:.0?} % held, offset {:?} ms",
                 rates.rms(),
                 offsets.rms()
             );
@@ -492,6 +498,38 @@ fn after_a_minute_on_a_bad_link_offset_and_rate_are_known() {
     let [offsets, rates] = errors(&Link::default(), 60);
     assert!(offsets.shares(1.0)[0] >= 98.0);
     assert!(rates.rms()[0] < 2.0, "{:?}", rates.rms());
+}
+
+#[test]
+fn a_slow_line_is_left_to_what_the_board_has_to_say() {
+    // 9600 baud, half full of samples: its shortest trip does not tell it from a fast one.
+    let byte = 1.0 / 960.0;
+    let mut pace = Pace::default();
+    let (mut to_device, mut to_host, mut samples) = (0.0_f64, 0.0_f64, 0.0);
+    let mut answers = VecDeque::new();
+    let mut asked = Vec::new();
+    for step in 0..30_000_u32 {
+        let time = f64::from(step) * 1e-3;
+        let now = Duration::from_millis(step.into());
+        if time >= samples {
+            to_host = to_host.max(time) + 45.0 * byte;
+            samples += 0.094;
+        }
+        while let Some((at, trip)) = answers.pop_front_if(|(at, _)| *at <= now) {
+            pace.answered(at, trip);
+        }
+        if pace.is_due(now) {
+            pace.asked(now);
+            asked.push(time);
+            to_device = to_device.max(time) + QUESTION * byte;
+            to_host = to_host.max(to_device) + QUESTION * byte;
+            let at = Duration::from_secs_f64(to_host);
+            answers.push_back((at, at - now));
+        }
+    }
+    let early = asked.iter().filter(|time| **time < 3.0).count();
+    println!("{early} questions in 3 s, {} in 30", asked.len());
+    assert!(early < 130 && asked.len() - early <= 27);
 }
 
 #[test]

@@ -32,9 +32,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         faults.frames_intact, faults.frames_damaged, faults.frames_fused, faults.frames_lost,
     );
     println!(
-        "samples    {} accepted of {} in intact frames, {} lost, {} counted as missing or late",
+        "samples    {} accepted of {} in frames that arrived whole ({} of them ended by the zero of a lost neighbour), {} lost, {} counted as missing or late",
         outcome.accepted,
-        outcome.samples_intact,
+        outcome.samples_whole,
+        outcome.samples_rescued,
         outcome.lost,
         outcome.counted_lost(),
     );

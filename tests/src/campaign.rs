@@ -1,13 +1,15 @@
 //! Frames without end through a faulty link, and every sample that is accepted compared with the one
 //! that was sent.
 
+use std::collections::{HashMap, VecDeque};
+
 use wimu_host::decode::{Decoder, Event, LinkStatistics};
 use wimu_link::batch::{self, Stream};
 use wimu_link::frame::EncodeError;
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
-use wimu_sim::faults::{Channel, Fate, FaultCounts, LinkFaults};
+use wimu_sim::faults::{Channel, Fate, FaultCounts, FrameTruth, LinkFaults};
 
 /// 800 samples a second: raw and corrected batches of 16 then nearly fill 115,200 baud.
 const PERIOD_US: u64 = 1250;
@@ -22,8 +24,11 @@ const BYTE_NS: u64 = 10_000_000_000 / 115_200;
 pub struct Outcome {
     /// Frames sent.
     pub frames: u64,
-    /// Samples in batches that arrived intact by the channel's truth.
-    pub samples_intact: u64,
+    /// Samples in batches that arrived whole: between two zeros all bytes of a batch that was sent,
+    /// each batch once.
+    pub samples_whole: u64,
+    /// Of them, those of batches that lost their own zero, and that of a lost neighbour ended.
+    pub samples_rescued: u64,
     /// Samples accepted.
     pub accepted: u64,
     /// Of them, those whose number, time or value is not that of a sample sent, or that were
@@ -90,6 +95,7 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
     let mut line_ns = 0;
     let mut sent = 0_u32;
     let mut line = Vec::new();
+    let mut whole = Whole::default();
     while outcome.frames < frames {
         line.clear();
         if sent.is_multiple_of(BATCH * BATCHES_PER_EPOCH) {
@@ -110,6 +116,18 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
             line_ns += BYTE_NS * piece.len() as u64;
             channel.push(line_ns, piece);
         }
+        for frame in channel.take_frames() {
+            fused = match frame.fate {
+                Fate::Fused => fused + 1,
+                _ => 0,
+            };
+            outcome.longest_resynchronisation = outcome.longest_resynchronisation.max(fused);
+            // The first byte after COBS's code: the kind in the low half, the wire's version above.
+            let kind = frame.bytes.get(1).map(|byte| byte & 0x0F);
+            if kind != Some(wimu_link::Kind::Telemetry as u8) {
+                whole.sent(frame);
+            }
+        }
         // At the end, all that is under way.
         let until_ns = if outcome.frames < frames {
             line_ns
@@ -117,6 +135,12 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
             u64::MAX
         };
         let arrived = channel.pull(until_ns, usize::MAX);
+        for fate in whole.arrived(&arrived) {
+            outcome.samples_whole += u64::from(BATCH);
+            if !matches!(fate, Fate::Intact | Fate::Fused) {
+                outcome.samples_rescued += u64::from(BATCH);
+            }
+        }
         decoder.push(line_ns, &arrived, |arrival| match arrival.event {
             Event::Samples(samples) => {
                 let stream = usize::from(samples.stream == Stream::Corrected);
@@ -138,19 +162,6 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
             Event::Restart { .. } => outcome.restarts += 1,
             _ => {}
         });
-        for frame in channel.take_frames() {
-            fused = match frame.fate {
-                Fate::Fused => fused + 1,
-                _ => 0,
-            };
-            outcome.longest_resynchronisation = outcome.longest_resynchronisation.max(fused);
-            // The first byte after COBS's code: the kind in the low half, the wire's version above.
-            let kind = frame.bytes.get(1).map(|byte| byte & 0x0F);
-            let is_epoch = kind == Some(wimu_link::Kind::Telemetry as u8);
-            if frame.fate == Fate::Intact && !is_epoch {
-                outcome.samples_intact += u64::from(BATCH);
-            }
-        }
     }
     for (first, latest) in first.iter().zip(latest) {
         if let (Some(first), Some(latest)) = (first, latest) {
@@ -163,6 +174,46 @@ pub fn run(frames: u64, faults: &LinkFaults, seed: u64) -> Outcome {
     outcome
 }
 
+/// Batches under way, to tell which of them arrive byte for byte.
+#[derive(Default)]
+struct Whole {
+    /// By their bytes without the zero: no two are alike, as they carry their number.
+    under_way: HashMap<Vec<u8>, Fate>,
+    order: VecDeque<Vec<u8>>,
+    /// What has come since the latest zero.
+    piece: Vec<u8>,
+}
+
+impl Whole {
+    /// More than arrive after any other: the longest stall is of seconds.
+    const MOST: usize = 16_384;
+
+    fn sent(&mut self, mut frame: FrameTruth) {
+        frame.bytes.pop();
+        if self.order.len() == Self::MOST
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.under_way.remove(&oldest);
+        }
+        self.order.push_back(frame.bytes.clone());
+        self.under_way.insert(frame.bytes, frame.fate);
+    }
+
+    /// What the channel says of the batches that have arrived whole.
+    fn arrived(&mut self, bytes: &[u8]) -> Vec<Fate> {
+        let mut fates = Vec::new();
+        for &byte in bytes {
+            if byte != 0 {
+                self.piece.push(byte);
+            } else {
+                fates.extend(self.under_way.remove(&self.piece));
+                self.piece.clear();
+            }
+        }
+        fates
+    }
+}
+
 fn encode(line: &mut Vec<u8>, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) -> u64 {
     let mut frame = [0; MAX_FRAME];
     let length = encode(&mut frame).expect("room");
@@ -171,12 +222,22 @@ fn encode(line: &mut Vec<u8>, encode: impl FnOnce(&mut [u8]) -> Result<usize, En
 }
 
 fn epoch(sequence: u32) -> Telemetry {
+    epoch_at(
+        sequence,
+        time_us(sequence),
+        PERIOD_US,
+        BATCH * BATCHES_PER_EPOCH,
+    )
+}
+
+/// The epoch at a sample, of which there is one every so many.
+pub(crate) fn epoch_at(sequence: u32, time_us: u64, period_us: u64, every: u32) -> Telemetry {
     Telemetry::Epoch(Epoch {
         reason: EpochReason::Periodic,
-        number: (sequence / (BATCH * BATCHES_PER_EPOCH)) as u8,
+        number: (sequence / every) as u8,
         sequence,
-        time_us: time_us(sequence),
-        period_ns: PERIOD_US as u32 * 1000,
+        time_us,
+        period_ns: period_us as u32 * 1000,
         range_g: 2,
         sensitivity_lsb_per_g: 16_384.0,
         full_scale: 32_752,

@@ -3,6 +3,7 @@
 
 pub mod campaign;
 
+use std::collections::HashSet;
 use std::future::Future;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -13,11 +14,14 @@ use wimu_host::decode::{Decoder, Event, TimedSample};
 use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay;
+use wimu_link::batch;
+use wimu_link::frame::EncodeError;
 use wimu_link::message::{Event as DeviceEvent, Payload, Status};
 use wimu_link::{
-    Answer, Command, Deframer, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings, WIRE_VERSION,
-    WhoAreYou,
+    Answer, Command, Deframer, Hello, Kind, LinkRole, MAX_FRAME, Reply, Request, Settings,
+    WIRE_VERSION, WhoAreYou,
 };
+use wimu_model::{Counts, DeviceTimeUs};
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::motion;
@@ -444,6 +448,104 @@ pub fn fuzz_once(seeded: &mut Seeded) {
     }
     let statistics = decoder.statistics();
     assert_eq!(statistics.bytes, line.len() as u64);
+    fuzz_order(seeded);
+}
+
+/// One to three starts of a device whose frames are lost, repeated, exchanged, damaged and held up, each
+/// decoded when it comes: no sample has another number, time or value than it was sent with, and none
+/// is accepted twice. What comes again does so before the next start: behind it, it cannot be told from
+/// samples of that start.
+///
+/// # Panics
+/// When one is.
+fn fuzz_order(seeded: &mut Seeded) {
+    const PERIOD_US: u64 = 20_000;
+    const BATCH: u32 = 4;
+    const DOWN_US: u64 = 700_000;
+    let time_us = |sequence: u32| 300_000 + u64::from(sequence) * PERIOD_US;
+    // Its value tells of which start a sample is.
+    let value = |start: u32, sequence: u32| [start as i16, sequence as i16, 1000];
+    let framed = |encode: &dyn Fn(&mut [u8]) -> Result<usize, EncodeError>| {
+        let mut frame = [0; MAX_FRAME];
+        let length = encode(&mut frame).expect("room");
+        frame[..length].to_vec()
+    };
+    // Of which start, when it comes, and what.
+    let mut frames: Vec<(u32, u64, Vec<u8>)> = Vec::new();
+    let mut began_us = 1_000_000;
+    for start in 1..=1 + seeded.below(3) as u32 {
+        let hello = Hello {
+            boot_count: start,
+            uptime_us: 1000,
+            ..Hello::new(LinkRole::Wireless)
+        };
+        let hello = framed(&|frame| hello.encode(frame));
+        frames.push((start, began_us, hello));
+        let batches = 1 + seeded.below(90) as u32;
+        for sequence in (0..batches).map(|batch| batch * BATCH) {
+            let now_us = began_us + time_us(sequence + BATCH);
+            if sequence % 48 == 0 {
+                let epoch = campaign::epoch_at(sequence, time_us(sequence), PERIOD_US, 48);
+                frames.push((start, now_us, framed(&|frame| epoch.encode(frame))));
+            }
+            let counts: Vec<_> = (sequence..sequence + BATCH)
+                .map(|sequence| Counts(value(start, sequence)))
+                .collect();
+            let time = DeviceTimeUs(time_us(sequence));
+            let batch = framed(&|frame| batch::encode(sequence, time, &counts, frame));
+            frames.push((start, now_us, batch));
+        }
+        began_us += time_us(batches * BATCH) + DOWN_US;
+    }
+    for _ in 0..seeded.below(6) {
+        if frames.len() < 2 {
+            break;
+        }
+        let at = seeded.below(frames.len() - 1);
+        let of_next = |(start, ..): &(u32, u64, Vec<u8>)| *start != frames[at].0;
+        let next = frames.iter().skip(at).position(of_next);
+        let end = next.map_or(frames.len(), |next| at + next);
+        let count = (1 + seeded.below(30)).min(end - at);
+        match seeded.below(5) {
+            0 => drop(frames.drain(at..at + count)),
+            1 => {
+                let again = frames[at..at + count].to_vec();
+                let behind = (at + count + seeded.below(20)).min(end);
+                frames.splice(behind..behind, again);
+            }
+            2 if count > 1 => frames.swap(at, at + 1),
+            3 => seeded.damage(&mut frames[at].2),
+            // A stall.
+            _ => {
+                let held_us = seeded.below(8_000_000) as u64;
+                frames[at].1 += held_us;
+            }
+        }
+    }
+    let mut decoder = Decoder::new();
+    let mut accepted = HashSet::new();
+    let mut now_us = 0;
+    for (_, at_us, bytes) in frames {
+        // One after the other.
+        now_us = at_us.max(now_us);
+        decoder.push(now_us * 1000, &bytes, |arrival| {
+            let Event::Samples(samples) = arrival.event else {
+                return;
+            };
+            for TimedSample {
+                sequence,
+                time,
+                value: [start, number, _],
+            } in samples.iter()
+            {
+                assert_eq!((number as u32, time.0), (sequence, time_us(sequence)));
+                assert!(
+                    accepted.insert((start, sequence)),
+                    "sample {sequence} of start {start} was accepted twice"
+                );
+            }
+        });
+    }
 }
 
 /// A store of two pages in a flash whose image was good and has been overwritten in places, eight times

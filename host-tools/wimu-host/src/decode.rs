@@ -419,15 +419,36 @@ impl Decoder {
         self.foreign_version
     }
 
-    /// The device has started anew before what is held, of which what is `of_before` is late.
+    /// The device has started anew before what is held. Where its greeting tells how long ago, what
+    /// is older is late.
     fn restart(
         &mut self,
         received: Received,
-        boot_count: Option<u32>,
-        of_before: impl Fn(u64) -> bool,
+        greeting: Option<&Hello>,
         each: &mut impl FnMut(Arrival),
     ) {
-        let held = self.order.release();
+        let boot_count = greeting.map(|hello| hello.boot_count);
+        let uptime_us = greeting.map(|hello| hello.uptime_us);
+        let is_older = |(_, held): &mut (Received, Held)| {
+            let Some(uptime_us) = uptime_us else {
+                return false;
+            };
+            let time_us = match held {
+                Held::Epoch(epoch) => epoch.time_us,
+                Held::Batch(batch) => {
+                    batch::extend_time(batch.time_low(), DeviceTimeUs(uptime_us)).0
+                }
+                Held::Event(_) => return false,
+            };
+            time_us > uptime_us.saturating_add(EXPECTED_US)
+        };
+        let mut held = self.order.release();
+        let older: Vec<_> = held.extract_if(.., is_older).collect();
+        for (_, held) in older {
+            if let Held::Batch(batch) = held {
+                self.take_late(&batch);
+            }
+        }
         self.statistics.batches_unplaced += self.unplaced.len() as u64;
         self.unplaced.clear();
         self.anchors = [None; 2];
@@ -443,7 +464,6 @@ impl Decoder {
         each(first.with(Event::Restart { boot_count }));
         for (received, held) in held {
             match held {
-                Held::Epoch(epoch) if of_before(epoch.time_us) => {}
                 Held::Epoch(epoch) => self.take_epoch(received, *epoch, each),
                 Held::Batch(batch) => self.take_batch(received, &batch, each),
                 Held::Event(event) => self.take_event(received, *event, each),
@@ -488,11 +508,9 @@ impl Decoder {
             }
         };
         if is_new {
-            let of_before = |time_us| time_us > hello.uptime_us.saturating_add(EXPECTED_US);
-            let boot_count = Some(hello.boot_count);
             self.identity_before = self.identity;
             self.identity = Some(identity);
-            self.restart(received, boot_count, of_before, each);
+            self.restart(received, Some(&hello), each);
         }
         let goes_on = self.order.latest_us() <= Some(hello.uptime_us);
         if goes_on && self.order.is_in_doubt() && self.identity == Some(identity) {
@@ -539,7 +557,7 @@ impl Decoder {
     /// The device has started anew, and its greeting has not arrived.
     fn restart_unannounced(&mut self, received: Received, each: &mut impl FnMut(Arrival)) {
         self.identity_before = self.identity.take();
-        self.restart(received, None, |_| false, each);
+        self.restart(received, None, each);
     }
 
     fn anchor(&mut self, anchor: Anchor) {

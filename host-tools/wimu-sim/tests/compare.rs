@@ -632,7 +632,8 @@ fn late_samples_are_delivered_and_readings_come_once() {
         readings
     };
     let readings = at_most(&recording);
-    // Every tenth batch comes behind the next; then two seconds come again.
+    // Every tenth batch comes behind the next of its stream (raw and corrected take turns); then two
+    // seconds come again.
     let wireless: Vec<usize> = (0..recording.len())
         .filter(|at| {
             matches!(&recording[*at], Recorded::Received(heard)
@@ -644,8 +645,8 @@ fn late_samples_are_delivered_and_readings_come_once() {
             Recorded::Received(heard) => heard.bytes.clone(),
             _ => Vec::new(),
         };
-        let [one, two] = [pair[0], pair[1]].map(|at| bytes(&recording[at]));
-        for (at, bytes) in [(pair[0], two), (pair[1], one)] {
+        let [one, two] = [pair[0], pair[2]].map(|at| bytes(&recording[at]));
+        for (at, bytes) in [(pair[0], two), (pair[2], one)] {
             if let Recorded::Received(heard) = &mut recording[at] {
                 heard.bytes = bytes;
             }

@@ -661,8 +661,8 @@ fn inverse(mut matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
     let scale: [f64; 4] = std::array::from_fn(|k| matrix[k][k].sqrt());
     let mut inverse = [[0.0; 4]; 4];
     for row in 0..size {
-        // Not a number where it is negative.
-        if !(scale[row] > 0.0) {
+        // Not a number where it was negative.
+        if scale[row].is_nan() || scale[row] <= 0.0 {
             return None;
         }
         for column in 0..size {

@@ -154,12 +154,15 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
     })
 }
 
+/// A value of an axis, by its index, with its standard deviation.
+type Estimate<'a> = dyn Fn(usize, &Axis) -> Option<(f64, f64)> + 'a;
+
 /// The estimated bias and scale factor as the recording grows, with two standard deviations: of an axis
 /// that hardly moves the offset, of others from when both are told apart.
 fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
     let last = history.evolution.last().map(|(_, axes)| *axes);
     let has_line = |axis: usize| last.is_some_and(|axes| axes[axis].line.is_some());
-    let picture = |title: &str, y: &str, of: &dyn Fn(usize, &Axis) -> Option<(f64, f64)>| {
+    let picture = |title: &str, y: &str, of: &Estimate<'_>| {
         let mut picture = chart(title.to_owned(), y, Vec::new());
         for (axis, name) in AXES.into_iter().enumerate() {
             let points: Vec<(f64, f64, f64)> = history

@@ -444,9 +444,9 @@ impl Decoder {
         };
         let mut held = self.order.release();
         let older: Vec<_> = held.extract_if(.., is_older).collect();
-        for (_, held) in older {
+        for (received, held) in older {
             if let Held::Batch(batch) = held {
-                self.take_late(&batch);
+                self.take_late(received, &batch, each);
             }
         }
         self.statistics.batches_unplaced += self.unplaced.len() as u64;

@@ -176,6 +176,11 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
             if points.is_empty() {
                 continue;
             }
+            // The bands of the second half are seen whole: the first ones would hide all.
+            for (_, value, sd) in &points[points.len() / 2..] {
+                let (low, high) = picture.y_range.unwrap_or((*value, *value));
+                picture.y_range = Some((low.min(value - 3.0 * sd), high.max(value + 3.0 * sd)));
+            }
             let band =
                 |(time, value, sd): &(f64, f64, f64)| (*time, value - 2.0 * sd, value + 2.0 * sd);
             picture.bands.push(Band {

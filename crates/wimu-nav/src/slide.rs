@@ -168,6 +168,7 @@ pub struct Slide<R = f64> {
     attitude: Matrix<R>,
     turned: R,
     last: Option<Vector<R>>,
+    last_rate: Option<Vector<R>>,
     velocity: Vector<R>,
     position: Vector<R>,
     /// The scatter's share of the velocity's variance, (m/s)².
@@ -203,6 +204,7 @@ impl<R: Real> Slide<R> {
             attitude: diagonal(R::from_f64(1.0)),
             turned: R::default(),
             last: None,
+            last_rate: None,
             velocity: zero(),
             position: zero(),
             rough: R::default(),
@@ -213,7 +215,8 @@ impl<R: Real> Slide<R> {
         }
     }
 
-    /// Takes one sample, m/s² and where there is one rad/s, body axes, `step_s` after the one before.
+    /// Takes one sample, m/s² and where there is one rad/s, body axes, `step_s` after the one before; both
+    /// as they are at its time.
     /// Samples that are not finite or go back in time are left out, and false is said.
     pub fn push(&mut self, step_s: R, force_mps2: [R; 3], rate_rad_s: Option<[R; 3]>) -> bool {
         let most = R::from_f64(1e6);
@@ -225,10 +228,14 @@ impl<R: Real> Slide<R> {
         let mut way = self.way;
         way.now += R::from_f64(CREEP_RAD_S) * step_s;
         if let (Some(rate), Some(bias)) = (rate_rad_s, self.before.rate_rad_s) {
-            let by = scale(sub(rate, bias), step_s);
+            // A rate is that at its time stamp: between two it changes evenly.
+            let last = sub(self.last_rate.unwrap_or(bias), bias);
+            let now = sub(rate, bias);
+            let by = scale(add(last, now), half * step_s);
+            let cone = scale(cross(last, now), step_s * step_s * R::from_f64(1.0 / 12.0));
             self.turned += norm(by);
             way.now += norm(by);
-            self.attitude = product(&self.attitude, &turn(by));
+            self.attitude = product(&self.attitude, &turn(add(by, cone)));
         }
         if step_s > R::default() {
             let gone = way.now - self.way.now;
@@ -249,6 +256,7 @@ impl<R: Real> Slide<R> {
             self.rough += dot(jump, jump) * R::from_f64(1.0 / 6.0) * step_s * step_s;
         }
         self.last = Some(acceleration);
+        self.last_rate = rate_rad_s;
         self.time_s += step_s;
         self.grow(step_s);
         true

@@ -74,7 +74,8 @@ fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
                     assert!(apart < 0.3 * sd + 1e-3, "{k} {i}: {apart} of {sd}");
                 }
                 let ratio = f64::from(n.position_sd_m()) / w.position_sd_m();
-                assert!((0.9..1.1).contains(&ratio), "{k}: {ratio}");
+                // What is at a threshold may fall to the other side for a tenth of a second.
+                assert!((0.8..1.25).contains(&ratio), "{k}: {ratio}");
             }
         }
         // A gap takes the covariance far up, and a rest down again.
@@ -388,4 +389,40 @@ fn a_slide_with_bias_and_a_changed_tilt_is_as_long_as_it_was() {
     assert!((done.length_m - 1.0).abs() < 1e-4, "{done:?}");
     assert!(done.length_sd_m > 1e-3 && done.length_sd_m < 0.05);
     assert!((done.turned_rad - 0.04 / G).abs() < 1e-4);
+}
+
+#[test]
+fn a_rate_is_that_at_its_time_stamp() {
+    // To 1.5 rad and back in 1 s each, 50 samples a second: half a sample's time would be 28 mrad.
+    let mut random = Random(26);
+    let mut filter = UnitFilter::new(config());
+    let (step, mut worst) = (0.02, 0.0_f64);
+    for k in 0..250 {
+        let phase = std::f64::consts::PI * (f64::from(k) * step - 2.0).clamp(0.0, 2.0);
+        let (angle, rate) = (
+            0.75 * (1.0 - phase.cos()),
+            0.75 * std::f64::consts::PI * phase.sin(),
+        );
+        let (sin, cos) = angle.sin_cos();
+        let body = |v: [f64; 3]| [v[0], cos * v[1] + sin * v[2], cos * v[2] - sin * v[1]];
+        let force = body([0.0, 0.0, G]);
+        let noise = random.normals(0.003);
+        filter
+            .push(&UnitSample {
+                step_s: step,
+                force_mps2: std::array::from_fn(|i| force[i] + noise[i]),
+                field_ut: None,
+                rate_rad_s: Some([rate, 0.0, 0.0]),
+            })
+            .unwrap();
+        let [w, x, ..] = filter.state().quaternion;
+        worst = worst.max((2.0 * x.atan2(w) - angle).abs());
+    }
+    assert!(worst < 0.004, "{worst}");
+    let state = filter.state();
+    let length = state.position_m.iter().map(|p| p * p).sum::<f64>().sqrt();
+    assert!(
+        length < 3.0 * state.position_sd_m() && length < 0.02,
+        "{state:?}"
+    );
 }

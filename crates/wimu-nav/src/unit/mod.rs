@@ -8,6 +8,7 @@
 //! strongly, how fast and with how much turning the body moves, and what the sensors' noise is, it
 //! learns on the way.
 
+mod anchor;
 mod covariance;
 mod manner;
 mod model;
@@ -24,7 +25,7 @@ use rest::Quiet;
 use crate::Real;
 pub use crate::drift::Drift;
 use crate::vector::{
-    Matrix, Vector, add, diagonal, dot, product, quaternion, scale, sub, times, turn, zero,
+    Matrix, Vector, add, cross, diagonal, dot, product, quaternion, scale, sub, times, turn, zero,
 };
 
 /// Samples are brought together over so long before the filter looks at them, s: it follows what a
@@ -36,6 +37,8 @@ const ALIGN_S: f64 = 1.0;
 const BIAS_RAD_S: f64 = 0.01;
 /// A pause longer than this is a gap: what happened in it is not known.
 const GAP_S: f64 = 0.25;
+/// A shorter one of more than so many usual steps is a hole: samples are missing, or time jumped.
+const HOLE_STEPS: f64 = 2.5;
 
 /// How a unit is used.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,6 +57,8 @@ pub struct UnitConfig {
     pub angle_walk: Option<f64>,
     /// How the bias settles after switching on, where that is known. Its C1 is estimated on.
     pub drift: Option<Drift>,
+    /// Standard deviation of the accelerometer's bias, m/s²: 0.05 of a calibrated one.
+    pub bias_mps2: f64,
 }
 
 impl Default for UnitConfig {
@@ -64,6 +69,7 @@ impl Default for UnitConfig {
             force_noise_mps2: None,
             angle_walk: None,
             drift: None,
+            bias_mps2: model::BIAS_MPS2,
         }
     }
 }
@@ -77,7 +83,7 @@ pub struct UnitSample<R = f64> {
     pub force_mps2: [R; 3],
     /// Magnetic field, µT, body axes.
     pub field_ut: Option<[R; 3]>,
-    /// Angular rate, rad/s, body axes, from a gyroscope or an array.
+    /// Angular rate, rad/s, body axes, from a gyroscope or an array: that at the sample's time, as `force_mps2` is.
     pub rate_rad_s: Option<[R; 3]>,
 }
 
@@ -126,8 +132,12 @@ pub struct UnitState<R = f64> {
     pub attitude_sd_rad: [R; 3],
     /// Seconds since velocity was last known to be zero (or given).
     pub since_rest_s: R,
-    /// Whether it seems to be at rest now.
+    /// Whether it seems to be at rest now, and nothing that is known speaks against it.
     pub resting: bool,
+    /// The speed at which it might be moved evenly at the rest that it is at and that would not show, m/s.
+    pub unseen_mps: R,
+    /// Stillnesses, each of a tenth of a second, at which it was known to be pushed.
+    pub pushed: u32,
     /// False before the first alignment, until the first rest where it moved then, and after a gap until
     /// the next rest. Position is measured from where it was valid first.
     pub valid: bool,
@@ -135,6 +145,9 @@ pub struct UnitState<R = f64> {
     pub disturbed: u32,
     /// Updates at a seeming rest at which the velocity was known not to be zero: even motion.
     pub even: u32,
+    /// Times that samples were missing, or time jumped, by more than 2.5 usual steps and less than a gap: doubted as much
+    /// as the motion is strong.
+    pub holes: u32,
     /// Mean of the squared innovations of gravity, each divided by its expectation (NIS per component),
     /// over the last 3 s of motion: 1 where the covariance is right.
     pub innovation: R,
@@ -179,9 +192,16 @@ pub struct UnitFilter<R = f64> {
     moved: bool,
     /// The rest that it seems to be at was not believed.
     doubted: bool,
+    /// Its velocity was taken for zero at the last update.
+    held: bool,
+    /// Deviation of the velocity at the rest's beginning, m/s.
+    loose_mps: R,
     gyroscope: Gyroscope<R>,
     disturbed: u32,
     even: u32,
+    /// The usual step, s.
+    usual_s: R,
+    holes: u32,
 }
 
 /// What is brought together before an update.
@@ -196,6 +216,10 @@ struct Group<R> {
     field: Vector<R>,
     fields: R,
     rated: R,
+    /// Σ of the squares of what samples that are missing would have taken, s².
+    missing: R,
+    /// Σ |Δ²ω|² Δt².
+    bends: R,
     /// What it turned by while it was rated, rad, body axes.
     turned: Vector<R>,
 }
@@ -204,8 +228,9 @@ struct Group<R> {
 #[derive(Clone, Copy, Debug, Default)]
 struct Gyroscope<R> {
     on: bool,
-    /// The last reading, rad/s, and the time since, s.
+    /// The last reading and its change, rad/s, and the time since, s.
     last: Vector<R>,
+    change: Vector<R>,
     out_s: R,
     /// The bias before it failed, rad/s.
     bias: Vector<R>,
@@ -232,9 +257,13 @@ impl<R: Real> UnitFilter<R> {
             begun: false,
             moved: false,
             doubted: false,
+            held: false,
+            loose_mps: R::default(),
             gyroscope: Gyroscope::default(),
             disturbed: 0,
             even: 0,
+            usual_s: R::default(),
+            holes: 0,
         }
     }
 
@@ -258,6 +287,22 @@ impl<R: Real> UnitFilter<R> {
             return Err(UnitFault::NoTime);
         }
         let longest = R::from_f64(GAP_S);
+        // The usual step follows slowly, and no missing sample.
+        if self.usual_s == nothing {
+            self.usual_s = sample.step_s;
+        }
+        let most = R::from_f64(2.0) * self.usual_s;
+        let near = if sample.step_s < most {
+            sample.step_s
+        } else {
+            most
+        };
+        self.usual_s += (near - self.usual_s) * R::from_f64(1.0 / 64.0);
+        if sample.step_s > R::from_f64(HOLE_STEPS) * self.usual_s && sample.step_s <= longest {
+            let missing = sample.step_s - self.usual_s;
+            self.group.missing += missing * missing;
+            self.holes = self.holes.saturating_add(1);
+        }
         let gap = sample.step_s > longest;
         let step = if gap { longest } else { sample.step_s };
         self.age_s += sample.step_s;
@@ -272,17 +317,19 @@ impl<R: Real> UnitFilter<R> {
             ),
             None => sample.force_mps2,
         };
-        self.judge(force, sample.rate_rad_s, step);
-        if self.aligned {
+        let aligned = self.aligned;
+        if aligned {
             self.strapdown(force, sample, step);
         } else {
             self.gather(force, sample, step);
-            if self.group.time_s >= R::from_f64(ALIGN_S) && self.quiet.is_known() {
-                self.align();
-            }
         }
-        if self.aligned && self.group.time_s >= R::from_f64(UPDATE_S) {
+        self.judge(force, sample.rate_rad_s, sample.field_ut, step);
+        // Half a step: it does not depend on how times are rounded.
+        let lasted = self.group.time_s + step * R::from_f64(0.5);
+        if aligned && lasted >= R::from_f64(UPDATE_S) {
             self.update();
+        } else if !aligned && lasted >= R::from_f64(ALIGN_S) && self.quiet.is_known() {
+            self.align();
         }
         if gap { Err(UnitFault::Gap) } else { Ok(()) }
     }
@@ -300,7 +347,7 @@ impl<R: Real> UnitFilter<R> {
     /// Nobody knows what happened in a gap.
     fn lose(&mut self, step_s: R) {
         self.valid = false;
-        self.quiet.end();
+        self.quiet.lose();
         self.group = Group::default();
         let step = step_s.to_f64();
         for i in 0..3 {
@@ -322,17 +369,39 @@ impl<R: Real> UnitFilter<R> {
 
     /// Attitude, velocity and position over one sample: equation (82).
     fn strapdown(&mut self, force: Vector<R>, sample: &UnitSample<R>, step: R) {
+        let before = self.gyroscope;
         let measured = self.measured_rate(sample.rate_rad_s, step);
         let state = self.part(OMEGA);
-        self.rate = match measured {
-            Some(rate) => sub(rate, state),
-            None => state,
+        let by = match measured {
+            Some(rate) => {
+                // A rate is that at its time stamp: between two it changes evenly.
+                let known = before.on && before.out_s == R::default();
+                let last = sub(if known { before.last } else { rate }, state);
+                self.rate = sub(rate, state);
+                let half = R::from_f64(0.5);
+                let mean = scale(add(last, self.rate), half * step);
+                let cone = scale(
+                    cross(last, self.rate),
+                    step * step * R::from_f64(1.0 / 12.0),
+                );
+                let bend = sub(sub(rate, before.last), before.change);
+                if known {
+                    self.gyroscope.change = sub(rate, before.last);
+                    self.group.bends += dot(bend, bend) * step * step;
+                }
+                self.group.rated += step;
+                self.group.turned = add(self.group.turned, mean);
+                add(mean, cone)
+            }
+            None => {
+                self.rate = state;
+                scale(state, step)
+            }
         };
-        if measured.is_some() {
-            self.group.rated += step;
-            self.group.turned = add(self.group.turned, scale(self.rate, step));
-        }
-        self.attitude = product(&self.attitude, &turn(scale(self.rate, step)));
+        self.attitude = product(&self.attitude, &turn(by));
+        let gravity = R::from_f64(self.config.gravity_mps2);
+        let walk2 = self.angle_walk2();
+        self.quiet.carry(measured.map(|_| by), step, walk2, gravity);
         let turned = times(&self.attitude, sub(force, self.part(BIAS)));
         let mut acceleration = turned;
         acceleration[2] -= R::from_f64(self.config.gravity_mps2);
@@ -424,10 +493,13 @@ impl<R: Real> UnitFilter<R> {
             velocity_sd_mps: sd(VELOCITY),
             attitude_sd_rad: sd(PHI),
             since_rest_s: self.since_rest_s,
-            resting: self.quiet.is_rest(),
+            resting: self.quiet.is_rest() && !self.doubted,
+            unseen_mps: self.unseen(),
+            pushed: self.quiet.pushed(),
             valid: self.valid,
             disturbed: self.disturbed,
             even: self.even,
+            holes: self.holes,
             innovation: self.manner.innovation(),
             rise_mps2: self.rise(),
         }

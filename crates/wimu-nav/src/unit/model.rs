@@ -7,8 +7,8 @@ use super::{
 };
 use crate::Real;
 use crate::vector::{
-    Matrix, Vector, add, diagonal, dot, orthonormal, product, scale, scaled, skew, sub, times,
-    turn, zero,
+    Matrix, Vector, add, diagonal, dot, norm, orthonormal, product, scale, scaled, skew, sub,
+    times, turn, zero,
 };
 
 /// How long a motion's angular rate lasts, s, and in what time its acceleration is forgotten.
@@ -18,6 +18,8 @@ const ACCELERATION_TIME_S: f64 = 0.2;
 const SQUARE_TIME_S: f64 = 0.134;
 /// Tilt variance beyond which second order says no more, rad².
 const SQUARE_MOST: f64 = 0.25;
+/// The square of the acceleration's integral is, in space, at most so many of its mean squares.
+const LASTING: f64 = 12.0;
 /// Acceleration that is seen at rest, m/s², and angular rate, rad/s.
 const REST_MPS2: f64 = 0.02;
 const REST_RAD_S: f64 = 1e-3;
@@ -50,12 +52,30 @@ const LEAST_NOISE_MPS2: f64 = 0.01;
 const ZUPT_MPS: f64 = 0.005;
 /// A velocity beyond so many variances at a seeming rest is even motion ...
 const EVEN_GATE: f64 = 9.0;
+/// ... and stays it until it is within so many ...
+const DOUBTED_GATE: f64 = 1.0;
 /// ... unless the velocity's deviation is wrong: it grows e-fold in this time, s.
 const EVEN_S: f64 = 10.0;
+/// A push that is too weak to be seen is taken to last so long, s.
+const FOLLOW_S: f64 = 2.0;
 /// Speed where nothing is known of it, m/s.
 pub(super) const UNKNOWN_MPS: f64 = 2.0;
 
+/// How far the field at another place is off after so long, µT.
+pub(super) fn disturbance<R: Real>(since_s: R) -> R {
+    let kept = libm::exp(-2.0 * since_s.to_f64() / DISTURBANCE_TIME_S);
+    let square = DISTURBANCE_UT * DISTURBANCE_UT * (1.0 - kept);
+    R::from_f64((square + FIELD_NOISE_UT * FIELD_NOISE_UT).sqrt())
+}
+
 impl<R: Real> UnitFilter<R> {
+    /// Even motion, or the end of a push, that the rest that it is at would not show.
+    pub(super) fn unseen(&self) -> R {
+        let pushed = self.quiet.unseen() * R::from_f64(FOLLOW_S);
+        let loose = R::from_f64(EVEN_GATE).sqrt() * self.loose_mps;
+        if loose > pushed { loose } else { pushed }
+    }
+
     pub(super) fn update(&mut self) {
         let group = core::mem::take(&mut self.group);
         let dt = group.time_s;
@@ -64,10 +84,14 @@ impl<R: Real> UnitFilter<R> {
         let noise = self.force_noise(group.count);
         let rated = self.gyroscope.on && group.rated > R::default();
         self.moved |= !self.quiet.is_rest();
+        self.doubted &= self.quiet.is_rest();
         self.predict(force, &group, noise, rated);
         self.see_gravity(force, noise, dt);
         if group.fields > R::default() {
             self.see_field(scale(group.field, one / group.fields));
+        }
+        if !rated && let Some((push, lasted)) = self.quiet.either() {
+            self.doubt_push(push, lasted, dt);
         }
         if !self.quiet.is_rest() {
             let turn = (!rated).then(|| self.square(OMEGA));
@@ -80,6 +104,15 @@ impl<R: Real> UnitFilter<R> {
             self.see_rest(dt, rated);
         }
         self.fold();
+    }
+
+    /// A push or a turn, and nothing tells which: the velocity may have grown as the push would have it.
+    fn doubt_push(&mut self, push: Vector<R>, lasted: R, dt: R) {
+        let push = times(&self.attitude, push);
+        for (i, a) in push.into_iter().enumerate() {
+            self.cov
+                .add(VELOCITY, i, R::from_f64(2.0) * a * a * lasted * dt);
+        }
     }
 
     /// Mean square of a block's components.
@@ -100,7 +133,7 @@ impl<R: Real> UnitFilter<R> {
     }
 
     /// Random walk of the angle, squared, rad²/s.
-    fn angle_walk2(&self) -> R {
+    pub(super) fn angle_walk2(&self) -> R {
         let least = R::from_f64(LEAST_WALK * LEAST_WALK);
         match (self.config.angle_walk, self.quiet.angle_walk2()) {
             (Some(walk), _) => R::from_f64(walk * walk),
@@ -137,7 +170,14 @@ impl<R: Real> UnitFilter<R> {
         }
         self.cov.couple(PHI, OMEGA, &turned);
         // The acceleration swings: a half step, a whole one, in this order.
-        let pull = -dt * self.manner.swing();
+        let mut pull = -dt * self.manner.swing();
+        if rated {
+            // With an angular rate a push that lasts longer than the manner has it is still seen to be one.
+            let (gone, usual) = (self.part(SWING), self.manner.acceleration());
+            if dot(gone, gone) * self.manner.swing() > R::from_f64(LASTING) * usual * usual {
+                pull = R::default();
+            }
+        }
         self.cov.couple_by(ACCELERATION, SWING, pull);
         self.cov.couple_by(SWING, ACCELERATION, dt);
         let swing = self.part(SWING);
@@ -151,11 +191,11 @@ impl<R: Real> UnitFilter<R> {
             self.forget(SWING, dt, ACCELERATION_TIME_S, speed);
         }
         if rated {
-            let walk = self.angle_walk2();
+            let walk = self.angle_walk2() * dt + group.bends * R::from_f64(1.0 / 144.0);
             for i in 0..3 {
                 self.cov
                     .add(OMEGA, i, R::from_f64(RATE_WALK * RATE_WALK) * dt);
-                self.cov.add(PHI, i, walk * dt);
+                self.cov.add(PHI, i, walk);
             }
         } else {
             let turning = if resting {
@@ -178,6 +218,22 @@ impl<R: Real> UnitFilter<R> {
         push[2] -= R::from_f64(self.config.gravity_mps2);
         let scaling = dot(push, push) * R::from_f64(SCALE_ERROR * SCALE_ERROR * PUSH_S) * dt;
         let walk = R::from_f64(BIAS_WALK * BIAS_WALK) * dt;
+        // What a missing sample would have shown is as uncertain as the motion is strong, and so is whether time
+        // passed, or its stamp jumped.
+        let (missing, missed) = (group.missing, R::from_f64(1.0 / 4.0));
+        let (strength, turning) = (self.manner.acceleration(), self.manner.turn());
+        let lost = missing * strength * strength * missed;
+        if rated && missing > R::default() {
+            let rate = dot(self.rate, self.rate) * R::from_f64(1.0 / 3.0);
+            for i in 0..3 {
+                self.cov
+                    .add(PHI, i, missing * (turning * turning + rate) * missed);
+            }
+        }
+        for (i, speed) in self.part(VELOCITY).into_iter().enumerate() {
+            self.cov.add(POSITION, i, missing * speed * speed * missed);
+            self.cov.add(VELOCITY, i, lost);
+        }
         let half = R::from_f64(0.5) * dt;
         // The trapezoid's error is of the size of what changes from sample to sample (87).
         let uneven = group.jumps * R::from_f64(1.0 / 36.0);
@@ -240,6 +296,7 @@ impl<R: Real> UnitFilter<R> {
             }
             if dot(innovation, innovation) > R::from_f64(END_OF_REST) * expected {
                 // The rest has ended: the body moves in its manner, and it has not tilted at once.
+                self.regain();
                 self.quiet.end();
                 let square = self.manner.acceleration() * self.manner.acceleration();
                 for i in 0..3 {
@@ -292,10 +349,22 @@ impl<R: Real> UnitFilter<R> {
         let rows = |row: usize| [(VELOCITY, one[row])];
         let variance = R::from_f64(ZUPT_MPS * ZUPT_MPS);
         // A velocity after a gap is not known.
-        let gate = self.valid.then_some(EVEN_GATE);
+        let most = if self.doubted {
+            DOUBTED_GATE
+        } else {
+            EVEN_GATE
+        };
+        let gate = self.valid.then_some(most);
         let position = self.part(POSITION);
         let covariance = self.cov.block(POSITION, POSITION);
         let known = scale(velocity, R::from_f64(-1.0));
+        if self.since_rest_s > dt {
+            let [x, y, z] = self.cov.variance(VELOCITY);
+            let most = if x > y { x } else { y };
+            let most = if most > z { most } else { z };
+            let third = R::from_f64(1.0 / EVEN_GATE).sqrt();
+            self.loose_mps = (most + variance).sqrt() + norm(velocity) * third;
+        }
         if self.measure(rows, known, variance, gate).is_some() {
             if !rated {
                 self.put(POSITION, position);
@@ -311,11 +380,13 @@ impl<R: Real> UnitFilter<R> {
                 }
             }
             self.doubted = false;
+            self.held = true;
             self.since_rest_s = R::default();
             self.valid = true;
         } else {
             self.even = self.even.saturating_add(1);
             self.doubted = true;
+            self.held = false;
             let [x, y, z] = self.cov.variance(VELOCITY);
             let doubt = (x + y + z) * dt * R::from_f64(2.0 / 3.0 / EVEN_S);
             for i in 0..3 {

@@ -1,6 +1,7 @@
-//! What looks like a rest.
+//! What looks like a rest: equation (91).
 
-use super::UnitFilter;
+use super::anchor::{Anchor, Verdict};
+use super::{OMEGA, UnitFilter};
 use crate::Real;
 use crate::vector::{Vector, add, dot, norm, scale, sub};
 
@@ -17,25 +18,39 @@ const STILL_RAD_S: f64 = 0.1;
 /// ... before a rest has shown what is its bias: this, rad/s, ...
 const OFFSET_RAD_S: f64 = 0.5;
 /// ... over so many parts, each of at least so long, s, and so many samples.
-const PARTS: usize = 5;
+pub(super) const PARTS: usize = 5;
 const PART_S: f64 = 0.1;
 const PART_SAMPLES: f64 = 4.0;
+/// Means of the parts scatter by so many times what samples of their level do: slow motion does more.
+const BETWEEN: f64 = 4.0;
+const BETWEEN_MPS2: f64 = 0.005;
 
 /// Sums of force and angular rate over a part.
 #[derive(Clone, Copy, Debug, Default)]
-struct Part<R> {
-    time_s: R,
-    count: R,
-    force: Vector<R>,
+pub(super) struct Part<R> {
+    pub time_s: R,
+    pub count: R,
+    pub force: Vector<R>,
     force_square: R,
     rates: R,
     rate: Vector<R>,
     rate_square: R,
     /// Of the force, about each part's own mean.
     within: R,
+    /// Of what the anchor has shown at each sample, less the same as the force.
+    anchor: Vector<R>,
+    pub field: Vector<R>,
+    pub fields: R,
 }
 
 impl<R: Real> Part<R> {
+    /// Mean force less that of the last rest, m/s², body axes.
+    pub fn apart(&self) -> Vector<R> {
+        let one = R::from_f64(1.0);
+        let count = if self.count > one { self.count } else { one };
+        scale(sub(self.force, self.anchor), one / count)
+    }
+
     fn plus(&self, other: &Self) -> Self {
         Self {
             time_s: self.time_s + other.time_s,
@@ -46,6 +61,9 @@ impl<R: Real> Part<R> {
             rate: add(self.rate, other.rate),
             rate_square: self.rate_square + other.rate_square,
             within: self.within + other.within,
+            anchor: add(self.anchor, other.anchor),
+            field: add(self.field, other.field),
+            fields: self.fields + other.fields,
         }
     }
 }
@@ -74,6 +92,14 @@ pub(super) struct Quiet<R> {
     walk: Option<R>,
     /// Mean angular rate at the rest that it is at, rad/s.
     still: Option<Vector<R>>,
+    anchor: Option<Anchor<R>>,
+    /// What looks like a rest and is a push, or a turn that nobody saw: how strong, m/s² body axes, and for
+    /// how long, s.
+    either: Option<(Vector<R>, R)>,
+    /// A push below this would look like the rest that it is at, m/s².
+    unseen: R,
+    /// Stillnesses that were pushes.
+    pushed: u32,
 }
 
 impl<R: Real> Quiet<R> {
@@ -86,6 +112,45 @@ impl<R: Real> Quiet<R> {
         self.rest = false;
         self.filled = 0;
         self.now = Part::default();
+        self.parts = [Part::default(); PARTS];
+        self.either = None;
+    }
+
+    /// Nothing is known of what was before.
+    pub fn lose(&mut self) {
+        self.end();
+        self.anchor = None;
+    }
+
+    pub fn anchor(&self) -> Option<&Anchor<R>> {
+        self.anchor.as_ref()
+    }
+
+    /// Carries the anchor over a sample: [`Anchor::carry`].
+    pub fn carry(&mut self, by: Option<Vector<R>>, step: R, walk2: R, gravity: R) {
+        if let Some(anchor) = &mut self.anchor {
+            anchor.carry(by, step, walk2, gravity);
+        }
+    }
+
+    /// The last half second, part by part, and what came since.
+    pub fn parts(&self) -> impl Iterator<Item = &Part<R>> {
+        self.parts.iter().chain([&self.now])
+    }
+
+    /// A push, m/s² body axes, that a turn would look like, and for how long, s.
+    pub fn either(&self) -> Option<(Vector<R>, R)> {
+        self.either
+    }
+
+    /// A push below this would look like the rest that it is at, m/s².
+    pub fn unseen(&self) -> R {
+        self.unseen
+    }
+
+    /// Stillnesses that were pushes.
+    pub fn pushed(&self) -> u32 {
+        self.pushed
     }
 
     /// Mean angular rate at the rest that it is at, rad/s.
@@ -114,7 +179,13 @@ impl<R: Real> Quiet<R> {
     }
 
     /// Takes a sample; the sums of the last parts where one is full.
-    fn gather(&mut self, force: Vector<R>, rate: Option<Vector<R>>, step: R) -> Option<Part<R>> {
+    fn gather(
+        &mut self,
+        force: Vector<R>,
+        rate: Option<Vector<R>>,
+        field: Option<Vector<R>>,
+        step: R,
+    ) -> Option<Part<R>> {
         if self.now.count == R::default() && self.filled == 0 {
             self.about = force;
         }
@@ -124,16 +195,25 @@ impl<R: Real> Quiet<R> {
             count: R::from_f64(1.0),
             force,
             force_square: dot(force, force),
+            anchor: match &self.anchor {
+                Some(anchor) => sub(anchor.force, self.about),
+                None => [R::default(); 3],
+            },
             ..Part::default()
         };
+        if let Some(field) = field {
+            sample.fields = sample.count;
+            sample.field = field;
+        }
         if let Some(rate) = rate {
             sample.rates = sample.count;
             sample.rate = rate;
             sample.rate_square = dot(rate, rate);
         }
         self.now = self.now.plus(&sample);
-        let full =
-            self.now.time_s >= R::from_f64(PART_S) && self.now.count >= R::from_f64(PART_SAMPLES);
+        // Half a step: it does not depend on how times are rounded.
+        let lasted = self.now.time_s + step * R::from_f64(0.5);
+        let full = lasted >= R::from_f64(PART_S) && self.now.count >= R::from_f64(PART_SAMPLES);
         if !full {
             return None;
         }
@@ -163,12 +243,63 @@ fn most<R: Real>(level: R) -> R {
     )
 }
 
+impl<R: Real> Quiet<R> {
+    /// A rest that was found: what it shows is the anchor from now on.
+    fn hold(&mut self, all: &Part<R>, level: R, rated: bool) {
+        let anchor = Anchor::new(all, self.about, level, rated);
+        let shown = sub(anchor.force, self.about);
+        for part in self.parts.iter_mut() {
+            part.anchor = scale(shown, part.count);
+        }
+        self.anchor = Some(anchor);
+    }
+
+    /// A rest that goes on: its oldest part is learnt.
+    fn go_on(&mut self, level: R, rated: bool) {
+        let (Some(anchor), Some(oldest)) = (&mut self.anchor, self.parts.first()) else {
+            return;
+        };
+        let change = anchor.learn(oldest, level, rated);
+        for part in &mut self.parts {
+            part.anchor = add(part.anchor, scale(change, part.count));
+        }
+    }
+
+    /// Whether the means of the parts scatter as their samples do.
+    fn is_even(&self, all: &Part<R>, level: R) -> bool {
+        let mean = all.apart();
+        let (mut sum, mut free) = (R::default(), R::default());
+        for part in &self.parts {
+            let apart = sub(part.apart(), mean);
+            sum += dot(apart, apart) * part.count;
+            free += R::from_f64(3.0);
+        }
+        let count = all.count / R::from_f64(PARTS as f64);
+        let slack = R::from_f64(BETWEEN_MPS2 * BETWEEN_MPS2) * count;
+        sum < (free - R::from_f64(3.0)) * R::from_f64(BETWEEN) * (level + slack)
+    }
+}
+
 impl<R: Real> UnitFilter<R> {
-    pub(super) fn judge(&mut self, force: Vector<R>, rate: Option<Vector<R>>, step: R) {
+    pub(super) fn judge(
+        &mut self,
+        force: Vector<R>,
+        rate: Option<Vector<R>>,
+        field: Option<Vector<R>>,
+        step: R,
+    ) {
         let gravity = R::from_f64(self.config.gravity_mps2);
-        let (bias, known) = (self.part(super::OMEGA), self.gyroscope.on);
+        let (bias, known) = (self.part(OMEGA), self.gyroscope.on);
+        let [x, y, z] = self.cov.variance(OMEGA);
+        let third = R::from_f64(1.0 / 3.0);
+        let rate_variance = if known {
+            (x + y + z) * third
+        } else {
+            R::default()
+        };
+        let was = self.quiet.rest;
         let quiet = &mut self.quiet;
-        let Some(all) = quiet.gather(force, rate, step) else {
+        let Some(all) = quiet.gather(force, rate, field, step) else {
             return;
         };
         let one = R::from_f64(1.0);
@@ -185,14 +316,40 @@ impl<R: Real> UnitFilter<R> {
         let within = all.within / degrees;
         let level = quiet.level.map_or(within, |level| least(level, within));
         let near = (norm(mean) - gravity).abs() < R::from_f64(NEAR_MPS2);
-        quiet.rest = near && !turning && spread < most(level);
+        let noise = if level > within { level } else { within };
+        let still = near && !turning && spread < most(level) && quiet.is_even(&all, noise);
+        let either = quiet.either.take();
+        quiet.rest = still;
+        if let (true, Some(anchor)) = (still, &mut quiet.anchor) {
+            let disturbance = super::model::disturbance(anchor.since_s());
+            match anchor.judge(&all, noise, rate_variance, gravity, disturbance) {
+                Verdict::Rest(unseen) => quiet.unseen = unseen,
+                Verdict::Pushed => {
+                    quiet.rest = false;
+                    quiet.pushed = quiet.pushed.saturating_add(1);
+                }
+                Verdict::Either(push) => {
+                    quiet.rest = false;
+                    let part = all.time_s * R::from_f64(1.0 / PARTS as f64);
+                    let lasted = either.map_or(all.time_s, |(_, lasted)| lasted + part);
+                    quiet.either = Some((push, lasted));
+                }
+            }
+        }
         if quiet.rest {
+            if was && quiet.anchor.is_some() {
+                quiet.go_on(noise, rated && known);
+            } else {
+                quiet.hold(&all, noise, rated && known);
+            }
             quiet.level = Some(quiet.level.map_or(spread, |before| least(before, spread)));
             if rated {
                 let square = variance(all.rate, all.rate_square, all.rates);
                 let walk = square * all.time_s / all.count;
                 quiet.walk = Some(quiet.walk.map_or(walk, |before| least(before, walk)));
             }
+        } else if was {
+            self.regain();
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The first attitude, and what is given from outside.
 
-use super::model::{BIAS_MPS2, DISTURBANCE_UT, UNKNOWN_MPS};
+use super::model::{DISTURBANCE_UT, UNKNOWN_MPS};
 use super::{
     ACCELERATION, BIAS, BIAS_RAD_S, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
     UnitFilter, UnitSample, VELOCITY,
@@ -70,7 +70,7 @@ impl<R: Real> UnitFilter<R> {
         self.field = (group.fields > R::default())
             .then(|| times(&self.attitude, scale(group.field, one / group.fields)));
         let departure = (length - g) * (length - g);
-        let bias = R::from_f64(BIAS_MPS2 * BIAS_MPS2);
+        let bias = R::from_f64(self.config.bias_mps2 * self.config.bias_mps2);
         let still = self.quiet.is_steady(spread * R::from_f64(1.0 / 3.0));
         // What is pushed to and fro has a mean less than its spread; what is pushed once may not.
         let share = R::from_f64(if still { 0.25 } else { 1.0 });

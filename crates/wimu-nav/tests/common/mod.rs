@@ -1,6 +1,7 @@
 //! What the tests share: a rigid body that turns, and repeatable noise.
 #![allow(dead_code)]
 
+pub mod journeys;
 pub mod motions;
 
 use wimu_nav::array::Geometry;

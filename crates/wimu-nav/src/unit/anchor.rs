@@ -1,0 +1,211 @@
+//! What the last rest showed of gravity and bias, carried to now: what else looks like a rest must agree
+//! with it. Equation (91).
+
+use super::UnitFilter;
+use super::rest::{PARTS, Part};
+use crate::Real;
+use crate::vector::{Vector, add, dot, norm, scale, sub, times, turn};
+
+/// What an accelerometer shows at two rests at one attitude differs by this, m/s², ...
+const SLACK_MPS2: f64 = 0.005;
+/// ... drifts by this at rest, m/s² per √s, ...
+const DRIFT_MPS2: f64 = 1e-3;
+/// ... departs from its own last seconds by this, m/s², each tenth of a second with this weight, ...
+const LAG_MPS2: f64 = 0.002;
+const LAG: f64 = 0.05;
+/// ... and at another attitude differs by this, m/s² per rad: its bias, and the scale of both sensors.
+const TURN_MPS2: f64 = 0.1;
+/// A mean beyond so many variances in space is not that of a rest: one of 10⁴ is.
+const GATE: f64 = 21.0;
+/// Deviations beyond which a field has turned, or not turned with gravity.
+const TURNED: f64 = 3.0;
+/// While a stillness is refused, the deviation that it is measured by grows e-fold in this time, s.
+const DOUBT_S: f64 = 10.0;
+
+/// Of the last rest.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Anchor<R> {
+    /// Mean force, body axes as they are now, m/s², and its variance.
+    pub force: Vector<R>,
+    variance: R,
+    /// Mean field there, µT, body axes as they were.
+    field: Option<Vector<R>>,
+    /// What was turned since, rad, and how long ago it was, s.
+    turned: Vector<R>,
+    since_s: R,
+    /// Whether an angular rate carried it all the way.
+    carried: bool,
+    /// Mean of what the last parts departed by from what was expected, m/s²: of a slow push all to one side.
+    lag: Vector<R>,
+}
+
+/// What a stillness is, as far as the anchor tells.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Verdict<R> {
+    /// It may be a rest: a push below this, m/s², would look the same.
+    Rest(R),
+    /// It is pushed.
+    Pushed,
+    /// It is pushed by this, m/s² body axes, or has turned, and nothing tells which.
+    Either(Vector<R>),
+}
+
+impl<R: Real> Anchor<R> {
+    /// From what a rest shows.
+    pub fn new(all: &Part<R>, about: Vector<R>, level: R, rated: bool) -> Self {
+        let one = R::from_f64(1.0);
+        Self {
+            force: add(about, scale(all.force, one / all.count)),
+            variance: level / all.count,
+            field: (all.fields > R::default()).then(|| scale(all.field, one / all.fields)),
+            turned: [R::default(); 3],
+            since_s: R::default(),
+            carried: rated,
+            lag: [R::default(); 3],
+        }
+    }
+
+    /// Over a sample in which the unit turned by `by`, rad, as it was measured with a random walk of this
+    /// variance, rad²/s; `None` where no angular rate was.
+    pub fn carry(&mut self, by: Option<Vector<R>>, step: R, walk2: R, gravity: R) {
+        let drift = R::from_f64(DRIFT_MPS2 * DRIFT_MPS2);
+        self.since_s += step;
+        self.variance += drift * step;
+        match by {
+            Some(by) if self.carried => {
+                self.force = times(&turn(scale(by, R::from_f64(-1.0))), self.force);
+                self.turned = add(self.turned, by);
+                self.variance += gravity * gravity * walk2 * step;
+            }
+            _ => self.carried = false,
+        }
+    }
+
+    /// Variance of a component of the mean of `count` samples of variance `level` at a rest now.
+    fn expected(&self, level: R, count: R, rate_variance: R, gravity: R) -> R {
+        let turned = norm(self.turned);
+        let most = R::from_f64(core::f64::consts::PI);
+        let turned = R::from_f64(TURN_MPS2) * if turned < most { turned } else { most };
+        let drifted = gravity * gravity * rate_variance * self.since_s * self.since_s;
+        let slack = R::from_f64(SLACK_MPS2 * SLACK_MPS2);
+        let known = if self.carried { drifted } else { R::default() };
+        self.variance + level / count + turned * turned + slack + known
+    }
+
+    /// Judges a stillness of which `all` are the sums.
+    pub fn judge(
+        &mut self,
+        all: &Part<R>,
+        level: R,
+        rate_variance: R,
+        gravity: R,
+        disturbance: R,
+    ) -> Verdict<R> {
+        let apart = all.apart();
+        let expected = self.expected(level, all.count, rate_variance, gravity);
+        let most = R::from_f64(GATE) * expected;
+        let square = dot(apart, apart);
+        // Innovations of a rest that goes on are white: their mean over the last 2 s is smaller.
+        let slack = R::from_f64(LAG_MPS2 * LAG_MPS2);
+        let parts = level / all.count * R::from_f64(PARTS as f64) + self.variance;
+        let lagging = R::from_f64(GATE) * (parts * R::from_f64(LAG / (2.0 - LAG)) + slack);
+        let slow = dot(self.lag, self.lag) > lagging;
+        if square < most && !slow {
+            return Verdict::Rest(most.sqrt());
+        }
+        self.lag = [R::default(); 3];
+        if self.carried {
+            // Both may be true: a push, and an attitude that is known worse than it seems.
+            let grown = R::from_f64(2.0 / DOUBT_S) * all.time_s * R::from_f64(0.2);
+            self.variance += expected * grown;
+            return Verdict::Pushed;
+        }
+        match self.field_turned(all, apart, disturbance) {
+            Some(true) => Verdict::Rest(most.sqrt()),
+            Some(false) => Verdict::Pushed,
+            None => Verdict::Either(apart),
+        }
+    }
+
+    /// Whether the field turned with gravity: then the unit did. `None` where that does not show.
+    fn field_turned(&self, all: &Part<R>, apart: Vector<R>, disturbance: R) -> Option<bool> {
+        let before = self.field?;
+        if all.fields <= R::default() {
+            return None;
+        }
+        let one = R::from_f64(1.0);
+        let now = scale(all.field, one / all.fields);
+        let force = add(self.force, apart);
+        let (size, pull) = (norm(self.force), norm(force));
+        if size <= one || pull <= one {
+            return None;
+        }
+        // Along gravity it is what it was, where only the unit turned.
+        let along = dot(now, force) / pull - dot(before, self.force) / size;
+        let other = norm(sub(now, before));
+        let most = R::from_f64(TURNED) * disturbance;
+        match (other > most, along.abs() > most) {
+            (true, false) => Some(true),
+            (false, true) => Some(false),
+            _ => None,
+        }
+    }
+
+    /// Takes what a rest that goes on showed half a second ago, and returns by how much it changed.
+    pub fn learn(&mut self, part: &Part<R>, level: R, rated: bool) -> Vector<R> {
+        let expected = self.variance + level / part.count;
+        let share = self.variance / expected;
+        let lag = R::from_f64(LAG);
+        self.lag = add(self.lag, scale(sub(part.apart(), self.lag), lag));
+        let change = scale(part.apart(), share);
+        self.force = add(self.force, change);
+        self.variance = self.variance * (R::from_f64(1.0) - share);
+        self.turned = [R::default(); 3];
+        self.since_s = R::default();
+        self.carried = rated;
+        change
+    }
+
+    /// Variance of a component, (m/s²)².
+    pub fn variance(&self) -> R {
+        self.variance + R::from_f64(SLACK_MPS2 * SLACK_MPS2)
+    }
+
+    pub fn since_s(&self) -> R {
+        self.since_s
+    }
+}
+
+impl<R: Real> UnitFilter<R> {
+    /// A rest has ended, and what ended it began within the last half second, in which velocity was taken for
+    /// zero: what the force gained in it comes back.
+    pub(super) fn regain(&mut self) {
+        let Some(known) = self.quiet.anchor().map(Anchor::variance) else {
+            return;
+        };
+        if !core::mem::take(&mut self.held) {
+            return;
+        }
+        let half = R::from_f64(0.5);
+        let (mut velocity, mut way, mut lasted) =
+            ([R::default(); 3], [R::default(); 3], R::default());
+        for part in self.quiet.parts() {
+            let gained = scale(times(&self.attitude, part.apart()), part.time_s);
+            way = add(way, scale(add(velocity, scale(gained, half)), part.time_s));
+            velocity = add(velocity, gained);
+            lasted += part.time_s;
+        }
+        self.put(super::VELOCITY, velocity);
+        self.put(super::POSITION, add(self.part(super::POSITION), way));
+        // What the anchor does not know, and what came before.
+        let before = R::from_f64(BEFORE) * norm(velocity);
+        let variance = known * lasted * lasted + before * before;
+        for i in 0..3 {
+            self.cov.add(super::VELOCITY, i, variance);
+        }
+    }
+}
+
+/// Of the velocity that was gained before a rest was seen to end, what may have come before the last half
+/// second.
+const BEFORE: f64 = 0.3;

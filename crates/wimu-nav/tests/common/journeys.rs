@@ -1,0 +1,386 @@
+//! Journeys of one unit between rests, with their truth: slow moves, carts, turns, pushes.
+
+use super::{Random, cross};
+use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+
+const G: f64 = 9.80665;
+const FIELD: [f64; 3] = [0.0, 20.0, -44.0];
+
+/// What a part of a journey is.
+#[derive(Clone, Copy, Debug)]
+enum Part {
+    /// A way of least jerk, m, and a turn, rad, body axes.
+    Move([f64; 3], [f64; 3]),
+    /// An acceleration that goes evenly from the first to the second, m/s², and velocity goes on.
+    Push([f64; 3], [f64; 3]),
+}
+
+/// Kinds of journeys.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Journey {
+    /// Four moves of 0.7 m in 1 to 2.5 s, rests of 1 to 2 s, turning by so much each, rad an axis.
+    Moves(f64),
+    /// Three moves of 0.7 m in so long, s, each, without a turn.
+    Slow(f64),
+    /// Pushed within 1 s to so many m/s, then 20 s evenly.
+    Cart(f64),
+    /// Turns of 0.8 rad an axis on the spot.
+    Turns,
+    /// So many m/s² east or north, for so long, s, ramps of 1 s, then 5 s evenly.
+    Push(f64, f64, bool),
+    /// Steps of 0.7 m in 0.6 s, pauses of 0.8 s.
+    Steps,
+}
+
+impl Journey {
+    fn parts(self, random: &mut Random) -> Vec<(f64, Part)> {
+        let rest = Part::Push([0.0; 3], [0.0; 3]);
+        let stop = Part::Move([0.0; 3], [0.0; 3]);
+        let mut parts = vec![(3.0, stop)];
+        match self {
+            Self::Moves(turn) => {
+                for _ in 0..4 {
+                    let lasts = 1.0 + 1.5 * random.unit();
+                    parts.push((lasts, Part::Move(random.normals(0.4), random.normals(turn))));
+                    parts.push((1.0 + random.unit(), stop));
+                }
+            }
+            Self::Slow(lasts) => {
+                for _ in 0..3 {
+                    parts.push((lasts, Part::Move(random.normals(0.4), [0.0; 3])));
+                    parts.push((2.0, stop));
+                }
+            }
+            Self::Cart(speed) => {
+                let angle = std::f64::consts::TAU * random.unit();
+                let peak = [2.0 * speed * angle.cos(), 2.0 * speed * angle.sin(), 0.0];
+                let brake = peak.map(|a| -a);
+                for (lasts, from, to) in [
+                    (0.5, [0.0; 3], peak),
+                    (0.5, peak, [0.0; 3]),
+                    (20.0, [0.0; 3], [0.0; 3]),
+                    (0.5, [0.0; 3], brake),
+                    (0.5, brake, [0.0; 3]),
+                ] {
+                    parts.push((lasts, Part::Push(from, to)));
+                }
+                parts.push((3.0, rest));
+            }
+            Self::Turns => {
+                for _ in 0..4 {
+                    parts.push((2.0, Part::Move([0.0; 3], random.normals(0.8))));
+                    parts.push((2.0, stop));
+                }
+            }
+            Self::Push(size, lasts, north) => {
+                let push = if north {
+                    [0.0, size, 0.0]
+                } else {
+                    [size, 0.0, 0.0]
+                };
+                parts.push((1.0, Part::Push([0.0; 3], push)));
+                parts.push((lasts, Part::Push(push, push)));
+                parts.push((1.0, Part::Push(push, [0.0; 3])));
+                parts.push((5.0, rest));
+            }
+            Self::Steps => {
+                for _ in 0..12 {
+                    let ahead = [0.7 + random.normal() * 0.05, 0.0, 0.0];
+                    let turn = random.normals(0.1);
+                    parts.push((0.6, Part::Move(ahead, turn)));
+                    parts.push((0.8, stop));
+                }
+            }
+        }
+        parts
+    }
+}
+
+/// Rotation by a vector, columns: where the axes go.
+fn turned(axes: [[f64; 3]; 3], by: [f64; 3]) -> [[f64; 3]; 3] {
+    let angle = by.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let (s, c) = if angle < 1e-9 {
+        (1.0, 0.5)
+    } else {
+        (angle.sin() / angle, (1.0 - angle.cos()) / (angle * angle))
+    };
+    // Body axes: the new columns are the old matrix times the rotation's columns.
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e: [f64; 3]| {
+        let once = cross(by, e);
+        let twice = cross(by, once);
+        let column: [f64; 3] = std::array::from_fn(|i| e[i] + s * once[i] + c * twice[i]);
+        std::array::from_fn(|i| (0..3).map(|k| axes[k][i] * column[k]).sum())
+    })
+}
+
+/// How a journey is recorded.
+#[derive(Clone, Copy, Debug)]
+pub struct Recorded {
+    pub rate_hz: f64,
+    pub gyroscope: bool,
+    pub zupt: bool,
+    pub noise_mps2: f64,
+    pub bias_mps2: f64,
+    /// The gyroscope gives nothing for so long from 4 s on, s.
+    pub fails_s: f64,
+    /// Samples are missing for so long from 3.5 s on, s, or time jumps by that.
+    pub hole_s: f64,
+    pub jump_s: f64,
+}
+
+impl Default for Recorded {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            gyroscope: true,
+            zupt: true,
+            noise_mps2: 0.03,
+            bias_mps2: 0.03,
+            fails_s: 0.0,
+            hole_s: 0.0,
+            jump_s: 0.0,
+        }
+    }
+}
+
+/// What a journey showed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Shown {
+    /// Share of the samples that were valid, and of those with a position NEES below 7.81.
+    pub valid: f64,
+    pub below: f64,
+    /// Greatest error of a component in deviations (of at least 3 mm) while valid, and the error in space there, m.
+    pub worst: f64,
+    pub off_m: f64,
+    /// Σ of the speed that would not have shown at the rests, times how long, m.
+    pub unseen_m: f64,
+    /// Error at the end, m.
+    pub end_m: f64,
+    /// Share of the samples at rest that were taken for rests.
+    pub rests: f64,
+}
+
+/// One journey.
+pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
+    let mut random = Random(seed * 7919 + 29);
+    let parts = journey.parts(&mut random);
+    let bias = random.normals(how.bias_mps2);
+    let offset = random.normals(0.01);
+    let mut filter = UnitFilter::new(UnitConfig {
+        zupt: how.zupt,
+        ..UnitConfig::default()
+    });
+    let step = 1.0 / how.rate_hz;
+    let mut axes = turned(
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        [0.0, 0.0, 0.0],
+    );
+    let (mut place, mut speed) = ([0.0; 3], [0.0; 3]);
+    let mut shown = Shown::default();
+    let (mut count, mut valid, mut below) = (0.0, 0.0, 0.0);
+    let (mut still, mut found) = (0.0, 0.0);
+    let mut waited = 0.0;
+    let mut origin: Option<[f64; 3]> = None;
+    for (number, (lasts, part)) in parts.iter().enumerate() {
+        let samples = (lasts * how.rate_hz).round();
+        let lasts = samples * step;
+        for k in 0..samples as usize {
+            let t = k as f64 * step;
+            let x = t / lasts;
+            let (p, v, a, now, rate) = match part {
+                Part::Move(way, turn) => {
+                    let s = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x);
+                    let d = 30.0 * x * x * (1.0 - x) * (1.0 - x) / lasts;
+                    let dd = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (lasts * lasts);
+                    (
+                        way.map(|w| w * s),
+                        way.map(|w| w * d),
+                        way.map(|w| w * dd),
+                        turned(axes, turn.map(|r| r * s)),
+                        turn.map(|r| r * d),
+                    )
+                }
+                Part::Push(from, to) => {
+                    let grows: [f64; 3] = std::array::from_fn(|i| (to[i] - from[i]) / lasts);
+                    (
+                        std::array::from_fn(|i| {
+                            t * (speed[i] + t * (from[i] / 2.0 + t * grows[i] / 6.0))
+                        }),
+                        std::array::from_fn(|i| speed[i] + t * (from[i] + t * grows[i] / 2.0)),
+                        std::array::from_fn(|i| from[i] + t * grows[i]),
+                        axes,
+                        [0.0; 3],
+                    )
+                }
+            };
+            let noise = random.normals(how.noise_mps2);
+            let white = random.normals(0.003);
+            let magnetic = random.normals(0.5);
+            let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
+            let force = [a[0], a[1], a[2] + G];
+            let age_s = count * step;
+            count += 1.0;
+            let fails = age_s >= 4.0 && age_s < 4.0 + how.fails_s;
+            if age_s >= 3.5 && age_s < 3.5 + how.hole_s {
+                waited += step;
+                continue;
+            }
+            let jump = if (age_s - 3.5).abs() < 0.5 * step {
+                how.jump_s
+            } else {
+                0.0
+            };
+            let since = if number == 0 && k == 0 {
+                0.0
+            } else {
+                step + waited + jump
+            };
+            waited = 0.0;
+            let sample = UnitSample {
+                step_s: since,
+                force_mps2: std::array::from_fn(|i| dot(now[i], force) + bias[i] + noise[i]),
+                field_ut: Some(std::array::from_fn(|i| dot(now[i], FIELD) + magnetic[i])),
+                rate_rad_s: (how.gyroscope && !fails)
+                    .then(|| std::array::from_fn(|i| rate[i] + offset[i] + white[i])),
+            };
+            let _ = filter.push(&sample);
+            let state = filter.state();
+            let truth: [f64; 3] = std::array::from_fn(|i| place[i] + p[i]);
+            let resting = v.iter().chain(&a).chain(&rate).all(|c| *c == 0.0);
+            if resting {
+                still += 1.0;
+                found += f64::from(u8::from(state.resting));
+            }
+            if state.resting && state.valid && number > 0 {
+                shown.unseen_m += state.unseen_mps * step;
+            }
+            if !(state.valid && state.position_sd_m() < 1.0) {
+                continue;
+            }
+            let from = *origin
+                .get_or_insert_with(|| std::array::from_fn(|i| truth[i] - state.position_m[i]));
+            let error: [f64; 3] = std::array::from_fn(|i| state.position_m[i] - truth[i] + from[i]);
+            // Truth is right to 1 mm.
+            let p = nalgebra::Matrix3::from_fn(|r, c| {
+                state.position_covariance[r][c] + if r == c { 1e-6 } else { 0.0 }
+            });
+            let e = nalgebra::Vector3::from(error);
+            let nees = p
+                .try_inverse()
+                .map_or(f64::INFINITY, |inverse| e.dot(&(inverse * e)));
+            valid += 1.0;
+            below += f64::from(u8::from(nees < 7.81));
+            for i in 0..3 {
+                let sd = p[(i, i)].sqrt().max(0.003);
+                let ratio = error[i].abs() / sd;
+                if ratio > shown.worst {
+                    (shown.worst, shown.off_m) = (ratio, e.norm());
+                }
+            }
+            shown.end_m = e.norm();
+        }
+        match part {
+            Part::Move(way, turn) => {
+                axes = turned(axes, *turn);
+                for i in 0..3 {
+                    place[i] += way[i];
+                    speed[i] = 0.0;
+                }
+            }
+            Part::Push(from, to) => {
+                for i in 0..3 {
+                    place[i] +=
+                        lasts * (speed[i] + lasts * (from[i] / 2.0 + (to[i] - from[i]) / 6.0));
+                    speed[i] += lasts * (from[i] + to[i]) / 2.0;
+                    if speed[i].abs() < 1e-12 {
+                        speed[i] = 0.0;
+                    }
+                }
+            }
+        }
+    }
+    shown.valid = valid / count;
+    shown.below = below / f64::max(valid, 1.0);
+    shown.rests = found / f64::max(still, 1.0);
+    shown
+}
+
+/// What many journeys of one kind show.
+pub struct Journeys {
+    name: String,
+    /// Mean share of valid samples.
+    pub valid: f64,
+    /// Of the valid samples, those with a NEES below 7.81; and the least of the seeds but for a tenth.
+    pub below: f64,
+    pub least: f64,
+    /// Median of each seed's greatest error in deviations, and the greatest.
+    pub worst: f64,
+    pub greatest: f64,
+    pub off_m: f64,
+    /// Medians.
+    pub unseen_m: f64,
+    pub end_m: f64,
+    pub rests: f64,
+}
+
+impl Journeys {
+    pub fn over(journey: Journey, how: Recorded, seeds: u64) -> Self {
+        let all: Vec<Shown> = (0..seeds).map(|seed| travel(journey, how, seed)).collect();
+        let sorted = |value: &dyn Fn(&Shown) -> f64| {
+            let mut all: Vec<f64> = all.iter().map(value).collect();
+            all.sort_by(f64::total_cmp);
+            all
+        };
+        let median = |value: &dyn Fn(&Shown) -> f64| sorted(value)[all.len() / 2];
+        let weight: f64 = all.iter().map(|s| s.valid).sum();
+        let below = all.iter().map(|s| s.valid * s.below).sum::<f64>();
+        let greatest = all.iter().max_by(|a, b| a.worst.total_cmp(&b.worst));
+        let greatest = greatest.copied().unwrap_or_default();
+        Self {
+            name: format!(
+                "{journey:?}{}{}{}{}",
+                if how.gyroscope { ", gyroscope" } else { "" },
+                if how.zupt { "" } else { ", no ZUPT" },
+                match (how.fails_s > 0.0, how.hole_s > 0.0, how.jump_s > 0.0) {
+                    (true, ..) => format!(", fails {} s", how.fails_s),
+                    (_, true, _) => format!(", hole {} s", how.hole_s),
+                    (.., true) => format!(", jump {} s", how.jump_s),
+                    _ => String::new(),
+                },
+                if how.rate_hz == 100.0 {
+                    String::new()
+                } else {
+                    format!(", {} Hz", how.rate_hz)
+                }
+            ),
+            valid: weight / all.len() as f64,
+            below: below / f64::max(weight, 1e-9),
+            least: sorted(&|s| s.below)[all.len() / 10],
+            worst: median(&|s| s.worst),
+            greatest: greatest.worst,
+            off_m: greatest.off_m,
+            unseen_m: median(&|s| s.unseen_m),
+            end_m: median(&|s| s.end_m),
+            rests: median(&|s| s.rests),
+        }
+    }
+}
+
+impl std::fmt::Display for Journeys {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{:<38} valid {:4.0} | below 7.81 {:4.0}, of a seed {:4.0} | {:6.1} {:6.1} sd ({:.3} m) | rests {:3.0} | end {:.3} | unseen {:.2} m",
+            self.name,
+            100.0 * self.valid,
+            100.0 * self.below,
+            100.0 * self.least,
+            self.worst,
+            self.greatest,
+            self.off_m,
+            100.0 * self.rests,
+            self.end_m,
+            self.unseen_m
+        )
+    }
+}

@@ -32,17 +32,17 @@ impl Visits {
         };
         for (k, pose) in poses.iter().enumerate() {
             let up = direction(pose);
-            let group = match visits.alike(up) {
-                Ok(group) => group,
-                Err(nearest) => match visits.first.get_mut(visits.count) {
+            let group = visits.alike(up).unwrap_or_else(|| {
+                let new = visits.count;
+                match visits.first.get_mut(new) {
                     Some(place) => {
                         *place = up;
                         visits.count += 1;
-                        visits.count - 1
+                        new
                     }
-                    None => nearest,
-                },
-            };
+                    None => visits.nearest(up),
+                }
+            });
             if let Some(place) = visits.group.get_mut(k) {
                 *place = group as u8;
             }
@@ -64,26 +64,35 @@ impl Visits {
     pub fn group(&self, k: usize, pose: &Pose) -> usize {
         match self.group.get(k) {
             Some(&group) => usize::from(group),
-            None => self
-                .alike(direction(pose))
-                .unwrap_or_else(|nearest| nearest),
+            None => {
+                let up = direction(pose);
+                self.alike(up).unwrap_or_else(|| self.nearest(up))
+            }
         }
     }
 
-    /// The first group that is alike, or else the nearest.
-    fn alike(&self, up: [f32; 3]) -> Result<usize, usize> {
+    /// The first group that is alike.
+    #[inline(always)]
+    fn alike(&self, up: [f32; 3]) -> Option<usize> {
+        let known = self.first.get(..self.count)?;
+        known.iter().position(|first| cosine(up, *first) > ALIKE)
+    }
+
+    fn nearest(&self, up: [f32; 3]) -> usize {
         let mut nearest = (f32::NEG_INFINITY, 0);
-        for (group, first) in self.first.iter().take(self.count).enumerate() {
-            let cosine = up[0] * first[0] + up[1] * first[1] + up[2] * first[2];
-            if cosine > ALIKE {
-                return Ok(group);
-            }
+        for (group, first) in self.first.iter().enumerate() {
+            let cosine = cosine(up, *first);
             if cosine > nearest.0 {
                 nearest = (cosine, group);
             }
         }
-        Err(nearest.1)
+        nearest.1
     }
+}
+
+#[inline(always)]
+fn cosine(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 fn direction(pose: &Pose) -> [f32; 3] {

@@ -37,6 +37,8 @@ const MAX_PRODUCTS: usize = 200_000_000;
 const MIN_RATE_OVERLAP_S: f64 = 9.0;
 /// Clocks farther apart than this are not compared.
 const MAX_RATE: f64 = 0.01;
+/// Straight lines between rows know a moment to this part of the time between them, at best.
+const BETWEEN_ROWS: f64 = 0.02;
 /// What is left is the same for so long, s: its parts are taken for independent beyond.
 const CLUSTER_S: f64 = 1.0;
 
@@ -183,6 +185,9 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
             .refined(&a, &b, (start, end), step, has_rate)
             .unwrap_or(fit);
     }
+    let between_s = BETWEEN_ROWS * step;
+    fit.sd[0] = fit.sd[0].hypot(between_s);
+    fit.sd[1] = fit.sd[1].hypot(between_s * 12.0_f64.sqrt() / (end - start));
     let rate = has_rate.then_some((fit.rate, fit.sd[1]));
     let offset_s = fit.offset_s;
     // Any two devices: nobody says which is the noisier.

@@ -18,8 +18,6 @@ const ACCELERATION_TIME_S: f64 = 0.2;
 const SQUARE_TIME_S: f64 = 0.134;
 /// Tilt variance beyond which second order says no more, rad².
 const SQUARE_MOST: f64 = 0.25;
-/// The square of the acceleration's integral is, in space, at most so many of its mean squares.
-const LASTING: f64 = 12.0;
 /// Acceleration that is seen at rest, m/s², and angular rate, rad/s.
 const REST_MPS2: f64 = 0.02;
 const REST_RAD_S: f64 = 1e-3;
@@ -170,14 +168,7 @@ impl<R: Real> UnitFilter<R> {
         }
         self.cov.couple(PHI, OMEGA, &turned);
         // The acceleration swings: a half step, a whole one, in this order.
-        let mut pull = -dt * self.manner.swing();
-        if rated {
-            // With an angular rate a push that lasts longer than the manner has it is still seen to be one.
-            let (gone, usual) = (self.part(SWING), self.manner.acceleration());
-            if dot(gone, gone) * self.manner.swing() > R::from_f64(LASTING) * usual * usual {
-                pull = R::default();
-            }
-        }
+        let pull = -dt * self.manner.swing();
         self.cov.couple_by(ACCELERATION, SWING, pull);
         self.cov.couple_by(SWING, ACCELERATION, dt);
         let swing = self.part(SWING);

@@ -413,3 +413,68 @@ fn no_sample_makes_it_panic_or_forget_its_numbers() {
         );
     }
 }
+
+#[test]
+fn speed_that_a_push_left_is_doubted_at_what_looks_like_a_rest_after_it() {
+    let mut random = Random(21);
+    let mut filter = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
+    hold(&mut filter, &mut random, 150);
+    let start = filter.state().position_m;
+    assert_eq!(filter.doubtful(), 0);
+    // To 2 m/s within half a second, and on for three.
+    let mut way = 0.0;
+    for k in 0..350 {
+        let push = if k < 50 { 4.0 } else { 0.0 };
+        let clean = outputs(&board(), [0.0; 3], [0.0; 3], [push, 0.0, G]);
+        let speed = 2.0 * (f64::from(k) / 50.0).min(1.0);
+        way += speed * DT;
+        filter
+            .push(DT, &clean.map(|v| v + NOISE * random.normal()))
+            .unwrap();
+    }
+    let state = filter.state();
+    let error = norm(minus(minus(state.position_m, start), [way, 0.0, 0.0]));
+    assert!(
+        error < 3.0 * state.position_sd_m(),
+        "{error} m of {}",
+        state.position_sd_m()
+    );
+    assert_eq!(filter.doubtful(), 1);
+}
+
+#[test]
+fn when_a_sample_was_taken_and_how_it_fits_is_in_the_covariance() {
+    let late = ArrayConfig {
+        time_sd_s: 2e-3,
+        ..config(true)
+    };
+    let exact = ArrayConfig {
+        time_sd_s: 0.0,
+        ..config(true)
+    };
+    let [mut late, mut exact] =
+        [late, exact].map(|c| ArrayFilter::<f64, 24>::new(board(), c).unwrap());
+    let mut random = Random(22);
+    let mut push = |rate: [f64; 3], turn: [f64; 3], force: [f64; 3]| {
+        let clean = outputs(&board(), rate, turn, force);
+        let y = clean.map(|v| v + NOISE * random.normal());
+        late.push(DT, &y).unwrap();
+        exact.push(DT, &y).unwrap();
+        (late.state(), exact.state())
+    };
+    for _ in 0..100 {
+        push([0.0; 3], [0.0; 3], [0.0, 0.0, G]);
+    }
+    let mut states = push([0.0; 3], [0.0; 3], [0.0, 0.0, G]);
+    for k in 0..50 {
+        let t = f64::from(k) * DT;
+        states = push([20.0 * t, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 0.0, G]);
+    }
+    let (late, exact) = states;
+    let more = late.rate_covariance[0][0] - exact.rate_covariance[0][0];
+    let by = 2e-3 * late.angular_acceleration_rad_s2[0];
+    assert!((more - by * by).abs() < 1e-9, "{more} {by}");
+    // A turn from one sample to the next that nothing announced.
+    let (_, surprised) = push([-12.0, 9.0, 0.0], [0.0; 3], [0.0, 0.0, G]);
+    assert!(rate_sd(&surprised) > 2.0 * rate_sd(&exact));
+}

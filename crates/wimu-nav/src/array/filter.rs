@@ -7,10 +7,10 @@ use core::fmt;
 use super::geometry::{Geometry, GeometryError};
 use super::hypothesis::{
     Candidate, FORCE_BIAS, Hypothesis, MEASURED, Noise, OMEGA, PHI, POSITION, STATES, TURN,
-    TURN_BIAS, TURNING, VELOCITY, View, Z_BIAS, block, couple, part, quaternion, r,
-    scaled_identity,
+    TURN_BIAS, TURNING, VELOCITY, View, WEIGHT_FREEDOM, Z_BIAS, block, couple, dot, part,
+    quaternion, r, scaled_identity,
 };
-use super::matrix::{product, rotation};
+use super::matrix::{product, rotation, times};
 use super::monitor::{Array, Dropped};
 use super::solver::{ArraySolver, Linear, Roots};
 use crate::Real;
@@ -64,6 +64,11 @@ pub struct ArrayConfig {
     pub bias_walk: f64,
     /// Error of s that the outputs do not show (scale, vibration), m/s² in each sample.
     pub force_noise_mps2: f64,
+    /// Error of the axes' scale and direction, as a part: that of gravity enters the biases anew with each
+    /// radian that the body turns, a third of its square on each axis.
+    pub scale_error: f64,
+    /// How well the time is known to which a sample belongs, s: a chip's low pass delays it by 1 to 2 ms.
+    pub time_sd_s: f64,
 }
 
 impl Default for ArrayConfig {
@@ -75,6 +80,8 @@ impl Default for ArrayConfig {
             bias_mps2: 0.02,
             bias_walk: 1e-4,
             force_noise_mps2: 0.05,
+            scale_error: 0.0,
+            time_sd_s: 1e-3,
         }
     }
 }
@@ -189,7 +196,15 @@ pub struct ArrayFilter<R, const M: usize> {
     valid: bool,
     /// It began without a rest, and none has come yet.
     moving_start: bool,
+    /// How long it rests by now, and the mean square of the speed at which it may move evenly instead, where
+    /// that is likely.
+    rested_s: f64,
+    doubt_mps2: f64,
+    unseen_mps: f64,
+    doubtful: u32,
     astray: u32,
+    /// What the last sample says of the covariance: 1, or more where it fits badly.
+    surprise: f64,
 }
 
 impl<R: Real, const M: usize> ArrayFilter<R, M> {
@@ -212,7 +227,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             started: false,
             valid: false,
             moving_start: false,
+            rested_s: 0.0,
+            doubt_mps2: 0.0,
+            unseen_mps: 0.0,
+            doubtful: 0,
             astray: 0,
+            surprise: 1.0,
         })
     }
 
@@ -291,7 +311,11 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             hypothesis.advance(step, linear, self.array.solver(), &noise, &self.config);
         }
         if self.resting() && self.config.zupt {
+            self.doubt_rest(step);
             self.rest(step);
+        } else {
+            self.rested_s = 0.0;
+            self.doubt_mps2 = 0.0;
         }
         self.merge();
     }
@@ -346,6 +370,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 
     /// A sample without a usable output: ω goes on as it was.
     fn carry(&mut self, step: f64) {
+        self.surprise = 1.0;
         let noise = Noise {
             factor: r(1.0),
             fast: r(1.0),
@@ -374,8 +399,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let arm = self.array.solver().arm_m();
         let walk = TURN_WALK_AT_REST * TURN_WALK_AT_REST + TURN_WALK * TURN_WALK * self.activity;
         let stray = VIBRATION_RATE * VIBRATION_RATE * noise.vibration.to_f64() / (arm * arm);
-        let bias = self.config.bias_walk * self.config.bias_walk * step
-            / self.array.solver().variance_mps2().to_f64();
+        let walk2 = self.config.bias_walk * self.config.bias_walk * step;
+        let misread = self.config.scale_error * self.config.gravity_mps2;
+        let noise2 = self.array.solver().variance_mps2().to_f64();
         let rank = self.array.solver().rank();
         let covariance = *self.array.solver().covariance();
         for hypothesis in self.hypotheses.iter_mut().flatten() {
@@ -384,6 +410,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let turn = part(&hypothesis.mean, TURN);
             let rate = part(&hypothesis.mean, OMEGA);
             let by: [R; 3] = core::array::from_fn(|i| (rate[i] + turn[i] * half) * dt);
+            let turned = libm::sqrt(dot(&by, &by).to_f64());
+            let bias = (walk2 + misread * misread * turned / 3.0) / noise2;
             let attitude = hypothesis.attitude;
             hypothesis.attitude = product(&attitude, &rotation(by));
             let cov = &mut hypothesis.cov;
@@ -445,6 +473,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             return;
         };
         let least = best.weight - GIVEN_UP;
+        let freedom = self.array.solver().rank() as f64 + 3.0;
+        self.surprise = ((WEIGHT_FREEDOM + best.misfit) / (WEIGHT_FREEDOM + freedom)).max(1.0);
         let solver = self.array.solver();
         let before = self.hypotheses;
         self.hypotheses = [None; MOST];
@@ -607,15 +637,28 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let (Some(all), Some(best)) = (all, &self.hypotheses[0]) else {
             return state;
         };
-        state.rate_rad_s = part(&all.mean, OMEGA);
-        state.rate_covariance = block(&all.cov, OMEGA, OMEGA);
-        state.angular_acceleration_rad_s2 = part(&all.mean, TURN);
+        let (rate, turn) = (part(&all.mean, OMEGA), part(&all.mean, TURN));
+        let velocity = part(&all.mean, VELOCITY);
+        // Equation (102).
+        let at_time = |at: usize, change: [R; 3], surprise: f64| {
+            let (scale, late) = (r::<R>(surprise), r::<R>(self.config.time_sd_s));
+            let mut covariance = block(&all.cov, at, at);
+            for (i, row) in covariance.iter_mut().enumerate() {
+                for (j, value) in row.iter_mut().enumerate() {
+                    *value = *value * scale + change[i] * late * change[j] * late;
+                }
+            }
+            covariance
+        };
+        state.rate_rad_s = rate;
+        state.rate_covariance = at_time(OMEGA, turn, self.surprise);
+        state.angular_acceleration_rad_s2 = turn;
         state.quaternion = quaternion(&all.attitude);
-        state.attitude_covariance = block(&all.cov, PHI, PHI);
-        state.velocity_mps = part(&all.mean, VELOCITY);
-        state.velocity_covariance = block(&all.cov, VELOCITY, VELOCITY);
+        state.attitude_covariance = at_time(PHI, times(&all.attitude, &rate), 1.0);
+        state.velocity_mps = velocity;
+        state.velocity_covariance = at_time(VELOCITY, all.acceleration, 1.0);
         state.position_m = part(&all.mean, POSITION);
-        state.position_covariance = block(&all.cov, POSITION, POSITION);
+        state.position_covariance = at_time(POSITION, velocity, 1.0);
         state.certainty = r(libm::exp(best.weight));
         state
     }
@@ -624,6 +667,18 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     /// long as places, sensitivity and noise are this array's.
     pub fn astray(&self) -> u32 {
         self.astray
+    }
+
+    /// Rests at which the speed was not likely to be zero: it may have gone on evenly, and the position is as
+    /// uncertain as that.
+    pub fn doubtful(&self) -> u32 {
+        self.doubtful
+    }
+
+    /// The fastest even motion that would have looked like the rests, m/s: three standard deviations of the
+    /// speed before one was taken for zero velocity. It is not in any covariance.
+    pub fn unseen_mps(&self) -> f64 {
+        self.unseen_mps
     }
 
     /// Biases of the likeliest hypothesis and their standard deviations: of ω̇ (rad/s²), of s (m/s²),

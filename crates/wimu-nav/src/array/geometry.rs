@@ -126,10 +126,24 @@ impl<const M: usize> Geometry<M> {
 
 impl Geometry<6> {
     /// Six single axes at the centres of a cube's faces, each along a diagonal of its face, after
-    /// Chen, Lee & DeBra, equation (76). `side_m` is the length of the cube's side.
+    /// Chen, Lee & DeBra: θ of (71) is their closed form. `side_m` is the length of the cube's side.
     ///
     /// # Errors
     /// As [`Geometry::from_axes`], for a side or noise that is not positive and finite.
+    ///
+    /// ```
+    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    ///
+    /// let solver = ArraySolver::<f64, 6>::new(&Geometry::chen_cube(0.1, 0.01)?)?;
+    /// // Turned faster and faster about z, 5 rad/s²: the axes on top and below it feel nothing, the others
+    /// // 0.05 m · 5 rad/s² / √2.
+    /// let felt = 0.05 * 5.0 / 2_f64.sqrt();
+    /// let linear = solver.reduce(&[0.0, felt, -felt, felt, -felt, 0.0]);
+    /// assert_eq!(solver.roots(), Roots::None); // no angular rate: integrate ω̇
+    /// let turn = solver.theta(&linear, [0.0; 3]);
+    /// assert!((turn[2] - 5.0).abs() < 1e-9 && turn[0].abs() < 1e-9);
+    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// ```
     pub fn chen_cube(side_m: f64, noise_mps2: f64) -> Result<Self, GeometryError> {
         let half = side_m / 2.0;
         let axis = |place: [f64; 3], direction: [f64; 3]| Axis {
@@ -154,6 +168,14 @@ impl Geometry<12> {
     ///
     /// # Errors
     /// As [`Geometry::from_axes`], for an arm or noise that is not positive and finite.
+    ///
+    /// ```
+    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    ///
+    /// let solver = ArraySolver::<f64, 12>::new(&Geometry::four_triads(0.02, 0.01)?)?;
+    /// assert_eq!(solver.roots(), Roots::Two);
+    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// ```
     pub fn four_triads(arm_m: f64, noise_mps2: f64) -> Result<Self, GeometryError> {
         let p = arm_m / libm::sqrt(3.0);
         Self::from_triads(&[
@@ -165,12 +187,50 @@ impl Geometry<12> {
     }
 }
 
+impl Geometry<18> {
+    /// Six triads on the axes, `arm_m` from the origin, in the order +x, −x, +y, −y, +z, −z: alike in all
+    /// directions.
+    ///
+    /// # Errors
+    /// As [`Geometry::from_axes`], for an arm or noise that is not positive and finite.
+    ///
+    /// ```
+    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    ///
+    /// let solver = ArraySolver::<f32, 18>::new(&Geometry::octahedron(0.01, 0.01)?)?;
+    /// assert_eq!(solver.roots(), Roots::Two);
+    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// ```
+    pub fn octahedron(arm_m: f64, noise_mps2: f64) -> Result<Self, GeometryError> {
+        let triad = |k: usize| {
+            let mut place = [0.0; 3];
+            if let Some(along) = place.get_mut(k / 2) {
+                *along = if k.is_multiple_of(2) { arm_m } else { -arm_m };
+            }
+            Triad::aligned(place, noise_mps2)
+        };
+        Self::from_triads(&core::array::from_fn::<Triad, 6, _>(triad))
+    }
+}
+
 impl Geometry<24> {
     /// Eight triads on both sides of a square board: pairs at its corners (±`half_side_m`,
     /// ±`half_side_m`), `half_thickness_m` above and below in turn, as on a MIMU4444 board.
     ///
     /// # Errors
     /// As [`Geometry::from_axes`], for lengths or noise that are not positive and finite.
+    ///
+    /// ```
+    /// use wimu_nav::array::{ArraySolver, Geometry, Roots};
+    ///
+    /// let board = Geometry::eight_triads_board(0.02, 0.001, 0.01)?;
+    /// let solver = ArraySolver::<f32, 24>::new(&board)?;
+    /// assert_eq!((solver.roots(), solver.rank()), (Roots::Two, 6));
+    /// // All in one plane: a turn and its mirror image at the board look alike, too.
+    /// let flat = ArraySolver::<f32, 24>::new(&Geometry::eight_triads_board(0.02, 0.0, 0.01)?)?;
+    /// assert_eq!((flat.roots(), flat.rank()), (Roots::Four, 3));
+    /// # Ok::<(), wimu_nav::array::GeometryError>(())
+    /// ```
     pub fn eight_triads_board(
         half_side_m: f64,
         half_thickness_m: f64,

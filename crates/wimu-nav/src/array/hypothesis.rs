@@ -29,7 +29,7 @@ const SAME: f64 = 1.0;
 const REACH: f64 = 60.0;
 /// Degrees of freedom of the t-distribution by which hypotheses are weighed: outliers must not
 /// decide.
-const WEIGHT_FREEDOM: f64 = 10.0;
+pub(super) const WEIGHT_FREEDOM: f64 = 10.0;
 const MOST_STEPS: usize = 12;
 
 /// One history of the body that fits what was measured.

@@ -158,19 +158,29 @@ pub fn bench(data: &Path) {
             &moved,
         );
     }
-    let mut nees: Vec<f64> = scored
-        .iter()
-        .map(|k| {
-            let error = std::array::from_fn(|i| as_found[*k].rate_rad_s[i] - truth[*k][i]);
-            wimu_host::motion::nees(error, as_found[*k].rate_covariance)
-        })
-        .collect();
-    nees.sort_by(f64::total_cmp);
-    let below = nees.iter().filter(|n| **n < 7.81).count();
-    println!(
-        "NEES of the filter's rate: median {:.2} (2.37 is right), below 7.81 in {:.0} % (95 is right)",
-        nees[nees.len() / 2],
-        100.0 * below as f64 / nees.len() as f64
+    let consistency = |name: &str, states: &[ArrayState<f64>], truth: &[[f64; 3]]| {
+        let mut nees: Vec<f64> = scored
+            .iter()
+            .map(|k| {
+                let error = std::array::from_fn(|i| states[*k].rate_rad_s[i] - truth[*k][i]);
+                wimu_host::motion::nees(error, states[*k].rate_covariance)
+            })
+            .collect();
+        nees.sort_by(f64::total_cmp);
+        let below = nees.iter().filter(|n| **n < 7.81).count();
+        println!(
+            "NEES of the rate, {name}: median {:.2} (2.37 is right), below 7.81 in {:.0} % (95 is right)",
+            nees[nees.len() / 2],
+            100.0 * below as f64 / nees.len() as f64
+        );
+    };
+    consistency("places as drawn", &as_drawn, &truth);
+    consistency("places as found", &as_found, &truth);
+    let moved = interpolated(&truth, 1.5e-3 / period);
+    consistency(
+        "places as drawn, gyroscopes taken 1.5 ms earlier",
+        &as_drawn,
+        &moved,
     );
 }
 

@@ -91,7 +91,20 @@ pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Res
             geometry.sensors.len(),
             recording.sensors()
         ),
-        "give the geometry of this array",
+        format!(
+            "give one line with the place of each sensor, in their order: {}",
+            if geometry.sensors.len() < recording.sensors() {
+                format!(
+                    "the places from sensor {} (from 0) on are missing",
+                    geometry.sensors.len()
+                )
+            } else {
+                format!(
+                    "columns from `Accelerometer {} X` on are missing, or leave lines out",
+                    recording.sensors()
+                )
+            }
+        ),
     )
     .at(&recording.name))
 }
@@ -276,6 +289,11 @@ fn filtered<const M: usize>(
         "samples at rests at which velocity or attitude were not what the path said: it is off by more than \
          its deviation; check the size of the places and the sensitivity",
     );
+    remark(
+        filter.doubtful() as usize,
+        "rests at which the speed was not likely to be zero: the position is as uncertain as if it had gone on \
+         evenly",
+    );
     for (sensor, count) in without.iter().enumerate() {
         if calibration.uses(sensor) {
             remark(
@@ -285,6 +303,13 @@ fn filtered<const M: usize>(
                 ),
             );
         }
+    }
+    if zupt && filter.unseen_mps() > 0.0 {
+        remarks.push(format!(
+            "what looked like a rest was taken for one: even motion below {:.2} m/s would have looked the same, and \
+             is in no deviation; --zupt off takes nothing for a rest",
+            filter.unseen_mps()
+        ));
     }
     Ok((states, remarks))
 }

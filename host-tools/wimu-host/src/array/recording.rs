@@ -96,12 +96,15 @@ impl ArrayRecording {
         let mut recording = Self::interpolated(&series, times_s);
         recording.name = names.join(", ");
         for (board, series) in boards.iter().zip(&series) {
-            recording.remarks.push(format!(
-                "{}: {:.2} Hz, its clock known to {:.0} µs",
-                board.name,
-                1.0 / series.period_s,
-                board.clock_sd_s * 1e6
-            ));
+            let clock = match board.clock_sd_s {
+                Some(sd) => format!("its clock known to {:.0} µs", sd * 1e6),
+                None => "its times are taken as the table has them: nothing tells how far its clock is off"
+                    .to_owned(),
+            };
+            let rate = 1.0 / series.period_s;
+            recording
+                .remarks
+                .push(format!("{}: {rate:.2} Hz, {clock}", board.name));
             if board.without_unit > 0 {
                 recording.remarks.push(format!(
                     "{}: {} samples left out: the range may have changed, and the epoch that tells is lost",
@@ -110,11 +113,18 @@ impl ArrayRecording {
             }
         }
         let jerk = recording.jerk_rms();
-        let clock = boards.iter().map(|b| b.clock_sd_s).fold(0.0, f64::max);
-        recording.remarks.push(format!(
-            "at the motion's jerk of {jerk:.0} m/s³ the clocks add up to {:.3} m/s²",
-            jerk * clock
-        ));
+        let clocks: Option<Vec<f64>> = boards.iter().map(|b| b.clock_sd_s).collect();
+        recording.remarks.push(match clocks {
+            Some(clocks) => format!(
+                "at the motion's jerk of {jerk:.0} m/s³ the clocks add up to {:.3} m/s²",
+                jerk * clocks.into_iter().fold(0.0, f64::max)
+            ),
+            None => format!(
+                "at the motion's jerk of {jerk:.0} m/s³ each ms by which a clock is off adds {:.3} m/s², which no \
+                 deviation says; `--refine` finds constant delays",
+                jerk * 1e-3
+            ),
+        });
         Ok(recording.judged())
     }
 
@@ -420,8 +430,8 @@ pub struct Board {
     pub values: Vec<[f64; 3]>,
     /// Whether an axis was at its limit.
     pub saturated: Vec<bool>,
-    /// Standard deviation of the times, s: common to all of them, for the most part.
-    pub clock_sd_s: f64,
+    /// Standard deviation of the times, s: common to all of them, for the most part. `None` of a table.
+    pub clock_sd_s: Option<f64>,
     /// Raw samples left out because the range may have changed there and no epoch tells.
     pub without_unit: usize,
 }
@@ -454,7 +464,7 @@ impl Board {
                 times_s: recording.times_s,
                 values: recording.outputs.iter().map(|row| row[0]).collect(),
                 saturated: recording.saturated.iter().map(|s| *s != 0).collect(),
-                clock_sd_s: 0.0,
+                clock_sd_s: None,
                 without_unit: 0,
             });
         }
@@ -508,7 +518,7 @@ impl Board {
             times_s: Vec::with_capacity(chosen.len()),
             values: Vec::with_capacity(chosen.len()),
             saturated: Vec::with_capacity(chosen.len()),
-            clock_sd_s: boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9,
+            clock_sd_s: Some(boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9),
             without_unit: 0,
         };
         for sample in chosen {

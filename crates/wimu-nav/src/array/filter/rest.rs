@@ -1,7 +1,7 @@
 //! Rests of an array: the first attitude, and what a rest says.
 
 use super::super::hypothesis::{
-    FORCE_BIAS, Hypothesis, OMEGA, PHI, STATES, TURN, VELOCITY, dot, r,
+    FORCE_BIAS, Hypothesis, OMEGA, PHI, POSITION, STATES, TURN, VELOCITY, dot, r,
 };
 use super::super::matrix::cross_matrix;
 use super::super::solver::Linear;
@@ -25,6 +25,9 @@ const REST_FORCE_MPS2: f64 = 0.02;
 /// Without a rest at the start: standard deviations of velocity, m/s, and tilt, rad.
 const START_SPEED_MPS: f64 = 10.0;
 const START_TILT_RAD: f64 = 1.0;
+
+/// A speed beyond so many variances at the beginning of a rest may be an even motion's.
+const DOUBTFUL: f64 = 9.0;
 
 /// A rest's departure beyond so many variances shows that the covariance is wrong.
 const ASTRAY: f64 = 50.0;
@@ -152,6 +155,37 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     pub(super) fn forget_biases(&mut self) {
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             hypothesis.begin_biases(self.array.solver(), self.config.bias_mps2);
+        }
+    }
+
+    /// Even motion shows as a rest does. Where the speed was not likely to be zero, the position is as
+    /// uncertain as if it went on; what it may have been in any case is kept.
+    pub(super) fn doubt_rest(&mut self, step: f64) {
+        if self.rested_s == 0.0
+            && self.valid
+            && let Some(best) = &self.hypotheses[0]
+        {
+            let (mut squares, mut most) = (0.0, 0.0_f64);
+            for i in VELOCITY..VELOCITY + 3 {
+                let (speed, variance) = (best.mean[i].to_f64(), best.cov[i][i].to_f64().abs());
+                if speed * speed > DOUBTFUL * variance {
+                    squares += speed * speed;
+                }
+                most = most.max(variance);
+            }
+            self.unseen_mps = self.unseen_mps.max(libm::sqrt(DOUBTFUL * most));
+            self.doubt_mps2 = squares / 3.0;
+            if squares > REST_SPEED_MPS * REST_SPEED_MPS * DOUBTFUL {
+                self.doubtful = self.doubtful.saturating_add(1);
+            }
+        }
+        let before = self.rested_s;
+        self.rested_s += step;
+        let more = self.doubt_mps2 * (self.rested_s * self.rested_s - before * before);
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            for i in POSITION..POSITION + 3 {
+                hypothesis.cov[i][i] += r(more);
+            }
         }
     }
 

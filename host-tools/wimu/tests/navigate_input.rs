@@ -236,3 +236,56 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
         "{failure}"
     );
 }
+
+#[test]
+fn what_rests_assume_is_told_and_clipped_samples_are_doubted() {
+    let folder = folder();
+    let header = format!("{FORCE}{RATE}{TRUTH}");
+    // Pushed to 0.02 m/s within 1 s, then 20 s evenly: no rest ends, and nothing shows it.
+    let mut samples = moves(0.0, 8.0);
+    let mut x = 0.0;
+    for sample in &mut samples {
+        let tau = (sample.t - 4.0).clamp(0.0, 1.0);
+        sample.force[0] += 0.04 * (std::f64::consts::PI * tau).sin().powi(2);
+        x += 0.01 * 0.02 * (tau - (std::f64::consts::TAU * tau).sin() / std::f64::consts::TAU);
+        sample.x = x;
+    }
+    let last = samples.last().map_or(0.0, |s| s.x);
+    let csv = write(folder.path(), &header, &samples);
+    for method in ["strapdown", "tilt"] {
+        let said = wimu(&["navigate", &csv, "--method", method]).succeeds();
+        let off = (number(&said, "/final_position_m/0") - last).abs();
+        assert!(number(&said, "/stillness/unseen_m") > off, "{said}");
+        assert!(number(&said, "/stillness/unseen_m_s") > 0.02, "{said}");
+        let off = wimu(&["navigate", &csv, "--method", method, "--zupt", "off"]).succeeds();
+        assert!(off["stillness"].is_null(), "{off}");
+    }
+    // A knock beyond 2 g.
+    let mut samples = moves(0.4, 1.0);
+    for sample in &mut samples[250..256] {
+        sample.force[0] = 2.0 * G;
+    }
+    let said = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
+    assert!(remarks(&said).contains("clips in 6 samples"), "{said}");
+    assert!(number(&said, "/valid_share") < 0.95, "{said}");
+}
+
+#[test]
+fn a_short_failure_of_the_gyroscope_is_bridged_and_said() {
+    let folder = folder();
+    let samples = moves(0.4, 1.0);
+    let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
+    let text = fs::read_to_string(&csv).unwrap();
+    let cut = |(k, line): (usize, &str)| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if (241..261).contains(&k) {
+            cells[4..7].fill("");
+        }
+        cells.join(",") + "\n"
+    };
+    fs::write(&csv, text.lines().enumerate().map(cut).collect::<String>()).unwrap();
+    let said = wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds();
+    assert!(remarks(&said).contains("missing in 20 samples"), "{said}");
+    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    assert!(number(&said, "/valid_share") > 0.8, "{said}");
+}

@@ -95,6 +95,9 @@ pub struct PathPoint {
     pub covariance_m2: [[f64; 3]; 3],
     /// Whether it is taken to rest: never with ZUPT off.
     pub resting: bool,
+    /// The speed at which it might be moved evenly there and that would not show, m/s; `None` where that is not
+    /// known, and elsewhere.
+    pub unseen_mps: Option<f64>,
     /// Whether the position is of use: known to the limit, no gap since the last rest.
     pub valid: bool,
 }
@@ -123,6 +126,19 @@ pub struct Horizon {
     pub since_rest_s: Option<f64>,
     /// Whether it ends for another reason than the limit: after a gap, or a move that is none.
     pub lost: bool,
+}
+
+/// What is taken for rests in a path, and what that assumes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stillness {
+    /// How many there are, and for how long, s.
+    pub rests: usize,
+    /// For how long in all, s.
+    pub lasted_s: f64,
+    /// The largest speed at which the unit might have been moved evenly there and that would not show, m/s.
+    pub unseen_mps: f64,
+    /// How far the position would be off then: the sum of that speed times how long, m.
+    pub unseen_m: f64,
 }
 
 /// A move between two rests of a path.
@@ -203,7 +219,9 @@ impl InertialPath {
         let moving = known[..=end].windows(2).filter(|w| !w[1].resting);
         let rest = known[..end].iter().rfind(|p| p.resting);
         Some(Horizon {
-            moving_s: moving.map(|w| w[1].time_s - w[0].time_s).sum(),
+            moving_s: moving
+                .map(|w| w[1].time_s - w[0].time_s)
+                .fold(0.0, |a, b| a + b),
             at_s,
             since_rest_s: rest.map(|p| at_s - p.time_s),
             lost: lost(&known[end]),
@@ -213,6 +231,25 @@ impl InertialPath {
     /// After how many seconds of motion that is: [`Horizon::moving_s`].
     pub fn horizon_s(&self, limit_m: f64) -> Option<f64> {
         Some(self.horizon(limit_m)?.moving_s)
+    }
+
+    /// What is taken for rests: `None` with ZUPT off, or where the method does not tell.
+    pub fn stillness(&self) -> Option<Stillness> {
+        let mut found = Stillness::default();
+        for pair in self.points.windows(2) {
+            let (before, now) = (&pair[0], &pair[1]);
+            let Some(speed) = now.unseen_mps else {
+                continue;
+            };
+            let step = now.time_s - before.time_s;
+            if !before.resting || found.rests == 0 {
+                found.rests += 1;
+            }
+            found.lasted_s += step;
+            found.unseen_mps = found.unseen_mps.max(speed);
+            found.unseen_m += speed * step;
+        }
+        (found.rests > 0).then_some(found)
     }
 
     /// Share of the points that are valid.
@@ -311,14 +348,23 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             if method == Method::Strapdown {
                 wrong = rates::checked(recording)?;
             }
-            let holes = rates::filled(&recording.times_s, &mut samples);
+            let holes = rates::holes(&samples);
             let config = UnitConfig {
                 gravity_mps2: recording.gravity_at_first_rest(),
+                bias_mps2: senses.bias_mps2,
                 zupt: choice.zupt,
                 drift: choice.drift,
                 ..UnitConfig::default()
             };
-            let mut path = filter(&recording.times_s, &samples, &holes, config, choice, method);
+            let mut path = filter(
+                &recording.times_s,
+                &samples,
+                &holes,
+                &senses.clipped,
+                config,
+                choice,
+                method,
+            );
             path.remarks.extend(wrong);
             path
         }
@@ -427,6 +473,7 @@ pub fn navigate_array(
                 rate_rad_s: state.rate_rad_s,
                 covariance_m2: state.position_covariance,
                 resting: choice.zupt && state.resting,
+                unseen_mps: None,
                 valid: state.valid && state.position_sd_m() <= choice.limit_m,
             })
             .collect(),
@@ -506,6 +553,7 @@ fn filter(
     times_s: &[f64],
     samples: &[UnitSample],
     holes: &[Range<usize>],
+    clipped: &[usize],
     config: UnitConfig,
     choice: &Choice,
     method: Method,
@@ -514,11 +562,8 @@ fn filter(
     let (mut gaps, mut bad, mut backwards) = (0, 0, 0);
     let (mut begun, mut moved) = (false, false);
     let mut points = Vec::with_capacity(samples.len());
-    let mut next_holes = holes.iter().peekable();
     for (k, (sample, time_s)) in samples.iter().zip(times_s).enumerate() {
-        next_holes.next_if(|hole| hole.end <= k);
-        // Without the angular rate attitude is not known, and so no way.
-        if next_holes.peek().is_some_and(|hole| hole.contains(&k)) {
+        if clipped.binary_search(&k).is_ok() {
             filter.interrupt(sample.step_s);
         } else {
             match filter.push(sample) {
@@ -541,6 +586,7 @@ fn filter(
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,
             resting: choice.zupt && state.resting,
+            unseen_mps: (choice.zupt && state.resting).then_some(state.unseen_mps),
             valid: state.valid && known,
         });
     }
@@ -566,6 +612,14 @@ fn filter(
     remark(
         filter.state().even,
         "updates at what looked like a rest while the velocity was not zero: even motion, or a wrong velocity",
+    );
+    remark(
+        filter.state().pushed,
+        "tenths of a second it seemed to rest and was pushed evenly: no rest",
+    );
+    remark(
+        filter.state().holes,
+        "times samples were missing, or time jumped, for less than 0.25 s: doubted as the motion there is strong",
     );
     remark(
         filter.state().disturbed,

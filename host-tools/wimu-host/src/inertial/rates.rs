@@ -21,39 +21,45 @@ const OPEN_RAD: f64 = 0.15;
 /// Another unit is the right one where it leaves this share of that.
 const FITS: f64 = 0.25;
 
-/// Fills short holes in the angular rate, and returns the others: nothing where there is no rate at all.
-pub(super) fn filled(times_s: &[f64], samples: &mut [UnitSample]) -> Vec<Range<usize>> {
+/// Where the angular rate is missing: nothing where there is no rate at all.
+pub(super) fn holes(samples: &[UnitSample]) -> Vec<Range<usize>> {
     let mut holes = Vec::new();
     if samples.iter().all(|s| s.rate_rad_s.is_none()) {
         return holes;
     }
     let mut from = 0;
-    while from < samples.len() {
-        let missing = samples[from..].iter().position(|s| s.rate_rad_s.is_none());
-        let Some(first) = missing.map(|k| from + k) else {
-            break;
-        };
-        let end = samples[first..]
-            .iter()
-            .position(|s| s.rate_rad_s.is_some())
-            .map_or(samples.len(), |k| first + k);
-        from = end;
-        let before = first.checked_sub(1);
-        let sides = before.and_then(|b| Some((b, samples[b].rate_rad_s?)));
-        let after = samples.get(end).and_then(|s| s.rate_rad_s);
-        match (sides, after) {
-            (Some((b, low)), Some(high)) if times_s[end] - times_s[b] <= FILLED_S => {
-                let whole = times_s[end] - times_s[b];
-                for k in first..end {
-                    let share = (times_s[k] - times_s[b]) / whole.max(f64::MIN_POSITIVE);
-                    let rate = std::array::from_fn(|i| low[i] + share * (high[i] - low[i]));
-                    samples[k].rate_rad_s = Some(rate);
-                }
-            }
-            _ => holes.push(first..end),
-        }
+    while let Some(first) = samples[from..].iter().position(|s| s.rate_rad_s.is_none()) {
+        let first = from + first;
+        let goes_on = samples[first..].iter().position(|s| s.rate_rad_s.is_some());
+        from = goes_on.map_or(samples.len(), |k| first + k);
+        holes.push(first..from);
     }
     holes
+}
+
+/// Fills short holes in the angular rate of a slide, which has no covariance for them.
+pub(super) fn filled(times_s: &[f64], samples: &mut [UnitSample]) {
+    for hole in holes(samples) {
+        let (Some(before), end) = (hole.start.checked_sub(1), hole.end) else {
+            continue;
+        };
+        let sides = (
+            samples[before].rate_rad_s,
+            samples.get(end).and_then(|s| s.rate_rad_s),
+        );
+        let (Some(low), Some(high)) = sides else {
+            continue;
+        };
+        let whole = times_s[end] - times_s[before];
+        if whole > FILLED_S {
+            continue;
+        }
+        for k in hole {
+            let share = (times_s[k] - times_s[before]) / whole.max(f64::MIN_POSITIVE);
+            let rate = std::array::from_fn(|i| low[i] + share * (high[i] - low[i]));
+            samples[k].rate_rad_s = Some(rate);
+        }
+    }
 }
 
 /// What to say of the holes.
@@ -61,8 +67,8 @@ pub(super) fn remark(holes: &[Range<usize>], times_s: &[f64]) -> Option<String> 
     let first = holes.first()?;
     let count: usize = holes.iter().map(|hole| hole.len()).sum();
     Some(format!(
-        "the angular rate is missing in {count} samples, {} times for longer than {FILLED_S} s, first at {:.2} s: \
-         attitude is not known there, position is not valid from there to the next rest",
+        "the angular rate is missing in {count} samples, {} times, first at {:.2} s: the last one is held for 0.25 s, \
+         from then on it is estimated, and the attitude is doubted as much",
         holes.len(),
         times_s[first.start]
     ))

@@ -1,5 +1,7 @@
 //! Whether a recording can be what it says it is: gravity, and axes that go on.
 
+use wimu_nav::unit::UnitConfig;
+
 use crate::motion::MotionRecording;
 use crate::{ErrorCode, HostError, Result};
 
@@ -18,6 +20,12 @@ const STUCK_SAMPLES: usize = 50;
 const MOVES_MPS2: f64 = 1.0;
 const MOVES_RAD_S: f64 = 0.3;
 
+/// Full scales of accelerometers, *g*; a value this near to one, as a share of it, ...
+const SCALES_G: [f64; 5] = [2.0, 4.0, 8.0, 16.0, 32.0];
+const AT_SCALE: f64 = 0.03;
+/// ... that is an axis's largest and comes so often is where it clips.
+const CLIPS: usize = 3;
+
 /// What was found.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Senses {
@@ -25,6 +33,10 @@ pub(super) struct Senses {
     pub force_ends: Option<usize>,
     /// The same of the angular rate.
     pub rate_ends: Option<usize>,
+    /// Samples at which the accelerometer clips.
+    pub clipped: Vec<usize>,
+    /// Standard deviation of the accelerometer's bias, m/s².
+    pub bias_mps2: f64,
     pub remarks: Vec<String>,
 }
 
@@ -35,14 +47,28 @@ impl Senses {
     /// `data_refused` where what it shows at rest is not gravity.
     pub fn of(recording: &MotionRecording) -> Result<Self> {
         let rest = gravity(recording)?;
-        let mut senses = Self::default();
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+        // What it shows beyond gravity along one axis it may show along any.
+        let known = UnitConfig::default().bias_mps2;
+        let mut senses = Self {
+            bias_mps2: rest.map_or(known, |rest| known.hypot(rest - standard)),
+            ..Self::default()
+        };
         if let Some(rest) = rest
             && (rest / standard - 1.0).abs() > CALIBRATED
         {
             senses.remarks.push(format!(
                 "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: calibrate it, `wimu calibrate`",
                 100.0 * (rest / standard - 1.0)
+            ));
+        }
+        senses.clipped = clipped(recording);
+        if let Some(first) = senses.clipped.first() {
+            senses.remarks.push(format!(
+                "the accelerometer clips in {} samples, first at {:.2} s: what it felt is not known, position is not valid \
+                 from there to the next rest; take a larger range",
+                senses.clipped.len(),
+                recording.times_s[*first]
             ));
         }
         let force = |k: usize| Some(recording.samples[k].force_mps2);
@@ -76,6 +102,29 @@ impl Senses {
             "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
         ));
     }
+}
+
+/// Samples at an axis's full scale, where it comes there more than once.
+fn clipped(recording: &MotionRecording) -> Vec<usize> {
+    let samples = &recording.samples;
+    let mut found = Vec::new();
+    for axis in 0..3 {
+        for sign in [-1.0, 1.0] {
+            let at = |k: usize| sign * samples[k].force_mps2[axis];
+            let most = (0..samples.len()).map(at).fold(0.0, f64::max);
+            let scales = SCALES_G.map(|g| g * wimu_model::STANDARD_GRAVITY_MPS2);
+            if !scales.iter().any(|s| (most / s - 1.0).abs() < AT_SCALE) {
+                continue;
+            }
+            let there: Vec<usize> = (0..samples.len()).filter(|k| at(*k) == most).collect();
+            if there.len() >= CLIPS && there.windows(2).any(|w| w[1] == w[0] + 1) {
+                found.extend(there);
+            }
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 /// |f| in the first quiet second in which it may be gravity, m/s²; `None` without such a second.

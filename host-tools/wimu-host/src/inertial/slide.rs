@@ -22,6 +22,9 @@ const REST_ODDS: f64 = 20.0;
 const FREEDOM: f64 = 10.0;
 /// Least uncertainty of a velocity, m/s.
 const FLOOR_MPS: f64 = 0.005;
+/// A velocity left of so many deviations is not that of a rest, and costs so much more.
+const UNSEEN: f64 = 5.0;
+const NO_REST: f64 = 25.0;
 /// Gravity at two rests of a slide differs by this in the body, m/s², ...
 const LEVEL_MPS2: f64 = 0.03;
 /// ... and with an angular rate by this share of the angle turned more.
@@ -107,7 +110,8 @@ fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]
             let left = length(done.left_mps);
             let sd = done.left_sd_mps.max(FLOOR_MPS);
             let tilt = tilted(config, rest, next, &done);
-            let whole = best[i].0 + passed + student(left, sd) + tilt;
+            let even = if left > UNSEEN * sd { NO_REST } else { 0.0 };
+            let whole = best[i].0 + passed + student(left, sd) + even + tilt;
             if whole < best[j].0 {
                 best[j] = (whole, Some(i));
             }
@@ -413,6 +417,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
         covariance: [[0.0; 3]; 3],
         sound: false,
         lost_s: 0.0,
+        unseen_mps: 0.0,
         axes: level(first.before.rest.force_mps2, east),
     };
     track.rest(first.before.first);
@@ -460,6 +465,8 @@ struct Track<'a> {
     sound: bool,
     /// For how long it has moved so that its way is not known, s.
     lost_s: f64,
+    /// The speed that would not have shown at the rest, m/s.
+    unseen_mps: f64,
     /// Navigation axes in the body, rows.
     axes: [[f64; 3]; 3],
 }
@@ -482,6 +489,7 @@ impl Track<'_> {
             rate_rad_s,
             covariance_m2: astray(covariance_m2, self.lost_s),
             resting,
+            unseen_mps: resting.then_some(self.unseen_mps),
             valid: false,
         };
         point.valid = self.sound && point.sd_m() <= self.limit_m;
@@ -540,6 +548,8 @@ impl Track<'_> {
             let k = leg.after.first;
             self.lost_s += times_s[k] - times_s[k.max(1) - 1];
         }
+        // Beyond that it would not have been taken for a rest.
+        self.unseen_mps = UNSEEN * leg.done.left_sd_mps.max(FLOOR_MPS);
         let moved = times(axes, leg.done.displacement_m);
         self.at = std::array::from_fn(|i| self.at[i] + moved[i]);
         self.covariance = plus(self.covariance, turned(axes, leg.done.covariance_at_end()));

@@ -28,6 +28,7 @@ pub struct Found {
     valid_share: f64,
     drift: Option<Settling>,
     horizon: Horizon,
+    stillness: Option<Still>,
     nees: Option<Nees>,
     /// Of an array's angular rate and velocity.
     rate_nees: Option<Nees>,
@@ -47,6 +48,16 @@ struct Horizon {
     to_limit_s: Option<f64>,
     /// The same with when that is.
     ends: Vec<End>,
+}
+
+/// What was taken for rests, and the largest speed at which the unit might have been moved evenly there and that would
+/// not show; the position would be off by `unseen_m` then.
+#[derive(Serialize)]
+struct Still {
+    rests: usize,
+    lasted_s: f64,
+    unseen_m_s: f64,
+    unseen_m: f64,
 }
 
 #[derive(Serialize)]
@@ -285,6 +296,12 @@ fn found(
                 })
                 .collect(),
         },
+        stillness: path.stillness().map(|found| Still {
+            rests: found.rests,
+            lasted_s: found.lasted_s,
+            unseen_m_s: found.unseen_mps,
+            unseen_m: found.unseen_m,
+        }),
         nees: Nees::of(&path.nees, path),
         rate_nees: Nees::of(&path.rate_nees, path),
         velocity_nees: Nees::of(&path.velocity_nees, path),
@@ -351,10 +368,31 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         } else {
             format!("1 σ passes {limit} m")
         };
+        let motion = if end.moving_s > 0.0 {
+            format!("after {:.1} s of motion", end.moving_s)
+        } else {
+            "while it seems to rest".to_owned()
+        };
         let _ = writeln!(
             text,
-            "horizon: {what} after {:.1} s of motion, at {:.2} s{since}",
-            end.moving_s, end.at_s
+            "horizon: {what} {motion}, at {:.2} s{since}",
+            end.at_s
+        );
+    }
+    if let Some(found) = path.stillness() {
+        let _ = writeln!(
+            text,
+            "rests: {} stillnesses of {:.1} s in all are taken for rests; even motion at up to {:.3} m/s would not have \
+             shown there, and put the position off by up to {:.3} m{}",
+            found.rests,
+            found.lasted_s,
+            found.unseen_mps,
+            found.unseen_m,
+            if found.unseen_m > choice.limit_m {
+                ": more than the limit. Where the unit may be moved so, use --zupt off"
+            } else {
+                ""
+            }
         );
     }
     let _ = writeln!(

@@ -22,9 +22,8 @@ const REST_ODDS: f64 = 20.0;
 const FREEDOM: f64 = 10.0;
 /// Least uncertainty of a velocity, m/s.
 const FLOOR_MPS: f64 = 0.005;
-/// A velocity left of so many deviations is not that of a rest, and costs so much more.
+/// A velocity left of so many deviations may not show beside what was left.
 const UNSEEN: f64 = 5.0;
-const NO_REST: f64 = 25.0;
 /// Gravity at two rests of a slide differs by this in the body, m/s², ...
 const LEVEL_MPS2: f64 = 0.03;
 /// ... and with an angular rate by this share of the angle turned more.
@@ -110,8 +109,7 @@ fn agreeing(recording: &MotionRecording, config: SlideConfig, found: &[RestSpan]
             let left = length(done.left_mps);
             let sd = done.left_sd_mps.max(FLOOR_MPS);
             let tilt = tilted(config, rest, next, &done);
-            let even = if left > UNSEEN * sd { NO_REST } else { 0.0 };
-            let whole = best[i].0 + passed + student(left, sd) + even + tilt;
+            let whole = best[i].0 + passed + student(left, sd) + tilt;
             if whole < best[j].0 {
                 best[j] = (whole, Some(i));
             }
@@ -548,8 +546,8 @@ impl Track<'_> {
             let k = leg.after.first;
             self.lost_s += times_s[k] - times_s[k.max(1) - 1];
         }
-        // Beyond that it would not have been taken for a rest.
-        self.unseen_mps = UNSEEN * leg.done.left_sd_mps.max(FLOOR_MPS);
+        let left = length(leg.done.left_mps);
+        self.unseen_mps = UNSEEN * leg.done.left_sd_mps.max(FLOOR_MPS) + left;
         let moved = times(axes, leg.done.displacement_m);
         self.at = std::array::from_fn(|i| self.at[i] + moved[i]);
         self.covariance = plus(self.covariance, turned(axes, leg.done.covariance_at_end()));

@@ -1,10 +1,12 @@
 //! Noise of a sensor at rest: overlapping Allan deviation, while samples arrive.
 
+mod course;
 mod curve;
 mod rest;
 
 use core::fmt;
 
+use course::Course;
 use curve::{Curve, Spans, fewest_edf};
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
@@ -85,6 +87,9 @@ pub struct AxisNoise {
     pub bias_instability_mps2: Option<Measured>,
     /// K, acceleration random walk, m/s²/√s; `None` where it is not seen.
     pub acceleration_random_walk: Option<Measured>,
+    /// Whether B and K are not told because what long times show is one event, as of a sensor that warms
+    /// up, or a jump: of noise it would be chance once in a hundred times.
+    pub is_one_event: bool,
     /// R, a steady drift, m/s² per s, as of a sensor that warms up; `None` where it is not seen.
     pub ramp_mps3: Option<Measured>,
     /// Q, quantisation or vibration at short times, m/s; `None` where it is not seen.
@@ -258,7 +263,7 @@ fn cluster(place: usize) -> u64 {
 ///
 /// Averaging times are 1, 2, 4, 8, … samples. Clusters begin at every sample up to 8 samples, and
 /// beyond at every eighth of their length, which says as much to within a percent. Memory is
-/// fixed, 12 KB, and so is the cost of a sample. `AllanVariance<f32>` takes samples without f64, each
+/// fixed, 13 KB, and so is the cost of a sample. `AllanVariance<f32>` takes samples without f64, each
 /// sum with what rounding took from it kept beside; what is made of the curve, once, is f64.
 ///
 /// ```
@@ -296,6 +301,7 @@ pub struct AllanVariance<R: Scalar = f64> {
     /// By averaging time.
     squares: [Squares<R>; POINTS],
     rest: Rest<R>,
+    course: Course<R>,
     /// Σ of all samples less the first.
     total: [R::Total; 3],
     /// The sample before, and the least change from one to the next.
@@ -334,6 +340,7 @@ impl<R: Scalar> AllanVariance<R> {
             levels: [Level::EMPTY; LEVELS],
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz),
+            course: Course::new(),
             total: [R::Total::ZERO; 3],
             last: [R::default(); 3],
             step: [R::of(f64::INFINITY); 3],
@@ -363,6 +370,7 @@ impl<R: Scalar> AllanVariance<R> {
         self.run += 1;
         self.longest_run = self.longest_run.max(self.run);
         self.rest.take(off);
+        self.course.take(off);
         self.keep();
     }
 
@@ -476,6 +484,9 @@ impl<R: Scalar> AllanVariance<R> {
         }
         let (fitted, misfit) = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
         let [quantisation, white, flicker, walk, ramp] = fitted;
+        let is_one_event =
+            (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
+        let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
         Ok(AxisNoise {
             velocity_random_walk: white.unwrap_or(Measured {
                 value: 0.0,
@@ -483,6 +494,7 @@ impl<R: Scalar> AllanVariance<R> {
             }),
             bias_instability_mps2: flicker,
             acceleration_random_walk: walk,
+            is_one_event,
             ramp_mps3: ramp,
             quantisation_mps: quantisation,
             floor_mps2,

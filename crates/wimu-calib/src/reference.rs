@@ -1,5 +1,6 @@
 //! Calibration against a reference: one stream against another of the same motion.
 
+mod ends;
 mod sums;
 
 use core::fmt;
@@ -7,6 +8,7 @@ use core::fmt;
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
 use crate::{Scalar, UnitHint, input};
+use ends::Ends;
 use sums::{Across, Jackknife, LAGS, Moments, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
@@ -105,7 +107,8 @@ pub struct AxisTransfer {
     /// What the answer leaves of output less reference, m/s² rms.
     pub rms_mps2: f64,
     /// What the axis sees of the other two of the reference, beyond chance, as a share: the streams'
-    /// axes are not parallel. What that makes of the bias and the scale factor is in their covariance.
+    /// axes are not parallel. What that makes of the bias and the scale factor, and what chance may
+    /// hide of it, is in their covariance.
     pub seen_of: [f64; 3],
     /// Bias and scale factor; `None` where the axis moved less than 0.5 m/s² rms, so that only
     /// their sum, the offset, is known.
@@ -178,6 +181,17 @@ pub enum TransferRefusal {
         /// 0 = X.
         axis: usize,
     },
+    /// A stream stops at one reading where the other goes on.
+    Saturated {
+        /// Whether it is the reference.
+        reference: bool,
+        /// 0 = X.
+        axis: usize,
+        /// The reading, m/s².
+        at_mps2: f64,
+        /// How many samples are at it.
+        samples: u64,
+    },
 }
 
 impl fmt::Display for TransferRefusal {
@@ -207,6 +221,18 @@ impl fmt::Display for TransferRefusal {
                 "all motion of axis {} is in one short part of the recording, which decides alone: \
                  move it more than once, or hold it in several orientations",
                 name(axis)
+            ),
+            Self::Saturated {
+                reference,
+                axis,
+                at_mps2,
+                samples,
+            } => write!(
+                out,
+                "axis {} of the {} stops at {at_mps2:.3} m/s² in {samples} samples while the other goes \
+                 on: it is saturated; choose a larger range, or move it less",
+                name(axis),
+                if reference { "reference" } else { "output" }
             ),
         }
     }
@@ -248,6 +274,7 @@ pub struct ReferenceTransfer<R: Scalar = f64> {
     recent: [Recent<R>; 3],
     blocks: [[Sums<R>; 3]; BLOCKS],
     across: [Across<R>; BLOCKS],
+    ends: [Ends<R>; 3],
     /// Full blocks.
     full: usize,
     /// Samples of a full block, and of the one that is filled.
@@ -290,6 +317,7 @@ impl<R: Scalar> ReferenceTransfer<R> {
             recent: [Recent::none(); 3],
             blocks: [[Sums::NONE; 3]; BLOCKS],
             across: [Across::NONE; BLOCKS],
+            ends: [Ends::none(); 3],
             full: 0,
             length: 1,
             filled: 0,
@@ -328,6 +356,9 @@ impl<R: Scalar> ReferenceTransfer<R> {
         }
         let about = |axis: usize| [0, 1].map(|side: usize| pairs[axis][side] - origin[axis][side]);
         let about = [0, 1, 2].map(about);
+        for (ends, pair) in self.ends.iter_mut().zip(about) {
+            ends.take(pair);
+        }
         if let (Some(block), Some(across)) = (
             self.blocks.get_mut(self.full),
             self.across.get_mut(self.full),
@@ -421,6 +452,14 @@ impl<R: Scalar> ReferenceTransfer<R> {
         if !moves {
             return Ok(transfer);
         }
+        if let Some(end) = self.ends[axis].stopped(&all, delta) {
+            return Err(TransferRefusal::Saturated {
+                reference: end.side == 0,
+                axis,
+                at_mps2: origin[end.side] + end.at,
+                samples: end.samples as u64,
+            });
+        }
         let correlation = moments.xy / libm::sqrt(moments.xx * moments.yy);
         if slope.is_none() || correlation.is_nan() || correlation < LEAST_CORRELATION {
             return Err(TransferRefusal::NotTheSameMotion { axis, correlation });
@@ -454,14 +493,19 @@ impl<R: Scalar> ReferenceTransfer<R> {
                 add_slope(&mut covariance, libm::sqrt(more), transfer.at_mps2);
             }
         }
-        transfer.seen_of = self.seen_of(axis, used, &moments);
+        let [seen, likely] = self.seen_of(axis, used, &moments);
+        transfer.seen_of = seen;
         let all = self.all(used);
-        for (other, seen) in transfer.seen_of.into_iter().enumerate() {
+        for (other, likely) in likely.into_iter().enumerate() {
             // Its mean passes for bias, and as far as it moves along, for scale factor.
             let mean = origins[other][0] + all.0[other].moments().x;
             let along = all.1.along(axis, other, &all.0);
-            add_slope(&mut covariance, seen * along, transfer.at_mps2);
-            covariance[0][0] += seen * seen * mean * mean;
+            let bias = mean - along * transfer.at_mps2;
+            let variance = likely * likely;
+            covariance[0][0] += variance * bias * bias;
+            covariance[0][1] += variance * bias * along;
+            covariance[1][0] += variance * bias * along;
+            covariance[1][1] += variance * along * along;
         }
         transfer.rms_mps2 = libm::sqrt(moments.left(slope).max(0.0));
         transfer.line = Some(Line {
@@ -503,31 +547,37 @@ impl<R: Scalar> ReferenceTransfer<R> {
         squares.map(libm::sqrt)
     }
 
-    /// [`AxisTransfer::seen_of`].
-    fn seen_of(&self, axis: usize, used: usize, moments: &Moments) -> [f64; 3] {
+    /// [`AxisTransfer::seen_of`], and how much of the others there may be, 1 σ about none: what is seen,
+    /// be it chance or not, and what chance may have taken from it.
+    fn seen_of(&self, axis: usize, used: usize, moments: &Moments) -> [[f64; 3]; 2] {
         let (sums, across) = self.all(used);
         let moving = [0, 1, 2]
             .map(|other: usize| sums[other].moments().xx >= LEAST_MOTION_MPS2 * LEAST_MOTION_MPS2);
         let Some(seen) = across.seen_by(axis, &sums, moving) else {
-            return [0.0; 3];
+            return [[0.0; 3]; 2];
         };
         let mut spread = Jackknife::<3>::default();
         for (block, more) in self.blocks.iter().zip(&self.across).take(used) {
             let left = [0, 1, 2].map(|other: usize| sums[other].plus(&block[other].seen(), -1.0));
             match across.plus(&more.seen(), -1.0).seen_by(axis, &left, moving) {
                 Some(without) => spread.take(without),
-                None => return [0.0; 3],
+                None => return [[0.0; 3]; 2],
             }
         }
         let variance = spread.covariance();
         // Noise of the reference makes it see as much of an axis that moves along.
         let [low, high] = moments.bounds();
         let noise = 1.0 - low / high;
-        core::array::from_fn(|other| {
-            let chance = SEEN_DEVIATIONS * libm::sqrt(variance[other][other]) + noise + 1e-6;
-            let beyond = other != axis && seen[other].abs() > chance;
-            if beyond { seen[other] } else { 0.0 }
-        })
+        let mut found = [[0.0; 3]; 2];
+        for other in (0..3).filter(|&other| other != axis) {
+            let own = variance[other][other];
+            if seen[other].abs() > SEEN_DEVIATIONS * libm::sqrt(own) + noise + 1e-6 {
+                found[0][other] = seen[other];
+            }
+            let beyond = (seen[other].abs() - noise).max(0.0);
+            found[1][other] = libm::sqrt(beyond * beyond + own);
+        }
+        found
     }
 }
 

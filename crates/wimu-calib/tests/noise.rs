@@ -286,6 +286,40 @@ fn a_steady_drift_is_told_as_one_and_as_no_noise() {
     }
 }
 
+#[test]
+fn a_sensor_that_warms_up_or_jumps_is_told_as_no_noise() {
+    let n = 30_000;
+    let at = |k: i32| f64::from(k) / f64::from(n);
+    let warm_up = |k: i32, tau: f64| 0.1 * (-at(k) / tau).exp();
+    let jump = |k: i32, when: f64| if at(k) > when { 0.02 } else { 0.0 };
+    let courses: [(&str, &dyn Fn(i32) -> f64); 6] = [
+        ("warm-up over a thirtieth", &|k| warm_up(k, 0.033)),
+        ("warm-up over a tenth", &|k| warm_up(k, 0.1)),
+        ("warm-up over a fifth", &|k| warm_up(k, 0.2)),
+        ("warm-up over two fifths", &|k| warm_up(k, 0.4)),
+        ("jump half way", &|k| jump(k, 0.5)),
+        ("jump after a fifth", &|k| jump(k, 0.2)),
+    ];
+    for (name, course) in courses {
+        let (mut walk, mut flicker, mut said) = (0, 0, 0);
+        for seed in 0..10 {
+            let mut random = Random(seed);
+            let mut allan = AllanVariance::new(RATE);
+            for k in 0..n {
+                let moved = course(k);
+                allan.push([0.0, 0.0, 9.81].map(|f| f + moved + 0.02 * random.normal()));
+            }
+            for found in allan.result().expect("noise") {
+                walk += u32::from(found.acceleration_random_walk.is_some());
+                flicker += u32::from(found.bias_instability_mps2.is_some());
+                said += u32::from(found.is_one_event || found.ramp_mps3.is_some());
+            }
+        }
+        println!("{name}: K claimed {walk} times of 30, B {flicker}, said of {said}");
+        assert!(walk + flicker <= 1 && said >= 27, "{name}");
+    }
+}
+
 /// `cargo test --release -p wimu-calib --test noise long -- --ignored --nocapture`
 #[test]
 #[ignore = "takes minutes"]

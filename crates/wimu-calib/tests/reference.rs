@@ -4,7 +4,7 @@ mod common;
 
 use common::Random;
 use proptest::prelude::*;
-use wimu_calib::{Line, NoiseFrom, NoiseRatio, ReferenceTransfer, TransferRefusal};
+use wimu_calib::{NoiseFrom, NoiseRatio, ReferenceTransfer, TransferRefusal};
 
 /// A hand's motion about a tilted gravity, m/s².
 fn motion(k: usize) -> [f64; 3] {
@@ -76,9 +76,9 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
     for (memory, sd) in [(0.0, [0.05, 0.05]), (0.0, [0.02, 0.2]), (5.0, [0.05, 0.1])] {
         let [bias, scale] = coverage(memory, sd, 3200, 2.064);
         println!("noise {sd:?}, memory {memory}: bias {bias:.1} %, scale factor {scale:.1} %");
-        for percent in [bias, scale] {
-            assert!((93.0..=97.0).contains(&percent), "{percent}");
-        }
+        // That the axes may not be parallel makes the bias less certain than it is here.
+        assert!((93.0..=99.6).contains(&bias), "{bias}");
+        assert!((93.0..=97.5).contains(&scale), "{scale}");
     }
 }
 
@@ -136,8 +136,8 @@ fn intervals_hold_the_truth_where_nobody_says_whose_noise_it_is() {
         println!(
             "noise {sd:?}: bias {bias:.1} %, scale factor {scale:.1} %, neighbours {told:.1} %"
         );
-        assert!((93.0..=97.0).contains(&bias), "{bias}");
-        assert!((93.0..=97.0).contains(&scale), "{scale}");
+        assert!((93.0..=99.6).contains(&bias), "{bias}");
+        assert!((93.0..=97.5).contains(&scale), "{scale}");
         assert!(told > 95.0, "{told}");
     }
 }
@@ -157,50 +157,138 @@ fn where_neighbours_do_not_tell_the_interval_reaches_from_bound_to_bound() {
     }
 }
 
-#[test]
-fn axes_that_are_not_parallel_are_noticed_and_in_the_interval() {
-    let (mut held, mut all, mut seen, mut wrongly) = (0, 0, 0, 0);
-    for seed in 0..200 {
+/// How often, %, the 95 % intervals of bias and scale factor hold the truth where the output's axes see
+/// `across` (1 σ) of the others, all six or those below the diagonal; and how often an axis is said not to
+/// be parallel.
+fn coverage_across(across: f64, all_six: bool, seeds: u64) -> [f64; 3] {
+    let mut held = [0; 3];
+    for seed in 0..seeds {
         let mut random = Random(seed);
-        let tilted = seed % 2 == 0;
-        let mut across = [[0.0; 3]; 3];
-        for (row, values) in across.iter_mut().enumerate() {
-            for (column, value) in values.iter_mut().enumerate() {
-                if row != column && tilted {
-                    *value = 0.05 * random.normal();
-                }
-            }
-        }
-        let truth: [_; 3] =
-            std::array::from_fn(|_| (random.within(0.8), 1.0 + random.within(0.04)));
+        let matrix: [[f64; 3]; 3] = std::array::from_fn(|row| {
+            std::array::from_fn(|column| match column {
+                _ if column == row => 1.0 + random.within(0.04),
+                _ if column < row || all_six => across * random.normal(),
+                _ => 0.0,
+            })
+        });
+        let bias: [f64; 3] = std::array::from_fn(|_| random.within(0.8));
         let mut transfer = ReferenceTransfer::of_unknown_noise();
         for k in 0..3200 {
             let force = motion(k);
             let reference = force.map(|f| f + 0.03 * random.normal());
             let output = [0, 1, 2].map(|axis: usize| {
-                let more: f64 = (0..3).map(|other| across[axis][other] * force[other]).sum();
-                truth[axis].0 + truth[axis].1 * force[axis] + more + 0.03 * random.normal()
+                let seen: f64 = (0..3).map(|other| matrix[axis][other] * force[other]).sum();
+                bias[axis] + seen + 0.03 * random.normal()
             });
             transfer.push(reference, output);
         }
-        for (axis, (bias, scale)) in transfer.result().expect("sums").axes.iter().zip(truth) {
-            let line = axis.line.expect("it moved");
-            if tilted {
-                let within = |error: f64, variance: f64| error.abs() <= 2.064 * variance.sqrt();
-                held += i32::from(within(line.bias_mps2 - bias, line.covariance[0][0]));
-                held += i32::from(within(line.scale - scale, line.covariance[1][1]));
-                all += 2;
-            }
-            let noticed = axis.seen_of != [0.0; 3];
-            seen += i32::from(tilted && noticed);
-            wrongly += i32::from(!tilted && noticed);
+        let found = transfer.result().expect("sums");
+        for (axis, transfer) in found.axes.iter().enumerate() {
+            let line = transfer.line.expect("it moved");
+            let within = |error: f64, variance: f64| error.abs() <= 2.064 * variance.sqrt();
+            held[0] += u64::from(within(line.bias_mps2 - bias[axis], line.covariance[0][0]));
+            held[1] += u64::from(within(
+                line.scale - matrix[axis][axis],
+                line.covariance[1][1],
+            ));
+            held[2] += u64::from(transfer.seen_of != [0.0; 3]);
         }
     }
-    println!(
-        "not parallel: {held} of {all} held, noticed {seen} of 300; noticed where parallel {wrongly}"
-    );
-    assert!(f64::from(held) >= 0.9 * f64::from(all));
-    assert!(seen >= 290 && wrongly <= 3);
+    held.map(|held| 100.0 * held as f64 / (3 * seeds) as f64)
+}
+
+#[test]
+fn axes_that_are_not_parallel_are_in_the_interval_be_they_seen_or_not() {
+    for across in [0.0, 1e-4, 5e-4, 2e-3, 5e-3, 0.05] {
+        for all_six in [false, true] {
+            let [bias, scale, seen] = coverage_across(across, all_six, 334);
+            println!(
+                "misalignment {:.1} mrad, all six {all_six}: bias {bias:.1} %, scale factor {scale:.1} %, \
+                 said of {seen:.1} %",
+                1e3 * across
+            );
+            assert!(bias >= 93.0 && scale >= 93.0, "{bias} {scale}");
+            assert!(across > 0.0 || seen <= 1.0, "{seen}");
+            assert!(across < 0.05 || !all_six || seen >= 96.0, "{seen}");
+        }
+    }
+}
+
+/// A transfer of hand motion with noise, what is sensed by each side changed by `changed`.
+fn transfer_of(
+    seed: u64,
+    noise: f64,
+    changed: impl Fn([f64; 3], [f64; 3]) -> [[f64; 3]; 2],
+) -> Result<wimu_calib::Transfer, TransferRefusal> {
+    let mut random = Random(seed);
+    let slow = 0.2 + random.uniform();
+    let bias: [f64; 3] = std::array::from_fn(|_| random.within(0.5));
+    let mut transfer = ReferenceTransfer::of_unknown_noise();
+    for k in 0..6000 {
+        let tilt = 1.4 * (slow * 0.01 * f64::from(k)).sin();
+        let heading = 0.007 * f64::from(k);
+        let force = [
+            9.81 * tilt.sin() * heading.cos(),
+            9.81 * tilt.sin() * heading.sin(),
+            9.81 * tilt.cos(),
+        ];
+        let reference = force.map(|f| f + noise * random.normal());
+        let output =
+            [0, 1, 2].map(|axis| 1.01 * force[axis] + bias[axis] + noise * random.normal());
+        let [reference, output] = changed(reference, output);
+        transfer.push(reference, output);
+    }
+    transfer.result()
+}
+
+#[test]
+fn a_stream_that_stops_while_the_other_goes_on_is_refused() {
+    let clip = |most: f64| move |y: f64| y.clamp(-most, most);
+    let counts = |step: f64| move |y: f64| (y / step).round() * step;
+    for step in [1e-9, 0.005, 0.15] {
+        for most in [8.0, 9.0, 9.5] {
+            for seed in 0..10 {
+                let output = transfer_of(seed, 0.02, |x, y| {
+                    [
+                        x.map(counts(step)),
+                        y.map(counts(step)).map(clip(counts(step)(most))),
+                    ]
+                });
+                let reference = transfer_of(seed, 0.02, |x, y| {
+                    [
+                        x.map(counts(step)).map(clip(counts(step)(most))),
+                        y.map(counts(step)),
+                    ]
+                });
+                for (found, is_reference) in [(output, false), (reference, true)] {
+                    let named = matches!(found, Err(TransferRefusal::Saturated { reference, .. })
+                        if reference == is_reference);
+                    // Coarse counts may have both sides at it.
+                    let refused = matches!(found, Err(TransferRefusal::Saturated { .. }));
+                    assert!(
+                        named || (step > 0.1 && refused),
+                        "{step} {most} {seed} {found:?}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn counts_however_coarse_that_stop_nowhere_are_not_taken_for_saturated() {
+    for step in [1e-9, 0.005, 0.04, 0.15, 0.6] {
+        for noise in [0.002, 0.02, 0.1] {
+            for seed in 0..10 {
+                let counts = |y: f64| (y / step).round() * step;
+                for factor in [1.0, 3.0] {
+                    let fine = |x: f64| (x / step * factor).round() * step / factor;
+                    let found = transfer_of(seed, noise, |x, y| [x.map(fine), y.map(counts)]);
+                    assert!(found.is_ok(), "{step} {noise} {seed} {found:?}");
+                }
+            }
+        }
+    }
 }
 
 #[test]
@@ -274,8 +362,10 @@ proptest! {
         let found = transfer.result().unwrap();
         prop_assert_eq!(found.samples, n as u64);
         for axis in found.axes {
-            let expected = Line { bias_mps2: 0.0, scale: 1.0, covariance: [[0.0; 2]; 2], noise_from: NoiseFrom::Ratio };
-            prop_assert_eq!((axis.offset_mps2, axis.rms_mps2, axis.line), (0.0, 0.0, Some(expected)));
+            let line = axis.line.unwrap();
+            prop_assert_eq!((axis.offset_mps2, axis.rms_mps2), (0.0, 0.0));
+            prop_assert_eq!((line.bias_mps2, line.scale, line.noise_from), (0.0, 1.0, NoiseFrom::Ratio));
+            prop_assert!(line.covariance.iter().flatten().all(|c| c.abs() < 1e-18), "{:?}", line.covariance);
         }
     }
 }

@@ -48,6 +48,8 @@ pub struct AxisReport {
     pub acceleration_random_walk_m_s2_rts: Option<Figure>,
     /// Steady drift, m/s² per s, where it is seen.
     pub ramp_m_s3: Option<Figure>,
+    /// Whether bias instability and random walk are not told because what long times show is one event, no noise.
+    pub is_one_event: bool,
     /// Quantisation, m/s, where it is seen.
     pub quantisation_m_s: Option<Figure>,
     /// Least deviation, m/s².
@@ -74,6 +76,7 @@ impl From<AxisNoise> for AxisReport {
             bias_instability_m_s2: noise.bias_instability_mps2.map(Figure::from),
             acceleration_random_walk_m_s2_rts: noise.acceleration_random_walk.map(Figure::from),
             ramp_m_s3: noise.ramp_mps3.map(Figure::from),
+            is_one_event: noise.is_one_event,
             quantisation_m_s: noise.quantisation_mps.map(Figure::from),
             floor_m_s2: noise.floor_mps2,
             floor_tau_s: noise.floor_tau_s,
@@ -295,6 +298,12 @@ fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> 
                 "{name}: this is no noise alone (χ² {:.0} times too large): hum, vibration \
                  or samples that come twice; see the curve, and take the numbers as rough",
                 axis.misfit
+            ));
+        }
+        if axis.is_one_event {
+            remarks.push(format!(
+                "{name}: what long times show is one event, a warm-up or a jump: bias instability and random \
+                 walk are not told; record again when the sensor is warm and nothing moves it"
             ));
         }
     }

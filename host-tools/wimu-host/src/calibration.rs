@@ -43,8 +43,9 @@ use numbers::{numbers, static_poses};
 use range::Range;
 use words::{begins, reason, remarks, said_of_repeated};
 
-/// Below this a board cannot be told a sensitivity, LSB/*g*: [`Sensitivity::from_lsb_per_g`].
-const LEAST_OF_A_BOARD_LSB_PER_G: f64 = 160.0;
+/// Sensitivities of sensors, LSB/*g*: of 8 bits at ±100 *g* to 32 bits at ±1 *g*. A board can be told fewer:
+/// [`Sensitivity::from_lsb_per_g`].
+const OF_A_SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=2_147_483_648.0;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -135,18 +136,20 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .map_err(|e| usage(e.to_string(), "--placement-sd"))?,
         None => Placement::BY_HAND,
     };
-    // A coarse sensor can be calibrated, though no board be told.
-    let coarse = |lsb_per_g: &f64| (1.0..LEAST_OF_A_BOARD_LSB_PER_G).contains(lsb_per_g);
-    let given_coarse = options.sensitivity_lsb_per_g.filter(coarse);
+    if let Some(lsb_per_g) = options.sensitivity_lsb_per_g
+        && !OF_A_SENSOR_LSB_PER_G.contains(&lsb_per_g)
+    {
+        let message = format!("{lsb_per_g} LSB/g is no sensor's sensitivity");
+        return Err(usage(message, "--sensitivity"));
+    }
+    // A coarser or finer sensor than boards take can be calibrated, though no board be told.
     let given = options
         .sensitivity_lsb_per_g
-        .filter(|lsb_per_g| !coarse(lsb_per_g))
-        .map(Sensitivity::from_lsb_per_g)
-        .transpose()
-        .map_err(|e| usage(e.to_string(), "--sensitivity"))?;
+        .and_then(|lsb_per_g| Sensitivity::from_lsb_per_g(lsb_per_g).ok());
+    let given_beyond = (options.sensitivity_lsb_per_g).filter(|_| given.is_none());
 
     let (known, source) = match (given, data.unit) {
-        (None, _) if given_coarse.is_some() => (None, Some(Source::Given)),
+        (None, _) if given_beyond.is_some() => (None, Some(Source::Given)),
         (Some(given), _) => (Some(given), Some(Source::Given)),
         (None, OutputUnit::Counts { nominal, .. }) => match nominal {
             Some(nominal) => (Some(nominal), Some(Source::Board)),
@@ -158,7 +161,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     let scale = match (data.unit, known) {
         (OutputUnit::Mps2, _) => 1.0,
         (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
-        (OutputUnit::Counts { .. }, None) => match given_coarse {
+        (OutputUnit::Counts { .. }, None) => match given_beyond {
             Some(lsb_per_g) => STANDARD_GRAVITY_MPS2 / lsb_per_g,
             None => gravity.mps2() / median_magnitude(data),
         },
@@ -212,7 +215,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     };
     let mut sensitivity = known;
     // What the fit says of it, whether or not a board could hold it.
-    let mut fitted_lsb_per_g = given_coarse;
+    let mut fitted_lsb_per_g = given_beyond;
     if source == Some(Source::Fit)
         && let Ok(estimate) = &outcome
     {

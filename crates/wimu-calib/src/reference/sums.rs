@@ -158,6 +158,26 @@ impl Sums {
         self.zip(other, |a, b| a + sign * b)
     }
 
+    /// Without samples at which `side`, 0 the reference, is `at`, and of the other side how many
+    /// there are, their sum and that of their squares.
+    pub fn without(&self, side: usize, at: f64, [n, other, squares]: [f64; 3]) -> Self {
+        let own = [n * at, n * at * at];
+        let (x, y) = if side == 0 {
+            (own, [other, squares])
+        } else {
+            ([other, squares], own)
+        };
+        Self {
+            n: self.n - n,
+            x: self.x - x[0],
+            y: self.y - y[0],
+            xx: self.xx - x[1],
+            xy: self.xy - at * other,
+            yy: self.yy - y[1],
+            ..*self
+        }
+    }
+
     /// The same of samples a lag of [`LAGS`] apart, where noise that is white has no part.
     pub fn lagged(&self, lag: usize) -> Option<Moments> {
         let (x, y) = (self.x / self.n, self.y / self.n);

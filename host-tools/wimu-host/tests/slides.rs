@@ -358,7 +358,7 @@ fn an_angular_rate_in_another_unit_than_its_columns_say_is_refused() {
 }
 
 #[test]
-fn attitude_is_not_known_where_the_angular_rate_is_missing() {
+fn attitude_is_doubted_where_the_angular_rate_is_missing() {
     let choice = Choice {
         method: Method::Strapdown,
         ..Choice::default()
@@ -373,12 +373,18 @@ fn attitude_is_not_known_where_the_angular_rate_is_missing() {
     let whole = navigate(&without(0), &choice).unwrap();
     let filled = navigate(&without(3), &choice).unwrap();
     let lost = navigate(&without(20), &choice).unwrap();
-    let apart = (0..3)
-        .map(|i| (whole.points[300].position_m[i] - filled.points[300].position_m[i]).abs())
-        .fold(0.0, f64::max);
-    assert!(filled.points[300].valid && apart < 0.01, "{apart}");
-    assert!(lost.points[240..290].iter().all(|p| !p.valid));
-    assert!(lost.points[280].sd_m() > 0.2 && whole.points[280].sd_m() < 0.2);
+    // Bridged, with a deviation that grows with what is missing and holds what is off.
+    let at = |path: &InertialPath, k: usize| (path.points[k].position_m, path.points[k].sd_m());
+    let ((p, sd), (q, more), (r, most)) = (at(&whole, 280), at(&filled, 280), at(&lost, 280));
+    let apart = |a: [f64; 3]| (0..3).map(|i| (a[i] - p[i]).abs()).fold(0.0, f64::max);
+    assert!(sd < more && more < most, "{sd} {more} {most}");
+    assert!(
+        apart(q) < 0.01 && apart(r) < 2.0 * most,
+        "{} {}",
+        apart(q),
+        apart(r)
+    );
+    assert!(filled.points[300].valid);
     assert!(
         lost.remarks
             .iter()

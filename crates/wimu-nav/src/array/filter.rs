@@ -7,8 +7,8 @@ use core::fmt;
 use super::geometry::{Geometry, GeometryError};
 use super::hypothesis::{
     Candidate, FORCE_BIAS, Hypothesis, MEASURED, Noise, OMEGA, PHI, POSITION, STATES, TURN,
-    TURN_BIAS, TURNING, VELOCITY, View, WEIGHT_FREEDOM, Z_BIAS, block, couple, dot, part,
-    quaternion, r, scaled_identity,
+    TURN_BIAS, TURNING, VELOCITY, View, WEIGHT_FREEDOM, Z_BIAS, block, couple, part, quaternion, r,
+    scaled_identity,
 };
 use super::matrix::{product, rotation, times};
 use super::monitor::{Array, Dropped};
@@ -64,9 +64,6 @@ pub struct ArrayConfig {
     pub bias_walk: f64,
     /// Error of s that the outputs do not show (scale, vibration), m/s² in each sample.
     pub force_noise_mps2: f64,
-    /// Error of the axes' scale and direction, as a part: that of gravity enters the biases anew with each
-    /// radian that the body turns, a third of its square on each axis.
-    pub scale_error: f64,
     /// How well the time is known to which a sample belongs, s: a chip's low pass delays it by 1 to 2 ms.
     pub time_sd_s: f64,
 }
@@ -80,7 +77,6 @@ impl Default for ArrayConfig {
             bias_mps2: 0.02,
             bias_walk: 1e-4,
             force_noise_mps2: 0.05,
-            scale_error: 0.0,
             time_sd_s: 1e-3,
         }
     }
@@ -399,9 +395,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let arm = self.array.solver().arm_m();
         let walk = TURN_WALK_AT_REST * TURN_WALK_AT_REST + TURN_WALK * TURN_WALK * self.activity;
         let stray = VIBRATION_RATE * VIBRATION_RATE * noise.vibration.to_f64() / (arm * arm);
-        let walk2 = self.config.bias_walk * self.config.bias_walk * step;
-        let misread = self.config.scale_error * self.config.gravity_mps2;
-        let noise2 = self.array.solver().variance_mps2().to_f64();
+        let bias = self.config.bias_walk * self.config.bias_walk * step
+            / self.array.solver().variance_mps2().to_f64();
         let rank = self.array.solver().rank();
         let covariance = *self.array.solver().covariance();
         for hypothesis in self.hypotheses.iter_mut().flatten() {
@@ -410,8 +405,6 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let turn = part(&hypothesis.mean, TURN);
             let rate = part(&hypothesis.mean, OMEGA);
             let by: [R; 3] = core::array::from_fn(|i| (rate[i] + turn[i] * half) * dt);
-            let turned = libm::sqrt(dot(&by, &by).to_f64());
-            let bias = (walk2 + misread * misread * turned / 3.0) / noise2;
             let attitude = hypothesis.attitude;
             hypothesis.attitude = product(&attitude, &rotation(by));
             let cov = &mut hypothesis.cov;

@@ -43,9 +43,9 @@ use numbers::{numbers, static_poses};
 use range::Range;
 use words::{begins, reason, remarks, said_of_repeated};
 
-/// Sensitivities of sensors, LSB/*g*: of 8 bits at ±100 *g* to 32 bits at ±1 *g*. A board can be told fewer:
+/// Sensitivities of sensors, LSB/*g*: of 8 bits at ±100 *g* to 27 bits at ±1 *g*. A board can be told fewer:
 /// [`Sensitivity::from_lsb_per_g`].
-const OF_A_SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=2_147_483_648.0;
+const OF_A_SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=67_108_864.0;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]

@@ -324,8 +324,8 @@ impl<R: Real> UnitFilter<R> {
             self.gather(force, sample, step);
         }
         self.judge(force, sample.rate_rad_s, sample.field_ut, step);
-        // Half a step: it does not depend on how times are rounded.
-        let lasted = self.group.time_s + step * R::from_f64(0.5);
+        // A part of a step more: at no usual rate it depends on how times are rounded.
+        let lasted = self.group.time_s + step * R::from_f64(0.3);
         if aligned && lasted >= R::from_f64(UPDATE_S) {
             self.update();
         } else if !aligned && lasted >= R::from_f64(ALIGN_S) && self.quiet.is_known() {

@@ -211,8 +211,8 @@ impl<R: Real> Quiet<R> {
             sample.rate_square = dot(rate, rate);
         }
         self.now = self.now.plus(&sample);
-        // Half a step: it does not depend on how times are rounded.
-        let lasted = self.now.time_s + step * R::from_f64(0.5);
+        // A part of a step more: at no usual rate it depends on how times are rounded.
+        let lasted = self.now.time_s + step * R::from_f64(0.3);
         let full = lasted >= R::from_f64(PART_S) && self.now.count >= R::from_f64(PART_SAMPLES);
         if !full {
             return None;

@@ -269,15 +269,18 @@ impl Paired {
 }
 
 /// How far apart what two links call a start began by their own clocks, ns; `None` where it is not one
-/// start: too far apart, or of different boot counts. The same count alone tells nothing: it may repeat.
+/// start: further apart than links and clocks are late, or of different boot counts. The same count alone
+/// tells nothing: it may repeat.
 fn began_apart_ns(ours: &Boot, theirs: &Boot) -> Option<u64> {
     let counts = [ours, theirs].map(|boot| boot.hello.map(|hello| hello.boot_count));
     if counts[0].is_some() && counts[1].is_some() && counts[0] != counts[1] {
         return None;
     }
-    let [ours, theirs] = [ours, theirs].map(|boot| boot.host_ns(DeviceTimeUs(0)));
-    let apart_ns = (ours?.wrapping_sub(theirs?) as i64).unsigned_abs();
-    (apart_ns <= SAME_START_NS).then_some(apart_ns)
+    let began_ns = |boot: &Boot| boot.host_ns(DeviceTimeUs(0));
+    let apart_ns = (began_ns(ours)?.wrapping_sub(began_ns(theirs)?) as i64).unsigned_abs();
+    let sd_ns = |boot: &Boot| boot.clock_sd_ns(DeviceTimeUs(0)).unwrap_or(0.0);
+    let unsure_ns = (3.0 * sd_ns(ours).hypot(sd_ns(theirs))) as u64;
+    (apart_ns <= SAME_START_NS.saturating_add(unsure_ns)).then_some(apart_ns)
 }
 
 /// An axis in a [`ReferenceReport`].

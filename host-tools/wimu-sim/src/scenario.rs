@@ -288,11 +288,13 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         Ok(())
     }
 
-    /// Restarts the board and connects anew.
+    /// Restarts the board, once all that it has sent is read, and connects anew.
     ///
     /// # Errors
     /// Those of [`Client::connect`]; when the board does not start.
     pub fn restart(&mut self) -> Result<()> {
+        while self.cable.next_event(Duration::ZERO)?.is_some() {}
+        while self.wireless.next_event(Duration::ZERO)?.is_some() {}
         self.keep();
         self.board.borrow_mut().restart()?;
         self.cable = client(self.board, LinkRole::Cable)?;

@@ -145,10 +145,12 @@ pub fn to_csv(
     })
 }
 
-fn of(stream: Stream) -> ExportStream {
-    match stream {
-        Stream::Raw => ExportStream::Raw,
-        Stream::Corrected => ExportStream::Corrected,
+impl From<Stream> for ExportStream {
+    fn from(stream: Stream) -> Self {
+        match stream {
+            Stream::Raw => Self::Raw,
+            Stream::Corrected => Self::Corrected,
+        }
     }
 }
 
@@ -265,7 +267,7 @@ impl<'a> Table<'a> {
             Event::Navigation(navigation) if self.stream == ExportStream::Navigation => {
                 start.navigation.push_back(*navigation);
             }
-            Event::Late(samples) if self.stream == of(samples.stream) => {
+            Event::Late(samples) if self.stream == samples.stream.into() => {
                 for late in samples.iter() {
                     if start.written.is_none_or(|written| late.sequence > written) {
                         let at = start
@@ -276,7 +278,7 @@ impl<'a> Table<'a> {
                 }
             }
             Event::Samples(samples) => {
-                let wanted = of(samples.stream);
+                let wanted = ExportStream::from(samples.stream);
                 if wanted == ExportStream::Raw {
                     // One tells that the device has started.
                     start.boot.raw.clear();

@@ -76,15 +76,7 @@ fn a_press_is_a_mark_in_the_recording_and_on_the_screen() {
     let pace = ["--motion", "rest", "--speed", "10", "--exit-when-done"];
     let board = Simulator::start(&[&pace[..], &["--press", "2.5,1.5"]].concat());
     let (recording, _folder) = in_folder("marked.mcap");
-    let record = [
-        "record",
-        &board.cable,
-        "-o",
-        &recording,
-        "--reconnect",
-        "0.5",
-    ];
-    Background::start(&record).finish().succeeds();
+    board.record_to_the_end(&recording);
     let info = wimu(&["info", &recording]).succeeds();
     let text = info.to_string();
     for mark in [

@@ -5,7 +5,7 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, wimu};
+use kit::{folder, noise, wimu};
 
 /// 600 s/100 of a sensor at rest, each value through `value`.
 fn at_rest(value: impl Fn(f64) -> f64, unit: &str) -> String {
@@ -13,19 +13,9 @@ fn at_rest(value: impl Fn(f64) -> f64, unit: &str) -> String {
     for axis in ["X", "Y", "Z"] {
         write!(text, ",Accelerometer {axis} ({unit})").unwrap();
     }
-    let mut state = 1_u64;
-    let mut noise = || {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        0.01 * sum
-    };
+    let mut noise = noise();
     for k in 0..3000 {
-        let [x, y, z] = [0.017, -0.02, 9.79].map(|f| value(f + noise()));
+        let [x, y, z] = [0.017, -0.02, 9.79].map(|f| value(f + 0.01 * noise()));
         write!(text, "\n{:.2},{x},{y},{z}", f64::from(k) * 0.01).unwrap();
     }
     text
@@ -232,17 +222,8 @@ fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
 fn held(limit: f64) -> String {
     let mut text =
         String::from("Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
-    let mut state = 1_u64;
-    let mut noise = |sd: f64| {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        sd * sum
-    };
+    let mut normal = noise();
+    let mut noise = |sd: f64| sd * normal();
     let mut ups = vec![];
     for axis in 0..3 {
         for sign in [1.0, -1.0] {

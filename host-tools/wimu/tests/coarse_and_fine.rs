@@ -5,7 +5,7 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, wimu};
+use kit::{folder, noise, wimu};
 
 const SIDES: [[f64; 3]; 6] = [
     [1.0, 0.0, 0.0],
@@ -23,17 +23,7 @@ fn six_sides(per_g: f64, bias: [f64; 3], count: impl Fn(f64) -> f64) -> String {
     for axis in ["X", "Y", "Z"] {
         write!(text, ",Accelerometer {axis} (LSB)").unwrap();
     }
-    let mut state = 1_u64;
-    let mut normal = || {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        sum
-    };
+    let mut normal = noise();
     let mut row = 0;
     for (index, side) in SIDES.iter().enumerate() {
         let next = SIDES.get(index + 1).unwrap_or(side);

@@ -5,7 +5,7 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{in_folder, wimu};
+use kit::{in_folder, noise, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -22,21 +22,6 @@ fn spread(count: u32) -> Vec<[f64; 3]> {
             [flat * cos, flat * sin, z]
         })
         .collect()
-}
-
-/// Noise of variance 1, the same in every run.
-fn noise() -> impl FnMut() -> f64 {
-    let mut state = 1_u64;
-    move || {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        sum
-    }
 }
 
 /// A sensor held still for three seconds each way up at 50 Hz, its bias drifting by `drift` over the whole

@@ -15,15 +15,7 @@ fn calibrated(to: &str) {
     let motion = ["--motion", "twelve-poses", "--seed", SEED, "--speed", "20"];
     let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
     let recording = format!("{to}.mcap");
-    let record = [
-        "record",
-        &board.cable,
-        "-o",
-        &recording,
-        "--reconnect",
-        "0.5",
-    ];
-    Background::start(&record).finish().succeeds();
+    board.record_to_the_end(&recording);
     wimu(&["calibrate", &recording, "-o", to]).succeeds();
 }
 

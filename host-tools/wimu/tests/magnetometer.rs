@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Simulator, folder, in_folder, wimu};
+use kit::{Simulator, folder, in_folder, wimu};
 use wimu_host::calibration::read_parameters;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
@@ -18,8 +18,7 @@ fn session(motion: &str, to: &str) {
     let motion = ["--motion", motion, "--seed", &seed];
     let pace = ["--speed", "20", "--exit-when-done"];
     let board = Simulator::start(&[&motion[..], &pace].concat());
-    let record = ["record", &board.cable, "-o", to, "--reconnect", "0.5"];
-    Background::start(&record).finish().succeeds();
+    board.record_to_the_end(to);
 }
 
 /// S Rᵀ of a calibration against the iron of the truth, brought to determinant one, and the hard

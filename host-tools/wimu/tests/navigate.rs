@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Simulator, folder, wimu};
+use kit::{Simulator, folder, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -374,8 +374,7 @@ fn a_boards_recording_is_navigated_by_every_method_that_it_supports() {
     let motion = ["--motion", "slide", "--seed", "4"];
     let pace = ["--speed", "10", "--exit-when-done"];
     let board = Simulator::start(&[&motion[..], &pace].concat());
-    let record = ["record", &board.cable, "-o", &session, "--reconnect", "0.5"];
-    Background::start(&record).finish().succeeds();
+    board.record_to_the_end(&session);
     let said = wimu(&["navigate", &session]).succeeds();
     assert!(said["starts"][0]["replay"].is_object(), "{said}");
     assert_eq!(said["path"]["method"], "tilt");

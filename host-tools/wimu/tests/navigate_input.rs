@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Simulator, folder, wimu};
+use kit::{Simulator, folder, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -210,8 +210,7 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     let (session, table) = (path("s.mcap"), path("s.csv"));
     let motion = ["--motion", "slide", "--seed", "4", "--speed", "10"];
     let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
-    let record = ["record", &board.cable, "-o", &session, "--reconnect", "0.5"];
-    Background::start(&record).finish().succeeds();
+    board.record_to_the_end(&session);
     wimu(&["export", &session, "--stream", "corrected", "-o", &table]).succeeds();
     let tilt = |input: &str| wimu(&["navigate", input, "--method", "tilt"]).succeeds();
     let (of_session, of_table) = (tilt(&session), tilt(&table));

@@ -21,6 +21,9 @@ const GATE: f64 = 21.0;
 const TURNED: f64 = 3.0;
 /// While a stillness is refused, the deviation that it is measured by grows e-fold in this time, s.
 const DOUBT_S: f64 = 10.0;
+/// Of the velocity that was gained before a rest was seen to end, what may have come before the last half
+/// second.
+const BEFORE: f64 = 0.3;
 
 /// Of the last rest.
 #[derive(Clone, Copy, Debug, Default)]
@@ -116,7 +119,7 @@ impl<R: Real> Anchor<R> {
         self.lag = [R::default(); 3];
         if self.carried {
             // Both may be true: a push, and an attitude that is known worse than it seems.
-            let grown = R::from_f64(2.0 / DOUBT_S) * all.time_s * R::from_f64(0.2);
+            let grown = R::from_f64(2.0 / DOUBT_S / PARTS as f64) * all.time_s;
             self.variance += expected * grown;
             return Verdict::Pushed;
         }
@@ -205,7 +208,3 @@ impl<R: Real> UnitFilter<R> {
         }
     }
 }
-
-/// Of the velocity that was gained before a rest was seen to end, what may have come before the last half
-/// second.
-const BEFORE: f64 = 0.3;

@@ -268,15 +268,15 @@ impl<R: Real> Quiet<R> {
     /// Whether the means of the parts scatter as their samples do.
     fn is_even(&self, all: &Part<R>, level: R) -> bool {
         let mean = all.apart();
-        let (mut sum, mut free) = (R::default(), R::default());
+        let mut sum = R::default();
         for part in &self.parts {
             let apart = sub(part.apart(), mean);
             sum += dot(apart, apart) * part.count;
-            free += R::from_f64(3.0);
         }
+        let free = R::from_f64(3.0 * (PARTS - 1) as f64);
         let count = all.count / R::from_f64(PARTS as f64);
         let slack = R::from_f64(BETWEEN_MPS2 * BETWEEN_MPS2) * count;
-        sum < (free - R::from_f64(3.0)) * R::from_f64(BETWEEN) * (level + slack)
+        sum < free * R::from_f64(BETWEEN) * (level + slack)
     }
 }
 

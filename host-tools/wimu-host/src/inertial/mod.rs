@@ -28,7 +28,6 @@ mod slide;
 pub use slide::{Leg, legs};
 
 use std::io::Write as _;
-use std::ops::Range;
 use std::path::Path as FilePath;
 
 use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
@@ -219,9 +218,8 @@ impl InertialPath {
         let moving = known[..=end].windows(2).filter(|w| !w[1].resting);
         let rest = known[..end].iter().rfind(|p| p.resting);
         Some(Horizon {
-            moving_s: moving
-                .map(|w| w[1].time_s - w[0].time_s)
-                .fold(0.0, |a, b| a + b),
+            // The sum of none is −0.
+            moving_s: moving.map(|w| w[1].time_s - w[0].time_s).sum::<f64>() + 0.0,
             at_s,
             since_rest_s: rest.map(|p| at_s - p.time_s),
             lost: lost(&known[end]),
@@ -348,7 +346,6 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             if method == Method::Strapdown {
                 wrong = rates::checked(recording)?;
             }
-            let holes = rates::holes(&samples);
             let config = UnitConfig {
                 gravity_mps2: recording.gravity_at_first_rest(),
                 bias_mps2: senses.bias_mps2,
@@ -359,7 +356,6 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             let mut path = filter(
                 &recording.times_s,
                 &samples,
-                &holes,
                 &senses.clipped,
                 config,
                 choice,
@@ -552,7 +548,6 @@ fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
 fn filter(
     times_s: &[f64],
     samples: &[UnitSample],
-    holes: &[Range<usize>],
     clipped: &[usize],
     config: UnitConfig,
     choice: &Choice,
@@ -597,7 +592,7 @@ fn filter(
             first.time_s
         ));
     }
-    remarks.extend(rates::remark(holes, times_s));
+    remarks.extend(rates::remark(&rates::holes(samples), times_s));
     let mut remark = |count: u32, what: &str| {
         if count > 0 {
             remarks.push(format!("{count} {what}"));
@@ -606,6 +601,10 @@ fn filter(
     remark(
         gaps,
         "gaps longer than 0.25 s: position is not valid after one until the next rest",
+    );
+    remark(
+        clipped.len() as u32,
+        "clipped samples left out: position is not valid after one until the next rest",
     );
     remark(backwards, "samples whose time stood still: left out");
     remark(bad, "samples that were no numbers: left out");

@@ -65,8 +65,8 @@ impl Senses {
         senses.clipped = clipped(recording);
         if let Some(first) = senses.clipped.first() {
             senses.remarks.push(format!(
-                "the accelerometer clips in {} samples, first at {:.2} s: what it felt is not known, position is not valid \
-                 from there to the next rest; take a larger range",
+                "the accelerometer clips in {} samples, first at {:.2} s: what it felt there is not \
+                 known; take a larger range",
                 senses.clipped.len(),
                 recording.times_s[*first]
             ));

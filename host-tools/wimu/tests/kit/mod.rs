@@ -195,6 +195,27 @@ impl Simulator {
             _process: process,
         }
     }
+
+    /// Records its cable to `file` until it is gone, as one with `--exit-when-done` is.
+    pub fn record_to_the_end(&self, file: &str) {
+        let record = ["record", &self.cable, "-o", file, "--reconnect", "0.5"];
+        Background::start(&record).finish().succeeds();
+    }
+}
+
+/// Noise of variance 1, the same in every run.
+pub fn noise() -> impl FnMut() -> f64 {
+    let mut state = 1_u64;
+    move || {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        sum
+    }
 }
 
 /// A folder for one test, gone afterwards.

@@ -5,7 +5,7 @@
 //! (as the magnetometer puts it out, its axes) and, where the parameters in use have a magnetometer,
 //! `imu/mag_corrected` (body axes), both `sensor_msgs/msg/MagneticField` in tesla; `imu/temperature`
 //! (`sensor_msgs/msg/Temperature`, °C).
-//! Stamps are device times through the clock model, in UTC. What there is none of has −1 as the first
+//! Stamps are device times through the clock model, in UTC; messages stand in the order of arrival. What there is none of has −1 as the first
 //! element of its covariance; a covariance of zeros is unknown.
 
 use std::collections::BTreeMap;
@@ -38,7 +38,7 @@ pub struct Decoded {
     pub without_time: u64,
     /// Raw samples left out because the range may have changed there and no epoch tells.
     pub without_unit: u64,
-    /// Samples left out because later ones had come before them.
+    /// Samples that came after later ones: they stand behind these.
     pub late: u64,
     /// Batches of samples left out because no epoch tells their place, at the very end of the recording
     /// too.
@@ -191,7 +191,10 @@ impl Writer<'_> {
         let held = self.parameters.entry((role.number(), start)).or_default();
         held.take_parameters(&arrival.event);
         match &arrival.event {
-            Event::Samples(samples) => {
+            Event::Samples(samples) | Event::Late(samples) => {
+                if matches!(arrival.event, Event::Late(_)) {
+                    self.decoded.late += samples.values.len() as u64;
+                }
                 let kind = match samples.stream {
                     Stream::Raw => Kind::Raw,
                     Stream::Corrected => Kind::Corrected,
@@ -221,7 +224,6 @@ impl Writer<'_> {
                     write(self, kind, sample.time, &fields)?;
                 }
             }
-            Event::Late(samples) => self.decoded.late += samples.values.len() as u64,
             Event::Environment(environment) => {
                 let time = DeviceTimeUs(environment.time_us);
                 let corrected = held.corrected_field_nt(environment);

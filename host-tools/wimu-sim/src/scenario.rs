@@ -2,6 +2,7 @@
 //! the end-to-end test holds.
 
 use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::io::Cursor;
 use std::rc::Rc;
 use std::time::Duration;
@@ -15,6 +16,7 @@ use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWrit
 use wimu_host::navigation::{self, Point};
 use wimu_host::recorder::Tap;
 use wimu_host::replay::{self, ReplayReport};
+use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::message::Settings;
@@ -252,9 +254,10 @@ struct SlideRun {
 /// A host on both links of a board in virtual time, that records everything.
 pub struct Host<'a, R> {
     /// Its client on the cable.
-    pub cable: Client<Tap<SimLink<'a, R>>>,
+    pub cable: Client<End<'a, R>>,
     /// Its client on the wireless link.
-    pub wireless: Client<Tap<SimLink<'a, R>>>,
+    pub wireless: Client<End<'a, R>>,
+    ends: Rc<RefCell<Ends<'a, R>>>,
     board: &'a RefCell<R>,
     scene: Scene,
     key: Option<DeviceKey>,
@@ -267,11 +270,13 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     /// # Errors
     /// Those of [`Client::connect`].
     pub fn connect(board: &'a RefCell<R>, scene: Scene) -> Result<Self> {
+        let ends = Rc::new(RefCell::new(Ends::of(board)));
         Ok(Self {
             board,
             scene,
-            cable: client(board, LinkRole::Cable)?,
-            wireless: client(board, LinkRole::Wireless)?,
+            cable: client(&ends, LinkRole::Cable)?,
+            wireless: client(&ends, LinkRole::Wireless)?,
+            ends,
             key: None,
             heard: Vec::new(),
         })
@@ -297,8 +302,9 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         while self.wireless.next_event(Duration::ZERO)?.is_some() {}
         self.keep();
         self.board.borrow_mut().restart()?;
-        self.cable = client(self.board, LinkRole::Cable)?;
-        self.wireless = client(self.board, LinkRole::Wireless)?;
+        *self.ends.borrow_mut() = Ends::of(self.board);
+        self.cable = client(&self.ends, LinkRole::Cable)?;
+        self.wireless = client(&self.ends, LinkRole::Wireless)?;
         self.cable.use_key(self.key);
         self.wireless.use_key(self.key);
         Ok(())
@@ -324,13 +330,9 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
 
     /// Keeps what both links have brought, for the recording.
     fn keep(&mut self) {
-        for (role, client) in [
-            (LinkRole::Cable, &mut self.cable),
-            (LinkRole::Wireless, &mut self.wireless),
-        ] {
-            let tapped = client.transport().take();
-            self.heard
-                .extend(tapped.into_iter().map(|entry| entry.of(role)));
+        for (role, link) in ROLES.into_iter().zip(&mut self.ends.borrow_mut().links) {
+            let tapped = link.take().into_iter();
+            self.heard.extend(tapped.map(|entry| entry.of(role)));
         }
     }
 
@@ -478,15 +480,103 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     }
 }
 
-fn client<R: VirtualBoard>(
-    board: &RefCell<R>,
+fn client<'a, R: VirtualBoard>(
+    ends: &Rc<RefCell<Ends<'a, R>>>,
     role: LinkRole,
-) -> Result<Client<Tap<SimLink<'_, R>>>> {
+) -> Result<Client<End<'a, R>>> {
     let options = ConnectOptions {
         // Not at random: the same bytes in every run.
         session: Some(1),
         ..ConnectOptions::default()
     };
-    let tap = Tap::on(SimLink::new(board, role));
-    Client::connect(tap, &format!("the simulated {role} link"), options)
+    let end = End {
+        ends: Rc::clone(ends),
+        link: usize::from(role != LinkRole::Cable),
+    };
+    Client::connect(end, &format!("the simulated {role} link"), options)
+}
+
+const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+/// The host's ends of both links. Who waits for one listens to both, so that each byte is recorded
+/// when it arrives.
+struct Ends<'a, R> {
+    links: [Tap<SimLink<'a, R>>; 2],
+    /// Arrived, not yet read.
+    arrived: [VecDeque<u8>; 2],
+}
+
+impl<'a, R: VirtualBoard> Ends<'a, R> {
+    fn of(board: &'a RefCell<R>) -> Self {
+        Self {
+            links: ROLES.map(|role| Tap::on(SimLink::new(board, role))),
+            arrived: Default::default(),
+        }
+    }
+
+    /// Takes what both links bring, until there is some for `link`, for `timeout` at most.
+    fn listen(&mut self, link: usize, timeout: Duration) -> Result<()> {
+        let deadline = self.links[link].now() + timeout;
+        loop {
+            let left = deadline.saturating_sub(self.links[link].now());
+            let waits = self.arrived[link].is_empty();
+            for (index, end) in self.links.iter_mut().enumerate() {
+                let wait = if index == link && waits {
+                    left.min(TICK)
+                } else {
+                    Duration::ZERO
+                };
+                let mut buffer = [0; 4096];
+                match end.read(&mut buffer, wait) {
+                    Ok(count) => self.arrived[index].extend(&buffer[..count]),
+                    // The other's fault is told to who reads it.
+                    Err(error) if index == link && waits => return Err(error),
+                    Err(_) => {}
+                }
+            }
+            if left.is_zero() || !self.arrived[link].is_empty() {
+                return Ok(());
+            }
+        }
+    }
+}
+
+/// How long the host looks at one link before it looks at the other.
+const TICK: Duration = Duration::from_millis(1);
+
+/// The host's end of one link, see [`Host`].
+pub struct End<'a, R> {
+    ends: Rc<RefCell<Ends<'a, R>>>,
+    link: usize,
+}
+
+impl<R: VirtualBoard> Transport for End<'_, R> {
+    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
+        let mut ends = self.ends.borrow_mut();
+        ends.listen(self.link, timeout)?;
+        let arrived = &mut ends.arrived[self.link];
+        let count = arrived.len().min(buffer.len());
+        for (place, byte) in buffer.iter_mut().zip(arrived.drain(..count)) {
+            *place = byte;
+        }
+        Ok(count)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
+        self.ends.borrow_mut().links[self.link].write_all(bytes)
+    }
+
+    fn now(&self) -> Duration {
+        self.ends.borrow().links[self.link].now()
+    }
+
+    fn baud(&self) -> Option<u32> {
+        self.ends.borrow().links[self.link].baud()
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<()> {
+        let mut ends = self.ends.borrow_mut();
+        ends.arrived[self.link].clear();
+        ends.links[self.link].set_baud(baud)
+    }
 }

@@ -213,6 +213,24 @@ fn samples_out_of_order_make_no_wrong_pair() {
 }
 
 #[test]
+fn samples_out_of_order_are_all_in_the_decoded_topics() {
+    let swapped = Stretch {
+        swaps: true,
+        ..Stretch::default()
+    };
+    let folder = folder();
+    let recorded = file(folder.path(), swapped.on(WIRELESS));
+    let decoded = folder.path().join("decoded.mcap");
+    let decoded = decoded.to_str().unwrap();
+    let found = wimu(&["export", &recorded, "--format", "mcap", "-o", decoded]).succeeds();
+    assert!(
+        (1..700).contains(&found["late"].as_u64().unwrap()),
+        "{found}"
+    );
+    assert_eq!(found["messages"]["/wireless/imu/data_raw"], 1600, "{found}");
+}
+
+#[test]
 fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
     let first = Stretch {
         boot: 0,

@@ -150,7 +150,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     Ok(())
 }
 
-/// Says what decoded topics lack.
+/// Says what decoded topics lack, and what is out of order in them.
 pub fn say_left_out(decoded: &Decoded, output: Output) {
     let lacks = [
         (
@@ -161,7 +161,10 @@ pub fn say_left_out(decoded: &Decoded, output: Output) {
             decoded.without_unit,
             "raw samples left out: the range may have changed, and the epoch that tells is lost",
         ),
-        (decoded.late, "samples left out: they came after later ones"),
+        (
+            decoded.late,
+            "samples stand behind later ones: they came after them",
+        ),
         (
             decoded.unplaced,
             "batches left out: no epoch tells their place",

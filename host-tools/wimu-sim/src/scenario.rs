@@ -21,7 +21,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::message::Settings;
 use wimu_link::{Hello, LinkRole};
-use wimu_model::{ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
+use wimu_model::{DeviceTimeUs, ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
 
 use crate::board::{Board, BoardConfig, SimLink, VirtualBoard};
 use crate::motion::{Hold, Motion, Poses, Rest, Slide};
@@ -33,6 +33,9 @@ use crate::truth::{Gauge, SensorTruth};
 const HOLD_S: f64 = 4.0;
 /// Rests of a slide, s: the sensor's true period is measured meanwhile.
 const REST_S: f64 = 6.0;
+/// How long its move takes, s, and when it ends.
+const MOVE_S: f64 = 3.0;
+const MOVED_S: f64 = REST_S + MOVE_S;
 /// How far a hand places a pose off, degrees.
 const PLACEMENT_DEG: f64 = 2.0;
 /// Left out at both ends of a hold, s: the turn's smooth end, and a batch.
@@ -140,10 +143,10 @@ impl FirstLight {
 
         let uncalibrated = host.slide(false)?;
         host.set_zupt(true)?;
-        host.play(match self.calibration {
+        host.play(Rc::new(match self.calibration {
             Calibration::SixPositions => Poses::six_positions(HOLD_S),
             Calibration::TwelvePoses => Poses::twelve_by_hand(self.seed, PLACEMENT_DEG, HOLD_S),
-        })?;
+        }))?;
         let recording = host.recording()?;
         let samples = recording
             .links
@@ -174,12 +177,15 @@ impl FirstLight {
         let boot_counts = [boot_count, host.cable.hello().boot_count];
         let after_restart = ParameterId(host.cable.parameters()?.id);
 
-        let holds = host.play(Poses::tilts(self.seed, HOLD_S))?;
-        let tilts = host.tilts(&holds, &set)?;
+        let tilts = Poses::tilts(self.seed, HOLD_S);
+        let held = host.play(Rc::new(tilts.clone()))?;
         let calibrated = host.slide(false)?;
         let with_zupt = host.slide(true)?;
 
         let recording = host.recording()?;
+        let uncalibrated_path = uncalibrated.path(&recording)?;
+        let calibrated_path = calibrated.path(&recording)?;
+        let zupt_path = with_zupt.path(&recording)?;
         let replays = recording
             .links
             .iter()
@@ -196,15 +202,16 @@ impl FirstLight {
             push_s,
             after_restart,
             boot_counts,
-            tilts,
+            tilts: held.tilts(&recording, tilts.holds(), &set)?,
             slide: SlideErrors {
-                uncalibrated_m: uncalibrated.error_m,
-                calibrated_m: calibrated.error_m,
-                zupt_m: with_zupt.error_m,
+                // Without ZUPT position is only good while it is fresh; with it, at the rest afterwards.
+                uncalibrated_m: host.slide_error_m(&uncalibrated_path, uncalibrated, MOVED_S)?,
+                calibrated_m: host.slide_error_m(&calibrated_path, calibrated, MOVED_S)?,
+                zupt_m: host.slide_error_m(&zupt_path, with_zupt, f64::INFINITY)?,
             },
-            uncalibrated_path: uncalibrated.path,
-            calibrated_path: calibrated.path,
-            zupt_path: with_zupt.path,
+            uncalibrated_path,
+            calibrated_path,
+            zupt_path,
             replays,
             duration_s: board.borrow().now_us() as f64 * 1e-6,
             recording: host.file()?,
@@ -245,10 +252,80 @@ impl Outcome {
     }
 }
 
-/// A slide as the device saw it.
-struct SlideRun {
-    error_m: f64,
-    path: Vec<Point>,
+/// A motion that the board has made. Times are since its first start, s.
+#[derive(Clone, Copy)]
+struct Played {
+    /// The board's start in which it did, from 0, and when that was.
+    start: usize,
+    started_s: f64,
+    begin_s: f64,
+    end_s: f64,
+}
+
+impl Played {
+    /// What the cable brought of the start.
+    fn boot(self, recording: &Recording) -> Result<&Boot> {
+        let boots = &recording.link(Some(LinkRole::Cable))?.boots;
+        boots.get(self.start).ok_or_else(|| lacks("a start"))
+    }
+
+    /// When a sample or a point was taken, s since the motion began.
+    fn since_begin_s(self, time: DeviceTimeUs) -> f64 {
+        time.to_seconds() + self.started_s - self.begin_s
+    }
+
+    /// The device's path in it.
+    fn path(self, recording: &Recording) -> Result<Vec<Point>> {
+        let duration_s = self.end_s - self.begin_s;
+        let mut path = navigation::device(self.boot(recording)?);
+        path.retain(|point| (0.0..duration_s).contains(&self.since_begin_s(point.time)));
+        Ok(path)
+    }
+
+    /// |f| − g over each hold: raw at nominal sensitivity, and as the device corrected it, m/s².
+    fn tilts(
+        self,
+        recording: &Recording,
+        holds: &[Hold],
+        set: &ParameterSet,
+    ) -> Result<Vec<[f64; 2]>> {
+        let boot = self.boot(recording)?;
+        let gravity = World::default().gravity_mps2;
+        let mean = |samples: &[TimedSample], hold: &Hold, mps2_per_lsb: f64| {
+            let held = hold.start_s + MARGIN_S..hold.end_s - MARGIN_S;
+            let mut sum = [0.0; 3];
+            let mut count = 0.0;
+            for sample in samples {
+                if !held.contains(&self.since_begin_s(sample.time)) {
+                    continue;
+                }
+                for (sum, value) in sum.iter_mut().zip(sample.value) {
+                    *sum += f64::from(value);
+                }
+                count += 1.0;
+            }
+            SpecificForceMps2(sum.map(|sum| sum / count * mps2_per_lsb)).norm() - gravity
+        };
+        Ok(holds
+            .iter()
+            .map(|hold| {
+                let nominal = set.sensitivity.mps2_per_lsb();
+                let fixed = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
+                [
+                    mean(&boot.raw, hold, nominal),
+                    mean(&boot.corrected, hold, fixed),
+                ]
+            })
+            .collect())
+    }
+}
+
+fn lacks(what: &str) -> HostError {
+    HostError::new(
+        ErrorCode::NoRows,
+        format!("the recording of the simulated board lacks {what}"),
+        "report this as a fault of wimu",
+    )
 }
 
 /// A host on both links of a board in virtual time, that records everything.
@@ -261,6 +338,8 @@ pub struct Host<'a, R> {
     board: &'a RefCell<R>,
     scene: Scene,
     key: Option<DeviceKey>,
+    /// The board's restarts so far.
+    start: usize,
     heard: Vec<Recorded>,
 }
 
@@ -278,6 +357,7 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
             wireless: client(&ends, LinkRole::Wireless)?,
             ends,
             key: None,
+            start: 0,
             heard: Vec::new(),
         })
     }
@@ -302,6 +382,7 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         while self.wireless.next_event(Duration::ZERO)?.is_some() {}
         self.keep();
         self.board.borrow_mut().restart()?;
+        self.start += 1;
         *self.ends.borrow_mut() = Ends::of(self.board);
         self.cable = client(&self.ends, LinkRole::Cable)?;
         self.wireless = client(&self.ends, LinkRole::Wireless)?;
@@ -371,112 +452,47 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         Ok(())
     }
 
-    /// Holds the poses; returns when each was held.
-    fn play(&mut self, poses: Poses) -> Result<Vec<Hold>> {
-        let mut holds = poses.holds().to_vec();
-        let duration_s = poses.duration();
-        let begin_s = self.scene.play(self.now_s(), Rc::new(poses));
-        for hold in &mut holds {
-            hold.start_s += begin_s;
-            hold.end_s += begin_s;
-        }
-        self.run_until(begin_s + duration_s)?;
-        Ok(holds)
-    }
-
-    /// Slides by a metre along body x between two rests.
-    fn slide(&mut self, zupt: bool) -> Result<SlideRun> {
-        // Level first: a change of settings begins navigation anew, with body x as east.
-        let level_s = self.scene.play(self.now_s(), Rc::new(Rest::level(0.5)));
-        self.run_until(level_s + 0.5)?;
-        self.set_zupt(zupt)?;
-        let slide = Slide {
-            rest_before_s: REST_S,
-            rest_after_s: REST_S,
-            ..Slide::default()
-        };
-        let begin_s = self.scene.play(self.now_s(), Rc::new(slide));
-        let moved_s = begin_s + REST_S + slide.move_s;
-        self.run_until(moved_s + REST_S)?;
-
-        let path = self.path(begin_s)?;
-        let started_s = self.started_s();
-        let at = |time_s: f64| {
-            let reached = |point: &&Point| point.time.to_seconds() + started_s >= time_s;
-            path.iter().find(reached).or(path.last())
-        };
-        // Without ZUPT position is only good while it is fresh; with it, at the rest afterwards.
-        let end = if zupt { path.last() } else { at(moved_s) };
-        let (Some(start), Some(end)) = (at(begin_s + REST_S - 1.0), end) else {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "the device sent no position",
-                "report this as a fault of wimu",
-            ));
-        };
-        let [start, end] = [start, end].map(|point| point.navigation.position.to_m());
-        let truth = |time_s| self.scene.state(time_s).position_m;
-        let [from, to] = [truth(begin_s), truth(moved_s)];
-        let measured = [0, 1, 2].map(|axis| end[axis] - start[axis]);
-        let true_move = [0, 1, 2].map(|axis| to[axis] - from[axis]);
-        Ok(SlideRun {
-            error_m: navigation::distance_m(measured, true_move),
-            path,
+    /// Has the board make a motion.
+    fn play(&mut self, motion: Rc<dyn Motion>) -> Result<Played> {
+        let duration_s = motion.duration();
+        let begin_s = self.scene.play(self.now_s(), motion);
+        let end_s = begin_s + duration_s;
+        self.run_until(end_s)?;
+        Ok(Played {
+            start: self.start,
+            started_s: self.board.borrow().started_us() as f64 * 1e-6,
+            begin_s,
+            end_s,
         })
     }
 
-    /// The device's path since `begin_s`.
-    fn path(&mut self, begin_s: f64) -> Result<Vec<Point>> {
-        let started_s = self.started_s();
-        let recording = self.recording()?;
-        let boots = &recording.link(Some(LinkRole::Cable))?.boots;
-        Ok(boots
-            .last()
-            .map(navigation::device)
-            .unwrap_or_default()
-            .into_iter()
-            .filter(|point| point.time.to_seconds() + started_s >= begin_s)
-            .collect())
+    /// Slides by a metre along body x between two rests.
+    fn slide(&mut self, zupt: bool) -> Result<Played> {
+        // Level first: a change of settings begins navigation anew, with body x as east.
+        self.play(Rc::new(Rest::level(0.5)))?;
+        self.set_zupt(zupt)?;
+        self.play(Rc::new(Slide {
+            rest_before_s: REST_S,
+            move_s: MOVE_S,
+            rest_after_s: REST_S,
+            ..Slide::default()
+        }))
     }
 
-    fn started_s(&self) -> f64 {
-        self.board.borrow().started_us() as f64 * 1e-6
-    }
-
-    /// |f| − g over each hold: raw at nominal sensitivity, and as the device corrected it, m/s².
-    fn tilts(&mut self, holds: &[Hold], set: &ParameterSet) -> Result<Vec<[f64; 2]>> {
-        let started_s = self.started_s();
-        let recording = self.recording()?;
-        let link = recording.link(Some(LinkRole::Cable))?;
-        let nothing = Boot::default();
-        let boot = link.boots.last().unwrap_or(&nothing);
-        let gravity = World::default().gravity_mps2;
-        let mean = |samples: &[TimedSample], hold: &Hold, mps2_per_lsb: f64| {
-            let held = |sample: &&TimedSample| {
-                let time_s = sample.time.to_seconds() + started_s;
-                (hold.start_s + MARGIN_S..hold.end_s - MARGIN_S).contains(&time_s)
-            };
-            let mut sum = [0.0; 3];
-            let mut count = 0.0;
-            for sample in samples.iter().filter(held) {
-                for (sum, value) in sum.iter_mut().zip(sample.value) {
-                    *sum += f64::from(value);
-                }
-                count += 1.0;
-            }
-            SpecificForceMps2(sum.map(|sum| sum / count * mps2_per_lsb)).norm() - gravity
+    /// How far the move of a slide is wrong, from a second before it to its `end_s`, m.
+    fn slide_error_m(&self, path: &[Point], slide: Played, end_s: f64) -> Result<f64> {
+        let at = |time_s: f64| {
+            let reached = |point: &&Point| slide.since_begin_s(point.time) >= time_s;
+            let point = path.iter().find(reached).or(path.last());
+            point
+                .map(|point| point.navigation.position.to_m())
+                .ok_or_else(|| lacks("a position"))
         };
-        Ok(holds
-            .iter()
-            .map(|hold| {
-                let nominal = set.sensitivity.mps2_per_lsb();
-                let fixed = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
-                [
-                    mean(&boot.raw, hold, nominal),
-                    mean(&boot.corrected, hold, fixed),
-                ]
-            })
-            .collect())
+        let truth = |time_s| self.scene.state(slide.begin_s + time_s).position_m;
+        let moved = |from: [f64; 3], to: [f64; 3]| [0, 1, 2].map(|axis| to[axis] - from[axis]);
+        let measured = moved(at(REST_S - 1.0)?, at(end_s)?);
+        let true_move = moved(truth(0.0), truth(MOVED_S));
+        Ok(navigation::distance_m(measured, true_move))
     }
 }
 

@@ -5,6 +5,7 @@
 mod common;
 
 use common::journeys::{Journey, Journeys, Recorded};
+use wimu_nav::unit::Zupt;
 
 fn main() {
     let argument = |k: usize| std::env::args().nth(k);
@@ -13,7 +14,7 @@ fn main() {
     println!(
         "{seeds} seeds: valid, % | NEES below 7.81, % of the valid samples, of a seed but for a tenth | greatest error of a \
          seed in deviations, median and most | stillness taken for rests, % | error at the end | way that even motion at the \
-         rests would have been"
+         rests may have been, 1 sd"
     );
     let kinds = [
         Journey::Moves(0.3),
@@ -28,6 +29,7 @@ fn main() {
         Journey::Cart(0.1),
         Journey::Cart(0.4),
         Journey::Cart(1.0),
+        Journey::Stairs(0.05),
         Journey::Push(1.0, 4.0, false),
         Journey::Push(1.0, 4.0, true),
         Journey::Push(0.3, 4.0, false),
@@ -37,7 +39,10 @@ fn main() {
         if !format!("{kind:?}").contains(&only) {
             continue;
         }
-        for (gyroscope, zupt) in [(true, true), (true, false), (false, true), (false, false)] {
+        for (gyroscope, zupt) in [true, false]
+            .into_iter()
+            .flat_map(|g| [Zupt::Assumed, Zupt::Stated, Zupt::Off].map(|zupt| (g, zupt)))
+        {
             let how = Recorded {
                 gyroscope,
                 zupt,

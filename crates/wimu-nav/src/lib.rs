@@ -8,5 +8,7 @@ mod real;
 pub mod slide;
 pub mod unit;
 mod vector;
+mod zupt;
 
 pub use real::Real;
+pub use zupt::Zupt;

@@ -94,7 +94,7 @@ fn a_known_drift_is_taken_out_and_its_doubt_is_left_in_the_covariance() {
     let run = |drift: Option<Drift>| {
         let mut random = Random(5);
         let mut filter = UnitFilter::new(UnitConfig {
-            zupt: false,
+            zupt: wimu_nav::Zupt::Off,
             drift,
             ..UnitConfig::default()
         });

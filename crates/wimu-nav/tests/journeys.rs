@@ -4,6 +4,7 @@
 mod common;
 
 use common::journeys::{Journey, Journeys, Recorded, travel};
+use wimu_nav::unit::Zupt;
 
 const SEEDS: u64 = 16;
 
@@ -23,13 +24,21 @@ fn with_a_gyroscope_slow_moves_turns_and_short_pauses_lie_within_the_covariance(
         Journey::Slow(3.0),
         Journey::Slow(5.0),
     ] {
-        let found = over(journey, Recorded::default());
-        assert!(found.below > 0.92 && found.greatest < 5.0, "{found}");
-        assert!(found.valid > 0.5 && found.rests > 0.2, "{found}");
         let found = over(
             journey,
             Recorded {
-                zupt: false,
+                zupt: Zupt::Stated,
+                ..Recorded::default()
+            },
+        );
+        assert!(found.below > 0.92 && found.greatest < 5.0, "{found}");
+        assert!(found.valid > 0.5 && found.rests > 0.2, "{found}");
+        let found = over(journey, Recorded::default());
+        assert!(found.below > 0.97 && found.greatest < 4.0, "{found}");
+        let found = over(
+            journey,
+            Recorded {
+                zupt: Zupt::Off,
                 ..Recorded::default()
             },
         );
@@ -40,7 +49,7 @@ fn with_a_gyroscope_slow_moves_turns_and_short_pauses_lie_within_the_covariance(
 #[test]
 fn a_steady_push_is_not_taken_for_a_tilt() {
     for gyroscope in [true, false] {
-        for zupt in [true, false] {
+        for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
             for push in [
                 Journey::Push(1.0, 4.0, false),
                 Journey::Push(1.0, 4.0, true),
@@ -59,26 +68,43 @@ fn a_steady_push_is_not_taken_for_a_tilt() {
     }
 }
 
+/// By default: nothing is said about rests.
 #[test]
-fn even_motion_is_seen_or_the_way_that_it_may_have_gone_is_told() {
+fn an_even_motion_is_never_valid_and_wrong() {
     for gyroscope in [true, false] {
+        let how = Recorded {
+            gyroscope,
+            ..Recorded::default()
+        };
         for speed in [0.02, 0.05, 0.1, 0.4, 1.0] {
-            for seed in 0..SEEDS {
-                let how = Recorded {
-                    gyroscope,
-                    ..Recorded::default()
-                };
-                let shown = travel(Journey::Cart(speed), how, seed);
-                assert!(
-                    shown.worst < 5.0 || shown.off_m < shown.unseen_m,
-                    "{speed} m/s, seed {seed}, gyroscope {gyroscope}: {shown:?}"
-                );
-            }
+            let found = over(Journey::Cart(speed), how);
+            assert!(found.below > 0.95 && found.greatest < 4.0, "{found}");
         }
+        let stairs = over(Journey::Stairs(0.05), how);
+        assert!(stairs.below > 0.95 && stairs.greatest < 4.0, "{stairs}");
+        let slow = over(Journey::Slow(8.0), how);
+        assert!(slow.below > 0.8 && slow.greatest < 5.0, "{slow}");
     }
-    let slow = Journeys::over(Journey::Cart(0.1), Recorded::default(), SEEDS);
-    let fast = over(Journey::Cart(1.0), Recorded::default());
-    assert!(slow.unseen_m > 0.5 && fast.below > 0.95, "{slow}\n{fast}");
+}
+
+#[test]
+fn who_states_that_it_rested_gets_the_smaller_covariance_and_the_same_path() {
+    let how = |zupt| Recorded {
+        zupt,
+        ..Recorded::default()
+    };
+    for seed in 0..SEEDS {
+        let [assumed, stated] =
+            [Zupt::Assumed, Zupt::Stated].map(|z| travel(Journey::Slow(3.0), how(z), seed));
+        assert!((assumed.unseen_m - stated.unseen_m).abs() < 1e-9);
+        assert!(assumed.worst < stated.worst, "{assumed:?} {stated:?}");
+    }
+    let assumed = over(Journey::Moves(0.3), how(Zupt::Assumed));
+    let stated = over(Journey::Moves(0.3), how(Zupt::Stated));
+    assert!(
+        stated.valid > 0.9 && (0.4..0.9).contains(&assumed.valid),
+        "{assumed}"
+    );
 }
 
 #[test]
@@ -89,6 +115,7 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
                 journey,
                 Recorded {
                     fails_s: missing_s,
+                    zupt: Zupt::Stated,
                     ..Recorded::default()
                 },
             );
@@ -100,6 +127,7 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
                 journey,
                 Recorded {
                     hole_s: missing_s,
+                    zupt: Zupt::Stated,
                     ..Recorded::default()
                 },
             );
@@ -108,6 +136,7 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
                 journey,
                 Recorded {
                     jump_s: missing_s,
+                    zupt: Zupt::Stated,
                     ..Recorded::default()
                 },
             );

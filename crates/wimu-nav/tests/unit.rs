@@ -4,7 +4,7 @@ mod common;
 
 use common::Random;
 use wimu_nav::slide::{Rest, Slide, SlideConfig};
-use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample, UnitState};
+use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample, UnitState, Zupt};
 
 const G: f64 = 9.80665;
 const RATE: f64 = 100.0;
@@ -50,7 +50,7 @@ fn single(sample: &UnitSample) -> UnitSample<f32> {
 
 #[test]
 fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
-    for (zupt, gyroscope) in [(true, false), (false, false), (false, true)] {
+    for (zupt, gyroscope) in [(Zupt::Stated, false), (Zupt::Off, false), (Zupt::Off, true)] {
         let mut random = Random(11);
         let config = UnitConfig { zupt, ..config() };
         let (mut wide, mut narrow) = (UnitFilter::new(config), UnitFilter::<f32>::new(config));
@@ -90,7 +90,7 @@ fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
         let state = narrow.state();
         let sum: f32 = state.quaternion.iter().map(|c| c * c).sum();
         assert!(state.position_sd_m().is_finite() && (sum - 1.0).abs() < 1e-4);
-        assert_eq!(state.valid, zupt);
+        assert_eq!(state.valid, zupt.is_on());
     }
 }
 
@@ -153,7 +153,10 @@ fn a_pause_of_a_second_is_a_rest_at_any_rate_and_the_motion_before_it_is_not() {
 #[test]
 fn a_start_in_motion_is_not_valid_before_the_first_rest_and_position_begins_there() {
     let mut random = Random(22);
-    let mut filter = UnitFilter::new(config());
+    let mut filter = UnitFilter::new(UnitConfig {
+        zupt: Zupt::Stated,
+        ..config()
+    });
     for k in 0..600 {
         let mut sample = at_rest(&mut random);
         if k < 300 {
@@ -225,7 +228,7 @@ fn a_gyroscopes_offset_is_found_at_the_first_rest() {
 
 #[test]
 fn a_unit_at_rest_stays_where_it_is_with_zupt_and_gets_lost_without() {
-    for (zupt, least, most) in [(true, 0.0, 0.02), (false, 0.5, 1e4)] {
+    for (zupt, least, most) in [(Zupt::Stated, 0.0, 0.02), (Zupt::Off, 0.5, 1e4)] {
         let mut random = Random(1);
         let mut filter = UnitFilter::new(UnitConfig { zupt, ..config() });
         for _ in 0..6000 {
@@ -235,7 +238,7 @@ fn a_unit_at_rest_stays_where_it_is_with_zupt_and_gets_lost_without() {
         assert!(state.valid && state.resting && sane(&state));
         assert!(
             (least..most).contains(&state.position_sd_m()),
-            "{zupt}: {}",
+            "{zupt:?}: {}",
             state.position_sd_m()
         );
     }
@@ -314,7 +317,7 @@ fn a_magnetic_disturbance_is_left_out_and_counted() {
 fn gaps_jumps_and_what_is_no_number_are_said_and_survived() {
     let mut random = Random(6);
     let mut filter = UnitFilter::new(UnitConfig {
-        zupt: false,
+        zupt: Zupt::Off,
         ..config()
     });
     for _ in 0..300 {

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use wimu_calib::Gravity;
 use wimu_host::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
-use wimu_host::inertial::{Choice, InertialPath, Method, navigate_array};
+use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate_array};
 use wimu_host::{ErrorCode, HostError};
 
 const G: f64 = 9.80665;
@@ -185,7 +185,7 @@ fn path(
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE)?;
     let choice = Choice {
         method: Method::Array,
-        zupt,
+        zupt: if zupt { Zupt::Stated } else { Zupt::Off },
         ..Choice::default()
     };
     Ok((

@@ -143,7 +143,7 @@ fn past_the_limit_the_position_is_marked_unusable() {
         recording.truth.push(None);
     }
     let choice = Choice {
-        zupt: false,
+        zupt: wimu_nav::Zupt::Off,
         limit_m: 0.3,
         ..Choice::default()
     };

@@ -195,7 +195,7 @@ fn a_move_that_turns_the_unit_ends_the_horizon() {
 fn zero_velocity_cannot_be_switched_off_for_a_slide() {
     let choice = Choice {
         method: Method::Slide,
-        zupt: false,
+        zupt: wimu_nav::Zupt::Off,
         ..Choice::default()
     };
     let refused = navigate(&RUN.recording(), &choice).unwrap_err();
@@ -257,6 +257,7 @@ fn standing_still_makes_no_horizon_longer() {
     let horizon = |first_rest_s| {
         let choice = Choice {
             limit_m: 0.5,
+            zupt: wimu_nav::Zupt::Stated,
             ..Choice::default()
         };
         let run = Run {

@@ -720,7 +720,9 @@ pub struct Navigate {
     /// Recompute with this calibration instead of the device's own
     #[arg(long, value_name = "CAL.json")]
     pub calibration: Option<PathBuf>,
-    /// With or without zero velocity at rests; without this on, and the device's own as it did
+    /// `on`: it is known that it rested wherever it seems to, and σ and Valid depend on that; `off`: no zero velocity at
+    /// rests. Without this stillnesses are taken for rests, too, but even motion would look the same: σ holds what it
+    /// could have hidden, and Valid ends with it. The device's own path is as it did
     #[arg(long, value_enum)]
     pub zupt: Option<Switch>,
     /// Of which link; without it, the cable if it was recorded

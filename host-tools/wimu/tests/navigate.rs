@@ -193,17 +193,25 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
 }
 
 #[test]
-fn zero_velocity_at_rests_can_be_switched_off_and_then_the_path_is_lost() {
+fn zero_velocity_at_rests_is_assumed_or_stated_or_off_and_the_covariance_says_which() {
     let folder = folder();
     let csv = PLAIN.write(folder.path(), "in.csv");
-    let sigma = |zupt: &str| {
-        let said = wimu(&["navigate", &csv, "--zupt", zupt]).succeeds();
-        assert_eq!(said["zupt"], zupt == "on");
-        (0..3)
+    let found = |zupt: &[&str], name: &str| {
+        let said = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
+        assert_eq!(said["zupt"], name);
+        let sigma = (0..3)
             .map(|i| number(&said, &format!("/final_sigma_m/{i}")))
-            .sum::<f64>()
+            .sum::<f64>();
+        (sigma, said["final_position_m"].clone())
     };
-    assert!(sigma("off") > 1.5 * sigma("on"));
+    let (assumed, assumed_m) = found(&[], "assumed");
+    let (stated, stated_m) = found(&["--zupt", "on"], "stated");
+    let (off, _) = found(&["--zupt", "off"], "off");
+    assert_eq!(assumed_m, stated_m);
+    assert!(
+        off > 1.5 * stated && assumed > stated,
+        "{off} {assumed} {stated}"
+    );
 }
 
 #[test]

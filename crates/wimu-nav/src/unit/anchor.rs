@@ -16,11 +16,19 @@ const LAG: f64 = 0.05;
 /// ... and at another attitude differs by this, m/s² per rad: its bias, and the scale of both sensors.
 const TURN_MPS2: f64 = 0.1;
 /// A mean beyond so many variances in space is not that of a rest: one of 10⁴ is.
-const GATE: f64 = 21.0;
+pub(super) const GATE: f64 = 21.0;
 /// Deviations beyond which a field has turned, or not turned with gravity.
 const TURNED: f64 = 3.0;
 /// While a stillness is refused, the deviation that it is measured by grows e-fold in this time, s.
 const DOUBT_S: f64 = 10.0;
+/// A rest's mean that a slow push shows against follows in this time, s, and what it gained is forgotten in that.
+const SLOW_S: f64 = 20.0;
+const GAINED_S: f64 = 5.0;
+/// The mean follows a push: of what it was, so many times what shows.
+const FOLLOWED: f64 = 1.5;
+/// A rest so soon after one, s, and turned by less than this, rad, goes on with that.
+const SAME_S: f64 = 1.0;
+const SAME_RAD: f64 = 0.02;
 /// Of the velocity that was gained before a rest was seen to end, what may have come before the last half
 /// second.
 const BEFORE: f64 = 0.3;
@@ -40,6 +48,11 @@ pub(super) struct Anchor<R> {
     carried: bool,
     /// Mean of what the last parts departed by from what was expected, m/s²: of a slow push all to one side.
     lag: Vector<R>,
+    /// Mean force over the last of the rest, m/s², body axes as they are now, and over how many parts.
+    slow: Vector<R>,
+    parts: R,
+    /// What a push that is too slow to end the rest would have gained, m/s, the same axes.
+    gained: Vector<R>,
 }
 
 /// What a stillness is, as far as the anchor tells.
@@ -57,14 +70,27 @@ impl<R: Real> Anchor<R> {
     /// From what a rest shows.
     pub fn new(all: &Part<R>, about: Vector<R>, level: R, rated: bool) -> Self {
         let one = R::from_f64(1.0);
+        let force = add(about, scale(all.force, one / all.count));
         Self {
-            force: add(about, scale(all.force, one / all.count)),
+            force,
             variance: level / all.count,
             field: (all.fields > R::default()).then(|| scale(all.field, one / all.fields)),
             turned: [R::default(); 3],
             since_s: R::default(),
             carried: rated,
             lag: [R::default(); 3],
+            slow: force,
+            parts: R::from_f64(PARTS as f64),
+            gained: [R::default(); 3],
+        }
+    }
+
+    /// A rest that goes on after a moment at which it seemed to be none: what a slow push has shown stays.
+    pub fn follow(&mut self, before: &Self) {
+        let turned = R::from_f64(SAME_RAD);
+        let same = dot(before.turned, before.turned) < turned * turned;
+        if before.since_s < R::from_f64(SAME_S) && (same || !before.carried) {
+            (self.slow, self.parts, self.gained) = (before.slow, before.parts, before.gained);
         }
     }
 
@@ -76,7 +102,9 @@ impl<R: Real> Anchor<R> {
         self.variance += drift * step;
         match by {
             Some(by) if self.carried => {
-                self.force = times(&turn(scale(by, R::from_f64(-1.0))), self.force);
+                let back = turn(scale(by, R::from_f64(-1.0)));
+                self.force = times(&back, self.force);
+                self.slow = times(&back, self.slow);
                 self.turned = add(self.turned, by);
                 self.variance += gravity * gravity * walk2 * step;
             }
@@ -160,6 +188,17 @@ impl<R: Real> Anchor<R> {
         let share = self.variance / expected;
         let lag = R::from_f64(LAG);
         self.lag = add(self.lag, scale(sub(part.apart(), self.lag), lag));
+        let one = R::from_f64(1.0);
+        let apart = add(part.apart(), sub(self.force, self.slow));
+        let kept = one - part.time_s * R::from_f64(1.0 / GAINED_S);
+        self.gained = add(scale(self.gained, kept), scale(apart, part.time_s));
+        self.parts += one;
+        let least = part.time_s * R::from_f64(1.0 / SLOW_S);
+        let new = one / self.parts;
+        self.slow = add(
+            self.slow,
+            scale(apart, if new > least { new } else { least }),
+        );
         let change = scale(part.apart(), share);
         self.force = add(self.force, change);
         self.variance = self.variance * (R::from_f64(1.0) - share);
@@ -172,6 +211,16 @@ impl<R: Real> Anchor<R> {
     /// Variance of a component, (m/s²)².
     pub fn variance(&self) -> R {
         self.variance + R::from_f64(SLACK_MPS2 * SLACK_MPS2)
+    }
+
+    /// What a slow push would have gained at the rest, m/s, body axes.
+    pub fn gained(&self) -> Vector<R> {
+        scale(self.gained, R::from_f64(FOLLOWED))
+    }
+
+    /// The push itself, m/s², body axes.
+    pub fn push(&self) -> Vector<R> {
+        scale(sub(self.force, self.slow), R::from_f64(FOLLOWED))
     }
 
     pub fn since_s(&self) -> R {
@@ -201,7 +250,9 @@ impl<R: Real> UnitFilter<R> {
         self.put(super::VELOCITY, velocity);
         self.put(super::POSITION, add(self.part(super::POSITION), way));
         // What the anchor does not know, and what came before.
-        let before = R::from_f64(BEFORE) * norm(velocity);
+        // Without an angular rate it may have been a turn, and nothing was gained.
+        let share = if self.gyroscope.on { BEFORE } else { 1.0 };
+        let before = R::from_f64(share) * norm(velocity);
         let variance = known * lasted * lasted + before * before;
         for i in 0..3 {
             self.cov.add(super::VELOCITY, i, variance);

@@ -2,6 +2,7 @@
 //! mean of what is expected of it after an update, so that no truth and no other sensor is needed.
 
 use crate::Real;
+use crate::vector::{Vector, dot, sub};
 
 /// What is carried about before anything is known of it: acceleration, m/s², the speed about which it
 /// swings, m/s, and angular rate, rad/s.
@@ -14,6 +15,9 @@ const MOST_SWING: f64 = 150.0;
 /// The manner of the last 3 s.
 const MEMORY_S: f64 = 3.0;
 
+/// The field's turn is measured over so long, s.
+const SWEPT_S: f64 = 0.1;
+
 /// Mean squares of a component while the body moves.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Manner<R> {
@@ -21,6 +25,45 @@ pub(super) struct Manner<R> {
     speed: R,
     turn: R,
     innovation: R,
+}
+
+/// How fast the magnetic field turns in the body: as fast at least does the body.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Swept<R> {
+    from: Option<Vector<R>>,
+    since_s: R,
+    /// Mean squares of a component of the angular rate, (rad/s)², of the last two times.
+    last: [R; 2],
+}
+
+impl<R: Real> Swept<R> {
+    /// Takes a field, µT, body axes, that is known to `noise`, `step_s` after the one before.
+    pub fn see(&mut self, field: Vector<R>, noise: R, step_s: R) {
+        self.since_s += step_s;
+        let Some(from) = self.from else {
+            self.from = Some(field);
+            self.since_s = R::default();
+            return;
+        };
+        if self.since_s < R::from_f64(SWEPT_S) {
+            return;
+        }
+        let (change, size) = (sub(field, from), dot(field, field));
+        let two = R::from_f64(2.0);
+        let scatter = two * two * noise * noise;
+        let turned = (dot(change, change) - scatter) / (size + scatter);
+        let square = turned / (two * self.since_s * self.since_s);
+        let none = R::default();
+        self.last = [self.last[1], if square > none { square } else { none }];
+        self.from = Some(field);
+        self.since_s = none;
+    }
+
+    /// Standard deviation of the angular rate now, rad/s.
+    pub fn turn(&self) -> R {
+        let [a, b] = self.last;
+        (if a > b { a } else { b }).sqrt()
+    }
 }
 
 impl<R: Real> Default for Manner<R> {

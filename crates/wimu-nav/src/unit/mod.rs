@@ -14,19 +14,22 @@ mod manner;
 mod model;
 mod rest;
 mod start;
+mod unseen;
 
 use covariance::{
     ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
     VELOCITY,
 };
-use manner::Manner;
+use manner::{Manner, Swept};
 use rest::Quiet;
+use unseen::Unseen;
 
 use crate::Real;
 pub use crate::drift::Drift;
 use crate::vector::{
     Matrix, Vector, add, cross, diagonal, dot, product, quaternion, scale, sub, times, turn, zero,
 };
+pub use crate::zupt::Zupt;
 
 /// Samples are brought together over so long before the filter looks at them, s: it follows what a
 /// hand does, and costs a few operations a sample.
@@ -45,10 +48,10 @@ const HOLE_STEPS: f64 = 2.5;
 pub struct UnitConfig {
     /// Local gravity, m/s².
     pub gravity_mps2: f64,
-    /// Whether a rest is taken for zero velocity: an accelerometer cannot tell it from uniform
-    /// motion, nor without an angular rate from a steady push. Without, only that at the start is one.
-    /// A rest at which the velocity is known to be another is not taken for one.
-    pub zupt: bool,
+    /// Whether a stillness is taken for zero velocity: an accelerometer cannot tell a rest from even
+    /// motion, nor without an angular rate from a steady push. One at which the velocity is known to be another
+    /// is not taken for a rest.
+    pub zupt: Zupt,
     /// Noise of the mean of 35 ms of force, m/s²; `None`: what the rests show, and 0.05 before the
     /// first.
     pub force_noise_mps2: Option<f64>,
@@ -65,7 +68,7 @@ impl Default for UnitConfig {
     fn default() -> Self {
         Self {
             gravity_mps2: 9.80665,
-            zupt: true,
+            zupt: Zupt::Assumed,
             force_noise_mps2: None,
             angle_walk: None,
             drift: None,
@@ -124,9 +127,9 @@ pub struct UnitState<R = f64> {
     pub quaternion: [R; 4],
     /// Angular rate, rad/s, body axes: measured, or estimated.
     pub rate_rad_s: [R; 3],
-    /// Covariance of the position, m².
+    /// Covariance of the position, m²; with [`Zupt::Assumed`] that of [`unseen_m`](Self::unseen_m) in it.
     pub position_covariance: [[R; 3]; 3],
-    /// Standard deviation of the velocity, m/s.
+    /// Standard deviation of the velocity, m/s; the same.
     pub velocity_sd_mps: [R; 3],
     /// Standard deviation of the attitude about east, north and up, rad.
     pub attitude_sd_rad: [R; 3],
@@ -136,6 +139,9 @@ pub struct UnitState<R = f64> {
     pub resting: bool,
     /// The speed at which it might be moved evenly at the rest that it is at and that would not show, m/s.
     pub unseen_mps: R,
+    /// How far even motion that no rest since the start would have shown may have taken it, one standard deviation
+    /// in space, m: equation (103). Zero with [`Zupt::Off`].
+    pub unseen_m: R,
     /// Stillnesses, each of a tenth of a second, at which it was known to be pushed.
     pub pushed: u32,
     /// False before the first alignment, until the first rest where it moved then, and after a gap until
@@ -196,7 +202,9 @@ pub struct UnitFilter<R = f64> {
     held: bool,
     /// Deviation of the velocity at the rest's beginning, m/s.
     loose_mps: R,
+    unseen: Unseen<R>,
     gyroscope: Gyroscope<R>,
+    swept: Swept<R>,
     disturbed: u32,
     even: u32,
     /// The usual step, s.
@@ -259,7 +267,9 @@ impl<R: Real> UnitFilter<R> {
             doubted: false,
             held: false,
             loose_mps: R::default(),
+            unseen: Unseen::default(),
             gyroscope: Gyroscope::default(),
+            swept: Swept::default(),
             disturbed: 0,
             even: 0,
             usual_s: R::default(),
@@ -479,22 +489,36 @@ impl<R: Real> UnitFilter<R> {
             self.cov.block(POSITION, VELOCITY),
             self.cov.block(VELOCITY, VELOCITY),
         );
+        let unseen = self.unseen.after(ahead);
+        let assumed = self.config.zupt == Zupt::Assumed;
         let position_covariance = core::array::from_fn(|i| {
             core::array::from_fn(|j| {
-                pp[i][j] + ahead * (pv[i][j] + pv[j][i]) + ahead * ahead * vv[i][j]
+                let known = pp[i][j] + ahead * (pv[i][j] + pv[j][i]) + ahead * ahead * vv[i][j];
+                if assumed && i == j {
+                    known + unseen.way2()[i]
+                } else {
+                    known
+                }
             })
         });
+        let velocity_sd_mps = if assumed {
+            let (known, hidden) = (self.cov.variance(VELOCITY), unseen.speed2());
+            core::array::from_fn(|i| (known[i] + hidden[i]).sqrt())
+        } else {
+            sd(VELOCITY)
+        };
         UnitState {
             position_m: self.part(POSITION),
             velocity_mps: self.part(VELOCITY),
             quaternion: quaternion(&self.attitude),
             rate_rad_s: self.rate,
             position_covariance,
-            velocity_sd_mps: sd(VELOCITY),
+            velocity_sd_mps,
             attitude_sd_rad: sd(PHI),
             since_rest_s: self.since_rest_s,
             resting: self.quiet.is_rest() && !self.doubted,
-            unseen_mps: self.unseen(),
+            unseen_mps: self.unseen_mps(),
+            unseen_m: unseen.way_sd_m(),
             pushed: self.quiet.pushed(),
             valid: self.valid,
             disturbed: self.disturbed,

@@ -23,9 +23,13 @@ const REST_MPS2: f64 = 0.02;
 const REST_RAD_S: f64 = 1e-3;
 /// What departs from a rest by more than so many variances ends it.
 const END_OF_REST: f64 = 9.0;
+/// It turns for so long before that, s.
+const ENDING_S: f64 = 0.1;
 /// Magnetic disturbances indoors, µT, and how long they last for a body carried about, s.
 pub(super) const DISTURBANCE_UT: f64 = 4.0;
 const DISTURBANCE_TIME_S: f64 = 10.0;
+/// A field that turns so many times as fast as the body usually does shows a turn.
+const SWEPT: f64 = 2.0;
 /// Random walk of the field at one place, µT/√s.
 const REST_UT: f64 = 0.1;
 /// A magnetometer's noise after averaging, µT.
@@ -68,7 +72,7 @@ pub(super) fn disturbance<R: Real>(since_s: R) -> R {
 
 impl<R: Real> UnitFilter<R> {
     /// Even motion, or the end of a push, that the rest that it is at would not show.
-    pub(super) fn unseen(&self) -> R {
+    pub(super) fn unseen_mps(&self) -> R {
         let pushed = self.quiet.unseen() * R::from_f64(FOLLOW_S);
         let loose = R::from_f64(EVEN_GATE).sqrt() * self.loose_mps;
         if loose > pushed { loose } else { pushed }
@@ -81,9 +85,17 @@ impl<R: Real> UnitFilter<R> {
         let force = scale(group.force, one / group.count);
         let noise = self.force_noise(group.count);
         let rated = self.gyroscope.on && group.rated > R::default();
+        self.unseen = self.unseen.after(dt);
         self.moved |= !self.quiet.is_rest();
         self.doubted &= self.quiet.is_rest();
         self.predict(force, &group, noise, rated);
+        if !rated && group.fields > R::default() {
+            let field = scale(group.field, one / group.fields);
+            let body: Vector<R> = core::array::from_fn(|i| {
+                (0..3).fold(R::default(), |sum, k| sum + self.attitude[k][i] * field[k])
+            });
+            self.swept.see(body, R::from_f64(FIELD_NOISE_UT), dt);
+        }
         self.see_gravity(force, noise, dt);
         if group.fields > R::default() {
             self.see_field(scale(group.field, one / group.fields));
@@ -95,7 +107,7 @@ impl<R: Real> UnitFilter<R> {
             let turn = (!rated).then(|| self.square(OMEGA));
             let (acceleration, speed) = (self.square(ACCELERATION), self.square(SWING));
             self.manner.learn(acceleration, speed, turn, dt);
-        } else if self.config.zupt {
+        } else if self.config.zupt.is_on() {
             if rated {
                 self.see_no_turn(&group);
             }
@@ -145,7 +157,7 @@ impl<R: Real> UnitFilter<R> {
     fn predict(&mut self, force: Vector<R>, group: &Group<R>, noise: R, rated: bool) {
         let dt = group.time_s;
         // Without ZUPT what looks like a rest may be even motion or a steady push, but for that at the start.
-        let resting = self.quiet.is_rest() && (self.config.zupt || !self.moved);
+        let resting = self.quiet.is_rest() && (self.config.zupt.is_on() || !self.moved);
         let motion = if resting {
             R::from_f64(REST_MPS2)
         } else {
@@ -192,7 +204,12 @@ impl<R: Real> UnitFilter<R> {
             let turning = if resting {
                 R::from_f64(REST_RAD_S)
             } else {
-                self.manner.turn()
+                let (usual, seen) = (self.manner.turn(), self.swept.turn());
+                if seen > R::from_f64(SWEPT) * usual {
+                    seen
+                } else {
+                    usual
+                }
             };
             self.forget(OMEGA, dt, TURN_TIME_S, turning);
         }
@@ -290,6 +307,15 @@ impl<R: Real> UnitFilter<R> {
                 self.regain();
                 self.quiet.end();
                 let square = self.manner.acceleration() * self.manner.acceleration();
+                if !self.gyroscope.on {
+                    // Or it has as far as it shows, and nobody saw it.
+                    let shows = dot(innovation, innovation) / (g[2] * g[2]);
+                    let most = self.manner.turn() * R::from_f64(ENDING_S);
+                    let most = most * most;
+                    let tilted = if shows < most { shows } else { most };
+                    self.cov.add(PHI, 0, tilted);
+                    self.cov.add(PHI, 1, tilted);
+                }
                 for i in 0..3 {
                     self.cov.add(ACCELERATION, i, square);
                     self.cov.add(SWING, i, square / self.manner.swing());
@@ -329,6 +355,23 @@ impl<R: Real> UnitFilter<R> {
         self.measure(rows, mean, variance, Some(EVEN_GATE));
     }
 
+    /// What was taken for a rest may be even motion, with the velocity that it came with or that a push too weak
+    /// to be seen has given it.
+    fn hide(&mut self, velocity: Vector<R>, variance: Vector<R>) {
+        if !self.begun {
+            return;
+        }
+        if !self.held {
+            self.unseen.arrived(velocity, variance);
+        }
+        let sd = self.quiet.unseen_sd() * R::from_f64(FOLLOW_S);
+        if let Some(anchor) = self.quiet.anchor() {
+            let gained = times(&self.attitude, anchor.gained());
+            let push = times(&self.attitude, anchor.push());
+            self.unseen.pushed(gained, sd, push);
+        }
+    }
+
     /// What looks like a rest is one, unless the velocity is known to be another. Then both may be
     /// true, even motion and a velocity whose deviation is too small: that grows while it lasts. Where it
     /// was, the position is as uncertain as a velocity that went wrong some time since the rest before.
@@ -356,7 +399,9 @@ impl<R: Real> UnitFilter<R> {
             let third = R::from_f64(1.0 / EVEN_GATE).sqrt();
             self.loose_mps = (most + variance).sqrt() + norm(velocity) * third;
         }
+        let spread = self.cov.variance(VELOCITY);
         if self.measure(rows, known, variance, gate).is_some() {
+            self.hide(velocity, spread);
             if !rated {
                 self.put(POSITION, position);
                 self.cov.set(POSITION, &covariance);

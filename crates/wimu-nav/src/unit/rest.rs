@@ -1,6 +1,6 @@
 //! What looks like a rest: equation (91).
 
-use super::anchor::{Anchor, Verdict};
+use super::anchor::{self, Anchor, Verdict};
 use super::{OMEGA, UnitFilter};
 use crate::Real;
 use crate::vector::{Vector, add, dot, norm, scale, sub};
@@ -148,6 +148,11 @@ impl<R: Real> Quiet<R> {
         self.unseen
     }
 
+    /// The same as the standard deviation of a component.
+    pub fn unseen_sd(&self) -> R {
+        self.unseen * R::from_f64(1.0 / anchor::GATE.sqrt())
+    }
+
     /// Stillnesses that were pushes.
     pub fn pushed(&self) -> u32 {
         self.pushed
@@ -246,7 +251,10 @@ fn most<R: Real>(level: R) -> R {
 impl<R: Real> Quiet<R> {
     /// A rest that was found: what it shows is the anchor from now on.
     fn hold(&mut self, all: &Part<R>, level: R, rated: bool) {
-        let anchor = Anchor::new(all, self.about, level, rated);
+        let mut anchor = Anchor::new(all, self.about, level, rated);
+        if let Some(before) = &self.anchor {
+            anchor.follow(before);
+        }
         let shown = sub(anchor.force, self.about);
         for part in self.parts.iter_mut() {
             part.anchor = scale(shown, part.count);

@@ -3,7 +3,7 @@
 use super::model::{DISTURBANCE_UT, UNKNOWN_MPS};
 use super::{
     ACCELERATION, BIAS, BIAS_RAD_S, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
-    UnitFilter, UnitSample, VELOCITY,
+    UnitFilter, UnitSample, Unseen, VELOCITY,
 };
 use crate::Real;
 use crate::vector::{Vector, add, cross, dot, norm, product, scale, skew, sub, times, turn};
@@ -102,7 +102,7 @@ impl<R: Real> UnitFilter<R> {
         self.valid = still;
         self.begun = self.valid;
         if let Some(rate) = self.quiet.still()
-            && self.config.zupt
+            && self.config.zupt.is_on()
         {
             self.gyroscope.bias = rate;
         }
@@ -119,6 +119,7 @@ impl<R: Real> UnitFilter<R> {
     /// way since.
     pub fn set_origin(&mut self) {
         self.put(POSITION, [R::default(); 3]);
+        self.unseen.restart();
         for i in 0..3 {
             self.cov.know(POSITION.0 + i);
         }
@@ -158,6 +159,7 @@ impl<R: Real> UnitFilter<R> {
             self.cov.know(VELOCITY.0 + i);
             self.cov.know(POSITION.0 + i);
         }
+        self.unseen = Unseen::default();
         self.since_rest_s = nothing;
         self.valid = self.aligned;
         self.begun = self.aligned;

@@ -1,7 +1,7 @@
 //! Journeys of one unit between rests, with their truth: slow moves, carts, turns, pushes.
 
 use super::{Random, cross};
-use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, Zupt};
 
 const G: f64 = 9.80665;
 const FIELD: [f64; 3] = [0.0, 20.0, -44.0];
@@ -24,6 +24,8 @@ pub enum Journey {
     Slow(f64),
     /// Pushed within 1 s to so many m/s, then 20 s evenly.
     Cart(f64),
+    /// Pushed within 1 s to so many m/s more, three times, 8 s evenly after each.
+    Stairs(f64),
     /// Turns of 0.8 rad an axis on the spot.
     Turns,
     /// So many m/s² east or north, for so long, s, ramps of 1 s, then 5 s evenly.
@@ -65,6 +67,18 @@ impl Journey {
                     parts.push((lasts, Part::Push(from, to)));
                 }
                 parts.push((3.0, rest));
+            }
+            Self::Stairs(speed) => {
+                for _ in 0..3 {
+                    let peak = [2.0 * speed, 0.0, 0.0];
+                    for (lasts, from, to) in [
+                        (0.5, [0.0; 3], peak),
+                        (0.5, peak, [0.0; 3]),
+                        (8.0, [0.0; 3], [0.0; 3]),
+                    ] {
+                        parts.push((lasts, Part::Push(from, to)));
+                    }
+                }
             }
             Self::Turns => {
                 for _ in 0..4 {
@@ -118,7 +132,7 @@ fn turned(axes: [[f64; 3]; 3], by: [f64; 3]) -> [[f64; 3]; 3] {
 pub struct Recorded {
     pub rate_hz: f64,
     pub gyroscope: bool,
-    pub zupt: bool,
+    pub zupt: Zupt,
     pub noise_mps2: f64,
     pub bias_mps2: f64,
     /// The gyroscope gives nothing for so long from 4 s on, s.
@@ -133,7 +147,7 @@ impl Default for Recorded {
         Self {
             rate_hz: 100.0,
             gyroscope: true,
-            zupt: true,
+            zupt: Zupt::Assumed,
             noise_mps2: 0.03,
             bias_mps2: 0.03,
             fails_s: 0.0,
@@ -152,7 +166,7 @@ pub struct Shown {
     /// Greatest error of a component in deviations (of at least 3 mm) while valid, and the error in space there, m.
     pub worst: f64,
     pub off_m: f64,
-    /// Σ of the speed that would not have shown at the rests, times how long, m.
+    /// How far even motion may have taken it, one standard deviation, m.
     pub unseen_m: f64,
     /// Error at the end, m.
     pub end_m: f64,
@@ -251,9 +265,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                 still += 1.0;
                 found += f64::from(u8::from(state.resting));
             }
-            if state.resting && state.valid && number > 0 {
-                shown.unseen_m += state.unseen_mps * step;
-            }
+            shown.unseen_m = state.unseen_m;
             if !(state.valid && state.position_sd_m() < 1.0) {
                 continue;
             }
@@ -340,7 +352,11 @@ impl Journeys {
             name: format!(
                 "{journey:?}{}{}{}{}",
                 if how.gyroscope { ", gyroscope" } else { "" },
-                if how.zupt { "" } else { ", no ZUPT" },
+                match how.zupt {
+                    Zupt::Assumed => "",
+                    Zupt::Stated => ", ZUPT stated",
+                    Zupt::Off => ", no ZUPT",
+                },
                 match (how.fails_s > 0.0, how.hole_s > 0.0, how.jump_s > 0.0) {
                     (true, ..) => format!(", fails {} s", how.fails_s),
                     (_, true, _) => format!(", hole {} s", how.hole_s),

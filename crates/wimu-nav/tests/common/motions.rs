@@ -1,7 +1,7 @@
 //! Simulated motions of one unit, with their truth.
 
 use super::{Random, cross};
-use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, Zupt};
 
 pub const G: f64 = 9.80665;
 const FIELD: [f64; 3] = [0.0, 20.0, -44.0];
@@ -311,7 +311,7 @@ pub fn run(kind: Kind, rate: f64, gyroscope: bool, seed: u64) -> Run {
     let begin = 8.0 + 4.0 * random.unit();
     // No zero velocity: it would be a prior on speed.
     let mut filter = UnitFilter::new(UnitConfig {
-        zupt: false,
+        zupt: Zupt::Off,
         ..UnitConfig::default()
     });
     let step = 1.0 / rate;

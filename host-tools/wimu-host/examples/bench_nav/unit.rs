@@ -150,7 +150,7 @@ fn filtered(
     // No zero velocity: it would be a prior on speed.
     let mut filter = UnitFilter::new(UnitConfig {
         gravity_mps2: gravity,
-        zupt: false,
+        zupt: wimu_nav::Zupt::Off,
         ..UnitConfig::default()
     });
     let mut errors = Errors::default();

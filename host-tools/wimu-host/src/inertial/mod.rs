@@ -30,6 +30,7 @@ pub use slide::{Leg, legs};
 use std::io::Write as _;
 use std::path::Path as FilePath;
 
+pub use wimu_nav::Zupt;
 use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
@@ -58,8 +59,8 @@ pub enum Method {
 pub struct Choice {
     /// The method.
     pub method: Method,
-    /// Whether rests are taken for zero velocity.
-    pub zupt: bool,
+    /// Whether stillnesses are taken for zero velocity, and whether they are known to be rests.
+    pub zupt: Zupt,
     /// Position is of use as long as its standard deviation is below this, m.
     pub limit_m: f64,
     /// How the bias settles after switching on: the recording's start. Not for [`Method::Slide`].
@@ -70,7 +71,7 @@ impl Default for Choice {
     fn default() -> Self {
         Self {
             method: Method::Tilt,
-            zupt: true,
+            zupt: Zupt::Assumed,
             limit_m: 1.0,
             drift: None,
         }
@@ -90,13 +91,16 @@ pub struct PathPoint {
     pub quaternion: [f64; 4],
     /// Angular rate, rad/s, body axes.
     pub rate_rad_s: [f64; 3],
-    /// Covariance of the position, m².
+    /// Covariance of the position, m²: with [`Zupt::Assumed`] that of `unseen_m` in it.
     pub covariance_m2: [[f64; 3]; 3],
     /// Whether it is taken to rest: never with ZUPT off.
     pub resting: bool,
     /// The speed at which it might be moved evenly there and that would not show, m/s; `None` where that is not
     /// known, and elsewhere.
     pub unseen_mps: Option<f64>,
+    /// How far even motion that no rest so far would have shown may have taken it, one standard deviation in space, m;
+    /// 0 with ZUPT off.
+    pub unseen_m: f64,
     /// Whether the position is of use: known to the limit, no gap since the last rest.
     pub valid: bool,
 }
@@ -136,7 +140,8 @@ pub struct Stillness {
     pub lasted_s: f64,
     /// The largest speed at which the unit might have been moved evenly there and that would not show, m/s.
     pub unseen_mps: f64,
-    /// How far the position would be off then: the sum of that speed times how long, m.
+    /// How far even motion may have taken it by the end, one standard deviation in space, m: with [`Zupt::Assumed`] it
+    /// is in the covariance.
     pub unseen_m: f64,
 }
 
@@ -149,6 +154,8 @@ pub struct SlideMove {
     pub from_s: f64,
     /// Its end.
     pub to_s: f64,
+    /// How far even motion that neither rest would have shown would lengthen it, one standard deviation, m.
+    pub unseen_m: f64,
     /// Whether it is one: not after a gap, a turn or a field that leave the way open.
     pub valid: bool,
 }
@@ -245,7 +252,7 @@ impl InertialPath {
             }
             found.lasted_s += step;
             found.unseen_mps = found.unseen_mps.max(speed);
-            found.unseen_m += speed * step;
+            found.unseen_m = self.points.last().map_or(0.0, |p| p.unseen_m);
         }
         (found.rests > 0).then_some(found)
     }
@@ -450,7 +457,13 @@ pub fn navigate_array(
         )
         .at(&recording.name));
     }
-    let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let (states, remarks) = navigated(
+        recording,
+        geometry,
+        calibration,
+        gravity,
+        choice.zupt.is_on(),
+    )?;
     let agreement = Agreement::of(recording, geometry, calibration)?;
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
@@ -468,8 +481,9 @@ pub fn navigate_array(
                 quaternion: state.quaternion,
                 rate_rad_s: state.rate_rad_s,
                 covariance_m2: state.position_covariance,
-                resting: choice.zupt && state.resting,
+                resting: choice.zupt.is_on() && state.resting,
                 unseen_mps: None,
+                unseen_m: 0.0,
                 valid: state.valid && state.position_sd_m() <= choice.limit_m,
             })
             .collect(),
@@ -580,8 +594,9 @@ fn filter(
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
             covariance_m2: state.position_covariance,
-            resting: choice.zupt && state.resting,
-            unseen_mps: (choice.zupt && state.resting).then_some(state.unseen_mps),
+            resting: choice.zupt.is_on() && state.resting,
+            unseen_mps: (choice.zupt.is_on() && state.resting).then_some(state.unseen_mps),
+            unseen_m: state.unseen_m,
             valid: state.valid && known,
         });
     }

@@ -2,7 +2,7 @@
 
 use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 
-use super::{Choice, InertialPath, Method, PathPoint, SlideMove, quaternion};
+use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt, quaternion};
 use crate::motion::{MotionRecording, RestSpan, gap_s, median_step_s, rests};
 use crate::{ErrorCode, HostError, Result};
 
@@ -24,6 +24,9 @@ const FREEDOM: f64 = 10.0;
 const FLOOR_MPS: f64 = 0.005;
 /// A velocity left of so many deviations may not show beside what was left.
 const UNSEEN: f64 = 5.0;
+/// What a push at a rest that would not show gives, m/s² beside what is not known of its force, and for how long, s.
+const PUSH_MPS2: f64 = 0.005;
+const PUSH_S: f64 = 2.0;
 /// Gravity at two rests of a slide differs by this in the body, m/s², ...
 const LEVEL_MPS2: f64 = 0.03;
 /// ... and with an angular rate by this share of the angle turned more.
@@ -375,9 +378,42 @@ fn astray(covariance: [[f64; 3]; 3], for_s: f64) -> [[f64; 3]; 3] {
     more
 }
 
+/// Second moments of the velocity of an axis that was taken for zero, and of the way that it went: equation (103).
+#[derive(Clone, Copy, Debug, Default)]
+struct Even {
+    speed2: f64,
+    both: f64,
+    way2: f64,
+}
+
+impl Even {
+    fn goes_on(&mut self, step_s: f64) {
+        self.way2 += step_s * (2.0 * self.both + step_s * self.speed2);
+        self.both += step_s * self.speed2;
+    }
+
+    /// At a rest a weak push would not have shown.
+    fn pushed(&mut self, rest: &Rest) {
+        let speed = PUSH_S * PUSH_MPS2.hypot(rest.sd_mps2);
+        self.speed2 = self.speed2.max(speed * speed);
+    }
+
+    /// What a move has left was taken for an error of its own.
+    fn arrived(&mut self, done: &Move) {
+        let left = length(done.left_mps);
+        self.speed2 += left * left / 3.0 + done.left_sd_mps * done.left_sd_mps;
+    }
+
+    /// Of a move that begins with it: its own way, and what is left, which came in on the way.
+    fn of(&self, done: &Move) -> f64 {
+        let left = length(done.left_mps).hypot(done.left_sd_mps);
+        done.duration_s * (self.speed2 + left * left / 3.0).sqrt()
+    }
+}
+
 /// The path of a recording, move by move.
 pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
-    if !choice.zupt {
+    if !choice.zupt.is_on() {
         return Err(HostError::new(
             ErrorCode::Usage,
             "a slide lies between two rests: without zero velocity there it is not corrected",
@@ -410,6 +446,8 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     let mut track = Track {
         recording,
         limit_m: choice.limit_m,
+        assumed: choice.zupt == Zupt::Assumed,
+        even: Even::default(),
         points: Vec::with_capacity(recording.times_s.len()),
         at: [0.0; 3],
         covariance: [[0.0; 3]; 3],
@@ -420,6 +458,8 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     };
     track.rest(first.before.first);
     track.sound = true;
+    track.even = Even::default();
+    track.even.pushed(&first.before.rest);
     track.rest(first.before.end);
     let mut moves = Vec::new();
     for leg in &legs {
@@ -431,6 +471,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
             done: leg.done,
             from_s: recording.times_s[leg.before.end.max(1) - 1],
             to_s: recording.times_s[leg.after.first],
+            unseen_m: track.even.of(&leg.done),
             valid: track.sound,
         });
         track.go(config, leg);
@@ -457,6 +498,9 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
 struct Track<'a> {
     recording: &'a MotionRecording,
     limit_m: f64,
+    /// Whether the covariance holds what even motion could have hidden.
+    assumed: bool,
+    even: Even,
     points: Vec<PathPoint>,
     at: [f64; 3],
     covariance: [[f64; 3]; 3],
@@ -479,15 +523,26 @@ impl Track<'_> {
         covariance_m2: [[f64; 3]; 3],
         resting: bool,
     ) {
+        let (k, times_s) = (self.points.len(), &self.recording.times_s);
+        if k > 0 {
+            self.even.goes_on(times_s[k] - times_s[k - 1]);
+        }
+        let mut covariance_m2 = astray(covariance_m2, self.lost_s);
+        if self.assumed {
+            for (i, row) in covariance_m2.iter_mut().enumerate() {
+                row[i] += self.even.way2;
+            }
+        }
         let mut point = PathPoint {
-            time_s: self.recording.times_s[self.points.len()],
+            time_s: times_s[k],
             position_m,
             velocity_mps,
             quaternion: quaternion(axes),
             rate_rad_s,
-            covariance_m2: astray(covariance_m2, self.lost_s),
+            covariance_m2,
             resting,
             unseen_mps: resting.then_some(self.unseen_mps),
+            unseen_m: (3.0 * self.even.way2).sqrt(),
             valid: false,
         };
         point.valid = self.sound && point.sd_m() <= self.limit_m;
@@ -546,6 +601,8 @@ impl Track<'_> {
             let k = leg.after.first;
             self.lost_s += times_s[k] - times_s[k.max(1) - 1];
         }
+        self.even.arrived(&leg.done);
+        self.even.pushed(&leg.after.rest);
         let left = length(leg.done.left_mps);
         self.unseen_mps = UNSEEN * leg.done.left_sd_mps.max(FLOOR_MPS) + left;
         let moved = times(axes, leg.done.displacement_m);

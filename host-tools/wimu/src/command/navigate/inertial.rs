@@ -3,7 +3,9 @@
 use std::fmt::Write as _;
 
 use serde::Serialize;
-use wimu_host::inertial::{Choice, InertialPath, Method, consistency, navigate, settling};
+use wimu_host::inertial::{
+    Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
+};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{ErrorCode, HostError, Result};
 
@@ -19,7 +21,8 @@ pub struct Found {
     status: &'static str,
     source: String,
     method: Method,
-    zupt: bool,
+    /// `assumed`: σ holds what even motion at the rests could have hidden; `stated`: it does not; `off`.
+    zupt: &'static str,
     duration_s: f64,
     distance_m: f64,
     final_position_m: [f64; 3],
@@ -51,7 +54,7 @@ struct Horizon {
 }
 
 /// What was taken for rests, and the largest speed at which the unit might have been moved evenly there and that would
-/// not show; the position would be off by `unseen_m` then.
+/// not show; how far even motion may have taken it by the end, one standard deviation.
 #[derive(Serialize)]
 struct Still {
     rests: usize,
@@ -99,7 +102,9 @@ struct MoveFound {
     to_s: f64,
     valid: bool,
     length_m: f64,
+    /// With what even motion at its rests could have hidden where that is assumed away, and without.
     length_sd_m: f64,
+    length_sd_if_rested_m: f64,
     duration_s: f64,
     turned_deg: f64,
 }
@@ -212,7 +217,11 @@ fn choice(
 ) -> Result<(Choice, Option<Settling>)> {
     let mut choice = Choice {
         method,
-        zupt: arguments.zupt != Some(Switch::Off),
+        zupt: match arguments.zupt {
+            None => Zupt::Assumed,
+            Some(Switch::On) => Zupt::Stated,
+            Some(Switch::Off) => Zupt::Off,
+        },
         limit_m: arguments.limit,
         drift: None,
     };
@@ -269,7 +278,11 @@ fn found(
         status: "ok",
         source,
         method: path.method,
-        zupt: choice.zupt,
+        zupt: match choice.zupt {
+            Zupt::Assumed => "assumed",
+            Zupt::Stated => "stated",
+            Zupt::Off => "off",
+        },
         duration_s: duration(path),
         distance_m: path.distance_m(),
         final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
@@ -313,13 +326,23 @@ fn found(
                 to_s: m.to_s,
                 valid: m.valid,
                 length_m: m.done.length_m,
-                length_sd_m: m.done.length_sd_m,
+                length_sd_m: length_sd_m(m, choice),
+                length_sd_if_rested_m: m.done.length_sd_m,
                 duration_s: m.done.duration_s,
                 turned_deg: m.done.turned_rad.to_degrees(),
             })
             .collect(),
         refined: None,
         remarks: path.remarks.clone(),
+    }
+}
+
+/// Standard deviation of a move's length, m, under what is said of its rests.
+fn length_sd_m(one: &SlideMove, choice: &Choice) -> f64 {
+    let rested = one.done.length_sd_m;
+    match choice.zupt {
+        Zupt::Assumed => rested.hypot(one.unseen_m),
+        _ => rested,
     }
 }
 
@@ -380,19 +403,15 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         );
     }
     if let Some(found) = path.stillness() {
+        let so = match choice.zupt {
+            Zupt::Assumed => "which ± holds. Where it is known that it rested, say so: --zupt on",
+            _ => "which ± does not hold: it is stated that it rested",
+        };
         let _ = writeln!(
             text,
-            "rests: {} stillnesses of {:.1} s in all are taken for rests; even motion at up to {:.3} m/s would not have \
-             shown there, and put the position off by up to {:.3} m{}",
-            found.rests,
-            found.lasted_s,
-            found.unseen_mps,
-            found.unseen_m,
-            if found.unseen_m > choice.limit_m {
-                ": more than the limit. Where the unit may be moved so, use --zupt off"
-            } else {
-                ""
-            }
+            "rests: {} stillnesses of {:.1} s in all are taken for rests. Even motion at up to {:.3} m/s would not have \
+             shown there, and may have put the end off by ± {:.3} m, {so}",
+            found.rests, found.lasted_s, found.unseen_mps, found.unseen_m,
         );
     }
     let _ = writeln!(
@@ -409,7 +428,18 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
             one.from_s,
             one.to_s,
             if one.valid {
-                format!("{:.3} ± {:.3} m", one.done.length_m, one.done.length_sd_m)
+                let rested = one.done.length_sd_m;
+                let known = format!(
+                    "{:.3} ± {:.3} m",
+                    one.done.length_m,
+                    length_sd_m(one, choice)
+                );
+                match choice.zupt {
+                    Zupt::Assumed => {
+                        format!("{known} (± {rested:.3} m if it rested before and after)")
+                    }
+                    _ => known,
+                }
             } else {
                 "its length is not known".to_owned()
             }

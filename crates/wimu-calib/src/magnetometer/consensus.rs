@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{EARTHS_NT, FEWEST, Iron, MagneticPose, Scaled, hard, inverse_soft, start};
+use super::fit::{Iron, Scaled, hard, inverse_soft, start};
+use super::{EARTHS_NT, FEWEST, MagneticPose};
 use crate::Rejected;
 use crate::linear::{Real, double, real};
 

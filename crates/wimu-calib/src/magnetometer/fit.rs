@@ -1,0 +1,385 @@
+//! The fits: an ellipsoid through the field's outputs, and the rotation that makes its dip constant.
+
+use core::cmp::Ordering;
+
+use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use wimu_model::{
+    Alignment, MagnetometerModel, MagnetometerRotation, MagnetometerTerms, RotationCovariance,
+};
+
+use super::{EARTHS_NT, MagneticPose, MagneticRefusal};
+use crate::linear::{Real, double, real};
+use crate::{Rejected, student};
+
+/// Beyond, the poses do not tell the model.
+const MOST_CONDITION: f64 = 30.0;
+/// Beyond, as a share of the field, this is no constant field.
+const MOST_RMS: f64 = 0.05;
+/// Left-out error per residual's standard deviation, at most.
+const MOST_LEFT_OUT: f64 = 10.0;
+/// Chance that a good set of poses loses one.
+const SIGNIFICANCE: f64 = 1e-3;
+/// Spread of the dip beyond which the axes do not belong together, rad rms.
+const MOST_DIP_RMS: f64 = 0.1;
+
+/// The places of xx, yy, zz, xy, xz, yz.
+const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+
+fn symmetric<R: Real>(w: &[R]) -> Matrix3<R> {
+    let mut m = Matrix3::zeros();
+    for (&(r, c), value) in PLACES.iter().zip(w) {
+        m[(r, c)] = *value;
+        m[(c, r)] = *value;
+    }
+    m
+}
+
+/// Outputs about their centre, in units of their spread, so that all parameters are of order one.
+pub(super) struct Scaled<R: Real> {
+    /// The first output, nT: what differs from it keeps its digits.
+    origin: [f64; 3],
+    centre: Vector3<R>,
+    pub(super) unit_nt: R,
+}
+
+impl<R: Real> Scaled<R> {
+    pub(super) fn of<'a>(poses: impl Iterator<Item = &'a MagneticPose> + Clone) -> Option<Self> {
+        let first = poses.clone().next()?;
+        let mut scaled = Self {
+            origin: first.output_nt,
+            centre: Vector3::zeros(),
+            unit_nt: R::one(),
+        };
+        let (mut sum, mut count) = (Vector3::zeros(), R::zero());
+        for pose in poses.clone() {
+            sum += scaled.point(pose);
+            count += R::one();
+        }
+        scaled.centre = sum / count;
+        let squares = poses.fold(R::zero(), |sum, pose| {
+            sum + scaled.point(pose).norm_squared()
+        });
+        scaled.unit_nt = (squares / count).sqrt();
+        (scaled.unit_nt >= R::one()).then_some(scaled)
+    }
+
+    pub(super) fn point(&self, pose: &MagneticPose) -> Vector3<R> {
+        let off = Vector3::from_fn(|k, _| real::<R>(pose.output_nt[k] - self.origin[k]));
+        (off - self.centre) / self.unit_nt
+    }
+
+    /// The output that a point stands for, nT.
+    fn output_nt(&self, point: &Vector3<R>) -> [f32; 3] {
+        let off = self.centre + point * self.unit_nt;
+        core::array::from_fn(|k| (self.origin[k] + double(off[k])) as f32)
+    }
+}
+
+/// Hard iron, then W, the inverse of the soft iron per the field.
+pub(super) type Iron<R> = SVector<R, 9>;
+
+pub(super) fn hard<R: Real>(theta: &Iron<R>) -> Vector3<R> {
+    Vector3::new(theta[0], theta[1], theta[2])
+}
+
+pub(super) fn inverse_soft<R: Real>(theta: &Iron<R>) -> Matrix3<R> {
+    symmetric(&theta.as_slice()[3..])
+}
+
+/// |B| − 1 at a point, and its derivatives.
+fn row<R: Real>(theta: &Iron<R>, point: Vector3<R>) -> (R, Iron<R>) {
+    let w = inverse_soft(theta);
+    let off = point - hard(theta);
+    let field = w * off;
+    let size = field.norm();
+    let ahead = field / size;
+    let back = -(w * ahead);
+    let mut row = Iron::zeros();
+    for k in 0..3 {
+        row[k] = back[k];
+    }
+    for (k, (r, c)) in PLACES.into_iter().enumerate() {
+        row[3 + k] = ahead[r] * off[c];
+        if r != c {
+            row[3 + k] += ahead[c] * off[r];
+        }
+    }
+    (size - R::one(), row)
+}
+
+/// A step so small that the next is rounding.
+fn last_step<R: Real>() -> R {
+    R::default_epsilon() * real(500.0)
+}
+
+/// The model of all poses but those rejected; `suspect` is the pose that the others contradict most,
+/// if one is beyond chance.
+pub(super) fn model<R: Real>(
+    all: &[MagneticPose],
+    rejected: &Rejected,
+    suspect: &mut Option<usize>,
+) -> Result<MagnetometerModel, MagneticRefusal> {
+    let poses = || {
+        let kept = all.iter().enumerate();
+        kept.filter(|(place, _)| !rejected.contains(*place))
+    };
+    let have = poses().count();
+    let n = have as f64;
+    let none = MagneticRefusal::NotObservable {
+        condition: f64::INFINITY,
+    };
+    let scaled = Scaled::<R>::of(poses().map(|(_, pose)| pose)).ok_or(none)?;
+    let points = || poses().map(|(place, pose)| (place, scaled.point(pose)));
+    let mut theta = start(points().map(|(_, point)| point)).ok_or(none)?;
+    let mut information = SMatrix::<R, 9, 9>::zeros();
+    for _ in 0..50 {
+        information = SMatrix::zeros();
+        let mut gradient = Iron::zeros();
+        for (_, point) in points() {
+            let (residual, row) = row(&theta, point);
+            information.ger(R::one(), &row, &row, R::one());
+            gradient.axpy(residual, &row, R::one());
+        }
+        let step = Cholesky::new(information).ok_or(none)?.solve(&gradient);
+        theta -= step;
+        if step.norm() < last_step() {
+            break;
+        }
+    }
+    let inverse = Cholesky::new(information).ok_or(none)?.inverse();
+    let values = information.symmetric_eigenvalues();
+    let condition = double((values.max() / values.min()).sqrt());
+    if condition.is_nan() || condition > MOST_CONDITION {
+        return Err(MagneticRefusal::NotObservable { condition });
+    }
+    let (mut squares, mut left_out) = (0.0, 0.0);
+    let mut worst = Worst::default();
+    for (place, point) in points() {
+        let (residual, row) = row(&theta, point);
+        let residual = double(residual);
+        let left = 1.0 - double(row.dot(&(inverse * row)));
+        squares += residual * residual;
+        left_out += (residual / left) * (residual / left);
+        worst.take(place, residual * residual / left);
+    }
+    *suspect = worst.beyond_chance(squares, have, 9);
+    let (rms, loo) = (libm::sqrt(squares / n), libm::sqrt(left_out / n));
+    let variance = squares / (n - 9.0);
+    if rms.is_nan() || rms > MOST_RMS {
+        return Err(MagneticRefusal::FieldNotConstant {
+            share: rms,
+            disturbed: Rejected::default().with(worst.place).into(),
+        });
+    }
+    if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
+        return Err(MagneticRefusal::PoorPrediction { share: loo });
+    }
+    // The iron alone leaves the unit of the field open: S has determinant one.
+    let w = inverse_soft(&theta);
+    let raw = w.try_inverse().ok_or(none)?;
+    let size = raw.determinant().cbrt();
+    // Also where it is none.
+    if !matches!(size.partial_cmp(&R::zero()), Some(Ordering::Greater)) {
+        return Err(none);
+    }
+    let s = raw / size;
+    let sd = |slope: &Iron<R>| libm::sqrt(variance * double(slope.dot(&(inverse * slope))));
+    let mut soft_sd = [0.0; 6];
+    for (sd_of, (r, c)) in soft_sd.iter_mut().zip(PLACES) {
+        let mut slope = Iron::zeros();
+        for (k, (i, j)) in PLACES.into_iter().enumerate() {
+            // dS = −S dW S/det^⅓ and what keeps the determinant.
+            let mut along = raw[(r, i)] * raw[(j, c)];
+            let mut trace = raw[(i, j)];
+            if i != j {
+                along += raw[(r, j)] * raw[(i, c)];
+                trace += raw[(j, i)];
+            }
+            slope[3 + k] = (raw[(r, c)] * trace / real(3.0) - along) / size;
+        }
+        *sd_of = sd(&slope);
+    }
+    let back = w * size;
+    let hard = hard(&theta);
+    let seen = |(place, pose): (usize, &MagneticPose)| {
+        let field = back * (scaled.point(pose) - hard);
+        let up = Vector3::from(pose.up.map(real::<R>));
+        (place, field.normalize(), up.normalize())
+    };
+    let field_nt = double(size * scaled.unit_nt);
+    if !EARTHS_NT.contains(&field_nt) {
+        return Err(MagneticRefusal::NotEarths { field_nt });
+    }
+    let (to_accelerometer, bent) = rotation(|| poses().map(seen))?;
+    *suspect = suspect.or(bent);
+    let unit_nt = double(scaled.unit_nt);
+    let terms = MagnetometerTerms {
+        hard_iron_nt: scaled.output_nt(&hard),
+        hard_iron_sd_nt: [0, 1, 2]
+            .map(|k| (unit_nt * libm::sqrt(variance * double(inverse[(k, k)]))) as f32),
+        soft_iron: PLACES.map(|(r, c)| double(s[(r, c)]) as f32),
+        soft_iron_sd: soft_sd.map(|sd| sd as f32),
+        field_nt: field_nt as f32,
+        poses: u32::try_from(have).unwrap_or(u32::MAX),
+        rms_nt: (rms * field_nt) as f32,
+        loo_rms_nt: (loo * field_nt) as f32,
+        condition: condition.max(1.0) as f32,
+        to_accelerometer: Some(to_accelerometer),
+    };
+    MagnetometerModel::new(terms).map_err(MagneticRefusal::OutOfBounds)
+}
+
+/// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
+pub(super) fn start<R: Real>(points: impl Iterator<Item = Vector3<R>>) -> Option<Iron<R>> {
+    let mut information = SMatrix::<R, 9, 9>::zeros();
+    let mut right = Iron::zeros();
+    let two: R = real(2.0);
+    for m in points {
+        let row = Iron::from_fn(|k, _| match k {
+            0..3 => two * m[k],
+            k => {
+                let (r, c) = PLACES[k - 3];
+                let product = m[r] * m[c];
+                if r == c { product } else { two * product }
+            }
+        });
+        information.ger(R::one(), &row, &row, R::one());
+        right += row;
+    }
+    let solution = Cholesky::new(information)?.solve(&right);
+    let q = inverse_soft(&solution);
+    let centre = -(q.try_inverse()? * hard(&solution));
+    let size = R::one() + centre.dot(&(q * centre));
+    let eigen = (q / size).symmetric_eigen();
+    let positive = eigen.eigenvalues.iter().all(|value| *value > R::zero());
+    let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| v.max(R::zero()).sqrt()));
+    let w = eigen.eigenvectors * roots * eigen.eigenvectors.transpose();
+    let mut theta = Iron::zeros();
+    for k in 0..3 {
+        theta[k] = centre[k];
+    }
+    for (k, place) in PLACES.into_iter().enumerate() {
+        theta[3 + k] = w[place];
+    }
+    (positive && theta.iter().all(|t| t.is_finite())).then_some(theta)
+}
+
+/// up · R b less the level that it is to have, and its derivatives: a small rotation δ of R b adds
+/// δ × R b.
+fn level_row<R: Real>(
+    turn: &Rotation3<R>,
+    level: R,
+    b: &Vector3<R>,
+    up: &Vector3<R>,
+) -> (R, SVector<R, 4>) {
+    let turned = turn * b;
+    let slope = turned.cross(up);
+    let row = SVector::from([slope.x, slope.y, slope.z, -R::one()]);
+    (up.dot(&turned) - level, row)
+}
+
+/// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses: their
+/// places, b and up; and the pose that the others contradict most, if one is beyond chance.
+fn rotation<R: Real, I: Iterator<Item = (usize, Vector3<R>, Vector3<R>)>>(
+    seen: impl Fn() -> I,
+) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
+    let have = seen().count();
+    let n = have as f64;
+    let none = MagneticRefusal::NotObservable {
+        condition: f64::INFINITY,
+    };
+    let mut best: Option<(R, Rotation3<R>, R, SMatrix<R, 4, 4>)> = None;
+    // The 24 ways in which chips' axes can lie to each other are the starts.
+    for turn in 0..24 {
+        let quarters = |count: i32| R::frac_pi_2() * real(f64::from(count));
+        let face = match turn / 4 {
+            count @ 0..4 => Rotation3::from_axis_angle(&Vector3::x_axis(), quarters(count)),
+            4 => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(1)),
+            _ => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(-1)),
+        };
+        let mut r = face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarters(turn % 4));
+        let mut level = R::zero();
+        let mut last: Option<(R, SMatrix<R, 4, 4>)> = None;
+        for _ in 0..30 {
+            let mut information = SMatrix::<R, 4, 4>::zeros();
+            let mut gradient = SVector::<R, 4>::zeros();
+            let mut cost = R::zero();
+            for (_, b, up) in seen() {
+                let (residual, row) = level_row(&r, level, &b, &up);
+                information.ger(R::one(), &row, &row, R::one());
+                gradient.axpy(residual, &row, R::one());
+                cost += residual * residual;
+            }
+            last = Some((cost, information));
+            let Some(factor) = Cholesky::new(information) else {
+                break;
+            };
+            let step = -factor.solve(&gradient);
+            r = Rotation3::new(Vector3::new(step[0], step[1], step[2])) * r;
+            level += step[3];
+            if step.norm() < last_step() {
+                break;
+            }
+        }
+        let Some((cost, information)) = last else {
+            continue;
+        };
+        if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+            best = Some((cost, r, level, information));
+        }
+    }
+    let (cost, r, level, information) = best.ok_or(none)?;
+    let inverse = Cholesky::new(information).ok_or(none)?.inverse();
+    let cost = double(cost);
+    let sine = double(level).clamp(-1.0, 1.0);
+    let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
+    let spread_rad = libm::sqrt(cost / n) / cosine;
+    let variance = cost / (n - 4.0);
+    let mut worst = Worst::default();
+    for (place, b, up) in seen() {
+        let (residual, row) = level_row(&r, level, &b, &up);
+        let left = R::one() - row.dot(&(inverse * row));
+        worst.take(place, double(residual * residual / left));
+    }
+    if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
+        let pose = worst.place;
+        return Err(MagneticRefusal::DipNotConstant { spread_rad, pose });
+    }
+    let covariance: [[f64; 3]; 3] =
+        core::array::from_fn(|a| core::array::from_fn(|b| variance * double(inverse[(a, b)])));
+    let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
+    let found = MagnetometerRotation {
+        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k].map(double)).map_err(|_| none)?,
+        covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none)?,
+        // Down is minus up.
+        dip_rad: -libm::asin(sine) as f32,
+        dip_rms_rad: spread_rad as f32,
+    };
+    Ok((found, worst.beyond_chance(cost, have, 4)))
+}
+
+/// The pose that fits worst.
+#[derive(Default)]
+struct Worst {
+    place: usize,
+    /// Its r²/(1 − h).
+    square: f64,
+}
+
+impl Worst {
+    fn take(&mut self, place: usize, square: f64) {
+        if square > self.square {
+            *self = Self { place, square };
+        }
+    }
+
+    /// It, where it is further from the model of the others than the worst of so many poses is by
+    /// chance: equation (16), with the variance that the others show.
+    fn beyond_chance(&self, squares: f64, poses: usize, parameters: usize) -> Option<usize> {
+        let freedom = poses.checked_sub(parameters + 1).filter(|left| *left > 1)? as f64;
+        let variance = (squares - self.square) / freedom;
+        let most = student::two_sided(SIGNIFICANCE / poses as f64, freedom);
+        // What is rounding is no contradiction.
+        (self.square > 1e-12 && self.square > most * most * variance).then_some(self.place)
+    }
+}

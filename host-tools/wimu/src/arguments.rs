@@ -699,10 +699,10 @@ pub struct Navigate {
     /// them here
     #[arg(long, value_name = "GEOMETRY.json", requires = "geometry")]
     pub refine: Option<PathBuf>,
-    /// How well --geometry knows a place, mm (1 standard deviation)
+    /// How well --geometry knows a place, mm (1 standard deviation): rate and position hold it
     #[arg(long, value_name = "MM", default_value_t = 0.5)]
     pub place_sd: f64,
-    /// How well --geometry knows a delay, µs
+    /// How well --geometry knows a sensor's delay, µs: rate and position hold it
     #[arg(long, value_name = "US", default_value_t = 300.0)]
     pub delay_sd: f64,
     /// Sensitivity of an array's counts

@@ -1,4 +1,4 @@
-//! Inertial navigation with an array alone: equations (71) to (76) and (96) to (98).
+//! Inertial navigation with an array alone: equations (71) to (76) and (96) to (98), (104), (105).
 
 mod rest;
 
@@ -7,8 +7,8 @@ use core::fmt;
 use super::geometry::{Geometry, GeometryError};
 use super::hypothesis::{
     Candidate, FORCE_BIAS, Hypothesis, MEASURED, Noise, OMEGA, PHI, POSITION, STATES, TURN,
-    TURN_BIAS, TURNING, VELOCITY, View, WEIGHT_FREEDOM, Z_BIAS, block, couple, part, quaternion, r,
-    scaled_identity,
+    TURN_BIAS, TURNING, VELOCITY, View, WEIGHT_FREEDOM, Z_BIAS, block, couple, dot, part,
+    quaternion, r, scaled_identity,
 };
 use super::matrix::{product, rotation, times};
 use super::monitor::{Array, Dropped};
@@ -46,6 +46,9 @@ const VIBRATION_RATE: f64 = 0.2;
 /// Noise of ω̇ that is always there, rad/s².
 const TURN_NOISE: f64 = 1.0;
 
+/// Back by this share of the way, the force is on another one.
+const TURNS_BACK: f64 = 0.3;
+
 /// A pause longer than this is a gap: what happened in it is not known.
 const GAP_S: f64 = 0.25;
 /// How an array is used.
@@ -58,10 +61,20 @@ pub struct ArrayConfig {
     pub zupt: bool,
     /// Output at which an axis saturates, m/s².
     pub range_mps2: f64,
-    /// Standard deviation of each axis's bias, m/s², and its random walk, m/s² per √s.
+    /// Standard deviation of each axis's bias, m/s².
     pub bias_mps2: f64,
+    /// Standard deviation of the bias that all sensors share, m/s², on each axis of the body besides: where what the
+    /// sensors differ by at rest was taken off them, their mean bias is left.
+    pub common_bias_mps2: f64,
     /// Random walk of the biases, m/s² per √s.
     pub bias_walk: f64,
+    /// Standard deviation of each axis's sensitivity, as a share, and of its direction, rad: as the body turns, this
+    /// share of what gravity changes by becomes a bias.
+    pub scale: f64,
+    /// How well each place is known, m, along each axis.
+    pub place_sd_m: f64,
+    /// How well the times of the sensors among each other are known, s.
+    pub delay_sd_s: f64,
     /// Error of s that the outputs do not show (scale, vibration), m/s² in each sample.
     pub force_noise_mps2: f64,
     /// How well the time is known to which a sample belongs, s: a chip's low pass delays it by 1 to 2 ms.
@@ -75,7 +88,11 @@ impl Default for ArrayConfig {
             zupt: true,
             range_mps2: 155.0,
             bias_mps2: 0.02,
+            common_bias_mps2: 0.0,
             bias_walk: 1e-4,
+            scale: 0.0,
+            place_sd_m: 0.0,
+            delay_sd_s: 0.0,
             force_noise_mps2: 0.05,
             time_sd_s: 1e-3,
         }
@@ -153,6 +170,34 @@ impl<R: Real> ArrayState<R> {
     }
 }
 
+/// How the force on the sensors becomes another: where it comes from, the farthest from there and the square of
+/// how far, (m/s²)².
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Swing<R> {
+    from: [R; 3],
+    farthest: [R; 3],
+    square: f64,
+}
+
+impl<R: Real> Swing<R> {
+    pub(super) fn at(force: [R; 3]) -> Self {
+        Self {
+            from: force,
+            farthest: force,
+            square: 0.0,
+        }
+    }
+}
+
+/// What has gathered since the last rest: the turn, rad, the square of its farthest, and speed by the square of the
+/// attitude's error, m/s.
+#[derive(Clone, Copy, Debug, Default)]
+struct Strayed {
+    turned: [f64; 3],
+    farthest: f64,
+    speed: [f64; 3],
+}
+
 /// The filter of one array: ω, ω̇, attitude, velocity, position and biases, with every root of ω kept
 /// as a hypothesis of its own until the data decide.
 ///
@@ -184,10 +229,19 @@ pub struct ArrayFilter<R, const M: usize> {
     excess: f64,
     /// Mean square of ω̇.
     activity: f64,
+    /// The output before, and the mean square of what an output changes by, (m/s² per s)².
+    last: Option<[R; M]>,
+    jerk: f64,
+    swing: Swing<R>,
     align: ([R; 3], f64, f64, f64),
+    /// s low-passed, what the last sample is away from it, and the mean since it is quiet, of so much.
+    slow_force: [R; 3],
+    away: [R; 3],
     quiet_mean: [R; 3],
+    mean_s: f64,
     quiet_s: f64,
     since_rest_s: f64,
+    strayed: Strayed,
     started: bool,
     valid: bool,
     /// It began without a rest, and none has come yet.
@@ -216,10 +270,17 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             dropped: Dropped::default(),
             excess: 1.0,
             activity: 0.0,
+            last: None,
+            jerk: 0.0,
+            swing: Swing::at([R::default(); 3]),
             align: ([R::default(); 3], 0.0, 0.0, 0.0),
+            slow_force: [R::default(); 3],
+            away: [R::default(); 3],
             quiet_mean: [R::default(); 3],
+            mean_s: 0.0,
             quiet_s: 0.0,
             since_rest_s: 0.0,
+            strayed: Strayed::default(),
             started: false,
             valid: false,
             moving_start: false,
@@ -290,10 +351,10 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     fn take(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) {
-        let noise = self.weigh(step, output, linear);
         // Centripetal acceleration is nothing where a rest is looked for.
         let force = [linear.theta[3], linear.theta[4], linear.theta[5]];
         self.judge_rest(step, force, linear);
+        let noise = self.weigh(step, output, linear);
         if self.hypotheses[0].is_none() {
             self.align_with(step, force);
             return;
@@ -301,14 +362,17 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if self.moving_start && self.resting() {
             self.begin_at_rest();
         }
-        self.predict(step, &noise);
+        let scaled = self.scaled(force);
+        self.predict(step, &noise, scaled);
         self.update(linear, &noise);
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             hypothesis.advance(step, linear, self.array.solver(), &noise, &self.config);
         }
+        self.stray(step);
         if self.resting() && self.config.zupt {
             self.doubt_rest(step);
             self.rest(step);
+            self.strayed = Strayed::default();
         } else {
             self.rested_s = 0.0;
             self.doubt_mps2 = 0.0;
@@ -318,15 +382,20 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 
     /// The sample's noise from its excess, equation (76), and the size of ω̇.
     fn weigh(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) -> Noise<R> {
+        let declared = self.declared(step, output);
         let solver = self.array.solver();
+        // Where the sensors do not show their own excess, it is what was declared.
         let own = solver
             .excess(output, linear)
-            .map_or(1.0, |e| e.to_f64())
+            .map_or_else(
+                || 1.0 + declared / solver.variance_mps2().to_f64(),
+                |e| e.to_f64(),
+            )
             .min(1e9);
         let steadied = OWN_SHARE * own + (1.0 - OWN_SHARE) * self.excess;
         self.excess += (own - self.excess) / EXCESS_SAMPLES;
-        let factor = steadied.max(1.0);
         let variance = solver.variance_mps2().to_f64();
+        let factor = steadied.max(1.0);
         let vibration = variance * (steadied - EXCESS_OF_NOISE).max(0.0);
         let covariance = solver.covariance();
         let [x, y, z, ..] = linear.theta.map(|v| v.to_f64());
@@ -342,6 +411,104 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             factor: r(factor),
             fast: r(fast),
             vibration: r(vibration),
+        }
+    }
+
+    /// Variance of an axis that errors of places, sensitivities and times bring while it moves, (m/s²)²: equation
+    /// (104).
+    fn declared(&mut self, step: f64, output: &[R; M]) -> f64 {
+        let config = &self.config;
+        let variance = self.array.solver().variance_mps2().to_f64();
+        if let Some(last) = self.last.filter(|_| step > 0.0) {
+            let (mut squares, mut count) = (0.0, 0.0);
+            for (now, before) in output.iter().zip(&last) {
+                let change = (*now - *before).to_f64();
+                if change.abs() < config.range_mps2 {
+                    squares += change * change;
+                    count += 1.0;
+                }
+            }
+            let own = (squares / f64::max(count, 1.0) - 2.0 * variance).max(0.0) / (step * step);
+            self.jerk += (own - self.jerk) / EXCESS_SAMPLES;
+        }
+        self.last = Some(*output);
+        let rate = self.hypotheses[0].map_or(0.0, |best| {
+            let rate = part(&best.mean, OMEGA);
+            dot(&rate, &rate).to_f64()
+        });
+        config.place_sd_m * config.place_sd_m * (rate * rate / 1.5 + 2.0 * self.activity)
+            + config.scale * config.scale * dot(&self.away, &self.away).to_f64()
+            + config.delay_sd_s * config.delay_sd_s * self.jerk
+    }
+
+    /// By how much the variance of the biases grows as the force on the sensors becomes another, (m/s²)²: equation
+    /// (104).
+    fn scaled(&mut self, force: [R; 3]) -> f64 {
+        let away = |from: &[R; 3]| -> f64 {
+            let d: [R; 3] = core::array::from_fn(|i| force[i] - from[i]);
+            dot(&d, &d).to_f64()
+        };
+        let swing = &mut self.swing;
+        let from = away(&swing.from);
+        let mut more = (from - swing.square).max(0.0);
+        if more > 0.0 {
+            (swing.farthest, swing.square) = (force, from);
+        } else if away(&swing.farthest) > TURNS_BACK * TURNS_BACK * swing.square {
+            // On its way back: from the farthest on it is another one.
+            swing.from = swing.farthest;
+            more = away(&swing.from);
+            (swing.farthest, swing.square) = (force, more);
+        }
+        let g = self.config.gravity_mps2;
+        if swing.square > g * g {
+            *swing = Swing::at(force);
+        }
+        self.config.scale * self.config.scale * more
+    }
+
+    /// Square of the relative error of a rate that errors of places bring.
+    fn size_variance(&self) -> f64 {
+        let solver = self.array.solver();
+        let covariance = solver.covariance();
+        let arms = (0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0;
+        let place = self.config.place_sd_m;
+        2.0 * place * place * arms / solver.variance_mps2().to_f64()
+    }
+
+    /// What is the same from sample to sample and so does not average out: attitude by the error of places, velocity by
+    /// the square of the attitude's: equation (105).
+    fn stray(&mut self, step: f64) {
+        let Some(best) = &self.hypotheses[0] else {
+            return;
+        };
+        let rate = part(&best.mean, OMEGA);
+        let variance = |i: usize| best.cov[PHI + i][PHI + i].to_f64().clamp(0.0, 4.0);
+        let tilt = 0.5 * (variance(0) + variance(1));
+        let g = self.config.gravity_mps2;
+        let fall = [
+            0.5 * g * libm::sqrt(tilt * variance(2)),
+            0.5 * g * libm::sqrt(tilt * variance(2)),
+            g * tilt,
+        ];
+        let size = self.size_variance();
+        let strayed = &mut self.strayed;
+        for (turned, rate) in strayed.turned.iter_mut().zip(rate) {
+            *turned += rate.to_f64() * step;
+        }
+        let angle = strayed.turned.iter().map(|t| t * t).sum::<f64>();
+        let turned = size * (angle - strayed.farthest).max(0.0);
+        strayed.farthest = strayed.farthest.max(angle);
+        let mut faster = [0.0; 3];
+        for ((faster, speed), fall) in faster.iter_mut().zip(&mut strayed.speed).zip(fall) {
+            let before = *speed;
+            *speed += fall * step;
+            *faster = *speed * *speed - before * before;
+        }
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            for (i, faster) in faster.iter().enumerate() {
+                hypothesis.cov[PHI + i][PHI + i] += r(turned);
+                hypothesis.cov[VELOCITY + i][VELOCITY + i] += r(*faster);
+            }
         }
     }
 
@@ -372,7 +539,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             fast: r(1.0),
             vibration: r(self.array.solver().variance_mps2().to_f64() * self.excess),
         };
-        self.predict(step, &noise);
+        self.predict(step, &noise, 0.0);
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             // As little is known of the acceleration as a hand's motion has of it.
             for i in 0..3 {
@@ -391,14 +558,22 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     /// ω and ω̇ one step ahead, and attitude with them: equation (96).
-    fn predict(&mut self, step: f64, noise: &Noise<R>) {
+    fn predict(&mut self, step: f64, noise: &Noise<R>, scaled: f64) {
         let arm = self.array.solver().arm_m();
         let walk = TURN_WALK_AT_REST * TURN_WALK_AT_REST + TURN_WALK * TURN_WALK * self.activity;
         let stray = VIBRATION_RATE * VIBRATION_RATE * noise.vibration.to_f64() / (arm * arm);
-        let bias = self.config.bias_walk * self.config.bias_walk * step
+        let bias = (self.config.bias_walk * self.config.bias_walk * step + scaled)
             / self.array.solver().variance_mps2().to_f64();
         let rank = self.array.solver().rank();
         let covariance = *self.array.solver().covariance();
+        // Sensitivities times 2 g at most.
+        let g = self.config.gravity_mps2;
+        let most = 4.0 * g * g * self.config.scale * self.config.scale;
+        let kept = r::<R>(if most > 0.0 {
+            libm::sqrt((1.0 - scaled / most).max(0.0))
+        } else {
+            1.0
+        });
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             let dt = r::<R>(step);
             let half = r::<R>(0.5 * step);
@@ -407,6 +582,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let by: [R; 3] = core::array::from_fn(|i| (rate[i] + turn[i] * half) * dt);
             let attitude = hypothesis.attitude;
             hypothesis.attitude = product(&attitude, &rotation(by));
+            if kept < r(1.0) {
+                hypothesis.forget_part(kept);
+            }
             let cov = &mut hypothesis.cov;
             couple(cov, PHI, OMEGA, &attitude.map(|row| row.map(|v| v * dt)));
             couple(
@@ -419,15 +597,20 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             for i in 0..3 {
                 hypothesis.mean[OMEGA + i] += turn[i] * dt;
                 let (w, t) = (OMEGA + i, TURN + i);
-                cov[PHI + i][PHI + i] += r(stray * step * step * step / 3.0);
+                let cube = step * step * step;
+                cov[PHI + i][PHI + i] += r(stray * cube / 3.0 + walk * cube * step * step / 20.0);
                 cov[w][w] += r(walk * step * step * step / 3.0 + stray * step);
                 cov[w][t] += r(walk * step * step / 2.0);
                 cov[t][w] += r(walk * step * step / 2.0);
                 cov[t][t] += r(walk * step);
                 for j in 0..3 {
-                    let crossed = attitude[i][j] * r(stray * step * step / 2.0);
+                    let with_rate = stray * step * step / 2.0 + walk * cube * step / 8.0;
+                    let crossed = attitude[i][j] * r(with_rate);
                     cov[PHI + i][OMEGA + j] += crossed;
                     cov[OMEGA + j][PHI + i] += crossed;
+                    let crossed = attitude[i][j] * r(walk * cube / 6.0);
+                    cov[PHI + i][TURN + j] += crossed;
+                    cov[TURN + j][PHI + i] += crossed;
                     cov[TURN_BIAS + i][TURN_BIAS + j] += r(bias * covariance[i][j]);
                     cov[FORCE_BIAS + i][FORCE_BIAS + j] += r(bias * covariance[3 + i][3 + j]);
                 }
@@ -645,6 +828,11 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         };
         state.rate_rad_s = rate;
         state.rate_covariance = at_time(OMEGA, turn, self.surprise);
+        // Equation (105).
+        let size = r::<R>(self.size_variance()) * dot(&rate, &rate);
+        for (i, row) in state.rate_covariance.iter_mut().enumerate() {
+            row[i] += size;
+        }
         state.angular_acceleration_rad_s2 = turn;
         state.quaternion = quaternion(&all.attitude);
         state.attitude_covariance = at_time(PHI, times(&all.attitude, &rate), 1.0);
@@ -654,6 +842,15 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         state.position_covariance = at_time(POSITION, velocity, 1.0);
         state.certainty = r(libm::exp(best.weight));
         state
+    }
+
+    /// To be called where what the sensors differ by at a rest was just taken off them: the biases of ω̇ and z begin
+    /// anew.
+    pub fn residual_biases_taken_off(&mut self) {
+        for hypothesis in self.hypotheses.iter_mut().flatten() {
+            hypothesis.begin_biases(self.array.solver(), &self.config, false);
+        }
+        self.swing = Swing::at(self.slow_force);
     }
 
     /// Samples at rests where velocity or attitude were wrong by far more than their covariance said: zero as

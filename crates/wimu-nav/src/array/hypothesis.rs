@@ -327,14 +327,16 @@ fn expected<R: Real, const M: usize>(
 }
 
 impl<R: Real> Hypothesis<R> {
-    /// Biases as they are before anything is known: those of the axes, brought to θ and z.
+    /// Biases as they are before anything is known: those of the axes, brought to θ and z; those of s where `all`.
     pub(super) fn begin_biases<const M: usize>(
         &mut self,
         solver: &ArraySolver<R, M>,
-        bias_mps2: f64,
+        config: &ArrayConfig,
+        all: bool,
     ) {
-        let share = bias_mps2 * bias_mps2 / solver.variance_mps2().to_f64();
-        for at in TURN_BIAS..STATES {
+        let share = config.bias_mps2 * config.bias_mps2 / solver.variance_mps2().to_f64();
+        let kept = |at: usize| !all && (FORCE_BIAS..Z_BIAS).contains(&at);
+        for at in (TURN_BIAS..STATES).filter(|at| !kept(*at)) {
             self.mean[at] = R::default();
             for k in 0..STATES {
                 self.cov[at][k] = R::default();
@@ -344,10 +346,30 @@ impl<R: Real> Hypothesis<R> {
         let covariance = solver.covariance();
         for i in 0..6 {
             for j in 0..6 {
-                self.cov[TURN_BIAS + i][TURN_BIAS + j] = r(covariance[i][j] * share);
+                if !(kept(TURN_BIAS + i) || kept(TURN_BIAS + j)) {
+                    self.cov[TURN_BIAS + i][TURN_BIAS + j] = r(covariance[i][j] * share);
+                }
             }
             if i < solver.rank() {
                 self.cov[Z_BIAS + i][Z_BIAS + i] = r(share);
+            }
+        }
+        if all {
+            for i in FORCE_BIAS..Z_BIAS {
+                self.cov[i][i] += r(config.common_bias_mps2 * config.common_bias_mps2);
+            }
+        }
+    }
+
+    /// Of the biases of ω̇ and z this share is kept.
+    pub(super) fn forget_part(&mut self, kept: R) {
+        for at in (TURN_BIAS..FORCE_BIAS).chain(Z_BIAS..STATES) {
+            self.mean[at] = self.mean[at] * kept;
+            for k in 0..STATES {
+                self.cov[at][k] = self.cov[at][k] * kept;
+            }
+            for row in &mut self.cov {
+                row[at] = row[at] * kept;
             }
         }
     }

@@ -1,7 +1,7 @@
 //! An array's calibration from the rests in its own recording.
 
 use wimu_calib::{Gravity, Model, Pose, find_poses, multi_position};
-use wimu_model::{ErrorModel, SpecificForceMps2};
+use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
 use super::motion::check;
 use super::rests::{EvenTurn, judged};
@@ -12,6 +12,11 @@ use crate::{ErrorCode, HostError, Result};
 const MOST_POSES: usize = 256;
 /// Noise that is assumed where there is no rest to see it, m/s².
 const ASSUMED_NOISE_MPS2: f64 = 0.05;
+
+/// Bias that is left of a calibrated axis, m/s².
+pub(super) const BIAS_MPS2: f64 = 0.02;
+/// Error of sensitivity and direction of an uncalibrated axis, at least.
+const LEAST_SCALE: f64 = 0.002;
 
 /// An array's calibration from the rests in its own recording.
 #[derive(Clone, Debug)]
@@ -29,6 +34,14 @@ pub struct ArrayCalibration {
     pub unseen_rad_s: Option<f64>,
     /// What the sensors disagree by at the rests after all, m/s² rms an axis.
     pub disagreement_mps2: f64,
+    /// Standard deviation of the bias that is left of each axis, m/s².
+    pub bias_mps2: f64,
+    /// The same of its sensitivity, as a share, and direction, rad.
+    pub scale: f64,
+    /// How well each coordinate of a place is known, m: [`PLACE_SD_M`](Self::PLACE_SD_M) unless set.
+    pub place_sd_m: f64,
+    /// How well the sensors' times among each other are known, s: [`DELAY_SD_S`](Self::DELAY_SD_S) unless set.
+    pub delay_sd_s: f64,
     /// Why the error models are those of perfect sensors, where they are.
     pub uncalibrated: Option<String>,
     /// Sensors that are of no use, and why.
@@ -38,6 +51,11 @@ pub struct ArrayCalibration {
 }
 
 impl ArrayCalibration {
+    /// How well a place is known where nobody says it, m.
+    pub const PLACE_SD_M: f64 = 5e-4;
+    /// How well the sensors' times among each other are known where nobody says it, s.
+    pub const DELAY_SD_S: f64 = 3e-4;
+
     /// From the accelerometers alone, in body axes: the rests are where the mean of all sensors is steady
     /// and they agree with each other as at every other rest, each sensor is fitted to gravity (9
     /// parameters), then turned to agree with the others. A sensor that is dead, or is the only one that
@@ -162,6 +180,10 @@ impl ArrayCalibration {
             turns: judged.turns,
             unseen_rad_s: judged.unseen_rad_s,
             disagreement_mps2: 0.0,
+            bias_mps2: BIAS_MPS2,
+            scale: 0.0,
+            place_sd_m: Self::PLACE_SD_M,
+            delay_sd_s: Self::DELAY_SD_S,
             uncalibrated,
             left_out,
             offsets: Vec::new(),
@@ -184,6 +206,15 @@ impl ArrayCalibration {
             offsets.push(of_rest);
         }
         calibration.disagreement_mps2 = (squares / f64::max(values, 1.0)).sqrt();
+        if calibration.uncalibrated.is_some() {
+            let count = used.len() as f64;
+            let apart = calibration.disagreement_mps2 * (count / f64::max(count - 1.0, 1.0)).sqrt();
+            calibration.bias_mps2 = apart.max(BIAS_MPS2);
+            // In one orientation a bias and an error of scale are one.
+            calibration.scale = scale_of(&offsets, &forces, &used)
+                .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
+                .max(LEAST_SCALE);
+        }
         // A rest at which a sensor gave nothing says nothing about it: that before it counts, or the first.
         for sensor in 0..sensors {
             let mut last = offsets.iter().find_map(|all| all[sensor]);
@@ -230,12 +261,23 @@ impl ArrayCalibration {
             ));
         }
         if let Some(why) = &self.uncalibrated {
-            remarks.push(format!("the array is not calibrated: {why}"));
+            remarks.push(format!(
+                "the array is not calibrated: {why}. As its sensors differ, biases of ± {:.3} m/s² and sensitivities and \
+                 directions wrong by ± {:.1} % are allowed for",
+                self.bias_mps2,
+                self.scale * 100.0
+            ));
         }
         for (sensor, why) in &self.left_out {
             remarks.push(format!("sensor {sensor} (from 0) is left out: {why}"));
         }
         remarks
+    }
+
+    /// The rest whose departures are taken off sample `index`: the latest before it, or the first.
+    pub(super) fn offset_of(&self, index: usize) -> usize {
+        let rest = self.rests.partition_point(|(first, _)| *first <= index);
+        rest.saturating_sub(1)
     }
 
     /// Whether a sensor is of use.
@@ -253,10 +295,34 @@ impl ArrayCalibration {
             model.correct(SpecificForceMps2(output_mps2), None).0,
             *small,
         );
-        let rest = self.rests.partition_point(|(first, _)| *first <= index);
-        let offset = self.offsets[rest.saturating_sub(1)][sensor];
+        let offset = self.offsets[self.offset_of(index)][sensor];
         core::array::from_fn(|axis| force[axis] - offset[axis])
     }
+}
+
+/// The error of sensitivity and direction that shows as the sensors' departures from their mean change with the
+/// orientation; `None` where the rests are too much alike.
+fn scale_of(
+    offsets: &[Vec<Option<[f64; 3]>>],
+    forces: &[Vec<Option<[f64; 3]>>],
+    used: &[usize],
+) -> Option<f64> {
+    let square = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
+    let (mut departures, mut changes, mut most) = (0.0, 0.0, 0.0_f64);
+    for rest in 1..offsets.len() {
+        for k in used {
+            let now = (offsets[rest][*k], forces[*k][rest]);
+            let before = (offsets[rest - 1][*k], forces[*k][rest - 1]);
+            if let ((Some(o), Some(f)), (Some(p), Some(g))) = (now, before) {
+                departures += square(o, p);
+                changes += 3.0 * square(f, g);
+                most = most.max(square(f, g));
+            }
+        }
+    }
+    let count = used.len() as f64;
+    let alike = most < STANDARD_GRAVITY_MPS2.powi(2) || count < 2.0;
+    (!alike).then(|| (departures / changes * count / (count - 1.0)).sqrt())
 }
 
 /// Whether no axis of a sensor ever moves, or it has no output.

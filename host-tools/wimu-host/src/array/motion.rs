@@ -5,13 +5,12 @@ use wimu_nav::array::{
     Spread, Step, track,
 };
 
+use super::calibration::BIAS_MPS2;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
 /// Output that stands for a sensor at its limit, m/s².
 const AT_LIMIT_MPS2: f64 = 1e6;
-/// Bias that is left of a calibrated axis, m/s².
-const BIAS_MPS2: f64 = 0.02;
 
 /// The angular rate of a body through a recording, from accelerometers alone.
 #[derive(Clone, Debug)]
@@ -216,11 +215,22 @@ fn filtered<const M: usize>(
     let axes = axes::<M>(geometry, calibration)?;
     // What is missing is said before anything is done.
     ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let used = (0..recording.sensors())
+        .filter(|sensor| calibration.uses(*sensor))
+        .count();
     let config = ArrayConfig {
         gravity_mps2,
         zupt,
         range_mps2: AT_LIMIT_MPS2,
+        // What the sensors differ by at the rests is taken off them: their mean bias is left.
         bias_mps2: BIAS_MPS2,
+        common_bias_mps2: (calibration.bias_mps2.powi(2) - BIAS_MPS2.powi(2))
+            .max(0.0)
+            .sqrt()
+            / (used.max(1) as f64).sqrt(),
+        scale: calibration.scale,
+        place_sd_m: calibration.place_sd_m,
+        delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };
     let mut filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
@@ -229,9 +239,14 @@ fn filtered<const M: usize>(
     let mut saturated = 0_usize;
     let mut moving_start = None;
     let mut without = vec![0_usize; recording.sensors()];
+    let mut offset = calibration.offset_of(0);
     let mut last = recording.times_s[0];
     for (index, time) in recording.times_s.iter().enumerate() {
         let output = sample::<M>(recording, calibration, index);
+        if calibration.offset_of(index) != offset {
+            offset = calibration.offset_of(index);
+            filter.residual_biases_taken_off();
+        }
         let pushed = filter.push(time - last, &output);
         last = last.max(*time);
         match pushed {

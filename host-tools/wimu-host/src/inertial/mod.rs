@@ -54,6 +54,9 @@ pub enum Method {
     Slide,
 }
 
+/// Deviations up to which something is likely.
+const LIKELY: f64 = 3.0;
+
 /// How to navigate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
@@ -445,7 +448,14 @@ pub fn navigate_array(
 ) -> Result<InertialPath> {
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
     let gravity = if calibration.uncalibrated.is_some() {
-        calibration.mean_rest_mps2(recording)
+        // Where biases may explain what it differs by, gravity is what it is.
+        let mean = calibration.mean_rest_mps2(recording);
+        let by_bias = LIKELY * calibration.bias_mps2 / (recording.sensors() as f64).sqrt();
+        if (mean - standard).abs() < by_bias {
+            standard
+        } else {
+            mean
+        }
     } else {
         standard
     };

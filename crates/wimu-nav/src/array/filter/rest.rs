@@ -14,6 +14,8 @@ const ALIGN_S: f64 = 0.5;
 const REST_MPS2: f64 = 0.15;
 /// A rest shows ω̇ and centripetal acceleration below so many variances.
 const REST_SIGMA2: f64 = 20.0;
+/// What it shows is the mean of so much, s.
+const MEAN_S: f64 = 0.2;
 const REST_NEAR_GRAVITY_MPS2: f64 = 0.3;
 const REST_S: f64 = 0.5;
 /// Speed, angular rate and acceleration, and departure from gravity that a rest may have over 0.5 s.
@@ -38,12 +40,25 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     pub(super) fn judge_rest(&mut self, step: f64, force: [R; 3], linear: &Linear<R>) {
-        let first = self.quiet_mean == [R::default(); 3];
-        let share = r::<R>(if first { 1.0 } else { (step / 0.2).min(1.0) });
-        let away: [R; 3] = core::array::from_fn(|i| force[i] - self.quiet_mean[i]);
-        for (mean, away) in self.quiet_mean.iter_mut().zip(away) {
-            *mean += away * share;
-        }
+        let follow = |mean: &mut [R; 3], share: f64| -> [R; 3] {
+            let away: [R; 3] = core::array::from_fn(|i| force[i] - mean[i]);
+            for (mean, away) in mean.iter_mut().zip(away) {
+                *mean += away * r(share);
+            }
+            away
+        };
+        let begins = if self.slow_force == [R::default(); 3] {
+            1.0
+        } else {
+            0.0
+        };
+        self.away = follow(&mut self.slow_force, (step / MEAN_S).clamp(begins, 1.0));
+        // The mean since it is quiet: what went before does not count.
+        self.mean_s += step;
+        let away = follow(
+            &mut self.quiet_mean,
+            (step / self.mean_s.min(MEAN_S)).min(1.0),
+        );
         let size = dot(&self.quiet_mean, &self.quiet_mean).sqrt().to_f64();
         let near = (size - self.config.gravity_mps2).abs() < REST_NEAR_GRAVITY_MPS2;
         let calm = dot(&away, &away).to_f64() < 3.0 * REST_MPS2 * REST_MPS2;
@@ -63,6 +78,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             self.quiet_s += step;
         } else {
             self.quiet_s = 0.0;
+        }
+        if !calm {
+            (self.quiet_mean, self.mean_s) = (force, 0.0);
         }
     }
 
@@ -97,16 +115,13 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             mean: [R::default(); STATES],
             cov: [[R::default(); STATES]; STATES],
         };
-        let bias = self.config.bias_mps2 * self.config.bias_mps2 / solver.variance_mps2().to_f64();
+        let bias = self.force_bias();
         let (strayed, speed) = if rests {
             (0.0, 1e-3)
         } else {
             (START_TILT_RAD, START_SPEED_MPS)
         };
-        let tilt = strayed * strayed
-            + moved * 0.25 / (g * g)
-            + bias * solver.covariance()[3][3] / (g * g)
-            + 1e-6;
+        let tilt = strayed * strayed + moved * 0.25 / (g * g) + bias / (g * g) + 1e-6;
         for i in 0..3 {
             let mut set = |at: usize, variance: f64| hypothesis.cov[at + i][at + i] = r(variance);
             set(PHI, if i == 2 { 1e-8 } else { tilt });
@@ -114,7 +129,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             set(OMEGA, 100.0);
             set(TURN, 1e4);
         }
-        hypothesis.begin_biases(solver, self.config.bias_mps2);
+        hypothesis.begin_biases(solver, &self.config, true);
+        self.swing = super::Swing::at(mean.map(r));
         self.hypotheses = [None; MOST];
         self.hypotheses[0] = Some(hypothesis);
         if rests {
@@ -128,9 +144,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     /// begins here.
     pub(super) fn begin_at_rest(&mut self) {
         let g = self.config.gravity_mps2;
-        let solver = self.array.solver();
-        let bias = self.config.bias_mps2 * self.config.bias_mps2 / solver.variance_mps2().to_f64();
-        let tilt = bias * solver.covariance()[3][3] / (g * g) + 1e-6;
+        let tilt = self.force_bias() / (g * g) + 1e-6;
         let attitude = level(self.quiet_mean.map(|v| v.to_f64()));
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             hypothesis.attitude = attitude;
@@ -154,8 +168,15 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 
     pub(super) fn forget_biases(&mut self) {
         for hypothesis in self.hypotheses.iter_mut().flatten() {
-            hypothesis.begin_biases(self.array.solver(), self.config.bias_mps2);
+            hypothesis.begin_biases(self.array.solver(), &self.config, true);
         }
+    }
+
+    /// Variance of the bias of s on an axis before anything is known of it, (m/s²)².
+    fn force_bias(&self) -> f64 {
+        let solver = self.array.solver();
+        let (own, common) = (self.config.bias_mps2, self.config.common_bias_mps2);
+        own * own / solver.variance_mps2().to_f64() * solver.covariance()[3][3] + common * common
     }
 
     /// Even motion shows as a rest does. Where the speed was not likely to be zero, the position is as

@@ -59,6 +59,8 @@ pub fn path(
     let read = read(arguments)?;
     let mut recording = read.clone().arranged(&geometry)?;
     let mut calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
+    calibration.place_sd_m = arguments.place_sd * 1e-3;
+    calibration.delay_sd_s = arguments.delay_sd * 1e-6;
     let mut refined = None;
     if let Some(file) = &arguments.refine {
         let options = RefineOptions {
@@ -107,9 +109,19 @@ pub fn path(
         geometry = found.geometry;
         recording = read.arranged(&geometry)?;
         calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
+        // What was found is known as well as it was found.
+        let all = found.place_sd_m.iter().flatten().flatten();
+        calibration.place_sd_m = mean_square(all.copied());
+        calibration.delay_sd_s = mean_square(found.delay_sd_s.iter().copied());
     }
     let path = navigate_array(&recording, &geometry, &calibration, choice)?;
     Ok((path, refined))
+}
+
+/// Root of the mean square.
+fn mean_square(values: impl Iterator<Item = f64>) -> f64 {
+    let (squares, count) = values.fold((0.0, 0.0), |(sum, n), v| (sum + v * v, n + 1.0));
+    f64::sqrt(squares / f64::max(count, 1.0))
 }
 
 fn read(arguments: &Navigate) -> Result<ArrayRecording> {

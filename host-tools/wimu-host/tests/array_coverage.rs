@@ -1,0 +1,58 @@
+//! What an array says of rate and position holds the truth, whatever its sensors are that nobody calibrated.
+
+#[path = "array_journeys/mod.rs"]
+mod array_journeys;
+
+use array_journeys::{Case, Kind, Places};
+
+/// Seeds of each case here; the example `array_journeys` runs more, and more kinds.
+const SEEDS: u64 = 12;
+
+/// An ordinary sensor off the reel at places measured with a ruler.
+fn uncalibrated() -> Case {
+    Case {
+        rate_hz: 100.0,
+        bias: 0.1,
+        scale: 0.015,
+        place: 1e-3,
+        ..Case::default()
+    }
+}
+
+#[test]
+fn an_array_that_nobody_calibrated_is_within_its_covariance() {
+    let cases = [
+        uncalibrated(),
+        Case {
+            scale: 0.0,
+            place: 0.0,
+            bias: 0.2,
+            ..uncalibrated()
+        },
+        Case {
+            places: Places::Board,
+            scale: 0.005,
+            kind: Kind::Moves(0.3, 1.0),
+            ..uncalibrated()
+        },
+    ];
+    for case in cases {
+        let coverage = case.over(SEEDS);
+        println!("{coverage}");
+        assert!(coverage.position() > 90.0 && coverage.rate() > 88.0);
+        assert!(coverage.valid() > 20.0);
+    }
+}
+
+#[test]
+fn half_and_a_quarter_of_the_sample_rate_are_as_honest() {
+    for rate_hz in [50.0, 25.0] {
+        let coverage = Case {
+            rate_hz,
+            ..Case::default()
+        }
+        .over(SEEDS);
+        println!("{coverage}");
+        assert!(coverage.position() > 90.0 && coverage.rate() > 90.0);
+    }
+}

@@ -1,0 +1,595 @@
+//! Simulated journeys of arrays whose sensors are not what the filter takes them for, and whether the truth
+//! lies within what it says.
+#![allow(dead_code)] // Shared by the test and the example: each uses its part.
+
+use std::fmt;
+
+use wimu_calib::Gravity;
+use wimu_host::HostError;
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
+use wimu_host::inertial::{Choice, Method, Zupt, navigate_array};
+use wimu_host::motion::nees;
+
+const G: f64 = 9.80665;
+const TAU: f64 = std::f64::consts::TAU;
+/// Slower than this, rad/s, the rate is not scored: an array is taken to rest there, or knows nothing.
+const SCORED_RAD_S: f64 = 0.3;
+
+type V = [f64; 3];
+type Rotation = [V; 3];
+
+/// SplitMix64: the same numbers in every run.
+pub struct Random(pub u64);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
+        radius * (TAU * self.unit()).cos()
+    }
+
+    fn three(&mut self, sd: f64) -> V {
+        [0; 3].map(|_| sd * self.normal())
+    }
+}
+
+fn cross(a: V, b: V) -> V {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+fn add(a: V, b: V, by: f64) -> V {
+    std::array::from_fn(|i| a[i] + by * b[i])
+}
+
+fn norm(a: V) -> f64 {
+    a.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+fn apply(m: &Rotation, v: V) -> V {
+    m.map(|row| (0..3).map(|i| row[i] * v[i]).sum())
+}
+
+fn back(m: &Rotation, v: V) -> V {
+    std::array::from_fn(|j| (0..3).map(|i| m[i][j] * v[i]).sum())
+}
+
+fn product(a: &Rotation, b: &Rotation) -> Rotation {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
+}
+
+/// Of a rotation vector, rad.
+fn rotation(by: V) -> Rotation {
+    let angle = norm(by).max(1e-300);
+    let (sin, cos) = angle.sin_cos();
+    let n = by.map(|v| v / angle);
+    std::array::from_fn(|i| {
+        let mut unit = [0.0; 3];
+        unit[i] = 1.0;
+        let crossed = cross(unit, n);
+        std::array::from_fn(|j| {
+            let one = if i == j { cos } else { 0.0 };
+            one + sin * crossed[j] + (1.0 - cos) * n[i] * n[j]
+        })
+    })
+}
+
+fn quaternion(m: &Rotation) -> [f64; 4] {
+    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = *m;
+    let size = |v: f64| v.max(0.0).sqrt() / 2.0;
+    [
+        size(1.0 + xx + yy + zz),
+        size(1.0 + xx - yy - zz).copysign(zy - yz),
+        size(1.0 - xx + yy - zz).copysign(xz - zx),
+        size(1.0 - xx - yy + zz).copysign(yx - xy),
+    ]
+}
+
+/// Least jerk from 0 to 1: integral, value and two derivatives.
+fn smooth(x: f64) -> [f64; 4] {
+    let y = x * x * x;
+    [
+        y * x * (2.5 - 3.0 * x + x * x),
+        y * (10.0 - 15.0 * x + 6.0 * x * x),
+        30.0 * x * x * (1.0 - x) * (1.0 - x),
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
+    ]
+}
+
+/// Part of a journey: so long, s; a move, m; a turn about one axis of the body, rad; velocity at its end, m/s;
+/// or the rate about the vertical at its end, rad/s.
+#[derive(Clone, Copy, Default)]
+pub struct Part {
+    pub seconds: f64,
+    pub shift: V,
+    pub turn: V,
+    pub velocity: V,
+    pub spin: f64,
+}
+
+/// How a body is at a time.
+struct Motion {
+    position: V,
+    velocity: V,
+    acceleration: V,
+    /// Body to navigation axes.
+    attitude: Rotation,
+    rate: V,
+    turning: V,
+}
+
+/// A journey: its parts, each with how it begins.
+struct Journey {
+    parts: Vec<(f64, Part, Start)>,
+    /// Where the array is on the body that turns, m.
+    arm: V,
+}
+
+#[derive(Clone, Copy)]
+struct Start {
+    position: V,
+    velocity: V,
+    spin: f64,
+    attitude: Rotation,
+}
+
+impl Journey {
+    fn of(parts: &[Part], attitude: Rotation, arm: V) -> Self {
+        let mut start = Start {
+            position: [0.0; 3],
+            velocity: [0.0; 3],
+            spin: 0.0,
+            attitude,
+        };
+        let (mut time, mut all) = (0.0, Vec::new());
+        for part in parts {
+            all.push((time, *part, start));
+            time += part.seconds;
+            let end = part.at(&start, part.seconds);
+            start = Start {
+                position: end.position,
+                velocity: part.velocity,
+                spin: part.spin,
+                attitude: end.attitude,
+            };
+        }
+        Self { parts: all, arm }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.parts.iter().map(|(_, part, _)| part.seconds).sum()
+    }
+
+    fn at(&self, time: f64) -> Motion {
+        let index = self.parts.partition_point(|(begin, ..)| *begin <= time);
+        let (begin, part, start) = &self.parts[index.max(1) - 1];
+        let mut motion = part.at(start, (time - begin).clamp(0.0, part.seconds));
+        let arm = self.arm;
+        let fast = add(
+            cross(motion.turning, arm),
+            cross(motion.rate, cross(motion.rate, arm)),
+            1.0,
+        );
+        motion.position = add(motion.position, apply(&motion.attitude, arm), 1.0);
+        motion.velocity = add(
+            motion.velocity,
+            apply(&motion.attitude, cross(motion.rate, arm)),
+            1.0,
+        );
+        motion.acceleration = add(motion.acceleration, apply(&motion.attitude, fast), 1.0);
+        motion
+    }
+}
+
+impl Part {
+    fn at(&self, start: &Start, time: f64) -> Motion {
+        let s = self.seconds;
+        let [sum, value, slope, curve] = smooth(time / s);
+        let faster = add(self.velocity, start.velocity, -1.0);
+        let position = add(
+            add(add(start.position, start.velocity, time), faster, sum * s),
+            self.shift,
+            value,
+        );
+        let velocity = add(add(start.velocity, faster, value), self.shift, slope / s);
+        let acceleration = add(faster.map(|v| v * slope / s), self.shift, curve / (s * s));
+        let up = back(&start.attitude, [0.0, 0.0, 1.0]);
+        let more = self.spin - start.spin;
+        let spun = start.spin * time + more * sum * s;
+        let by = add(self.turn.map(|v| v * value), up, spun);
+        Motion {
+            position,
+            velocity,
+            acceleration,
+            attitude: product(&start.attitude, &rotation(by)),
+            rate: add(
+                self.turn.map(|v| v * slope / s),
+                up,
+                start.spin + more * value,
+            ),
+            turning: add(self.turn.map(|v| v * curve / (s * s)), up, more * slope / s),
+        }
+    }
+}
+
+/// What a body does.
+#[derive(Clone, Copy, Debug)]
+pub enum Kind {
+    /// Four moves of so many m an axis with turns of so many rad an axis, rests between.
+    Moves(f64, f64),
+    /// The same in so many times the time.
+    Slow(f64, f64, f64),
+    /// Pushed to so many m/s, then so many s evenly, braked.
+    Cart(f64, f64),
+    /// On a turntable at so many rad/s, so many m off its axis, for 10 s.
+    Turntable(f64, f64),
+    /// It does not move, for so many s.
+    Still(f64),
+}
+
+/// Where the sensors are.
+#[derive(Clone, Copy, Debug)]
+pub enum Places {
+    Octahedron(f64),
+    Board,
+    Four(f64),
+}
+
+/// What is simulated.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    pub kind: Kind,
+    pub places: Places,
+    pub rate_hz: f64,
+    pub zupt: Zupt,
+    /// Standard deviations: noise and bias, m/s², of sensitivity and direction, of places, m, of the time, s.
+    pub noise: f64,
+    pub bias: f64,
+    pub scale: f64,
+    pub place: f64,
+    pub skew: f64,
+}
+
+impl Default for Case {
+    fn default() -> Self {
+        Self {
+            kind: Kind::Moves(0.3, 3.0),
+            places: Places::Octahedron(0.03),
+            rate_hz: 200.0,
+            zupt: Zupt::Stated,
+            noise: 0.02,
+            bias: 0.02,
+            scale: 0.0,
+            place: 0.0,
+            skew: 0.0,
+        }
+    }
+}
+
+/// What came of one seed.
+#[derive(Clone, Debug, Default)]
+pub struct Outcome {
+    /// NEES of the position of all samples that were valid, and of the rate of those that turned.
+    pub position: Vec<f64>,
+    pub rate: Vec<f64>,
+    pub valid: f64,
+    /// Largest error of a valid position, m; rms of the rate's error and its mean square by its deviation, rad/s.
+    pub most_m: f64,
+    pub rate_error: f64,
+    pub rate_sd: f64,
+    pub remarks: Vec<String>,
+}
+
+impl Case {
+    fn geometry(&self) -> ArrayGeometry {
+        let places: Vec<V> = match self.places {
+            Places::Octahedron(arm) => (0..6)
+                .map(|k| {
+                    let sign = if k % 2 == 0 { arm } else { -arm };
+                    std::array::from_fn(|i| if i == k / 2 { sign } else { 0.0 })
+                })
+                .collect(),
+            Places::Board => (0..8)
+                .map(|k| {
+                    let sign = |bit: usize| if k >> bit & 1 == 0 { 1.0 } else { -1.0 };
+                    [0.0095 * sign(2), 0.0095 * sign(1), 0.002 * sign(0)]
+                })
+                .collect(),
+            Places::Four(arm) => {
+                let all = [
+                    [1.0, 1.0, 1.0],
+                    [1.0, -1.0, -1.0],
+                    [-1.0, 1.0, -1.0],
+                    [-1.0, -1.0, 1.0],
+                ];
+                all.iter().map(|p: &V| p.map(|v| v * arm)).collect()
+            }
+        };
+        ArrayGeometry::at(&places)
+    }
+
+    fn journey(&self, random: &mut Random) -> Journey {
+        let still = |seconds: f64| Part {
+            seconds,
+            ..Part::default()
+        };
+        let tilt = rotation(random.three(0.5));
+        let (mut parts, mut arm) = (vec![still(2.5)], [0.0; 3]);
+        match self.kind {
+            Kind::Moves(metres, radians) | Kind::Slow(_, metres, radians) => {
+                let slower = if let Kind::Slow(by, ..) = self.kind {
+                    by
+                } else {
+                    1.0
+                };
+                for _ in 0..4 {
+                    parts.push(Part {
+                        seconds: slower * (0.6 + 0.6 * random.unit()),
+                        shift: random.three(metres),
+                        turn: random.three(radians),
+                        ..Part::default()
+                    });
+                    parts.push(still(1.2));
+                }
+            }
+            Kind::Cart(speed, seconds) => {
+                let direction = random.three(1.0);
+                let velocity = direction.map(|v| v * speed / norm(direction));
+                let of = |seconds, velocity| Part {
+                    seconds,
+                    velocity,
+                    ..Part::default()
+                };
+                parts.extend([
+                    of(1.0, velocity),
+                    of(seconds, velocity),
+                    of(1.0, [0.0; 3]),
+                    still(2.0),
+                ]);
+            }
+            Kind::Turntable(spin, away) => {
+                let of = |seconds, spin| Part {
+                    seconds,
+                    spin,
+                    ..Part::default()
+                };
+                parts.extend([of(1.0, spin), of(10.0, spin), of(1.0, 0.0), still(2.0)]);
+                arm = back(&tilt, [away, 0.0, 0.0]);
+            }
+            Kind::Still(seconds) => parts.push(still(seconds)),
+        }
+        Journey::of(&parts, tilt, arm)
+    }
+
+    /// The recording of one seed, with the truth.
+    pub fn recording(&self, seed: u64) -> (ArrayRecording, ArrayGeometry) {
+        let random = &mut Random(seed);
+        let geometry = self.geometry();
+        let journey = self.journey(random);
+        struct Sensor {
+            place: V,
+            bias: V,
+            scale: Rotation,
+            skew: f64,
+        }
+        let sensors: Vec<Sensor> = geometry
+            .sensors
+            .iter()
+            .map(|s| Sensor {
+                place: add(s.places_m[0], random.three(self.place), 1.0),
+                bias: random.three(self.bias),
+                scale: [0; 3].map(|_| random.three(self.scale)),
+                skew: self.skew * random.normal(),
+            })
+            .collect();
+        let names = ["Position E (m)", "Position N (m)", "Position U (m)"]
+            .into_iter()
+            .chain(["W", "X", "Y", "Z"].map(|_| ""))
+            .enumerate()
+            .map(|(k, name)| match k {
+                0..=2 => format!("Truth {name}"),
+                _ => format!("Truth Quaternion {}", ["W", "X", "Y", "Z"][k - 3]),
+            })
+            .chain(["X", "Y", "Z"].map(|a| format!("Truth Angular Rate {a} (rad/s)")));
+        let mut other: Vec<(String, Vec<f64>)> = names.map(|n| (n, Vec::new())).collect();
+        let mut recording = ArrayRecording::default();
+        let count = (journey.seconds() * self.rate_hz) as usize;
+        for k in 0..count {
+            let time = k as f64 / self.rate_hz;
+            let row = sensors.iter().map(|sensor| {
+                let motion = journey.at(time + sensor.skew);
+                let force = back(
+                    &motion.attitude,
+                    add(motion.acceleration, [0.0, 0.0, G], 1.0),
+                );
+                let turned = cross(motion.rate, cross(motion.rate, sensor.place));
+                let force = add(
+                    add(force, cross(motion.turning, sensor.place), 1.0),
+                    turned,
+                    1.0,
+                );
+                let scaled = add(force, apply(&sensor.scale, force), 1.0);
+                add(add(scaled, sensor.bias, 1.0), random.three(self.noise), 1.0)
+            });
+            recording.outputs.push(row.collect());
+            recording.saturated.push(0);
+            recording.times_s.push(time);
+            let motion = journey.at(time);
+            let truth = motion
+                .position
+                .into_iter()
+                .chain(quaternion(&motion.attitude))
+                .chain(motion.rate);
+            for ((_, column), value) in other.iter_mut().zip(truth) {
+                column.push(value);
+            }
+        }
+        recording.other = other;
+        (recording, geometry)
+    }
+
+    /// Navigated as the command does it.
+    ///
+    /// # Errors
+    /// Those of the command.
+    pub fn run(&self, seed: u64) -> Result<Outcome, HostError> {
+        let (recording, geometry) = self.recording(seed);
+        let arranged = recording.judged().arranged(&geometry)?;
+        let mut calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE)?;
+        // As the user says who knows no better.
+        calibration.place_sd_m = self.place.max(ArrayCalibration::PLACE_SD_M);
+        calibration.delay_sd_s = self.skew.max(ArrayCalibration::DELAY_SD_S);
+        let choice = Choice {
+            method: Method::Array,
+            zupt: self.zupt,
+            ..Choice::default()
+        };
+        let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
+        let gravity = G;
+        let (states, _) = navigated(
+            &arranged,
+            &geometry,
+            &calibration,
+            gravity,
+            self.zupt.is_on(),
+        )?;
+        let truth = arranged.true_rate_rad_s();
+        let mut outcome = Outcome {
+            position: path.nees.clone(),
+            valid: path.points.iter().filter(|p| p.valid).count() as f64 / path.points.len() as f64,
+            remarks: path.remarks.clone(),
+            ..Outcome::default()
+        };
+        for (point, truth) in path.points.iter().zip(&path.truth_m) {
+            if let (true, Some(truth)) = (point.valid, truth) {
+                let error = norm(add(point.position_m, *truth, -1.0));
+                outcome.most_m = outcome.most_m.max(error);
+            }
+        }
+        for (state, truth) in states.iter().zip(truth) {
+            let Some(truth) = truth else { continue };
+            if norm(truth) > SCORED_RAD_S && state.certainty > 0.0 {
+                let error = add(state.rate_rad_s, truth, -1.0);
+                outcome.rate.push(nees(error, state.rate_covariance));
+                outcome.rate_error += norm(error).powi(2);
+                outcome.rate_sd += (0..3).map(|i| state.rate_covariance[i][i]).sum::<f64>();
+            }
+        }
+        let count = outcome.rate.len().max(1) as f64;
+        outcome.rate_error = (outcome.rate_error / count).sqrt();
+        outcome.rate_sd = (outcome.rate_sd / count).sqrt();
+        Ok(outcome)
+    }
+
+    /// Over seeds 1 to `seeds`.
+    pub fn over(&self, seeds: u64) -> Coverage {
+        let mut coverage = Coverage {
+            case: *self,
+            seeds,
+            refused: 0,
+            outcomes: Vec::new(),
+        };
+        for seed in 1..=seeds {
+            match self.run(seed) {
+                Ok(outcome) => coverage.outcomes.push(outcome),
+                Err(_) => coverage.refused += 1,
+            }
+        }
+        coverage
+    }
+}
+
+/// What came of all seeds.
+pub struct Coverage {
+    pub case: Case,
+    pub seeds: u64,
+    pub refused: u64,
+    pub outcomes: Vec<Outcome>,
+}
+
+fn share(all: impl Iterator<Item = f64>) -> f64 {
+    let (mut below, mut count) = (0.0, 0.0);
+    for nees in all {
+        below += f64::from(u8::from(nees < 7.81));
+        count += 1.0;
+    }
+    100.0 * below / f64::max(count, 1.0)
+}
+
+impl Coverage {
+    /// Share of the valid positions with a NEES below 7.81, %.
+    pub fn position(&self) -> f64 {
+        share(
+            self.outcomes
+                .iter()
+                .flat_map(|o| o.position.iter().copied()),
+        )
+    }
+
+    /// The same of the rates while it turns.
+    pub fn rate(&self) -> f64 {
+        share(self.outcomes.iter().flat_map(|o| o.rate.iter().copied()))
+    }
+
+    /// Share of the samples whose position is valid, %.
+    pub fn valid(&self) -> f64 {
+        let sum: f64 = self.outcomes.iter().map(|o| o.valid).sum();
+        100.0 * sum / f64::max(self.outcomes.len() as f64, 1.0)
+    }
+
+    /// Median and most of each seed's greatest √NEES of a valid position.
+    pub fn greatest(&self) -> [f64; 2] {
+        let most = |o: &Outcome| o.position.iter().copied().fold(0.0, f64::max).sqrt();
+        let mut all: Vec<f64> = self.outcomes.iter().map(most).collect();
+        all.sort_by(f64::total_cmp);
+        let last = all.last().copied().unwrap_or_default();
+        [all.get(all.len() / 2).copied().unwrap_or_default(), last]
+    }
+}
+
+impl fmt::Display for Coverage {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Case {
+            kind,
+            places,
+            rate_hz,
+            zupt,
+            bias,
+            scale,
+            place,
+            skew,
+            ..
+        } = self.case;
+        let about = format!("{kind:?} {places:?}");
+        let most = self.outcomes.iter().map(|o| o.most_m).fold(0.0, f64::max);
+        let mean = |of: fn(&Outcome) -> f64| {
+            let sum: f64 = self.outcomes.iter().map(|o| of(o).powi(2)).sum();
+            (sum / f64::max(self.outcomes.len() as f64, 1.0)).sqrt()
+        };
+        let [median, worst] = self.greatest();
+        write!(
+            out,
+            "{about:<40} {rate_hz:>4} Hz {} b {bias:<4} s {scale:<5} p {:<3} t {:<4} | valid {:3.0} %, NEES {:3.0} %, greatest \
+             {median:.1} / {worst:.1} sd, {most:.2} m | rate {:3.0} %, {:.3} of {:.3} rad/s | refused {}",
+            format!("{zupt:?}"),
+            place * 1e3,
+            skew * 1e6,
+            self.valid(),
+            self.position(),
+            self.rate(),
+            mean(|o| o.rate_error),
+            mean(|o| o.rate_sd),
+            self.refused,
+        )
+    }
+}

@@ -135,7 +135,7 @@ fn best<R: Real>(
 
 /// n ln of the squared error with each orientation left out, more for each parameter.
 fn badness(fitted: &Fitted, terms: Terms) -> f64 {
-    let rejected = fitted.estimate.rejected.as_slice().len() as f64;
+    let rejected = fitted.estimate.rejected.count() as f64;
     let n = fitted.telling + rejected;
     let square = fitted.kept_left_out_mps2 * fitted.kept_left_out_mps2;
     let all = square * (n + (LEFT_OUT * LEFT_OUT - 1.0) * rejected) / n;
@@ -179,7 +179,7 @@ pub(crate) fn evidence<R: Real, const N: usize>(
     };
     let terms = free.iter().filter_map(|slot| slot.term());
     let terms: f64 = terms.map(|term| beforehand(term) / 3.0).sum();
-    let bad = rejected.as_slice().len() as f64 * BAD_POSE;
+    let bad = rejected.count() as f64 * BAD_POSE;
     libm::lgamma(half_dof) - half_dof * libm::log(core::f64::consts::PI * cost)
         + 0.5 * (volume - constants - spread - square)
         + bad

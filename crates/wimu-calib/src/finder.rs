@@ -23,6 +23,9 @@ const DEPARTURE_PER_NOISE: f64 = 10.0;
 /// Means of blocks that scatter by more than this many times what the noise within the blocks makes of
 /// them move: of a steady turn it is a hundred times.
 const MOST_SCATTER_PER_NOISE: f64 = 6.0;
+/// A line through the block means of a window, over what scatters about it: beyond, chance makes it once
+/// in a million windows (F of 3 and 18 degrees of freedom).
+const STEADY_TURN: f64 = 25.7;
 /// What is noisier from sample to sample than this over three axes is moved, (m/s²)²: 0.32 m/s²
 /// rms an axis.
 const MOST_NOISE: f64 = 0.3;
@@ -222,7 +225,8 @@ impl<R: Scalar> Block<R> {
 /// noise from the start.
 ///
 /// A hold is still when, over 0.75 s, neither its variance nor the scatter of its block means is
-/// far above the least seen; its first and last block are left out. A hold disturbed by a knock is
+/// far above the least seen, and its block means are not all the way on a line in time, as those of a slow turn are;
+/// its first and last block are left out. A hold disturbed by a knock is
 /// one pose, the longer part of it.
 ///
 /// `PoseFinder<f32>` takes samples in f32 and computes in it what every sample asks for, for a
@@ -258,6 +262,8 @@ struct Hold {
     inner: Moments,
     /// The last block, left out if the hold ends here: motion may have begun in it.
     edge: Moments,
+    /// Whether some of it was no steady turn: of a turn, all is.
+    rested: bool,
 }
 
 impl PoseFinder {
@@ -319,13 +325,17 @@ impl<R: Scalar> PoseFinder<R> {
     /// How many samples the sensor has been held still, 0 while it moves: a hold that long is a
     /// pose, even if it ends now.
     pub fn held_samples(&self) -> u32 {
-        self.hold.map_or(0, |hold| hold.inner.samples)
+        self.rest().map_or(0, |hold| hold.inner.samples)
     }
 
     /// The hold under way as a pose, if it ended now; `None` while the sensor moves.
     pub fn held(&self) -> Option<Pose> {
-        self.hold
+        self.rest()
             .map(|hold| hold.inner.pose(self.rate_hz, &self.noise))
+    }
+
+    fn rest(&self) -> Option<&Hold> {
+        self.hold.as_ref().filter(|hold| hold.rested)
     }
 
     /// Takes one sample y, m/s², sensor axes. A sample that is not finite counts as motion.
@@ -380,15 +390,17 @@ impl<R: Scalar> PoseFinder<R> {
         }
         self.filled = (self.filled + 1).min(BLOCKS);
         if self.window_is_still() && self.belongs_to_hold(&block) {
+            let rests = !self.window_turns();
             self.hold = Some(match self.hold.take() {
                 Some(mut hold) => {
                     hold.inner.merge(&hold.edge);
                     Hold {
                         edge: block,
+                        rested: hold.rested || rests,
                         ..hold
                     }
                 }
-                None => self.begin_hold(),
+                None => self.begin_hold(rests),
             });
             return None;
         }
@@ -440,6 +452,30 @@ impl<R: Scalar> PoseFinder<R> {
             && departure <= self.noise.most_departure(self.block_samples, explains)
     }
 
+    /// Whether the last blocks are on a line in time as no noise is: a sensor that is turned slowly.
+    fn window_turns(&self) -> bool {
+        let centre = 0.5 * (BLOCKS - 1) as f64;
+        let times = || (0..BLOCKS).map(|k| k as f64 - centre);
+        let along: f64 = times().map(|t| t * t).sum();
+        let (mut line, mut about) = (0.0, 0.0);
+        for axis in 0..3 {
+            let means = || self.window.iter().map(move |block| block.mean[axis]);
+            let mean = means().sum::<f64>() / BLOCKS as f64;
+            let slope = times()
+                .zip(means())
+                .map(|(t, y)| t * (y - mean))
+                .sum::<f64>()
+                / along;
+            line += slope * slope * along;
+            about += times()
+                .zip(means())
+                .map(|(t, y)| y - mean - slope * t)
+                .map(|apart| apart * apart)
+                .sum::<f64>();
+        }
+        line > STEADY_TURN * (about / (BLOCKS - 2) as f64).max(self.noise.rounding())
+    }
+
     fn belongs_to_hold(&self, block: &Moments) -> bool {
         self.hold.is_none_or(|hold| {
             let most = HOLD_DEPARTURE_MPS2
@@ -449,7 +485,7 @@ impl<R: Scalar> PoseFinder<R> {
     }
 
     /// A hold of all blocks in the window but the first, in which motion may have ended.
-    fn begin_hold(&self) -> Hold {
+    fn begin_hold(&self, rested: bool) -> Hold {
         let mut inner = Moments::default();
         for block in &self.window[1..BLOCKS - 1] {
             inner.merge(block);
@@ -457,14 +493,19 @@ impl<R: Scalar> PoseFinder<R> {
         Hold {
             inner,
             edge: self.window[BLOCKS - 1],
+            rested,
         }
     }
 
     /// Ends the hold under way. Returns the pose before it, if this one does not continue it.
     fn end_hold(&mut self) -> Option<Pose> {
-        let found = self.hold.take()?.inner;
+        let hold = self.hold.take()?;
         // The next hold must not begin with blocks of this one.
         self.filled = self.filled.min(1);
+        if !hold.rested {
+            return None;
+        }
+        let found = hold.inner;
         let Some(before) = self.candidate else {
             self.candidate = Some(found);
             return None;

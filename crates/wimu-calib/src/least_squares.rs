@@ -5,7 +5,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
 use crate::linear::{Cholesky, Real, double, real, times};
-use crate::outliers::{Rejected, Weighting};
+use crate::outliers::{FarOff, Rejected, Weighting};
 use crate::terms::{Slot, Theta};
 use crate::visits::Visits;
 
@@ -102,6 +102,8 @@ pub(crate) struct Magnitude<'a, const N: usize> {
     pub conditions: Conditions,
     pub weighting: Weighting,
     pub rejected: Rejected,
+    /// What is rejected beside those that are named.
+    pub far: Option<FarOff>,
     /// The parameters that are fitted; the others stay as they start.
     pub free: [Slot; N],
     /// Whether some of them are terms.
@@ -135,6 +137,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             conditions: self.conditions,
             weighting: self.weighting,
             rejected: self.rejected,
+            far: self.far,
             free: [0, 1, 2, 3, 7, 11].map(|i| Slot::ALL[i]),
             terms: false,
         }
@@ -170,10 +173,20 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         (residual * root, row * root)
     }
 
+    /// Whether pose `k`, which is `pose`, is rejected.
+    #[inline(always)]
+    pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
+        self.rejected.contains(k)
+            || self.far.as_ref().is_some_and(|far| {
+                let residual = self.residual(&far.theta, pose);
+                residual.is_none_or(|residual| far.has(residual, pose))
+            })
+    }
+
     /// Whether pose `k` has no part in a fit.
     #[inline(always)]
     pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
-        self.rejected.contains(k)
+        self.is_rejected(k, pose)
             || match without {
                 Without::Nothing => false,
                 Without::Pose(one) => one == k,
@@ -304,7 +317,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         at: &'b Evaluated<'b, R>,
     ) -> impl Iterator<Item = (SVector<R, N>, Theta<R>, f64)> + 'b {
         let kept = self.poses.iter().enumerate();
-        kept.filter(|(k, _)| !self.rejected.contains(*k))
+        kept.filter(|(k, pose)| !self.is_rejected(*k, pose))
             .map(|(_, pose)| {
                 let all = at.derivatives(&self.applied(at, pose));
                 let row = SVector::from_fn(|i, _| all[self.free[i].index()]);
@@ -350,7 +363,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         let mut leverage = R::zero();
         let mut pull = SVector::<R, N>::zeros();
         for (k, pose) in self.poses.iter().enumerate() {
-            if self.visits.group(k, pose) != group || self.rejected.contains(k) {
+            if self.visits.group(k, pose) != group || self.is_rejected(k, pose) {
                 continue;
             }
             let (residual, row) = self.weighted_row(&at, pose);
@@ -381,7 +394,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         let few = self.poses.len() <= MOST_REFITS;
         for (k, pose) in self.poses.iter().enumerate() {
             let (residual, row) = self.row(&at, pose);
-            if self.rejected.contains(k) {
+            if self.is_rejected(k, pose) {
                 take(k, double(residual), double(residual));
                 continue;
             }

@@ -334,6 +334,7 @@ fn fit<R: Real, const N: usize>(
         conditions: conditions(poses, what.terms),
         weighting: Weighting::EQUAL,
         rejected: Rejected::default(),
+        far: None,
         free: what.slots(),
         terms: what.terms != Terms::NONE,
     };
@@ -369,7 +370,7 @@ fn fit<R: Real, const N: usize>(
         return Err(unsolved(&problem));
     };
     let fit = refine(&mut problem, first, what)?;
-    if !converged && problem.rejected.as_slice().is_empty() {
+    if !converged && problem.rejected.count() == 0 {
         return Err(unsolved(&problem));
     }
     let knowledge = problem.knowledge(&fit).ok_or(Refusal::NotConverged)?;
@@ -395,7 +396,15 @@ fn refine<R: Real, const N: usize>(
     what: MultiPosition,
 ) -> Result<Fit<R, N>, Refusal> {
     if what.reject {
-        fit = outliers::reject(problem, fit, what.model);
+        let start = fit.theta;
+        fit = outliers::reject(problem, fit, what.model).map_err(|pose| {
+            let mut squares = 0.0;
+            problem.residuals(&start, |_, residual| squares += residual * residual);
+            input::mixed_units(problem.poses).unwrap_or(Refusal::PoorFit {
+                rms_mps2: libm::sqrt(squares / problem.poses.len() as f64),
+                pose,
+            })
+        })?;
     }
     if problem
         .poses
@@ -441,7 +450,7 @@ fn result<R: Real, const N: usize>(
     };
     let model = ErrorModel::new(error_terms).map_err(Refusal::OutOfBounds)?;
 
-    let fitted_poses = poses.len() - problem.rejected.as_slice().len();
+    let fitted_poses = poses.len() - problem.rejected.count();
     let dof = fitted_poses - N;
     let visited = problem.visited();
     let shared = problem
@@ -462,7 +471,10 @@ fn result<R: Real, const N: usize>(
     problem.leave_out(fit, |k, residual, without| {
         all.add(k, residual);
         left_out.add(k, without);
-        if problem.rejected.contains(k) {
+        if poses
+            .get(k)
+            .is_some_and(|pose| problem.is_rejected(k, pose))
+        {
             by_orientation.add(k, without);
             return;
         }

@@ -1,14 +1,16 @@
 //! Poses that the others contradict, and how much each counts.
 
 use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::Real;
+use crate::linear::{Real, double};
 use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
 use crate::{Model, Pose, student};
 
 /// Chance that a good set of poses loses one.
 const SIGNIFICANCE: f64 = 1e-3;
-/// Of more poses the few that may be left out would change nothing.
-const MANY: usize = 10_000;
+/// Of more poses the bad ones may be more than are named: all are left out that are far off.
+const MANY: usize = Rejected::MOST * 20;
+/// Fits of the poses that are not far off, each by the one before.
+const FAR_OFF_FITS: usize = 4;
 /// Degrees of freedom that must be left for the others to outvote a pose.
 const LEAST_DOF: usize = 3;
 /// At most every fifth pose is doubted.
@@ -21,24 +23,51 @@ const PER_MEDIAN: f64 = 1.4826;
 /// Fits with ever better scales; the last hardly differ.
 const ROBUST_FITS: usize = 4;
 
-/// The poses that a fit does without, at most [`Rejected::MOST`].
+/// The poses that a fit does without: at most [`Rejected::MOST`] by name, more of more than 320 poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rejected {
     poses: [usize; Self::MOST],
     count: usize,
+    unnamed: usize,
+}
+
+/// What is far off among poses that are too many to name.
+#[derive(Clone, Copy)]
+pub(crate) struct FarOff {
+    /// The parameters that tell,
+    pub theta: Theta<f64>,
+    /// the scatter of the poses that are not, m/s²,
+    pub sd_mps2: f64,
+    /// and how many of it are no chance.
+    pub deviations: f64,
+}
+
+impl FarOff {
+    /// Whether a pose is that has this residual; none is for its own noise.
+    pub fn has(&self, residual_mps2: f64, pose: &Pose) -> bool {
+        let variance = (self.sd_mps2 * self.sd_mps2).max(pose.mean_free_noise());
+        let near = self.deviations * self.deviations * variance;
+        let square = residual_mps2 * residual_mps2;
+        square > near || square.is_nan()
+    }
 }
 
 impl Rejected {
-    /// More than so many bad poses are not left out: the recording is.
+    /// So many are named; of up to 320 poses no more are left out.
     pub const MOST: usize = 16;
 
-    /// Their indices, the worst first.
+    /// How many there are, named or not.
+    pub fn count(&self) -> usize {
+        self.count + self.unnamed
+    }
+
+    /// Indices of those that are named, the worst first.
     pub fn as_slice(&self) -> &[usize] {
         self.poses.get(..self.count).unwrap_or(&[])
     }
 
-    /// Whether `pose` is one of them.
+    /// Whether `pose` is one of those that are named.
     pub fn contains(&self, pose: usize) -> bool {
         self.as_slice().contains(&pose)
     }
@@ -98,32 +127,32 @@ impl Weighting {
 /// which are farthest off; without them the rest is fitted, and one by one they are let in again,
 /// the nearest first, until the next would contradict those that are in. Returns the fit; what it
 /// did without is in `problem.rejected`.
+///
+/// # Errors
+/// The worst pose, where more than every fifth of very many is far off.
 pub(crate) fn reject<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     fit: Fit<R, N>,
     model: Model,
-) -> Fit<R, N> {
+) -> Result<Fit<R, N>, usize> {
     let count = problem.poses.len();
+    if count > MANY {
+        return leave_far_off(problem, fit, model);
+    }
     let most = problem
         .visits
         .apart(count)
         .saturating_sub(N + LEAST_DOF)
         .min(count / DOUBTED)
         .min(Rejected::MOST);
-    if most == 0 || count > MANY {
-        return fit;
+    if most == 0 {
+        return Ok(fit);
     }
-    // What the model leaves out is no pose's fault.
-    let unfitted_mps2 = problem.gravity_mps2
-        * match model {
-            Model::Bias3 => USUAL_SCALE,
-            Model::BiasScale6 => USUAL_ACROSS,
-            Model::Full9 => 0.0,
-        };
+    let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
     problem.rejected = farthest(problem, &robust(problem, &fit), most);
     let Some(mut inner) = problem.solve(&fit.theta, Without::Nothing) else {
         problem.rejected = Rejected::default();
-        return fit;
+        return Ok(fit);
     };
     while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
         let dof = problem.visited().apart.saturating_sub(N).max(1);
@@ -132,7 +161,7 @@ pub(crate) fn reject<R: Real, const N: usize>(
             .knowledge(&inner)
             .is_some_and(|knowledge| knowledge.suffices());
         if known && deviate > limit {
-            return inner;
+            return Ok(inner);
         }
         problem.rejected = problem.rejected.without(place);
         match problem.solve(&inner.theta, Without::Nothing) {
@@ -141,7 +170,64 @@ pub(crate) fn reject<R: Real, const N: usize>(
         }
     }
     problem.rejected = Rejected::default();
-    fit
+    Ok(fit)
+}
+
+/// What a model leaves out is no pose's fault, m/s², 1 σ.
+fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
+    gravity_mps2
+        * match model {
+            Model::Bias3 => USUAL_SCALE,
+            Model::BiasScale6 => USUAL_ACROSS,
+            Model::Full9 => 0.0,
+        }
+}
+
+/// Leaves out all that are far off: equation (42c).
+fn leave_far_off<R: Real, const N: usize>(
+    problem: &mut Magnitude<N>,
+    fit: Fit<R, N>,
+    model: Model,
+) -> Result<Fit<R, N>, usize> {
+    let count = problem.poses.len();
+    let least = unfitted(problem.gravity_mps2, model);
+    let mut fit = fit;
+    let mut theta = robust(problem, &fit);
+    for _ in 0..FAR_OFF_FITS {
+        let far = FarOff {
+            theta: theta.map(double),
+            sd_mps2: libm::hypot(PER_MEDIAN * median_residual(problem, &theta), least),
+            deviations: student::normal_two_sided(SIGNIFICANCE / count as f64),
+        };
+        let (mut found, mut worst) = (0, (0.0, 0));
+        problem.residuals(&theta, |k, residual| {
+            if far.has(residual, &problem.poses[k]) {
+                found += 1;
+                if residual.abs() > worst.0 {
+                    worst = (residual.abs(), k);
+                }
+            }
+        });
+        if DOUBTED * found > count {
+            return Err(worst.1);
+        }
+        let named = farthest(problem, &theta, found.min(Rejected::MOST));
+        let same = problem.rejected.count() == found && problem.far.is_some();
+        problem.far = Some(far);
+        problem.rejected = Rejected {
+            unnamed: found - named.count,
+            ..named
+        };
+        match problem.solve(&fit.theta, Without::Nothing) {
+            Some(without) => fit = without,
+            None => return Err(worst.1),
+        }
+        if same {
+            break;
+        }
+        theta = fit.theta;
+    }
+    Ok(fit)
 }
 
 /// A Cauchy fit from the least-squares one.
@@ -232,9 +318,10 @@ pub(crate) fn weighting<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
 ) -> Weighting {
-    let kept = |k: usize| !problem.rejected.contains(k);
+    let kept = |k: usize, pose: &Pose| !problem.is_rejected(k, pose);
     let (mut count, mut mean_noise) = (0.0, 0.0);
-    for (_, pose) in problem.poses.iter().enumerate().filter(|(k, _)| kept(*k)) {
+    let poses = problem.poses.iter().enumerate();
+    for (_, pose) in poses.filter(|(k, pose)| kept(*k, pose)) {
         count += 1.0;
         mean_noise += pose.mean_free_noise();
     }
@@ -245,7 +332,7 @@ pub(crate) fn weighting<R: Real, const N: usize>(
     for _ in 0..30 {
         let (mut excess, mut slope) = (-dof, 0.0);
         problem.residuals(&fit.theta, |k, residual| {
-            if kept(k) {
+            if kept(k, &problem.poses[k]) {
                 let variance = common + problem.poses[k].mean_free_noise();
                 let share = residual * residual / variance;
                 excess += share;

@@ -1,15 +1,17 @@
 //! Calibration against a reference: one stream against another of the same motion.
 
 mod ends;
+mod row;
 mod sums;
 
 use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
-use crate::{Scalar, UnitHint, input};
+use crate::{Scalar, UnitHint, input, student};
 use ends::Ends;
-use sums::{Across, Jackknife, LAGS, Moments, Recent, Sums};
+use row::{Fitting, How};
+use sums::{Jackknife, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
 const BLOCKS: usize = 32;
@@ -21,17 +23,8 @@ const LEAST_MOTION_MPS2: f64 = 0.5;
 /// Streams of one motion are correlated at least this much where there is motion.
 const LEAST_CORRELATION: f64 = 0.9;
 
-/// Neighbouring samples show the same motion where they are correlated at least this much as each
-/// is with itself.
-const LEAST_SHARED: f64 = 0.9;
-/// What is left counts as white when its correlation with that some samples away is below this, or
-/// so many standard deviations of that of white noise.
-const WHITE: f64 = 0.05;
-const WHITE_DEVIATIONS: f64 = 3.0;
 /// What an axis sees of another is no chance beyond so many standard deviations.
 const SEEN_DEVIATIONS: f64 = 4.0;
-/// Half the way from bound to bound in standard deviations, for a 95 % interval of 15 degrees of freedom.
-const BOUND: f64 = 0.25;
 
 /// Noise of the output per noise of the reference (standard deviations), within 10⁻³..=10³.
 ///
@@ -78,18 +71,36 @@ pub enum NoiseFrom {
     Bounds,
 }
 
-/// Bias and scale factor of an axis, y = b + S x.
+/// An axis of the output by those of the reference, y = b + A x, A being this axis's row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Line {
     /// b, m/s².
     pub bias_mps2: f64,
-    /// S.
+    /// Scale factor S, what it sees of its own axis.
     pub scale: f64,
-    /// Covariance of b and S.
-    pub covariance: [[f64; 2]; 2],
+    /// What it sees of X, Y, Z; 0 of an axis that is not fitted.
+    pub row: [f64; 3],
+    /// Which of them are fitted: its own, and those that move on their own.
+    pub fitted: [bool; 3],
+    /// Covariance of b and the row. Of an axis that is not fitted, two sensors are taken to see 2 %
+    /// (1 σ), and what that makes of the others is in theirs; of one sensor, nothing.
+    pub covariance: [[f64; 4]; 4],
+    /// Degrees of freedom of the standard deviations of b and of S: fewer where few parts of the motion
+    /// decide.
+    pub dof: [f64; 2],
     /// What parted the noises.
     pub noise_from: NoiseFrom,
+}
+
+impl Line {
+    /// Half widths of the 95 % intervals of b, m/s², and of S, Student's.
+    pub fn half_widths_95(&self) -> [f64; 2] {
+        // S is what an axis sees most of.
+        let own = (0..3).max_by(|&a, &b| self.row[a].abs().total_cmp(&self.row[b].abs()));
+        let variances = [0, own.map_or(0, |own| 1 + own)].map(|i| self.covariance[i][i]);
+        [0, 1].map(|i: usize| student::two_sided(0.05, self.dof[i]) * libm::sqrt(variances[i]))
+    }
 }
 
 /// One axis of a stream against that of the reference.
@@ -106,9 +117,8 @@ pub struct AxisTransfer {
     pub motion_mps2: f64,
     /// What the answer leaves of output less reference, m/s² rms.
     pub rms_mps2: f64,
-    /// What the axis sees of the other two of the reference, beyond chance, as a share: the streams'
-    /// axes are not parallel. What that makes of the bias and the scale factor, and what chance may
-    /// hide of it, is in their covariance.
+    /// What the axis sees of the other two of the reference, as a share, where that is beyond chance: the
+    /// streams' axes are not parallel.
     pub seen_of: [f64; 3],
     /// Bias and scale factor; `None` where the axis moved less than 0.5 m/s² rms, so that only
     /// their sum, the offset, is known.
@@ -141,7 +151,7 @@ impl Transfer {
             match transfer.line {
                 Some(line) => {
                     terms.bias_mps2[axis] = line.bias_mps2;
-                    terms.matrix[axis][axis] = line.scale;
+                    terms.matrix[axis] = line.row;
                 }
                 None => terms.bias_mps2[axis] = transfer.offset_mps2,
             }
@@ -240,10 +250,11 @@ impl fmt::Display for TransferRefusal {
 
 impl core::error::Error for TransferRefusal {}
 
-/// Takes pairs of samples and says what one stream is against the other: per axis, both noisy.
+/// Takes pairs of samples and says what one stream is against the other, both noisy: of every axis
+/// that moves bias, scale factor and what it sees of the other two.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 26 KB: sums over blocks whose length grows with the data. `ReferenceTransfer<f32>`
+/// Memory is fixed, 32 KB: sums over blocks whose length grows with the data. `ReferenceTransfer<f32>`
 /// takes samples without f64, each sum with what rounding took from it kept beside; what is made of
 /// the sums, once, is f64.
 ///
@@ -269,11 +280,12 @@ impl core::error::Error for TransferRefusal {}
 #[derive(Clone, Debug)]
 pub struct ReferenceTransfer<R: Scalar = f64> {
     ratio: Option<NoiseRatio>,
+    /// Whether no axis sees another.
+    parallel: bool,
     /// The first pair: sums are of what differs from it.
     origin: Option<[[R; 2]; 3]>,
-    recent: [Recent<R>; 3],
-    blocks: [[Sums<R>; 3]; BLOCKS],
-    across: [Across<R>; BLOCKS],
+    recent: Recent<R>,
+    blocks: [Sums<R>; BLOCKS],
     ends: [Ends<R>; 3],
     /// Full blocks.
     full: usize,
@@ -313,10 +325,10 @@ impl<R: Scalar> ReferenceTransfer<R> {
     fn with(ratio: Option<NoiseRatio>) -> Self {
         Self {
             ratio,
+            parallel: false,
             origin: None,
-            recent: [Recent::none(); 3],
-            blocks: [[Sums::NONE; 3]; BLOCKS],
-            across: [Across::NONE; BLOCKS],
+            recent: Recent::none(),
+            blocks: [Sums::NONE; BLOCKS],
             ends: [Ends::none(); 3],
             full: 0,
             length: 1,
@@ -326,12 +338,21 @@ impl<R: Scalar> ReferenceTransfer<R> {
         }
     }
 
+    /// Both streams are of one sensor, over two links: their axes are the same.
+    #[must_use]
+    pub fn of_one_sensor(self) -> Self {
+        Self {
+            parallel: true,
+            ..self
+        }
+    }
+
     /// Takes the next sample of both streams, m/s², taken at the same time.
     pub fn push(&mut self, reference_mps2: [R; 3], output_mps2: [R; 3]) {
         let finite = |v: [R; 3]| v.iter().all(|c| c.size() < R::of(1e6));
         if !finite(reference_mps2) || !finite(output_mps2) {
             self.not_finite += 1;
-            self.recent = [Recent::none(); 3];
+            self.recent = Recent::none();
             return;
         }
         let [x, y, z] = reference_mps2;
@@ -340,16 +361,10 @@ impl<R: Scalar> ReferenceTransfer<R> {
         let origin = *self.origin.get_or_insert(pairs);
         if self.full == BLOCKS {
             for k in 0..BLOCKS / 2 {
-                self.blocks[k] = core::array::from_fn(|axis| {
-                    self.blocks[2 * k][axis].joined(&self.blocks[2 * k + 1][axis])
-                });
-                self.across[k] = self.across[2 * k].joined(&self.across[2 * k + 1]);
+                self.blocks[k] = self.blocks[2 * k].joined(&self.blocks[2 * k + 1]);
             }
             for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
-                *block = [Sums::NONE; 3];
-            }
-            for across in self.across.iter_mut().skip(BLOCKS / 2) {
-                *across = Across::NONE;
+                *block = Sums::NONE;
             }
             self.full = BLOCKS / 2;
             self.length *= 2;
@@ -359,14 +374,8 @@ impl<R: Scalar> ReferenceTransfer<R> {
         for (ends, pair) in self.ends.iter_mut().zip(about) {
             ends.take(pair);
         }
-        if let (Some(block), Some(across)) = (
-            self.blocks.get_mut(self.full),
-            self.across.get_mut(self.full),
-        ) {
-            across.take(about);
-            for ((sums, recent), pair) in block.iter_mut().zip(&mut self.recent).zip(about) {
-                sums.take(pair, recent);
-            }
+        if let Some(block) = self.blocks.get_mut(self.full) {
+            block.take(about, &mut self.recent);
             self.filled += 1;
             if self.filled >= self.length {
                 self.full += 1;
@@ -419,21 +428,19 @@ impl<R: Scalar> ReferenceTransfer<R> {
         used: usize,
     ) -> Result<AxisTransfer, TransferRefusal> {
         let origin = origins[axis];
-        let blocks = || {
-            self.blocks
-                .iter()
-                .take(used)
-                .map(|block| block[axis].seen())
+        let all = self.all(used);
+        let without = || {
+            let blocks = self.blocks.iter().take(used);
+            blocks.map(|block| all.plus(&block.seen(), -1.0))
         };
-        let all = blocks().fold(Sums::NONE, |sum, block| sum.plus(&block, 1.0));
-        let without = || blocks().map(|block| all.plus(&block, -1.0));
         let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
         let delta = ratio * ratio;
-        let moments = all.moments();
+        let spread = all.spread();
+        let moments = spread.axis(axis);
         let offset = origin[1] - origin[0] + moments.y - moments.x;
         let mut offset_sd = Jackknife::<1>::default();
         for sums in without() {
-            let left = sums.moments();
+            let left = sums.axis(axis).moments();
             offset_sd.take([left.y - left.x]);
         }
         let slope = moments.slope(delta);
@@ -452,7 +459,7 @@ impl<R: Scalar> ReferenceTransfer<R> {
         if !moves {
             return Ok(transfer);
         }
-        if let Some(end) = self.ends[axis].stopped(&all, delta) {
+        if let Some(end) = self.ends[axis].stopped(&all.axis(axis), delta) {
             return Err(TransferRefusal::Saturated {
                 reference: end.side == 0,
                 axis,
@@ -464,79 +471,61 @@ impl<R: Scalar> ReferenceTransfer<R> {
         if slope.is_none() || correlation.is_nan() || correlation < LEAST_CORRELATION {
             return Err(TransferRefusal::NotTheSameMotion { axis, correlation });
         }
-        let of = |sums: &Sums, how: How| {
-            let slope = how.slope(sums, delta)?;
-            let m = sums.moments();
-            // b = ȳ − S x̄, both about the origin.
-            Some([origin[1] + m.y - slope * (origin[0] + m.x), slope])
-        };
+        let fitting = Fitting::new(axis, origins, &spread, LEAST_MOTION_MPS2, self.parallel);
         let how = match self.ratio {
-            Some(_) => How::Deming,
-            None => How::of(&all),
+            Some(_) => How::Deming(delta),
+            None => fitting.how(&all),
         };
         let refusal = TransferRefusal::OneMotionOnly { axis };
-        let [bias, slope] = of(&all, how).ok_or(refusal)?;
-        let mut spread = Jackknife::<2>::default();
-        for left in without() {
-            let moves = left.moments().xx > moments.xx * 0.1;
-            spread.take(of(&left, how).filter(|_| moves).ok_or(refusal)?);
-        }
-        let mut covariance = spread.covariance();
-        match how {
-            How::Deming => {}
-            How::Neighbours { unsure, .. } => add_slope(&mut covariance, unsure, transfer.at_mps2),
-            How::Bounds => {
-                // The truth may be at one of them, and its noise comes on top.
-                let [low, high] = moments.bounds();
-                let apart = BOUND * (high - low).abs();
-                let more = 2.0 * apart * libm::sqrt(covariance[1][1]) + apart * apart;
-                add_slope(&mut covariance, libm::sqrt(more), transfer.at_mps2);
+        let row = fitting.find(&all, how).ok_or(refusal)?;
+        let blocks = self.blocks.iter().take(used).map(|block| {
+            let block = block.seen();
+            let left = all.plus(&block, -1.0);
+            let moves = left.axis(axis).moments().xx > moments.xx * 0.1;
+            (block, fitting.find(&left, how).filter(|_| moves))
+        });
+        let (scatter, dof) = fitting.scatter(&row, &all, blocks).ok_or(refusal)?;
+        let mut covariance = scatter;
+        fitting
+            .add_unseen(&mut covariance, &all, how, self.parallel)
+            .ok_or(refusal)?;
+        let sees = [1, 2, 3].map(|i: usize| row[i]);
+        for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
+            let variance = scatter[(1 + other, 1 + other)];
+            if sees[other].abs() > SEEN_DEVIATIONS * libm::sqrt(variance) + 1e-6 {
+                transfer.seen_of[other] = sees[other];
             }
         }
-        let [seen, likely] = self.seen_of(axis, used, &moments);
-        transfer.seen_of = seen;
-        let all = self.all(used);
-        for (other, likely) in likely.into_iter().enumerate() {
-            // Its mean passes for bias, and as far as it moves along, for scale factor.
-            let mean = origins[other][0] + all.0[other].moments().x;
-            let along = all.1.along(axis, other, &all.0);
-            let bias = mean - along * transfer.at_mps2;
-            let variance = likely * likely;
-            covariance[0][0] += variance * bias * bias;
-            covariance[0][1] += variance * bias * along;
-            covariance[1][0] += variance * bias * along;
-            covariance[1][1] += variance * along * along;
-        }
-        transfer.rms_mps2 = libm::sqrt(moments.left(slope).max(0.0));
+        transfer.rms_mps2 = libm::sqrt(fitting.left(&spread, &sees.into()).max(0.0));
+        let own = |other: usize| f64::from(u8::from(other == axis));
         transfer.line = Some(Line {
-            bias_mps2: bias,
-            scale: slope,
-            covariance,
-            noise_from: how.noise_from(),
+            bias_mps2: row[0],
+            scale: 1.0 + sees[axis],
+            row: [0, 1, 2].map(|other| own(other) + sees[other]),
+            fitted: fitting.with,
+            covariance: [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| covariance[(i, j)])),
+            dof: [dof[0], dof[1 + axis]],
+            noise_from: match how {
+                How::Deming(_) => NoiseFrom::Ratio,
+                How::Neighbours(_) => NoiseFrom::Neighbours,
+                How::Bounds => NoiseFrom::Bounds,
+            },
         });
         Ok(transfer)
     }
-}
 
-impl<R: Scalar> ReferenceTransfer<R> {
     /// Sums over all blocks.
-    fn all(&self, used: usize) -> ([Sums; 3], Across) {
-        let blocks = self.blocks.iter().zip(&self.across).take(used);
-        blocks.fold(
-            ([Sums::NONE; 3], Across::NONE),
-            |(sums, across), (block, more)| {
-                let sums = [0, 1, 2].map(|axis: usize| sums[axis].plus(&block[axis].seen(), 1.0));
-                (sums, across.plus(&more.seen(), 1.0))
-            },
-        )
+    fn all(&self, used: usize) -> Sums {
+        let blocks = self.blocks.iter().take(used);
+        blocks.fold(Sums::NONE, |sums, block| sums.plus(&block.seen(), 1.0))
     }
 
     /// Root mean square of the reference and of the output, m/s².
     fn sizes(&self, origins: &[[f64; 2]; 3], used: usize) -> [f64; 2] {
-        let (sums, _) = self.all(used);
+        let spread = self.all(used).spread();
         let mut squares = [0.0; 2];
-        for (origin, sums) in origins.iter().zip(&sums) {
-            let m = sums.moments();
+        for (axis, origin) in origins.iter().enumerate() {
+            let m = spread.axis(axis);
             for (square, (mean, spread)) in squares
                 .iter_mut()
                 .zip([(origin[0] + m.x, m.xx), (origin[1] + m.y, m.yy)])
@@ -545,108 +534,5 @@ impl<R: Scalar> ReferenceTransfer<R> {
             }
         }
         squares.map(libm::sqrt)
-    }
-
-    /// [`AxisTransfer::seen_of`], and how much of the others there may be, 1 σ about none: what is seen,
-    /// be it chance or not, and what chance may have taken from it.
-    fn seen_of(&self, axis: usize, used: usize, moments: &Moments) -> [[f64; 3]; 2] {
-        let (sums, across) = self.all(used);
-        let moving = [0, 1, 2]
-            .map(|other: usize| sums[other].moments().xx >= LEAST_MOTION_MPS2 * LEAST_MOTION_MPS2);
-        let Some(seen) = across.seen_by(axis, &sums, moving) else {
-            return [[0.0; 3]; 2];
-        };
-        let mut spread = Jackknife::<3>::default();
-        for (block, more) in self.blocks.iter().zip(&self.across).take(used) {
-            let left = [0, 1, 2].map(|other: usize| sums[other].plus(&block[other].seen(), -1.0));
-            match across.plus(&more.seen(), -1.0).seen_by(axis, &left, moving) {
-                Some(without) => spread.take(without),
-                None => return [[0.0; 3]; 2],
-            }
-        }
-        let variance = spread.covariance();
-        // Noise of the reference makes it see as much of an axis that moves along.
-        let [low, high] = moments.bounds();
-        let noise = 1.0 - low / high;
-        let mut found = [[0.0; 3]; 2];
-        for other in (0..3).filter(|&other| other != axis) {
-            let own = variance[other][other];
-            if seen[other].abs() > SEEN_DEVIATIONS * libm::sqrt(own) + noise + 1e-6 {
-                found[0][other] = seen[other];
-            }
-            let beyond = (seen[other].abs() - noise).max(0.0);
-            found[1][other] = libm::sqrt(beyond * beyond + own);
-        }
-        found
-    }
-}
-
-/// Adds that the slope may be off by this, 1 σ, and the bias with it, about a mean `at`.
-fn add_slope(covariance: &mut [[f64; 2]; 2], by: f64, at: f64) {
-    let variance = by * by;
-    covariance[0][0] += at * at * variance;
-    covariance[0][1] -= at * variance;
-    covariance[1][0] -= at * variance;
-    covariance[1][1] += variance;
-}
-
-/// How a scale factor is found.
-#[derive(Clone, Copy)]
-enum How {
-    /// By the ratio of the noises: equation (50).
-    Deming,
-    /// From samples a lag of [`LAGS`] apart; what they share of the noise makes the slope unsure.
-    Neighbours { lag: usize, unsure: f64 },
-    /// The middle between all noise on one side and on the other.
-    Bounds,
-}
-
-impl How {
-    /// From the farthest neighbours that share the motion and not what is left of it.
-    fn of(all: &Sums) -> Self {
-        let own = all.moments();
-        let white = WHITE.max(WHITE_DEVIATIONS / libm::sqrt(all.n));
-        let by = |lag: usize| {
-            let shared = all.lagged(lag).filter(|m| m.xy >= LEAST_SHARED * own.xy)?;
-            let slope = shared.slope(1.0)?;
-            let (left, alike) = (own.left(slope), shared.left(slope));
-            let told = alike.abs() <= white * left.max(f64::MIN_POSITIVE);
-            told.then_some(Self::Neighbours {
-                lag,
-                unsure: alike / shared.xy,
-            })
-        };
-        (0..LAGS.len()).rev().find_map(by).unwrap_or(Self::Bounds)
-    }
-
-    fn noise_from(self) -> NoiseFrom {
-        match self {
-            Self::Deming => NoiseFrom::Ratio,
-            Self::Neighbours { .. } => NoiseFrom::Neighbours,
-            Self::Bounds => NoiseFrom::Bounds,
-        }
-    }
-
-    fn slope(self, sums: &Sums, delta: f64) -> Option<f64> {
-        match self {
-            Self::Deming => sums.moments().slope(delta),
-            Self::Neighbours { lag, .. } => sums.lagged(lag)?.slope(1.0),
-            Self::Bounds => {
-                let [low, high] = sums.moments().bounds();
-                Some(0.5 * (low + high)).filter(|slope| slope.is_finite())
-            }
-        }
-    }
-}
-
-impl Moments {
-    /// The scale factor if all noise is the output's, and if all is the reference's.
-    fn bounds(&self) -> [f64; 2] {
-        [self.xy / self.xx, self.yy / self.xy]
-    }
-
-    /// What is left of y less `slope` times x, squared.
-    fn left(&self, slope: f64) -> f64 {
-        self.yy - 2.0 * slope * self.xy + slope * slope * self.xx
     }
 }

@@ -142,13 +142,13 @@ impl<const N: usize> Magnitude<'_, N> {
     pub fn visited(&self) -> Visited {
         let mut counts = [0; MOST];
         for (k, pose) in self.poses.iter().enumerate() {
-            if !self.rejected.contains(k)
+            if !self.is_rejected(k, pose)
                 && let Some(count) = counts.get_mut(self.visits.group(k, pose))
             {
                 *count += 1;
             }
         }
-        let kept = self.poses.len() - self.rejected.as_slice().len();
+        let kept = self.poses.len() - self.rejected.count();
         let orientations = counts.iter().filter(|&&count| count > 0).count();
         let apart = apart(kept, orientations);
         Visited {
@@ -172,7 +172,7 @@ impl<const N: usize> Magnitude<'_, N> {
     /// `None` where rounding leaves nothing to compare.
     pub fn shared<R: Real>(&self, fit: &Fit<R, N>, visited: &Visited) -> Option<Shared<R, N>> {
         let orientations = visited.orientations;
-        let kept = self.poses.len() - self.rejected.as_slice().len();
+        let kept = self.poses.len() - self.rejected.count();
         let (n, p) = (kept as f64, N as f64);
         let apart = Shared {
             variance: fit.cost / (n - p),
@@ -193,7 +193,7 @@ impl<const N: usize> Magnitude<'_, N> {
         let few = self.poses.len() <= MOST;
         let mut seen = [false; MOST];
         for (k, pose) in self.poses.iter().enumerate() {
-            if self.rejected.contains(k) {
+            if self.is_rejected(k, pose) {
                 continue;
             }
             let group = self.visits.group(k, pose);
@@ -208,7 +208,7 @@ impl<const N: usize> Magnitude<'_, N> {
                     continue;
                 }
                 for (j, other) in self.poses.iter().enumerate().skip(k + 1) {
-                    if self.visits.group(j, other) == group && !self.rejected.contains(j) {
+                    if self.visits.group(j, other) == group && !self.is_rejected(j, other) {
                         row += self.weighted_row(&at, other).1;
                     }
                 }
@@ -273,7 +273,7 @@ impl<const N: usize> Magnitude<'_, N> {
         for (group, _) in visited.counts.iter().enumerate().filter(|(_, m)| **m > 1) {
             let without = self.solve_without(fit, group);
             for (k, pose) in self.poses.iter().enumerate() {
-                if self.visits.group(k, pose) == group && !self.rejected.contains(k) {
+                if self.visits.group(k, pose) == group && !self.is_rejected(k, pose) {
                     let left = without.and_then(|theta| self.residual(&theta, pose));
                     let left = left.filter(|r| r.is_finite());
                     take(k, left.unwrap_or(f64::INFINITY));

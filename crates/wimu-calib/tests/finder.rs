@@ -198,6 +198,37 @@ fn motion_alone_gives_no_pose() {
     assert!(recorded <= 5 && live <= 5 && long == 0);
 }
 
+#[test]
+fn a_sensor_that_is_turned_slowly_and_never_rests_has_no_pose() {
+    let (mut recorded, mut live) = (0, 0);
+    for (seed, (degrees_per_s, noise)) in [2.0_f64, 3.0, 5.0]
+        .into_iter()
+        .flat_map(|rate| [0.002, 0.01, 0.03].map(|noise| (rate, noise)))
+        .enumerate()
+    {
+        let mut random = Random(seed as u64);
+        let samples: Vec<[f64; 3]> = (0..20_000)
+            .map(|k| {
+                // About Z, which is level, while Z leans to and fro as slowly.
+                let angle = degrees_per_s.to_radians() * k as f64 / 100.0;
+                let lean = 0.5 * (0.37 * angle).sin();
+                let force = [
+                    angle.cos() * lean.cos(),
+                    angle.sin() * lean.cos(),
+                    lean.sin(),
+                ];
+                force.map(|f| G * f + noise * random.normal())
+            })
+            .collect();
+        let found = poses(&samples, 100.0);
+        recorded += found.len();
+        live += streamed(&mut PoseFinder::new(100.0), &samples).len();
+        println!("{degrees_per_s}°/s, noise {noise}: {} poses", found.len());
+    }
+    println!("1800 s of slow turns: {recorded} pass for rests recorded, {live} live");
+    assert!(recorded <= 5 && live <= 5);
+}
+
 proptest! {
     #![proptest_config(common::config())]
 

@@ -563,3 +563,60 @@ fn very_many_poses_are_answered() {
     let worst = norm(poses[estimate.worst_pose].mean_mps2);
     assert!(worst.is_finite() && estimate.max_mps2 > 0.04);
 }
+
+#[test]
+fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
+    for (count, share) in [(400, 0.05), (3000, 0.02), (20_000, 0.05), (100_000, 0.001)] {
+        for seed in 0..4 {
+            let mut random = Random(seed);
+            let truth = random.model(true);
+            let mut poses = spread(&mut random, &truth, count);
+            add_noise(&mut random, &mut poses, 0.003);
+            // Where Z is up, 2 % long: they agree with each other.
+            let mut bad = 0;
+            for pose in poses.iter_mut().filter(|pose| pose.mean_mps2[2] > 6.0) {
+                if bad < (share * count as f64) as usize {
+                    pose.mean_mps2 = pose.mean_mps2.map(|y| 1.02 * y);
+                    bad += 1;
+                }
+            }
+            let what = MultiPosition {
+                reject: true,
+                ..MultiPosition::default()
+            };
+            let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
+            assert_eq!(estimate.rejected.count(), bad, "{count} {share}");
+            assert_eq!(estimate.poses, poses.len() - bad);
+            assert_eq!(estimate.rejected.as_slice().len(), 16);
+            let (found, truth) = (parameters(&estimate.model), parameters(&truth));
+            for parameter in estimate.fitted.iter() {
+                let i = parameter.index();
+                let off = (found[i] - truth[i]).abs();
+                assert!(
+                    off <= 2.2 * estimate.half_width_95(parameter),
+                    "{count} {parameter}"
+                );
+            }
+        }
+    }
+    // Two in five are no few.
+    let mut random = Random(9);
+    let truth = random.model(true);
+    let mut poses = spread(&mut random, &truth, 20_000);
+    add_noise(&mut random, &mut poses, 0.003);
+    for pose in poses.iter_mut().step_by(5) {
+        pose.mean_mps2[0] += 0.2;
+    }
+    for pose in poses.iter_mut().skip(1).step_by(5) {
+        pose.mean_mps2[1] += 0.2;
+    }
+    let what = MultiPosition {
+        reject: true,
+        ..MultiPosition::default()
+    };
+    let refused = multi_position_with(&poses, exact(), what);
+    assert!(
+        matches!(refused, Err(Refusal::PoorFit { .. })),
+        "{refused:?}"
+    );
+}

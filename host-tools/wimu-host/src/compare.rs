@@ -133,7 +133,7 @@ impl Axis {
     /// that no scatter shows it. At worst it goes with the motion all the way, and passes for a scale
     /// factor.
     fn new(found: &Transfer, axis: usize, lsb_mps2: f64) -> Self {
-        let axis = &found.axes[axis];
+        let (index, axis) = (axis, &found.axes[axis]);
         let rounding_sd = lsb_mps2 / 12.0_f64.sqrt();
         let rounding_scale_sd = rounding_sd / axis.motion_mps2.max(f64::MIN_POSITIVE);
         // The bias is the line's value at 0, away from where the motion was.
@@ -148,7 +148,7 @@ impl Axis {
                     .sqrt()
                     .hypot(rounding_bias_sd),
                 scale: line.scale,
-                scale_sd: line.covariance[1][1]
+                scale_sd: line.covariance[1 + index][1 + index]
                     .max(0.0)
                     .sqrt()
                     .hypot(rounding_scale_sd),
@@ -515,7 +515,7 @@ impl Counted {
             identical: 0,
             saturated: 0,
             without_unit: 0,
-            transfer: ReferenceTransfer::new(ratio),
+            transfer: ReferenceTransfer::new(ratio).of_one_sensor(),
             before: Apart::default(),
             lsb_mps2: 0.0,
             evolution: Vec::new(),

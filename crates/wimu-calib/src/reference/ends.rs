@@ -1,6 +1,6 @@
 //! Where a stream stops: readings that pile up at an end of an axis while the other stream goes on.
 
-use super::sums::Sums;
+use super::sums::AxisSums;
 use crate::Scalar;
 use crate::scalar::sealed::Total;
 
@@ -94,13 +94,13 @@ impl<R: Scalar> Ends<R> {
     /// The first end that a side stops at, the output's first: with the line through its other samples,
     /// the other side is beyond it on the mean, where noise at an end, chosen by its reading, is on this
     /// side of it.
-    pub fn stopped(&self, all: &Sums, delta: f64) -> Option<Stopped> {
+    pub fn stopped(&self, all: &AxisSums, delta: f64) -> Option<Stopped> {
         [1, 0]
             .into_iter()
             .find_map(|side| self.stopped_on(side, all, delta))
     }
 
-    fn stopped_on(&self, side: usize, all: &Sums, delta: f64) -> Option<Stopped> {
+    fn stopped_on(&self, side: usize, all: &AxisSums, delta: f64) -> Option<Stopped> {
         let piles = || {
             let ends = self.ends[side].iter().enumerate();
             ends.filter(|(_, end)| end.n.value() >= PILE)

@@ -1,6 +1,8 @@
 //! Sums over blocks of two streams, and what follows from them.
 
-use nalgebra::{Matrix3, Vector3};
+use core::array::from_fn;
+
+use nalgebra::Matrix3;
 
 use crate::Scalar;
 use crate::scalar::sealed::Total;
@@ -8,10 +10,13 @@ use crate::scalar::sealed::Total;
 /// Distances in samples at which neighbours are compared.
 pub(super) const LAGS: [usize; 5] = [1, 2, 4, 8, 16];
 
-/// The last samples of an axis, for the lags.
+/// Reference and output of three axes.
+type Pairs<R> = [[R; 2]; 3];
+
+/// The last samples, for the lags.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Recent<R> {
-    pairs: [[R; 2]; LAGS[LAGS.len() - 1]],
+    pairs: [Pairs<R>; LAGS[LAGS.len() - 1]],
     /// Unbroken samples so far.
     run: usize,
 }
@@ -19,55 +24,77 @@ pub(super) struct Recent<R> {
 impl<R: Scalar> Recent<R> {
     pub fn none() -> Self {
         Self {
-            pairs: [[R::default(); 2]; LAGS[LAGS.len() - 1]],
+            pairs: [[[R::default(); 2]; 3]; LAGS[LAGS.len() - 1]],
             run: 0,
         }
     }
 
-    /// The pair `lag` samples ago, if none is missing since.
-    fn before(&self, lag: usize) -> Option<[R; 2]> {
+    /// The pairs `lag` samples ago, if none is missing since.
+    fn before(&self, lag: usize) -> Option<Pairs<R>> {
         let place = self.run.checked_sub(lag)? % self.pairs.len();
         self.pairs.get(place).copied()
     }
 
-    fn take(&mut self, pair: [R; 2]) {
+    fn take(&mut self, pairs: Pairs<R>) {
         let place = self.run % self.pairs.len();
         if let Some(kept) = self.pairs.get_mut(place) {
-            *kept = pair;
+            *kept = pairs;
         }
         self.run += 1;
     }
 }
 
-/// Sums over samples of an axis; in f64 once they are looked at.
+/// Sums over samples x of the reference and y of the output; in f64 once they are looked at.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sums<R: Scalar = f64> {
-    pub n: R::Total,
-    x: R::Total,
-    y: R::Total,
-    xx: R::Total,
-    xy: R::Total,
-    yy: R::Total,
+    /// Of each sample with itself.
+    own: Products<R>,
     /// Of each sample with the one so many before.
     lagged: [Products<R>; LAGS.len()],
 }
 
-/// Sums of products of two samples some way apart; that of x with y is the mean of both ways.
+/// Sums over two samples some way apart, and of their products, each the mean of both ways.
 #[derive(Clone, Copy, Debug)]
 struct Products<R: Scalar> {
     n: R::Total,
-    xx: R::Total,
-    xy: R::Total,
-    yy: R::Total,
+    x: [R::Total; 3],
+    y: [R::Total; 3],
+    /// Of the reference's axes: XX, YY, ZZ, XY, XZ, YZ.
+    xx: [R::Total; 6],
+    /// Of each axis of the reference, row, with each of the output.
+    xy: [[R::Total; 3]; 3],
+    /// Of each axis of the output.
+    yy: [R::Total; 3],
 }
+
+/// Which axes [`Products::xx`] are of.
+const AXES: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
 
 impl<R: Scalar> Products<R> {
     const NONE: Self = Self {
         n: R::Total::ZERO,
-        xx: R::Total::ZERO,
-        xy: R::Total::ZERO,
-        yy: R::Total::ZERO,
+        x: [R::Total::ZERO; 3],
+        y: [R::Total::ZERO; 3],
+        xx: [R::Total::ZERO; 6],
+        xy: [[R::Total::ZERO; 3]; 3],
+        yy: [R::Total::ZERO; 3],
     };
+
+    fn take(&mut self, now: Pairs<R>, then: Pairs<R>) {
+        let half = R::of(0.5);
+        self.n.add(R::of(1.0));
+        for (sum, [i, j]) in self.xx.iter_mut().zip(AXES) {
+            sum.add(half * (now[i][0] * then[j][0] + now[j][0] * then[i][0]));
+        }
+        for i in 0..3 {
+            for j in 0..3 {
+                self.xy[i][j].add(half * (now[i][0] * then[j][1] + now[j][1] * then[i][0]));
+            }
+            self.yy[i].add(now[i][1] * then[i][1]);
+            self.x[i].add(half * (now[i][0] + then[i][0]));
+            self.y[i].add(half * (now[i][1] + then[i][1]));
+        }
+    }
 
     /// Of each sum and that of `other`.
     fn zip<S: Scalar>(
@@ -77,52 +104,49 @@ impl<R: Scalar> Products<R> {
     ) -> Products<S> {
         Products {
             n: with(self.n, other.n),
-            xx: with(self.xx, other.xx),
-            xy: with(self.xy, other.xy),
-            yy: with(self.yy, other.yy),
+            x: from_fn(|i| with(self.x[i], other.x[i])),
+            y: from_fn(|i| with(self.y[i], other.y[i])),
+            xx: from_fn(|i| with(self.xx[i], other.xx[i])),
+            xy: from_fn(|i| from_fn(|j| with(self.xy[i][j], other.xy[i][j]))),
+            yy: from_fn(|i| with(self.yy[i], other.yy[i])),
         }
     }
 }
 
-/// Means and central second moments.
-pub(super) struct Moments {
-    pub x: f64,
-    pub y: f64,
-    pub xx: f64,
-    pub xy: f64,
-    pub yy: f64,
+impl Products<f64> {
+    fn spread(&self) -> Spread {
+        let (x, y) = (self.x.map(|x| x / self.n), self.y.map(|y| y / self.n));
+        let mut xx = Matrix3::zeros();
+        for (sum, [i, j]) in self.xx.into_iter().zip(AXES) {
+            let value = sum / self.n - x[i] * x[j];
+            (xx[(i, j)], xx[(j, i)]) = (value, value);
+        }
+        Spread {
+            n: self.n,
+            xx,
+            xy: from_fn(|i| from_fn(|j| self.xy[i][j] / self.n - x[i] * y[j])),
+            yy: from_fn(|i| self.yy[i] / self.n - y[i] * y[i]),
+            x,
+            y,
+        }
+    }
 }
 
 impl<R: Scalar> Sums<R> {
     pub const NONE: Self = Self {
-        n: R::Total::ZERO,
-        x: R::Total::ZERO,
-        y: R::Total::ZERO,
-        xx: R::Total::ZERO,
-        xy: R::Total::ZERO,
-        yy: R::Total::ZERO,
+        own: Products::NONE,
         lagged: [Products::NONE; LAGS.len()],
     };
 
-    /// Takes the next pair, `recent` being those before it.
-    pub fn take(&mut self, pair: [R; 2], recent: &mut Recent<R>) {
-        let (one, half) = (R::of(1.0), R::of(0.5));
-        let [x, y] = pair;
+    /// Takes the next pairs, `recent` being those before them.
+    pub fn take(&mut self, pairs: Pairs<R>, recent: &mut Recent<R>) {
         for (products, lag) in self.lagged.iter_mut().zip(LAGS) {
-            if let Some([u, v]) = recent.before(lag) {
-                products.n.add(one);
-                products.xx.add(x * u);
-                products.xy.add(half * (x * v + y * u));
-                products.yy.add(y * v);
+            if let Some(before) = recent.before(lag) {
+                products.take(pairs, before);
             }
         }
-        recent.take(pair);
-        self.n.add(one);
-        self.x.add(x);
-        self.y.add(y);
-        self.xx.add(x * x);
-        self.xy.add(x * y);
-        self.yy.add(y * y);
+        recent.take(pairs);
+        self.own.take(pairs, pairs);
     }
 
     fn zip<S: Scalar>(
@@ -131,13 +155,8 @@ impl<R: Scalar> Sums<R> {
         with: impl Fn(R::Total, R::Total) -> S::Total,
     ) -> Sums<S> {
         Sums {
-            n: with(self.n, other.n),
-            x: with(self.x, other.x),
-            y: with(self.y, other.y),
-            xx: with(self.xx, other.xx),
-            xy: with(self.xy, other.xy),
-            yy: with(self.yy, other.yy),
-            lagged: core::array::from_fn(|i| self.lagged[i].zip(&other.lagged[i], &with)),
+            own: self.own.zip(&other.own, &with),
+            lagged: from_fn(|i| self.lagged[i].zip(&other.lagged[i], &with)),
         }
     }
 
@@ -158,6 +177,65 @@ impl Sums {
         self.zip(other, |a, b| a + sign * b)
     }
 
+    pub fn spread(&self) -> Spread {
+        self.own.spread()
+    }
+
+    /// The same of samples a lag of [`LAGS`] apart, where noise that is white has no part.
+    pub fn lagged(&self, lag: usize) -> Option<Spread> {
+        let products = self.lagged.get(lag).filter(|products| products.n >= 1.0)?;
+        Some(products.spread())
+    }
+
+    /// Of one axis.
+    pub fn axis(&self, axis: usize) -> AxisSums {
+        AxisSums {
+            n: self.own.n,
+            x: self.own.x[axis],
+            y: self.own.y[axis],
+            xx: self.own.xx[axis],
+            xy: self.own.xy[axis][axis],
+            yy: self.own.yy[axis],
+        }
+    }
+}
+
+/// Means and central second moments of all axes.
+pub(super) struct Spread {
+    pub n: f64,
+    pub x: [f64; 3],
+    pub y: [f64; 3],
+    pub xx: Matrix3<f64>,
+    /// Of each axis of the reference, row, with each of the output.
+    pub xy: [[f64; 3]; 3],
+    pub yy: [f64; 3],
+}
+
+impl Spread {
+    /// Those of one axis.
+    pub fn axis(&self, axis: usize) -> Moments {
+        Moments {
+            x: self.x[axis],
+            y: self.y[axis],
+            xx: self.xx[(axis, axis)],
+            xy: self.xy[axis][axis],
+            yy: self.yy[axis],
+        }
+    }
+}
+
+/// Sums over samples of an axis.
+#[derive(Clone, Copy)]
+pub(super) struct AxisSums {
+    pub n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl AxisSums {
     /// Without samples at which `side`, 0 the reference, is `at`, and of the other side how many
     /// there are, their sum and that of their squares.
     pub fn without(&self, side: usize, at: f64, [n, other, squares]: [f64; 3]) -> Self {
@@ -174,21 +252,7 @@ impl Sums {
             xx: self.xx - x[1],
             xy: self.xy - at * other,
             yy: self.yy - y[1],
-            ..*self
         }
-    }
-
-    /// The same of samples a lag of [`LAGS`] apart, where noise that is white has no part.
-    pub fn lagged(&self, lag: usize) -> Option<Moments> {
-        let (x, y) = (self.x / self.n, self.y / self.n);
-        let products = self.lagged.get(lag).filter(|products| products.n >= 1.0)?;
-        Some(Moments {
-            x,
-            y,
-            xx: products.xx / products.n - x * x,
-            xy: products.xy / products.n - x * y,
-            yy: products.yy / products.n - y * y,
-        })
     }
 
     pub fn moments(&self) -> Moments {
@@ -201,6 +265,15 @@ impl Sums {
             yy: self.yy / self.n - y * y,
         }
     }
+}
+
+/// Means and central second moments of an axis.
+pub(super) struct Moments {
+    pub x: f64,
+    pub y: f64,
+    pub xx: f64,
+    pub xy: f64,
+    pub yy: f64,
 }
 
 impl Moments {
@@ -216,6 +289,11 @@ impl Moments {
             2.0 * delta * self.xy / (root - apart)
         };
         (slope.is_finite() && slope != 0.0).then_some(slope)
+    }
+
+    /// What is left of y less `slope` times x, squared.
+    pub fn left(&self, slope: f64) -> f64 {
+        self.yy - 2.0 * slope * self.xy + slope * slope * self.xx
     }
 }
 
@@ -239,7 +317,7 @@ impl<const N: usize> Default for Jackknife<N> {
 impl<const N: usize> Jackknife<N> {
     pub fn take(&mut self, estimate: [f64; N]) {
         self.count += 1.0;
-        let before: [f64; N] = core::array::from_fn(|i| estimate[i] - self.mean[i]);
+        let before: [f64; N] = from_fn(|i| estimate[i] - self.mean[i]);
         for (mean, step) in self.mean.iter_mut().zip(before) {
             *mean += step / self.count;
         }
@@ -252,90 +330,6 @@ impl<const N: usize> Jackknife<N> {
 
     pub fn covariance(&self) -> [[f64; N]; N] {
         let factor = (self.count - 1.0) / self.count;
-        core::array::from_fn(|i| {
-            core::array::from_fn(|j| factor * 0.5 * (self.squares[i][j] + self.squares[j][i]))
-        })
-    }
-}
-
-/// Sums of products across the axes: of the reference with itself, and with the output.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Across<R: Scalar = f64> {
-    xx: [[R::Total; 3]; 3],
-    xy: [[R::Total; 3]; 3],
-}
-
-impl<R: Scalar> Across<R> {
-    pub const NONE: Self = Self {
-        xx: [[R::Total::ZERO; 3]; 3],
-        xy: [[R::Total::ZERO; 3]; 3],
-    };
-
-    pub fn take(&mut self, pairs: [[R; 2]; 3]) {
-        for (i, [x, _]) in pairs.into_iter().enumerate() {
-            for (j, [other, y]) in pairs.into_iter().enumerate() {
-                self.xx[i][j].add(x * other);
-                self.xy[i][j].add(x * y);
-            }
-        }
-    }
-
-    fn zip<S: Scalar>(
-        &self,
-        other: &Self,
-        with: impl Fn(R::Total, R::Total) -> S::Total,
-    ) -> Across<S> {
-        let of = |a: &[[R::Total; 3]; 3], b: &[[R::Total; 3]; 3]| {
-            core::array::from_fn(|i| core::array::from_fn(|j| with(a[i][j], b[i][j])))
-        };
-        Across {
-            xx: of(&self.xx, &other.xx),
-            xy: of(&self.xy, &other.xy),
-        }
-    }
-
-    pub fn joined(&self, other: &Self) -> Self {
-        self.zip(other, R::Total::joined)
-    }
-
-    /// To be looked at.
-    pub fn seen(&self) -> Across {
-        self.zip(self, |sum, _| sum.value())
-    }
-}
-
-impl Across {
-    pub fn plus(&self, other: &Self, sign: f64) -> Self {
-        self.zip(other, |a, b| a + sign * b)
-    }
-
-    /// How much `other` moves along when `axis` of the reference moves by 1.
-    pub fn along(&self, axis: usize, other: usize, sums: &[Sums; 3]) -> f64 {
-        let n = sums[axis].n;
-        let both = self.xx[axis][other] / n - sums[axis].x / n * (sums[other].x / n);
-        both / sums[axis].moments().xx.max(f64::MIN_POSITIVE)
-    }
-
-    /// What output `axis` sees of each axis of the reference, by least squares over those that
-    /// are `moving`; 0 for the others.
-    pub fn seen_by(&self, axis: usize, sums: &[Sums; 3], moving: [bool; 3]) -> Option<[f64; 3]> {
-        let n = sums[axis].n;
-        let covariance = |sum: f64, a: f64, b: f64| sum / n - a / n * (b / n);
-        let matrix = Matrix3::from_fn(|i, j| {
-            if moving[i] && moving[j] {
-                covariance(self.xx[i][j], sums[i].x, sums[j].x)
-            } else {
-                f64::from(u8::from(i == j))
-            }
-        });
-        let right = Vector3::from_fn(|i, _| {
-            if moving[i] {
-                covariance(self.xy[i][axis], sums[i].x, sums[axis].y)
-            } else {
-                0.0
-            }
-        });
-        let seen = matrix.try_inverse()? * right;
-        Some([seen[0], seen[1], seen[2]])
+        from_fn(|i| from_fn(|j| factor * 0.5 * (self.squares[i][j] + self.squares[j][i])))
     }
 }

@@ -6,8 +6,8 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_calib::{
-    NoiseFrom, NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer, TransferRefusal,
-    find_poses,
+    AxisTransfer, Line, NoiseFrom, NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer,
+    TransferRefusal, find_poses,
 };
 use wimu_link::LinkRole;
 use wimu_model::{
@@ -41,6 +41,8 @@ pub struct Paired {
     pub without_unit: usize,
     /// Sample rate, Hz.
     pub rate_hz: f64,
+    /// Whether both are of one sensor, over two links: their axes are the same.
+    pub one_sensor: bool,
     /// Sensitivity that turned counts into m/s², or that a board is to be told for data in m/s².
     pub sensitivity: Option<Sensitivity>,
     /// The unit that the reference came in.
@@ -172,6 +174,7 @@ impl Paired {
                 .collect(),
             without_unit: 0,
             rate_hz: x.rate_hz,
+            one_sensor: false,
             sensitivity,
             unit: x.unit,
             range_g: None,
@@ -248,6 +251,7 @@ impl Paired {
             pairs,
             without_unit,
             rate_hz,
+            one_sensor: true,
             sensitivity: Some(sensitivity),
             unit: OutputUnit::Counts {
                 nominal: Some(sensitivity),
@@ -339,7 +343,7 @@ pub struct ReferenceReport {
     pub output: String,
     /// Pairs of samples.
     pub samples: usize,
-    /// Degrees of freedom of the standard deviations.
+    /// Fewest degrees of freedom of a standard deviation.
     pub dof: Option<usize>,
     /// Noise of the output per noise of the reference, as given or as seen at rest.
     pub noise_ratio: Option<f64>,
@@ -404,6 +408,9 @@ pub fn compare_with_reference(
     };
     let mut transfer =
         ratio.map_or_else(ReferenceTransfer::of_unknown_noise, ReferenceTransfer::new);
+    if data.one_sensor {
+        transfer = transfer.of_one_sensor();
+    }
     for [reference, output] in &data.pairs {
         transfer.push(*reference, *output);
     }
@@ -441,7 +448,7 @@ pub fn compare_with_reference(
             data.without_unit
         ));
     }
-    report.dof = Some(found.dof);
+    report.dof = Some(dof(&found));
     report.axes = Some(found.axes.map(|axis| AxisReport {
         offset_m_s2: axis.offset_mps2,
         offset_sd_m_s2: axis.offset_sd_mps2,
@@ -471,8 +478,20 @@ pub fn compare_with_reference(
             if seen != 0.0 {
                 report.remarks.push(format!(
                     "{axis} of the output sees {:+.1} % of {other} of the reference: their axes are not \
-                     parallel; what that makes of bias and scale factor is in their ±",
+                     parallel; the model has it",
                     seen * 100.0
+                ));
+            }
+        }
+        let unseen = |line: &Line, other: usize| !data.one_sensor && !line.fitted[other];
+        if let Some(line) = transfer.line {
+            let out: Vec<_> = (0..3).filter(|&other| unseen(&line, other)).collect();
+            if !out.is_empty() {
+                let others: Vec<_> = out.iter().map(|&other| names[other]).collect();
+                report.remarks.push(format!(
+                    "{} of the reference hardly moved on its own: what {axis} of the output may see of it, \
+                     2 % (1 σ), is in the ± of {axis}; move it through all orientations",
+                    others.join(" and ")
                 ));
             }
         }
@@ -481,15 +500,20 @@ pub fn compare_with_reference(
         .into_iter()
         .filter(|parameter| match parameter.index() {
             0..3 => false,
-            scale @ (3 | 7 | 11) => found.axes[(scale - 3) / 4].line.is_none(),
-            _ => true,
+            of_a => {
+                let line = found.axes[(of_a - 3) / 3].line;
+                line.is_none_or(|line| !line.fitted[(of_a - 3) % 3])
+            }
         })
         .map(|parameter| parameter.to_string())
         .collect();
     let covariance = covariance(&found);
     let sd = |index: usize| covariance[index][index].sqrt();
     report.status = "ok";
-    report.terms = if found.axes.iter().all(|axis| axis.line.is_some()) {
+    let fitted = |axis: &AxisTransfer| axis.line.map_or([false; 3], |line| line.fitted);
+    report.terms = if found.axes.iter().all(|axis| fitted(axis) == [true; 3]) {
+        &["bias", "scale", "misalignment"]
+    } else if found.axes.iter().all(|axis| axis.line.is_some()) {
         &["bias", "scale"]
     } else if found.axes.iter().any(|axis| axis.line.is_some()) {
         &["bias", "scale where it moved"]
@@ -520,6 +544,15 @@ pub fn compare_with_reference(
     Ok(report)
 }
 
+/// The fewest degrees of freedom of any standard deviation.
+fn dof(found: &Transfer) -> usize {
+    let lines = found.axes.iter().filter_map(|axis| axis.line);
+    let least = lines
+        .flat_map(|line| line.dof)
+        .fold(f64::INFINITY, f64::min);
+    found.dof.min(least as usize)
+}
+
 /// Noise of the output per noise of the reference, from what both show while they are held still.
 fn noise_ratio_at([reference, output]: [Vec<Pose>; 2]) -> Option<NoiseRatio> {
     let sd = |rests: &[Pose]| median(rests.iter().map(|rest| magnitude(rest.sd_mps2)));
@@ -542,8 +575,8 @@ fn quality(
         method: CalibrationMethod::Reference,
         utc_s,
         temperature: None,
-        poses: count(found.dof + 1),
-        dof: count(found.dof),
+        poses: count(dof(found) + 1),
+        dof: count(dof(found)),
         rms_mps2: squares.sum::<f64>().sqrt() as f32,
         loo_rms_mps2: None,
         condition: None,
@@ -561,11 +594,13 @@ const USUAL_CROSS_AXIS: f64 = 0.02;
 fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
     let mut covariance = [[0.0; Parameter::COUNT]; Parameter::COUNT];
     for (axis, transfer) in found.axes.iter().enumerate() {
-        let (bias, scale) = (axis, 3 + 4 * axis);
+        // b, then the row of A.
+        let row: [usize; 4] = std::array::from_fn(|i| if i == 0 { axis } else { 2 + 3 * axis + i });
+        let own = 3 + 4 * axis;
         match transfer.line {
             Some(line) => {
-                for (i, row) in [bias, scale].into_iter().zip(line.covariance) {
-                    for (j, value) in [bias, scale].into_iter().zip(row) {
+                for (&i, row_of) in row.iter().zip(line.covariance) {
+                    for (&j, value) in row.iter().zip(row_of) {
                         covariance[i][j] = value;
                     }
                 }
@@ -573,15 +608,17 @@ fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
             None => {
                 // The scale factor is taken as 1, and what it may be off is in the bias.
                 let (at, unseen) = (transfer.at_mps2, USUAL_SCALE * USUAL_SCALE);
-                covariance[bias][bias] = transfer.offset_sd_mps2.powi(2) + at * at * unseen;
-                covariance[bias][scale] = -at * unseen;
-                covariance[scale][bias] = -at * unseen;
-                covariance[scale][scale] = unseen;
+                covariance[axis][axis] = transfer.offset_sd_mps2.powi(2) + at * at * unseen;
+                covariance[axis][own] = -at * unseen;
+                covariance[own][axis] = -at * unseen;
+                covariance[own][own] = unseen;
             }
         }
-        for other in (0..3).filter(|&other| other != axis) {
-            let across = 3 + 3 * axis + other;
-            covariance[across][across] = USUAL_CROSS_AXIS * USUAL_CROSS_AXIS;
+        for &across in row.iter().skip(1).filter(|&&across| across != own) {
+            // Of one sensor over two links, or with no line.
+            if covariance[across][across] == 0.0 {
+                covariance[across][across] = USUAL_CROSS_AXIS * USUAL_CROSS_AXIS;
+            }
         }
     }
     covariance

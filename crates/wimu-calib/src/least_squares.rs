@@ -176,11 +176,16 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     /// Whether pose `k`, which is `pose`, is rejected.
     #[inline(always)]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
-        self.rejected.contains(k)
-            || self.far.as_ref().is_some_and(|far| {
-                let residual = self.residual(&far.theta, pose);
-                residual.is_none_or(|residual| far.has(residual, pose))
-            })
+        self.rejected.contains(k) || (self.far.is_some() && self.is_far_off(pose))
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn is_far_off(&self, pose: &Pose) -> bool {
+        self.far.as_ref().is_some_and(|far| {
+            let residual = self.residual(&far.theta, pose);
+            residual.is_none_or(|residual| far.has(residual, pose))
+        })
     }
 
     /// Whether pose `k` has no part in a fit.

@@ -394,7 +394,7 @@ proptest! {
     }
 
     #[test]
-    fn a_stream_against_itself_is_exact(seed: u64, n in 8_usize..5000) {
+    fn a_stream_against_itself_is_exact(seed: u64, n in 40_usize..5000) {
         let mut random = Random(seed);
         let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
         for k in 0..n {

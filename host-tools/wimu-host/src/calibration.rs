@@ -300,6 +300,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             .iter()
             .map(|pose| magnitude(pose.mean_mps2) - gravity.mps2()))
         .map(|rms| rms * 1e3),
+        rejected: estimate.as_ref().map_or(0, |e| e.rejected.count()),
         rejected_poses: match options.method {
             MethodChoice::SixPosition => (0..fitted.len())
                 .filter(|index| Face::of(&fitted[*index]).is_none())

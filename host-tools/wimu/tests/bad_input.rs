@@ -334,11 +334,23 @@ fn recordings_in_motion_and_broken_files_say_so() {
 }
 
 #[test]
-fn many_poses_are_answered_in_bounded_time() {
-    let text = table("m/s²", &poses(20_000));
+fn many_poses_are_answered_in_bounded_time_and_bad_ones_left_out() {
+    let long = |k: usize, y: [f64; 3]| {
+        if k % 100 == 19 {
+            y.map(|c| 1.02 * c)
+        } else {
+            y
+        }
+    };
+    let text = table("m/s²", &changed(20_000, long));
     for model in ["9", "auto"] {
-        let object = calibrate(&text, &["--poses", "--model", model]).succeeds();
-        assert_eq!(object["poses"], 20_000);
+        let ran = calibrate(&text, &["--poses", "--model", model]);
+        let object = ran.succeeds();
+        assert_eq!(
+            (&object["poses"], &object["rejected"]),
+            (&20_000.into(), &200.into())
+        );
+        assert!(ran.stderr.contains("and 184 more"), "{}", ran.stderr);
         near_truth(&object, 0.002);
         // Not a line for each.
         assert_eq!(object["static_poses"].as_array().unwrap().len(), 0);
@@ -349,13 +361,23 @@ fn many_poses_are_answered_in_bounded_time() {
 #[test]
 #[ignore = "a million poses: by hand, in release"]
 fn a_million_poses_are_answered() {
-    let text = table("m/s²", &poses(1_000_000));
-    for model in ["9", "9+drift", "auto"] {
-        let begin = std::time::Instant::now();
-        let object = calibrate(&text, &["--poses", "--model", model]).succeeds();
-        println!("{model}: {:.1} s", begin.elapsed().as_secs_f64());
-        assert_eq!(object["poses"], 1_000_000);
-        near_truth(&object, 0.001);
+    for (every, bad) in [(usize::MAX, 0), (1000, 1000), (20, 50_000)] {
+        let long = |k: usize, y: [f64; 3]| {
+            if k % every == 19 {
+                y.map(|c| 1.02 * c)
+            } else {
+                y
+            }
+        };
+        let text = table("m/s²", &changed(1_000_000, long));
+        for model in ["9", "9+drift", "auto"] {
+            let begin = std::time::Instant::now();
+            let object = calibrate(&text, &["--poses", "--model", model]).succeeds();
+            println!("{bad} bad, {model}: {:.1} s", begin.elapsed().as_secs_f64());
+            assert_eq!(object["rejected"], bad);
+            assert_eq!(object["poses"], 1_000_000);
+            near_truth(&object, 0.001);
+        }
     }
 }
 

@@ -189,6 +189,8 @@ pub struct CalibrationReport {
     pub fit: Option<Fit>,
     /// Poses left out of the fit, by their place from 0.
     pub rejected_poses: Vec<usize>,
+    /// How many the fit does without: of very many more than are named.
+    pub rejected: usize,
     /// Poses that would help most, in this order: against a refusal, or to make an answer better.
     pub next_poses: Vec<NextPose>,
     /// How many more poses are worth taking: each lowers the error to be expected by 3 % or more.
@@ -367,8 +369,12 @@ impl fmt::Display for CalibrationReport {
         if !self.rejected_poses.is_empty() {
             writeln!(
                 out,
-                "left out of the fit, the others contradict them: poses {:?}",
-                self.rejected_poses
+                "left out of the fit, the others contradict them: poses {:?}{}",
+                self.rejected_poses,
+                match self.rejected.saturating_sub(self.rejected_poses.len()) {
+                    0 => String::new(),
+                    more => format!(" and {more} more"),
+                }
             )?;
         }
         for remark in &self.remarks {

@@ -14,7 +14,13 @@ const EVIDENCE: f64 = 1.92;
 pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
     let counts = || poses.iter().map(|pose| pose.samples.max(1));
     let differ = counts().max()? / counts().min()? >= LEAST_RATIO;
-    if !differ || estimate.dof < LEAST_DOF || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3]) {
+    // Those left out have to be known by name.
+    let named = estimate.rejected.count() == estimate.rejected.as_slice().len();
+    if !differ
+        || !named
+        || estimate.dof < LEAST_DOF
+        || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3])
+    {
         return None;
     }
     let kept = |(index, _): &(usize, &Pose)| !estimate.rejected.as_slice().contains(index);

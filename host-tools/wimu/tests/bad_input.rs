@@ -361,9 +361,9 @@ fn many_poses_are_answered_in_bounded_time_and_bad_ones_left_out() {
 #[test]
 #[ignore = "a million poses: by hand, in release"]
 fn a_million_poses_are_answered() {
-    for (every, bad) in [(usize::MAX, 0), (1000, 1000), (20, 50_000)] {
+    for (every, bad) in [(1, 0), (1000, 1000), (20, 50_000)] {
         let long = |k: usize, y: [f64; 3]| {
-            if k % every == 19 {
+            if bad > 0 && k % every == 19 {
                 y.map(|c| 1.02 * c)
             } else {
                 y

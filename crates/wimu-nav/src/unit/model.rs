@@ -96,7 +96,9 @@ impl<R: Real> UnitFilter<R> {
             });
             self.swept.see(body, R::from_f64(FIELD_NOISE_UT), dt);
         }
-        self.see_gravity(force, noise, dt);
+        if !(rated && self.quiet.is_pushed()) {
+            self.see_gravity(force, noise, dt);
+        }
         if group.fields > R::default() {
             self.see_field(scale(group.field, one / group.fields));
         }

@@ -98,8 +98,9 @@ pub(super) struct Quiet<R> {
     either: Option<(Vector<R>, R)>,
     /// A push below this would look like the rest that it is at, m/s².
     unseen: R,
-    /// Stillnesses that were pushes.
+    /// Stillnesses that were pushes, and whether it is at one.
     pushed: u32,
+    pushing: bool,
 }
 
 impl<R: Real> Quiet<R> {
@@ -151,6 +152,11 @@ impl<R: Real> Quiet<R> {
     /// The same as the standard deviation of a component.
     pub fn unseen_sd(&self) -> R {
         self.unseen * R::from_f64(1.0 / anchor::GATE.sqrt())
+    }
+
+    /// Whether it is pushed evenly: the force is steady, and not that of the last rest.
+    pub fn is_pushed(&self) -> bool {
+        self.pushing
     }
 
     /// Stillnesses that were pushes.
@@ -328,12 +334,14 @@ impl<R: Real> UnitFilter<R> {
         let still = near && !turning && spread < most(level) && quiet.is_even(&all, noise);
         let either = quiet.either.take();
         quiet.rest = still;
+        quiet.pushing = false;
         if let (true, Some(anchor)) = (still, &mut quiet.anchor) {
             let disturbance = super::model::disturbance(anchor.since_s());
             match anchor.judge(&all, noise, rate_variance, gravity, disturbance) {
                 Verdict::Rest(unseen) => quiet.unseen = unseen,
                 Verdict::Pushed => {
                     quiet.rest = false;
+                    quiet.pushing = true;
                     quiet.pushed = quiet.pushed.saturating_add(1);
                 }
                 Verdict::Either(push) => {

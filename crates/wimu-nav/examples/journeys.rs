@@ -21,6 +21,9 @@ fn main() {
         Journey::Moves(1.5),
         Journey::Turns,
         Journey::Steps,
+        Journey::Violent(0.3),
+        Journey::Violent(0.4),
+        Journey::Violent(0.6),
         Journey::Slow(3.0),
         Journey::Slow(5.0),
         Journey::Slow(8.0),
@@ -49,6 +52,11 @@ fn main() {
                 ..Recorded::default()
             };
             println!("{}", Journeys::over(kind, how, seeds));
+            if matches!(kind, Journey::Violent(_)) {
+                let clips_mps2 = 2.0 * 9.80665;
+                let how = Recorded { clips_mps2, ..how };
+                println!("{}", Journeys::over(kind, how, seeds));
+            }
         }
     }
 }

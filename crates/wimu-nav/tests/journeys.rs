@@ -144,3 +144,35 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
         }
     }
 }
+
+#[test]
+fn violent_moves_lie_within_the_covariance_and_what_clips_ends_it() {
+    for gyroscope in [true, false] {
+        for lasts in [0.3, 0.6] {
+            for clips_mps2 in [f64::INFINITY, 2.0 * 9.80665] {
+                let how = Recorded {
+                    gyroscope,
+                    clips_mps2,
+                    ..Recorded::default()
+                };
+                let found = over(Journey::Violent(lasts), how);
+                assert!(found.below > 0.95 && found.greatest < 7.0, "{found}");
+            }
+        }
+    }
+}
+
+#[test]
+fn large_turns_that_no_gyroscope_sees_are_doubted() {
+    for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
+        for journey in [Journey::Turns, Journey::Moves(1.5)] {
+            let how = Recorded {
+                gyroscope: false,
+                zupt,
+                ..Recorded::default()
+            };
+            let found = over(journey, how);
+            assert!(found.below > 0.88, "{found}");
+        }
+    }
+}

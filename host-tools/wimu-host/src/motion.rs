@@ -178,12 +178,13 @@ impl MotionRecording {
         let mut last = None;
         for row in reader {
             let row = row?;
+            for ((_, values), text) in recording.other.iter_mut().zip(&row.other) {
+                values.push(text.parse().unwrap_or(f64::NAN));
+            }
+            let other = &recording.other;
             let value = |at: Option<usize>| {
-                row.other
-                    .get(at?)?
-                    .parse::<f64>()
-                    .ok()
-                    .filter(|v| v.is_finite())
+                let (_, values) = other.get(at?)?;
+                values.last().copied().filter(|v| v.is_finite())
             };
             let all = |at: Option<[(usize, f64); 3]>| {
                 let [x, y, z] = at?.map(|(k, by)| value(Some(k)).map(|v| v * by));
@@ -209,9 +210,6 @@ impl MotionRecording {
                 position_m,
                 quaternion: quaternion.map(|q| value(q).unwrap_or(f64::NAN)),
             }));
-            for ((_, values), text) in recording.other.iter_mut().zip(&row.other) {
-                values.push(text.parse().unwrap_or(f64::NAN));
-            }
         }
         if recording.samples.len() < 2 {
             return Err(HostError::new(

@@ -317,6 +317,10 @@ impl<R: Real> UnitFilter<R> {
                     let tilted = if shows < most { shows } else { most };
                     self.cov.add(PHI, 0, tilted);
                     self.cov.add(PHI, 1, tilted);
+                    let turn = self.manner.turn() * self.manner.turn();
+                    for i in 0..3 {
+                        self.cov.add(OMEGA, i, turn);
+                    }
                 }
                 for i in 0..3 {
                     self.cov.add(ACCELERATION, i, square);

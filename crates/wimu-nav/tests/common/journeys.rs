@@ -30,6 +30,8 @@ pub enum Journey {
     Turns,
     /// So many m/s² east or north, for so long, s, ramps of 1 s, then 5 s evenly.
     Push(f64, f64, bool),
+    /// Four moves of 0.7 m in so long, s, rests of 1.5 s, turning by 0.3 rad each, rad an axis.
+    Violent(f64),
     /// Steps of 0.7 m in 0.6 s, pauses of 0.8 s.
     Steps,
 }
@@ -67,6 +69,12 @@ impl Journey {
                     parts.push((lasts, Part::Push(from, to)));
                 }
                 parts.push((3.0, rest));
+            }
+            Self::Violent(lasts) => {
+                for _ in 0..4 {
+                    parts.push((lasts, Part::Move(random.normals(0.4), random.normals(0.3))));
+                    parts.push((1.5, stop));
+                }
             }
             Self::Stairs(speed) => {
                 for _ in 0..3 {
@@ -140,6 +148,8 @@ pub struct Recorded {
     /// Samples are missing for so long from 3.5 s on, s, or time jumps by that.
     pub hole_s: f64,
     pub jump_s: f64,
+    /// The accelerometer clips at this, m/s², and what clips is left out.
+    pub clips_mps2: f64,
 }
 
 impl Default for Recorded {
@@ -153,6 +163,7 @@ impl Default for Recorded {
             fails_s: 0.0,
             hole_s: 0.0,
             jump_s: 0.0,
+            clips_mps2: f64::INFINITY,
         }
     }
 }
@@ -257,7 +268,11 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                 rate_rad_s: (how.gyroscope && !fails)
                     .then(|| std::array::from_fn(|i| rate[i] + offset[i] + white[i])),
             };
-            let _ = filter.push(&sample);
+            if sample.force_mps2.iter().any(|f| f.abs() >= how.clips_mps2) {
+                filter.interrupt(sample.step_s);
+            } else {
+                let _ = filter.push(&sample);
+            }
             let state = filter.state();
             let truth: [f64; 3] = std::array::from_fn(|i| place[i] + p[i]);
             let resting = v.iter().chain(&a).chain(&rate).all(|c| *c == 0.0);
@@ -363,7 +378,9 @@ impl Journeys {
                     (.., true) => format!(", jump {} s", how.jump_s),
                     _ => String::new(),
                 },
-                if how.rate_hz == 100.0 {
+                if how.clips_mps2.is_finite() {
+                    format!(", clips at {:.0} m/s²", how.clips_mps2)
+                } else if how.rate_hz == 100.0 {
                     String::new()
                 } else {
                     format!(", {} Hz", how.rate_hz)

@@ -20,6 +20,7 @@
 //! # Ok::<(), wimu_host::HostError>(())
 //! ```
 
+mod arrival;
 mod rates;
 mod report;
 mod sense;
@@ -352,6 +353,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                     sample.rate_rad_s = None;
                 }
             }
+            let late = arrival::spread(&recording.times_s, &mut samples);
             let mut wrong = None;
             if method == Method::Strapdown {
                 wrong = rates::checked(recording)?;
@@ -372,6 +374,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                 method,
             );
             path.remarks.extend(wrong);
+            path.remarks.extend(late);
             path
         }
     };

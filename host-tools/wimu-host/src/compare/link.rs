@@ -139,6 +139,22 @@ impl Gap {
         from + (to.saturating_sub(from) as f64 * share) as i64
     }
 
+    /// The first index behind this one that is in a later slice, or the count: there may be thousands of
+    /// millions between.
+    fn end_of_slice(&self, index: u32, slicing: &Slicing) -> u32 {
+        let at = slicing.at(self.time_ns(index));
+        let (mut low, mut high) = (index + 1, self.count);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            if slicing.at(self.time_ns(middle)) <= at {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        low
+    }
+
     fn index_of(&self, number: u32) -> Option<u32> {
         let behind = number.wrapping_sub(self.first);
         let index = behind / self.step;
@@ -304,8 +320,11 @@ impl LinkMeter {
         while self.gaps.len() > left
             && let Some(gap) = self.gaps.pop_front()
         {
-            for index in 0..gap.count {
-                self.slice(gap.time_ns(index)).missing += 1;
+            let mut index = 0;
+            while index < gap.count {
+                let end = gap.end_of_slice(index, &self.slicing);
+                self.slice(gap.time_ns(index)).missing += u64::from(end - index);
+                index = end;
             }
             *self.bursts.entry(gap.count.max(1).ilog2()).or_default() += 1;
         }
@@ -489,5 +508,38 @@ impl ArrivalUser {
     /// m/s² rms over the three axes together.
     pub fn rms_mps2(&self) -> f64 {
         (self.squares / self.count.max(1) as f64).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_of_thousands_of_millions_is_counted_at_once_and_to_the_last_one() {
+        let slicing = Slicing {
+            start_ns: 0,
+            span_ns: 1_000_000_000,
+            count: 200,
+        };
+        for count in [1, 7, 199, 12_345, u32::MAX / 2 - 2] {
+            let mut meter = LinkMeter::new(slicing);
+            let gap = Gap {
+                first: 5,
+                step: 1,
+                count,
+                between_ns: (-1000, 1_000_000_000),
+            };
+            meter.gaps.push_back(gap);
+            meter.count_gaps(0);
+            let counted = meter.slices.iter().map(|slice| slice.missing);
+            assert_eq!(counted.sum::<u64>(), u64::from(count));
+            if count < 20_000 {
+                let mut each = vec![0; slicing.count];
+                (0..count).for_each(|index| each[slicing.at(gap.time_ns(index))] += 1);
+                let found = meter.slices.iter().map(|slice| slice.missing);
+                assert!(found.eq(each));
+            }
+        }
     }
 }

@@ -59,8 +59,10 @@ pub struct ClockEstimator {
     lines: Vec<Line>,
     /// Index of the first block that has no line yet, among the closed ones.
     next_line: usize,
-    /// When each question was sent, and its length.
-    asked: HashMap<(u32, u32), (u64, usize)>,
+    /// The questions that wait for their answers, by session and number.
+    asked: HashMap<(u32, u32), Asked>,
+    /// When the latest was sent, by session.
+    sent: HashMap<u32, u64>,
     /// When the latest of anything came, by link: to the host, and questions to the device; ns.
     latest: [Latest; envelope::LINKS],
     /// Host time less device time of the latest samples, ns.
@@ -71,11 +73,26 @@ pub struct ClockEstimator {
     exchanges: u64,
 }
 
+/// A question that waits for its answer.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    /// When it was sent, ns.
+    at_ns: u64,
+    /// Its length, bytes.
+    length: usize,
+    /// Whether it was sent right behind another.
+    is_behind: bool,
+}
+
 /// When the latest of anything came over a link, ns.
 #[derive(Clone, Copy, Debug, Default)]
 struct Latest {
     /// To the host, its clock.
     heard_ns: Option<u64>,
+    /// From when on the device can send something else that does not go with it, its clock.
+    said_ns: Option<u64>,
+    /// The least time from an answer's first byte to its last.
+    answer_takes_ns: Option<u64>,
     /// Of the questions to the device, its clock.
     question_ns: Option<u64>,
 }
@@ -122,7 +139,19 @@ impl ClockEstimator {
     pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) -> Option<u64> {
         let link = usize::from(role != LinkRole::Cable);
         let before = self.latest[link].heard_ns.replace(arrival.host_ns);
-        let alone = alone_for(before, arrival.began_ns);
+        let heard_alone = alone_for(before, arrival.began_ns);
+        let takes = arrival.host_ns.saturating_sub(arrival.began_ns);
+        // How long it was alone, given when the device said it.
+        let mut alone_at = |time: DeviceTimeUs| {
+            let time_ns = time.0.saturating_mul(1000);
+            let before = self.latest[link]
+                .said_ns
+                .replace(time_ns.saturating_add(takes));
+            match before {
+                Some(before) if time_ns < before.saturating_add(BEHIND_NS) => f64::NEG_INFINITY,
+                _ => heard_alone,
+            }
+        };
         match &arrival.event {
             Event::Samples(samples) => {
                 if let Some(last) = samples.iter().last() {
@@ -130,6 +159,7 @@ impl ClockEstimator {
                         Stream::Raw => Class::Raw,
                         Stream::Corrected => Class::Corrected,
                     };
+                    let alone = alone_at(last.time);
                     self.newest = Some(self.difference(last.time, arrival.began_ns));
                     self.transfer(link, class, last.time, arrival.began_ns, alone);
                 }
@@ -138,7 +168,12 @@ impl ClockEstimator {
                 let Answer::Accepted(Payload::Time { uptime_us }) = reply.answer else {
                     return None;
                 };
-                let (asked_ns, length) = self.asked.remove(&(reply.session, reply.id))?;
+                let alone = alone_at(DeviceTimeUs(uptime_us));
+                let Asked {
+                    at_ns: asked_ns,
+                    length,
+                    is_behind,
+                } = self.asked.remove(&(reply.session, reply.id))?;
                 let trip = arrival.host_ns.checked_sub(asked_ns)?;
                 // Asked later than the device says that it answered, by all that came before: it has
                 // started anew.
@@ -165,10 +200,20 @@ impl ClockEstimator {
                 let time = DeviceTimeUs(uptime_us);
                 let uptime_ns = uptime_us.saturating_mul(1000);
                 let before = self.latest[link].question_ns.replace(uptime_ns);
-                let question_alone = alone_for(before, uptime_ns);
+                let question_alone = match is_behind {
+                    true => f64::NEG_INFINITY,
+                    false => alone_for(before, uptime_ns),
+                };
                 self.exchanges += 1;
                 self.transfer(link, question, time, asked_ns, question_alone);
-                self.transfer(link, Class::AnswerBegins, time, arrival.began_ns, alone);
+                // Where it took longer than others it came in parts, if not with the beginning of an
+                // answer before it whose rest was lost: they look alike.
+                let least = &mut self.latest[link].answer_takes_ns;
+                let takes_least = least.map_or(takes, |least| least.min(takes));
+                *least = Some(takes_least);
+                if takes <= takes_least + BEHIND_NS {
+                    self.transfer(link, Class::AnswerBegins, time, arrival.began_ns, alone);
+                }
                 self.transfer(link, Class::Answer, time, arrival.host_ns, alone);
                 return Some(trip);
             }
@@ -184,8 +229,14 @@ impl ClockEstimator {
         for question in requests(bytes) {
             if self.asked.len() >= MAX_ASKED {
                 self.asked.clear();
+                self.sent.clear();
             }
-            self.asked.entry(question).or_insert((host_ns, bytes.len()));
+            let before = self.sent.insert(question.0, host_ns);
+            self.asked.entry(question).or_insert(Asked {
+                at_ns: host_ns,
+                length: bytes.len(),
+                is_behind: before.is_some_and(|before| host_ns.abs_diff(before) < BEHIND_NS),
+            });
         }
     }
 
@@ -204,7 +255,7 @@ impl ClockEstimator {
 
     /// One transfer: what the device timed at `time` arrived, or for a question was sent, at
     /// `host_ns`. It could have come by so much earlier, ns, and would still have come by itself; if
-    /// negative, later.
+    /// negative, later; −∞ if it was sent right behind another.
     fn transfer(
         &mut self,
         link: usize,

@@ -17,6 +17,8 @@ const KEPT: usize = 128;
 const EDGE: usize = 96;
 /// Most transfers that a stall delays by more than the link does otherwise, and nothing held up.
 const STRAYS: usize = 16;
+/// Four times as many as an edge needs of them to tell a rate.
+const LEAST_POINTS: usize = 4;
 /// Transfers that nothing held up, without which no upper edge is looked for.
 const LEAST_FREE: f64 = 64.0;
 const EDGE_SHARE: f64 = 0.5;
@@ -29,7 +31,7 @@ const DEPTHS: usize = 24;
 /// How many transfers apart late ones may be for one reason.
 const NEAR: u32 = 3;
 /// Two rates of one clock may differ by so many standard deviations.
-const CHANCE: f64 = 2.0;
+const CHANCE: f64 = 3.0;
 /// Slopes at which the likelihood is summed up.
 const SLOPES: usize = 41;
 
@@ -78,7 +80,8 @@ pub(super) struct Transfer {
     /// difference.
     pub v: f64,
     /// The v from which on it came by itself. Below, it came right behind another: that one's
-    /// delay has held it up, and it had less.
+    /// delay has held it up, and it had less. Infinite if it was sent right behind another: then it went
+    /// with that one, or waited for it, and tells nothing of its own but a bound.
     pub free_from: f64,
     /// Its number among those of its kind.
     pub index: u32,
@@ -91,6 +94,10 @@ impl Transfer {
 
     fn is_free(&self) -> bool {
         self.v >= self.free_from
+    }
+
+    fn is_own(&self) -> bool {
+        self.free_from < f64::INFINITY
     }
 
     /// What it tells: when it came, or that it came before this.
@@ -109,14 +116,15 @@ impl Transfer {
 }
 
 /// Transfers of one kind: how many, the sums of their times and delays, those that can touch a line
-/// from above, and the least delayed; of those that nothing held up, how many and the most delayed,
-/// mirrored.
+/// from above; how many have delays of their own, and the least delayed of them; of those that nothing
+/// held up, how many and the most delayed, mirrored.
 #[derive(Clone, Debug, Default)]
 struct Cell {
     count: f64,
     sum_x: f64,
     sum_v: f64,
     hull: Vec<Transfer>,
+    own: f64,
     least: Vec<Transfer>,
     free: f64,
     most: Vec<Transfer>,
@@ -168,7 +176,10 @@ impl Folded {
             cell.sum_x += transfer.x;
             cell.sum_v += transfer.v;
             cell.hull.push(*transfer);
-            cell.least.push(*transfer);
+            if transfer.is_own() {
+                cell.own += 1.0;
+                cell.least.push(*transfer);
+            }
             if transfer.is_free() {
                 cell.free += 1.0;
                 if transfer.v > before[kind] && transfer.class.shows_rate() {
@@ -180,19 +191,7 @@ impl Folded {
         for cell in &mut cells {
             cell.hull = hull(std::mem::take(&mut cell.hull));
         }
-        let mut folded = Self { span, cells };
-        let middle = 0.5 * (span.0 + span.1);
-        let rate = likeliest_rate(&edges(&[&folded], middle));
-        for cell in &mut folded.cells {
-            let Some(first) = cell.hull.first() else {
-                continue;
-            };
-            let slope = -first.class.sign() * rate;
-            let all = cell.most.len();
-            keep_least(&mut cell.most, slope, all);
-            drop_strays(&mut cell.most, slope);
-        }
-        Some(folded)
+        Some(Self { span, cells })
     }
 
     /// Keeps only those that can come near the edges of the delays over the slope that they have, all
@@ -252,14 +251,16 @@ fn keep_least_of(transfers: &mut Vec<Transfer>, slopes: [f64; 2], most: usize) {
     *transfers = least;
 }
 
-/// Leaves out the first of `transfers`, in order, that are farther from the others than these
-/// from each other: a link that stalled says nothing of how late it is otherwise.
+/// Puts `transfers` in order over this slope, and leaves out the first that are farther from the others
+/// than these from each other: a link that stalled says nothing of how late it is otherwise.
 fn drop_strays(transfers: &mut Vec<Transfer>, slope: f64) {
+    let all = transfers.len();
+    keep_least(transfers, slope, all);
     let delay = |index: usize| {
         let transfer: &Transfer = &transfers[index];
         transfer.v - slope * transfer.x
     };
-    let pairs = 0..transfers.len().saturating_sub(STRAYS + 1).min(STRAYS);
+    let pairs = 0..all.saturating_sub(STRAYS + 1).min(STRAYS);
     let stray = |index: &usize| {
         let next = delay(index + 1);
         next - delay(*index) > (delay(index + 1 + STRAYS) - next).max(LEAST_WINDOW_NS)
@@ -392,14 +393,14 @@ fn posterior(edges: &mut [Edge], tops: &mut [Edge]) -> Option<Vec<Terms>> {
     let mut rate = likeliest_rate(edges);
     let mut summed = Vec::new();
     // Which delays are the least depends on the slope.
-    for _ in 0..4 {
+    for _ in 0..6 {
         let all = edges.iter_mut().chain(&mut *tops);
         all.for_each(|edge| edge.narrow(rate));
         summed = slopes(edges, tops, rate)?;
         let (mean, variance) = moments(&summed, |term| (term.rate, 0.0))?;
         let moved = (mean - rate).abs();
         rate = mean.clamp(-MAX_RATE, MAX_RATE);
-        if moved < variance.sqrt() {
+        if moved < 0.5 * variance.sqrt() {
             break;
         }
     }
@@ -470,6 +471,10 @@ struct Edge {
     sum_x: f64,
     sum_v: f64,
     hull: Vec<Transfer>,
+    /// Whether it is an upper edge, mirrored.
+    is_top: bool,
+    /// How many have delays of their own.
+    own: f64,
     /// Those that may be near the line.
     candidates: Vec<Transfer>,
     /// Those nearest to it, and where they end: v of the end at x = 0, and its slope.
@@ -496,6 +501,8 @@ fn edges(blocks: &[&Folded], x: f64) -> Vec<Edge> {
             sum_x: cells().map(|cell| cell.sum_x - cell.count * x).sum(),
             sum_v: cells().map(|cell| cell.sum_v).sum(),
             hull,
+            is_top: false,
+            own: cells().map(|cell| cell.own).sum(),
             candidates: cells().flat_map(|cell| &cell.least).map(about).collect(),
             least: Vec::new(),
             end: (0.0, 0.0),
@@ -524,6 +531,8 @@ fn tops(blocks: &[&Folded], x: f64) -> Vec<Edge> {
             sum_x: 0.0,
             sum_v: 0.0,
             hull: hull(most.clone()),
+            is_top: true,
+            own: free,
             candidates: most,
             least: Vec::new(),
             end: (0.0, 0.0),
@@ -547,12 +556,18 @@ impl Edge {
         least
     }
 
-    /// Leaves the transfers that are delayed least over a line of slope `rate`.
+    /// Leaves the transfers that are delayed least over a line of slope `rate`, of an upper edge without
+    /// its strays.
     fn narrow(&mut self, rate: f64) {
         let slope = self.sign * rate;
-        let few = (self.count * EDGE_SHARE) as usize;
+        let few = (self.own * EDGE_SHARE) as usize;
         let most = EDGE.min(few).max(1);
         self.least.clone_from(&self.candidates);
+        if self.is_top {
+            // Over another slope than their own they do not stand out.
+            drop_strays(&mut self.least, slope);
+            self.hull = hull(self.least.clone());
+        }
         keep_least(&mut self.least, slope, most + 1);
         let delay = |point: &Transfer| point.told() - slope * point.x;
         let floor = self.floor(rate).0;
@@ -561,12 +576,19 @@ impl Edge {
         if self.least.len() > most {
             self.least.pop();
         }
-        self.independent = independent(&self.least, self.count);
+        self.independent = independent(&self.least, self.own);
     }
 
     /// Width of the window about its middle, ns.
     fn window(&self) -> f64 {
         self.end.0 - self.floor(self.sign * self.end.1).0
+    }
+
+    /// Whether it tells a rate. What others held up says only that it had less delay than they: the more
+    /// of that, the farther below the line may lie.
+    fn shows_rate(&self) -> bool {
+        let free = self.least.iter().filter(|point| point.is_free()).count();
+        self.class.shows_rate() && 4 * free >= self.least.len().max(LEAST_POINTS)
     }
 
     /// The likelihood of slope `rate`, summed up over the places where the least delay may lie
@@ -641,7 +663,7 @@ fn spread(edges: &[Edge]) -> f64 {
         let span = xs.clone().fold(0.0, f64::max) - xs.fold(0.0, f64::min);
         32.0 * edge.window() / edge.least.len() as f64 / span.max(1e-3)
     };
-    let steady = edges.iter().filter(|edge| edge.class.shows_rate());
+    let steady = edges.iter().filter(|edge| edge.shows_rate());
     steady.map(of).fold(MAX_RATE, f64::min)
 }
 
@@ -661,8 +683,11 @@ impl Terms {
             floors: [None; KINDS],
         };
         for edge in edges {
+            if edge.least.is_empty() {
+                continue;
+            }
             let (log, mean, variance) = edge.likelihood(rate);
-            if edge.class.shows_rate() {
+            if edge.shows_rate() {
                 terms.log_likelihood += log;
             }
             terms.floors[CLASSES * edge.link + edge.class as usize] = Some((mean, variance));

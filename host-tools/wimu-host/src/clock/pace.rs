@@ -111,11 +111,15 @@ impl Pace {
     /// The board was asked, at `now`.
     pub fn asked(&mut self, now: Duration) {
         self.first.get_or_insert(now);
-        // Whoever wakes up late is not to ask seldomer for it.
+        // Whoever wakes up late is not to ask seldomer for it, nor so soon that one waits for the other.
         let late = self.latest.map_or(Duration::ZERO, |latest| {
             now.saturating_sub(latest + self.often)
         });
-        self.latest = Some(if late < self.often { now - late } else { now });
+        let made_up = match late < self.often {
+            true => late.min(self.often / 2),
+            false => Duration::ZERO,
+        };
+        self.latest = Some(now - made_up);
     }
 
     /// An answer has come at `now`, so long after its question.

@@ -312,7 +312,7 @@ fn stated_intervals_hold_the_truth_as_often_as_they_say_whatever_the_jitter() {
             println!("{jitter:?}, {name}: {one:.0} % within 1 sd, {two:.0} % within 1.96 sd");
             // 95 % of 60 are less than 53 once in 100 times. What lasts is seen in part only.
             let least = if matches!(jitter, Jitter::Lasting(_)) {
-                75.0
+                80.0
             } else {
                 87.0
             };
@@ -498,6 +498,58 @@ fn after_a_minute_on_a_bad_link_offset_and_rate_are_known() {
     let [offsets, rates] = errors(&Link::default(), 60);
     assert!(offsets.shares(1.0)[0] >= 98.0);
     assert!(rates.rms()[0] < 2.0, "{:?}", rates.rms());
+}
+
+#[test]
+fn what_is_late_beyond_all_others_moves_no_edge() {
+    let link = Link::default();
+    for seed in 0..6 {
+        let mut clock = link.session(seed);
+        let without = clock.model().unwrap().rate_ppm().0;
+        let late = 100e6;
+        let device_s = 57.0;
+        let asked = link.truth(device_s) - link.least[1] - 50e6 - link.byte * QUESTION - late;
+        let time = DeviceTimeUs((device_s * 1e6) as u64);
+        clock.transfer(1, Class::Question, time, asked as u64, f64::INFINITY);
+        let with = clock.model().unwrap().rate_ppm().0;
+        assert!((with - without).abs() < 1.0, "{seed}: {without} {with}");
+    }
+}
+
+#[test]
+fn of_an_answer_in_parts_the_end_counts_alone() {
+    let mut clock = ClockEstimator::new();
+    let mut requester = wimu_link::Requester::new(7);
+    // The second begins with what was left of one before it.
+    for (asked, takes) in [(1_000_000_000, 2_000_000), (2_000_000_000, 52_000_000)] {
+        let mut question = vec![0; 6];
+        let now = Duration::from_nanos(asked);
+        question.extend_from_slice(requester.start(wimu_link::Command::GetTime, now));
+        clock.asked(asked, &question);
+        let (session, id) = requests(&question)[0];
+        let uptime_us = asked / 1000 + 20_000;
+        let reply = Reply {
+            session,
+            id,
+            signature: Default::default(),
+            answer: Answer::Accepted(Payload::Time { uptime_us }),
+        };
+        let host_ns = asked + 60_000_000;
+        let arrival = Arrival {
+            host_ns,
+            began_ns: host_ns - takes,
+            event: Event::Reply {
+                reply,
+                body: Vec::new(),
+            },
+        };
+        clock.heard(LinkRole::Wireless, &arrival).unwrap();
+    }
+    let classes = clock.open.iter().map(|transfer| transfer.class);
+    let begun = classes
+        .filter(|class| *class == Class::AnswerBegins)
+        .count();
+    assert_eq!((begun, clock.transfers()), (1, 5));
 }
 
 #[test]

@@ -4,10 +4,10 @@ mod common;
 
 use common::{Random, dot, minus, norm, outputs};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use wimu_nav::Real;
 use wimu_nav::array::{
     ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Geometry, GeometryError, Triad,
 };
+use wimu_nav::{Real, Zupt};
 
 const G: f64 = 9.80665;
 const DT: f64 = 0.01;
@@ -21,7 +21,7 @@ fn board() -> Geometry<24> {
 fn config(zupt: bool) -> ArrayConfig {
     ArrayConfig {
         gravity_mps2: G,
-        zupt,
+        zupt: if zupt { Zupt::Stated } else { Zupt::Off },
         bias_mps2: BIAS,
         force_noise_mps2: 0.0,
         ..ArrayConfig::default()

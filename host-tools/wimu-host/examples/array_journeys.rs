@@ -23,6 +23,15 @@ fn main() {
         place: 1e-3,
         ..base
     };
+    // Nothing stated of the rests.
+    let open = Case {
+        zupt: Zupt::Assumed,
+        ..base
+    };
+    let open_wrong = Case {
+        zupt: Zupt::Assumed,
+        ..wrong
+    };
     let groups: [(&str, Vec<Case>); 6] = [
         (
             "errors",
@@ -155,31 +164,31 @@ fn main() {
             vec![
                 Case {
                     kind: Kind::Cart(0.1, 10.0),
-                    ..base
+                    ..open
                 },
                 Case {
                     kind: Kind::Cart(0.3, 10.0),
-                    ..base
+                    ..open
                 },
                 Case {
                     kind: Kind::Cart(1.0, 8.0),
-                    ..base
+                    ..open
                 },
                 Case {
                     kind: Kind::Cart(2.0, 8.0),
-                    ..base
+                    ..open
                 },
                 Case {
                     kind: Kind::Cart(0.3, 10.0),
-                    ..wrong
+                    ..open_wrong
                 },
                 Case {
                     kind: Kind::Slow(4.0, 0.3, 0.3),
-                    ..base
+                    ..open
                 },
                 Case {
                     kind: Kind::Slow(4.0, 0.3, 1.0),
-                    ..base
+                    ..open
                 },
             ],
         ),
@@ -197,7 +206,7 @@ fn main() {
             .into_iter()
             .map(|(spin, away)| Case {
                 kind: Kind::Turntable(spin, away),
-                ..base
+                ..open
             })
             .collect(),
         ),

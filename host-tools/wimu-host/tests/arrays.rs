@@ -8,6 +8,7 @@ use wimu_host::array::{
     ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor, Board, RefineOptions, navigated,
     refine,
 };
+use wimu_host::inertial::Zupt;
 
 const G: f64 = 9.80665;
 
@@ -207,7 +208,7 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
         let arranged = recording.clone().arranged(geometry).unwrap();
         let calibration =
             ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
-        let (states, _) = navigated(&arranged, geometry, &calibration, G, true).unwrap();
+        let (states, _) = navigated(&arranged, geometry, &calibration, G, Zupt::Stated).unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         rms_error(&rates, &arranged.times_s)
     };
@@ -310,7 +311,8 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
         let arranged = together.clone().arranged(geometry).unwrap();
         let calibration =
             ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
-        let (states, remarks) = navigated(&arranged, geometry, &calibration, G, true).unwrap();
+        let (states, remarks) =
+            navigated(&arranged, geometry, &calibration, G, Zupt::Stated).unwrap();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
         (rms_error(&rates, &arranged.times_s), remarks)
     };
@@ -350,7 +352,8 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
     let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     assert_eq!(calibration.left_out.len(), 1);
     assert_eq!(calibration.left_out[0].0, 3);
-    let (states, remarks) = navigated(&recording, &geometry, &calibration, G, true).unwrap();
+    let (states, remarks) =
+        navigated(&recording, &geometry, &calibration, G, Zupt::Stated).unwrap();
     assert!(
         remarks
             .iter()
@@ -368,7 +371,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
         }
     }
     let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
-    let error = navigated(&recording, &geometry, &calibration, G, true).unwrap_err();
+    let error = navigated(&recording, &geometry, &calibration, G, Zupt::Stated).unwrap_err();
     assert!(
         error.to_string().contains("3 usable axes, 6 are needed"),
         "{error}"

@@ -13,7 +13,8 @@ use super::hypothesis::{
 use super::matrix::{product, rotation, times};
 use super::monitor::{Array, Dropped};
 use super::solver::{ArraySolver, Linear, Roots};
-use crate::Real;
+use crate::unit::unseen::Unseen;
+use crate::{Real, Zupt};
 
 /// Hypotheses kept from sample to sample.
 const MOST: usize = 4;
@@ -56,9 +57,9 @@ const GAP_S: f64 = 0.25;
 pub struct ArrayConfig {
     /// Local gravity, m/s².
     pub gravity_mps2: f64,
-    /// Whether a rest is taken for zero velocity and zero angular rate: accelerometers cannot tell it
-    /// from uniform motion, nor an array from a slow turn.
-    pub zupt: bool,
+    /// What a stillness is taken for: zero velocity and zero angular rate. Accelerometers cannot tell it from uniform
+    /// motion, nor an array from a slow turn about the vertical.
+    pub zupt: Zupt,
     /// Output at which an axis saturates, m/s².
     pub range_mps2: f64,
     /// Standard deviation of each axis's bias, m/s².
@@ -85,7 +86,7 @@ impl Default for ArrayConfig {
     fn default() -> Self {
         Self {
             gravity_mps2: 9.80665,
-            zupt: true,
+            zupt: Zupt::Assumed,
             range_mps2: 155.0,
             bias_mps2: 0.02,
             common_bias_mps2: 0.0,
@@ -157,6 +158,12 @@ pub struct ArrayState<R> {
     pub since_rest_s: R,
     /// Whether it is at rest now.
     pub resting: bool,
+    /// The fastest even motion that would have looked like the rests, m/s: three standard deviations of the speed before
+    /// one was taken for zero velocity.
+    pub unseen_mps: R,
+    /// How far even motion that no rest would have shown may have taken it, one standard deviation in space, m; it is in
+    /// the covariance with [`Zupt::Assumed`]. 0 with ZUPT off.
+    pub unseen_m: R,
     /// False before the first alignment, and after a gap or a start in motion until the next rest: position
     /// begins there.
     pub valid: bool,
@@ -196,6 +203,16 @@ struct Strayed {
     turned: [f64; 3],
     farthest: f64,
     speed: [f64; 3],
+}
+
+/// Second moments of an even turn about the vertical that no rest would have shown: of its rate, (rad/s)², of what it
+/// turned by, rad², and of that with the way that is off by it, m rad.
+#[derive(Clone, Copy, Debug, Default)]
+struct HiddenTurn {
+    rate2: f64,
+    both: f64,
+    angle2: f64,
+    way: [f64; 3],
 }
 
 /// The filter of one array: ω, ω̇, attitude, velocity, position and biases, with every root of ω kept
@@ -239,9 +256,14 @@ pub struct ArrayFilter<R, const M: usize> {
     away: [R; 3],
     quiet_mean: [R; 3],
     mean_s: f64,
+    settled: [R; 3],
     quiet_s: f64,
+    /// The last step, s.
+    step_s: f64,
     since_rest_s: f64,
     strayed: Strayed,
+    unseen: Unseen<R>,
+    hidden_turn: HiddenTurn,
     started: bool,
     valid: bool,
     /// It began without a rest, and none has come yet.
@@ -278,9 +300,13 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             away: [R::default(); 3],
             quiet_mean: [R::default(); 3],
             mean_s: 0.0,
+            settled: [R::default(); 3],
+            step_s: 0.0,
             quiet_s: 0.0,
             since_rest_s: 0.0,
             strayed: Strayed::default(),
+            unseen: Unseen::default(),
+            hidden_turn: HiddenTurn::default(),
             started: false,
             valid: false,
             moving_start: false,
@@ -351,6 +377,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     fn take(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) {
+        self.step_s = step;
         // Centripetal acceleration is nothing where a rest is looked for.
         let force = [linear.theta[3], linear.theta[4], linear.theta[5]];
         self.judge_rest(step, force, linear);
@@ -369,7 +396,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             hypothesis.advance(step, linear, self.array.solver(), &noise, &self.config);
         }
         self.stray(step);
-        if self.resting() && self.config.zupt {
+        self.hide(step);
+        if self.resting() && self.config.zupt.is_on() {
             self.doubt_rest(step);
             self.rest(step);
             self.strayed = Strayed::default();
@@ -801,6 +829,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             certainty: R::default(),
             since_rest_s: r(self.since_rest_s),
             resting: self.resting(),
+            unseen_mps: r(self.unseen_mps),
+            unseen_m: self.unseen.way_sd_m(),
             valid: self.valid,
         };
         let mut all: Option<Hypothesis<R>> = None;
@@ -841,6 +871,22 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         state.position_m = part(&all.mean, POSITION);
         state.position_covariance = at_time(POSITION, velocity, 1.0);
         state.certainty = r(libm::exp(best.weight));
+        if self.config.zupt == Zupt::Assumed {
+            // Equation (103).
+            let (speed2, way2) = (self.unseen.speed2(), self.unseen.way2());
+            for i in 0..3 {
+                state.velocity_covariance[i][i] += speed2[i];
+                state.position_covariance[i][i] += way2[i];
+            }
+            state.attitude_covariance[2][2] += r(self.hidden_turn.angle2);
+            let rate2 = r::<R>(self.hidden_turn.rate2);
+            let up = all.attitude[2];
+            for (row, a) in state.rate_covariance.iter_mut().zip(up) {
+                for (value, b) in row.iter_mut().zip(up) {
+                    *value += rate2 * a * b;
+                }
+            }
+        }
         state
     }
 
@@ -863,12 +909,6 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     /// uncertain as that.
     pub fn doubtful(&self) -> u32 {
         self.doubtful
-    }
-
-    /// The fastest even motion that would have looked like the rests, m/s: three standard deviations of the
-    /// speed before one was taken for zero velocity. It is not in any covariance.
-    pub fn unseen_mps(&self) -> f64 {
-        self.unseen_mps
     }
 
     /// Biases of the likeliest hypothesis and their standard deviations: of ω̇ (rad/s²), of s (m/s²),

@@ -14,7 +14,7 @@ mod manner;
 mod model;
 mod rest;
 mod start;
-mod unseen;
+pub(crate) mod unseen;
 
 use covariance::{
     ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,

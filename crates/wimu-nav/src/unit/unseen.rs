@@ -39,7 +39,7 @@ impl<R: Real> Axis<R> {
 
 /// The same of the three.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Unseen<R>([Axis<R>; 3]);
+pub(crate) struct Unseen<R>([Axis<R>; 3]);
 
 impl<R: Real> Unseen<R> {
     /// It goes on so long, s.
@@ -65,6 +65,13 @@ impl<R: Real> Unseen<R> {
             axis.push2 = push[i] * push[i];
             axis.push_speed = R::default();
             axis.push_way = R::default();
+        }
+    }
+
+    /// The way has these variances besides, m².
+    pub fn strayed(&mut self, more: Vector<R>) {
+        for (axis, more) in self.0.iter_mut().zip(more) {
+            axis.way2 += more;
         }
     }
 

@@ -8,6 +8,7 @@ use wimu_calib::Gravity;
 use wimu_host::array::{
     ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, angular_rate, navigated, refine,
 };
+use wimu_nav::Zupt;
 use wimu_nav::array::ArrayState;
 
 /// LSB per deg/s of the gyroscopes.
@@ -77,7 +78,7 @@ pub fn bench(data: &Path) {
     let start = Instant::now();
     let filter = |geometry| {
         let gravity = wimu_model::STANDARD_GRAVITY_MPS2;
-        navigated(&recording, geometry, &calibration, gravity, true)
+        navigated(&recording, geometry, &calibration, gravity, Zupt::Stated)
             .expect("a motion")
             .0
     };

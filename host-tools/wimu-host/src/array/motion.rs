@@ -1,5 +1,6 @@
 //! The motion of a body with an array: its angular rate, and where it is.
 
+use wimu_nav::Zupt;
 use wimu_nav::array::{
     ArrayConfig, ArrayFault, ArrayFilter, ArraySolver, ArrayState, Axis, Geometry, Observation,
     Spread, Step, track,
@@ -70,7 +71,7 @@ pub fn navigated(
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     gravity_mps2: f64,
-    zupt: bool,
+    zupt: Zupt,
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
     check(recording, geometry)?;
     with_room!(
@@ -210,7 +211,7 @@ fn filtered<const M: usize>(
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     gravity_mps2: f64,
-    zupt: bool,
+    zupt: Zupt,
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
     let axes = axes::<M>(geometry, calibration)?;
     // What is missing is said before anything is done.
@@ -274,7 +275,7 @@ fn filtered<const M: usize>(
              the position begins"
                 .to_owned(),
         );
-    } else if !zupt {
+    } else if !zupt.is_on() {
         remarks
             .push("it stands still at the start: its velocity is taken for zero there".to_owned());
     }
@@ -318,13 +319,6 @@ fn filtered<const M: usize>(
                 ),
             );
         }
-    }
-    if zupt && filter.unseen_mps() > 0.0 {
-        remarks.push(format!(
-            "what looked like a rest was taken for one: even motion below {:.2} m/s would have looked the same, and \
-             is in no deviation; --zupt off takes nothing for a rest",
-            filter.unseen_mps()
-        ));
     }
     Ok((states, remarks))
 }

@@ -470,13 +470,7 @@ pub fn navigate_array(
         )
         .at(&recording.name));
     }
-    let (states, remarks) = navigated(
-        recording,
-        geometry,
-        calibration,
-        gravity,
-        choice.zupt.is_on(),
-    )?;
+    let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
     let agreement = Agreement::of(recording, geometry, calibration)?;
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
@@ -495,8 +489,8 @@ pub fn navigate_array(
                 rate_rad_s: state.rate_rad_s,
                 covariance_m2: state.position_covariance,
                 resting: choice.zupt.is_on() && state.resting,
-                unseen_mps: None,
-                unseen_m: 0.0,
+                unseen_mps: (choice.zupt.is_on() && state.resting).then_some(state.unseen_mps),
+                unseen_m: state.unseen_m,
                 valid: state.valid && state.position_sd_m() <= choice.limit_m,
             })
             .collect(),

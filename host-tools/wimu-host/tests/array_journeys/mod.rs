@@ -456,13 +456,7 @@ impl Case {
         };
         let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
         let gravity = G;
-        let (states, _) = navigated(
-            &arranged,
-            &geometry,
-            &calibration,
-            gravity,
-            self.zupt.is_on(),
-        )?;
+        let (states, _) = navigated(&arranged, &geometry, &calibration, gravity, self.zupt)?;
         let truth = arranged.true_rate_rad_s();
         let mut outcome = Outcome {
             position: path.nees.clone(),
@@ -570,7 +564,7 @@ impl fmt::Display for Coverage {
             skew,
             ..
         } = self.case;
-        let about = format!("{kind:?} {places:?}");
+        let (about, zupt) = (format!("{kind:?} {places:?}"), format!("{zupt:?}"));
         let most = self.outcomes.iter().map(|o| o.most_m).fold(0.0, f64::max);
         let mean = |of: fn(&Outcome) -> f64| {
             let sum: f64 = self.outcomes.iter().map(|o| of(o).powi(2)).sum();
@@ -581,7 +575,7 @@ impl fmt::Display for Coverage {
             out,
             "{about:<40} {rate_hz:>4} Hz {} b {bias:<4} s {scale:<5} p {:<3} t {:<4} | valid {:3.0} %, NEES {:3.0} %, greatest \
              {median:.1} / {worst:.1} sd, {most:.2} m | rate {:3.0} %, {:.3} of {:.3} rad/s | refused {}",
-            format!("{zupt:?}"),
+            zupt,
             place * 1e3,
             skew * 1e6,
             self.valid(),

@@ -1,9 +1,9 @@
 //! Rests of an array: the first attitude, and what a rest says.
 
 use super::super::hypothesis::{
-    FORCE_BIAS, Hypothesis, OMEGA, PHI, POSITION, STATES, TURN, VELOCITY, dot, r,
+    FORCE_BIAS, Hypothesis, OMEGA, PHI, POSITION, STATES, TURN, VELOCITY, block, dot, part, r,
 };
-use super::super::matrix::cross_matrix;
+use super::super::matrix::{cross_matrix, times};
 use super::super::solver::Linear;
 use super::{ArrayFilter, MOST};
 use crate::Real;
@@ -23,6 +23,14 @@ const REST_SPEED_MPS: f64 = 0.005;
 const REST_RATE_RAD_S: f64 = 0.02;
 const REST_TURN_RAD_S2: f64 = 0.1;
 const REST_FORCE_MPS2: f64 = 0.02;
+
+/// A mean of a rest stays where it was, by so many of its deviations, of which it has these besides noise, m/s².
+const SETTLED: f64 = 4.6;
+const SETTLED_MPS2: f64 = 0.005;
+/// A push that would not show lasts so long, s.
+const PUSH_S: f64 = 2.0;
+/// A rate is seen beyond so many of its variances.
+const SHOWS: f64 = 9.0;
 
 /// Without a rest at the start: standard deviations of velocity, m/s, and tilt, rad.
 const START_SPEED_MPS: f64 = 10.0;
@@ -60,6 +68,13 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             (step / self.mean_s.min(MEAN_S)).min(1.0),
         );
         let size = dot(&self.quiet_mean, &self.quiet_mean).sqrt().to_f64();
+        // What it was as it became quiet: a slow push or turn is none.
+        if self.quiet_s < MEAN_S {
+            self.settled = self.quiet_mean;
+        }
+        let moved: [R; 3] = core::array::from_fn(|i| self.quiet_mean[i] - self.settled[i]);
+        let slow = SETTLED * self.settled_sd();
+        let steady = dot(&moved, &moved).to_f64() < slow * slow;
         let near = (size - self.config.gravity_mps2).abs() < REST_NEAR_GRAVITY_MPS2;
         let calm = dot(&away, &away).to_f64() < 3.0 * REST_MPS2 * REST_MPS2;
         // Neither ω̇ nor centripetal acceleration beyond noise and biases.
@@ -74,7 +89,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let covariance = solver.covariance();
         let turns = (0..3).any(|i| !within(linear.theta[i], covariance[i][i]))
             || linear.z.iter().any(|z| !within(*z, 1.0));
-        if near && calm && !turns {
+        if near && calm && steady && !turns {
             self.quiet_s += step;
         } else {
             self.quiet_s = 0.0;
@@ -82,6 +97,13 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if !calm {
             (self.quiet_mean, self.mean_s) = (force, 0.0);
         }
+    }
+
+    /// How well the mean force over 0.2 s is known beside its bias, m/s² an axis.
+    fn settled_sd(&self) -> f64 {
+        let samples = (MEAN_S / self.step_s.max(1e-4)).max(1.0);
+        let variance = self.array.solver().covariance()[3][3] * self.excess.max(1.0) / samples;
+        libm::sqrt(variance + SETTLED_MPS2 * SETTLED_MPS2)
     }
 
     /// Static alignment, equation (81) without a magnetometer. Where it does not rest, velocity is not known,
@@ -184,8 +206,17 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     pub(super) fn doubt_rest(&mut self, step: f64) {
         if self.rested_s == 0.0
             && self.valid
+            && self.since_rest_s > REST_S
             && let Some(best) = &self.hypotheses[0]
         {
+            let variance =
+                |at: usize| -> [R; 3] { core::array::from_fn(|i| best.cov[at + i][at + i]) };
+            self.unseen
+                .arrived(part(&best.mean, VELOCITY), variance(VELOCITY));
+            let up = best.attitude[2];
+            let rate = dot(&up, &part(&best.mean, OMEGA)).to_f64();
+            let spread = dot(&up, &times(&block(&best.cov, OMEGA, OMEGA), &up)).to_f64();
+            self.hidden_turn.rate2 += rate * rate + spread.max(0.0);
             let (mut squares, mut most) = (0.0, 0.0_f64);
             for i in VELOCITY..VELOCITY + 3 {
                 let (speed, variance) = (best.mean[i].to_f64(), best.cov[i][i].to_f64().abs());
@@ -200,6 +231,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 self.doubtful = self.doubtful.saturating_add(1);
             }
         }
+        let slow = PUSH_S * self.settled_sd();
+        self.unseen
+            .pushed([R::default(); 3], r(slow), [R::default(); 3]);
         let before = self.rested_s;
         self.rested_s += step;
         let more = self.doubt_mps2 * (self.rested_s * self.rested_s - before * before);
@@ -208,6 +242,33 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 hypothesis.cov[i][i] += r(more);
             }
         }
+    }
+
+    /// What even motion and an even turn that no rest has shown do in a step: equation (103), and of a turn the same about
+    /// the vertical. A rate that shows is none that is hidden.
+    pub(super) fn hide(&mut self, step: f64) {
+        self.unseen = self.unseen.after(r(step));
+        let Some(best) = &self.hypotheses[0] else {
+            return;
+        };
+        let turn = &mut self.hidden_turn;
+        let rate = part(&best.mean, OMEGA);
+        let spread = (0..3)
+            .map(|i| best.cov[OMEGA + i][OMEGA + i])
+            .fold(R::default(), |a, b| a + b);
+        if dot(&rate, &rate).to_f64() > SHOWS * spread.to_f64() {
+            (turn.rate2, turn.both) = (0.0, 0.0);
+        }
+        let [east, north, _] = part(&best.mean, VELOCITY).map(|v| v.to_f64());
+        let mut more = [0.0; 3];
+        for ((more, way), speed) in more.iter_mut().zip(&mut turn.way).zip([-north, east, 0.0]) {
+            let go = speed * step;
+            *more = 2.0 * *way * go + turn.angle2 * go * go;
+            *way += turn.angle2 * go;
+        }
+        self.unseen.strayed(more.map(r));
+        turn.angle2 += step * (2.0 * turn.both + step * turn.rate2);
+        turn.both += step * turn.rate2;
     }
 
     /// Velocity and angular rate are zero, gravity is vertical.

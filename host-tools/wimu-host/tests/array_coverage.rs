@@ -4,9 +4,10 @@
 mod array_journeys;
 
 use array_journeys::{Case, Kind, Places};
+use wimu_host::inertial::Zupt;
 
 /// Seeds of each case here; the example `array_journeys` runs more, and more kinds.
-const SEEDS: u64 = 12;
+const SEEDS: u64 = 6;
 
 /// An ordinary sensor off the reel at places measured with a ruler.
 fn uncalibrated() -> Case {
@@ -41,6 +42,29 @@ fn an_array_that_nobody_calibrated_is_within_its_covariance() {
         println!("{coverage}");
         assert!(coverage.position() > 90.0 && coverage.rate() > 88.0);
         assert!(coverage.valid() > 20.0);
+    }
+}
+
+#[test]
+fn even_motion_and_slow_turns_off_the_axis_are_doubted_unless_a_rest_is_stated() {
+    let kinds = [
+        Kind::Cart(0.3, 6.0),
+        Kind::Cart(2.0, 4.0),
+        Kind::Turntable(0.5, 0.5),
+        Kind::Turntable(1.0, 1.0),
+    ];
+    for kind in kinds {
+        let case = Case {
+            kind,
+            zupt: Zupt::Assumed,
+            rate_hz: 100.0,
+            ..Case::default()
+        };
+        let coverage = case.over(2);
+        println!("{coverage}");
+        // Valid ends: it does not know whether it rests.
+        assert!(coverage.position() > 90.0 && coverage.valid() < 60.0);
+        assert!(matches!(kind, Kind::Cart(..)) || coverage.rate() > 90.0);
     }
 }
 

@@ -50,6 +50,11 @@ const TURN_NOISE: f64 = 1.0;
 /// Back by this share of the way, the force is on another one.
 const TURNS_BACK: f64 = 0.3;
 
+/// Centripetal acceleration of so many deviations of the biases shows a turn.
+const SHOWS_SD: f64 = 3.0;
+/// The part of a hidden turn's variance across the vertical: what holds the array on its circle tilts it.
+const ASIDE: f64 = 0.04;
+
 /// A pause longer than this is a gap: what happened in it is not known.
 const GAP_S: f64 = 0.25;
 /// How an array is used.
@@ -215,6 +220,14 @@ struct HiddenTurn {
     way: [f64; 3],
 }
 
+/// With ZUPT off: what a rate that may be none turns the attitude by, rad, and speed, m/s, and way, m, that this brings.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wandered {
+    angle: f64,
+    speed: f64,
+    way: f64,
+}
+
 /// The filter of one array: ω, ω̇, attitude, velocity, position and biases, with every root of ω kept
 /// as a hypothesis of its own until the data decide.
 ///
@@ -263,7 +276,10 @@ pub struct ArrayFilter<R, const M: usize> {
     since_rest_s: f64,
     strayed: Strayed,
     unseen: Unseen<R>,
+    /// Velocity as a rest began, and the way that was taken off with it since, m/s and m.
+    taken_off: ([R; 3], [R; 3]),
     hidden_turn: HiddenTurn,
+    wandered: Wandered,
     started: bool,
     valid: bool,
     /// It began without a rest, and none has come yet.
@@ -306,7 +322,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             since_rest_s: 0.0,
             strayed: Strayed::default(),
             unseen: Unseen::default(),
+            taken_off: ([R::default(); 3], [R::default(); 3]),
             hidden_turn: HiddenTurn::default(),
+            wandered: Wandered::default(),
             started: false,
             valid: false,
             moving_start: false,
@@ -501,6 +519,18 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let arms = (0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0;
         let place = self.config.place_sd_m;
         2.0 * place * place * arms / solver.variance_mps2().to_f64()
+    }
+
+    /// From 1, where biases may make all of the centripetal acceleration of ω, to 0: equation (105).
+    fn may_be_none(&self, all: &Hypothesis<R>) -> f64 {
+        let solver = self.array.solver();
+        let rank = solver.rank().min(6);
+        let biases = (0..rank).map(|k| all.cov[Z_BIAS + k][Z_BIAS + k].to_f64().abs());
+        let square = biases.sum::<f64>() / rank.max(1) as f64 * solver.variance_mps2().to_f64();
+        let rate = part(&all.mean, OMEGA);
+        let shows = dot(&rate, &rate).to_f64() * solver.arm_m();
+        let ratio = shows * shows / (SHOWS_SD * SHOWS_SD * square).max(1e-12);
+        1.0 / (1.0 + ratio * ratio)
     }
 
     /// What is the same from sample to sample and so does not average out: attitude by the error of places, velocity by
@@ -860,8 +890,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         state.rate_covariance = at_time(OMEGA, turn, self.surprise);
         // Equation (105).
         let size = r::<R>(self.size_variance()) * dot(&rate, &rate);
+        let none = r::<R>(self.may_be_none(&all));
         for (i, row) in state.rate_covariance.iter_mut().enumerate() {
             row[i] += size;
+            for (value, other) in row.iter_mut().zip(rate) {
+                *value += none * rate[i] * other;
+            }
         }
         state.angular_acceleration_rad_s2 = turn;
         state.quaternion = quaternion(&all.attitude);
@@ -871,6 +905,14 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         state.position_m = part(&all.mean, POSITION);
         state.position_covariance = at_time(POSITION, velocity, 1.0);
         state.certainty = r(libm::exp(best.weight));
+        if !self.config.zupt.is_on() {
+            let Wandered { angle, speed, way } = self.wandered;
+            for i in 0..2 {
+                state.attitude_covariance[i][i] += r(angle * angle);
+                state.velocity_covariance[i][i] += r(speed * speed);
+                state.position_covariance[i][i] += r(way * way);
+            }
+        }
         if self.config.zupt == Zupt::Assumed {
             // Equation (103).
             let (speed2, way2) = (self.unseen.speed2(), self.unseen.way2());
@@ -881,9 +923,10 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             state.attitude_covariance[2][2] += r(self.hidden_turn.angle2);
             let rate2 = r::<R>(self.hidden_turn.rate2);
             let up = all.attitude[2];
-            for (row, a) in state.rate_covariance.iter_mut().zip(up) {
+            for (i, row) in state.rate_covariance.iter_mut().enumerate() {
+                row[i] += rate2 * r(ASIDE);
                 for (value, b) in row.iter_mut().zip(up) {
-                    *value += rate2 * a * b;
+                    *value += rate2 * up[i] * b;
                 }
             }
         }

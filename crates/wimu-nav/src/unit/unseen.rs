@@ -68,6 +68,17 @@ impl<R: Real> Unseen<R> {
         }
     }
 
+    /// More of the way was taken off with a velocity that was taken for zero, `before` by now.
+    pub fn missing(&mut self, velocity: Vector<R>, before: Vector<R>, by: Vector<R>) {
+        for (i, axis) in self.0.iter_mut().enumerate() {
+            axis.way2 += by[i] * (by[i] + before[i] + before[i]);
+            axis.speed_way += by[i] * velocity[i];
+            if axis.way2 < R::default() {
+                axis.way2 = R::default();
+            }
+        }
+    }
+
     /// The way has these variances besides, m².
     pub fn strayed(&mut self, more: Vector<R>) {
         for (axis, more) in self.0.iter_mut().zip(more) {

@@ -211,6 +211,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         {
             let variance =
                 |at: usize| -> [R; 3] { core::array::from_fn(|i| best.cov[at + i][at + i]) };
+            self.taken_off = (part(&best.mean, VELOCITY), [R::default(); 3]);
             self.unseen
                 .arrived(part(&best.mean, VELOCITY), variance(VELOCITY));
             let up = best.attitude[2];
@@ -251,12 +252,22 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let Some(best) = &self.hypotheses[0] else {
             return;
         };
+        let resting = self.quiet_s >= REST_S;
+        if !self.config.zupt.is_on() {
+            let rate = part(&best.mean, OMEGA);
+            let square = dot(&rate, &rate).to_f64() * self.may_be_none(best);
+            let to = &mut self.wandered;
+            to.way = (to.way + to.speed * step).min(1e6);
+            to.speed = (to.speed + self.config.gravity_mps2 * to.angle.min(1.0) * step).min(1e6);
+            to.angle = (to.angle + libm::sqrt(square) * step).min(4.0);
+            return;
+        }
         let turn = &mut self.hidden_turn;
         let rate = part(&best.mean, OMEGA);
         let spread = (0..3)
             .map(|i| best.cov[OMEGA + i][OMEGA + i])
             .fold(R::default(), |a, b| a + b);
-        if dot(&rate, &rate).to_f64() > SHOWS * spread.to_f64() {
+        if !resting && dot(&rate, &rate).to_f64() > SHOWS * spread.to_f64() {
             (turn.rate2, turn.both) = (0.0, 0.0);
         }
         let [east, north, _] = part(&best.mean, VELOCITY).map(|v| v.to_f64());
@@ -273,6 +284,21 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 
     /// Velocity and angular rate are zero, gravity is vertical.
     pub(super) fn rest(&mut self, step: f64) {
+        let place =
+            |this: &Self| this.hypotheses[0].map_or([R::default(); 3], |h| part(&h.mean, POSITION));
+        let before = place(self);
+        self.measure_rest(step);
+        // Part of the way was taken off with the velocity: if it did not rest, it is missing.
+        let after = place(self);
+        let by: [R; 3] = core::array::from_fn(|i| before[i] - after[i]);
+        let (velocity, sum) = &mut self.taken_off;
+        self.unseen.missing(*velocity, *sum, by);
+        for (sum, by) in sum.iter_mut().zip(by) {
+            *sum += by;
+        }
+    }
+
+    fn measure_rest(&mut self, step: f64) {
         // A rest's departures last as long as it was looked at.
         let slower = (REST_S / step.max(1e-3)).max(1.0);
         let variance = |sd: f64| r::<R>(sd * sd * slower);

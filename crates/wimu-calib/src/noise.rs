@@ -2,12 +2,14 @@
 
 mod course;
 mod curve;
+mod ends;
 mod rest;
 
 use core::fmt;
 
 use course::Course;
 use curve::{Curve, Spans, fewest_edf};
+use ends::Ends;
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
@@ -105,6 +107,9 @@ pub struct AxisNoise {
     pub sample_sd_mps2: f64,
     /// Smallest step of the output, m/s²: one count, where it is in counts.
     pub step_mps2: f64,
+    /// Samples at the highest or lowest output that no noise puts there: 0 unless the output is clipped.
+    /// Then the sensor's noise is larger than the terms.
+    pub clipped_samples: u64,
 }
 
 impl AxisNoise {
@@ -307,6 +312,7 @@ pub struct AllanVariance<R: Scalar = f64> {
     /// The sample before, and the least change from one to the next.
     last: [R; 3],
     step: [R; 3],
+    ends: Ends<R>,
 }
 
 impl AllanVariance {
@@ -344,6 +350,7 @@ impl<R: Scalar> AllanVariance<R> {
             total: [R::Total::ZERO; 3],
             last: [R::default(); 3],
             step: [R::of(f64::INFINITY); 3],
+            ends: Ends::new(),
         }
     }
 
@@ -371,6 +378,7 @@ impl<R: Scalar> AllanVariance<R> {
         self.longest_run = self.longest_run.max(self.run);
         self.rest.take(off);
         self.course.take(off);
+        self.ends.take(off);
         self.keep();
     }
 
@@ -487,6 +495,9 @@ impl<R: Scalar> AllanVariance<R> {
         let is_one_event =
             (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
         let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
+        let step_mps2: f64 = self.step[axis].into();
+        // Of few steps the ends are the noise's own.
+        let is_fine = step_mps2 <= sample_sd_mps2;
         Ok(AxisNoise {
             velocity_random_walk: white.unwrap_or(Measured {
                 value: 0.0,
@@ -501,7 +512,8 @@ impl<R: Scalar> AllanVariance<R> {
             floor_tau_s,
             misfit,
             sample_sd_mps2,
-            step_mps2: self.step[axis].into(),
+            step_mps2,
+            clipped_samples: if is_fine { self.ends.clipped(axis) } else { 0 },
         })
     }
 }

@@ -66,6 +66,8 @@ pub struct AxisReport {
     pub step_m_s2: f64,
     /// Whether that step is larger than the noise: then the figures are those of rounding.
     pub is_coarse: bool,
+    /// Samples at the highest or lowest output that no noise puts there: the output is clipped.
+    pub clipped_samples: u64,
 }
 
 impl From<AxisNoise> for AxisReport {
@@ -85,6 +87,7 @@ impl From<AxisNoise> for AxisReport {
             sample_sd_m_s2: noise.sample_sd_mps2,
             step_m_s2: noise.step_mps2,
             is_coarse: noise.is_coarse(),
+            clipped_samples: noise.clipped_samples,
         }
     }
 }
@@ -298,6 +301,13 @@ fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> 
                 "{name}: this is no noise alone (χ² {:.0} times too large): hum, vibration \
                  or samples that come twice; see the curve, and take the numbers as rough",
                 axis.misfit
+            ));
+        }
+        if axis.clipped_samples > 0 {
+            remarks.push(format!(
+                "{name}: {} samples are at the end of the output, more than noise puts there: it is clipped, and \
+                 the sensor's noise is larger than these figures; choose a larger range or turn the axis off its end",
+                axis.clipped_samples
             ));
         }
         if axis.is_one_event {

@@ -46,6 +46,13 @@ fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
     assert_eq!(coarse["axes"][2]["is_coarse"], true, "{coarse}");
     let said = coarse["remarks"][0].as_str().unwrap();
     assert!(said.contains("noise of rounding"), "{coarse}");
+
+    let clipped = run(at_rest(|f| f.min(9.81), "m/s²")).succeeds();
+    let said = clipped["remarks"].to_string();
+    assert!(
+        said.contains("Z: ") && said.contains("it is clipped"),
+        "{clipped}"
+    );
 }
 
 /// Static-pose means of a sensor without errors, `Time (s)` first.

@@ -88,3 +88,26 @@ fn axes_that_are_always_at_one_end_or_the_other_are_refused() {
         assert!(refused.stderr.contains("saturated"), "{model}: {refused:?}");
     }
 }
+
+#[test]
+fn means_of_poses_at_full_scale_are_refused() {
+    let folder = folder();
+    let csv = folder.path().join("means.csv").display().to_string();
+    let mut text =
+        String::from("Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
+    for [x, y, z] in [
+        [32767, 1335, -1011],
+        [-32418, 1348, -1011],
+        [1017, 32767, -1001],
+        [994, -32416, -1002],
+        [998, 1329, 32085],
+        [994, 1321, -32768],
+    ] {
+        write!(text, "\n{x},{y},{z}").unwrap();
+    }
+    fs::write(&csv, text).unwrap();
+    let poses = ["calibrate", &csv, "--poses", "--sensitivity", "32767"];
+    let refused = wimu(&[&poses[..], &["--method", "six-position"]].concat());
+    assert_eq!(refused.code, 3, "{refused:?}");
+    assert!(refused.stderr.contains("saturated"), "{refused:?}");
+}

@@ -130,6 +130,22 @@ fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
     let said = wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds();
     assert!(remarks(&said).contains("gyroscope Z gives one"), "{said}");
     assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    // Laid on its side at the end, and all of the gyroscope silent.
+    let mut samples = moves(0.4, 1.0);
+    let from = samples.len() - 250;
+    for (place, sample) in samples.iter_mut().enumerate() {
+        sample.rate = [0.0; 3];
+        if place >= from {
+            let [x, y, z] = sample.force;
+            sample.force = [x, -z, y];
+        }
+    }
+    let csv = write(folder.path(), &header, &samples);
+    let said = wimu(&["navigate", &csv]).succeeds();
+    assert!(
+        remarks(&said).contains("all axes of the gyroscope"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -286,7 +286,7 @@ fn filtered<const M: usize>(
     };
     remark(
         gaps,
-        "gaps longer than 0.25 s: position is not valid after one until the next rest",
+        "gaps longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
     );
     remark(
         backwards,

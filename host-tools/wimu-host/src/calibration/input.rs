@@ -42,8 +42,10 @@ impl Poses {
 }
 
 pub(super) fn poses(data: &Dataset, scale: f64) -> Poses {
-    let mut saturated = None;
-    let poses = if data.poses {
+    let si = |output: &Output| output.value.map(|axis| axis * scale);
+    let forces: Vec<[f64; 3]> = data.outputs.iter().map(si).collect();
+    let lsb_mps2 = matches!(data.unit, OutputUnit::Counts { .. }).then_some(scale);
+    let poses: Vec<Pose> = if data.poses {
         let pose = |(index, output): (usize, &Output)| Pose {
             samples: output.samples,
             temperature_c: output.temperature_c,
@@ -54,14 +56,12 @@ pub(super) fn poses(data: &Dataset, scale: f64) -> Poses {
         };
         data.outputs.iter().enumerate().map(pose).collect()
     } else {
-        let si = |output: &Output| output.value.map(|axis| axis * scale);
-        let forces: Vec<[f64; 3]> = data.outputs.iter().map(si).collect();
-        let poses = data.rests(&forces);
-        let lsb_mps2 = matches!(data.unit, OutputUnit::Counts { .. }).then_some(scale);
-        saturated = saturation::full_scale(&forces, &poses, lsb_mps2)
-            .or_else(|| saturation::at_rest(forces.into_iter(), &poses));
-        poses
+        data.rests(&forces)
     };
+    let mut saturated = saturation::full_scale(&forces, &poses, lsb_mps2);
+    if !data.poses {
+        saturated = saturated.or_else(|| saturation::at_rest(forces.into_iter(), &poses));
+    }
     Poses {
         poses,
         scale,

@@ -622,11 +622,11 @@ fn filter(
     };
     remark(
         gaps,
-        "gaps longer than 0.25 s: position is not valid after one until the next rest",
+        "gaps longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
     );
     remark(
         clipped.len() as u32,
-        "clipped samples left out: position is not valid after one until the next rest",
+        "clipped samples left out: position is the less certain after them",
     );
     remark(backwards, "samples whose time stood still: left out");
     remark(bad, "samples that were no numbers: left out");

@@ -1,6 +1,6 @@
 //! Whether a recording can be what it says it is: gravity, and axes that go on.
 
-use wimu_nav::unit::UnitConfig;
+use wimu_nav::unit::{UnitConfig, UnitSample};
 
 use crate::motion::MotionRecording;
 use crate::{ErrorCode, HostError, Result};
@@ -19,6 +19,10 @@ const STUCK_SAMPLES: usize = 50;
 /// ... while both others change, and one by more than this, is dead: m/s², rad/s.
 const MOVES_MPS2: f64 = 1.0;
 const MOVES_RAD_S: f64 = 0.3;
+/// A gyroscope that gives one value while gravity or the magnetic field, as large as before within this share,
+/// turns by more than this, rad: 20°, is dead.
+const AS_LARGE: f64 = 0.02;
+const TURNED_RAD: f64 = 0.35;
 
 /// Full scales of accelerometers, *g*; a value this near to one, as a share of it, ...
 const SCALES_G: [f64; 5] = [2.0, 4.0, 8.0, 16.0, 32.0];
@@ -92,6 +96,14 @@ impl Senses {
                 "it is left out from there on",
             );
             senses.rate_ends = Some(from);
+        }
+        if let Some(from) = silent(recording) {
+            senses.remarks.push(format!(
+                "all axes of the gyroscope give one and the same value from {:.2} s on while gravity or the field \
+                 turns: it is left out from there on",
+                recording.times_s[from]
+            ));
+            senses.rate_ends = Some(senses.rate_ends.map_or(from, |before| before.min(from)));
         }
         Ok(senses)
     }
@@ -175,6 +187,62 @@ fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
         (None, Some(first)) => refused(*first),
         (found, _) => Ok(found.copied()),
     }
+}
+
+/// The sample from which on all axes of the gyroscope stand still in a run in which gravity or the magnetic
+/// field turns.
+fn silent(recording: &MotionRecording) -> Option<usize> {
+    let samples = &recording.samples;
+    let mut first = 0;
+    while first < samples.len() {
+        let here = samples[first].rate_rad_s;
+        let alike = samples[first..].iter();
+        let count = alike.take_while(|s| s.rate_rad_s == here).count().max(1);
+        let times_s = &recording.times_s[first..first + count];
+        let run = &samples[first..first + count];
+        if here.is_some()
+            && times_s[count - 1] - times_s[0] >= STUCK_S
+            && count >= STUCK_SAMPLES
+            && (is_turned(times_s, run, |s| Some(s.force_mps2))
+                || is_turned(times_s, run, |s| s.field_ut))
+        {
+            return Some(first);
+        }
+        first += count;
+    }
+    None
+}
+
+/// Whether the mean of a second is turned against that of the first, and as large.
+fn is_turned(
+    times_s: &[f64],
+    samples: &[UnitSample],
+    vector: impl Fn(&UnitSample) -> Option<[f64; 3]>,
+) -> bool {
+    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let (mut first, mut from) = (None, 0);
+    while from < samples.len() {
+        let to = times_s
+            .partition_point(|t| *t < times_s[from] + 1.0)
+            .max(from + 1);
+        let (mut sum, mut count) = ([0.0; 3], 0.0);
+        for vector in samples[from..to].iter().filter_map(&vector) {
+            sum = [0, 1, 2].map(|axis| sum[axis] + vector[axis]);
+            count += 1.0;
+        }
+        from = to;
+        if count == 0.0 {
+            continue;
+        }
+        let mean = sum.map(|sum| sum / count);
+        let before = *first.get_or_insert(mean);
+        let sizes = [before, mean].map(|vector| dot(vector, vector).sqrt());
+        let is_as_large = (sizes[1] / sizes[0] - 1.0).abs() < AS_LARGE;
+        if is_as_large && dot(before, mean) < TURNED_RAD.cos() * sizes[0] * sizes[1] {
+            return true;
+        }
+    }
+    false
 }
 
 /// The sample and axis at which one stands still to the end of a long run while others change.

@@ -8,6 +8,7 @@
 //! standard deviation that delays leave it, and the bounds that hold whatever the directions take.
 
 use std::collections::{HashMap, VecDeque};
+use std::time::Duration;
 
 use serde::Serialize;
 use wimu_link::batch::Stream;
@@ -22,7 +23,7 @@ mod pace;
 
 use envelope::{Class, Folded, Transfer};
 
-pub use pace::Pace;
+pub use pace::{Pace, Trip};
 
 /// Device time of a block of transfers, s.
 const BLOCK_S: f64 = 64.0;
@@ -135,8 +136,8 @@ impl ClockEstimator {
     }
 
     /// Takes what has arrived on the link of `role`: batches of samples, and answers to questions that
-    /// [`asked`](Self::asked) knows: how long both took then, ns.
-    pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) -> Option<u64> {
+    /// [`asked`](Self::asked) knows: how long both took then.
+    pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) -> Option<Trip> {
         let link = usize::from(role != LinkRole::Cable);
         let before = self.latest[link].heard_ns.replace(arrival.host_ns);
         let heard_alone = alone_for(before, arrival.began_ns);
@@ -174,7 +175,10 @@ impl ClockEstimator {
                     length,
                     is_behind,
                 } = self.asked.remove(&(reply.session, reply.id))?;
-                let trip = arrival.host_ns.checked_sub(asked_ns)?;
+                let trip = Trip {
+                    whole: Duration::from_nanos(arrival.host_ns.checked_sub(asked_ns)?),
+                    on_line: (alone >= 0.0).then_some(Duration::from_nanos(takes)),
+                };
                 // Asked later than the device says that it answered, by all that came before: it has
                 // started anew.
                 let difference = self.difference(DeviceTimeUs(uptime_us), asked_ns);

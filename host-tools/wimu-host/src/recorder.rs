@@ -278,7 +278,7 @@ impl Listener<'_> {
             let trip = self.clock.heard(self.role, &arrival);
             let now = self.client.transport().now();
             if let Some(trip) = trip {
-                self.pace.answered(now, Duration::from_nanos(trip));
+                self.pace.answered(now, trip);
             }
             if now >= look_up || self.pace.is_due(now) {
                 break;

@@ -78,7 +78,7 @@ fn listen(
         pace.told(role, status);
     }
     if let Some(trip) = clock.heard(role, arrival) {
-        pace.answered(Duration::from_micros(now_us), Duration::from_nanos(trip));
+        pace.answered(Duration::from_micros(now_us), trip);
     }
 }
 

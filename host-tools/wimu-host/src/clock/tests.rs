@@ -1,5 +1,3 @@
-use std::time::Duration;
-
 use super::envelope::LogProduct;
 use super::*;
 
@@ -156,7 +154,7 @@ impl Link {
         while self.asks && time < self.duration_s {
             let now = Duration::from_secs_f64(time);
             while let Some((at, trip)) = answers.pop_front_if(|(at, _)| *at <= now) {
-                pace.answered(at, trip);
+                pace.answered(at, answered(trip));
             }
             if !pace.is_due(now) {
                 time += 0.001 * (0.5 + other.next());
@@ -243,6 +241,12 @@ impl Link {
     fn error(&self, model: &ClockModel) -> f64 {
         model.host_ns(self.middle()) as f64 - self.truth(self.duration_s / 2.0)
     }
+}
+
+/// A trip of which the line shows nothing else.
+fn answered(whole: Duration) -> Trip {
+    let on_line = None;
+    Trip { whole, on_line }
 }
 
 const SHAPES: [Jitter; 7] = [
@@ -568,7 +572,7 @@ fn a_slow_line_is_left_to_what_the_board_has_to_say() {
             samples += 0.094;
         }
         while let Some((at, trip)) = answers.pop_front_if(|(at, _)| *at <= now) {
-            pace.answered(at, trip);
+            pace.answered(at, answered(trip));
         }
         if pace.is_due(now) {
             pace.asked(now);
@@ -580,8 +584,44 @@ fn a_slow_line_is_left_to_what_the_board_has_to_say() {
         }
     }
     let early = asked.iter().filter(|time| **time < 3.0).count();
-    println!("{early} questions in 3 s, {} in 30", asked.len());
-    assert!(early < 130 && asked.len() - early <= 27);
+    println!(
+        "{early} questions in 3 s, {} in 30, line free at {to_host:.2} s",
+        asked.len()
+    );
+    // Then it is asked again, and carries all in time.
+    assert!(early < 130 && asked.len() - early > 100);
+    assert!(to_host < 30.3, "{to_host}");
+}
+
+#[test]
+fn questions_take_no_more_of_a_line_than_answers_show_that_it_has() {
+    for (baud, every) in [(19_200.0, 22e-3), (38_400.0, 11e-3), (115_200.0, 5.9e-3)] {
+        let takes = QUESTION * 10.0 / baud;
+        let mut pace = Pace::default();
+        let (mut to_device, mut to_host) = (0.0_f64, 0.0_f64);
+        let mut answers = VecDeque::new();
+        let mut asked = Vec::new();
+        for step in 0..30_000_u32 {
+            let time = f64::from(step) * 1e-3;
+            let now = Duration::from_millis(step.into());
+            while let Some((at, whole)) = answers.pop_front_if(|(at, _)| *at <= now) {
+                let on_line = Some(Duration::from_secs_f64(takes));
+                pace.answered(at, Trip { whole, on_line });
+            }
+            if pace.is_due(now) {
+                pace.asked(now);
+                asked.push(time);
+                to_device = to_device.max(time) + takes;
+                to_host = to_host.max(to_device) + takes;
+                let at = Duration::from_secs_f64(to_host);
+                answers.push_back((at, at - now));
+            }
+        }
+        let shortest = asked.windows(2).map(|pair| pair[1] - pair[0]);
+        let shortest = shortest.fold(f64::INFINITY, f64::min);
+        println!("{baud} baud: {} questions in 30 s", asked.len());
+        assert!((every..1.5 * every).contains(&shortest), "{shortest}");
+    }
 }
 
 #[test]

@@ -130,7 +130,7 @@ impl Pace {
                 // A question and its answer take a part of the line only.
                 let seldom = (trip + trip / 2).clamp(ASK_EVERY, ASK_EVERY_SETTLED);
                 if self.sharp && self.waited.is_some() && trip <= SLOW && is_often(now) {
-                    self.often.max(self.line_allows()).min(seldom)
+                    self.often().min(seldom)
                 } else {
                     seldom
                 }
@@ -144,11 +144,12 @@ impl Pace {
     pub fn asked(&mut self, now: Duration) {
         self.first.get_or_insert(now);
         // Whoever wakes up late is not to ask seldomer for it, nor so soon that one waits for the other.
-        let late = self.latest.map_or(Duration::ZERO, |latest| {
-            now.saturating_sub(latest + self.often)
-        });
-        let made_up = match late < self.often {
-            true => late.min(self.often / 2),
+        let often = self.often();
+        let late = self
+            .latest
+            .map_or(Duration::ZERO, |latest| now.saturating_sub(latest + often));
+        let made_up = match late < often {
+            true => late.min(often / 2),
             false => Duration::ZERO,
         };
         self.latest = Some(now - made_up);
@@ -171,7 +172,7 @@ impl Pace {
                 self.rests_until = self.rests_until.max(Some(now + REST));
             } else if now.saturating_sub(since) >= LATE_FOR {
                 self.rests_until = Some(now + self.rest);
-                self.rest *= 2;
+                self.rest = (self.rest * 2).min(SETTLED);
                 // Asked often, it would be full again.
                 self.often = ASK_EVERY_SETTLED;
             }
@@ -184,8 +185,8 @@ impl Pace {
             self.waited_since = None;
         } else if now.saturating_sub(*self.waited_since.get_or_insert(now)) >= WAITED_FOR {
             self.waited_since = None;
-            self.often *= 2;
-            self.rests_until = Some(now + SHORT_REST);
+            self.often = (self.often * 2).min(ASK_EVERY_SETTLED);
+            self.rests_until = self.rests_until.max(Some(now + SHORT_REST));
         }
         if self.trips.len() > TRIPS {
             self.trips.pop_front();
@@ -205,12 +206,13 @@ impl Pace {
         }
     }
 
-    /// The least time from one question to the next that leaves the line its share, as most answers
-    /// that came by themselves show.
-    fn line_allows(&self) -> Duration {
+    /// The time from one question to the next where it is asked often: it leaves the line its share, as
+    /// most answers that came by themselves show.
+    fn often(&self) -> Duration {
         let mut takes: Vec<_> = self.takes.iter().copied().collect();
         takes.sort();
-        takes.get(takes.len() / 2).copied().unwrap_or_default() * LINE_SHARE
+        let takes = takes.get(takes.len() / 2).copied().unwrap_or_default();
+        self.often.max(takes * LINE_SHARE)
     }
 
     /// Whether the line rests from questions.

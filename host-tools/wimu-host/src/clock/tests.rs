@@ -595,7 +595,11 @@ fn a_slow_line_is_left_to_what_the_board_has_to_say() {
 
 #[test]
 fn questions_take_no_more_of_a_line_than_answers_show_that_it_has() {
-    for (baud, every) in [(19_200.0, 22e-3), (38_400.0, 11e-3), (115_200.0, 5.9e-3)] {
+    for (baud, every) in [
+        (19_200.0, 21.9e-3),
+        (38_400.0, 10.9e-3),
+        (115_200.0, 5.9e-3),
+    ] {
         let takes = QUESTION * 10.0 / baud;
         let mut pace = Pace::default();
         let (mut to_device, mut to_host) = (0.0_f64, 0.0_f64);

@@ -3,6 +3,7 @@
 
 pub mod campaign;
 
+use std::collections::HashSet;
 use std::future::Future;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -451,8 +452,8 @@ pub fn fuzz_once(seeded: &mut Seeded) {
 }
 
 /// One to three starts of a device whose frames are lost, repeated, exchanged, damaged and held up, each
-/// decoded when it comes: no sample has another number, time or value than it was sent with. What comes
-/// again does so before the next start.
+/// decoded when it comes: no sample has another number, time or value than it was sent with, and none is
+/// handed on twice, though it comes again behind the next start.
 ///
 /// # Panics
 /// When one is.
@@ -508,7 +509,7 @@ fn fuzz_order(seeded: &mut Seeded) {
             0 => drop(frames.drain(at..at + count)),
             1 => {
                 let again = frames[at..at + count].to_vec();
-                let behind = (at + count + seeded.below(20)).min(end);
+                let behind = (at + count + seeded.below(40)).min(frames.len());
                 frames.splice(behind..behind, again);
             }
             2 if count > 1 => frames.swap(at, at + 1),
@@ -522,20 +523,23 @@ fn fuzz_order(seeded: &mut Seeded) {
     }
     let mut decoder = Decoder::new();
     let mut now_us = 0;
+    let mut heard = HashSet::new();
     for (_, at_us, bytes) in frames {
         // One after the other.
         now_us = at_us.max(now_us);
         decoder.push(now_us * 1000, &bytes, |arrival| {
-            let Event::Samples(samples) = arrival.event else {
+            let (Event::Samples(samples) | Event::Late(samples)) = arrival.event else {
                 return;
             };
             for TimedSample {
                 sequence,
                 time,
-                value: [_, number, _],
+                value: [start, number, _],
             } in samples.iter()
             {
                 assert_eq!((number as u32, time.0), (sequence, time_us(sequence)));
+                let is_first = heard.insert((start, number));
+                assert!(is_first, "sample {number} of start {start} twice");
             }
         });
     }

@@ -9,8 +9,10 @@ use wimu_link::{Batch, Deframer, FrameError, Hello, Kind, Reply, Settings, Telem
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
 mod order;
+mod repeats;
 
 use order::{Moment, Order, Place, Verdict};
+use repeats::Repeats;
 
 /// Batches kept until an epoch tells where they belong: more than arrive in the second between
 /// two epochs.
@@ -276,6 +278,8 @@ pub struct Decoder {
     /// Whether what came before the next samples of each is unknown.
     skipped: [bool; 2],
     order: Order<(Received, Held)>,
+    /// What has been handed on, of this start and those before.
+    repeats: Repeats,
     /// Who the device is and which start this is, and what it was in the start before.
     identity: Option<(u64, u32)>,
     identity_before: Option<(u64, u32)>,
@@ -307,6 +311,7 @@ impl Decoder {
             gaps: Default::default(),
             skipped: [false; 2],
             order: Order::new(),
+            repeats: Repeats::default(),
             identity: None,
             identity_before: None,
             last_epoch_time: None,
@@ -449,6 +454,7 @@ impl Decoder {
                 self.take_late(received, &batch, each);
             }
         }
+        self.repeats.restart();
         self.statistics.batches_unplaced += self.unplaced.len() as u64;
         self.unplaced.clear();
         self.anchors = [None; 2];
@@ -577,6 +583,10 @@ impl Decoder {
     }
 
     fn take_batch(&mut self, received: Received, batch: &Batch, each: &mut impl FnMut(Arrival)) {
+        if self.repeats.is_of_a_start_before(batch, received.host_ns) {
+            self.statistics.stream(batch.stream()).duplicated += batch.len() as u64;
+            return;
+        }
         let Some(first) = self.place(batch) else {
             if self.order.is_in_doubt() {
                 return self.order.hold((received, Held::Batch(Box::new(*batch))));
@@ -665,6 +675,7 @@ impl Decoder {
         }
         statistics.received += samples.values.len() as u64;
         self.latest[index] = Some((last, samples.every));
+        self.repeats.add(batch, received.host_ns);
         // Built where it goes: events are large.
         each(Arrival {
             host_ns: received.host_ns,
@@ -689,7 +700,11 @@ impl Decoder {
         };
         let gaps = &mut self.gaps[batch.stream() as usize];
         let statistics = self.statistics.stream(batch.stream());
-        for late in gaps.take(&samples, usize::MAX, statistics) {
+        let late = gaps.take(&samples, usize::MAX, statistics);
+        if !late.is_empty() {
+            self.repeats.add(batch, received.host_ns);
+        }
+        for late in late {
             each(received.with(Event::Late(late)));
         }
     }

@@ -397,8 +397,8 @@ mod tests {
         frame[..length].to_vec()
     }
 
-    /// A second of samples from `first` at 100 Hz, after an epoch.
-    fn second(first: u32) -> Vec<u8> {
+    /// A second of samples of a start from `first` at 100 Hz, after an epoch.
+    fn second_of(boot: u32, first: u32) -> Vec<u8> {
         let mut bytes = Vec::new();
         let mut frame = [0; MAX_FRAME];
         let epoch = <Telemetry>::Epoch(Epoch {
@@ -418,13 +418,17 @@ mod tests {
         bytes.extend(&frame[..length]);
         for start in (first..first + 100).step_by(20) {
             let samples: Vec<_> = (start..start + 20)
-                .map(|s| Counts([s as i16, 0, 1]))
+                .map(|s| Counts([s as i16, 0, boot as i16]))
                 .collect();
             let time = DeviceTimeUs(u64::from(start) * 10_000);
             let length = batch::encode(start, time, &samples, &mut frame).unwrap();
             bytes.extend(&frame[..length]);
         }
         bytes
+    }
+
+    fn second(first: u32) -> Vec<u8> {
+        second_of(1, first)
     }
 
     /// Both links for 5 s, the device started anew on the wireless one after 3 s.
@@ -444,7 +448,7 @@ mod tests {
                 (2, (s - 3) * 100)
             };
             let mut bytes = hello(LinkRole::Wireless, boot);
-            bytes.extend(second(first));
+            bytes.extend(second_of(boot, first));
             // Bytes arrive in pieces that know nothing of frames.
             for piece in bytes.chunks(23) {
                 writer.append(LinkRole::Wireless, host_ns, piece).unwrap();

@@ -57,8 +57,16 @@ fn value(sequence: u32) -> [i32; 3] {
 
 /// Samples from a device whose sample 0 was at 1 s.
 fn samples(first: u32, count: u32) -> Vec<u8> {
+    samples_of(0, first, count)
+}
+
+/// The same of a start, which Z tells.
+fn samples_of(start: i16, first: u32, count: u32) -> Vec<u8> {
     let counts: Vec<_> = (first..first + count)
-        .map(|s| Counts(value(s).map(|v| v as i16)))
+        .map(|s| {
+            let [x, y, z] = value(s).map(|v| v as i16);
+            Counts([x, y, z + start])
+        })
         .collect();
     framed(|frame| batch::encode(first, DeviceTimeUs(time(first)), &counts, frame))
 }
@@ -80,7 +88,7 @@ fn sequences(events: &[Event]) -> Vec<u32> {
     for event in events {
         if let Event::Samples(samples) = event {
             for sample in samples.iter() {
-                assert_eq!(sample.value, value(sample.sequence));
+                assert_eq!(sample.value[..2], value(sample.sequence)[..2]);
                 assert_eq!(sample.time.0, time(sample.sequence));
                 found.push(sample.sequence);
             }
@@ -215,6 +223,7 @@ fn restarts(events: &[Event]) -> Vec<Option<u32>> {
 /// What a device sends of samples `from` to `to`: an epoch a second, batches of 16; with the times at
 /// which it does, of a device that started at `started_us` of the host.
 fn course(from: u32, to: u32, started_us: u64) -> Vec<(u64, Vec<u8>)> {
+    let start = (started_us / 1_000_000) as i16;
     let mut frames = Vec::new();
     for first in (from..to).step_by(16) {
         if (first - from).is_multiple_of(96) {
@@ -222,7 +231,7 @@ fn course(from: u32, to: u32, started_us: u64) -> Vec<(u64, Vec<u8>)> {
             let frame = numbered_epoch(number, first, time(first));
             frames.push((started_us + time(first), frame));
         }
-        frames.push((started_us + time(first + 15), samples(first, 16)));
+        frames.push((started_us + time(first + 15), samples_of(start, first, 16)));
     }
     frames
 }
@@ -270,7 +279,7 @@ fn a_restart_without_a_greeting_is_known_by_what_follows_and_its_samples_are_kep
         let now_us = time(1_600);
         let asked = [
             (started_us + now_us, hello_at(2, now_us)),
-            (started_us + time(1_615), samples(1_600, 16)),
+            (started_us + time(1_615), samples_of(1, 1_600, 16)),
         ];
         let events = decode_timed(&mut decoder, &asked);
         assert_eq!(restarts(&events), []);
@@ -353,6 +362,50 @@ fn a_late_or_repeated_stretch_is_no_restart_and_nothing_in_it_counts_twice() {
         let raw = decoder.statistics().raw;
         assert_eq!((raw.missing, raw.duplicated), (0, duplicated));
     }
+}
+
+#[test]
+fn what_comes_again_behind_a_restart_is_not_the_new_starts() {
+    let started_us = time(320) + 700_000;
+    let old = course(0, 320, 0);
+    let new = course(0, 1_600, started_us);
+    // Of each seven frames the first is an epoch.
+    let batches = (0..).zip(&old).filter(|(at, _)| at % 7 != 0);
+    let again: Vec<_> = batches.map(|(_, (_, frame))| frame).collect();
+    let again = &again[again.len() - 8..];
+    for at in [0, 5, 12, 14, 20, 26] {
+        let now_us = new[at].0;
+        let again = again.iter().map(|&frame| (now_us, frame.clone()));
+        let mut frames = vec![(0, hello(1))];
+        frames.extend(old.iter().cloned());
+        frames.push((started_us, hello_at(2, 0)));
+        frames.extend(new[..at].iter().cloned());
+        frames.extend(again);
+        frames.extend(new[at..].iter().cloned());
+        let mut decoder = Decoder::new();
+        let events = decode_timed(&mut decoder, &frames);
+        assert_eq!(restarts(&events), [Some(2)]);
+        let expected: Vec<_> = (0..320).chain(0..1_600).collect();
+        assert!(sequences(&events) == expected, "at {at}");
+        let raw = decoder.statistics().raw;
+        assert_eq!((raw.missing, raw.duplicated, raw.late), (0, 128, 0));
+    }
+}
+
+#[test]
+fn a_sensor_that_is_stuck_gives_the_same_at_each_start_and_none_of_it_is_left_out() {
+    let stuck = |first| {
+        let counts = [Counts([0, 0, 32767]); 16];
+        framed(|frame| batch::encode(first, DeviceTimeUs(time(first)), &counts, frame))
+    };
+    let mut decoder = Decoder::new();
+    for start in 1..4 {
+        let mut frames = vec![hello(start), epoch(0, time(0))];
+        frames.extend((0..10).map(|batch| stuck(16 * batch)));
+        decode(&mut decoder, &frames);
+    }
+    let raw = decoder.statistics().raw;
+    assert_eq!((raw.received, raw.duplicated), (480, 0));
 }
 
 #[test]

@@ -1,3 +1,5 @@
+//! When to ask a board for its time.
+
 use std::collections::VecDeque;
 use std::time::Duration;
 

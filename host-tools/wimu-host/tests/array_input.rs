@@ -1,8 +1,9 @@
 //! What is claimed of arrays that are given something wrong: even turns, sensors that fail on the way,
 //! limits nobody declared, geometries of another array, starts in motion.
 
-use std::f64::consts::TAU;
+mod common;
 
+use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate_array};
@@ -11,32 +12,6 @@ use wimu_host::{ErrorCode, HostError};
 const G: f64 = 9.80665;
 const RATE_HZ: f64 = 200.0;
 const NOISE: f64 = 0.01;
-
-/// SplitMix64: the same numbers in every run.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (TAU * self.unit()).cos()
-    }
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
 
 fn octahedron(arm_m: f64) -> ArrayGeometry {
     let unit = [

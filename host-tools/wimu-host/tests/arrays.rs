@@ -1,8 +1,11 @@
 //! What is claimed of arrays: places and delays found again, boards with clocks of their own brought
 //! together, dead sensors left out.
 
+mod common;
+
 use std::f64::consts::TAU;
 
+use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::array::{
     ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor, Board, RefineOptions, navigated,
@@ -12,36 +15,10 @@ use wimu_host::inertial::Zupt;
 
 const G: f64 = 9.80665;
 
-/// SplitMix64: the same numbers in every run.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (TAU * self.unit()).cos()
-    }
-}
-
 /// Rests in twelve orientations of 3 s, then half a minute of violent turning by hand.
 const POSES: usize = 12;
 const POSE_S: f64 = 3.0;
 const MOVING_S: f64 = 25.0;
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
 
 /// Direction of gravity's reaction at a rest, and at a time while moving some force.
 fn force(t: f64) -> [f64; 3] {

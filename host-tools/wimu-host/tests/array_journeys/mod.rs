@@ -2,8 +2,12 @@
 //! lies within what it says.
 #![allow(dead_code)] // Shared by the test and the example: each uses its part.
 
+#[path = "../common/mod.rs"]
+mod common;
+
 use std::fmt;
 
+use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::HostError;
 use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
@@ -18,34 +22,10 @@ const SCORED_RAD_S: f64 = 0.3;
 type V = [f64; 3];
 type Rotation = [V; 3];
 
-/// SplitMix64: the same numbers in every run.
-pub struct Random(pub u64);
-
 impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (TAU * self.unit()).cos()
-    }
-
     fn three(&mut self, sd: f64) -> V {
         [0; 3].map(|_| sd * self.normal())
     }
-}
-
-fn cross(a: V, b: V) -> V {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 fn add(a: V, b: V, by: f64) -> V {

@@ -7,6 +7,7 @@ pub mod drift;
 mod real;
 pub mod slide;
 pub mod unit;
+mod unseen;
 mod vector;
 mod zupt;
 

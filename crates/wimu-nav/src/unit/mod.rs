@@ -14,7 +14,6 @@ mod manner;
 mod model;
 mod rest;
 mod start;
-pub(crate) mod unseen;
 
 use covariance::{
     ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
@@ -22,10 +21,10 @@ use covariance::{
 };
 use manner::{Manner, Swept};
 use rest::Quiet;
-use unseen::Unseen;
 
 use crate::Real;
 pub use crate::drift::Drift;
+use crate::unseen::Unseen;
 use crate::vector::{
     Matrix, Vector, add, cross, diagonal, dot, product, quaternion, scale, sub, times, turn, zero,
 };

@@ -5,6 +5,7 @@ use super::super::hypothesis::{
 };
 use super::super::matrix::{cross_matrix, times};
 use super::super::solver::Linear;
+use super::errors::Swing;
 use super::{ArrayFilter, MOST};
 use crate::Real;
 
@@ -152,7 +153,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             set(TURN, 1e4);
         }
         hypothesis.begin_biases(solver, &self.config, true);
-        self.swing = super::Swing::at(mean.map(r));
+        self.swing = Swing::at(mean.map(r));
         self.hypotheses = [None; MOST];
         self.hypotheses[0] = Some(hypothesis);
         if rests {

@@ -254,7 +254,7 @@ impl core::error::Error for TransferRefusal {}
 /// that moves bias, scale factor and what it sees of the other two.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 32 KB: sums over blocks whose length grows with the data. `ReferenceTransfer<f32>`
+/// Memory is fixed, 40 KB: sums over blocks whose length grows with the data. `ReferenceTransfer<f32>`
 /// takes samples without f64, each sum with what rounding took from it kept beside; what is made of
 /// the sums, once, is f64.
 ///

@@ -111,15 +111,15 @@ pub fn path(
         calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
         // What was found is known as well as it was found.
         let all = found.place_sd_m.iter().flatten().flatten();
-        calibration.place_sd_m = mean_square(all.copied());
-        calibration.delay_sd_s = mean_square(found.delay_sd_s.iter().copied());
+        calibration.place_sd_m = root_mean_square(all.copied());
+        calibration.delay_sd_s = root_mean_square(found.delay_sd_s.iter().copied());
     }
     let path = navigate_array(&recording, &geometry, &calibration, choice)?;
     Ok((path, refined))
 }
 
 /// Root of the mean square.
-fn mean_square(values: impl Iterator<Item = f64>) -> f64 {
+fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
     let (squares, count) = values.fold((0.0, 0.0), |(sum, n), v| (sum + v * v, n + 1.0));
     f64::sqrt(squares / f64::max(count, 1.0))
 }

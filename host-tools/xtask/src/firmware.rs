@@ -90,14 +90,15 @@ pub fn pico(workspace: &Workspace) -> Result<(), String> {
     let image = only_image(&built(source, folder, None)?)?;
     let file = std::path::absolute(image::write(folder, &image, Format::Uf2)?)
         .map_err(|problem| problem.to_string())?;
-    setup::cargo("test -p wimu-tests --test pico -- --ignored")
+    // With the workspace's features: what was built for the other tests serves.
+    setup::cargo("test --workspace --test pico -- --ignored")
         .with("WIMU_PICO_FIRMWARE", &file.display().to_string())
         .with("WIMU_PICO_ELF", &image.display().to_string())
         .run()
 }
 
 fn build(source: Source, folder: &Path, target: Option<&str>) -> CommandLine {
-    let cargo = embedded_cargo(source)
+    let cargo = embedded_cargo(source, "build")
         .words("--release --config")
         .word(&format!("build.rustflags=[{}]", without_this_machine()))
         .inside(folder);
@@ -176,7 +177,7 @@ fn go_on_as(command: CommandLine) -> Result<(), String> {
 /// Says what is missing or which command failed.
 pub fn test() -> Result<(), String> {
     let image = qemu_image()?;
-    setup::cargo("test -p wimu-tests --test qemu -- --ignored")
+    setup::cargo("test --workspace --test qemu -- --ignored")
         .with("WIMU_QEMU_FIRMWARE", &image.display().to_string())
         .run()
 }

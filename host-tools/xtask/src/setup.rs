@@ -126,12 +126,14 @@ pub fn provide(need: Need, machine: &mut impl Machine) -> Result<Source, String>
     )
 }
 
-/// Cargo that can build for [`TARGETS`] from `source`.
-pub fn embedded_cargo(source: Source) -> CommandLine {
+/// `cargo VERB`, build or check, for [`TARGETS`] from `source`.
+pub fn embedded_cargo(source: Source, verb: &str) -> CommandLine {
     let cargo = match source {
-        Source::Toolchain => return CommandLine::new("cargo build --locked"),
+        Source::Toolchain => return CommandLine::new("cargo").word(verb).word("--locked"),
         // Debian ships no core for these targets, but its sources; nor a rust-lld, but an lld.
-        Source::Debian => CommandLine::new("/usr/bin/cargo build --locked")
+        Source::Debian => CommandLine::new("/usr/bin/cargo")
+            .word(verb)
+            .words("--locked")
             .words("-Zbuild-std=core,alloc -Zbuild-std-features=compiler-builtins-mem")
             .with("RUSTC_BOOTSTRAP", "1")
             .with("RUSTC", "/usr/bin/rustc"),
@@ -468,7 +470,7 @@ mod tests {
 
     #[test]
     fn debians_cargo_builds_core_and_links_with_lld() {
-        let line = embedded_cargo(Source::Debian).to_string();
+        let line = embedded_cargo(Source::Debian, "build").to_string();
         for part in [
             "RUSTC=/usr/bin/rustc",
             "CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER=ld.lld",

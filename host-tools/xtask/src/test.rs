@@ -6,7 +6,7 @@ use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::instructions;
 use crate::setup::{self, Need, OLDEST, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
-use crate::workspace::{Package, Workspace};
+use crate::workspace::{Package, Target, Workspace};
 
 /// One thing that must hold.
 pub struct Step {
@@ -61,7 +61,7 @@ pub const STEPS: [Step; 12] = [
     },
     Step {
         name: "embedded",
-        about: "libraries and bare-metal examples build for Cortex-M4F and Cortex-M0+",
+        about: "libraries compile and bare-metal programs build for Cortex-M4F and Cortex-M0+",
         run: |workspace| {
             let source = setup::provide(Need::Targets, &mut ThisMachine)?;
             all(embedded(workspace, source))
@@ -79,8 +79,8 @@ pub const STEPS: [Step; 12] = [
     },
     Step {
         name: "host",
-        about: "all tests on this machine, examples in the documentation included",
-        run: |_| cargo("test --workspace").run(),
+        about: "all tests on this machine, examples in the documentation included, without C libraries",
+        run: |_| without_c_libraries("test --workspace").run(),
     },
     Step {
         name: "qemu",
@@ -94,11 +94,10 @@ pub const STEPS: [Step; 12] = [
     },
     Step {
         name: "standalone",
-        about: "`cargo wimu` builds without C libraries, and so does what writes boards through probes",
+        about: "`wimu` compiles by itself, and with what writes boards through probes, without C libraries",
         run: |_| {
-            let commands = ["build --release -p wimu", "check -p wimu --features flash"];
-            let without = |command| cargo(command).with("PKG_CONFIG", "false");
-            all(commands.map(without).into())
+            let commands = ["check -p wimu", "check -p wimu --features flash"];
+            all(commands.map(without_c_libraries).into())
         },
     },
 ];
@@ -168,21 +167,30 @@ fn doc(workspace: &Workspace) -> CommandLine {
     .with("RUSTDOCFLAGS", "-D warnings")
 }
 
+/// As on a machine where no C library is found.
+fn without_c_libraries(command: &str) -> CommandLine {
+    cargo(command).with("PKG_CONFIG", "false")
+}
+
 /// Each package by itself: built together, one could lean on features that another asks for.
 fn embedded(workspace: &Workspace, source: Source) -> Vec<CommandLine> {
-    let build = TARGETS
-        .iter()
-        .fold(embedded_cargo(source), |cargo, target| {
-            cargo.word("--target").word(target)
-        });
     let mut commands = Vec::new();
     for package in workspace.below("crates").chain(workspace.below("examples")) {
-        let mut plain = build.clone().words(&format!("-p {} --lib", package.name));
-        for program in package
-            .targets
-            .iter()
-            .filter(|t| t.kind == "bin" && t.no_std)
-        {
+        let bare_metal = |target: &&Target| target.kind == "bin" && target.no_std;
+        let programs: Vec<_> = package.targets.iter().filter(bare_metal).collect();
+        // Code for libraries is made with the programs and boards that use them.
+        let verb = if programs.is_empty() {
+            "check"
+        } else {
+            "build"
+        };
+        let targets = TARGETS.iter();
+        let mut plain = targets
+            .fold(embedded_cargo(source, verb), |cargo, target| {
+                cargo.word("--target").word(target)
+            })
+            .words(&format!("-p {} --lib", package.name));
+        for program in programs {
             plain = plain.word("--bin").word(&program.name);
         }
         commands.push(plain.clone());
@@ -207,7 +215,6 @@ fn selecting<'a>(cargo: CommandLine, packages: impl Iterator<Item = &'a Package>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::workspace::Target;
 
     fn package(folder: &str, features: &[&str], targets: &[(&str, bool)]) -> Package {
         Package {

@@ -12,6 +12,8 @@ use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Re
 
 /// Degrees of freedom without which no term is taken in.
 const LEAST_DOF: f64 = 4.0;
+/// Where nine parameters leave too much, terms count that predict poses left out to this share of it.
+const OF_POOR_FIT: f64 = 0.5;
 /// By how much n ln(left-out error²) has to fall for each parameter of a term.
 const PER_PARAMETER: f64 = 1.0;
 /// Left-out error of a pose that the fit does without, per that of the others: more poses left out
@@ -86,6 +88,7 @@ fn best<R: Real>(
 ) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
     let mut best: Option<(Fitted, f64)> = None;
+    // What nine parameters alone came to: a refusal, and whether the poses tell all nine.
     let mut nine = None;
     let mut average = Average::NOTHING;
     let mut nine_known = false;
@@ -103,11 +106,21 @@ fn best<R: Real>(
             let fitted = match with_terms::<R>(poses, &visits, gravity, what, true) {
                 Ok(fitted) => fitted,
                 Err(refusal) => {
-                    nine = nine.or(Some(refusal).filter(|_| model == Model::Full9));
+                    if model == Model::Full9 && terms == least {
+                        // What nine do not fit, though the poses tell them, a term may.
+                        nine_known = matches!(refusal, Refusal::PoorFit { .. });
+                        nine = Some(refusal);
+                    }
                     continue;
                 }
             };
             nine_known |= model == Model::Full9;
+            if terms != least
+                && let Some(Refusal::PoorFit { rms_mps2, .. }) = nine
+                && fitted.kept_left_out_mps2 > OF_POOR_FIT * rms_mps2
+            {
+                continue;
+            }
             average.add(&fitted);
             if terms != least && fitted.dof < LEAST_DOF {
                 continue;
@@ -119,10 +132,15 @@ fn best<R: Real>(
         }
     }
     // Fewer parameters do not mend what nine, known well enough, do not fit.
-    if let Some(refusal @ (Refusal::PoorFit { .. } | Refusal::Saturated { .. })) = nine
-        && best
-            .as_ref()
-            .is_some_and(|(best, _)| best.estimate.method != Method::MultiPosition(Model::Full9))
+    if let Some(
+        refusal @ (Refusal::PoorFit { .. }
+        | Refusal::PoseContradicted { .. }
+        | Refusal::Saturated { .. }),
+    ) = nine
+        && best.as_ref().is_some_and(|(best, _)| {
+            best.estimate.method != Method::MultiPosition(Model::Full9)
+                && best.estimate.terms == least
+        })
     {
         return Err(refusal);
     }

@@ -38,8 +38,8 @@ pub struct Estimate {
     pub orientations: usize,
     /// Degrees of freedom: observations beyond the parameters fitted.
     pub dof: usize,
-    /// Degrees of freedom of the standard deviations, for [`Estimate::half_width_95`]; `None` where
-    /// they rest on a declared placement error and not on residuals.
+    /// Degrees of freedom of the standard deviations, without what gravity adds to them, for
+    /// [`Estimate::half_width_95`]; `None` where they rest on a declared placement error and not on residuals.
     pub interval_dof: Option<f64>,
     /// |f| − g over all poses given, rejected ones included, m/s² rms, unweighted.
     pub rms_mps2: f64,
@@ -104,10 +104,28 @@ impl Estimate {
     }
 
     /// The 95 % interval of a parameter is its value plus and minus this, in its unit: Student's t
-    /// with [`Estimate::interval_dof`], equation (43).
+    /// with [`Estimate::interval_dof`], more for what rests on gravity, whose uncertainty no residual
+    /// tells: equation (43).
     pub fn half_width_95(&self, parameter: Parameter) -> f64 {
-        let quantile = student::two_sided(0.05, self.interval_dof.unwrap_or(f64::INFINITY));
+        let quantile = student::two_sided(0.05, self.dof_of(parameter));
         quantile * self.covariance.sd(parameter)
+    }
+
+    /// Degrees of freedom of a parameter's standard deviation; infinite where none of it is from
+    /// residuals.
+    fn dof_of(&self, parameter: Parameter) -> f64 {
+        let Some(dof) = self.interval_dof else {
+            return f64::INFINITY;
+        };
+        let variance = self.covariance.get(parameter, parameter);
+        let theta = terms::theta_of(&self.model);
+        let of_gravity = self.covariance.of_gravity(&theta, self.gravity, parameter);
+        let share = (variance - of_gravity) / variance;
+        if share > 0.0 {
+            dof / (share * share)
+        } else {
+            dof
+        }
     }
 
     /// |f| − g that this model leaves in `pose`, m/s²; at its time and temperature where those are
@@ -277,13 +295,27 @@ impl Covariance {
 
     /// Takes it out again, as far as it is in.
     pub(crate) fn remove_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
+        let held = self.held_of_gravity(theta, gravity);
+        self.add_common_scale(theta, -held);
+    }
+
+    /// How much of a parameter's variance is that of gravity, as far as it is in.
+    fn of_gravity(&self, theta: &Theta<f64>, gravity: Gravity, parameter: Parameter) -> f64 {
+        match parameter.index() {
+            0..3 => 0.0,
+            i => theta[i] * theta[i] * self.held_of_gravity(theta, gravity),
+        }
+    }
+
+    /// Relative variance of gravity, as far as it is in.
+    fn held_of_gravity(&self, theta: &Theta<f64>, gravity: Gravity) -> f64 {
         let relative = gravity.sd_mps2() / gravity.mps2();
         let held = |axis: usize| {
             let scale = theta[3 + 4 * axis];
             self.0[3 + 4 * axis][3 + 4 * axis] / (scale * scale)
         };
         let most = (0..3).map(held).fold(f64::INFINITY, f64::min);
-        self.add_common_scale(theta, -(relative * relative).min(most));
+        (relative * relative).min(most)
     }
 
     fn add_common_scale(&mut self, theta: &Theta<f64>, variance: f64) {

@@ -109,6 +109,8 @@ pub(crate) fn unit(mean_mps2: f64, gravity_mps2: f64) -> Option<UnitHint> {
 
 /// An axis whose reading changes by less than this over all poses, m/s², is not turned, 0.6°.
 const TURNED_MPS2: f64 = 0.1;
+/// No axis rests at more than so many times gravity.
+const BEYOND_GRAVITY: f64 = 1.3;
 /// Poses that read exactly alike at the end of an axis's range, though they differ, are clipped.
 const CLIPPED: usize = 3;
 
@@ -124,12 +126,21 @@ pub(crate) fn stuck_axis(poses: &[Pose]) -> Option<usize> {
 }
 
 /// The axis that reads the same in every pose while gravity leaves the others: dead, where an axis
-/// that was never turned leaves |y| as it is.
-pub(crate) fn dead_axis(poses: &[Pose]) -> Option<usize> {
+/// that was never turned leaves |y| as it is. Or that reads more than gravity, or does so without the noise of the
+/// others.
+pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
     let [low, high] = magnitudes(poses).fold([f64::INFINITY, 0.0_f64], |[low, high], size| {
         [low.min(size), high.max(size)]
     });
-    stuck_axis(poses).filter(|_| high - low > 0.3 * high)
+    stuck_axis(poses).filter(|&axis| {
+        let [_, most] = ends(poses, axis).map(f64::abs);
+        let silent =
+            |pose: &Pose, axis: usize| pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0;
+        let others = || (0..3).filter(move |other| *other != axis);
+        let alone = poses.iter().all(|pose| silent(pose, axis))
+            && others().any(|other| poses.iter().all(|pose| !silent(pose, other)));
+        high - low > 0.3 * high || most > BEYOND_GRAVITY * gravity.mps2() || alone
+    })
 }
 
 /// Poses of which some are as long as others in another unit.

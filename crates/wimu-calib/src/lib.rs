@@ -52,7 +52,7 @@ pub use multi_position::{
     Model, MultiPosition, multi_position, multi_position_f32, multi_position_with,
     multi_position_with_f32,
 };
-pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal};
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, stops_at_limit};
 pub use orientation::{Face, Instruction, Orientation};
 pub use outliers::Rejected;
 pub use parameter::{Parameter, Parameters};

@@ -43,6 +43,9 @@ const MOST_RMS_MPS2: [f64; 3] = [0.5, 0.1, 0.05];
 const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
 /// Where least squares finds nothing, residuals beyond this pull ever less, m/s².
 const FAR_OFF_MPS2: f64 = 0.5;
+/// Temperatures that differ by less tell of no term: thermometers have as much noise, and sensors change by
+/// no more than other poses do.
+const LEAST_WARMING_K: f64 = 1.0;
 /// A left-out error below this, m/s², is a good prediction whatever the residuals.
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
@@ -282,14 +285,16 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
     if different < need {
         return Err(too_few(different));
     }
-    let varies = |value: fn(&Pose) -> Option<f64>| {
+    let varies = |least: f64, value: fn(&Pose) -> Option<f64>| {
         let range = range(poses, value);
-        range.is_some_and(|[low, high]| high > low)
+        range.is_some_and(|[low, high]| high > low && high - low >= least)
     };
     for term in what.terms.iter() {
         let shown = match term {
-            Term::Drift => varies(|pose| Some(pose.time_s)),
-            Term::BiasTemperature | Term::ScaleTemperature => varies(|pose| pose.temperature_c),
+            Term::Drift => varies(0.0, |pose| Some(pose.time_s)),
+            Term::BiasTemperature | Term::ScaleTemperature => {
+                varies(LEAST_WARMING_K, |pose| pose.temperature_c)
+            }
             Term::Quadratic => true,
         };
         if !shown {
@@ -344,7 +349,7 @@ fn fit<R: Real, const N: usize>(
         Model::Bias3 | Model::BiasScale6 => None,
     };
     let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
-        let dead = || input::dead_axis(poses).map(|axis| Refusal::AxisStuck { axis });
+        let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
         input::mixed_units(poses)
             .or_else(dead)
             .unwrap_or_else(|| knowledge.refusal(what, &problem.free))
@@ -395,17 +400,51 @@ fn refine<R: Real, const N: usize>(
     mut fit: Fit<R, N>,
     what: MultiPosition,
 ) -> Result<Fit<R, N>, Refusal> {
-    if what.reject {
-        let start = fit.theta;
-        fit = outliers::reject(problem, fit, what.model).map_err(|pose| {
-            let mut squares = 0.0;
-            problem.residuals(&start, |_, residual| squares += residual * residual);
-            input::mixed_units(problem.poses).unwrap_or(Refusal::PoorFit {
-                rms_mps2: libm::sqrt(squares / problem.poses.len() as f64),
-                pose,
-            })
-        })?;
+    if !what.reject {
+        return weighted(problem, fit);
     }
+    let start = fit.theta;
+    fit = outliers::reject(problem, fit, what.model).map_err(|pose| {
+        let mut squares = 0.0;
+        problem.residuals(&start, |_, residual| squares += residual * residual);
+        input::mixed_units(problem.poses).unwrap_or(Refusal::PoorFit {
+            rms_mps2: libm::sqrt(squares / problem.poses.len() as f64),
+            pose,
+        })
+    })?;
+    fit = weighted(problem, fit)?;
+    while let Some(bad) = outliers::contradicted(problem, &fit, what.model) {
+        let known = problem.knowledge(&fit);
+        if !known.is_some_and(|known| known.suffices()) {
+            // What is wrong then is another thing.
+            break;
+        }
+        if !bad.spared {
+            let poses = problem.poses;
+            let stuck = || input::stuck_axis(poses).map(|axis| Refusal::AxisStuck { axis });
+            let clipped = || input::clipped_axis(poses).map(|axis| Refusal::Saturated { axis });
+            let refusal = input::mixed_units(poses).or_else(stuck).or_else(clipped);
+            return Err(refusal.unwrap_or(Refusal::PoseContradicted {
+                pose: bad.pose,
+                or: bad.or,
+                off_mps2: bad.off_mps2,
+            }));
+        }
+        problem.rejected = problem.rejected.with(bad.pose);
+        problem.weighting = Weighting::EQUAL;
+        fit = problem
+            .solve(&fit.theta, Without::Nothing)
+            .ok_or(Refusal::NotConverged)?;
+        fit = weighted(problem, fit)?;
+    }
+    Ok(fit)
+}
+
+/// Weights the poses, where all have noise, and fits again.
+fn weighted<R: Real, const N: usize>(
+    problem: &mut Magnitude<N>,
+    mut fit: Fit<R, N>,
+) -> Result<Fit<R, N>, Refusal> {
     if problem
         .poses
         .iter()

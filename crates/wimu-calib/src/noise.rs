@@ -10,6 +10,7 @@ use core::fmt;
 use course::Course;
 use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
+pub use ends::stops_at_limit;
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
@@ -461,10 +462,15 @@ impl<R: Scalar> AllanVariance<R> {
         };
         let squares: f64 = (0..3).map(|axis| mean(axis) * mean(axis)).sum();
         let mean_mps2 = libm::sqrt(squares);
-        if let Some(hint) = input::unit(mean_mps2, STANDARD_GRAVITY_MPS2) {
+        let hint = input::unit(mean_mps2, STANDARD_GRAVITY_MPS2);
+        let moved = self.rest.moved();
+        // Of a sensor that was turned the mean is short whatever the unit; noise in a unit that is too large passes
+        // for motion.
+        let is_large = mean_mps2 > STANDARD_GRAVITY_MPS2;
+        if let Some(hint) = hint.filter(|_| is_large || moved.is_none()) {
             return Err(NoiseRefusal::UnexpectedMagnitude { mean_mps2, hint });
         }
-        if let Some((at_s, axis)) = self.rest.moved() {
+        if let Some((at_s, axis)) = moved {
             return Err(NoiseRefusal::NotAtRest { at_s, axis });
         }
         let counts = self.squares.map(|squares| squares.count as f64);
@@ -496,8 +502,6 @@ impl<R: Scalar> AllanVariance<R> {
             (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
         let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
         let step_mps2: f64 = self.step[axis].into();
-        // Of few steps the ends are the noise's own.
-        let is_fine = step_mps2 <= sample_sd_mps2;
         Ok(AxisNoise {
             velocity_random_walk: white.unwrap_or(Measured {
                 value: 0.0,
@@ -513,7 +517,7 @@ impl<R: Scalar> AllanVariance<R> {
             misfit,
             sample_sd_mps2,
             step_mps2,
-            clipped_samples: if is_fine { self.ends.clipped(axis) } else { 0 },
+            clipped_samples: self.ends.clipped(axis, sample_sd_mps2 / step_mps2),
         })
     }
 }

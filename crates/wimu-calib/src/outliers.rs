@@ -1,12 +1,25 @@
 //! Poses that the others contradict, and how much each counts.
 
+use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::{Real, double};
+use crate::linear::{Real, double, times};
 use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
 use crate::{Model, Pose, student};
 
 /// Chance that a good set of poses loses one.
 const SIGNIFICANCE: f64 = 1e-3;
+/// Chance that a good pose is left out as one that pulls the fit to itself,
+const CONTRADICTION: f64 = 0.01;
+/// and at most that a good set of poses is refused for one that it cannot spare.
+const UNSPARED: f64 = 0.1;
+/// Few residuals may be small by chance: poses of real sensors agree to no better than this, m/s², which adds so many of
+/// its squares to theirs.
+const REPEATS_MPS2: f64 = 0.002;
+const REPEATS: f64 = 2.0;
+/// Chance at which one of two poses still contradicts the rest without the other.
+const EITHER: f64 = 0.01;
+/// Poses that are tried one by one: those without which a linear fit would leave least.
+const TRIED: usize = 3;
 /// Of more poses the bad ones may be more than are named: all are left out that are far off.
 const MANY: usize = Rejected::MOST * 20;
 /// Fits of the poses that are not far off, each by the one before.
@@ -139,12 +152,7 @@ pub(crate) fn reject<R: Real, const N: usize>(
     if count > MANY {
         return leave_far_off(problem, fit, model);
     }
-    let most = problem
-        .visits
-        .apart(count)
-        .saturating_sub(N + LEAST_DOF)
-        .min(count / DOUBTED)
-        .min(Rejected::MOST);
+    let most = spare(problem);
     if most == 0 {
         return Ok(fit);
     }
@@ -171,6 +179,115 @@ pub(crate) fn reject<R: Real, const N: usize>(
     }
     problem.rejected = Rejected::default();
     Ok(fit)
+}
+
+/// How many poses the data can spare.
+fn spare<const N: usize>(problem: &Magnitude<N>) -> usize {
+    let count = problem.poses.len();
+    problem
+        .visits
+        .apart(count)
+        .saturating_sub(N + LEAST_DOF)
+        .min(count / DOUBTED)
+        .min(Rejected::MOST)
+}
+
+/// A pose that the fit of all others contradicts.
+pub(crate) struct Contradicted {
+    pub pose: usize,
+    /// Another one without which nothing would contradict the rest.
+    pub or: Option<usize>,
+    /// |f| − g of it under the fit of the others, m/s².
+    pub off_mps2: f64,
+    /// Whether the data can do without it.
+    pub spared: bool,
+}
+
+/// The pose that most contradicts the fit of all others, if one does beyond chance, however much it pulled the fit
+/// to itself: equation (42d). Not looked for among very many poses, where one decides nothing.
+pub(crate) fn contradicted<R: Real, const N: usize>(
+    problem: &mut Magnitude<N>,
+    fit: &Fit<R, N>,
+    model: Model,
+) -> Option<Contradicted> {
+    let count = problem.poses.len();
+    let dof = problem.visited().apart.checked_sub(N + 1)?;
+    if count > MANY || dof == 0 {
+        return None;
+    }
+    let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
+    let beyond = |chance: f64| student::two_sided(chance / count as f64, dof as f64);
+    let limit = beyond(UNSPARED);
+    let tried = suspects(problem, fit).map(|pose| {
+        let pose = pose?;
+        let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2)?;
+        (deviate > limit).then_some((pose, off_mps2, deviate))
+    });
+    let found = tried.into_iter().flatten();
+    let (pose, off_mps2, deviate) = found.clone().max_by(|a, b| a.2.total_cmp(&b.2))?;
+    let kept = problem.rejected;
+    let or = found.map(|(other, ..)| other).find(|&other| {
+        if other == pose || dof == 1 {
+            return other != pose;
+        }
+        problem.rejected = kept.with(other);
+        let either = problem
+            .solve(&fit.theta, Without::Nothing)
+            .and_then(|without| doubt(problem, &without, pose, unfitted_mps2));
+        let limit = student::two_sided(EITHER, (dof - 1) as f64);
+        either.is_none_or(|(_, deviate)| deviate <= limit)
+    });
+    problem.rejected = kept;
+    let spared = or.is_none() && kept.count() < spare(problem);
+    (!spared || deviate > beyond(CONTRADICTION)).then_some(Contradicted {
+        pose,
+        or,
+        off_mps2,
+        spared,
+    })
+}
+
+/// The poses without which a linear fit would leave least.
+fn suspects<R: Real, const N: usize>(
+    problem: &Magnitude<N>,
+    fit: &Fit<R, N>,
+) -> [Option<usize>; TRIED] {
+    let mut worst = [(0.0, None); TRIED];
+    let Some(at) = Evaluated::new(&fit.theta, problem.terms) else {
+        return [None; TRIED];
+    };
+    for (k, pose) in problem.poses.iter().enumerate() {
+        if problem.is_rejected(k, pose) {
+            continue;
+        }
+        let (residual, row) = problem.weighted_row(&at, pose);
+        let left = 1.0 - double(row.dot(&times(&fit.inverse, &row)));
+        let residual = double(residual);
+        let mut candidate = (residual * residual / left.max(0.0), Some(k));
+        for place in &mut worst {
+            if candidate.0 > place.0 {
+                core::mem::swap(place, &mut candidate);
+            }
+        }
+    }
+    worst.map(|(_, pose)| pose)
+}
+
+/// Residual of a pose under the fit of all others, m/s², and in standard deviations of that prediction.
+fn doubt<R: Real, const N: usize>(
+    problem: &Magnitude<N>,
+    fit: &Fit<R, N>,
+    pose: usize,
+    unfitted_mps2: f64,
+) -> Option<(f64, f64)> {
+    let inside = problem.poses.len() - problem.rejected.count();
+    let without = problem.solve(&fit.theta, Without::Pose(pose))?;
+    let (residual, growth) = problem.predicted(&without, pose)?;
+    let dof = inside.checked_sub(N + 1).filter(|dof| *dof > 0)?;
+    let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
+    let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
+    let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
+    Some((residual, residual.abs() / libm::sqrt(variance)))
 }
 
 /// What a model leaves out is no pose's fault, m/s², 1 σ.

@@ -123,6 +123,16 @@ pub enum Refusal {
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
+    /// The others contradict a pose beyond chance, and cannot spare it, or another could be the bad one
+    /// as well.
+    PoseContradicted {
+        /// The pose that fits worst to the others, its index.
+        pose: usize,
+        /// Another one without which the rest would agree as well.
+        or: Option<usize>,
+        /// |f| − g of the pose under the model fitted without it, m/s².
+        off_mps2: f64,
+    },
     /// No error model makes these poses of one magnitude.
     PoorFit {
         /// In-sample error, m/s² rms.
@@ -292,7 +302,8 @@ impl fmt::Display for Refusal {
                 "nothing tells of {term}: {}",
                 match term {
                     Term::Drift => "the poses have no times, or all the same",
-                    _ => "a pose has no temperature, or all have the same",
+                    _ => "a pose has no temperature, or all have the same within 1 K: warm or cool the sensor \
+                          between poses",
                 }
             ),
             Self::NotATurn { pose, steps } => write!(
@@ -349,6 +360,20 @@ impl fmt::Display for Refusal {
                      those you have"
                 )?;
                 smaller(out, instead)
+            }
+            Self::PoseContradicted { pose, or, off_mps2 } => {
+                write!(
+                    out,
+                    "pose {pose} (from 0) is {:.0} mm/s² from what the others say, which is no chance",
+                    off_mps2.abs() * 1e3
+                )?;
+                if let Some(other) = or {
+                    write!(out, "; or pose {other} is the bad one, which too few poses tell apart")?;
+                }
+                out.write_str(
+                    ": the sensor was moved, touched or at its limit then; hold it so again, or leave that \
+                     pose out, and add two in other orientations",
+                )
             }
             Self::PoorFit { rms_mps2, pose } => write!(
                 out,

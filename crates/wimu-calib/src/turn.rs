@@ -4,7 +4,7 @@ use core::f64::consts::{PI, TAU};
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use crate::estimate::{Residuals, TermDeviations};
+use crate::estimate::{Residuals, TermDeviations, USUAL_BIAS_MPS2};
 use crate::linear::{Real, double, real};
 use crate::outliers::Rejected;
 use crate::terms::{self, PERFECT, Terms};
@@ -26,10 +26,19 @@ const MOST_STEP_ERROR: f64 = 0.0873;
 /// How far two axes may be from alike and at right angles, as what unequal steps make of them: twice
 /// the 3 % of a sensitivity, twice the 2 % across, and a step error of 5°.
 const MOST_ELLIPTIC: f64 = 0.15;
+/// A step error of σ makes it σ √(8/n) rms.
+const ELLIPTIC_OF_STEPS: f64 = 8.0;
 /// What the axis that is turned about may read in step with the turn, in g: 5.7° from square.
 const MOST_LEAN: f64 = 0.1;
-/// What it may read on average, in g, where no turn shows its bias: 200 mg, or 11.5° from level.
-const MOST_BIAS: f64 = 0.2;
+/// Where no turn shows the bias of the axis turned about, what it reads may be that or a tilt: so many standard
+/// deviations of both, and it counts as either.
+const DOUBTFUL: f64 = 2.0;
+/// How far two axes of a usual sensor are from alike and at right angles, 1 σ: 3 % of sensitivity and 2 % across,
+/// of each; and what is so many times that counts as steps that were off.
+const USUAL_ELLIPTIC: f64 = 0.051;
+const BEYOND_USUAL: f64 = 1.4;
+/// A standard deviation that two numbers tell may be so many times as large.
+const BY_TWO_NUMBERS: f64 = 2.0;
 /// So many standard deviations are no chance.
 const BEYOND_CHANCE: f64 = 3.3;
 
@@ -126,8 +135,24 @@ struct Axis<R> {
 }
 
 impl<R: Real> Axis<R> {
-    /// Of several turns: each value by its own weight.
+    /// Of several turns: each value by its own weight. What they differ by is another check.
     fn merge(self, other: Self) -> Self {
+        let apart = |a: R, b: R, variance: R| {
+            if variance > R::zero() {
+                (a - b) * (a - b) / variance
+            } else {
+                R::zero()
+            }
+        };
+        let differ = apart(
+            self.bias,
+            other.bias,
+            self.bias_variance + other.bias_variance,
+        ) + apart(
+            self.scale,
+            other.scale,
+            self.scale_variance + other.scale_variance,
+        );
         let weight = |a: R, b: R| {
             if a + b > R::zero() {
                 b / (a + b)
@@ -146,7 +171,7 @@ impl<R: Real> Axis<R> {
             bias_variance: square(b, self.bias_variance, other.bias_variance),
             scale_variance: square(s, self.scale_variance, other.scale_variance),
             both: b * s * self.both + rest(b) * rest(s) * other.both,
-            misfit: self.misfit + other.misfit,
+            misfit: self.misfit + other.misfit + differ,
         }
     }
 }
@@ -233,14 +258,31 @@ fn turns<R: Real, const N: usize>(
                 off_rad: double(lean),
             });
         }
+        // Unequal steps make of two axes what no usual sensor has; of three nothing else shows them.
+        let unlike = elliptic::<R, N>(turn, [a, b]) / USUAL_ELLIPTIC;
+        let seen_rad = if N == 3 && unlike > BEYOND_USUAL {
+            let of_steps = USUAL_ELLIPTIC * libm::sqrt(unlike * unlike - 1.0);
+            BY_TWO_NUMBERS * of_steps * libm::sqrt(N as f64 / ELLIPTIC_OF_STEPS)
+        } else {
+            0.0
+        };
+        let steps_sd_rad = libm::hypot(placement.sd_rad(), seen_rad);
         for axis in [a, b] {
-            let mut found = one_axis(turn, axis, gravity_mps2, placement);
+            let said = one_axis(turn, axis, gravity_mps2, placement.sd_rad());
+            let mut found = Axis {
+                bias: said.bias,
+                scale: said.scale,
+                ..one_axis(turn, axis, gravity_mps2, steps_sd_rad)
+            };
             if double(lean) > BEYOND_CHANCE * libm::hypot(placement.sd_rad(), CROSS_AXIS) {
                 // It shortens one of them or both.
                 found.scale_variance += quarter * lean * lean * lean * lean;
             }
             axes[axis] = Some(match axes[axis] {
-                Some(before) => before.merge(found),
+                Some(before) => {
+                    checks += 2;
+                    before.merge(found)
+                }
                 None => found,
             });
             checks += N - 3;
@@ -253,9 +295,11 @@ fn turns<R: Real, const N: usize>(
             continue;
         };
         let reads = Harmonic::<R>::along(turn, still).mean;
+        // What it may be off by: a bias that nothing shows is as large as usual.
+        let either = libm::hypot(USUAL_BIAS_MPS2 / g, placement.sd_rad());
         let (off, most) = match axes[still] {
             Some(known) => ((reads - known.bias) / gravity_mps2, MOST_STEP_ERROR),
-            None => (reads / gravity_mps2, MOST_BIAS),
+            None => (reads / gravity_mps2, BEYOND_CHANCE * either),
         };
         let off_rad = double(off.abs());
         if off_rad > most {
@@ -265,7 +309,11 @@ fn turns<R: Real, const N: usize>(
                 off_rad,
             });
         }
-        if axes[still].is_some() && off_rad > BEYOND_CHANCE * placement.sd_rad() {
+        let doubtful = match axes[still] {
+            Some(_) => BEYOND_CHANCE * placement.sd_rad(),
+            None => DOUBTFUL * either,
+        };
+        if off_rad > doubtful {
             let in_plane = axes
                 .iter_mut()
                 .enumerate()
@@ -366,12 +414,9 @@ fn quarter_off<R: Real>(a: &Harmonic<R>, b: &Harmonic<R>) -> R {
 /// How unequal the steps were, rad rms, as far as the readings tell: what two axes of one body cannot
 /// read of equal steps.
 fn step_error<R: Real, const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: f64) -> f64 {
-    let [one, other] = [a, b].map(|axis| Harmonic::<R>::along(turn, axis));
-    let longer = (one.size() / other.size()).ln();
-    let elliptic = double(longer.hypot(quarter_off(&one, &other)));
-    // A step error of σ makes it σ √(8/n) rms.
+    let elliptic = elliptic::<R, N>(turn, [a, b]);
     let shown = if elliptic > MOST_ELLIPTIC {
-        elliptic * libm::sqrt(N as f64 / 8.0)
+        elliptic * libm::sqrt(N as f64 / ELLIPTIC_OF_STEPS)
     } else {
         0.0
     };
@@ -380,6 +425,13 @@ fn step_error<R: Real, const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: 
     }
     let odd = |axis: usize| odd(&readings::<R, N>(turn, axis));
     shown.max(double(odd(a).hypot(odd(b))) / (2.0 * g))
+}
+
+/// How far two axes are from alike and at right angles.
+fn elliptic<R: Real, const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2]) -> f64 {
+    let [one, other] = [a, b].map(|axis| Harmonic::<R>::along(turn, axis));
+    let longer = (one.size() / other.size()).ln();
+    double(longer.hypot(quarter_off(&one, &other)))
 }
 
 /// Readings of even steps less those of odd ones.
@@ -397,7 +449,7 @@ fn one_axis<R: Real, const N: usize>(
     turn: &[Pose; N],
     axis: usize,
     g: R,
-    placement: Placement,
+    placement_sd_rad: f64,
 ) -> Axis<R> {
     let n: R = real(N as f64);
     let two: R = real(2.0);
@@ -405,7 +457,7 @@ fn one_axis<R: Real, const N: usize>(
     let harmonic = Harmonic::of(readings);
     let amplitude = harmonic.size();
     let begin = -harmonic.phase();
-    let tilt: R = real(placement.sd_rad() * placement.sd_rad());
+    let tilt: R = real(placement_sd_rad * placement_sd_rad);
     let cross: R = real(CROSS_AXIS * CROSS_AXIS);
     let (mut sum, mut along, mut across, mut both) = (R::zero(), R::zero(), R::zero(), R::zero());
     for (k, pose) in turn.iter().enumerate() {

@@ -142,6 +142,48 @@ fn intervals_of_multi_position_cover_the_truth_for_every_model() {
 }
 
 #[test]
+fn intervals_include_a_gravity_that_is_not_known() {
+    for count in [12, 13, 16, 30] {
+        let (mut bias, mut scale, mut misalignment) = Default::default();
+        for seed in 0..SEEDS {
+            let mut sensor = sensor(seed, |_, _| {});
+            let gravity = Gravity::UNKNOWN_PLACE;
+            let local = gravity.mps2() + gravity.sd_mps2() * sensor.random.normal();
+            let mut ups = twelve().to_vec();
+            ups.extend((12..count).map(|_| sensor.random.direction()));
+            let poses: Vec<Pose> = ups
+                .into_iter()
+                .map(|up| {
+                    let mut pose = pose(&sensor.model, local, up);
+                    for axis in &mut pose.mean_mps2 {
+                        *axis += 0.003 * sensor.random.normal();
+                    }
+                    pose
+                })
+                .collect();
+            let what = MultiPosition {
+                reject: true,
+                ..MultiPosition::default()
+            };
+            let estimate = multi_position_with(&poses, gravity, what).expect("an answer");
+            let (found, truth) = (parameters(&estimate.model), parameters(&sensor.model));
+            for parameter in estimate.fitted.iter() {
+                let i = parameter.index();
+                let coverage: &mut Coverage = match i {
+                    0..3 => &mut bias,
+                    3 | 7 | 11 => &mut scale,
+                    _ => &mut misalignment,
+                };
+                coverage.add(found[i] - truth[i], estimate.half_width_95(parameter));
+            }
+        }
+        bias.assert_honest(&format!("{count} poses, gravity not known, bias"));
+        scale.assert_honest(&format!("{count} poses, gravity not known, scale factor"));
+        misalignment.assert_honest(&format!("{count} poses, gravity not known, misalignment"));
+    }
+}
+
+#[test]
 fn intervals_of_the_terms_cover_the_truth() {
     for term in Term::ALL {
         let (mut basic, mut own) = (Coverage::default(), Coverage::default());

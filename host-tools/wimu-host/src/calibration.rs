@@ -166,7 +166,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
             None => gravity.mps2() / median_magnitude(data),
         },
     };
-    let mut found = poses(data, scale);
+    let mut found = poses(data, scale, gravity.mps2());
     let repeated = match options.method {
         MethodChoice::MultiPosition => found.take_out_repeated(),
         _ => 0,

@@ -41,7 +41,7 @@ impl Poses {
     }
 }
 
-pub(super) fn poses(data: &Dataset, scale: f64) -> Poses {
+pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {
     let si = |output: &Output| output.value.map(|axis| axis * scale);
     let forces: Vec<[f64; 3]> = data.outputs.iter().map(si).collect();
     let lsb_mps2 = matches!(data.unit, OutputUnit::Counts { .. }).then_some(scale);
@@ -59,7 +59,9 @@ pub(super) fn poses(data: &Dataset, scale: f64) -> Poses {
         data.rests(&forces)
     };
     let mut saturated = saturation::full_scale(&forces, &poses, lsb_mps2);
-    if !data.poses {
+    if data.poses {
+        saturated = saturated.or_else(|| saturation::equal_ends(&poses, gravity_mps2));
+    } else {
         saturated = saturated.or_else(|| saturation::at_rest(forces.into_iter(), &poses));
     }
     Poses {

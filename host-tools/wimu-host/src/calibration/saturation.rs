@@ -1,12 +1,6 @@
 //! Axes that stood at their limit.
 
-use wimu_calib::Pose;
-
-/// So many samples at rest at one end of an axis, and so many times those at the next value, are at its
-/// limit, where noise is more than so many steps of the output: of free ones few are at their end.
-const AT_THE_LIMIT: usize = 10;
-const PER_NEXT: usize = 3;
-const FINE_STEPS: f64 = 2.0;
+use wimu_calib::{Pose, stops_at_limit};
 
 /// The axis that stood at its limit in some poses, all the time or when its noise took it there.
 pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
@@ -45,11 +39,9 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
                     None => break,
                 }
             }
-            counts[0] >= AT_THE_LIMIT && counts[0] >= PER_NEXT * counts[1]
+            stops_at_limit(counts[0], counts[1], usual / step)
         };
-        usual > FINE_STEPS * step
-            && (at_limit(&mut values.iter().copied())
-                || at_limit(&mut values.iter().rev().copied()))
+        at_limit(&mut values.iter().copied()) || at_limit(&mut values.iter().rev().copied())
     })
 }
 
@@ -83,4 +75,31 @@ pub(super) fn full_scale(
     at().next()
         .filter(|_| at().count() >= ENDS)
         .map(|(axis, _)| axis)
+}
+
+/// So many of the six ends of the axes are not of one size, to the last digit, by chance,
+const EQUAL_ENDS: usize = 3;
+/// unless it is gravity, within this share, as of a perfect sensor.
+const GRAVITY_ITSELF: f64 = 0.003;
+
+/// An axis that reads no more than other axes do, or as much up as down, to the last digit: a limit that nobody
+/// declared. Where digits are so few that other readings are equal, too, it tells nothing.
+pub(super) fn equal_ends(poses: &[Pose], gravity_mps2: f64) -> Option<usize> {
+    let mut sizes: Vec<f64> = poses
+        .iter()
+        .flat_map(|pose| pose.mean_mps2.map(f64::abs))
+        .collect();
+    sizes.sort_by(f64::total_cmp);
+    let limit = *sizes.last()?;
+    let below = sizes.partition_point(|size| *size < limit);
+    let coarse = sizes[..below].windows(2).any(|pair| pair[0] == pair[1]);
+    if coarse || (limit / gravity_mps2 - 1.0).abs() < GRAVITY_ITSELF {
+        return None;
+    }
+    let reaches = |&(axis, end): &(usize, f64)| poses.iter().any(|p| p.mean_mps2[axis] == end);
+    let ends = (0..3).flat_map(|axis| [(axis, limit), (axis, -limit)]);
+    let at: Vec<(usize, f64)> = ends.filter(reaches).collect();
+    at.first()
+        .filter(|_| at.len() >= EQUAL_ENDS)
+        .map(|(axis, _)| *axis)
 }

@@ -97,7 +97,7 @@ pub fn update(
         OutputUnit::Mps2 => 1.0,
         OutputUnit::Counts { .. } => stored.sensitivity.mps2_per_lsb(),
     };
-    let found = poses(data, scale).poses;
+    let found = poses(data, scale, gravity.mps2()).poses;
     let rest = |pose: &Pose| {
         let said = check.push(pose)?;
         Some(RestReport {

@@ -25,13 +25,44 @@ pub(crate) fn check<'a>(
     }
     let mean_mps2 = sum / count;
     match unit(mean_mps2, gravity.mps2()) {
-        Some(hint) => Err(Refusal::UnexpectedMagnitude { mean_mps2, hint }),
+        Some(hint) => Err(match stands(poses, mean_mps2) {
+            Some(axis) => Refusal::AxisStuck { axis },
+            None => Refusal::UnexpectedMagnitude { mean_mps2, hint },
+        }),
         None => match silent_at_its_end(poses.clone()).or_else(|| nothing_between(poses)) {
             Some(axis) => Err(Refusal::Saturated { axis }),
             None => Ok(()),
         },
     }
 }
+
+/// The axis that is nearly all of the magnitude in every pose while another turns: stuck at full scale.
+fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> Option<usize> {
+    let ends = |axis: usize| {
+        poses
+            .clone()
+            .map(move |pose| pose.mean_mps2[axis])
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
+                [low.min(y), high.max(y)]
+            })
+    };
+    let spread = |axis: usize| {
+        let [low, high] = ends(axis);
+        (high - low) / mean_mps2
+    };
+    let stuck = (0..3).find(|&axis| {
+        let [low, high] = ends(axis);
+        spread(axis) < STANDS && low.abs().min(high.abs()) > MOST_OF_IT * mean_mps2
+    })?;
+    (0..3)
+        .any(|axis| axis != stuck && spread(axis) > TURNS)
+        .then_some(stuck)
+}
+
+/// Of the mean magnitude: the spread of an axis that stands, how much it reads then, and the spread of one that turns.
+const STANDS: f64 = 0.01;
+const MOST_OF_IT: f64 = 0.7;
+const TURNS: f64 = 0.1;
 
 /// How many poses differ, counted up to `enough`: one that is equal to another to the last digit is the
 /// same again.

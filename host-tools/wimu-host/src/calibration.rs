@@ -264,6 +264,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         .chain(remarks(
             data,
             options,
+            &fitted,
             estimate.as_ref(),
             sensitivity.zip(range),
             lsb_per_g,

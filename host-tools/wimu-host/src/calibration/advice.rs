@@ -21,6 +21,8 @@ pub(super) fn next_poses(
         Refusal::NotObservable { .. }
         | Refusal::Confounded { .. }
         | Refusal::PoorPrediction { .. } => advice(poses, options, 1),
+        // One in place of the bad one, and one to tell it from.
+        Refusal::PoseContradicted { .. } => advice(poses, options, 2),
         Refusal::PoseMissing { .. } => Face::ALL
             .into_iter()
             .filter(|face| poses.iter().all(|pose| Face::of(pose) != Some(*face)))

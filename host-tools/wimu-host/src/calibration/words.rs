@@ -1,6 +1,6 @@
 //! What a calibration says beside its numbers.
 
-use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal};
+use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term};
 use wimu_model::Sensitivity;
 
 use super::input::{magnitude, median_magnitude};
@@ -56,6 +56,12 @@ pub(super) fn reason(
     if has == 1 && !data.poses {
         reason += "; what a sensor that lies still tells is its noise: `wimu allan`";
     }
+    if matches!(
+        refusal,
+        Refusal::PoorFit { .. } | Refusal::PoseContradicted { .. }
+    ) {
+        reason.extend(what_changed(poses, options));
+    }
     let lacks = matches!(
         refusal,
         Refusal::TooFewPoses { .. }
@@ -78,6 +84,31 @@ pub(super) fn reason(
     reason
 }
 
+/// What may have moved the bias between poses that one bias does not fit, and what fits that.
+fn what_changed(poses: &[Pose], options: &CalibrateOptions) -> Option<String> {
+    let of = |value: fn(&Pose) -> Option<f64>| {
+        let values: Option<Vec<f64>> = poses.iter().map(value).collect();
+        let values = values.filter(|values| !values.is_empty())?;
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        Some([low, high])
+    };
+    let warmed = options.terms.contains(Term::BiasTemperature);
+    if options.method != MethodChoice::MultiPosition || warmed {
+        return None;
+    }
+    if let Some([low, high]) = of(|pose| pose.temperature_c).filter(|[low, high]| high - low >= 1.0)
+    {
+        return Some(format!(
+            "; the temperature went from {low:.0} to {high:.0} °C meanwhile: --model auto+temperature fits what that \
+             does to the sensor"
+        ));
+    }
+    let tried = options.terms.contains(Term::Drift) || options.model == ModelChoice::Auto;
+    let [begin, end] = of(|pose| Some(pose.time_s)).filter(|_| !tried)?;
+    (end > begin).then(|| "; or the bias moved meanwhile: --model auto+drift fits that".to_owned())
+}
+
 /// More rows than anyone has poses.
 const MOST_MEANS: usize = 2000;
 
@@ -93,6 +124,63 @@ fn looks_like_means(data: &Dataset, found: usize) -> bool {
     data.rate_source == RateSource::Assumed && 10 * alike >= 9 * data.outputs.len()
 }
 
+/// Poses left out because they are in g among m/s².
+fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<String> {
+    let g = estimate.gravity.mps2();
+    let short = |k: &&usize| {
+        let pose = poses.get(**k);
+        pose.is_some_and(|pose| (7.3..13.0).contains(&(g / magnitude(pose.mean_mps2))))
+    };
+    let short: Vec<String> = estimate
+        .rejected
+        .as_slice()
+        .iter()
+        .filter(short)
+        .map(usize::to_string)
+        .collect();
+    let one = short.len() == 1;
+    (!short.is_empty()).then(|| {
+        format!(
+            "pose{} {} (from 0), left out, look{} like g among poses in m/s²: give all in one unit",
+            if one { "" } else { "s" },
+            short.join(", "),
+            if one { "s" } else { "" },
+        )
+    })
+}
+
+/// What turns cannot show of themselves.
+fn what_a_turn_hides(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
+    let steps = match estimate.method {
+        Method::FourAngle => 4,
+        Method::ThreeAngle => 3,
+        _ => return Vec::new(),
+    };
+    let mut remarks = Vec::new();
+    let unseen = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ]
+        .into_iter()
+        .position(|bias| !estimate.fitted.contains(bias));
+    if let Some(axis) = unseen {
+        let mean = poses.iter().map(|pose| pose.mean_mps2[axis]).sum::<f64>() / poses.len() as f64;
+        let share = (mean / estimate.gravity.mps2()).abs().min(1.0);
+        remarks.push(format!(
+            "all turns were about {}, which reads {mean:+.2} m/s²: that is its bias, or an axle {:.0}° from level, \
+             which takes {:.1} % from the scale factors; a turn about another axis tells which",
+            ["X", "Y", "Z"][axis],
+            share.asin().to_degrees(),
+            100.0 * (1.0 - (1.0 - share * share).sqrt()),
+        ));
+    }
+    if steps == 3 && poses.len() == steps {
+        remarks.push(
+            "nothing is left of three steps to check them by: one that is 8° off passes for 4 % of scale factor; \
+             --method four-angle shows it"
+                .to_owned(),
+        );
+    }
+    remarks
+}
+
 /// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 
@@ -104,6 +192,7 @@ pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g, not in coun
 pub(super) fn remarks(
     data: &Dataset,
     options: &CalibrateOptions,
+    poses: &[Pose],
     estimate: Option<&Estimate>,
     told: Option<(Sensitivity, Range)>,
     lsb_per_g: Option<f64>,
@@ -175,6 +264,8 @@ pub(super) fn remarks(
             ));
         }
     }
+    remarks.extend(in_another_unit(poses, estimate));
+    remarks.extend(what_a_turn_hides(poses, estimate));
     let left = estimate.rms_mps2 * 1e3;
     if left > SUSPICIOUS_RMS_MM_S2 && estimate.rejected.as_slice().is_empty() {
         remarks.push(format!(

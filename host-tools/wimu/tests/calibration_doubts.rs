@@ -246,3 +246,21 @@ fn a_board_in_counts_that_was_turned_while_its_noise_was_taken_is_said_to_have_m
         "{said}"
     );
 }
+
+#[test]
+fn a_sensor_that_is_turned_slowly_all_the_time_is_told_to_rest() {
+    let mut noise = noise();
+    let rows = (0..6000).map(|k| {
+        let time = f64::from(k) * 0.02;
+        // 3° in a second, about an axis that wanders.
+        let (along, angle) = (0.4 * (0.05 * time).sin(), (3.0 * time).to_radians());
+        let flat = (1.0 - along * along).sqrt();
+        let mean = output([flat * angle.cos(), flat * angle.sin(), along]);
+        (time, mean.map(|y| y + 0.005 * noise()), None)
+    });
+    let said = reason(&csv("m/s²", rows), &[]);
+    assert!(
+        said.contains("turned all the time, by 3° in a second"),
+        "{said}"
+    );
+}

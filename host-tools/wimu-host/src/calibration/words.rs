@@ -3,7 +3,7 @@
 use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term};
 use wimu_model::Sensitivity;
 
-use super::input::{magnitude, median_magnitude};
+use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
 use super::{CalibrateOptions, MethodChoice, ModelChoice};
 use crate::dataset::{Dataset, Output, RateSource};
@@ -52,6 +52,11 @@ pub(super) fn reason(
     let mut reason = refusal.to_string();
     if looks_like_means(data, has) {
         return reason + "; the rows look like means over static poses: if they are, add --poses";
+    }
+    if let (Refusal::TooFewPoses { .. }, Some(per_s)) = (refusal, turned_slowly(data)) {
+        reason += &format!(
+            "; the sensor was turned all the time, by {per_s:.0}° in a second: a pose is where it stands still"
+        );
     }
     if has == 1 && !data.poses {
         reason += "; what a sensor that lies still tells is its noise: `wimu allan`";
@@ -111,6 +116,35 @@ fn what_changed(poses: &[Pose], options: &CalibrateOptions) -> Option<String> {
 
 /// More rows than anyone has poses.
 const MOST_MEANS: usize = 2000;
+
+/// In degrees per second, of seconds that nearly all differ: as of a sensor that nobody puts down.
+const SLOW_TURN: std::ops::RangeInclusive<f64> = 0.5..=30.0;
+
+/// How fast a sensor was turned, degrees per second, that never stood still and was not shaken either.
+fn turned_slowly(data: &Dataset) -> Option<f64> {
+    let second = data.rate_hz.round().max(1.0) as usize;
+    let means: Vec<[f64; 3]> = data
+        .outputs
+        .chunks_exact(second)
+        .filter(|_| !data.poses)
+        .map(|samples| {
+            let sum = |axis: usize| samples.iter().map(|sample| sample.value[axis]).sum::<f64>();
+            [0, 1, 2].map(|axis| sum(axis) / second as f64)
+        })
+        .collect();
+    let between = |pair: &[[f64; 3]]| {
+        let dot: f64 = (0..3).map(|axis| pair[0][axis] * pair[1][axis]).sum();
+        let cosine = dot / (magnitude(pair[0]) * magnitude(pair[1]));
+        cosine.clamp(-1.0, 1.0).acos().to_degrees()
+    };
+    let angles: Vec<f64> = means.windows(2).map(between).collect();
+    let turning = angles
+        .iter()
+        .filter(|angle| SLOW_TURN.contains(angle))
+        .count();
+    let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
+    median(angles.into_iter()).filter(|_| enough)
+}
 
 /// Whether rows among which hardly a rest is found are each of the length of gravity, and too far apart
 /// for samples.

@@ -124,7 +124,7 @@ impl Estimate {
         if share > 0.0 {
             dof / (share * share)
         } else {
-            dof
+            f64::INFINITY
         }
     }
 

@@ -36,6 +36,11 @@ pub(crate) fn check<'a>(
     }
 }
 
+/// Of the mean magnitude: the spread of an axis that stands, how much it reads then, and the spread of one that turns.
+const STANDS: f64 = 0.01;
+const MOST_OF_IT: f64 = 0.7;
+const TURNS: f64 = 0.1;
+
 /// The axis that is nearly all of the magnitude in every pose while another turns: stuck at full scale.
 fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> Option<usize> {
     let ends = |axis: usize| {
@@ -58,11 +63,6 @@ fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> 
         .any(|axis| axis != stuck && spread(axis) > TURNS)
         .then_some(stuck)
 }
-
-/// Of the mean magnitude: the spread of an axis that stands, how much it reads then, and the spread of one that turns.
-const STANDS: f64 = 0.01;
-const MOST_OF_IT: f64 = 0.7;
-const TURNS: f64 = 0.1;
 
 /// How many poses differ, counted up to `enough`: one that is equal to another to the last digit is the
 /// same again.

@@ -93,7 +93,7 @@ pub(super) fn equal_ends(poses: &[Pose], gravity_mps2: f64) -> Option<usize> {
     let limit = *sizes.last()?;
     let below = sizes.partition_point(|size| *size < limit);
     let coarse = sizes[..below].windows(2).any(|pair| pair[0] == pair[1]);
-    if coarse || (limit / gravity_mps2 - 1.0).abs() < GRAVITY_ITSELF {
+    if below == 0 || coarse || (limit / gravity_mps2 - 1.0).abs() < GRAVITY_ITSELF {
         return None;
     }
     let reaches = |&(axis, end): &(usize, f64)| poses.iter().any(|p| p.mean_mps2[axis] == end);

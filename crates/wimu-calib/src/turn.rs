@@ -144,15 +144,12 @@ impl<R: Real> Axis<R> {
                 R::zero()
             }
         };
-        let differ = apart(
-            self.bias,
-            other.bias,
-            self.bias_variance + other.bias_variance,
-        ) + apart(
-            self.scale,
-            other.scale,
-            self.scale_variance + other.scale_variance,
-        );
+        // In two planes the norms of one row differ by the squares of what is across, halved.
+        let across: R = real(CROSS_AXIS * CROSS_AXIS);
+        let of_scale = self.scale_variance + other.scale_variance + across * across;
+        let of_bias = self.bias_variance + other.bias_variance;
+        let differ =
+            apart(self.bias, other.bias, of_bias) + apart(self.scale, other.scale, of_scale);
         let weight = |a: R, b: R| {
             if a + b > R::zero() {
                 b / (a + b)

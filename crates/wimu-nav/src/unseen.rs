@@ -95,6 +95,22 @@ impl<R: Real> Unseen<R> {
         }
     }
 
+    /// So much of the velocity's variance is none any more.
+    pub fn forget(&mut self, share: R) {
+        for axis in &mut self.0 {
+            axis.speed2 += -share * axis.speed2;
+        }
+    }
+
+    /// The way is measured from where it was so long ago, s, at the velocity that it has.
+    pub fn restart_before(&mut self, back_s: R) {
+        for axis in &mut self.0 {
+            axis.push_way = back_s * axis.push_speed;
+            axis.speed_way = back_s * axis.speed2;
+            axis.way2 = back_s * back_s * axis.speed2;
+        }
+    }
+
     /// (m/s)².
     pub fn speed2(&self) -> Vector<R> {
         core::array::from_fn(|i| self.0[i].speed2)

@@ -226,13 +226,71 @@ fn a_gyroscopes_offset_is_found_at_the_first_rest() {
     assert!(state.quaternion[0].abs() > 0.9999, "{state:?}");
 }
 
+/// At rest for so long, s, with a gap of 1 s before the last two where one is asked for; then 0.5 m east in 2 s.
+fn move_after(rest_s: f64, gap: bool, zupt: Zupt) -> [UnitState; 2] {
+    let mut random = Random(17);
+    let mut filter = UnitFilter::new(UnitConfig { zupt, ..config() });
+    let (rest, last) = ((rest_s * RATE) as u32, 2.0);
+    let mut before = filter.state();
+    for k in 0..rest + 200 {
+        let tau = (f64::from(k) - f64::from(rest)) / RATE / last;
+        let push = if tau > 0.0 {
+            0.5 * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (last * last)
+        } else {
+            before = filter.state();
+            0.0
+        };
+        let mut sample = at_rest(&mut random);
+        sample.force_mps2[0] += push;
+        sample.rate_rad_s = Some(random.normals(0.002));
+        if gap && k + 200 == rest {
+            sample.step_s = 1.0;
+            assert_eq!(filter.push(&sample), Err(UnitFault::Gap));
+            assert!(!filter.state().valid);
+        } else {
+            filter.push(&sample).unwrap();
+        }
+    }
+    [before, filter.state()]
+}
+
+#[test]
+fn a_long_rest_before_the_first_move_costs_little_and_so_does_a_gap_in_it() {
+    for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
+        let [_, usual] = move_after(4.0, false, zupt);
+        for (rest_s, gap) in [(120.0, false), (10.0, true)] {
+            let [before, moved] = move_after(rest_s, gap, zupt);
+            if gap && zupt == Zupt::Off {
+                // Nothing says then that it rests.
+                assert!(!moved.valid);
+                continue;
+            }
+            assert!(before.at_origin && before.valid, "{before:?}");
+            assert!(before.position_m == [0.0; 3], "{before:?}");
+            assert!(before.position_sd_m() < 0.05, "{before:?}");
+            assert!(moved.valid && !moved.at_origin, "{moved:?}");
+            let sd = moved.position_sd_m();
+            assert!(sd < 2.5 * usual.position_sd_m(), "{zupt:?} {sd}: {usual:?}");
+            let [e, n, u] = moved.position_m;
+            let off = ((e - 0.5).powi(2) + n * n + u * u).sqrt();
+            assert!(off < 3.0 * sd && sd < 0.25, "{zupt:?}: {off} of {sd}");
+        }
+    }
+}
+
 #[test]
 fn a_unit_at_rest_stays_where_it_is_with_zupt_and_gets_lost_without() {
-    for (zupt, least, most) in [(Zupt::Stated, 0.0, 0.02), (Zupt::Off, 0.5, 1e4)] {
+    for (zupt, least, most) in [(Zupt::Stated, 0.0, 0.15), (Zupt::Off, 0.5, 1e4)] {
         let mut random = Random(1);
         let mut filter = UnitFilter::new(UnitConfig { zupt, ..config() });
-        for _ in 0..6000 {
-            filter.push(&at_rest(&mut random)).unwrap();
+        for k in 0..6000 {
+            let mut sample = at_rest(&mut random);
+            if (300..340).contains(&k) {
+                // Shaken: from here on position is not that of the start.
+                sample.force_mps2[0] +=
+                    2.0 * (f64::from(k - 300) * std::f64::consts::PI / 20.0).sin();
+            }
+            filter.push(&sample).unwrap();
         }
         let state = filter.state();
         assert!(state.valid && state.resting && sane(&state));

@@ -7,7 +7,7 @@ pub use rests::{RestSpan, gap_s, median_step_s, rests};
 
 use std::path::Path;
 
-use wimu_nav::unit::UnitSample;
+use wimu_nav::unit::{UnitConfig, UnitSample};
 
 use crate::csv::CsvReader;
 use crate::{ErrorCode, HostError, Result};
@@ -31,6 +31,9 @@ impl Truth {
 
 /// The column that says whether the magnetic field is corrected.
 pub(crate) const FIELD_CALIBRATED: &str = "Field Calibrated";
+
+/// Deviations up to which something is likely.
+const LIKELY: f64 = 3.0;
 
 const RATE_UNITS: [(&str, f64); 3] = [
     ("rad/s", 1.0),
@@ -230,10 +233,19 @@ impl MotionRecording {
             .map(|(_, values)| values.as_slice())
     }
 
-    /// Mean |f| of the first second at rest, m/s²; standard gravity where there is no rest in the
-    /// first minute, or it is not within 10 % of gravity: an accelerometer that is not calibrated shows its
-    /// own.
-    pub fn gravity_at_first_rest(&self) -> f64 {
+    /// Gravity to navigate with, m/s²: the standard one, unless mean |f| of the first second at rest within the first minute
+    /// departs from it by more than the biases of a calibrated accelerometer explain, and less than 10 %: one that is
+    /// not calibrated shows its own. A small departure is no gravity: as a bias it turns with the unit.
+    pub fn gravity_mps2(&self) -> f64 {
+        let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+        let by_bias = LIKELY * UnitConfig::default().bias_mps2;
+        self.first_rest_mps2()
+            .filter(|seen| (seen - standard).abs() > by_bias)
+            .unwrap_or(standard)
+    }
+
+    /// Mean |f| of the first second at rest, where it may be gravity, m/s².
+    pub fn first_rest_mps2(&self) -> Option<f64> {
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
         let mut from = 0;
         while from < self.samples.len() && self.times_s[from] < self.times_s[0] + 60.0 {
@@ -249,11 +261,11 @@ impl MotionRecording {
             let spread =
                 window.iter().map(|s| (norm(s) - mean).powi(2)).sum::<f64>() / window.len() as f64;
             if spread < 0.15 * 0.15 && (mean / standard - 1.0).abs() < 0.1 {
-                return mean;
+                return Some(mean);
             }
             from = to;
         }
-        standard
+        None
     }
 }
 

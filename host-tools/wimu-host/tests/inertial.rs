@@ -40,6 +40,168 @@ fn slide() -> MotionRecording {
     recording
 }
 
+/// At rest for so long, s, before [`slide`]'s move; time jumps by `gap_s` a second before its end.
+fn slide_after(rest_s: f64, gap_s: f64) -> MotionRecording {
+    let mut recording = MotionRecording::default();
+    let moved = slide();
+    let before = (rest_s * 100.0) as usize;
+    for k in 0..before + moved.samples.len() {
+        let after = k.checked_sub(before);
+        let from = after.unwrap_or(k % 100);
+        let mut sample = moved.samples[from];
+        sample.rate_rad_s = Some([0.001, -0.002, 0.0015].map(|r| r * ((k * 31) % 7) as f64 / 3.0));
+        sample.step_s = if k == 0 { 0.0 } else { 0.01 };
+        if k + 100 == before {
+            sample.step_s += gap_s;
+        }
+        let last = recording.times_s.last().copied().unwrap_or_default();
+        recording.times_s.push(last + sample.step_s);
+        recording.samples.push(sample);
+        recording.truth.push(moved.truth[from]);
+    }
+    recording
+}
+
+#[test]
+fn position_is_measured_from_where_the_first_rest_ends_however_long_it_was() {
+    for (rest_s, gap_s) in [(2.0, 0.0), (120.0, 0.0), (10.0, 3600.0)] {
+        let recording = slide_after(rest_s, gap_s);
+        let choice = Choice {
+            method: Method::Strapdown,
+            ..Choice::default()
+        };
+        let path = navigate(&recording, &choice).unwrap();
+        let from = (rest_s * 100.0) as usize + 150;
+        assert!(
+            path.origin > from - 100 && path.origin < from + 60,
+            "{}",
+            path.origin
+        );
+        let moving = &path.points[from + 20..from + 150];
+        assert!(
+            moving.iter().all(|p| p.valid && p.sd_m() < 0.3),
+            "{rest_s} {gap_s}"
+        );
+        let end = path.points[from + 150].position_m[0] - path.points[path.origin].position_m[0];
+        assert!((end - 0.5).abs() < 0.1, "{rest_s}: {end}");
+        let (_, below) = path.consistency().unwrap();
+        assert!(below > 0.95, "{rest_s} {gap_s}: {below}");
+        // A jump of time is no motion.
+        assert!(path.horizon_s(0.05).is_none_or(|s| s < 3.0));
+        // The further back in the rest, the less is known where it was.
+        let at = |s: f64| path.points[path.origin - (100.0 * s) as usize].sd_m();
+        assert!(at(0.0) == 0.0 && at(0.5) > 0.0 && at(0.9) > at(0.5));
+    }
+}
+
+/// Two rests with a turn of 1 rad about x between, as a gyroscope with its scale times `scale` shows it.
+fn turned(scale: f64) -> MotionRecording {
+    let mut recording = MotionRecording::default();
+    for k in 0..600_u32 {
+        let t = f64::from(k) * 0.01;
+        let tau = (t - 2.5).clamp(0.0, 1.0);
+        let angle = tau * tau * (3.0 - 2.0 * tau);
+        let rate = 6.0 * tau * (1.0 - tau);
+        let noise = f64::from((k * 7919) % 13) * 0.003 - 0.018;
+        recording.times_s.push(t);
+        recording.samples.push(UnitSample {
+            step_s: if k == 0 { 0.0 } else { 0.01 },
+            force_mps2: [
+                noise,
+                9.80665 * angle.sin() - noise,
+                9.80665 * angle.cos() + noise,
+            ],
+            field_ut: None,
+            rate_rad_s: Some([scale * rate + 0.1 * noise, 0.1 * noise, -0.1 * noise]),
+        });
+        recording.truth.push(None);
+    }
+    recording
+}
+
+#[test]
+fn a_gyroscope_that_turns_the_other_way_than_gravity_is_left_out_and_said() {
+    let choice = Choice {
+        method: Method::Strapdown,
+        ..Choice::default()
+    };
+    let right = navigate(&turned(1.0), &choice).unwrap();
+    assert_eq!(right.method, Method::Strapdown);
+    assert!(
+        !right.remarks.iter().any(|r| r.contains("open")),
+        "{:?}",
+        right.remarks
+    );
+    for (scale, says) in [
+        (-1.0, "with its signs turned round"),
+        (0.3, "it is left out"),
+    ] {
+        let wrong = navigate(&turned(scale), &choice).unwrap();
+        assert_eq!(wrong.method, Method::Tilt);
+        assert!(
+            wrong.remarks.iter().any(|r| r.contains(says)),
+            "{:?}",
+            wrong.remarks
+        );
+    }
+}
+
+#[test]
+fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
+    let mut down = slide();
+    for sample in &mut down.samples {
+        sample.force_mps2 = sample.force_mps2.map(|f| -f);
+        sample.field_ut = Some([0.0, 20.0, -44.0]);
+    }
+    let path = navigate(&down, &Choice::default()).unwrap();
+    let said = path.remarks.join("\n");
+    assert!(
+        said.contains("z axis points down") && said.contains("field points up"),
+        "{said}"
+    );
+    for (factor, unit) in [
+        (1e3, "Time (ms)"),
+        (1e6, "Time (us)"),
+        (1e-3, "unit of its times"),
+    ] {
+        let mut other = slide();
+        for time in &mut other.times_s {
+            *time *= factor;
+        }
+        for sample in &mut other.samples {
+            sample.step_s *= factor;
+        }
+        let refused = navigate(&other, &Choice::default()).unwrap_err();
+        assert_eq!(refused.code(), ErrorCode::DataRefused);
+        assert!(refused.remedy().contains(unit), "{refused:?}");
+    }
+}
+
+#[test]
+fn a_bias_of_the_vertical_is_not_taken_for_gravity() {
+    let mut recording = turned(1.0);
+    for sample in &mut recording.samples {
+        sample.force_mps2[2] += 0.07;
+    }
+    assert_eq!(recording.gravity_mps2(), 9.80665);
+    let choice = Choice {
+        method: Method::Strapdown,
+        zupt: wimu_host::inertial::Zupt::Stated,
+        ..Choice::default()
+    };
+    let path = navigate(&recording, &choice).unwrap();
+    // It turned on the spot.
+    for point in &path.points[path.origin..] {
+        let off = point.position_m.iter().map(|p| p * p).sum::<f64>().sqrt();
+        assert!(off < 3.0 * point.sd_m().max(0.003), "{point:?}");
+    }
+    // One that is not calibrated shows its own.
+    for sample in &mut recording.samples {
+        sample.force_mps2 = sample.force_mps2.map(|f| 1.05 * f);
+    }
+    assert!(recording.gravity_mps2() > 10.2);
+}
+
 #[test]
 fn a_slide_between_two_rests_is_as_long_as_it_was_and_its_path_agrees_with_the_truth() {
     let recording = slide();

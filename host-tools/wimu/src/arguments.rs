@@ -722,7 +722,8 @@ pub struct Navigate {
     pub calibration: Option<PathBuf>,
     /// `on`: it is known that it rested wherever it seems to, and σ and Valid depend on that; `off`: no zero velocity at
     /// rests. Without this stillnesses are taken for rests, too, but even motion would look the same: σ holds what it
-    /// could have hidden, and Valid ends with it. The device's own path is as it did
+    /// could have hidden, and Valid ends with it. Either way position is zero where the first rest ends, by definition. The
+    /// device's own path is as it did
     #[arg(long, value_enum)]
     pub zupt: Option<Switch>,
     /// Of which link; without it, the cable if it was recorded

@@ -103,6 +103,19 @@ fn accelerations_that_are_not_gravity_at_rest_are_refused_with_the_unit_that_the
 }
 
 #[test]
+fn times_in_another_unit_are_refused_with_the_name_of_the_column() {
+    let folder = folder();
+    let mut samples = moves(0.4, 1.0);
+    for sample in &mut samples {
+        sample.t *= 1000.0;
+    }
+    let csv = write(folder.path(), FORCE, &samples);
+    let failure = wimu(&["navigate", &csv]).fails(3, "data_refused");
+    let remedy = failure["remedy"].as_str().unwrap();
+    assert!(remedy.contains("`Time (ms)`"), "{failure}");
+}
+
+#[test]
 fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
     let folder = folder();
     let header = format!("{FORCE}{RATE}{TRUTH}");

@@ -32,6 +32,10 @@ const SAME_RAD: f64 = 0.02;
 /// Of the velocity that was gained before a rest was seen to end, what may have come before the last half
 /// second.
 const BEFORE: f64 = 0.3;
+/// The way of what was gained in a part of that is known to this share, if all of it came at once.
+const WITHIN: f64 = 0.2;
+/// So far back a rest may have ended when it is seen to, s.
+pub(super) const BACK_S: f64 = 0.6;
 
 /// Of the last rest.
 #[derive(Clone, Copy, Debug, Default)]
@@ -241,8 +245,11 @@ impl<R: Real> UnitFilter<R> {
         let half = R::from_f64(0.5);
         let (mut velocity, mut way, mut lasted) =
             ([R::default(); 3], [R::default(); 3], R::default());
+        let mut coarse = R::default();
         for part in self.quiet.parts() {
             let gained = scale(times(&self.attitude, part.apart()), part.time_s);
+            let within = norm(gained) * part.time_s * R::from_f64(WITHIN);
+            coarse += within * within;
             way = add(way, scale(add(velocity, scale(gained, half)), part.time_s));
             velocity = add(velocity, gained);
             lasted += part.time_s;
@@ -254,8 +261,10 @@ impl<R: Real> UnitFilter<R> {
         let share = if self.gyroscope.on { BEFORE } else { 1.0 };
         let before = R::from_f64(share) * norm(velocity);
         let variance = known * lasted * lasted + before * before;
+        let off = before * lasted * half;
         for i in 0..3 {
             self.cov.add(super::VELOCITY, i, variance);
+            self.cov.add(super::POSITION, i, coarse + off * off);
         }
     }
 }

@@ -2,7 +2,7 @@
 //! mean of what is expected of it after an update, so that no truth and no other sensor is needed.
 
 use crate::Real;
-use crate::vector::{Vector, dot, sub};
+use crate::vector::{Vector, cross, dot, norm, scale, sub};
 
 /// What is carried about before anything is known of it: acceleration, m/s², the speed about which it
 /// swings, m/s, and angular rate, rad/s.
@@ -17,6 +17,9 @@ const MEMORY_S: f64 = 3.0;
 
 /// The field's turn is measured over so long, s.
 const SWEPT_S: f64 = 0.1;
+/// It spins where it went on by this, rad, within that, s.
+const SPIN_RAD: f64 = 0.5;
+const SPIN_S: f64 = 0.4;
 
 /// Mean squares of a component while the body moves.
 #[derive(Clone, Copy, Debug)]
@@ -30,32 +33,53 @@ pub(super) struct Manner<R> {
 /// How fast the magnetic field turns in the body: as fast at least does the body.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Swept<R> {
-    from: Option<Vector<R>>,
+    /// The field and the direction of the force.
+    from: Option<[Vector<R>; 2]>,
     since_s: R,
     /// Mean squares of a component of the angular rate, (rad/s)², of the last two times.
     last: [R; 2],
+    /// What it spun by about the upright axis of late, rad.
+    spun: R,
 }
 
 impl<R: Real> Swept<R> {
-    /// Takes a field, µT, body axes, that is known to `noise`, `step_s` after the one before.
-    pub fn see(&mut self, field: Vector<R>, noise: R, step_s: R) {
+    /// Takes a field, µT, that is known to `noise`, and a force, body axes, `step_s` after the ones before.
+    pub fn see(&mut self, field: Vector<R>, force: Vector<R>, noise: R, step_s: R) {
         self.since_s += step_s;
-        let Some(from) = self.from else {
-            self.from = Some(field);
+        let one = R::from_f64(1.0);
+        let pull = norm(force);
+        let up = scale(force, one / if pull > one { pull } else { one });
+        let Some([before, up_before]) = self.from else {
+            self.from = Some([field, up]);
             self.since_s = R::default();
             return;
         };
         if self.since_s < R::from_f64(SWEPT_S) {
             return;
         }
-        let (change, size) = (sub(field, from), dot(field, field));
+        let (change, size) = (sub(field, before), dot(field, field));
         let two = R::from_f64(2.0);
         let scatter = two * two * noise * noise;
-        let turned = (dot(change, change) - scatter) / (size + scatter);
-        let square = turned / (two * self.since_s * self.since_s);
         let none = R::default();
-        self.last = [self.last[1], if square > none { square } else { none }];
-        self.from = Some(field);
+        let time2 = self.since_s * self.since_s;
+        let turned = dot(change, change) - scatter;
+        let turned = turned / (two * time2 * (size + scatter));
+        self.last = [self.last[1], if turned > none { turned } else { none }];
+        // About the upright axis the field goes round, and gravity stays. Whether the force's direction turned with the
+        // body or was that of a push, the spin is what is left either way.
+        let round = cross(up, field);
+        let level = dot(round, round);
+        let tilted = cross(cross(up, sub(up, up_before)), field);
+        let [seen, left] = [change, sub(change, tilted)].map(|by| dot(by, round));
+        let less = if seen.abs() < left.abs() { seen } else { left };
+        let spun = if seen * left > none {
+            less / (level + scatter)
+        } else {
+            none
+        };
+        let kept = R::from_f64(libm::exp(-self.since_s.to_f64() / SPIN_S));
+        self.spun = self.spun * kept + spun;
+        self.from = Some([field, up]);
         self.since_s = none;
     }
 
@@ -63,6 +87,17 @@ impl<R: Real> Swept<R> {
     pub fn turn(&self) -> R {
         let [a, b] = self.last;
         (if a > b { a } else { b }).sqrt()
+    }
+
+    /// Angular rate about the upright axis at which it goes on spinning, rad/s.
+    pub fn spin(&self) -> R {
+        let angle = self.spun.abs();
+        let most = R::from_f64(SPIN_RAD);
+        if angle > most {
+            angle * R::from_f64(1.0 / SPIN_S)
+        } else {
+            R::default()
+        }
     }
 }
 

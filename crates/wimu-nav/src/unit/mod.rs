@@ -144,8 +144,11 @@ pub struct UnitState<R = f64> {
     /// Stillnesses, each of a tenth of a second, at which it was known to be pushed.
     pub pushed: u32,
     /// False before the first alignment, until the first rest where it moved then, and after a gap until
-    /// the next rest. Position is measured from where it was valid first.
+    /// the next rest.
     pub valid: bool,
+    /// Whether it is still at the first rest. Position is measured from where that ends, in the frame in which it rested
+    /// there: here it is zero, whatever even motion the rest may be.
+    pub at_origin: bool,
     /// Updates of the magnetic field that were left out as disturbed.
     pub disturbed: u32,
     /// Updates at a seeming rest at which the velocity was known not to be zero: even motion.
@@ -193,7 +196,7 @@ pub struct UnitFilter<R = f64> {
     valid: bool,
     /// Position was valid once.
     begun: bool,
-    /// It is not at the rest any more that it began with.
+    /// It is not any more at the rest from which position is measured.
     moved: bool,
     /// The rest that it seems to be at was not believed.
     doubted: bool,
@@ -347,15 +350,18 @@ impl<R: Real> UnitFilter<R> {
     /// happened is not known, and position is not valid from here to the next rest.
     pub fn interrupt(&mut self, step_s: R) {
         if step_s >= R::default() && step_s.is_finite() {
+            // A sample is not left out at a rest: it moves.
+            self.moved = true;
             self.age_s += step_s;
             self.since_rest_s += step_s;
             self.lose(step_s);
         }
     }
 
-    /// Nobody knows what happened in a gap.
+    /// Nobody knows what happened in a gap. Before it has moved that costs nothing: the way begins after it.
     fn lose(&mut self, step_s: R) {
         self.valid = false;
+        self.begun &= self.moved;
         self.quiet.lose();
         self.group = Group::default();
         let step = step_s.to_f64();
@@ -364,6 +370,10 @@ impl<R: Real> UnitFilter<R> {
             self.cov.add(VELOCITY, i, R::from_f64(4.0 * step.min(1e3)));
             self.cov.add(POSITION, i, R::from_f64(4.0 * step.min(1e3)));
         }
+    }
+
+    fn is_at_origin(&self) -> bool {
+        self.begun && self.valid && !self.moved && self.quiet.is_rest()
     }
 
     fn part(&self, at: Block) -> Vector<R> {
@@ -520,6 +530,7 @@ impl<R: Real> UnitFilter<R> {
             unseen_m: unseen.way_sd_m(),
             pushed: self.quiet.pushed(),
             valid: self.valid,
+            at_origin: self.is_at_origin(),
             disturbed: self.disturbed,
             even: self.even,
             holes: self.holes,

@@ -1,9 +1,10 @@
 //! How the states go on, and what is measured of them: equations (83) to (85).
 
+use super::anchor::BACK_S;
 use super::covariance::{Row, pick};
 use super::{
     ACCELERATION, BIAS, Block, FIELD, Group, OMEGA, PHI, POSITION, RISE, STATES, SWING, UnitFilter,
-    VELOCITY,
+    Unseen, VELOCITY,
 };
 use crate::Real;
 use crate::vector::{
@@ -30,6 +31,8 @@ pub(super) const DISTURBANCE_UT: f64 = 4.0;
 const DISTURBANCE_TIME_S: f64 = 10.0;
 /// A field that turns so many times as fast as the body usually does shows a turn.
 const SWEPT: f64 = 2.0;
+/// A push of so many m/s², over a second, for each rad/s of a spin, is taken for it.
+const SPUN_MPS: f64 = 0.4;
 /// Random walk of the field at one place, µT/√s.
 const REST_UT: f64 = 0.1;
 /// A magnetometer's noise after averaging, µT.
@@ -58,6 +61,11 @@ const EVEN_GATE: f64 = 9.0;
 const DOUBTED_GATE: f64 = 1.0;
 /// ... unless the velocity's deviation is wrong: it grows e-fold in this time, s.
 const EVEN_S: f64 = 10.0;
+/// Odds that time jumped where samples seem to be missing.
+const MISSED: f64 = 0.5;
+/// What a push in the first rest gave is none of the frame in which its last seconds are at rest: it is forgotten in this
+/// time, s.
+const PUSHED_S: f64 = 30.0;
 /// A push that is too weak to be seen is taken to last so long, s.
 const FOLLOW_S: f64 = 2.0;
 /// Speed where nothing is known of it, m/s.
@@ -91,10 +99,13 @@ impl<R: Real> UnitFilter<R> {
         self.predict(force, &group, noise, rated);
         if !rated && group.fields > R::default() {
             let field = scale(group.field, one / group.fields);
-            let body: Vector<R> = core::array::from_fn(|i| {
-                (0..3).fold(R::default(), |sum, k| sum + self.attitude[k][i] * field[k])
+            let [field, push] = [field, force].map(|v| {
+                core::array::from_fn(|i| {
+                    (0..3).fold(R::default(), |sum, k| sum + self.attitude[k][i] * v[k])
+                })
             });
-            self.swept.see(body, R::from_f64(FIELD_NOISE_UT), dt);
+            self.swept.see(field, push, R::from_f64(FIELD_NOISE_UT), dt);
+            self.doubt_spin(dt);
         }
         if !(rated && self.quiet.is_pushed()) {
             self.see_gravity(force, noise, dt);
@@ -115,7 +126,44 @@ impl<R: Real> UnitFilter<R> {
             }
             self.see_rest(dt, rated);
         }
+        if self.is_at_origin() {
+            self.stay(dt);
+        }
         self.fold();
+    }
+
+    /// The way has not begun, and velocity is zero by definition, but for a push of the last seconds that did not show.
+    fn stay(&mut self, dt: R) {
+        if self.config.zupt.is_on() {
+            if !self.held {
+                return;
+            }
+        } else {
+            let (gained, sd, _) = self.hidden();
+            self.put(VELOCITY, zero());
+            for (i, gained) in gained.into_iter().enumerate() {
+                self.cov.know(VELOCITY.0 + i);
+                self.cov.add(VELOCITY, i, gained * gained + sd * sd);
+            }
+            self.held = true;
+        }
+        // It may have ended already, and not have shown yet.
+        let back = R::from_f64(BACK_S);
+        self.set_origin();
+        self.unseen.forget(dt * R::from_f64(1.0 / PUSHED_S));
+        self.unseen.restart_before(back);
+        self.cov.couple_by(POSITION, VELOCITY, back);
+    }
+
+    /// What a push that the rest does not show may have given, m/s, navigation axes, how well that is known, and the push,
+    /// m/s².
+    fn hidden(&self) -> (Vector<R>, R, Vector<R>) {
+        let sd = self.quiet.unseen_sd() * R::from_f64(FOLLOW_S);
+        let [gained, push] = match self.quiet.anchor() {
+            Some(anchor) => [anchor.gained(), anchor.push()].map(|v| times(&self.attitude, v)),
+            None => [zero(); 2],
+        };
+        (gained, sd, push)
     }
 
     /// A push or a turn, and nothing tells which: the velocity may have grown as the push would have it.
@@ -124,6 +172,15 @@ impl<R: Real> UnitFilter<R> {
         for (i, a) in push.into_iter().enumerate() {
             self.cov
                 .add(VELOCITY, i, R::from_f64(2.0) * a * a * lasted * dt);
+        }
+    }
+
+    /// A spin about the upright axis turns the field as a tilt and a push that hides it would: the velocity may have that of such
+    /// a push.
+    fn doubt_spin(&mut self, dt: R) {
+        let push = R::from_f64(SPUN_MPS) * self.swept.spin();
+        for i in 0..2 {
+            self.cov.add(VELOCITY, i, push * push * dt);
         }
     }
 
@@ -230,9 +287,8 @@ impl<R: Real> UnitFilter<R> {
         let walk = R::from_f64(BIAS_WALK * BIAS_WALK) * dt;
         // What a missing sample would have shown is as uncertain as the motion is strong, and so is whether time
         // passed, or its stamp jumped.
-        let (missing, missed) = (group.missing, R::from_f64(1.0 / 4.0));
+        let (missing, missed) = (group.missing, R::from_f64(MISSED));
         let (strength, turning) = (self.manner.acceleration(), self.manner.turn());
-        let lost = missing * strength * strength * missed;
         if rated && missing > R::default() {
             let rate = dot(self.rate, self.rate) * R::from_f64(1.0 / 3.0);
             for i in 0..3 {
@@ -242,7 +298,8 @@ impl<R: Real> UnitFilter<R> {
         }
         for (i, speed) in self.part(VELOCITY).into_iter().enumerate() {
             self.cov.add(POSITION, i, missing * speed * speed * missed);
-            self.cov.add(VELOCITY, i, lost);
+            let lost = strength * strength + push[i] * push[i];
+            self.cov.add(VELOCITY, i, missing * lost * missed);
         }
         let half = R::from_f64(0.5) * dt;
         // The trapezoid's error is of the size of what changes from sample to sample (87).
@@ -370,12 +427,8 @@ impl<R: Real> UnitFilter<R> {
         if !self.held {
             self.unseen.arrived(velocity, variance);
         }
-        let sd = self.quiet.unseen_sd() * R::from_f64(FOLLOW_S);
-        if let Some(anchor) = self.quiet.anchor() {
-            let gained = times(&self.attitude, anchor.gained());
-            let push = times(&self.attitude, anchor.push());
-            self.unseen.pushed(gained, sd, push);
-        }
+        let (gained, sd, push) = self.hidden();
+        self.unseen.pushed(gained, sd, push);
     }
 
     /// What looks like a rest is one, unless the velocity is known to be another. Then both may be
@@ -413,8 +466,10 @@ impl<R: Real> UnitFilter<R> {
                 self.cov.set(POSITION, &covariance);
             }
             if !self.begun {
+                self.unseen = Unseen::default();
                 self.set_origin();
                 self.begun = true;
+                self.moved = false;
             } else if self.doubted {
                 let lasted = self.since_rest_s * self.since_rest_s * R::from_f64(1.0 / 3.0);
                 for (i, speed) in velocity.iter().enumerate() {

@@ -174,6 +174,8 @@ pub struct Shown {
     /// Share of the samples that were valid, and of those with a position NEES below 7.81.
     pub valid: f64,
     pub below: f64,
+    /// Share of the samples at which it moved that were valid.
+    pub moving: f64,
     /// Greatest error of a component in deviations (of at least 3 mm) while valid, and the error in space there, m.
     pub worst: f64,
     pub off_m: f64,
@@ -203,9 +205,10 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
     let (mut place, mut speed) = ([0.0; 3], [0.0; 3]);
     let mut shown = Shown::default();
     let (mut count, mut valid, mut below) = (0.0, 0.0, 0.0);
-    let (mut still, mut found) = (0.0, 0.0);
+    let (mut still, mut found, mut moving) = (0.0, 0.0, 0.0);
     let mut waited = 0.0;
     let mut origin: Option<[f64; 3]> = None;
+    let mut rested: Vec<(f64, [f64; 3])> = Vec::new();
     for (number, (lasts, part)) in parts.iter().enumerate() {
         let samples = (lasts * how.rate_hz).round();
         let lasts = samples * step;
@@ -284,6 +287,18 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
             if !(state.valid && state.position_sd_m() < 1.0) {
                 continue;
             }
+            // Position is measured from where the first rest ends: that shows after up to 0.6 s.
+            if state.at_origin {
+                rested.push((age_s, truth));
+                origin = rested
+                    .iter()
+                    .rfind(|(at_s, _)| at_s + 0.6 < age_s)
+                    .or(rested.first())
+                    .map(|(_, at)| *at);
+                (valid, below) = (valid + 1.0, below + 1.0);
+                moving += f64::from(u8::from(!resting));
+                continue;
+            }
             let from = *origin
                 .get_or_insert_with(|| std::array::from_fn(|i| truth[i] - state.position_m[i]));
             let error: [f64; 3] = std::array::from_fn(|i| state.position_m[i] - truth[i] + from[i]);
@@ -296,6 +311,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                 .try_inverse()
                 .map_or(f64::INFINITY, |inverse| e.dot(&(inverse * e)));
             valid += 1.0;
+            moving += f64::from(u8::from(!resting));
             below += f64::from(u8::from(nees < 7.81));
             for i in 0..3 {
                 let sd = p[(i, i)].sqrt().max(0.003);
@@ -328,6 +344,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
     }
     shown.valid = valid / count;
     shown.below = below / f64::max(valid, 1.0);
+    shown.moving = moving / f64::max(count - still, 1.0);
     shown.rests = found / f64::max(still, 1.0);
     shown
 }
@@ -335,8 +352,9 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
 /// What many journeys of one kind show.
 pub struct Journeys {
     name: String,
-    /// Mean share of valid samples.
+    /// Mean share of valid samples, and of those at which it moved.
     pub valid: f64,
+    pub moving: f64,
     /// Of the valid samples, those with a NEES below 7.81; and the least of the seeds but for a tenth.
     pub below: f64,
     pub least: f64,
@@ -387,6 +405,7 @@ impl Journeys {
                 }
             ),
             valid: weight / all.len() as f64,
+            moving: all.iter().map(|s| s.moving).sum::<f64>() / all.len() as f64,
             below: below / f64::max(weight, 1e-9),
             least: sorted(&|s| s.below)[all.len() / 10],
             worst: median(&|s| s.worst),
@@ -403,9 +422,10 @@ impl std::fmt::Display for Journeys {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "{:<38} valid {:4.0} | below 7.81 {:4.0}, of a seed {:4.0} | {:6.1} {:6.1} sd ({:.3} m) | rests {:3.0} | end {:.3} | unseen {:.2} m",
+            "{:<38} valid {:4.0}, moving {:4.0} | below 7.81 {:4.0}, of a seed {:4.0} | {:6.1} {:6.1} sd ({:.3} m) | rests {:3.0} | end {:.3} | unseen {:.2} m",
             self.name,
             100.0 * self.valid,
+            100.0 * self.moving,
             100.0 * self.below,
             100.0 * self.least,
             self.worst,

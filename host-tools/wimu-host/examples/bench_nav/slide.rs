@@ -220,7 +220,7 @@ fn forward(recording: &MotionRecording) {
     println!("from the samples up to each way's end alone:");
     for (from, to) in straight(recording) {
         let mut filter = UnitFilter::new(UnitConfig {
-            gravity_mps2: recording.gravity_at_first_rest(),
+            gravity_mps2: recording.gravity_mps2(),
             ..UnitConfig::default()
         });
         for (k, sample) in recording.samples.iter().enumerate().take(to + 1) {
@@ -252,7 +252,7 @@ fn straight_moves(recording: &MotionRecording) {
     let times = &recording.times_s;
     let place = |k: usize| recording.truth[k].expect("truth everywhere").position_m;
     let config = SlideConfig {
-        gravity_mps2: recording.gravity_at_first_rest(),
+        gravity_mps2: recording.gravity_mps2(),
         ..SlideConfig::default()
     };
     let found = legs(recording, config);

@@ -16,14 +16,17 @@ pub fn bench(data: &Path) {
         return;
     }
     let recording = MotionRecording::from_csv(&file).expect("the recording is readable");
-    let gravity = recording.gravity_at_first_rest();
-    println!("gravity from the first rest: {gravity:.4} m/s²");
+    let gravity = recording.gravity_mps2();
+    let shown = recording.first_rest_mps2().unwrap_or(gravity);
+    println!(
+        "gravity: {gravity:.4} m/s²; what the first rest shows, for the baseline: {shown:.4} m/s²"
+    );
     let starts = starts(&recording);
     println!(
         "{} windows in which the next 2 s move; median 3-D error, m, after 1 / 2 / 5 s",
         starts.len()
     );
-    let plain = baseline(&recording, gravity, &starts, [0.0; 3]);
+    let plain = baseline(&recording, shown, &starts, [0.0; 3]);
     let table = |name: &str, errors: &Errors, bar: Option<f64>| {
         let m = errors.medians();
         let ratios: Vec<String> = m

@@ -29,6 +29,7 @@ mod slide;
 pub use slide::{Leg, legs};
 
 use std::io::Write as _;
+use std::ops::Range;
 use std::path::Path as FilePath;
 
 pub use wimu_nav::Zupt;
@@ -37,7 +38,7 @@ use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
 use crate::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
-use crate::motion::{MotionRecording, Truth, nees};
+use crate::motion::{MotionRecording, Truth, gap_s, nees};
 use crate::{ErrorCode, HostError, Result};
 
 /// How the path is found.
@@ -124,8 +125,8 @@ impl PathPoint {
 /// How long a position can be used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Horizon {
-    /// Seconds that the unit moved from the first position on: rests do not count, as far as they are
-    /// taken for zero velocity.
+    /// Seconds that the unit moved from the origin on: rests do not count, as far as they are
+    /// taken for zero velocity, nor do gaps and jumps of time.
     pub moving_s: f64,
     /// When it ends, s, as in the file.
     pub at_s: f64,
@@ -171,6 +172,9 @@ pub struct InertialPath {
     pub method: Method,
     /// One point a sample.
     pub points: Vec<PathPoint>,
+    /// The point from which position is measured: the last of the first rest. Even motion there is none, by definition;
+    /// what the points before are off by is how far it may have come on the way there.
+    pub origin: usize,
     /// The moves, with [`Method::Slide`].
     pub moves: Vec<SlideMove>,
     /// What was noticed on the way.
@@ -217,8 +221,9 @@ impl InertialPath {
     /// When the standard deviation of the position first passes `limit_m`, or the position is lost by a
     /// gap or a move that is none; `None` when it never does.
     pub fn horizon(&self, limit_m: f64) -> Option<Horizon> {
-        let start = self.points.iter().position(|p| p.valid).unwrap_or(0);
-        let known = &self.points[start..];
+        let known = self.points.get(self.origin..)?;
+        let start = known.iter().position(|p| p.valid).unwrap_or(0);
+        let known = &known[start..];
         // Not valid below the limit that is set for the path: lost.
         let lost = |p: &PathPoint| !p.valid && p.sd_m() <= self.limit_m;
         // Not a number counts as passed.
@@ -226,7 +231,12 @@ impl InertialPath {
             .iter()
             .position(|p| p.sd_m().is_nan() || p.sd_m() > limit_m || lost(p))?;
         let at_s = known[end].time_s;
-        let moving = known[..=end].windows(2).filter(|w| !w[1].resting);
+        // Nobody knows whether it moved in a gap, or time jumped.
+        let times_s: Vec<f64> = self.points.iter().map(|p| p.time_s).collect();
+        let gap_s = gap_s(&times_s);
+        let goes_on = |w: &&[PathPoint]| w[1].time_s - w[0].time_s <= gap_s;
+        let moving = known[..=end].windows(2).filter(goes_on);
+        let moving = moving.filter(|w| !w[1].resting);
         let rest = known[..end].iter().rfind(|p| p.resting);
         Some(Horizon {
             // The sum of none is −0.
@@ -329,9 +339,12 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         Method::Slide => {
             let wrong = rates::checked(recording)?;
             let mut whole = recording.clone();
+            if wrong.as_ref().is_some_and(|wrong| wrong.contradicts) {
+                unrated(&mut whole.samples);
+            }
             rates::filled(&whole.times_s, &mut whole.samples);
             let mut path = slide::slide(&whole, choice)?;
-            path.remarks.extend(wrong);
+            path.remarks.extend(wrong.map(|wrong| wrong.said));
             path
         }
         Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
@@ -348,18 +361,18 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                     sample.rate_rad_s = None;
                 }
             }
-            if method != Method::Strapdown {
-                for sample in &mut samples {
-                    sample.rate_rad_s = None;
-                }
-            }
-            let late = arrival::spread(&recording.times_s, &mut samples);
             let mut wrong = None;
             if method == Method::Strapdown {
                 wrong = rates::checked(recording)?;
             }
+            let contradicts = wrong.as_ref().is_some_and(|wrong| wrong.contradicts);
+            let method = if contradicts { Method::Tilt } else { method };
+            if method != Method::Strapdown {
+                unrated(&mut samples);
+            }
+            let late = arrival::spread(&recording.times_s, &mut samples);
             let config = UnitConfig {
-                gravity_mps2: recording.gravity_at_first_rest(),
+                gravity_mps2: recording.gravity_mps2(),
                 bias_mps2: senses.bias_mps2,
                 zupt: choice.zupt,
                 drift: choice.drift,
@@ -373,7 +386,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                 choice,
                 method,
             );
-            path.remarks.extend(wrong);
+            path.remarks.extend(wrong.map(|wrong| wrong.said));
             path.remarks.extend(late);
             path
         }
@@ -393,6 +406,13 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     path.remarks.splice(0..0, recording.remarks.iter().cloned());
     compare(&mut path, &recording.truth);
     Ok(path)
+}
+
+/// Leaves the angular rate out.
+fn unrated(samples: &mut [UnitSample]) {
+    for sample in samples {
+        sample.rate_rad_s = None;
+    }
 }
 
 /// A reading of the magnetometer that is repeated within this time is one that is held, s.
@@ -475,8 +495,10 @@ pub fn navigate_array(
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
     }
+    let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
     let mut path = InertialPath {
         method: Method::Array,
+        origin: (0..states.len()).find(valid).unwrap_or(0),
         points: states
             .iter()
             .zip(&recording.times_s)
@@ -577,6 +599,8 @@ fn filter(
     let mut filter = UnitFilter::new(config);
     let (mut gaps, mut bad, mut backwards) = (0, 0, 0);
     let (mut begun, mut moved) = (false, false);
+    // The last rest from whose end position is measured, and the velocity's deviation there.
+    let (mut origin, mut speed_mps) = (0..0, [0.0; 3]);
     let mut points = Vec::with_capacity(samples.len());
     for (k, (sample, time_s)) in samples.iter().zip(times_s).enumerate() {
         if clipped.binary_search(&k).is_ok() {
@@ -593,6 +617,11 @@ fn filter(
         // Aligned, and no rest yet.
         moved |= !begun && !state.valid && state.attitude_sd_rad[0] > 0.0;
         begun |= state.valid;
+        if state.at_origin {
+            let goes_on = origin.end == k && k > 0;
+            origin = if goes_on { origin.start } else { k }..k + 1;
+            speed_mps = state.velocity_sd_mps;
+        }
         let known = state.position_sd_m() <= choice.limit_m;
         points.push(PathPoint {
             time_s: *time_s,
@@ -607,6 +636,11 @@ fn filter(
             valid: state.valid && known,
         });
     }
+    if origin.is_empty() {
+        let first = points.iter().position(|p| p.valid).unwrap_or(0);
+        origin = first..first + 1;
+    }
+    let origin = measured_from(&mut points, &origin, speed_mps, choice.limit_m);
     let mut remarks = Vec::new();
     if let (true, Some(first)) = (moved, points.iter().find(|p| p.valid)) {
         remarks.push(format!(
@@ -652,6 +686,7 @@ fn filter(
     InertialPath {
         method,
         points,
+        origin,
         moves: Vec::new(),
         remarks,
         limit_m: choice.limit_m,
@@ -661,6 +696,46 @@ fn filter(
         truth_m: Vec::new(),
         heading_fitted: false,
     }
+}
+
+/// The end of a rest shows so much later, s.
+const LATE_S: f64 = 0.6;
+
+/// Measures position from where the rest ends, which shows later, and returns that point. How far even motion with these
+/// deviations, m/s, may have taken it from there or brought it there is what the points of the rest are off by, those after
+/// it also by what it had gained when its end showed. Where it was before the rest is not known.
+fn measured_from(
+    points: &mut [PathPoint],
+    rest: &Range<usize>,
+    speed_mps: [f64; 3],
+    limit_m: f64,
+) -> usize {
+    let Some(last_s) = rest.clone().next_back().map(|k| points[k].time_s) else {
+        return rest.start;
+    };
+    let ends = rest.end < points.len();
+    let late_s = if ends { LATE_S } else { 0.0 };
+    let before = points[rest.clone()].partition_point(|p| p.time_s <= last_s - late_s);
+    let origin = rest.start + before.max(1) - 1;
+    let end_s = points[origin].time_s;
+    let gained_m = points.get(rest.end).map_or([0.0; 3], |p| p.position_m);
+    for point in &mut points[..rest.start] {
+        point.valid = false;
+    }
+    for (k, point) in points[rest.clone()].iter_mut().enumerate() {
+        point.covariance_m2 = [[0.0; 3]; 3];
+        for (i, row) in point.covariance_m2.iter_mut().enumerate() {
+            let way_m = speed_mps[i] * (end_s - point.time_s);
+            let late_m = if rest.start + k > origin {
+                gained_m[i]
+            } else {
+                0.0
+            };
+            row[i] = way_m * way_m + late_m * late_m;
+        }
+        point.valid &= point.sd_m() <= limit_m;
+    }
+    origin
 }
 
 /// Of the rotation whose rows are given, W X Y Z.
@@ -678,15 +753,15 @@ fn quaternion([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64
 /// The truth is right to this, m.
 const TRUTH_M: f64 = 0.001;
 
-/// NEES where there is truth: both paths begin at the first valid point, at the same heading, or at that
+/// NEES where there is truth: both paths begin at the origin, at the same heading, or at that
 /// which fits best where the truth has none.
 fn compare(path: &mut InertialPath, truth: &[Option<Truth>]) {
     let usable = |k: &usize| path.points[*k].valid && truth.get(*k).is_some_and(Option::is_some);
-    let both: Vec<(&PathPoint, Truth)> = (0..path.points.len())
-        .filter(usable)
-        .filter_map(|k| Some((&path.points[k], truth[k]?)))
-        .collect();
-    let Some((first, start)) = both.first() else {
+    let usable: Vec<usize> = (0..path.points.len()).filter(usable).collect();
+    let of_sample = |k: &usize| Some((&path.points[*k], truth[*k]?));
+    let both: Vec<(&PathPoint, Truth)> = usable.iter().filter_map(of_sample).collect();
+    let begins = usable.partition_point(|k| *k < path.origin);
+    let Some((first, start)) = both.get(begins).or(both.first()) else {
         return;
     };
     let ways = |(point, truth): &(&PathPoint, Truth)| {

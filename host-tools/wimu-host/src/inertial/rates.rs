@@ -3,9 +3,10 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use wimu_nav::slide::{Move, Slide, SlideConfig};
+use wimu_nav::slide::{Slide, SlideConfig};
 use wimu_nav::unit::UnitSample;
 
+use super::slide::field_at;
 use crate::motion::{MotionRecording, rests};
 use crate::{ErrorCode, HostError, Result};
 
@@ -18,8 +19,12 @@ const REST_S: f64 = 0.5;
 const MOVE_S: f64 = 30.0;
 /// The turn of gravity that a rate of the right unit and axes leaves open is smaller, rad.
 const OPEN_RAD: f64 = 0.15;
-/// Another unit is the right one where it leaves this share of that.
-const FITS: f64 = 0.25;
+/// That of the magnetic field, which is disturbed indoors.
+const OPEN_FIELD_RAD: f64 = 0.4;
+/// Another unit, or sign, is the right one where it leaves this share of that.
+const FITS: f64 = 0.4;
+/// A rate that leaves more than this share of what turned is none of this unit.
+const LITTLE: f64 = 0.6;
 
 /// Where the angular rate is missing: nothing where there is no rate at all.
 pub(super) fn holes(samples: &[UnitSample]) -> Vec<Range<usize>> {
@@ -74,15 +79,22 @@ pub(super) fn remark(holes: &[Range<usize>], times_s: &[f64]) -> Option<String> 
     ))
 }
 
-/// Looks whether the angular rate turns gravity from rest to rest as the accelerometer sees it turn, and
-/// returns what to say where it does not.
+/// What a gyroscope shows that does not agree with what else turns.
+pub(super) struct Disagreement {
+    /// What to say of it.
+    pub said: String,
+    /// Whether it is better left out.
+    pub contradicts: bool,
+}
+
+/// Looks whether the angular rate turns gravity and the magnetic field from rest to rest as accelerometer and
+/// magnetometer see them turn, and returns how it does not.
 ///
 /// # Errors
 /// `data_refused` where another unit would, or the rate is faster than anything.
-pub(super) fn checked(recording: &MotionRecording) -> Result<Option<String>> {
-    let length = |v: &[f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement>> {
     let rates = recording.samples.iter().filter_map(|s| s.rate_rad_s);
-    let fastest = rates.map(|rate| length(&rate)).fold(0.0, f64::max);
+    let fastest = rates.map(length).fold(0.0, f64::max);
     let refused = |message: String, unit: &str| {
         Err(HostError::new(
             ErrorCode::DataRefused,
@@ -95,66 +107,146 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<String>> {
         let message = format!("its angular rate goes up to {fastest:.0} rad/s");
         return refused(message, "deg/s");
     }
-    let open = |factor: f64| open_rad(recording, factor);
-    let Some(now) = open(1.0).filter(|open| *open > OPEN_RAD) else {
+    let Some(now) = Open::of(recording, 1.0).filter(Open::is_wide) else {
         return Ok(None);
     };
-    // Where gravity did not turn, a smaller rate always fits better.
-    let turned = open(0.0).unwrap_or_default();
+    // Where nothing turned, a smaller rate always fits better.
+    let still = Open::of(recording, 0.0).unwrap_or_default();
     for (factor, unit) in [(PI / 180.0, "deg/s"), (180.0 / PI, "rad/s")] {
-        let other = open(factor).unwrap_or(f64::INFINITY);
-        if other < FITS * now.min(turned) && other < OPEN_RAD {
-            let message = format!(
-                "its angular rate leaves {:.0}° of gravity's turn between rests open, in {unit} it would not",
-                now.to_degrees()
-            );
+        let other = Open::of(recording, factor);
+        if other.is_some_and(|other| !other.is_wide() && other.fits(&now) && other.fits(&still)) {
+            let message =
+                format!("its angular rate leaves {now} between rests open, in {unit} it would not");
             return refused(message, unit);
         }
     }
-    Ok(Some(format!(
-        "the angular rate leaves {:.0}° of gravity's turn between rests open: see that its axes, their signs and its \
-         scale are those of the accelerometer",
-        now.to_degrees()
-    )))
+    let turned = Open::of(recording, -1.0).is_some_and(|other| other.fits(&now));
+    let little = now.gravity_rad > OPEN_RAD
+        && still.gravity_rad > OPEN_RAD
+        && now.gravity_rad > LITTLE * still.gravity_rad;
+    let contradicts = turned || little;
+    if !contradicts && now.gravity_rad <= OPEN_RAD {
+        // A field is disturbed indoors.
+        return Ok(None);
+    }
+    let so = if turned {
+        "with its signs turned round it would not: it is left out".to_owned()
+    } else if little {
+        format!("of {still}: it is left out")
+    } else {
+        "see that its axes, their signs and its scale are those of the accelerometer".to_owned()
+    };
+    Ok(Some(Disagreement {
+        said: format!("the angular rate leaves {now} between rests open, {so}"),
+        contradicts,
+    }))
 }
 
-/// Root mean square of the angle of gravity between rests that the angular rate, times `factor`, leaves open,
-/// rad; `None` where there are no two rests with a rate between.
-fn open_rad(recording: &MotionRecording, factor: f64) -> Option<f64> {
-    let times = &recording.times_s;
-    let unrated: Vec<UnitSample> = recording
-        .samples
-        .iter()
-        .map(|s| UnitSample {
-            rate_rad_s: None,
-            ..*s
-        })
-        .collect();
-    let mut found = rests(times, &unrated);
-    found.retain(|rest| times[rest.end - 1] - times[rest.first] >= REST_S);
-    let (mut square, mut count) = (0.0, 0.0);
-    for pair in found.windows(2) {
-        let (before, after) = (pair[0], pair[1]);
-        if times[after.first] - times[before.end - 1] > MOVE_S {
-            continue;
+fn length(v: [f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+/// Root mean square of the turn of gravity and of the magnetic field between rests that a rate leaves open, rad.
+#[derive(Clone, Copy, Debug, Default)]
+struct Open {
+    gravity_rad: f64,
+    field_rad: Option<f64>,
+}
+
+impl std::fmt::Display for Open {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.0}° of gravity's turn", self.gravity_rad.to_degrees())?;
+        match self.field_rad {
+            Some(field) => write!(f, " and {:.0}° of the magnetic field's", field.to_degrees()),
+            None => Ok(()),
         }
-        let rates = recording.samples[before.first..before.end].iter();
-        let rates: Vec<[f64; 3]> = rates.filter_map(|s| s.rate_rad_s).collect();
-        if rates.is_empty() {
-            continue;
-        }
-        let mean = |i: usize| factor * rates.iter().map(|r| r[i]).sum::<f64>() / rates.len() as f64;
-        let mut start = before.rest;
-        start.rate_rad_s = Some(std::array::from_fn(mean));
-        let mut slide = Slide::new(SlideConfig::default(), start);
-        for k in before.end..after.first {
-            let sample = &recording.samples[k];
-            let rate = sample.rate_rad_s.map(|r| r.map(|w| factor * w));
-            slide.push(times[k] - times[k - 1], sample.force_mps2, rate);
-        }
-        let done: Move = slide.finish(after.rest);
-        square += done.open_rad * done.open_rad;
-        count += 1.0;
     }
-    (count > 0.0).then(|| (square / count).sqrt())
+}
+
+impl Open {
+    /// More than a rate of the right unit and axes leaves.
+    fn is_wide(&self) -> bool {
+        self.gravity_rad > OPEN_RAD || self.field_rad.is_some_and(|field| field > OPEN_FIELD_RAD)
+    }
+
+    /// Whether this is so much less, of what is wide, that it must be the right one.
+    fn fits(&self, wide: &Self) -> bool {
+        let less = |this: f64, wide: f64, most: f64| wide <= most || this < FITS * wide;
+        let (field, wide_field) = (
+            self.field_rad.unwrap_or_default(),
+            wide.field_rad.unwrap_or_default(),
+        );
+        wide.is_wide()
+            && less(self.gravity_rad, wide.gravity_rad, OPEN_RAD)
+            && less(field, wide_field, OPEN_FIELD_RAD)
+    }
+
+    /// What the angular rate, times `factor`, leaves; `None` where there are no two rests with a rate between.
+    fn of(recording: &MotionRecording, factor: f64) -> Option<Self> {
+        let times = &recording.times_s;
+        let unrated: Vec<UnitSample> = recording
+            .samples
+            .iter()
+            .map(|s| UnitSample {
+                rate_rad_s: None,
+                ..*s
+            })
+            .collect();
+        let mut found = rests(times, &unrated);
+        found.retain(|rest| times[rest.end - 1] - times[rest.first] >= REST_S);
+        let (mut gravity, mut field) = (Mean::default(), Mean::default());
+        for pair in found.windows(2) {
+            let (before, after) = (pair[0], pair[1]);
+            if times[after.first] - times[before.end - 1] > MOVE_S {
+                continue;
+            }
+            let rates = recording.samples[before.first..before.end].iter();
+            let rates: Vec<[f64; 3]> = rates.filter_map(|s| s.rate_rad_s).collect();
+            if rates.is_empty() {
+                continue;
+            }
+            let mean =
+                |i: usize| factor * rates.iter().map(|r| r[i]).sum::<f64>() / rates.len() as f64;
+            let mut start = before.rest;
+            start.rate_rad_s = Some(std::array::from_fn(mean));
+            let mut slide = Slide::new(SlideConfig::default(), start);
+            for k in before.end..after.first {
+                let sample = &recording.samples[k];
+                let rate = sample.rate_rad_s.map(|r| r.map(|w| factor * w));
+                slide.push(times[k] - times[k - 1], sample.force_mps2, rate);
+            }
+            gravity.take(slide.finish(after.rest).open_rad);
+            let fields = [before, after].map(|rest| field_at(recording, &rest));
+            if let [Some(at), Some(then)] = fields {
+                let then = slide
+                    .attitude()
+                    .map(|row| (0..3).map(|i| row[i] * then[i]).sum::<f64>());
+                let cosine = (0..3).map(|i| at[i] * then[i]).sum::<f64>();
+                let cosine = cosine / (length(at) * length(then));
+                field.take(cosine.clamp(-1.0, 1.0).acos());
+            }
+        }
+        Some(Self {
+            gravity_rad: gravity.root()?,
+            field_rad: field.root(),
+        })
+    }
+}
+
+/// Of squares.
+#[derive(Default)]
+struct Mean {
+    square: f64,
+    count: f64,
+}
+
+impl Mean {
+    fn take(&mut self, value: f64) {
+        self.square += value * value;
+        self.count += 1.0;
+    }
+
+    fn root(&self) -> Option<f64> {
+        (self.count > 0.0).then(|| (self.square / self.count).sqrt())
+    }
 }

@@ -2,7 +2,7 @@
 
 use wimu_nav::unit::{UnitConfig, UnitSample};
 
-use crate::motion::MotionRecording;
+use crate::motion::{MotionRecording, median_step_s};
 use crate::{ErrorCode, HostError, Result};
 
 /// What a rest shows is gravity within this share.
@@ -23,6 +23,17 @@ const MOVES_RAD_S: f64 = 0.3;
 /// turns by more than this, rad: 20°, is dead.
 const AS_LARGE: f64 = 0.02;
 const TURNED_RAD: f64 = 0.35;
+
+/// Steps that a recording to navigate may have, s: beyond these its times are in another unit.
+const STEPS_S: std::ops::Range<f64> = 2e-5..0.25;
+/// Units of time and how many of them are a second.
+const TIME_UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)];
+/// Steps that are usual, s.
+const USUAL_S: std::ops::Range<f64> = 2e-4..0.1;
+/// Of gravity, along z: face down.
+const FACE_DOWN: f64 = -0.7;
+/// Of the magnetic field, along gravity: it dips.
+const DIPS: f64 = 0.2;
 
 /// Full scales of accelerometers, *g*; a value this near to one, as a share of it, ...
 const SCALES_G: [f64; 5] = [2.0, 4.0, 8.0, 16.0, 32.0];
@@ -50,6 +61,7 @@ impl Senses {
     /// # Errors
     /// `data_refused` where what it shows at rest is not gravity.
     pub fn of(recording: &MotionRecording) -> Result<Self> {
+        steps(recording)?;
         let rest = gravity(recording)?;
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
         // What it shows beyond gravity along one axis it may show along any.
@@ -66,6 +78,7 @@ impl Senses {
                 100.0 * (rest / standard - 1.0)
             ));
         }
+        senses.remarks.extend(face_down(recording));
         senses.clipped = clipped(recording);
         if let Some(first) = senses.clipped.first() {
             senses.remarks.push(format!(
@@ -114,6 +127,59 @@ impl Senses {
             "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
         ));
     }
+}
+
+/// Whether times go on as those of samples do.
+fn steps(recording: &MotionRecording) -> Result<()> {
+    let step_s = median_step_s(&recording.times_s);
+    if recording.times_s.len() < 3 || STEPS_S.contains(&step_s) || step_s <= 0.0 {
+        return Ok(());
+    }
+    // The unit that was named is not known here: what was read as seconds may be any other.
+    let fits = |(_, a_second): &&(&str, f64)| USUAL_S.contains(&(step_s / a_second));
+    let remedy = if step_s < STEPS_S.start {
+        "see that the unit of its times is right: `Time (s)`, `Time (ms)`, `Time (us)` or `Time (ns)`".to_owned()
+    } else {
+        match TIME_UNITS.iter().find(fits) {
+            Some((unit, _)) => format!("are its times in {unit}? Name the column `Time ({unit})`"),
+            None => "record ten samples a second and more".to_owned(),
+        }
+    };
+    Err(HostError::new(
+        ErrorCode::DataRefused,
+        format!("its samples are {step_s} s apart: no position is found from those"),
+        remedy,
+    )
+    .at(&recording.name))
+}
+
+/// What to say where z points down at the start: an accelerometer that gives gravity instead of specific force shows
+/// the same lying face up.
+fn face_down(recording: &MotionRecording) -> Option<String> {
+    let end = recording.times_s.first()? + 1.0;
+    let second = &recording.samples[..recording.times_s.partition_point(|t| *t < end)];
+    let sum = |vector: &dyn Fn(&UnitSample) -> Option<[f64; 3]>| {
+        let all = second.iter().filter_map(vector);
+        all.fold([0.0; 3], |sum, v| std::array::from_fn(|i| sum[i] + v[i]))
+    };
+    let size = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let (force, field) = (sum(&|s| Some(s.force_mps2)), sum(&|s| s.field_ut));
+    if force[2] > FACE_DOWN * size(force) {
+        return None;
+    }
+    let along = force.iter().zip(field).map(|(f, b)| f * b).sum::<f64>();
+    let along = along / (size(force) * size(field));
+    let shown = if along > DIPS {
+        "; the magnetic field points up then, as it does south of the equator only"
+    } else if along < -DIPS {
+        "; the magnetic field points down then, as it does north of the equator only"
+    } else {
+        ""
+    };
+    Some(format!(
+        "its z axis points down at the start{shown}. An accelerometer shows +9.81 m/s² on z face up: if it lay so, turn the \
+         signs of all three axes, or the path is mirrored"
+    ))
 }
 
 /// Samples at an axis's full scale, where it comes there more than once.

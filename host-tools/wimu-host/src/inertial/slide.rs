@@ -2,7 +2,7 @@
 
 use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 
-use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt, quaternion};
+use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt, measured_from, quaternion};
 use crate::motion::{MotionRecording, RestSpan, gap_s, median_step_s, rests};
 use crate::{ErrorCode, HostError, Result};
 
@@ -337,7 +337,7 @@ fn broken(recording: &MotionRecording, leg: &Leg) -> Option<String> {
 const WEAK_UT: f64 = 1.0;
 
 /// Mean magnetic field at a rest, µT, body axes, where there is one.
-fn field_at(recording: &MotionRecording, rest: &RestSpan) -> Option<[f64; 3]> {
+pub(super) fn field_at(recording: &MotionRecording, rest: &RestSpan) -> Option<[f64; 3]> {
     let fields = recording.samples[rest.first..rest.end]
         .iter()
         .filter_map(|s| s.field_ut);
@@ -421,7 +421,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
         ));
     }
     let config = SlideConfig {
-        gravity_mps2: recording.gravity_at_first_rest(),
+        gravity_mps2: recording.gravity_mps2(),
         ..SlideConfig::default()
     };
     let legs = legs(recording, config);
@@ -458,9 +458,15 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     };
     track.rest(first.before.first);
     track.sound = true;
+    track.rest(first.before.end);
     track.even = Even::default();
     track.even.pushed(&first.before.rest);
-    track.rest(first.before.end);
+    let origin = first.before.first..first.before.end;
+    let speed = match choice.zupt {
+        Zupt::Assumed => track.even.speed2.sqrt(),
+        _ => 0.0,
+    };
+    let origin = measured_from(&mut track.points, &origin, [speed; 3], choice.limit_m);
     let mut moves = Vec::new();
     for leg in &legs {
         if let Some(why) = broken(recording, leg) {
@@ -483,6 +489,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     Ok(InertialPath {
         method: Method::Slide,
         points: track.points,
+        origin,
         moves,
         remarks,
         limit_m: choice.limit_m,

@@ -24,6 +24,9 @@ pub struct Found {
     /// `assumed`: σ holds what even motion at the rests could have hidden; `stated`: it does not; `off`.
     zupt: &'static str,
     duration_s: f64,
+    /// When the first rest ends: position is zero there, and velocity, by definition.
+    origin_s: Option<f64>,
+    /// Over the valid samples.
     distance_m: f64,
     final_position_m: [f64; 3],
     final_sigma_m: [f64; 3],
@@ -284,6 +287,7 @@ fn found(
             Zupt::Off => "off",
         },
         duration_s: duration(path),
+        origin_s: path.points.get(path.origin).map(|p| p.time_s),
         distance_m: path.distance_m(),
         final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
         final_sigma_m: last.map(|p| p.sigma_m()).unwrap_or_default(),
@@ -370,13 +374,22 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     let [e, n, u] = last.position_m;
     let _ = writeln!(
         text,
-        "{:?}: {:.1} s, path {:.3} m, ends at E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m{}",
+        "{:?}: {:.1} s, path {:.3} m as far as it is valid, ends at E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m{}",
         path.method,
         duration(path),
         path.distance_m(),
         last.sd_m(),
         if last.valid { "" } else { " (not valid)" }
     );
+    if path.method != Method::Array
+        && let Some(origin) = path.points.get(path.origin)
+    {
+        let _ = writeln!(
+            text,
+            "measured from where it lay at {:.2} s, at the end of its first rest: even motion until then is none, by definition",
+            origin.time_s
+        );
+    }
     for limit in limits(choice) {
         let Some(end) = path.horizon(limit) else {
             let _ = writeln!(text, "horizon: 1 σ stays below {limit} m");

@@ -260,20 +260,15 @@ fn a_long_rest_before_the_first_move_costs_little_and_so_does_a_gap_in_it() {
         let [_, usual] = move_after(4.0, false, zupt);
         for (rest_s, gap) in [(120.0, false), (10.0, true)] {
             let [before, moved] = move_after(rest_s, gap, zupt);
-            if gap && zupt == Zupt::Off {
-                // Nothing says then that it rests.
-                assert!(!moved.valid);
-                continue;
-            }
             assert!(before.at_origin && before.valid, "{before:?}");
             assert!(before.position_m == [0.0; 3], "{before:?}");
-            assert!(before.position_sd_m() < 0.05, "{before:?}");
+            assert!(before.position_sd_m() < 0.25, "{before:?}");
             assert!(moved.valid && !moved.at_origin, "{moved:?}");
             let sd = moved.position_sd_m();
             assert!(sd < 2.5 * usual.position_sd_m(), "{zupt:?} {sd}: {usual:?}");
             let [e, n, u] = moved.position_m;
             let off = ((e - 0.5).powi(2) + n * n + u * u).sqrt();
-            assert!(off < 3.0 * sd && sd < 0.25, "{zupt:?}: {off} of {sd}");
+            assert!(off < 3.0 * sd && sd < 0.4, "{zupt:?}: {off} of {sd}");
         }
     }
 }
@@ -413,6 +408,22 @@ fn gaps_jumps_and_what_is_no_number_are_said_and_survived() {
         Err(UnitFault::Gap)
     );
     assert!(!filter.state().valid);
+    for _ in 0..300 {
+        filter.push(&at_rest(&mut random)).unwrap();
+    }
+    // It had not moved: the way begins after the gap.
+    let state = filter.state();
+    assert!(sane(&state) && state.valid && state.at_origin, "{state:?}");
+    // Now it has.
+    for k in 0..50 {
+        let mut sample = at_rest(&mut random);
+        sample.force_mps2[0] += 2.0 * (f64::from(k) * std::f64::consts::PI / 25.0).sin();
+        filter.push(&sample).unwrap();
+    }
+    let _ = filter.push(&UnitSample {
+        step_s: 2.0,
+        ..good
+    });
     for _ in 0..300 {
         filter.push(&at_rest(&mut random)).unwrap();
     }

@@ -358,10 +358,13 @@ impl<R: Real> UnitFilter<R> {
         }
     }
 
-    /// Nobody knows what happened in a gap. Before it has moved that costs nothing: the way begins after it.
+    /// Nobody knows what happened in a gap. Before it has moved that costs nothing: all begins anew.
     fn lose(&mut self, step_s: R) {
         self.valid = false;
-        self.begun &= self.moved;
+        if self.begun && !self.moved {
+            self.begun = false;
+            self.aligned = false;
+        }
         self.quiet.lose();
         self.group = Group::default();
         let step = step_s.to_f64();

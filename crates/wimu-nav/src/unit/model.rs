@@ -147,11 +147,11 @@ impl<R: Real> UnitFilter<R> {
             }
             self.held = true;
         }
-        // It may have ended already, and not have shown yet.
+        // It may have ended already, and not have shown yet; a weak push may have begun before.
         let back = R::from_f64(BACK_S);
         self.set_origin();
         self.unseen.forget(dt * R::from_f64(1.0 / PUSHED_S));
-        self.unseen.restart_before(back);
+        self.unseen.restart_before(R::from_f64(FOLLOW_S));
         self.cov.couple_by(POSITION, VELOCITY, back);
     }
 

@@ -101,6 +101,9 @@ impl<R: Real> UnitFilter<R> {
         self.aligned = true;
         self.valid = still;
         self.begun = self.valid;
+        self.moved = false;
+        self.held = false;
+        self.unseen = Unseen::default();
         if let Some(rate) = self.quiet.still()
             && self.config.zupt.is_on()
         {

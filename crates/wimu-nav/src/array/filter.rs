@@ -248,32 +248,28 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let gap = step_s > GAP_S;
         self.since_rest_s += step_s;
         let step = step_s.min(GAP_S);
-        let update = self.array.update(output_mps2);
+        let reduced = self.array.reduce(output_mps2);
         if gap {
             self.pause(step_s);
         }
-        let linear = match &update {
-            Ok(update) => Some(update.linear),
-            Err(_) => None,
-        };
-        if let Ok(update) = &update
-            && update.dropped != self.dropped
-        {
-            self.dropped = update.dropped;
-            self.forget_biases();
-        }
-        match linear {
-            Some(linear) => self.take(step, output_mps2, &linear),
-            None => {
+        match reduced {
+            Ok((linear, dropped)) => {
+                if dropped != self.dropped {
+                    self.dropped = dropped;
+                    self.forget_biases();
+                }
+                self.take(step, output_mps2, &linear);
+                if gap {
+                    return Err(ArrayFault::Gap);
+                }
+                Ok(dropped)
+            }
+            Err(why) => {
                 self.valid = false;
                 self.quiet_s = 0.0;
                 self.carry(step);
+                Err(ArrayFault::Blind(why))
             }
-        }
-        match update {
-            Err(why) => Err(ArrayFault::Blind(why)),
-            Ok(_) if gap => Err(ArrayFault::Gap),
-            Ok(update) => Ok(update.dropped),
         }
     }
 

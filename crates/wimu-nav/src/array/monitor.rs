@@ -80,6 +80,19 @@ impl<R: Real, const M: usize> Array<R, M> {
     /// # Errors
     /// What is missing, where the sensors left do not suffice.
     pub fn update(&mut self, output_mps2: &[R; M]) -> Result<Update<R>, GeometryError> {
+        let (linear, dropped) = self.reduce(output_mps2)?;
+        Ok(Update {
+            linear,
+            solution: self.solver.roots_of(&linear),
+            dropped,
+        })
+    }
+
+    /// The same without the angular rates that fit: a filter looks for them only where it does not know better.
+    pub(super) fn reduce(
+        &mut self,
+        output_mps2: &[R; M],
+    ) -> Result<(Linear<R>, Dropped), GeometryError> {
         let dropped = self.judge(output_mps2);
         if dropped.all() != self.dropped {
             let mask = dropped.all();
@@ -93,12 +106,7 @@ impl<R: Real, const M: usize> Array<R, M> {
                 *value = R::default();
             }
         }
-        let linear = self.solver.reduce(&clean);
-        Ok(Update {
-            linear,
-            solution: self.solver.roots_of(&linear),
-            dropped,
-        })
+        Ok((self.solver.reduce(&clean), dropped))
     }
 
     fn judge(&mut self, output: &[R; M]) -> Dropped {

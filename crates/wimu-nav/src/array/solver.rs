@@ -117,6 +117,7 @@ pub struct ArraySolver<R, const M: usize> {
     weights: [R; M],
     used: usize,
     rank: usize,
+    variance: R,
     centre_m: [f64; 3],
     arm_m: f64,
 }
@@ -161,6 +162,8 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         }
         let weight = |noise: f64| 1.0 / (noise * noise);
         let total: f64 = axes().map(|(_, axis)| weight(axis.noise_mps2)).sum();
+        let variances = axes().map(|(_, axis)| axis.noise_mps2 * axis.noise_mps2);
+        let variance = variances.sum::<f64>() / have as f64;
         let centre: Vector3<f64> = axes()
             .map(|(_, axis)| Vector3::from(axis.place_m) * (weight(axis.noise_mps2) / total))
             .sum();
@@ -208,6 +211,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             weights: [R::default(); M],
             used: have,
             rank: 0,
+            variance: R::from_f64(variance),
             arm_m: arm,
             centre_m: centre.into(),
         };
@@ -288,14 +292,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
 
     /// Mean variance of the axes in use, (m/s²)².
     pub fn variance_mps2(&self) -> R {
-        let mut sum = R::default();
-        let mut count = R::default();
-        let one = R::from_f64(1.0);
-        for weight in self.weights.iter().filter(|w| **w > R::default()) {
-            sum += one / (*weight * *weight);
-            count += one;
-        }
-        sum / count
+        self.variance
     }
 
     /// Root mean square distance of the sensors from their centre, m.

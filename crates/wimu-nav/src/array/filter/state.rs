@@ -1,7 +1,7 @@
 //! What is known after a sample: equations (102), (103) and (105).
 
 use super::super::hypothesis::{
-    Hypothesis, OMEGA, PHI, POSITION, TURN_BIAS, VELOCITY, block, dot, part, quaternion, r,
+    Hypothesis, OMEGA, PHI, POSITION, TURN, TURN_BIAS, VELOCITY, block, dot, part, quaternion, r,
 };
 use super::super::matrix::times;
 use super::{ArrayFilter, Wandered};

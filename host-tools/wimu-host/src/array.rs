@@ -1,5 +1,6 @@
 //! Several accelerometers on one body: where they are, their calibration from the rests in a
-//! recording, what the recording says about their places and delays, and the body's motion.
+//! recording or as it is stored, what the recording says about their places and delays, and the body's
+//! motion.
 
 mod agreement;
 mod calibration;
@@ -9,6 +10,8 @@ mod motion;
 mod recording;
 mod refine;
 mod rests;
+mod stored;
+mod survey;
 
 pub use agreement::Agreement;
 pub use calibration::ArrayCalibration;
@@ -17,3 +20,6 @@ pub use motion::{ArrayMotion, angular_rate, navigated};
 pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use refine::{RefineOptions, Refinement, refine};
 pub use rests::EvenTurn;
+pub use stored::{CalibratedArray, calibrate_array};
+pub(crate) use survey::mended;
+pub use survey::{Survey, surveyed};

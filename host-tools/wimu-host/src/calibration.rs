@@ -21,7 +21,7 @@ pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibr
 pub use reference::{AxisReport, NoiseSource, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
-    describe, not_observed, range_remark, read_parameters, write_report,
+    StoredModel, describe, not_observed, range_remark, read_model, read_parameters, write_report,
 };
 
 pub use update::{RestReport, UpdateReport, update};

@@ -460,7 +460,10 @@ fn choose(name: &str, header: &Header, wanted: Option<u32>) -> Result<usize> {
         (_, None) => Err(HostError::new(
             ErrorCode::Usage,
             format!("it has {} accelerometers", sensors.len()),
-            format!("choose one with --accelerometer: {}", list()),
+            format!(
+                "choose one with --accelerometer: {}; an array's are calibrated at once with --geometry",
+                list()
+            ),
         )
         .at(name)),
         ([None], Some(number)) => Err(HostError::new(

@@ -246,6 +246,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
                 times_s: kept.iter().map(|n| times_s[*n]).collect(),
                 clock_sd_s: Some(300e-6),
                 without_unit: 0,
+                sensitivity_lsb_per_g: None,
             }
         })
         .collect();

@@ -342,10 +342,14 @@ Example: wimu calibrate session.mcap -o CAL.json
          wimu calibrate later.csv --method update --with CAL.json -o NOW.json
          wimu calibrate session.mcap --method reference           (wireless against cable)
          wimu calibrate two.csv --method reference --reference 0 --accelerometer 1
-         wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json")]
+         wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json
+         wimu calibrate board.csv --geometry places.csv -o ARRAY.json      (several accelerometers)")]
 pub struct Calibrate {
     /// A LINK, a recording or a CSV file
     pub input: String,
+    /// The recordings of further boards on the same body: together one array, in the order of --geometry
+    #[arg(value_name = "BOARD")]
+    pub boards: Vec<PathBuf>,
     /// Write the calibration here
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
@@ -427,6 +431,17 @@ pub struct Calibrate {
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,
+    /// All accelerometers of an array at once: their places (see `wimu navigate --help`). Rests in a dozen
+    /// orientations tell each one's errors and how they are turned against each other, fast turns besides
+    /// their places and delays; -o writes all of it as the geometry that `wimu navigate` takes
+    #[arg(long, value_name = "FILE")]
+    pub geometry: Option<PathBuf>,
+    /// How well --geometry knows a place, mm (1 standard deviation); without it as the geometry says, or 0.5
+    #[arg(long, value_name = "MM")]
+    pub place_sd: Option<f64>,
+    /// How well --geometry knows a sensor's delay, µs; without it as the geometry says, or 300
+    #[arg(long, value_name = "US")]
+    pub delay_sd: Option<f64>,
 }
 
 #[derive(Args)]
@@ -678,6 +693,7 @@ pub enum Carried {
 Example: wimu navigate session.mcap -o path.csv
          wimu navigate walk.csv --method tilt --zupt off --report path.html
          wimu navigate board.csv --geometry places.csv -o path.csv
+         wimu navigate board.csv --geometry ARRAY.json                 (from `wimu calibrate --geometry`)
          wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json --refine refined.json")]
 pub struct Navigate {
     /// A recording, or a CSV file of corrected samples
@@ -692,19 +708,22 @@ pub struct Navigate {
     #[arg(long, value_name = "STATIC.csv")]
     pub drift: Option<PathBuf>,
     /// Places of an array's accelerometers (triads): a line `X (m),Y (m),Z (m)` or `X (mm),…`, then one for
-    /// each; or what --refine wrote, which may also hold axes and delays. Single axes: with the library only
+    /// each; or what `wimu calibrate --geometry` or --refine wrote, which may also hold axes, delays and error
+    /// models. Single axes: with the library only
     #[arg(long, value_name = "FILE")]
     pub geometry: Option<PathBuf>,
     /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write
     /// them here
     #[arg(long, value_name = "GEOMETRY.json", requires = "geometry")]
     pub refine: Option<PathBuf>,
-    /// How well --geometry knows a place, mm (1 standard deviation): rate and position hold it
-    #[arg(long, value_name = "MM", default_value_t = 0.5)]
-    pub place_sd: f64,
-    /// How well --geometry knows a sensor's delay, µs: rate and position hold it
-    #[arg(long, value_name = "US", default_value_t = 300.0)]
-    pub delay_sd: f64,
+    /// How well --geometry knows a place, mm (1 standard deviation), which rate and position hold; without it as
+    /// the geometry says, or 0.5
+    #[arg(long, value_name = "MM")]
+    pub place_sd: Option<f64>,
+    /// How well --geometry knows a sensor's delay, µs, which rate and position hold; without it as the geometry
+    /// says, or 300
+    #[arg(long, value_name = "US")]
+    pub delay_sd: Option<f64>,
     /// Sensitivity of an array's counts
     #[arg(long, value_name = "LSB_PER_G", default_value_t = 2048.0)]
     pub sensitivity: f64,
@@ -717,9 +736,10 @@ pub struct Navigate {
     /// Write velocity and position here, as a CSV file
     #[arg(short, long, value_name = "PATH.csv")]
     pub output: Option<PathBuf>,
-    /// Recompute with this calibration instead of the device's own
+    /// Recompute with this calibration instead of the device's own; of an array once for each sensor, in the
+    /// order of --geometry
     #[arg(long, value_name = "CAL.json")]
-    pub calibration: Option<PathBuf>,
+    pub calibration: Vec<PathBuf>,
     /// `on`: it is known that it rested wherever it seems to, and σ and Valid depend on that; `off`: no zero velocity at
     /// rests. Without this stillnesses are taken for rests, too, but even motion would look the same: σ holds what it
     /// could have hidden, and Valid ends with it. Either way position is zero where the first rest ends, by definition. The

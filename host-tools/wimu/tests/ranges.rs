@@ -203,6 +203,7 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
     let options = BoardOptions {
         sensitivity_lsb_per_g: 1.0,
         link: Some(ROLES[0]),
+        raw: false,
     };
     let board = Board::read(Path::new(&session), &options).unwrap();
     let magnitudes: Vec<f64> = board.values.iter().map(|value| value[0]).collect();

@@ -1,6 +1,6 @@
-//! An array's calibration from the rests in its own recording.
+//! An array's calibration from the rests in its own recording, or as it is stored.
 
-use wimu_calib::{Gravity, Model, Pose, find_poses, multi_position};
+use wimu_calib::{Estimate, Gravity, Model, Pose, find_poses, multi_position};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
 use super::motion::check;
@@ -17,6 +17,8 @@ const ASSUMED_NOISE_MPS2: f64 = 0.05;
 pub(super) const BIAS_MPS2: f64 = 0.02;
 /// Error of sensitivity and direction of an uncalibrated axis, at least.
 const LEAST_SCALE: f64 = 0.002;
+/// A sensor with a model of its own that departs by more than this at the rests, m/s², may have another's.
+const DOUBTFUL_MPS2: f64 = 0.5;
 
 /// An array's calibration from the rests in its own recording.
 #[derive(Clone, Debug)]
@@ -44,6 +46,10 @@ pub struct ArrayCalibration {
     pub delay_sd_s: f64,
     /// Why the error models are those of perfect sensors, where they are.
     pub uncalibrated: Option<String>,
+    /// Whether the geometry had an error model of each sensor, so that none was fitted.
+    pub stored: bool,
+    /// What came of the fit of each sensor; `None` where there was none.
+    pub estimates: Vec<Option<Estimate>>,
     /// Sensors that are of no use, and why.
     pub left_out: Vec<(usize, String)>,
     /// What each sensor still adds at each rest, m/s².
@@ -59,7 +65,8 @@ impl ArrayCalibration {
     /// From the accelerometers alone, in body axes: the rests are where the mean of all sensors is steady
     /// and they agree with each other as at every other rest, each sensor is fitted to gravity (9
     /// parameters), then turned to agree with the others. A sensor that is dead, or is the only one that
-    /// cannot be fitted, is left out; one that fails on the way counts as long as it lives.
+    /// cannot be fitted, is left out; one that fails on the way counts as long as it lives. Sensors of which the
+    /// geometry has an error model were corrected by [`ArrayRecording::arranged`] and are not fitted.
     ///
     /// # Errors
     /// `data_refused` when there is no rest at all, or no sensor is alive; `usage` when the geometry has
@@ -135,14 +142,24 @@ impl ArrayCalibration {
             })
             .collect();
         let mut models = vec![ErrorModel::default(); sensors];
+        let mut estimates = vec![None; sensors];
         let mut refusals = Vec::new();
-        let candidates: Vec<usize> = (0..sensors)
+        let alive: Vec<usize> = (0..sensors)
             .filter(|sensor| left_out.iter().all(|(out, _)| out != sensor))
             .collect();
+        let candidates: Vec<usize> = alive
+            .iter()
+            .copied()
+            .filter(|sensor| geometry.sensors[*sensor].model.is_none())
+            .collect();
+        let stored = candidates.is_empty();
         for sensor in &candidates {
             let poses: Vec<Pose> = seen(*sensor).copied().collect();
             match multi_position(&poses, gravity, Model::Full9) {
-                Ok(estimate) => models[*sensor] = estimate.model,
+                Ok(estimate) => {
+                    models[*sensor] = estimate.model;
+                    estimates[*sensor] = Some(estimate);
+                }
                 Err(refusal) => refusals.push((*sensor, refusal.to_string())),
             }
         }
@@ -151,6 +168,7 @@ impl ArrayCalibration {
         if refusals.len() * 2 > candidates.len() {
             uncalibrated = refusals.first().map(|(_, why)| why.clone());
             models = vec![ErrorModel::default(); sensors];
+            estimates = vec![None; sensors];
         } else {
             left_out.extend(refusals);
         }
@@ -166,7 +184,7 @@ impl ArrayCalibration {
             })
             .collect();
         let mut turns = vec![[0.0; 3]; sensors];
-        if uncalibrated.is_none() {
+        if uncalibrated.is_none() && (!stored || differ(&forces, &used)) {
             let chosen: Vec<Vec<Option<[f64; 3]>>> =
                 used.iter().map(|k| forces[*k].clone()).collect();
             for (sensor, small) in used.iter().zip(align(&chosen)) {
@@ -185,6 +203,8 @@ impl ArrayCalibration {
             place_sd_m: Self::PLACE_SD_M,
             delay_sd_s: Self::DELAY_SD_S,
             uncalibrated,
+            stored,
+            estimates,
             left_out,
             offsets: Vec::new(),
         };
@@ -206,7 +226,7 @@ impl ArrayCalibration {
             offsets.push(of_rest);
         }
         calibration.disagreement_mps2 = (squares / f64::max(values, 1.0)).sqrt();
-        if calibration.uncalibrated.is_some() {
+        if calibration.uncalibrated.is_some() || stored {
             let count = used.len() as f64;
             let apart = calibration.disagreement_mps2 * (count / f64::max(count - 1.0, 1.0)).sqrt();
             calibration.bias_mps2 = apart.max(BIAS_MPS2);
@@ -268,10 +288,41 @@ impl ArrayCalibration {
                 self.scale * 100.0
             ));
         }
+        if self.stored {
+            remarks.push(format!(
+                "the sensors have error models of their own: at the rests they differ by {:.3} m/s² after all, so that \
+                 biases of ± {:.3} m/s² and sensitivities and directions wrong by ± {:.1} % are allowed for",
+                self.disagreement_mps2,
+                self.bias_mps2,
+                self.scale * 100.0
+            ));
+            if let Some((sensor, apart)) = self.farthest()
+                && apart > DOUBTFUL_MPS2
+            {
+                remarks.push(format!(
+                    "sensor {sensor} (from 0) departs by {apart:.2} m/s² from the others at the rests: is its error model \
+                     that of this sensor, and given in its place?"
+                ));
+            }
+        }
         for (sensor, why) in &self.left_out {
             remarks.push(format!("sensor {sensor} (from 0) is left out: {why}"));
         }
         remarks
+    }
+
+    /// The sensor that departs most from the mean of all at the rests, and by how much, m/s² rms.
+    fn farthest(&self) -> Option<(usize, f64)> {
+        let apart = |sensor: usize| {
+            let squares = self
+                .offsets
+                .iter()
+                .map(|all| all[sensor].iter().map(|o| o * o).sum::<f64>());
+            (squares.sum::<f64>() / self.offsets.len().max(1) as f64).sqrt()
+        };
+        let used = (0..self.sensors.len()).filter(|sensor| self.uses(*sensor));
+        used.map(|sensor| (sensor, apart(sensor)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The rest whose departures are taken off sample `index`: the latest before it, or the first.
@@ -298,6 +349,20 @@ impl ArrayCalibration {
         let offset = self.offsets[self.offset_of(index)][sensor];
         core::array::from_fn(|axis| force[axis] - offset[axis])
     }
+}
+
+/// Whether the force at some two rests differs by gravity and more: then they show how the sensors are turned.
+fn differ(forces: &[Vec<Option<[f64; 3]>>], used: &[usize]) -> bool {
+    let Some(of_first) = used.first().map(|k| &forces[*k]) else {
+        return false;
+    };
+    let rests = || of_first.iter().flatten();
+    rests().any(|a| {
+        rests().any(|b| {
+            let square: f64 = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum();
+            square >= STANDARD_GRAVITY_MPS2.powi(2)
+        })
+    })
 }
 
 /// The error of sensitivity and direction that shows as the sensors' departures from their mean change with the
@@ -454,7 +519,7 @@ fn solve3(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
 }
 
 /// Turns a vector by a rotation vector, rad.
-fn turn(v: [f64; 3], by: [f64; 3]) -> [f64; 3] {
+pub(super) fn turn(v: [f64; 3], by: [f64; 3]) -> [f64; 3] {
     let angle = by.iter().map(|a| a * a).sum::<f64>().sqrt();
     if angle < 1e-12 {
         return v;

@@ -1,9 +1,11 @@
-//! Where the sensors of an array are, which way they point, and how late they sample.
+//! Where the sensors of an array are, which way they point, how late they sample, and how wrong they are.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use wimu_model::{ErrorModel, SpecificForceMps2};
 
+use crate::calibration::read_model;
 use crate::{ErrorCode, HostError, Result};
 
 /// One triad of an array.
@@ -18,6 +20,13 @@ pub struct ArraySensor {
     /// Its samples are taken so much later than their times say, µs.
     #[serde(default)]
     pub delay_us: f64,
+    /// Error model of its output, in its own axes; `None` where nobody calibrated it, and the rests of a
+    /// recording must tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<ErrorModel>,
+    /// The sensitivity by which counts become the output of `model`; `None` where that is a recording's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensitivity_lsb_per_g: Option<f64>,
 }
 
 fn aligned() -> [[f64; 3]; 3] {
@@ -31,7 +40,23 @@ impl ArraySensor {
             places_m: [place_m; 3],
             axes: aligned(),
             delay_us: 0.0,
+            model: None,
+            sensitivity_lsb_per_g: None,
         }
+    }
+
+    /// Specific force from its output, both m/s² and in its own axes; `lsb_per_g` is the sensitivity by which the
+    /// output was scaled, where it comes from counts.
+    pub fn corrected(&self, output_mps2: [f64; 3], lsb_per_g: Option<f64>) -> [f64; 3] {
+        let Some(model) = &self.model else {
+            return output_mps2;
+        };
+        let factor = match (lsb_per_g, self.sensitivity_lsb_per_g) {
+            (Some(scaled_by), Some(own)) => scaled_by / own,
+            _ => 1.0,
+        };
+        let output = SpecificForceMps2(output_mps2.map(|v| v * factor));
+        model.correct(output, None).0
     }
 
     /// Its output in body axes.
@@ -45,6 +70,12 @@ impl ArraySensor {
 #[serde(deny_unknown_fields)]
 pub struct ArrayGeometry {
     schema: String,
+    /// How well each coordinate of a place is known, mm, one standard deviation, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place_sd_mm: Option<f64>,
+    /// How well each delay is known, µs, one standard deviation, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delay_sd_us: Option<f64>,
     /// The sensors.
     pub sensors: Vec<ArraySensor>,
 }
@@ -57,8 +88,45 @@ impl ArrayGeometry {
     pub fn new(sensors: Vec<ArraySensor>) -> Self {
         Self {
             schema: Self::SCHEMA.to_owned(),
+            place_sd_mm: None,
+            delay_sd_us: None,
             sensors,
         }
+    }
+
+    /// The same with the error models that `wimu calibrate` stored for each sensor, in their order. What
+    /// `wimu align` found besides turns the sensor's axes.
+    ///
+    /// # Errors
+    /// `usage` for another number of files than of sensors; those of [`read_model`].
+    pub fn with_models(mut self, files: &[PathBuf]) -> Result<Self> {
+        if files.len() != self.sensors.len() {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!(
+                    "there are {} calibrations for {} sensors",
+                    files.len(),
+                    self.sensors.len()
+                ),
+                "give --calibration once for each sensor, in the order of the geometry",
+            ));
+        }
+        for (sensor, file) in self.sensors.iter_mut().zip(files) {
+            let stored = read_model(file)?;
+            sensor.model = Some(stored.model);
+            sensor.sensitivity_lsb_per_g = stored.sensitivity_lsb_per_g;
+            let turn = stored.alignment.matrix();
+            let axes = sensor.axes;
+            sensor.axes = std::array::from_fn(|axis| {
+                std::array::from_fn(|i| (0..3).map(|j| turn[j][axis] * axes[j][i]).sum())
+            });
+        }
+        Ok(self)
+    }
+
+    /// Whether any sensor has an error model: these are of raw samples.
+    pub fn has_models(&self) -> bool {
+        self.sensors.iter().any(|sensor| sensor.model.is_some())
     }
 
     /// Of triads in body axes at these places, m.
@@ -107,7 +175,7 @@ impl ArrayGeometry {
             HostError::new(
                 ErrorCode::BadCalibration,
                 message,
-                "give a file that `wimu navigate --refine` wrote, or a table of places in m",
+                "give a file that `wimu calibrate --geometry` or `wimu navigate --refine` wrote, or a table of places in m",
             )
             .at(&name)
         };
@@ -118,6 +186,16 @@ impl ArrayGeometry {
                 geometry.schema,
                 Self::SCHEMA
             )));
+        }
+        let known = [geometry.place_sd_mm, geometry.delay_sd_us];
+        if known
+            .into_iter()
+            .flatten()
+            .any(|sd| !(sd > 0.0 && sd.is_finite()))
+        {
+            return Err(bad(
+                "its place_sd_mm or delay_sd_us is not a positive number".to_owned(),
+            ));
         }
         for (index, sensor) in geometry.sensors.iter().enumerate() {
             let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| a[i] * b[i]).sum::<f64>();
@@ -130,6 +208,12 @@ impl ArrayGeometry {
                 return Err(bad(format!(
                     "sensor {index} (from 0) has a place or delay that is no number, or axes that are \
                      not of length 1 and at right angles"
+                )));
+            }
+            let positive = |v: &f64| *v > 0.0 && v.is_finite();
+            if sensor.sensitivity_lsb_per_g.is_some_and(|v| !positive(&v)) {
+                return Err(bad(format!(
+                    "the sensitivity of sensor {index} (from 0) is not a positive number"
                 )));
             }
             let [[a, b, c], [d, e, f], [g, h, i]] = sensor.axes;

@@ -242,6 +242,8 @@ fn filtered<const M: usize>(
     let mut without = vec![0_usize; recording.sensors()];
     let mut offset = calibration.offset_of(0);
     let mut last = recording.times_s[0];
+    // Where the way since the last rest begins, and rests at which it was found to be wrong.
+    let (mut way, mut astray) = (0, 0);
     for (index, time) in recording.times_s.iter().enumerate() {
         let output = sample::<M>(recording, calibration, index);
         if calibration.offset_of(index) != offset {
@@ -267,6 +269,15 @@ fn filtered<const M: usize>(
             moving_start.get_or_insert(!state.valid);
         }
         states.push(state);
+        if filter.astray() != astray {
+            astray = filter.astray();
+            for state in &mut states[way..index] {
+                state.valid = false;
+            }
+        }
+        if state.resting && zupt.is_on() {
+            way = index + 1;
+        }
     }
     let mut remarks = Vec::new();
     if moving_start == Some(true) {
@@ -302,8 +313,8 @@ fn filtered<const M: usize>(
     );
     remark(
         filter.astray() as usize,
-        "samples at rests at which velocity or attitude were not what the path said: it is off by more than \
-         its deviation; check the size of the places and the sensitivity",
+        "samples at rests at which velocity or attitude were not what the path said: the way there since the rest \
+         before is not valid; check the size of the places and the sensitivity",
     );
     remark(
         filter.doubtful() as usize,

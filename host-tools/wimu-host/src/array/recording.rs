@@ -32,6 +32,9 @@ pub struct ArrayRecording {
     pub outputs: Vec<Vec<[f64; 3]>>,
     /// Sensors that were at their limit: bit k for sensor k.
     pub saturated: Vec<u32>,
+    /// The sensitivity by which each sensor's counts were scaled, LSB/g; `None` where its output came in
+    /// m/s² or g, or the list is shorter.
+    pub sensitivities: Vec<Option<f64>>,
     /// The file's other columns, by name.
     pub other: Vec<(String, Vec<f64>)>,
     /// What errors call it.
@@ -95,6 +98,7 @@ impl ArrayRecording {
         let names: Vec<&str> = boards.iter().map(|b| b.name.as_str()).collect();
         let mut recording = Self::interpolated(&series, times_s);
         recording.name = names.join(", ");
+        recording.sensitivities = boards.iter().map(|b| b.sensitivity_lsb_per_g).collect();
         for (board, series) in boards.iter().zip(&series) {
             let clock = match board.clock_sd_s {
                 Some(sd) => format!("its clock known to {:.0} µs", sd * 1e6),
@@ -163,7 +167,8 @@ impl ArrayRecording {
         recording
     }
 
-    /// The same in body axes, with the delays of the sensors taken off, as `geometry` says.
+    /// The same in body axes, with the errors that `geometry` has a model of and the delays of the sensors
+    /// taken off.
     ///
     /// # Errors
     /// `usage` when the numbers of sensors differ.
@@ -181,22 +186,27 @@ impl ArrayRecording {
             )
             .at(&self.name));
         }
+        let scaled_by = |k: usize| self.sensitivities.get(k).copied().flatten();
         for row in &mut self.outputs {
-            for (output, sensor) in row.iter_mut().zip(sensors) {
-                *output = sensor.in_body_axes(*output);
+            for (k, (output, sensor)) in row.iter_mut().zip(sensors).enumerate() {
+                *output = sensor.in_body_axes(sensor.corrected(*output, scaled_by(k)));
             }
         }
-        if sensors.iter().all(|s| s.delay_us == 0.0) {
-            return Ok(self);
+        let delays: Vec<f64> = sensors.iter().map(|s| s.delay_us * 1e-6).collect();
+        Ok(self.delayed(&delays))
+    }
+
+    /// The same with each sensor's samples taken so much later than their times say, s.
+    pub(super) fn delayed(mut self, delays_s: &[f64]) -> Self {
+        if delays_s.iter().all(|delay| *delay == 0.0) {
+            return self;
         }
         let period_s = self.period_s();
-        let series: Vec<Series> = (0..sensors.len())
-            .map(|sensor| Series {
-                times_s: self
-                    .times_s
-                    .iter()
-                    .map(|t| t + sensors[sensor].delay_us * 1e-6)
-                    .collect(),
+        let series: Vec<Series> = delays_s
+            .iter()
+            .enumerate()
+            .map(|(sensor, delay)| Series {
+                times_s: self.times_s.iter().map(|t| t + delay).collect(),
                 values: self.outputs.iter().map(|row| row[sensor]).collect(),
                 saturated: self
                     .saturated
@@ -208,12 +218,12 @@ impl ArrayRecording {
             .collect();
         let moved = Self::interpolated(&series, std::mem::take(&mut self.times_s));
         self.remarks.extend(moved.remarks);
-        Ok(Self {
+        Self {
             times_s: moved.times_s,
             outputs: moved.outputs,
             saturated: moved.saturated,
             ..self
-        })
+        }
     }
 
     /// How many accelerometers there are.
@@ -364,6 +374,7 @@ impl Table {
             .unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
         let mut recording = ArrayRecording {
             name,
+            sensitivities: vec![counts.then_some(sensitivity_lsb_per_g); sensors],
             other: header
                 .other
                 .iter()
@@ -415,6 +426,8 @@ pub struct BoardOptions {
     pub sensitivity_lsb_per_g: f64,
     /// Of which link; without it, the cable if it was recorded.
     pub link: Option<LinkRole>,
+    /// Raw samples even where it has corrected ones: for error models that the geometry has.
+    pub raw: bool,
 }
 
 /// One board of an array: a triad in its own axes, at host time.
@@ -434,10 +447,12 @@ pub struct Board {
     pub clock_sd_s: Option<f64>,
     /// Raw samples left out because the range may have changed there and no epoch tells.
     pub without_unit: usize,
+    /// The sensitivity by which raw counts were scaled, LSB/g; `None` of corrected samples and tables in m/s².
+    pub sensitivity_lsb_per_g: Option<f64>,
 }
 
 impl Board {
-    /// Reads a recording (corrected samples where it has them, raw ones otherwise; of the device's
+    /// Reads a recording (corrected samples where it has them and raw ones are not asked for; of the device's
     /// start with most of them), or a CSV file with one accelerometer whose times are the host's.
     ///
     /// # Errors
@@ -466,15 +481,20 @@ impl Board {
                 saturated: recording.saturated.iter().map(|s| *s != 0).collect(),
                 clock_sd_s: None,
                 without_unit: 0,
+                sensitivity_lsb_per_g: recording.sensitivities.first().copied().flatten(),
             });
         }
         let recording = Recording::load(path)?;
         let link = recording.link(options.link)?;
-        let samples = |boot: &Boot| boot.corrected.len().max(boot.raw.len());
+        let samples = |boot: &Boot| match options.raw {
+            true => boot.raw.len(),
+            false => boot.corrected.len().max(boot.raw.len()),
+        };
         let no_rows = || {
+            let raw = if options.raw { "raw " } else { "" };
             HostError::new(
                 ErrorCode::NoRows,
-                format!("no samples came over the {} link", link.role),
+                format!("no {raw}samples came over the {} link", link.role),
                 "switch a stream on with `wimu settings set`, or use the other link",
             )
             .at(&recording.name)
@@ -484,7 +504,7 @@ impl Board {
             .iter()
             .max_by_key(|boot| samples(boot))
             .ok_or_else(no_rows)?;
-        let corrected = !boot.corrected.is_empty();
+        let corrected = !boot.corrected.is_empty() && !options.raw;
         let chosen = if corrected {
             &boot.corrected
         } else {
@@ -520,6 +540,10 @@ impl Board {
             saturated: Vec::with_capacity(chosen.len()),
             clock_sd_s: Some(boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9),
             without_unit: 0,
+            sensitivity_lsb_per_g: (!corrected).then(|| {
+                boot.nominal_sensitivity()
+                    .map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g())
+            }),
         };
         for sample in chosen {
             let time_ns = host(sample.time).ok_or_else(no_clock)?;

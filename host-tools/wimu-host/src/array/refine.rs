@@ -57,6 +57,23 @@ pub struct Refinement {
     pub samples: usize,
 }
 
+impl Refinement {
+    /// How well a coordinate of a place is known after it, m: root mean square of the deviations.
+    pub fn known_place_m(&self) -> f64 {
+        root_mean_square(self.place_sd_m.iter().flatten().flatten())
+    }
+
+    /// The same of a delay, s.
+    pub fn known_delay_s(&self) -> f64 {
+        root_mean_square(self.delay_sd_s.iter())
+    }
+}
+
+fn root_mean_square<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
+    let (squares, count) = values.fold((0.0, 0.0), |(sum, n), v| (sum + v * v, n + 1.0));
+    f64::sqrt(squares / f64::max(count, 1.0))
+}
+
 /// Estimates where each axis of an array is and how late each sensor samples, relative to the others;
 /// `recording` is in body axes by `geometry` ([`ArrayRecording::arranged`]).
 ///
@@ -423,28 +440,28 @@ fn invert(m: [[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
 
 /// A square matrix.
 #[derive(Clone, Debug)]
-struct Dense {
+pub(super) struct Dense {
     size: usize,
     values: Vec<f64>,
 }
 
 impl Dense {
-    fn zeros(size: usize) -> Self {
+    pub(super) fn zeros(size: usize) -> Self {
         Self {
             size,
             values: vec![0.0; size * size],
         }
     }
 
-    fn get(&self, row: usize, column: usize) -> f64 {
+    pub(super) fn get(&self, row: usize, column: usize) -> f64 {
         self.values[row * self.size + column]
     }
 
-    fn add(&mut self, row: usize, column: usize, value: f64) {
+    pub(super) fn add(&mut self, row: usize, column: usize, value: f64) {
         self.values[row * self.size + column] += value;
     }
 
-    fn sum(&mut self, other: &Self) {
+    pub(super) fn sum(&mut self, other: &Self) {
         for (a, b) in self.values.iter_mut().zip(&other.values) {
             *a += b;
         }
@@ -460,7 +477,7 @@ impl Dense {
     }
 
     /// L with L Lᵀ = self; `None` where it is not positive definite.
-    fn cholesky(&self) -> Option<Factor> {
+    pub(super) fn cholesky(&self) -> Option<Factor> {
         let n = self.size;
         let mut lower = Self::zeros(n);
         for i in 0..n {
@@ -479,12 +496,12 @@ impl Dense {
     }
 }
 
-struct Factor {
+pub(super) struct Factor {
     lower: Dense,
 }
 
 impl Factor {
-    fn solve(&self, right: &[f64]) -> Vec<f64> {
+    pub(super) fn solve(&self, right: &[f64]) -> Vec<f64> {
         let n = self.lower.size;
         let mut x = right.to_vec();
         for i in 0..n {
@@ -499,7 +516,7 @@ impl Factor {
     }
 
     /// N⁻¹ S N⁻¹.
-    fn sandwich(&self, spread: &Dense) -> Dense {
+    pub(super) fn sandwich(&self, spread: &Dense) -> Dense {
         let n = spread.size;
         let column = |m: &Dense, j: usize| -> Vec<f64> { (0..n).map(|i| m.get(i, j)).collect() };
         let mut half = Dense::zeros(n);

@@ -6,7 +6,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
-use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
+use wimu_model::{
+    Alignment, CalibrationMethod, ErrorModel, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2,
+    SensorId,
+};
 
 use super::range::Range;
 use super::{DatasheetReport, MethodChoice};
@@ -622,6 +625,60 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         .at(name));
     }
     Ok(set)
+}
+
+/// What a calibration file says of one sensor's errors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StoredModel {
+    /// The error model, sensor axes.
+    pub model: ErrorModel,
+    /// The sensitivity by which counts become its output; `None` where its data were in m/s² or g.
+    pub sensitivity_lsb_per_g: Option<f64>,
+    /// Sensor axes to body axes.
+    pub alignment: Alignment,
+}
+
+/// Reads the error model of a calibration file, of a sensor that need not be on a board.
+///
+/// # Errors
+/// `file_unreadable`; `bad_calibration` when it is no calibration, was refused, or holds numbers that are
+/// out of bounds.
+pub fn read_model(path: &Path) -> Result<StoredModel> {
+    #[derive(Deserialize)]
+    struct File {
+        schema: Option<String>,
+        status: Option<String>,
+        model: Option<ErrorModel>,
+        sensitivity_lsb_per_g: Option<f64>,
+        parameters: Option<serde_json::Value>,
+    }
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
+    let plain = serde_json::from_str::<File>(&text).ok().filter(|file| {
+        file.schema.as_deref() == Some(CalibrationReport::SCHEMA)
+            && file.status.as_deref() == Some("ok")
+            && file
+                .parameters
+                .as_ref()
+                .is_none_or(serde_json::Value::is_null)
+    });
+    match plain {
+        Some(File {
+            model: Some(model),
+            sensitivity_lsb_per_g,
+            ..
+        }) => Ok(StoredModel {
+            model,
+            sensitivity_lsb_per_g,
+            alignment: Alignment::IDENTITY,
+        }),
+        // It has all that a board takes, or says what is wrong with it.
+        _ => read_parameters(path).map(|set| StoredModel {
+            model: set.model,
+            sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+            alignment: set.alignment,
+        }),
+    }
 }
 
 /// What a calibration file says of its range where nobody knew it; `None` where it is known.

@@ -37,7 +37,7 @@ use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
-use crate::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
+use crate::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, mended, navigated};
 use crate::motion::{MotionRecording, Truth, gap_s, nees};
 use crate::{ErrorCode, HostError, Result};
 
@@ -458,7 +458,8 @@ pub fn settling(recording: &MotionRecording) -> Result<DriftFit> {
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
-/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]).
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
+/// whose size the motion shows to be others than given are taken as it shows them, which the remarks say.
 ///
 /// # Errors
 /// Those of [`navigated`]; `data_refused` where the sensors contradict each other, or what
@@ -469,8 +470,13 @@ pub fn navigate_array(
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
+    let mended = mended(recording, geometry, calibration)?;
+    let (recording, geometry, calibration) = match &mended {
+        Some(m) => (&m.recording, &m.geometry, &m.calibration),
+        None => (recording, geometry, calibration),
+    };
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
-    let gravity = if calibration.uncalibrated.is_some() {
+    let gravity = if calibration.uncalibrated.is_some() || calibration.stored {
         // Where biases may explain what it differs by, gravity is what it is.
         let mean = calibration.mean_rest_mps2(recording);
         let by_bias = LIKELY * calibration.bias_mps2 / (recording.sensors() as f64).sqrt();
@@ -528,6 +534,9 @@ pub fn navigate_array(
     path.remarks.extend(remarks);
     path.remarks.extend(agreement.map(|a| a.remark()));
     path.remarks.extend(calibration.remarks());
+    if let Some(mended) = &mended {
+        path.remarks.extend(mended.remarks.iter().cloned());
+    }
     let span = geometry.span_m();
     if span > ArrayGeometry::LARGE_M {
         path.remarks.push(format!(

@@ -1,5 +1,6 @@
 //! `wimu calibrate`.
 
+mod array;
 mod magnetometer;
 
 use std::io::IsTerminal;
@@ -28,6 +29,21 @@ use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 when the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
+    if let Some(geometry) = &arguments.geometry {
+        return array::run(arguments, geometry, output).map(|()| 0);
+    }
+    let of_arrays = [
+        ("several boards", !arguments.boards.is_empty()),
+        ("--place-sd", arguments.place_sd.is_some()),
+        ("--delay-sd", arguments.delay_sd.is_some()),
+    ];
+    if let Some((what, _)) = of_arrays.into_iter().find(|(_, given)| *given) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("{what}: for arrays only, with --geometry"),
+            "give --geometry FILE, or leave it out",
+        ));
+    }
     only_what_counts(arguments)?;
     if arguments.sensor == Calibrated::Magnetometer {
         return magnetometer::run(arguments, output);

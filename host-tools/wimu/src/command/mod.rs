@@ -2,6 +2,7 @@
 
 pub mod align;
 pub mod allan;
+mod array;
 pub mod calibrate;
 pub mod compare;
 pub mod demo;

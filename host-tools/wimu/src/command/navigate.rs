@@ -88,6 +88,13 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         return inertial::run(arguments, output);
     }
     inertial::check(arguments)?;
+    if arguments.calibration.len() > 1 {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "--calibration more than once is for an array",
+            "give one, or --geometry",
+        ));
+    }
     if arguments.method == NavigateMethod::Array {
         return Err(HostError::new(
             ErrorCode::Usage,
@@ -153,7 +160,7 @@ fn path(
     else {
         return Ok(None);
     };
-    let parameters = match &arguments.calibration {
+    let parameters = match arguments.calibration.first() {
         Some(file) => Some(read_parameters(file)?),
         None => None,
     };
@@ -174,7 +181,7 @@ fn path(
 
 fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
     let device = Track::of(&navigation::device(boot));
-    let as_device = arguments.calibration.is_none() && arguments.zupt.is_none();
+    let as_device = arguments.calibration.is_empty() && arguments.zupt.is_none();
     if as_device || boot.epochs.is_empty() {
         return Ok(Start {
             device,
@@ -183,7 +190,7 @@ fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
         });
     }
     let mark = &boot.epochs[boot.epochs.len() - 1];
-    let parameters = match &arguments.calibration {
+    let parameters = match arguments.calibration.first() {
         Some(path) => read_parameters(path)?,
         None => boot.parameters_of(&mark.epoch)?,
     };

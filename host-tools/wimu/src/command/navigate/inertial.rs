@@ -9,8 +9,9 @@ use wimu_host::inertial::{
 use wimu_host::motion::MotionRecording;
 use wimu_host::{ErrorCode, HostError, Result};
 
-use super::array::{self, Refined};
+use super::array;
 use crate::arguments::{Navigate, NavigateMethod, Switch};
+use crate::command::array::Refined;
 use crate::command::not_over_input;
 use crate::output::Output;
 
@@ -148,11 +149,11 @@ pub fn check(arguments: &Navigate) -> Result<()> {
 /// A CSV file of corrected samples, or of an array's.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     check(arguments)?;
-    if arguments.calibration.is_some() || (arguments.link.is_some() && arguments.geometry.is_none())
-    {
+    let of_recording = !arguments.calibration.is_empty() || arguments.link.is_some();
+    if of_recording && arguments.geometry.is_none() {
         return usage(
-            "--calibration and --link are for a recording by itself: a CSV file holds corrected samples, \
-             an array is calibrated from its rests",
+            "--calibration and --link are for a recording, or for an array with --geometry: a CSV file of one unit \
+             holds corrected samples",
             "leave them out",
         );
     }

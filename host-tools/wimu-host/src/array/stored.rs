@@ -1,0 +1,109 @@
+//! An array's calibration as it is stored: error models, places and delays in its geometry.
+
+use wimu_calib::Gravity;
+use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
+
+use super::refine::{RefineOptions, Refinement, refine};
+use super::{ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use crate::{ErrorCode, HostError, Result};
+
+/// What a recording of rests, and of turns, says of an array.
+#[derive(Clone, Debug)]
+pub struct CalibratedArray {
+    /// The geometry with an error model of each sensor that is of use, which holds the sensors' turns
+    /// against each other, and with places and delays where the recording tells them.
+    pub geometry: ArrayGeometry,
+    /// What the rests say; the models are in body axes.
+    pub calibration: ArrayCalibration,
+    /// What turns say of places and delays, or why they say nothing.
+    pub refinement: std::result::Result<Refinement, HostError>,
+}
+
+/// Calibrates an array from a recording in the sensors' own axes: rests in a dozen orientations tell the
+/// error models and how the sensors are turned against each other, fast turns besides the places of all axes
+/// and the delays. What `geometry` has of models is not used.
+///
+/// # Errors
+/// `data_refused` where the rests do not suffice; those of [`ArrayCalibration::of`].
+pub fn calibrate_array(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    gravity: Gravity,
+    options: &RefineOptions,
+) -> Result<CalibratedArray> {
+    let mut geometry = geometry.clone();
+    for sensor in &mut geometry.sensors {
+        (sensor.model, sensor.sensitivity_lsb_per_g) = (None, None);
+    }
+    let calibrated = |geometry: &ArrayGeometry| {
+        let arranged = recording.clone().arranged(geometry)?;
+        let calibration = ArrayCalibration::of(&arranged, geometry, gravity)?;
+        Ok::<_, HostError>((arranged, calibration))
+    };
+    let (arranged, mut calibration) = calibrated(&geometry)?;
+    if let Some(why) = &calibration.uncalibrated {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!("the rests do not tell the sensors' errors: {why}"),
+            "hold the array still for two seconds in a dozen orientations, all sides and some tilts between",
+        )
+        .at(&recording.name));
+    }
+    let refinement = refine(&arranged, &geometry, &calibration, options);
+    match &refinement {
+        Ok(found) => {
+            geometry = found.geometry.clone();
+            geometry.place_sd_mm = Some(found.known_place_m() * 1e3);
+            geometry.delay_sd_us = Some(found.known_delay_s() * 1e6);
+            calibration = calibrated(&geometry)?.1;
+        }
+        Err(why) if why.code() == ErrorCode::DataRefused => {}
+        Err(why) => return Err(why.clone()),
+    }
+    for (k, sensor) in geometry.sensors.iter_mut().enumerate() {
+        if calibration.estimates[k].is_none() || !calibration.uses(k) {
+            continue;
+        }
+        let (model, turn) = &calibration.sensors[k];
+        sensor.model = Some(in_own_axes(sensor, model, *turn)?);
+        sensor.sensitivity_lsb_per_g = recording.sensitivities.get(k).copied().flatten();
+    }
+    Ok(CalibratedArray {
+        geometry,
+        calibration,
+        refinement,
+    })
+}
+
+/// The model of a sensor in its own axes, its small turn included, from that of its output in body axes:
+/// with R from sensor to body axes and T the turn, b ← Rᵀ b, A ← Rᵀ A Tᵀ R.
+fn in_own_axes(sensor: &ArraySensor, model: &ErrorModel, turn: [f64; 3]) -> Result<ErrorModel> {
+    // Of 0, e_x, e_y, e_z in the sensor's axes.
+    let output = |own: [f64; 3]| -> [f64; 3] {
+        let body = sensor.in_body_axes(own);
+        let force = super::calibration::turn(body, turn.map(|angle| -angle));
+        let out = model.distort(SpecificForceMps2(force), None).0;
+        sensor
+            .axes
+            .map(|axis| (0..3).map(|i| axis[i] * out[i]).sum())
+    };
+    let bias_mps2 = output([0.0; 3]);
+    let columns: [[f64; 3]; 3] = std::array::from_fn(|j| {
+        let mut unit = [0.0; 3];
+        unit[j] = 1.0;
+        let along = output(unit);
+        std::array::from_fn(|i| along[i] - bias_mps2[i])
+    });
+    ErrorModel::new(ErrorTerms {
+        bias_mps2,
+        matrix: std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i])),
+        ..ErrorTerms::default()
+    })
+    .map_err(|error| {
+        HostError::new(
+            ErrorCode::DataRefused,
+            error.to_string(),
+            "check the sensor, the sensitivity and the axes of the geometry",
+        )
+    })
+}

@@ -1,0 +1,127 @@
+//! Sensors that sample at other times than they say, and places of a wrong size, are found from the motion itself
+//! and put right; arrays that are as given are left alone.
+
+#[path = "array_journeys/mod.rs"]
+mod array_journeys;
+
+use array_journeys::{Case, Kind, Places};
+use wimu_calib::Gravity;
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, consistency, navigate_array};
+
+/// Moves with turns of 3 rad an axis, 100 Hz.
+fn case() -> Case {
+    Case {
+        rate_hz: 100.0,
+        ..Case::default()
+    }
+}
+
+fn navigated(recording: ArrayRecording, geometry: &ArrayGeometry) -> InertialPath {
+    let arranged = recording.judged().arranged(geometry).unwrap();
+    let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
+    let choice = Choice {
+        method: Method::Array,
+        zupt: Zupt::Stated,
+        ..Choice::default()
+    };
+    navigate_array(&arranged, geometry, &calibration, &choice).unwrap()
+}
+
+/// Shares of position's and rate's NEES below 7.81, and what is said.
+fn honest(path: &InertialPath) -> (f64, f64, String) {
+    let share = |nees: &[f64]| consistency(nees).map_or(0.0, |(_, share)| share);
+    let said = path.remarks.join("; ");
+    (share(&path.nees), share(&path.rate_nees), said)
+}
+
+/// Sensor 2 says of each sample that it is so many periods younger than it is.
+fn late(recording: &mut ArrayRecording, periods: usize) {
+    let old = recording.outputs.clone();
+    for k in periods..old.len() {
+        recording.outputs[k][2] = old[k - periods][2];
+    }
+}
+
+#[test]
+fn a_sensor_that_is_late_is_put_to_its_time() {
+    for (places, periods) in [
+        (Places::Octahedron(0.03), 2),
+        (Places::Board, 1),
+        (Places::Four(0.03), 2),
+    ] {
+        for seed in 1..=3 {
+            let (mut recording, geometry) = Case { places, ..case() }.recording(seed);
+            late(&mut recording, periods);
+            let (position, rate, said) = honest(&navigated(recording, &geometry));
+            let ms = periods as f64 * 10.0;
+            println!("{places:?} {ms} ms, seed {seed}: {position:.2} {rate:.2} {said}");
+            let (_, found) = said
+                .split_once("sensor 2 (from 0): its samples are taken ")
+                .expect(&said);
+            let value: f64 = found.split(' ').next().unwrap().parse().unwrap();
+            assert!(
+                (value - ms).abs() < 1.0 && found.contains("earlier than"),
+                "{said}"
+            );
+            assert!(position > 0.85 && rate > 0.85, "{position} {rate}");
+        }
+    }
+}
+
+#[test]
+fn places_of_a_wrong_size_are_found_and_put_right() {
+    for (places, factor) in [
+        (Places::Octahedron(0.03), 1.3),
+        (Places::Octahedron(0.03), 0.7),
+        (Places::Four(0.03), 1.3),
+    ] {
+        for seed in 1..=3 {
+            let (recording, mut geometry) = Case { places, ..case() }.recording(seed);
+            for place in geometry.sensors.iter_mut().flat_map(|s| &mut s.places_m) {
+                *place = place.map(|c| c * factor);
+            }
+            let (position, rate, said) = honest(&navigated(recording, &geometry));
+            println!("{places:?} times {factor}, seed {seed}: {position:.2} {rate:.2} {said}");
+            let (_, found) = said.split_once("the places are ").expect(&said);
+            let value: f64 = found.split(' ').next().unwrap().parse().unwrap();
+            assert!((value / factor - 1.0).abs() < 0.06, "{said}");
+            assert!(position > 0.85 && rate > 0.85, "{position} {rate}");
+        }
+    }
+}
+
+#[test]
+fn arrays_that_are_as_given_are_left_as_they_are() {
+    let wrong = Case {
+        bias: 0.1,
+        scale: 0.015,
+        place: 1e-3,
+        ..case()
+    };
+    for case in [
+        case(),
+        wrong,
+        Case {
+            kind: Kind::Moves(0.3, 0.3),
+            ..wrong
+        },
+        Case {
+            places: Places::Board,
+            ..wrong
+        },
+        Case {
+            kind: Kind::Cart(1.0, 5.0),
+            ..case()
+        },
+    ] {
+        for seed in 1..=4 {
+            let (recording, geometry) = case.recording(seed);
+            let (.., said) = honest(&navigated(recording, &geometry));
+            assert!(
+                !said.contains("than their times say") && !said.contains("times as far apart"),
+                "{case:?} {seed}: {said}"
+            );
+        }
+    }
+}

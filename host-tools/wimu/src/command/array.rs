@@ -1,0 +1,114 @@
+//! What the commands for several accelerometers on one body share.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use wimu_host::Result;
+use wimu_host::array::{
+    ArrayGeometry, ArrayRecording, Board, BoardOptions, RefineOptions, Refinement,
+};
+
+use crate::arguments::Role;
+use crate::output::Output;
+
+/// Sensitivity of counts where nobody says it, LSB/g.
+pub const SENSITIVITY: f64 = 2048.0;
+
+/// How well places and delays are known: as it is said, as the geometry says, or as where nobody says it.
+pub fn known(
+    place_sd_mm: Option<f64>,
+    delay_sd_us: Option<f64>,
+    geometry: &ArrayGeometry,
+) -> RefineOptions {
+    let unsaid = RefineOptions::default();
+    let place = place_sd_mm.or(geometry.place_sd_mm).map(|mm| mm * 1e-3);
+    let delay = delay_sd_us.or(geometry.delay_sd_us).map(|us| us * 1e-6);
+    RefineOptions {
+        place_sd_m: place.unwrap_or(unsaid.place_sd_m),
+        delay_sd_s: delay.unwrap_or(unsaid.delay_sd_s),
+    }
+}
+
+/// The recording of an array: one table of all sensors, or one file a board.
+pub fn read(
+    input: &Path,
+    boards: &[PathBuf],
+    sensitivity_lsb_per_g: f64,
+    link: Option<Role>,
+    raw: bool,
+) -> Result<ArrayRecording> {
+    let is_table = input
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    if boards.is_empty() && is_table {
+        return Ok(ArrayRecording::from_csv(input, sensitivity_lsb_per_g)?);
+    }
+    let options = BoardOptions {
+        sensitivity_lsb_per_g,
+        link: link.map(Into::into),
+        raw,
+    };
+    let mut paths = vec![input.to_path_buf()];
+    paths.extend(boards.iter().cloned());
+    ArrayRecording::from_boards(&Board::read_all(&paths, &options)?)
+}
+
+/// What the recording said about places and delays.
+#[derive(Serialize)]
+pub struct Refined {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    samples: usize,
+    residual_before_mps2: f64,
+    residual_after_mps2: f64,
+    sensors: Vec<RefinedSensor>,
+}
+
+/// One sensor: by how much each coordinate of each axis's place was moved, and its delay.
+#[derive(Serialize)]
+struct RefinedSensor {
+    moved_mm: [[f64; 3]; 3],
+    moved_sd_mm: [[f64; 3]; 3],
+    delay_us: f64,
+    delay_sd_us: f64,
+}
+
+impl Refined {
+    /// Says it, and makes it an object.
+    pub fn of(found: &Refinement, output: Output) -> Self {
+        output.say(format!(
+            "places and delays from {} samples; what no motion explains falls from {:.3} to {:.3} m/s²",
+            found.samples, found.residual_mps2[0], found.residual_mps2[1]
+        ));
+        let mm = |all: &[[f64; 3]; 3]| all.map(|place| place.map(|v| v * 1e3));
+        let sensors: Vec<RefinedSensor> = (0..found.delay_s.len())
+            .map(|k| RefinedSensor {
+                moved_mm: mm(&found.moved_m[k]),
+                moved_sd_mm: mm(&found.place_sd_m[k]),
+                delay_us: found.delay_s[k] * 1e6,
+                delay_sd_us: found.delay_sd_s[k] * 1e6,
+            })
+            .collect();
+        for (k, sensor) in sensors.iter().enumerate() {
+            let axes = ["X", "Y", "Z"].iter().zip(&sensor.moved_mm);
+            let moved: Vec<String> = axes
+                .map(|(name, [x, y, z])| format!("{name} {x:+.2} {y:+.2} {z:+.2}"))
+                .collect();
+            let sds = sensor.moved_sd_mm.iter().flatten();
+            output.say(format!(
+                "sensor {k}: axes moved by {} mm (± {:.2} at most), later by {:.0} ± {:.0} µs",
+                moved.join(", "),
+                sds.copied().fold(0.0, f64::max),
+                sensor.delay_us,
+                sensor.delay_sd_us
+            ));
+        }
+        Self {
+            file: None,
+            samples: found.samples,
+            residual_before_mps2: found.residual_mps2[0],
+            residual_after_mps2: found.residual_mps2[1],
+            sensors,
+        }
+    }
+}

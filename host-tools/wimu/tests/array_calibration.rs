@@ -1,0 +1,291 @@
+//! Error models of an array's sensors: found all at once or one by one, stored, and handed over to another
+//! recording.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use kit::{folder, wimu};
+use serde_json::Value;
+
+const G: f64 = 9.80665;
+const PLACES_MM: [[f64; 3]; 4] = [
+    [50.0, 50.0, 50.0],
+    [50.0, -50.0, -50.0],
+    [-50.0, 50.0, -50.0],
+    [-50.0, -50.0, 50.0],
+];
+
+/// Bias of a sensor, m/s², and its A, its turn against the others included.
+fn errors(sensor: usize) -> ([f64; 3], [[f64; 3]; 3]) {
+    let s = sensor as f64;
+    let bias = [0.3 - 0.2 * s, -0.25 + 0.1 * s, 0.15 * s - 0.2];
+    let (scale, turn) = (0.01 * (s - 1.5), 0.008 * (s - 1.5));
+    let matrix = [
+        [1.0 + scale, -turn, 0.004],
+        [turn, 1.0 - scale, 0.006 * (s - 1.5)],
+        [-0.003, 0.002 * s, 1.0 + 0.5 * scale],
+    ];
+    (bias, matrix)
+}
+
+fn noise(k: u32, channel: u32) -> f64 {
+    let mut z = u64::from(k) << 32 | u64::from(channel);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) % 2001) as f64 / 1000.0 - 1.0
+}
+
+/// A table of what the sensors put out at 100 Hz where the body's force, rate and ω̇ are those of `motion`.
+fn table(seconds: f64, motion: impl Fn(f64) -> ([f64; 3], f64, f64), unit: &str) -> String {
+    let mut text = String::from("Time (s)");
+    for sensor in 0..4 {
+        for axis in ["X", "Y", "Z"] {
+            write!(text, ",Accelerometer {sensor} {axis} ({unit})").unwrap();
+        }
+    }
+    text.push('\n');
+    for k in 0..(seconds * 100.0) as u32 {
+        let t = f64::from(k) / 100.0;
+        let (force, rate, turn) = motion(t);
+        write!(text, "{t:.2}").unwrap();
+        for (sensor, place) in PLACES_MM.into_iter().enumerate() {
+            let [x, y, _] = place.map(|c| c * 1e-3);
+            let f = [
+                force[0] - turn * y - rate * rate * x,
+                force[1] + turn * x - rate * rate * y,
+                force[2],
+            ];
+            let (bias, matrix) = errors(sensor);
+            for axis in 0..3 {
+                let clean: f64 = (0..3).map(|i| matrix[axis][i] * f[i]).sum();
+                let value = clean + bias[axis] + 0.02 * noise(k, (3 * sensor + axis) as u32);
+                if unit == "LSB" {
+                    // Its true sensitivity is another than the nominal 4096.
+                    write!(text, ",{:.0}", value / G * 4150.0).unwrap();
+                } else {
+                    write!(text, ",{value:.5}").unwrap();
+                }
+            }
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// Rests of 2.5 s in fourteen orientations.
+fn poses(t: f64) -> ([f64; 3], f64, f64) {
+    let at = |pose: usize| {
+        let z = 1.0 - 2.0 * (pose as f64 + 0.5) / 14.0;
+        let (s, c) = (2.4 * pose as f64).sin_cos();
+        let r = (1.0 - z * z).sqrt();
+        [r * c, r * s, z]
+    };
+    let pose = (t / 2.5) as usize;
+    let share = ((t / 2.5 - pose as f64) * 5.0).min(1.0);
+    let (from, to) = (at(pose.saturating_sub(1)), at(pose));
+    let v: [f64; 3] = std::array::from_fn(|i| from[i] + share * (to[i] - from[i]));
+    let size = v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    (v.map(|c| c * G / size), 0.0, 0.0)
+}
+
+/// Rest, a turn about the vertical at up to 6 rad/s, rest.
+fn turn(t: f64) -> ([f64; 3], f64, f64) {
+    let smooth = |x: f64| x * x * (3.0 - 2.0 * x);
+    let slope = |x: f64| 6.0 * x * (1.0 - x) / 0.8;
+    let [up, down] = [3.0, 5.0].map(|from| ((t - from) / 0.8).clamp(0.0, 1.0));
+    let (rate, turning) = (smooth(up) - smooth(down), slope(up) - slope(down));
+    ([0.0, 0.0, G], 6.0 * rate, 6.0 * turning)
+}
+
+fn written(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+fn places(folder: &Path) -> String {
+    let mut text = "X (mm),Y (mm),Z (mm)\n".to_owned();
+    for [x, y, z] in PLACES_MM {
+        writeln!(text, "{x},{y},{z}").unwrap();
+    }
+    written(folder, "places.csv", &text)
+}
+
+fn remarks(object: &Value) -> String {
+    object["remarks"].to_string()
+}
+
+/// Bias that is allowed for, as a remark has it.
+fn allowed_bias(object: &Value) -> f64 {
+    let all = remarks(object);
+    let (_, rest) = all.split_once("biases of ± ").expect(&all);
+    rest.split(' ').next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
+    let folder = folder();
+    let places = places(folder.path());
+    let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "m/s²"));
+    let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
+    let array = folder.path().join("ARRAY.json").display().to_string();
+    let ran = wimu(&["calibrate", &rests, "--geometry", &places, "-o", &array]);
+    let found = ran.succeeds();
+    assert_eq!(found["schema"], "wimu.array-calibration/1");
+    assert!(
+        found["disagreement_m_s2"].as_f64().unwrap() < 0.005,
+        "{found}"
+    );
+    // It never turned fast: places and delays are as given, and it says so.
+    assert!(
+        found["refined"].is_null() && remarks(&found).contains("stay as given"),
+        "{found}"
+    );
+    for sensor in 0..4 {
+        let (bias, _) = errors(sensor);
+        let model = &found["sensors"][sensor]["model"];
+        for (axis, bias) in bias.into_iter().enumerate() {
+            let of = model["bias_m_s2"][axis].as_f64().unwrap();
+            assert!((of - bias).abs() < 0.01, "{sensor} {axis} {of} {bias}");
+        }
+    }
+    let with = wimu(&["navigate", &later, "--geometry", &array]).succeeds();
+    let without = wimu(&["navigate", &later, "--geometry", &places]).succeeds();
+    assert!(
+        remarks(&with).contains("error models of their own"),
+        "{with}"
+    );
+    assert!(remarks(&without).contains("not calibrated"), "{without}");
+    assert!(allowed_bias(&with) < 0.2 * allowed_bias(&without));
+    assert!(!remarks(&with).contains("departs"), "{with}");
+}
+
+#[test]
+fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
+    let folder = folder();
+    let places = places(folder.path());
+    // Counts: each model is by the sensitivity of its own fit.
+    let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "LSB"));
+    let later = written(folder.path(), "later.csv", &table(9.0, turn, "LSB"));
+    let files: Vec<String> = (0..4)
+        .map(|k| {
+            let file = folder
+                .path()
+                .join(format!("CAL{k}.json"))
+                .display()
+                .to_string();
+            let number = k.to_string();
+            wimu(&["calibrate", &rests, "--accelerometer", &number, "-o", &file]).succeeds();
+            file
+        })
+        .collect();
+    let navigate = |order: &[usize]| {
+        let mut arguments = vec!["navigate", &later, "--geometry", &places];
+        arguments.extend(["--sensitivity", "4096"]);
+        for k in order {
+            arguments.extend(["--calibration", &files[*k]]);
+        }
+        wimu(&arguments)
+    };
+    let found = navigate(&[0, 1, 2, 3]).succeeds();
+    assert!(
+        remarks(&found).contains("error models of their own"),
+        "{found}"
+    );
+    // Gravity does not show how they are turned against each other: up to 12 mrad, 0.12 m/s².
+    assert!(allowed_bias(&found) < 0.15, "{found}");
+    let swapped = navigate(&[3, 1, 2, 0]).succeeds();
+    assert!(
+        remarks(&swapped).contains("is its error model that of this sensor"),
+        "{swapped}"
+    );
+    let short = navigate(&[0, 1]).fails(2, "usage");
+    assert!(
+        short["message"]
+            .as_str()
+            .unwrap()
+            .contains("2 calibrations for 4 sensors")
+    );
+    // One unit takes one, and only of a recording.
+    wimu(&["navigate", &later, "--calibration", &files[0]]).fails(2, "usage");
+}
+
+#[test]
+fn what_does_not_make_an_arrays_calibration_is_refused() {
+    let folder = folder();
+    let places = places(folder.path());
+    let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
+    let array = folder.path().join("ARRAY.json").display().to_string();
+    let calibrate = |more: &[&str]| {
+        wimu(
+            &[
+                &["calibrate", &later, "--geometry", &places, "-o", &array],
+                more,
+            ]
+            .concat(),
+        )
+    };
+    let one_side = calibrate(&[]).fails(3, "data_refused");
+    assert!(
+        one_side["remedy"]
+            .as_str()
+            .unwrap()
+            .contains("a dozen orientations"),
+        "{one_side}"
+    );
+    for more in [
+        &["--method", "six-position"][..],
+        &["--accelerometer", "0"],
+        &["--push"],
+        &["--place-sd", "0"],
+        &["--gravity", "99"],
+    ] {
+        calibrate(more).fails(2, "usage");
+    }
+    assert!(!Path::new(&array).exists());
+    wimu(&["calibrate", &later, &later]).fails(2, "usage");
+    wimu(&["calibrate", &later, "--delay-sd", "100"]).fails(2, "usage");
+    let all = wimu(&["calibrate", &later]).fails(2, "usage");
+    assert!(
+        all["remedy"].as_str().unwrap().contains("--geometry"),
+        "{all}"
+    );
+    // Geometries by hand.
+    let sensor = |model: Value| {
+        let place = [0.01, 0.0, 0.0];
+        serde_json::json!({ "places_m": [place, place, place], "model": model })
+    };
+    for model in [
+        serde_json::json!({ "bias_m_s2": [0, 0, 0], "matrix": [[0, 0, 0], [0, 1, 0], [0, 0, 1]] }),
+        serde_json::json!({ "bias_m_s2": [99, 0, 0], "matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }),
+        serde_json::json!("none"),
+    ] {
+        let object = serde_json::json!({ "schema": "wimu.array/1", "sensors": [sensor(model)] });
+        let file = written(folder.path(), "hand.json", &object.to_string());
+        wimu(&["navigate", &later, "--geometry", &file]).fails(2, "bad_calibration");
+    }
+    let none = serde_json::json!({ "schema": "wimu.array/1", "sensors": [], "place_sd_mm": 0.0 });
+    let file = written(folder.path(), "none.json", &none.to_string());
+    wimu(&["navigate", &later, "--geometry", &file]).fails(2, "bad_calibration");
+    let other = written(folder.path(), "other.json", "{}");
+    let not_one = [
+        "navigate",
+        &later,
+        "--geometry",
+        &places,
+        "--calibration",
+        &other,
+    ];
+    let more = [
+        "--calibration",
+        &other,
+        "--calibration",
+        &other,
+        "--calibration",
+        &other,
+    ];
+    wimu(&[&not_one[..], &more].concat()).fails(2, "bad_calibration");
+}

@@ -176,6 +176,8 @@ pub struct ArrayFilter<R, const M: usize> {
     valid: bool,
     /// It began without a rest, and none has come yet.
     moving_start: bool,
+    /// It began with a rest, and that lasts.
+    still_start: bool,
     /// How long it rests by now, and the mean square of the speed at which it may move evenly instead, where
     /// that is likely.
     rested_s: f64,
@@ -220,6 +222,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             started: false,
             valid: false,
             moving_start: false,
+            still_start: false,
             rested_s: 0.0,
             doubt_mps2: 0.0,
             unseen_mps: 0.0,
@@ -301,6 +304,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         } else {
             self.rested_s = 0.0;
             self.doubt_mps2 = 0.0;
+            // The alignment lasts as long as the stillness that it began in: of velocity that says nothing more.
+            self.still_start &= self.resting();
+            if self.still_start {
+                self.measure_rest(step, false);
+                self.strayed = Strayed::default();
+            }
         }
         self.merge();
     }

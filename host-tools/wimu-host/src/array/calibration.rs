@@ -339,6 +339,16 @@ impl ArrayCalibration {
     /// Specific force of sensor `sensor` in body axes, m/s², without what it added at the latest rest
     /// before sample `index`: that part of its bias which the other sensors show.
     pub fn force(&self, sensor: usize, output_mps2: [f64; 3], index: usize) -> [f64; 3] {
+        self.force_since(sensor, output_mps2, self.offset_of(index))
+    }
+
+    /// The same without what it added at rest `rest`.
+    pub(super) fn force_since(
+        &self,
+        sensor: usize,
+        output_mps2: [f64; 3],
+        rest: usize,
+    ) -> [f64; 3] {
         let Some((model, small)) = self.sensors.get(sensor) else {
             return output_mps2;
         };
@@ -346,7 +356,7 @@ impl ArrayCalibration {
             model.correct(SpecificForceMps2(output_mps2), None).0,
             *small,
         );
-        let offset = self.offsets[self.offset_of(index)][sensor];
+        let offset = self.offsets[rest][sensor];
         core::array::from_fn(|axis| force[axis] - offset[axis])
     }
 }

@@ -15,6 +15,13 @@ const NEAR_STEPS: f64 = 3.0;
 const LEAST_LIMIT: f64 = 1.08;
 const ALIKE: f64 = 0.8;
 
+/// One sensor's own limit: it is there so often, and in this share of the samples in which the median of the others
+/// is beyond by so much, m/s², which goes about by so much meanwhile.
+const LIMIT_OF_ONE_SAMPLES: usize = 10;
+const LIMIT_OF_ONE_SHARE: f64 = 0.9;
+const BEYOND_MPS2: f64 = 0.1;
+const ABOUT_MPS2: f64 = 0.2;
+
 /// Same value but for rounding.
 fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
@@ -28,6 +35,7 @@ impl ArrayRecording {
     pub fn judged(mut self) -> Self {
         self.leave_out_stopped();
         self.find_limits();
+        self.find_limits_of_one();
         self
     }
 
@@ -122,6 +130,72 @@ impl ArrayRecording {
                 "sensors {sensors:?} (from 0) repeat outputs of up to {largest:.2} m/s² and none beyond: taken \
                  for their limit, {marked} samples"
             ));
+        }
+    }
+}
+
+impl ArrayRecording {
+    /// A limit that one sensor has and the others have not: it stays at its largest value, to the bit, while the
+    /// others go beyond and about.
+    fn find_limits_of_one(&mut self) {
+        let sensors = self.sensors();
+        if sensors < 3 {
+            return;
+        }
+        for (sensor, axis) in (0..sensors).flat_map(|s| (0..3).map(move |a| (s, a))) {
+            for sign in [-1.0, 1.0] {
+                let own = |row: &Vec<[f64; 3]>| sign * row[sensor][axis];
+                let largest = (self.outputs.iter().map(own))
+                    .filter(|v| v.is_finite())
+                    .fold(f64::NEG_INFINITY, f64::max);
+                let at = |row: &Vec<[f64; 3]>| same(own(row), largest);
+                if self.outputs.iter().filter(|row| at(row)).count() < LIMIT_OF_ONE_SAMPLES {
+                    continue;
+                }
+                // What the others give meanwhile, where most of them are beyond.
+                let (mut beyond, mut hits) = (0, Vec::new());
+                for row in &self.outputs {
+                    let mut others: Vec<f64> = (0..sensors)
+                        .filter(|s| *s != sensor)
+                        .map(|s| sign * row[s][axis])
+                        .filter(|v| v.is_finite())
+                        .collect();
+                    others.sort_by(f64::total_cmp);
+                    let Some(middle) = others.get(others.len() / 2) else {
+                        continue;
+                    };
+                    if own(row).is_finite() && *middle > largest + BEYOND_MPS2 {
+                        beyond += 1;
+                        if at(row) {
+                            hits.push(*middle);
+                        }
+                    }
+                }
+                let count = hits.len() as f64;
+                let mean = hits.iter().sum::<f64>() / count;
+                let square = hits.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count;
+                let clips = hits.len() >= LIMIT_OF_ONE_SAMPLES
+                    && count >= LIMIT_OF_ONE_SHARE * f64::from(beyond)
+                    && square > ABOUT_MPS2 * ABOUT_MPS2;
+                if !clips {
+                    continue;
+                }
+                let mut marked = 0;
+                for (row, bits) in self.outputs.iter().zip(&mut self.saturated) {
+                    if at(row) && *bits >> sensor & 1 == 0 {
+                        *bits |= 1 << sensor;
+                        marked += 1;
+                    }
+                }
+                if marked > 0 {
+                    self.remarks.push(format!(
+                        "sensor {sensor} (from 0): its {} axis stays at {:.2} m/s² while the others go beyond: taken for \
+                         its limit, {marked} samples",
+                        ["X", "Y", "Z"][axis],
+                        sign * largest
+                    ));
+                }
+            }
         }
     }
 }

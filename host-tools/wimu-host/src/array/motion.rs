@@ -144,6 +144,16 @@ pub(super) fn sample<const M: usize>(
     calibration: &ArrayCalibration,
     index: usize,
 ) -> [f64; M] {
+    sample_since(recording, calibration, index, calibration.offset_of(index))
+}
+
+/// The same without what the sensors added at rest `rest`.
+fn sample_since<const M: usize>(
+    recording: &ArrayRecording,
+    calibration: &ArrayCalibration,
+    index: usize,
+    rest: usize,
+) -> [f64; M] {
     let mut output = [0.0; M];
     for (sensor, value) in recording.outputs[index].iter().enumerate() {
         let force = if !calibration.uses(sensor) {
@@ -151,7 +161,7 @@ pub(super) fn sample<const M: usize>(
         } else if recording.saturated[index] >> sensor & 1 == 1 {
             [AT_LIMIT_MPS2; 3]
         } else {
-            calibration.force(sensor, *value, index)
+            calibration.force_since(sensor, *value, rest)
         };
         output[3 * sensor..3 * sensor + 3].copy_from_slice(&force);
     }
@@ -206,6 +216,18 @@ fn smoothed<const M: usize>(
     })
 }
 
+/// Whether the rate may be zero: within three of its deviations.
+fn may_rest(state: Option<&ArrayState<f64>>) -> bool {
+    state.is_none_or(|state| {
+        let rate = state.rate_rad_s;
+        let square: f64 = rate.iter().map(|w| w * w).sum();
+        let along: f64 = (0..3)
+            .flat_map(|i| (0..3).map(move |j| rate[i] * state.rate_covariance[i][j] * rate[j]))
+            .sum();
+        square * square <= 9.0 * along
+    })
+}
+
 fn filtered<const M: usize>(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
@@ -245,11 +267,12 @@ fn filtered<const M: usize>(
     // Where the way since the last rest begins, and rests at which it was found to be wrong.
     let (mut way, mut astray) = (0, 0);
     for (index, time) in recording.times_s.iter().enumerate() {
-        let output = sample::<M>(recording, calibration, index);
-        if calibration.offset_of(index) != offset {
+        // An even turn about the vertical may look like a rest: where the rate is known not to be zero, it is none.
+        if calibration.offset_of(index) != offset && may_rest(states.last()) {
             offset = calibration.offset_of(index);
             filter.residual_biases_taken_off();
         }
+        let output = sample_since::<M>(recording, calibration, index, offset);
         let pushed = filter.push(time - last, &output);
         last = last.max(*time);
         match pushed {

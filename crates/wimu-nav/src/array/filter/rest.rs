@@ -160,6 +160,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             self.since_rest_s = 0.0;
         }
         self.moving_start = !rests;
+        self.still_start = rests;
         self.valid = rests;
     }
 
@@ -255,6 +256,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         };
         let resting = self.quiet_s >= REST_S;
         if !self.config.zupt.is_on() {
+            if self.still_start {
+                return;
+            }
             let rate = part(&best.mean, OMEGA);
             let square = dot(&rate, &rate).to_f64() * self.may_be_none(best);
             let to = &mut self.wandered;
@@ -288,7 +292,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let place =
             |this: &Self| this.hypotheses[0].map_or([R::default(); 3], |h| part(&h.mean, POSITION));
         let before = place(self);
-        self.measure_rest(step);
+        self.measure_rest(step, true);
+        self.since_rest_s = 0.0;
+        self.valid = self.hypotheses[0].is_some();
         // Part of the way was taken off with the velocity: if it did not rest, it is missing.
         let after = place(self);
         let by: [R; 3] = core::array::from_fn(|i| before[i] - after[i]);
@@ -299,7 +305,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         }
     }
 
-    fn measure_rest(&mut self, step: f64) {
+    /// What a stillness says: no angular rate, gravity is vertical, and at a rest no velocity.
+    pub(super) fn measure_rest(&mut self, step: f64, at_rest: bool) {
         // A rest's departures last as long as it was looked at.
         let slower = (REST_S / step.max(1e-3)).max(1.0);
         let variance = |sd: f64| r::<R>(sd * sd * slower);
@@ -324,7 +331,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let astray = (0..3).any(|i| {
                 let v = hypothesis.mean[VELOCITY + i];
                 let a = hypothesis.acceleration[i];
-                hypothesis.departs(&unit(VELOCITY + i), v, variance(REST_SPEED_MPS)) > ASTRAY
+                let moves = hypothesis.departs(&unit(VELOCITY + i), v, variance(REST_SPEED_MPS));
+                (at_rest && moves > ASTRAY)
                     || hypothesis.departs(&gravity(&hypothesis.attitude, i), a, of_force) > ASTRAY
             });
             if astray {
@@ -334,11 +342,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             let before = hypothesis.mean;
             let mut fit = 0.0;
             for i in 0..3 {
-                for (at, sd) in [
-                    (VELOCITY + i, REST_SPEED_MPS),
+                let zeros = [
                     (TURN + i, REST_TURN_RAD_S2),
                     (OMEGA + i, REST_RATE_RAD_S),
-                ] {
+                    (VELOCITY + i, REST_SPEED_MPS),
+                ];
+                for (at, sd) in zeros.into_iter().take(if at_rest { 3 } else { 2 }) {
                     fit += hypothesis.absorb(&unit(at), -hypothesis.mean[at], variance(sd));
                 }
             }
@@ -355,8 +364,6 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if went_astray {
             self.astray = self.astray.saturating_add(1);
         }
-        self.since_rest_s = 0.0;
-        self.valid = self.hypotheses[0].is_some();
     }
 }
 

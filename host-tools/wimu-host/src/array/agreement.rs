@@ -1,17 +1,14 @@
 //! Whether the sensors of an array tell of one rigid body where the geometry says they are.
 
-use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, refused, sample, with_room};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
-/// Outputs that differ by so many times their noise and more, m/s², and by so many times what errors of
-/// sensitivity and direction make of gravity, show a turn.
+/// Outputs that differ by so many times their noise and more, m/s², show a turn.
 const NOISES: f64 = 10.0;
 const LEAST_MPS2: f64 = 0.3;
-const ERRORS: f64 = 3.0;
 /// Fewer samples do not decide.
 const LEAST_SAMPLES: usize = 50;
 /// Share of what no motion explains from which on the geometry is not this array's.
@@ -101,10 +98,7 @@ fn agreement<const M: usize>(
         return Ok(None);
     }
     let noise = solver.variance_mps2();
-    let errors = ERRORS * calibration.scale * STANDARD_GRAVITY_MPS2;
-    let least = (NOISES * NOISES * noise)
-        .max(LEAST_MPS2 * LEAST_MPS2)
-        .max(errors * errors);
+    let least = (NOISES * NOISES * noise).max(LEAST_MPS2 * LEAST_MPS2);
     let (mut shares, mut sizes) = (Vec::new(), Vec::new());
     let mut of_sensor = vec![0.0; recording.sensors()];
     for index in 0..recording.outputs.len() {

@@ -310,8 +310,10 @@ fn filtered<const M: usize>(
                 .to_owned(),
         );
     } else if !zupt.is_on() {
-        remarks
-            .push("it stands still at the start: its velocity is taken for zero there".to_owned());
+        remarks.push(
+            "it stands still at the start: its velocity and angular rate are taken for zero there"
+                .to_owned(),
+        );
     }
     let mut remark = |count: usize, what: &str| {
         if count > 0 {

@@ -41,7 +41,7 @@ pub fn read(
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("csv"));
     if boards.is_empty() && is_table {
-        return Ok(ArrayRecording::from_csv(input, sensitivity_lsb_per_g)?);
+        return ArrayRecording::from_csv(input, sensitivity_lsb_per_g);
     }
     let options = BoardOptions {
         sensitivity_lsb_per_g,

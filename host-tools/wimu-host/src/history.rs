@@ -15,6 +15,7 @@ use crate::decode::{Arrival, Event, LinkStatistics, TimedSample};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 use crate::overview::{Listen, choose, listen};
+use crate::walk::Start;
 
 /// An epoch as it arrived.
 #[derive(Clone, Debug)]
@@ -28,6 +29,8 @@ pub struct EpochMark {
 /// What a device sent on one link from one start to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Boot {
+    /// Which start of the device it is, for both links of a recording; `None` of a live board.
+    pub start: Option<Start>,
     /// Who it is, as it said last.
     pub hello: Option<Hello>,
     /// Raw samples, LSB, by sequence number.
@@ -300,8 +303,9 @@ impl LinkHistory {
 }
 
 impl Listen for LinkHistory {
-    fn take(&mut self, arrival: &Arrival) {
+    fn take(&mut self, start: Start, arrival: &Arrival) {
         LinkHistory::take(self, arrival);
+        self.latest().start = Some(start);
     }
 
     fn asked(&mut self, host_ns: u64, bytes: &[u8]) {
@@ -473,6 +477,11 @@ mod tests {
         let wireless = recording.link(Some(LinkRole::Wireless)).unwrap();
         let raw: Vec<_> = wireless.boots.iter().map(|boot| boot.raw.len()).collect();
         assert_eq!(raw, [300, 200]);
+        let starts = |link: &LinkHistory| -> Vec<_> {
+            link.boots.iter().map(|boot| boot.start.unwrap()).collect()
+        };
+        assert_eq!(starts(wireless)[0], starts(cable)[0]);
+        assert_ne!(starts(wireless)[1], starts(cable)[0]);
         let boot = &wireless.boots[1];
         assert_eq!(boot.hello.unwrap().boot_count, 2);
         assert!(boot.raw.is_sorted_by(|a, b| a.sequence < b.sequence));

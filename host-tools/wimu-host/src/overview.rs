@@ -10,10 +10,11 @@ use wimu_link::{Hello, LinkRole, WIRE_VERSION};
 use wimu_model::ParameterId;
 
 use crate::clock::{ClockEstimator, ClockModel};
-use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
+use crate::decode::{Arrival, Event, LinkStatistics};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::units::RawUnits;
+use crate::walk::{Start, Step, Walker};
 
 /// Events of a link that are kept as text.
 const MAX_EVENTS: usize = 500;
@@ -139,7 +140,7 @@ impl LinkOverview {
 }
 
 impl Listen for LinkOverview {
-    fn take(&mut self, arrival: &Arrival) {
+    fn take(&mut self, _: Start, arrival: &Arrival) {
         let role = self.role;
         let boot = self.latest();
         boot.estimator.heard(role, arrival);
@@ -206,7 +207,8 @@ impl Listen for LinkOverview {
 
 /// What takes in what a link brings.
 pub(crate) trait Listen {
-    fn take(&mut self, arrival: &Arrival);
+    /// Something has come, in this start of the device.
+    fn take(&mut self, start: Start, arrival: &Arrival);
     /// The host has sent this.
     fn asked(&mut self, host_ns: u64, bytes: &[u8]);
     /// Whether anything could be read.
@@ -231,30 +233,33 @@ pub(crate) fn listen<R: Read, L: Listen>(
     new: impl Fn(LinkRole) -> L,
 ) -> Result<Heard<L>> {
     let anchor = reader.anchor()?;
-    let mut links: BTreeMap<u8, (L, Decoder)> = BTreeMap::new();
+    let mut walker = Walker::new();
+    let mut links: BTreeMap<u8, L> = BTreeMap::new();
     let mut span: Option<(u64, u64)> = None;
-    while let Some(entry) = reader.next_entry()? {
-        let (link, decoder) = links
-            .entry(entry.role().number())
-            .or_insert_with(|| (new(entry.role()), Decoder::new()));
-        match entry {
-            Recorded::Received(received) => {
-                decoder.push(received.host_ns, &received.bytes, |arrival| {
-                    link.take(&arrival)
-                });
-                let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
-                span = Some((first.min(received.host_ns), last.max(received.host_ns)));
-            }
-            Recorded::Sent { host_ns, bytes, .. } => link.asked(host_ns, &bytes),
-            Recorded::Lost { .. } => decoder.interrupt(),
-            Recorded::Damaged { .. } => decoder.skip(),
-            Recorded::Connected { .. } => {}
+    let mut each = |role: LinkRole, start, step| {
+        let link = links.entry(role.number()).or_insert_with(|| new(role));
+        match step {
+            Step::Arrival(arrival) => link.take(start, &arrival),
+            Step::Sent { host_ns, bytes } => link.asked(host_ns, &bytes),
+            Step::Lost { .. } | Step::Connected { .. } | Step::Damaged => {}
         }
+        Ok(())
+    };
+    while let Some(entry) = reader.next_entry()? {
+        if let Recorded::Received(received) = &entry {
+            let (first, last) = span.unwrap_or((received.host_ns, received.host_ns));
+            span = Some((first.min(received.host_ns), last.max(received.host_ns)));
+        }
+        walker.push(entry, &mut each)?;
     }
-    let foreign =
-        |(link, decoder): &(L, Decoder)| decoder.foreign_version().filter(|_| !link.has_epochs());
+    let versions = walker.foreign_versions();
+    for (role, carried) in walker.finish(&mut each)? {
+        let link = links.entry(role.number()).or_insert_with(|| new(role));
+        link.finish(carried);
+    }
+    let foreign = |(role, link): (&u8, &L)| versions.get(role).filter(|_| !link.has_epochs());
     if !links.is_empty()
-        && let Some(versions) = links.values().map(foreign).collect::<Option<Vec<u8>>>()
+        && let Some(versions) = links.iter().map(foreign).collect::<Option<Vec<&u8>>>()
     {
         return Err(HostError::new(
             ErrorCode::BadRecording,
@@ -266,12 +271,8 @@ pub(crate) fn listen<R: Read, L: Listen>(
         )
         .at(name));
     }
-    let finished = links.into_values().map(|(mut link, decoder)| {
-        link.finish(decoder.statistics());
-        link
-    });
     Ok(Heard {
-        links: finished.collect(),
+        links: links.into_values().collect(),
         anchor,
         duration_ns: span.map_or(0, |(first, last)| last - first),
         wholeness: reader.wholeness(),

@@ -122,6 +122,12 @@ impl Walker {
         }
     }
 
+    /// The wire version of what each link, by its number, brought last of another version than ours.
+    pub(crate) fn foreign_versions(&self) -> BTreeMap<u8, u8> {
+        let version = |(role, link): (&u8, &Link)| Some((*role, link.decoder.foreign_version()?));
+        self.links.iter().filter_map(version).collect()
+    }
+
     /// The recording is over: what each link carried and lost.
     ///
     /// # Errors
@@ -151,7 +157,7 @@ impl Walker {
 /// Steps before it is known which start they are of: more than arrive until it is.
 const MAX_HELD: usize = 4096;
 /// Starts of which two links say that they began so far apart are one, ns: a link may be late.
-pub(crate) const SAME_START_NS: u64 = 5_000_000_000;
+const SAME_START_NS: u64 = 5_000_000_000;
 
 #[derive(Debug)]
 struct Link {

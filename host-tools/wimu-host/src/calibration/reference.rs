@@ -11,8 +11,8 @@ use wimu_calib::{
 };
 use wimu_link::LinkRole;
 use wimu_model::{
-    CalibrationMethod, CalibrationQuality, DeviceTimeUs, ErrorTerms, ModelCovariance, ParameterSet,
-    QualityTerms, Sensitivity, SensorId, TermDeviations,
+    CalibrationMethod, CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
+    Sensitivity, SensorId, TermDeviations,
 };
 
 use super::input::{magnitude, median, median_magnitude};
@@ -22,9 +22,8 @@ use super::{CalibrationReport, Source};
 use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
-use crate::history::{Boot, Recording};
+use crate::history::Recording;
 use crate::units::RawUnits;
-use crate::walk::SAME_START_NS;
 
 /// Two streams of one motion, sample by sample.
 #[derive(Clone, Debug)]
@@ -199,10 +198,11 @@ impl Paired {
     pub fn from_recording(recording: &Recording) -> Result<Self> {
         let cable = recording.link(Some(LinkRole::Cable))?;
         let wireless = recording.link(Some(LinkRole::Wireless))?;
-        let same_start = wireless.boots.iter().flat_map(|theirs| {
-            let ours = cable.boots.iter().filter(|ours| !ours.raw.is_empty());
-            let apart = ours.filter_map(|ours| Some((began_apart_ns(ours, theirs)?, ours)));
-            let (_, ours) = apart.min_by_key(|(apart_ns, _)| *apart_ns)?;
+        let same_start = wireless.boots.iter().filter_map(|theirs| {
+            let ours = cable
+                .boots
+                .iter()
+                .find(|ours| ours.start == theirs.start && !ours.raw.is_empty())?;
             Some((ours, theirs))
         });
         let mut without_unit = 0;
@@ -270,21 +270,6 @@ impl Paired {
         rests.truncate(found);
         rests
     }
-}
-
-/// How far apart what two links call a start began by their own clocks, ns; `None` where it is not one
-/// start: further apart than links and clocks are late, or of different boot counts. The same count alone
-/// tells nothing: it may repeat.
-fn began_apart_ns(ours: &Boot, theirs: &Boot) -> Option<u64> {
-    let counts = [ours, theirs].map(|boot| boot.hello.map(|hello| hello.boot_count));
-    if counts[0].is_some() && counts[1].is_some() && counts[0] != counts[1] {
-        return None;
-    }
-    let began_ns = |boot: &Boot| boot.host_ns(DeviceTimeUs(0));
-    let apart_ns = (began_ns(ours)?.wrapping_sub(began_ns(theirs)?) as i64).unsigned_abs();
-    let sd_ns = |boot: &Boot| boot.clock_sd_ns(DeviceTimeUs(0)).unwrap_or(0.0);
-    let unsure_ns = (3.0 * sd_ns(ours).hypot(sd_ns(theirs))) as u64;
-    (apart_ns <= SAME_START_NS.saturating_add(unsure_ns)).then_some(apart_ns)
 }
 
 /// An axis in a [`ReferenceReport`].

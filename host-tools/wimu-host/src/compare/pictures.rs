@@ -57,7 +57,7 @@ impl Comparison {
     }
 
     /// The pictures, with what their files are called.
-    fn charts(&self) -> Vec<(&'static str, Chart)> {
+    pub fn charts(&self) -> Vec<(&'static str, Chart)> {
         let history = &self.history;
         let axis = self.shown_axis();
         let sides = |pairs: &[(f64, [[f64; 3]; 2])], wireless: &str| {

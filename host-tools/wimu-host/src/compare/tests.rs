@@ -70,6 +70,28 @@ fn two_tables_of_different_rates_and_clocks_are_aligned_by_their_motion() {
 }
 
 #[test]
+fn a_slow_table_does_not_flatten_the_motion_whichever_of_the_two_it_is() {
+    // Quicker than the others, 2.9 Hz, and rows 1.7 ms off those of the fast table.
+    let quick = |t: f64| {
+        let [x, y, z] = force(t);
+        let [x, y] = [(18.2 * t).sin() + x, (14.9 * t).cos() + y];
+        (t, [x, y, z + (11.3 * t).sin()])
+    };
+    let fast = table("quick", times(200.0, 0.0, 60.0).map(quick), "m/s²");
+    let slow = table("slow", times(20.0, 5.0017, 55.0).map(quick), "m/s²");
+    for (reference, other) in [(&fast, &slow), (&slow, &fast)] {
+        let found = align(reference, other).unwrap();
+        let lines = found.axes.unwrap().map(|axis| axis.line.unwrap());
+        for line in lines {
+            assert!((line.scale - 1.0).abs() < 0.003, "{lines:?}");
+        }
+    }
+    for path in [fast, slow] {
+        std::fs::remove_file(path).unwrap();
+    }
+}
+
+#[test]
 fn a_narrower_range_leaves_out_what_it_clips_and_an_unknown_unit_is_in_the_interval() {
     let a = table("f", times(100.0, 0.0, 60.0).map(|t| (t, force(t))), "m/s²");
     let seen = |t: f64| {

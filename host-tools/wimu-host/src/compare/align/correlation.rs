@@ -1,0 +1,134 @@
+//! How well two signals fit each other at a lag.
+
+use super::signal::Grid;
+use super::{MAX_RATE, MIN_CORRELATION};
+
+/// What a motion shares with itself later than this counts as chance, s; at most so many products.
+const MAX_MEMORY_S: f64 = 5.0;
+const MAX_PRODUCTS: usize = 200_000_000;
+
+/// Correlation of what overlaps when b is moved by `lag`; `None` below `least` points.
+fn correlation(a: &[f64], b: &[f64], lag: i64, least: usize) -> Option<f64> {
+    let (a, b) = if lag >= 0 {
+        (a.get(lag as usize..)?, b)
+    } else {
+        (a, b.get(lag.unsigned_abs() as usize..)?)
+    };
+    let n = a.len().min(b.len());
+    if n < least.max(2) {
+        return None;
+    }
+    let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (p, q) in a.iter().zip(b) {
+        x += p;
+        y += q;
+        xx += p * p;
+        xy += p * q;
+        yy += q * q;
+    }
+    let n = n as f64;
+    let (xx, xy, yy) = (xx - x * x / n, xy - x * y / n, yy - y * y / n);
+    (xx > 0.0 && yy > 0.0).then(|| xy / (xx * yy).sqrt())
+}
+
+/// The correlation at every lag.
+pub(super) fn scores(a: &[f64], b: &[f64], least: usize) -> Vec<(f64, i64)> {
+    (-(b.len() as i64)..=a.len() as i64)
+        .filter_map(|lag| Some((correlation(a, b, lag, least)?, lag)))
+        .collect()
+}
+
+pub(super) struct Best {
+    pub score: f64,
+    pub lag: f64,
+}
+
+/// The best lag within `reach` of `around`, between points too.
+pub(super) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Best> {
+    let score = |lag: i64| correlation(a, b, lag, 8);
+    let (peak, lag) = (around - reach..=around + reach)
+        .filter_map(|lag| Some((score(lag)?, lag)))
+        .max_by(|x, y| x.0.total_cmp(&y.0))?;
+    let shift = match (score(lag - 1), score(lag + 1)) {
+        (Some(before), Some(behind)) => {
+            let bend = before - 2.0 * peak + behind;
+            if bend < 0.0 {
+                (0.5 * (before - behind) / bend).clamp(-0.5, 0.5)
+            } else {
+                0.0
+            }
+        }
+        _ => 0.0,
+    };
+    Some(Best {
+        score: peak,
+        lag: lag as f64 + shift,
+    })
+}
+
+/// By how many standard deviations the correlation of what overlaps when b is moved by `lag` is more
+/// than chance: Fisher's transformation, with as many independent values as the motion has. It has as many
+/// as it is longer than what it shares with itself; and a short motion in a long rest is short.
+pub(super) fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
+    let (x, y) = if lag >= 0 {
+        (a.get(lag as usize..).unwrap_or_default(), b)
+    } else {
+        (a, b.get(lag.unsigned_abs() as usize..).unwrap_or_default())
+    };
+    let count = x.len().min(y.len());
+    let about_mean = |values: &[f64]| -> Vec<f64> {
+        let mean = values.iter().take(count).sum::<f64>() / count.max(1) as f64;
+        values.iter().take(count).map(|v| v - mean).collect()
+    };
+    let (x, y) = (about_mean(x), about_mean(y));
+    let product = |p: &[f64], q: &[f64]| p.iter().zip(q).map(|(p, q)| p * q).sum::<f64>();
+    let (xx, yy) = (product(&x, &x), product(&y, &y));
+    let energies: f64 = x.iter().zip(&y).map(|(p, q)| (p * q).powi(2)).sum();
+    if !(xx > 0.0 && yy > 0.0 && energies > 0.0) {
+        return 0.0;
+    }
+    let moving = xx * yy / energies;
+    let memory = ((MAX_MEMORY_S / step) as usize)
+        .min(MAX_PRODUCTS / count.max(1))
+        .min(count.saturating_sub(1));
+    let shared: f64 = (1..=memory)
+        .map(|later| product(&x[later..], &x) / xx * product(&y[later..], &y) / yy)
+        .sum();
+    let independent = moving / (1.0 + 2.0 * shared).max(1.0);
+    let score = (product(&x, &y) / (xx * yy).sqrt()).min(1.0 - 1e-6);
+    score.atanh() * independent.sqrt()
+}
+
+/// How much the lag grows from the first third of the overlap to the last, per second of the
+/// reference; `None` where a third does not fit on its own.
+pub(super) fn drift(
+    a: &Grid,
+    b: &Grid,
+    lag: f64,
+    (start, end): (f64, f64),
+    shift: f64,
+) -> Option<f64> {
+    let third = (end - start) / 3.0;
+    if third < 3.0 {
+        return None;
+    }
+    let lag_of = |from: f64| {
+        let cut = |grid: &Grid, from: f64| {
+            let first = ((from - grid.start) / grid.step).round().max(0.0) as usize;
+            let count = (third / grid.step) as usize;
+            let last = (first + count).min(grid.values.len());
+            (
+                first,
+                grid.values.get(first..last).unwrap_or_default().to_vec(),
+            )
+        };
+        let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
+        let expected = lag - (first_a as f64 - first_b as f64);
+        // 1 % of clock error is the most.
+        let reach = (MAX_RATE * (end - start) / a.step).ceil() as i64 + 1;
+        let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
+        (best.score >= MIN_CORRELATION)
+            .then_some((best.lag + first_a as f64 - first_b as f64) * a.step)
+    };
+    Some((lag_of(end - third)? - lag_of(start)?) / (2.0 * third))
+}

@@ -1,0 +1,231 @@
+//! A table as a signal in time.
+
+use std::path::Path;
+
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
+use crate::csv::{AccelerationUnit, CsvReader};
+use crate::{ErrorCode, HostError, Result};
+
+/// Taken where a table has no times, Hz.
+const ASSUMED_RATE_HZ: f64 = 100.0;
+/// No motion is over so soon, s.
+const SHORT_S: f64 = 0.1;
+/// A sensor's bias makes the magnitude at rest another than 1 g by about this, as a part of it.
+const LEAST_UNIT_SD: f64 = 0.03;
+/// A value stands at its sensor's end that stays for so many rows, so many times, and comes or goes by more
+/// than so many of the finest steps at once.
+const MIN_STAY: usize = 2;
+const MIN_STOPS: usize = 2;
+const STEEP: f64 = 4.0;
+
+/// A table as a signal.
+pub(super) struct Signal {
+    /// s.
+    times: Vec<f64>,
+    /// m/s².
+    values: Vec<[f64; 3]>,
+    /// Whether an axis stands at its sensor's end.
+    saturated: Vec<bool>,
+    /// How far the unit may be off, where it is guessed, as a part of 1.
+    pub unit_sd: Option<f64>,
+}
+
+/// Evenly sampled magnitudes, less their mean.
+pub(super) struct Grid {
+    pub start: f64,
+    pub step: f64,
+    pub values: Vec<f64>,
+}
+
+/// Which rows have an axis at the end of what its sensor shows: at its largest or smallest value, where the
+/// motion stops and stays more than once.
+fn saturated(values: &[[f64; 3]]) -> Vec<bool> {
+    let mut saturated = vec![false; values.len()];
+    for axis in 0..3 {
+        let of = |row: usize| values[row][axis];
+        // The finest step between two rows: a value may stay by itself for as coarse as it is.
+        let steps = values
+            .windows(2)
+            .map(|pair| (pair[1][axis] - pair[0][axis]).abs());
+        let finest = steps.filter(|step| *step > 0.0).fold(f64::MAX, f64::min);
+        for sign in [1.0, -1.0] {
+            let end = values
+                .iter()
+                .map(|value| sign * value[axis])
+                .fold(f64::MIN, f64::max);
+            let at_end: Vec<usize> = (0..values.len())
+                .filter(|row| sign * of(*row) == end)
+                .collect();
+            let runs = at_end.chunk_by(|row, next| row + 1 == *next);
+            let stops = runs.filter(|run| {
+                let outside = [run[0].checked_sub(1), Some(run[run.len() - 1] + 1)];
+                let steep = outside
+                    .into_iter()
+                    .flatten()
+                    .filter(|row| *row < values.len())
+                    .any(|row| (of(row) - of(run[0])).abs() > STEEP * finest);
+                run.len() >= MIN_STAY && steep
+            });
+            if stops.count() >= MIN_STOPS {
+                at_end.iter().for_each(|row| saturated[*row] = true);
+            }
+        }
+    }
+    saturated
+}
+
+pub(super) fn norm(v: &[f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+impl Signal {
+    /// Reads a table. In LSB, the median magnitude is taken for 1 g.
+    pub fn read(path: &Path) -> Result<Signal> {
+        let reader = CsvReader::open(path)?;
+        let name = reader.name().to_owned();
+        let unit = reader.header().acceleration_unit;
+        if reader.header().accelerometers.len() != 1 {
+            return Err(HostError::new(
+                ErrorCode::CsvMissingColumn,
+                format!(
+                    "it has {} accelerometers",
+                    reader.header().accelerometers.len()
+                ),
+                "give tables with one each: `Accelerometer X (g)`, `Accelerometer Y (g)`, `Accelerometer Z (g)`",
+            )
+            .at(name));
+        }
+        let mut signal = Signal {
+            times: Vec::new(),
+            values: Vec::new(),
+            saturated: Vec::new(),
+            unit_sd: None,
+        };
+        for row in reader {
+            let row = row?;
+            let time = row
+                .time_ns
+                .map_or(signal.times.len() as f64 / ASSUMED_RATE_HZ, |time_ns| {
+                    time_ns as f64 * 1e-9
+                });
+            // Of equal times, the first counts.
+            if signal.times.last().is_none_or(|last| time > *last) {
+                signal.times.push(time);
+                signal.values.push(row.accelerations[0]);
+            }
+        }
+        if signal.times.len() < 2 {
+            return Err(HostError::new(
+                ErrorCode::NoRows,
+                "there are fewer than two rows",
+                "give a recording",
+            )
+            .at(name));
+        }
+        let factor = match unit {
+            AccelerationUnit::Lsb => {
+                let mut norms: Vec<_> = signal.values.iter().map(norm).collect();
+                norms.sort_by(f64::total_cmp);
+                let at = |share: f64| norms[(share * (norms.len() - 1) as f64) as usize];
+                let median = at(0.5).max(1e-9);
+                // In motion the median is not the magnitude at rest.
+                let spread = 0.5 * (at(0.84) - at(0.16)) / median;
+                signal.unit_sd = Some(spread.hypot(LEAST_UNIT_SD));
+                STANDARD_GRAVITY_MPS2 / median
+            }
+            other => other.mps2().unwrap_or(1.0),
+        };
+        signal.saturated = saturated(&signal.values);
+        for value in &mut signal.values {
+            *value = value.map(|v| v * factor);
+        }
+        Ok(signal)
+    }
+
+    /// The median rate, Hz.
+    pub fn rate_hz(&self) -> f64 {
+        let mut steps: Vec<_> = self
+            .times
+            .windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect();
+        steps.sort_by(f64::total_cmp);
+        1.0 / steps[steps.len() / 2].max(1e-6)
+    }
+
+    /// When its rows were taken, s.
+    pub fn times(&self) -> impl Iterator<Item = f64> {
+        self.times.iter().copied()
+    }
+
+    /// The value at a time, between two samples; `None` outside, or in a gap of a second.
+    pub fn at(&self, time: f64) -> Option<[f64; 3]> {
+        let next = self.times.partition_point(|t| *t <= time);
+        let before = next.checked_sub(1)?;
+        let (t0, v0) = (self.times[before], self.values[before]);
+        let Some(&t1) = self.times.get(next) else {
+            return (time == t0).then_some(v0);
+        };
+        let v1 = self.values[next];
+        let share = (time - t0) / (t1 - t0);
+        (t1 - t0 < 1.0).then(|| [0, 1, 2].map(|axis| v0[axis] + share * (v1[axis] - v0[axis])))
+    }
+
+    /// Whether the value at a time is made of one at its sensor's end.
+    pub fn is_saturated_at(&self, time: f64) -> bool {
+        let next = self.times.partition_point(|t| *t <= time);
+        let rows = next.saturating_sub(1)..(next + 1).min(self.saturated.len());
+        self.saturated[rows].contains(&true)
+    }
+
+    pub fn grid(&self, step: f64) -> Grid {
+        let start = self.times[0];
+        let length = self.times[self.times.len() - 1] - start;
+        let mut last = norm(&self.values[0]);
+        let mut values: Vec<f64> = (0..=(length / step) as usize)
+            .map(|k| {
+                if let Some(value) = self.at(start + k as f64 * step) {
+                    last = norm(&value);
+                }
+                last
+            })
+            .collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        for value in &mut values {
+            *value -= mean;
+        }
+        Grid {
+            start,
+            step,
+            values,
+        }
+    }
+}
+
+impl Grid {
+    pub fn end(&self) -> f64 {
+        self.start + (self.values.len() as f64 - 1.0) * self.step
+    }
+
+    /// The mean of each `fold` points, or where these are longer than a motion how much it moves within
+    /// them.
+    pub fn folded(&self, fold: usize) -> Self {
+        let values = if fold == 1 || self.step * fold as f64 <= SHORT_S {
+            let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+            self.values.chunks_exact(fold).map(mean).collect()
+        } else {
+            let spread = |part: &[f64]| {
+                let mean = part.iter().sum::<f64>() / part.len() as f64;
+                let square = part.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+                (square / part.len() as f64).sqrt()
+            };
+            self.values.chunks_exact(fold).map(spread).collect()
+        };
+        Self {
+            start: self.start,
+            step: self.step * fold as f64,
+            values,
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! The fit of one table's times to the other's.
+
+use super::MAX_RATE;
+use super::signal::{Signal, norm};
+
+/// What is left is the same for so long, s: its parts are taken for independent beyond.
+const CLUSTER_S: f64 = 1.0;
+
+/// The other's time in the reference's.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TimeFit {
+    /// Added to the other's time, s, at the middle.
+    pub offset_s: f64,
+    /// How much it grows per second of the reference.
+    pub rate: f64,
+    pub middle: f64,
+    /// Standard deviations of both.
+    pub sd: [f64; 2],
+}
+
+impl TimeFit {
+    pub fn theirs(&self, time: f64) -> f64 {
+        time - self.offset_s - self.rate * (time - self.middle)
+    }
+
+    /// The reference's time of the other's.
+    pub fn ours(&self, theirs: f64) -> f64 {
+        (theirs + self.offset_s - self.rate * self.middle) / (1.0 - self.rate)
+    }
+
+    /// One step towards the best fit of |y| of the other by c + k|x|, by the change of |x| for an offset
+    /// and by how that grows for a rate. What is left is weighed by the change of |y|, whose noise is not
+    /// that of the change of |x|: so noise makes no step too small. The standard deviations let what is
+    /// left be alike within a second.
+    pub fn refined(
+        &self,
+        a: &Signal,
+        b: &Signal,
+        (start, end): (f64, f64),
+        step: f64,
+        has_rate: bool,
+    ) -> Option<Self> {
+        let row = |time: f64| {
+            let near = [time - step, time, time + step];
+            let theirs = self.theirs(time);
+            let is_saturated = |at: f64| a.is_saturated_at(at);
+            if near.into_iter().any(is_saturated) || b.is_saturated_at(theirs) {
+                return None;
+            }
+            let [before, now, after] = near.map(|at| a.at(at).map(|v| norm(&v)));
+            let now = now?;
+            let theirs = [theirs - step, theirs, theirs + step];
+            let [y_before, y, y_after] = theirs.map(|at| b.at(at).map(|v| norm(&v)));
+            let with = |change: f64| {
+                let change = change / (2.0 * step);
+                let growing = if has_rate {
+                    change * (time - self.middle)
+                } else {
+                    0.0
+                };
+                [1.0, now, change, growing]
+            };
+            Some((with(after? - before?), with(y_after? - y_before?), y?))
+        };
+        let unknowns = if has_rate { 4 } else { 3 };
+        let count = ((end - start) / step).max(0.0) as usize;
+        let rows = || (1..count).filter_map(|k| row(start + k as f64 * step).map(|row| (k, row)));
+        let (mut normal, mut right) = ([[0.0; 4]; 4], [0.0; 4]);
+        for (_, (x, weights, y)) in rows() {
+            for i in 0..unknowns {
+                right[i] += weights[i] * y;
+                for j in 0..unknowns {
+                    normal[i][j] += weights[i] * x[j];
+                }
+            }
+        }
+        let inverse = inverse(normal, unknowns)?;
+        let times =
+            |v: [f64; 4]| inverse.map(|row| (0..unknowns).map(|j| row[j] * v[j]).sum::<f64>());
+        let found = times(right);
+        let of_cluster = (CLUSTER_S / step).ceil() as usize;
+        let (mut sum, mut cluster, mut variances) = ([0.0; 4], 0, [0.0; 4]);
+        let mut close = |sum: [f64; 4]| {
+            for (variance, influence) in variances.iter_mut().zip(times(sum)) {
+                *variance += influence * influence;
+            }
+        };
+        for (k, (x, weights, y)) in rows() {
+            if k / of_cluster != cluster {
+                close(std::mem::take(&mut sum));
+                cluster = k / of_cluster;
+            }
+            let left = y - (0..unknowns).map(|i| x[i] * found[i]).sum::<f64>();
+            for i in 0..unknowns {
+                sum[i] += weights[i] * left;
+            }
+        }
+        close(sum);
+        // How much the other shows of the reference's motion.
+        let gain = found[1];
+        if gain.abs() < 0.1 {
+            return None;
+        }
+        let fit = Self {
+            offset_s: self.offset_s + found[2] / gain,
+            rate: self.rate + found[3] / gain,
+            middle: self.middle,
+            sd: [2, 3].map(|k| variances[k].sqrt() / gain.abs()),
+        };
+        // One step is small, or it leads nowhere.
+        let moved = (fit.offset_s - self.offset_s).abs();
+        (moved < 5.0 * step && fit.rate.abs() <= MAX_RATE).then_some(fit)
+    }
+}
+
+/// The inverse of the first `size` rows and columns of a matrix that is nearly symmetric and positive.
+fn inverse(mut matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
+    // Of like size first: seconds beside seconds squared.
+    let scale: [f64; 4] = std::array::from_fn(|k| matrix[k][k].sqrt());
+    let mut inverse = [[0.0; 4]; 4];
+    for row in 0..size {
+        // Not a number where it was negative.
+        if scale[row].is_nan() || scale[row] <= 0.0 {
+            return None;
+        }
+        for column in 0..size {
+            matrix[row][column] /= scale[row] * scale[column];
+        }
+        inverse[row][row] = 1.0;
+    }
+    for pivot in 0..size {
+        let by = matrix[pivot][pivot];
+        if by < 1e-9 {
+            return None;
+        }
+        for column in 0..size {
+            matrix[pivot][column] /= by;
+            inverse[pivot][column] /= by;
+        }
+        for row in (0..size).filter(|row| *row != pivot) {
+            let by = matrix[row][pivot];
+            for column in 0..size {
+                matrix[row][column] -= by * matrix[pivot][column];
+                inverse[row][column] -= by * inverse[pivot][column];
+            }
+        }
+    }
+    for row in 0..size {
+        for column in 0..size {
+            inverse[row][column] /= scale[row] * scale[column];
+        }
+    }
+    Some(inverse)
+}

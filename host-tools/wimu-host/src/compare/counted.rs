@@ -1,0 +1,187 @@
+//! The second reading: what is counted, paired and fitted.
+
+use std::io::Read;
+
+use wimu_calib::{NoiseRatio, ReferenceTransfer};
+use wimu_link::message::{Answer, Payload, Status};
+
+use super::link::LinkMeter;
+use super::overview::Overview;
+use super::pairing::Pairing;
+use super::{Axis, EXCERPT_NS, UNDER_WAY_NS, index_of};
+use crate::Result;
+use crate::decode::Event;
+use crate::mcap_file::RecordingReader;
+use crate::walk::{Step, walk};
+
+/// How far values are apart.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Apart {
+    squares: [f64; 3],
+    pub max_lsb: [u32; 3],
+    count: u64,
+}
+
+impl Apart {
+    pub fn take(&mut self, reference: [i32; 3], value: [i32; 3], mps2_per_lsb: f64) {
+        self.count += 1;
+        for axis in 0..3 {
+            let apart = value[axis].abs_diff(reference[axis]);
+            self.squares[axis] += (f64::from(apart) * mps2_per_lsb).powi(2);
+            self.max_lsb[axis] = self.max_lsb[axis].max(apart);
+        }
+    }
+
+    pub fn rms(&self, axis: usize) -> f64 {
+        (self.squares[axis] / self.count.max(1) as f64).sqrt()
+    }
+}
+
+/// What an event says of how the device is.
+fn status_of(event: &Event) -> Option<Status> {
+    match event {
+        Event::Status(status) => Some(*status),
+        Event::Reply { reply, .. } => match reply.answer {
+            Answer::Accepted(Payload::Status(status)) => Some(status),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+/// What the second reading counts.
+pub(super) struct Counted {
+    pub meters: [LinkMeter; 2],
+    pub pairs: u64,
+    pub identical: u64,
+    pub saturated: u64,
+    pub without_unit: u64,
+    pub transfer: ReferenceTransfer,
+    pub before: Apart,
+    /// The coarsest LSB, m/s².
+    pub lsb_mps2: f64,
+    pub evolution: Vec<(f64, [Axis; 3])>,
+    pub excerpt: Vec<(f64, [[f64; 3]; 2])>,
+}
+
+impl Counted {
+    pub fn read<R: Read>(mut reader: RecordingReader<R>, overview: &Overview) -> Result<Self> {
+        // The same samples with the same noise: what differs is the wireless link's alone.
+        let ratio = NoiseRatio::new(1.0, 1e-3).unwrap_or_default();
+        let mut counted = Self {
+            meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
+            pairs: 0,
+            identical: 0,
+            saturated: 0,
+            without_unit: 0,
+            transfer: ReferenceTransfer::new(ratio).of_one_sensor(),
+            before: Apart::default(),
+            lsb_mps2: 0.0,
+            evolution: Vec::new(),
+            excerpt: Vec::new(),
+        };
+        let middle = overview.span.0 + overview.span_ns() / 2;
+        let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
+        let mut pairing = Pairing::new(overview.heard, &overview.holes);
+        let mut current = [None; 2];
+        let (slicing, mut slice) = (overview.slicing(), 0);
+        walk(&mut reader, |role, start, step| {
+            let link = index_of(role);
+            let meter = &mut counted.meters[link];
+            let arrival = match step {
+                Step::Arrival(arrival) => arrival,
+                Step::Sent { host_ns, .. } | Step::Connected { host_ns } => {
+                    meter.is_open(host_ns);
+                    return Ok(());
+                }
+                Step::Lost { host_ns } => {
+                    meter.close(host_ns);
+                    return Ok(());
+                }
+                Step::Damaged => {
+                    meter.skip();
+                    return Ok(());
+                }
+            };
+            meter.is_open(arrival.host_ns);
+            if current[link].replace(start).is_some_and(|s| s != start) {
+                meter.skip();
+            }
+            let (samples, is_late) = match &arrival.event {
+                Event::Samples(samples) if samples.stream == overview.stream => (samples, false),
+                Event::Late(samples) if samples.stream == overview.stream => (samples, true),
+                event => {
+                    // The device tells of both links on each.
+                    if let Some(status) = status_of(event) {
+                        let links = [status.cable, status.wireless];
+                        for (meter, status) in counted.meters.iter_mut().zip(links) {
+                            meter.told(start, status);
+                        }
+                    }
+                    return Ok(());
+                }
+            };
+            let host_ns = arrival.host_ns;
+            let Some(clock) = overview.clocks.get(&start) else {
+                return Ok(());
+            };
+            if is_late {
+                meter.take_late(samples, host_ns, clock);
+            } else {
+                meter.take(samples, host_ns, clock);
+            }
+            for sample in samples.iter() {
+                let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
+                let Some(twin) = twin else {
+                    continue;
+                };
+                let (cable, wireless) = if link == 0 {
+                    (sample.value, twin)
+                } else {
+                    (twin, sample.value)
+                };
+                counted.pairs += 1;
+                counted.identical += u64::from(cable == wireless);
+                let Some(unit) = overview.units.of(start, sample.sequence) else {
+                    counted.without_unit += 1;
+                    continue;
+                };
+                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb);
+                let [c, w] = [cable, wireless].map(|value| unit.mps2(value));
+                if unit.is_saturated(cable) || unit.is_saturated(wireless) {
+                    counted.saturated += 1;
+                } else {
+                    counted.before.take(cable, wireless, unit.mps2_per_lsb);
+                    counted.transfer.push(c, w);
+                }
+                let true_ns = clock.host_ns(sample.time);
+                if excerpt.contains(&true_ns) {
+                    counted.excerpt.push((overview.seconds(true_ns), [c, w]));
+                }
+            }
+            if slicing.at(host_ns as i64) > slice {
+                slice = slicing.at(host_ns as i64);
+                if let Ok(found) = counted.transfer.result() {
+                    let axes = [0, 1, 2].map(|axis| Axis::new(&found, axis, counted.lsb_mps2));
+                    counted.evolution.push((overview.seconds(host_ns), axes));
+                }
+            }
+            Ok(())
+        })?;
+        let under_way_ns = [0, 1].map(|link| {
+            let longest_ns = counted.meters[link].longest_age_ns();
+            (overview.span.1 as i64).saturating_sub(longest_ns.min(UNDER_WAY_NS) as i64)
+        });
+        let (lost, at_ends) = pairing.finish(under_way_ns);
+        let found = lost.into_iter().zip(at_ends);
+        for (meter, (lost, at_ends)) in counted.meters.iter_mut().zip(found) {
+            meter.lost = lost;
+            meter.before = at_ends.before;
+            meter.under_way = at_ends.under_way;
+            at_ends.lost.iter().for_each(|run| meter.lack(run));
+            meter.finish(overview.span.1);
+        }
+        counted.excerpt.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(counted)
+    }
+}

@@ -1,0 +1,62 @@
+//! Samples that are missing, as far as they may still come.
+
+use std::collections::VecDeque;
+
+use super::event::{Samples, StreamStatistics};
+
+/// Gaps of a stream that late samples may still fill, at most.
+const MAX_GAPS: usize = 256;
+
+/// Numbers of samples that are missing, from and up to, the latest of them.
+#[derive(Debug, Default)]
+pub(super) struct Gaps(VecDeque<(u32, u32)>);
+
+impl Gaps {
+    pub fn add(&mut self, from: u32, to: u32) {
+        self.0.push_back((from, to));
+        if self.0.len() > MAX_GAPS {
+            self.0.pop_front();
+        }
+    }
+
+    /// Counts the first `count` of `samples` as late or as duplicated; returns the late ones.
+    pub fn take(
+        &mut self,
+        samples: &Samples,
+        count: usize,
+        statistics: &mut StreamStatistics,
+    ) -> Vec<Samples> {
+        let mut found: Vec<Samples> = Vec::new();
+        let mut follows = false;
+        for sample in samples.iter().take(count) {
+            let number = sample.sequence;
+            let gap = self
+                .0
+                .iter()
+                .position(|(from, to)| (*from..*to).contains(&number));
+            let Some(index) = gap else {
+                statistics.duplicated += 1;
+                follows = false;
+                continue;
+            };
+            statistics.late += 1;
+            statistics.missing = statistics.missing.saturating_sub(1);
+            let (from, to) = self.0[index];
+            self.0[index] = (number + 1, to);
+            if from < number {
+                self.0.insert(index, (from, number));
+            }
+            match found.last_mut().filter(|_| follows) {
+                Some(run) => run.values.push(sample.value),
+                None => found.push(Samples {
+                    first_sequence: number,
+                    first_time: sample.time,
+                    values: vec![sample.value],
+                    ..*samples
+                }),
+            }
+            follows = true;
+        }
+        found
+    }
+}

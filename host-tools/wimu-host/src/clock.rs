@@ -43,7 +43,7 @@ const RESTART_NS: f64 = 0.5e9;
 const BEHIND_NS: u64 = 3_000_000;
 /// Questions that may wait for their answer.
 const MAX_ASKED: usize = 256;
-/// How much longer than its answer a question may be, or shorter.
+/// How much longer than its answer a question may be, or shorter, bytes.
 const MAX_UNEQUAL_BYTES: usize = 6;
 /// Below this span the rate is not estimated, s.
 const MIN_SPAN_S: f64 = 5.0;
@@ -175,9 +175,16 @@ impl ClockEstimator {
                     length,
                     is_behind,
                 } = self.asked.remove(&(reply.session, reply.id))?;
+                let answer_length = wire_length(reply);
+                let longer = length.max(answer_length);
+                // So many bytes take on the line, from the first on; more where the answer came in parts.
+                let bytes_take = |bytes: usize| {
+                    takes.saturating_mul(bytes as u64)
+                        / answer_length.saturating_sub(1).max(1) as u64
+                };
                 let trip = Trip {
                     whole: Duration::from_nanos(arrival.host_ns.checked_sub(asked_ns)?),
-                    on_line: (alone >= 0.0).then_some(Duration::from_nanos(takes)),
+                    on_line: (alone >= 0.0).then_some(Duration::from_nanos(bytes_take(longer))),
                 };
                 // Asked later than the device says that it answered, by all that came before: it has
                 // started anew.
@@ -189,9 +196,15 @@ impl ClockEstimator {
                     return Some(trip);
                 }
                 // Of unequal lengths, the directions take unequally long.
-                if length.abs_diff(wire_length(reply)) > MAX_UNEQUAL_BYTES {
+                if length.abs_diff(answer_length) > MAX_UNEQUAL_BYTES {
                     return Some(trip);
                 }
+                // The shorter one is taken as if it were as long as the other.
+                let asked_ns = asked_ns.saturating_sub(bytes_take(longer - length));
+                let answered_ns = arrival
+                    .host_ns
+                    .saturating_add(bytes_take(longer - answer_length));
+                let length = longer;
                 let (known, changes) = &mut self.question[link];
                 if *known != length {
                     *known = length;
@@ -218,7 +231,7 @@ impl ClockEstimator {
                 if takes <= takes_least + BEHIND_NS {
                     self.transfer(link, Class::AnswerBegins, time, arrival.began_ns, alone);
                 }
-                self.transfer(link, Class::Answer, time, arrival.host_ns, alone);
+                self.transfer(link, Class::Answer, time, answered_ns, alone);
                 return Some(trip);
             }
             _ => {}

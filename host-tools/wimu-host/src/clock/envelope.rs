@@ -28,6 +28,9 @@ const LEAST_WINDOW_NS: f64 = 20_000.0;
 const SHAPES: [f64; 6] = [1.0, 1.5, 2.0, 3.0, 4.0, 6.0];
 /// Places of the least delay below the least seen, where its likelihood is summed up.
 const DEPTHS: usize = 24;
+/// The least delay is as likely anywhere down to so many times the time between two of the least ones
+/// below them, and then the less the farther.
+const NEAR_BELOW: f64 = 4.0;
 /// How many transfers apart late ones may be for one reason.
 const NEAR: u32 = 3;
 /// Two rates of one clock may differ by so many standard deviations.
@@ -584,22 +587,30 @@ impl Edge {
         self.end.0 - self.floor(self.sign * self.end.1).0
     }
 
-    /// Whether it tells a rate. What others held up says only that it had less delay than they: the more
-    /// of that, the farther below the line may lie.
-    fn shows_rate(&self) -> bool {
+    /// Whether it tells where the delays begin. What others held up says only that it had less delay than
+    /// they: the more of that, the farther below the line may lie.
+    fn is_seen(&self) -> bool {
         let free = self.least.iter().filter(|point| point.is_free()).count();
-        self.class.shows_rate() && 4 * free >= self.least.len().max(LEAST_POINTS)
+        4 * free >= self.least.len().max(LEAST_POINTS)
     }
 
-    /// The likelihood of slope `rate`, summed up over the places where the least delay may lie
-    /// and how the delays rise from it: its logarithm; mean and variance of the place.
-    fn likelihood(&self, rate: f64) -> (f64, f64, f64) {
+    fn shows_rate(&self) -> bool {
+        self.class.shows_rate() && self.is_seen()
+    }
+
+    /// The likelihood of slope `rate`, summed up over the places where the least delay may lie, `room`
+    /// below the least seen at most, and how the delays rise from it: its logarithm; mean and variance of
+    /// the place.
+    fn likelihood(&self, rate: f64, room: f64) -> (f64, f64, f64) {
         let slope = self.sign * rate;
         let floor = self.floor(rate).0;
         let window = self.window();
         let count = self.least.iter().filter(|point| point.is_free()).count() as f64;
+        let between = window / self.least.len() as f64;
+        let near = NEAR_BELOW * between;
         // Equally far apart as logarithms.
-        let (nearest, farthest) = (0.02 * window / self.least.len() as f64, 6.0 * window);
+        let nearest = 0.02 * between;
+        let farthest = (6.0 * window).min(room).max(2.0 * nearest);
         let ratio = (farthest / nearest).powf(1.0 / (DEPTHS - 1) as f64);
         let mut depth = nearest;
         let mut found = [(0.0, 0.0); DEPTHS];
@@ -630,6 +641,8 @@ impl Edge {
             } else {
                 depth * ratio.ln()
             };
+            // A place far below all that came is the less likely.
+            let width = width / (1.0 + depth / near);
             *found = (all + width.ln(), depth);
             depth *= ratio;
         }
@@ -686,14 +699,27 @@ impl Terms {
             if edge.least.is_empty() {
                 continue;
             }
-            let (log, mean, variance) = edge.likelihood(rate);
+            // No question came before it was asked, and no answer before that.
+            let is_other = |other: &&Edge| {
+                other.link == edge.link && other.class.is_question() != edge.class.is_question()
+            };
+            let others = edges.iter().filter(is_other);
+            let least = others.fold(f64::INFINITY, |least, other| least.min(other.floor(rate).0));
+            let floor = edge.floor(rate).0;
+            let room = floor + least;
+            let (log, mean, variance) = edge.likelihood(rate, room);
             if edge.shows_rate() {
                 terms.log_likelihood += log;
             }
-            terms.floors[CLASSES * edge.link + edge.class as usize] = Some((mean, variance));
+            // Of a line that is always busy nobody knows how long it takes else.
+            let found = match edge.is_seen() || !room.is_finite() {
+                true => (mean, variance),
+                false => (floor - 0.5 * room, room * room / 12.0),
+            };
+            terms.floors[CLASSES * edge.link + edge.class as usize] = Some(found);
         }
         for top in tops {
-            terms.log_likelihood += top.likelihood(rate).0;
+            terms.log_likelihood += top.likelihood(rate, f64::INFINITY).0;
         }
         terms
     }

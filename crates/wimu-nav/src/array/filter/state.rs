@@ -172,7 +172,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     /// Biases of the likeliest hypothesis and their standard deviations: of ω̇ (rad/s²), of s (m/s²),
-    /// and of [`Linear::z`] (in its units): the common six and those residual ones that rotation shows.
+    /// and of [`Linear::z`](crate::array::Linear::z) (in its units): the common six and those residual ones that rotation shows.
     pub fn biases(&self) -> [(R, R); 12] {
         let mut out = [(R::default(), R::default()); 12];
         if let Some(best) = &self.hypotheses[0] {

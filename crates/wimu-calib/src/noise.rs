@@ -104,6 +104,9 @@ pub struct AxisNoise {
     /// χ² per degree of freedom that the terms leave of the curve: 1 for noise as described; where it
     /// is much more, vibration, repeated samples or a drift is in it, and the terms are rough.
     pub misfit: f64,
+    /// Where the output is filtered to less than half its rate, or samples come twice: the averaging time from
+    /// which on it is white, s. All terms are from there on.
+    pub white_from_s: Option<f64>,
     /// Standard deviation from one sample to the next, σ(τ) of the shortest τ, m/s².
     pub sample_sd_mps2: f64,
     /// Smallest step of the output, m/s²: one count, where it is in counts.
@@ -114,7 +117,7 @@ pub struct AxisNoise {
 }
 
 impl AxisNoise {
-    /// Whether the curve is one of noise: hum and samples that come twice are not.
+    /// Whether the curve is one of noise, filtered or not: hum and vibration are not.
     pub fn is_noise(&self) -> bool {
         self.misfit <= MOST_MISFIT
     }
@@ -496,8 +499,8 @@ impl<R: Scalar> AllanVariance<R> {
                 (floor_mps2, floor_tau_s) = (deviation, point.tau_s);
             }
         }
-        let (fitted, misfit) = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
-        let [quantisation, white, flicker, walk, ramp] = fitted;
+        let fitted = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
+        let [quantisation, white, flicker, walk, ramp] = fitted.terms;
         let is_one_event =
             (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
         let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
@@ -514,7 +517,8 @@ impl<R: Scalar> AllanVariance<R> {
             quantisation_mps: quantisation,
             floor_mps2,
             floor_tau_s,
-            misfit,
+            misfit: fitted.misfit,
+            white_from_s: fitted.white_from_s,
             sample_sd_mps2,
             step_mps2,
             clipped_samples: self.ends.clipped(axis, sample_sd_mps2 / step_mps2),

@@ -331,7 +331,7 @@ fn intervals_of_long_recordings_hold_the_truth() {
 }
 
 #[test]
-fn hum_and_samples_that_come_twice_are_no_noise() {
+fn hum_is_no_noise_and_samples_that_come_twice_are_of_half_the_rate() {
     let mut random = Random(11);
     let mut rest = || [0.0, 0.0, 9.81].map(|f| f + 0.02 * random.normal());
     let plain: Vec<_> = (0..20_000).map(|_| rest()).collect();
@@ -340,14 +340,68 @@ fn hum_and_samples_that_come_twice_are_no_noise() {
         sample[0] += 0.1 * (k as f64 * 0.46).sin();
     }
     let twice: Vec<_> = (0..20_000).map(|k| plain[k / 2]).collect();
-    for (samples, noise) in [
-        (plain, [true; 3]),
-        (hum, [false, true, true]),
-        (twice, [false; 3]),
+    let half = 0.02 / (RATE / 2.0).sqrt();
+    for (samples, noise, white, filtered) in [
+        (plain, [true; 3], 0.02 / RATE.sqrt(), false),
+        (hum, [false, true, true], 0.02 / RATE.sqrt(), false),
+        (twice, [true; 3], half, true),
     ] {
         let found = run(RATE, &samples).result().expect("noise");
         let misfits = found.map(|axis| axis.misfit);
         assert_eq!(found.map(|axis| axis.is_noise()), noise, "{misfits:?}");
+        for axis in found {
+            assert_eq!(axis.white_from_s.is_some(), filtered, "{axis:?}");
+            let walk = axis.velocity_random_walk;
+            assert!(!axis.is_noise() || (walk.value - white).abs() < 4.0 * walk.sd);
+        }
+    }
+}
+
+/// A low-pass filter of so many stages, each with a cut-off of `cut_off` in samples⁻¹; N stays.
+fn filtered(random: &mut Random, n: usize, stages: usize, cut_off: f64) -> Vec<f64> {
+    let keep = (-std::f64::consts::TAU * cut_off).exp();
+    let mut states = vec![0.0; stages];
+    let mut next = || {
+        let mut value = 0.02 * random.normal();
+        for state in &mut states {
+            *state = keep * *state + (1.0 - keep) * value;
+            value = *state;
+        }
+        value
+    };
+    for _ in 0..1000 {
+        next();
+    }
+    (0..n).map(|_| next()).collect()
+}
+
+#[test]
+fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
+    let (n, truth) = (30_000, 0.02 / RATE.sqrt());
+    for (stages, cut_off) in [(1, 0.2), (1, 0.1), (1, 0.05), (2, 0.1), (4, 0.1), (4, 0.2)] {
+        let (mut held, mut ratios, mut told) = (Held::default(), Vec::new(), 0);
+        for seed in 0..10 {
+            let mut random = Random(seed);
+            let axes = [0; 3].map(|_| filtered(&mut random, n, stages, cut_off));
+            let mut allan = AllanVariance::new(RATE);
+            for k in 0..n {
+                allan.push([axes[0][k], axes[1][k], 9.81 + axes[2][k]]);
+            }
+            for found in allan.result().expect("noise") {
+                let walk = found.velocity_random_walk;
+                held.take(Some(walk), truth);
+                ratios.push(walk.value / truth);
+                told += usize::from(found.white_from_s.is_some() && found.is_noise());
+            }
+        }
+        ratios.sort_by(f64::total_cmp);
+        let (middle, all) = (ratios[ratios.len() / 2], ratios.len());
+        println!(
+            "{stages} stages of {cut_off} of the rate: N {middle:.3} of the true one, held {:.0} %, told {told} times \
+             of {all}",
+            held.percent()
+        );
+        assert!((0.95..1.05).contains(&middle) && held.percent() >= 85.0 && told >= all - 3);
     }
 }
 

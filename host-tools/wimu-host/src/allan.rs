@@ -58,8 +58,11 @@ pub struct AxisReport {
     pub floor_tau_s: f64,
     /// χ² per degree of freedom that the terms leave of the curve; 1 for noise.
     pub misfit: f64,
-    /// False where something else is in it: hum, samples that come twice.
+    /// False where something else is in it: hum, vibration.
     pub is_noise: bool,
+    /// Averaging time from which on a filtered output is white, and that all terms are from, s; `None` where it
+    /// is not filtered.
+    pub white_from_s: Option<f64>,
     /// Standard deviation from one sample to the next, m/s².
     pub sample_sd_m_s2: f64,
     /// Smallest step of the output, m/s²: one count, where it is in counts.
@@ -84,6 +87,7 @@ impl From<AxisNoise> for AxisReport {
             floor_tau_s: noise.floor_tau_s,
             misfit: noise.misfit,
             is_noise: noise.is_noise(),
+            white_from_s: noise.white_from_s,
             sample_sd_m_s2: noise.sample_sd_mps2,
             step_m_s2: noise.step_mps2,
             is_coarse: noise.is_coarse(),
@@ -298,9 +302,15 @@ fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> 
             ));
         } else if !axis.is_noise {
             remarks.push(format!(
-                "{name}: this is no noise alone (χ² {:.0} times too large): hum, vibration \
-                 or samples that come twice; see the curve, and take the numbers as rough",
+                "{name}: this is no noise alone (χ² {:.0} times too large): hum or vibration; \
+                 see the curve, and take the numbers as rough",
                 axis.misfit
+            ));
+        }
+        if let Some(tau_s) = axis.white_from_s {
+            remarks.push(format!(
+                "{name}: the output is filtered to less than half its rate, or samples come more than once: it is \
+                 white noise from averaging times of {tau_s:.3} s on, and the figures are from there"
             ));
         }
         if axis.clipped_samples > 0 {

@@ -3,6 +3,7 @@
 use nalgebra::{Cholesky, Const, SMatrix, SVector};
 
 use super::{Measured, POINTS, cluster};
+use crate::student;
 
 /// 2 ln 2 / π: flicker noise of B² has this Allan variance.
 const FLICKER: f64 = 0.441_271_200_305_303_2;
@@ -20,6 +21,7 @@ const NOISES: usize = 4;
 const PRODUCTS: usize = NOISES * (NOISES + 1) / 2;
 /// Terms: those, and the ramp R.
 const TERMS: usize = 5;
+const QUANTISATION: usize = 0;
 const WHITE: usize = 1;
 const WALK: usize = 3;
 const RAMP: usize = 4;
@@ -27,6 +29,10 @@ const RAMP: usize = 4;
 const OCTAVES: usize = 6;
 /// Rounds of weights by what was fitted the round before.
 const ROUNDS: usize = 8;
+/// A filter takes at least this share from the first point.
+const FILTERED: f64 = 0.2;
+/// Points beside the terms that a curve without its first ones needs.
+const SPARE: usize = 2;
 /// Least share of a variance that is each point's own.
 const OWN: f64 = 1e-6;
 
@@ -200,7 +206,19 @@ pub(super) struct Curve {
     samples: f64,
     variance: SVector<f64, POINTS>,
     edf: SVector<f64, POINTS>,
+    /// Places from this one on, up to but without `used`.
+    from: usize,
     used: usize,
+}
+
+/// What a curve says.
+pub(super) struct Fitted {
+    /// Terms and their standard deviations, `None` for those that are not seen.
+    pub(super) terms: [Option<Measured>; TERMS],
+    /// χ² per degree of freedom.
+    pub(super) misfit: f64,
+    /// Averaging time that they are from on, where the output is filtered, s.
+    pub(super) white_from_s: Option<f64>,
 }
 
 /// A set of terms, as bits, their values, and their covariance.
@@ -212,6 +230,12 @@ struct Fit {
     chi_square: f64,
     /// −2 ln of its likelihood, up to a constant.
     cost: f64,
+}
+
+/// The likeliest terms, and whether what they leave of the curve may be chance.
+struct Likeliest {
+    fitted: Fitted,
+    is_by_chance: bool,
 }
 
 impl Fit {
@@ -227,6 +251,7 @@ impl Curve {
             samples: samples as f64,
             variance: SVector::zeros(),
             edf: SVector::repeat(1.0),
+            from: 0,
             used: 0,
         }
     }
@@ -245,26 +270,56 @@ impl Curve {
         cluster(place) as f64 / self.rate_hz
     }
 
-    /// Terms and their standard deviations, `None` for those that are not seen. Of all sets of
-    /// terms with N and none below zero, the likeliest with a penalty per term; what other sets would
-    /// say is in the standard deviations, as likely as they are.
-    /// Beside it χ² per degree of freedom.
-    pub(super) fn fit(&self, spans: &Spans) -> Option<([Option<Measured>; TERMS], f64)> {
+    /// Of the whole curve; or, where no terms explain that and it begins below white noise, of what
+    /// is beyond a low-pass filter.
+    pub(super) fn fit(&self, spans: &Spans) -> Option<Fitted> {
+        let whole = self.likeliest(spans)?;
+        let filtered = (!whole.is_by_chance).then(|| self.beyond_filter(spans));
+        Some(filtered.flatten().unwrap_or(whole.fitted))
+    }
+
+    /// Beyond its memory, white noise that was filtered has the variance N²/τ − C/τ²: N is from the
+    /// shortest averaging time that explains the rest, and one octave beyond.
+    fn beyond_filter(&self, spans: &Spans) -> Option<Fitted> {
+        let last = self.used.checked_sub(2 + SPARE)?;
+        let beyond = |from: usize| Self { from, ..*self }.likeliest(spans);
+        let first =
+            (1..=last).find(|from| beyond(*from).is_some_and(|found| found.is_by_chance))?;
+        let from = (first + 1).min(last);
+        let found = beyond(from).filter(|found| found.is_by_chance)?;
+        let white = found.fitted.terms[WHITE]?.value;
+        // Hum and vibration add to white noise, a filter takes from it; and what is white at first is not filtered.
+        let share = |place: usize| self.variance[place] * self.tau_s(place) / (white * white);
+        let rises = share(0) < (1.0 - 0.5 * FILTERED) * share(1);
+        let is_less = share(0) < 1.0 - FILTERED && (0..first).all(|k| share(k) < 1.0 + FILTERED);
+        (rises && is_less).then_some(Fitted {
+            white_from_s: Some(self.tau_s(from)),
+            ..found.fitted
+        })
+    }
+
+    /// Of all sets of terms with N and none below zero, the likeliest with a penalty per term; what other
+    /// sets would say is in the standard deviations, as likely as they are. Beyond a filter 3Q² stands for
+    /// what that takes, and is in all sets.
+    fn likeliest(&self, spans: &Spans) -> Option<Likeliest> {
+        let is_filtered = self.from > 0;
         let fits: [Option<Fit>; 1 << TERMS] = core::array::from_fn(|set| {
-            if set >> WHITE & 1 == 0 {
+            let lacks = |term: usize| set >> term & 1 == 0;
+            if lacks(WHITE) || is_filtered && lacks(QUANTISATION) {
                 return None;
             }
             let fit = self.converged(set as u32, spans)?;
             (0..TERMS)
-                .all(|k| !fit.has(k) || fit.terms[k] > 0.0)
+                .all(|k| !fit.has(k) || fit.terms[k] > 0.0 || is_filtered && k == QUANTISATION)
                 .then_some(fit)
         });
         let penalised = |fit: &Fit| fit.cost + WORTH * f64::from(fit.set.count_ones());
         let fits = || fits.iter().flatten();
         let best = fits().min_by(|a, b| penalised(a).total_cmp(&penalised(b)))?;
         // What no set of terms explains makes all of them less certain.
-        let freedom = self.used.saturating_sub(best.set.count_ones() as usize);
-        let left = best.chi_square / freedom.max(1) as f64;
+        let points = self.used.saturating_sub(self.from);
+        let freedom = points.saturating_sub(best.set.count_ones() as usize).max(1);
+        let left = best.chi_square / freedom as f64;
         let misfit = left.max(1.0);
         let worse = |fit: &Fit| {
             let cost = |fit: &Fit| fit.cost / misfit + LIKELY * f64::from(fit.set.count_ones());
@@ -277,7 +332,10 @@ impl Curve {
                 (WALK, true) => SEEN_BESIDE_RAMP,
                 _ => SEEN,
             };
-            let seen = best.has(k) && (k == WHITE || without.all(|fit| worse(fit) > enough(fit)));
+            let is_noise = !(is_filtered && k == QUANTISATION);
+            let seen = best.has(k)
+                && is_noise
+                && (k == WHITE || without.all(|fit| worse(fit) > enough(fit)));
             let (mut weight, mut variance) = (0.0, 0.0);
             // A ramp in the place of K says that there is none.
             let says = |fit: &&Fit| fit.has(k) || (k == WALK && fit.has(RAMP));
@@ -300,7 +358,14 @@ impl Curve {
                 }
             })
         });
-        Some((terms, left))
+        Some(Likeliest {
+            fitted: Fitted {
+                terms,
+                misfit: left,
+                white_from_s: None,
+            },
+            is_by_chance: best.chi_square <= student::chi_squared_half_percent(freedom),
+        })
     }
 
     /// The terms of `set` by generalised least squares with the covariance of the points that they
@@ -314,13 +379,18 @@ impl Curve {
             let terms = fit.terms.map(|term| term.max(0.0));
             let [q, n, b, k, r] = terms;
             let parts = [q * f * f, n * f, b / core::f64::consts::TAU, k / (12.0 * f)];
+            // What a filter takes is part of what is expected, and no noise.
+            let signed = [fit.terms[QUANTISATION], n, b, k, r];
             let mut expected = self.variance;
-            for place in 0..self.used {
-                expected[place] = total(&terms, self.tau_s(place));
+            for place in self.from..self.used {
+                let sum = total(&signed, self.tau_s(place));
+                if sum > 0.0 {
+                    expected[place] = sum;
+                }
             }
             let covariance = SMatrix::<f64, POINTS, POINTS>::from_fn(|row, column| {
                 let (short, long) = (row.min(column), row.max(column));
-                if long >= self.used {
+                if long >= self.used || short < self.from {
                     return if row == column { 1.0 } else { 0.0 };
                 }
                 let noise = spans.covariance(short, long, &parts);
@@ -360,7 +430,7 @@ impl Curve {
         let mut seen = SVector::<f64, POINTS>::zeros();
         let mut spread = 0.0;
         let whitener = weights.l();
-        for place in 0..self.used {
+        for place in self.from..self.used {
             let shares = shares(self.tau_s(place));
             for k in (0..TERMS).filter(|k| inside(*k)) {
                 design[(place, k)] = shares[k] / expected[place];

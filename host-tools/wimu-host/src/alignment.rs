@@ -8,13 +8,19 @@ use wimu_link::message::parameter_id;
 use wimu_model::ParameterSet;
 
 use crate::calibration::{HELD_SCHEMA, describe};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Output};
 use crate::error::{ErrorCode, HostError, Result};
 
 /// More rests than anyone names.
 const MAX_RESTS: usize = 64;
 /// An eighth of a second this far from rest is a push, m/s².
 const LEAST_PUSH_MPS2: f64 = 0.15;
+/// Eighths of a second that a push may begin and end below that.
+const GENTLE_BLOCKS: usize = 2;
+/// Eighths of a second that it stands at least before and after.
+const STAND_BLOCKS: usize = 8;
+/// Rests closer than 3° of gravity, m/s², are at one attitude.
+const SAME_ATTITUDE_MPS2: f64 = 0.5;
 
 /// A body axis that points up at a rest: `z`, `-x`, ….
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -171,16 +177,25 @@ fn directions(
             rests.len()
         ));
     }
+    // The rest after the push is the one before it once more.
+    let pushed = options.forward && rests.len() > needed && again(rests, 0).is_some();
     let chosen: Vec<usize> = match &options.rests {
         Some(chosen) => chosen.clone(),
-        None if rests.len() > needed => {
+        None if rests.len() > needed + usize::from(pushed) => {
             return Err(format!(
-                "{} rests found, --up names {needed}: name all in order, or choose those it names with \
-                 --rests, counted from 0",
-                rests.len()
+                "{} rests found, --up names {needed}: name all in order{}, or choose those it names \
+                 with --rests, counted from 0",
+                rests.len(),
+                if options.forward {
+                    " (but the one after the push, which stands within 3° of the one before it)"
+                } else {
+                    ""
+                }
             ));
         }
-        None => (0..needed).collect(),
+        None => (0..needed + usize::from(pushed))
+            .filter(|rest| !(pushed && *rest == 1))
+            .collect(),
     };
     let mut known = Vec::new();
     for (up, chosen) in options.up.iter().zip(&chosen) {
@@ -196,7 +211,7 @@ fn directions(
     }
     if options.forward {
         let first = chosen.first().copied().unwrap_or(0);
-        let (sensor, sd) = push(data, forces, rests.get(first..).unwrap_or(&[]))?;
+        let (sensor, sd) = push(data, forces, rests, first)?;
         known.push(KnownDirection {
             sensor,
             body: [1.0, 0.0, 0.0],
@@ -206,55 +221,87 @@ fn directions(
     Ok(known)
 }
 
-/// The direction of the push after the first rest, in sensor axes, and its standard deviation, rad.
+/// Whether `rests` go on after `first` with one at its attitude: the rest after a brisk push.
+fn again(rests: &[Pose], first: usize) -> Option<&Pose> {
+    let (rest, next) = (rests.get(first)?, rests.get(first + 1)?);
+    let apart = |k: usize| next.mean_mps2[k] - rest.mean_mps2[k];
+    let squares: f64 = (0..3).map(|k| apart(k).powi(2)).sum();
+    (squares.sqrt() < SAME_ATTITUDE_MPS2).then_some(next)
+}
+
+/// The direction of the push after rest `first`, in sensor axes, and its standard deviation, rad.
 ///
-/// A push leaves the attitude as it was, so that the rests before and after are one to the finder.
-fn push(data: &Dataset, forces: &[[f64; 3]], rests: &[Pose]) -> Result<([f64; 3], f64), String> {
-    let Some(rest) = rests.first() else {
+/// A push leaves the attitude as it was. To the finder, the rests before and after are one, the
+/// longer of them, after a gentle push, and two after a brisk one.
+fn push(
+    data: &Dataset,
+    forces: &[[f64; 3]],
+    rests: &[Pose],
+    first: usize,
+) -> Result<([f64; 3], f64), String> {
+    let Some(rest) = rests.get(first) else {
         return Err("no rest was found before the push: hold it still for two seconds".to_owned());
     };
-    let second = (data.rate_hz as usize).max(8);
-    let block = second / 8;
-    let start = rest.first_sample as usize;
-    let end = rests
-        .get(1)
-        .map_or(forces.len(), |next| next.first_sample as usize);
+    let next = again(rests, first);
+    let block = ((data.rate_hz as usize) / 8).max(1);
+    let past = |rest: &Pose| rest.first_sample as usize + rest.samples as usize;
+    let begins = |rest: &Pose| rest.first_sample as usize;
+    let earlier = first.checked_sub(1).and_then(|earlier| rests.get(earlier));
+    let start = earlier.map_or(0, past);
+    let later = rests.get(first + 1 + usize::from(next.is_some()));
+    let end = later.map_or(forces.len(), begins);
     let part = forces.get(start..end).unwrap_or(&[]);
-    let missing = |index: usize| {
-        data.outputs
-            .get(index)
-            .is_some_and(|output| output.after_gap)
-    };
-    if (start + 1..end).any(missing) {
-        return Err("samples are missing about the push: record it again".to_owned());
-    }
-    let moving: Vec<usize> = part
+    let still: Vec<bool> = part
         .chunks(block)
-        .enumerate()
-        .filter(|(_, block)| {
+        .map(|block| {
             let mean = mean(block);
-            let off: f64 = (0..3).map(|k| (mean[k] - rest.mean_mps2[k]).powi(2)).sum();
-            off.sqrt() > LEAST_PUSH_MPS2
+            [Some(rest), next].into_iter().flatten().any(|rest| {
+                let off: f64 = (0..3).map(|k| (mean[k] - rest.mean_mps2[k]).powi(2)).sum();
+                off.sqrt() <= LEAST_PUSH_MPS2
+            })
         })
-        .map(|(index, _)| index)
         .collect();
-    let (Some(first), Some(last)) = (moving.first(), moving.last()) else {
+    if still.iter().all(|still| *still) {
         return Err("there is no push in it: push the body straight ahead, briskly".to_owned());
-    };
+    }
     // The gentle ends of a push are part of it.
-    let from = (first * block).saturating_sub(2 * block);
-    let to = ((last + 3) * block).min(part.len());
-    let (before, after) = (&part[..from], &part[to..]);
-    if before.len() < second || after.len() < second {
+    let mut stands = Vec::new();
+    let mut at = 0;
+    for run in still.chunk_by(|a, b| a == b) {
+        let (from, to) = (
+            at + GENTLE_BLOCKS,
+            at + run.len().saturating_sub(GENTLE_BLOCKS),
+        );
+        at += run.len();
+        if run.first() == Some(&true) && run.len() >= GENTLE_BLOCKS + STAND_BLOCKS {
+            stands.push((from * block, to * block, run.len()));
+        }
+    }
+    // In the middle of a slow push it may look still for a while, not for two seconds.
+    let mut following = stands.iter().skip(1);
+    let after = following
+        .clone()
+        .find(|(_, _, blocks)| *blocks >= 2 * STAND_BLOCKS)
+        .or(following.next_back());
+    let (Some((_, from, before)), Some((to, _, blocks))) = (stands.first(), after) else {
         return Err(
-            "it did not stand still for two seconds before and after the push: record it again"
+            "it did not stand still for two seconds before and after the push, at one attitude: \
+             record it again"
                 .to_owned(),
         );
+    };
+    let second = STAND_BLOCKS * block;
+    let before = from - (before - GENTLE_BLOCKS).min(2 * STAND_BLOCKS) * block;
+    let after = (to + ((blocks - GENTLE_BLOCKS) * block).min(2 * second)).min(part.len());
+    let missing = |output: &Output| output.after_gap;
+    let outputs = data.outputs.get(start + before + 1..start + after);
+    if outputs.is_some_and(|outputs| outputs.iter().any(missing)) {
+        return Err("samples are missing about the push: record it again".to_owned());
     }
     straight_move(
-        mean(&before[before.len().saturating_sub(2 * second)..]),
-        mean(&after[..after.len().min(2 * second)]),
-        part[from..to].iter().copied(),
+        mean(&part[before..*from]),
+        mean(&part[*to..after]),
+        part[*from..*to].iter().copied(),
         data.rate_hz,
     )
     .map_err(|refusal| refusal.to_string())
@@ -306,7 +353,7 @@ mod tests {
     };
 
     use super::*;
-    use crate::dataset::{Output, OutputUnit, RateSource};
+    use crate::dataset::{OutputUnit, RateSource};
 
     /// A sensor whose bias goes with the temperature by 1 and 2 mg/K.
     fn warm() -> ParameterSet {
@@ -387,5 +434,72 @@ mod tests {
             report.alignment_wxyz.is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
             "{report}"
         );
+    }
+
+    /// A level rest, a push along the body's x of a whole sine, the same rest, and then, where it is
+    /// turned, the body's x up; in body axes.
+    fn pushed(peak: f64, seconds: f64, stands: [f64; 2], turned: bool) -> Dataset {
+        let [before, after] = stands;
+        let turns_at = before + seconds + after;
+        let output = |k: u32| {
+            let t = f64::from(k) * 0.01;
+            let u = ((t - before) / seconds).clamp(0.0, 1.0);
+            let turn = (t - turns_at).clamp(0.0, 1.0) * std::f64::consts::FRAC_PI_2;
+            let rough = 0.01 * (f64::from(k) * 2.4).sin();
+            let ahead = peak * (std::f64::consts::TAU * u).sin();
+            let up = [turn.sin(), 0.0, turn.cos()].map(|up| 9.80665 * up + rough);
+            Output {
+                value: [up[0] + ahead, up[1], up[2]],
+                temperature_c: None,
+                samples: 1,
+                after_gap: false,
+                time_s: Some(t),
+                magnetic_field_nt: None,
+            }
+        };
+        let length = turns_at + if turned { 4.0 } else { 0.0 };
+        Dataset {
+            outputs: (0..(100.0 * length) as u32).map(output).collect(),
+            ..cold(false)
+        }
+    }
+
+    #[test]
+    fn a_push_gentle_or_brisk_tells_ahead() {
+        let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
+        for peak in [0.3, 1.0, 1.7, 2.0, 3.0, 5.0] {
+            for seconds in [0.5, 1.0, 2.0, 4.0] {
+                // Of 5 cm or less nothing is told.
+                if peak * seconds * seconds / std::f64::consts::TAU < 0.06 {
+                    continue;
+                }
+                for (stands, turned) in [
+                    ([3.0, 3.0], false),
+                    ([3.0, 6.0], false),
+                    ([6.0, 2.5], false),
+                    ([3.0, 4.0], true),
+                ] {
+                    let up = if turned { "z,x" } else { "z" };
+                    let mut options = AlignOptions {
+                        up: up.split(',').map(|axis| axis.parse().unwrap()).collect(),
+                        rests: None,
+                        forward: true,
+                        placement_sd_rad: 0.02,
+                    };
+                    let data = pushed(peak, seconds, stands, turned);
+                    let report = alignment(&data, &set, &options);
+                    let case = format!("{peak} m/s² {seconds} s {stands:?} {turned}: {report}");
+                    let [w, x, y, z] = report.alignment_wxyz.expect(&case);
+                    let off = [x, y, z].map(|half| (2.0 * half).to_degrees().abs());
+                    assert!(w > 0.9 && off.iter().all(|off| *off < 1.0), "{case}");
+                    // As it says itself where it is told which the first is.
+                    if !turned {
+                        options.rests = Some(vec![0]);
+                        let told = alignment(&data, &set, &options);
+                        assert_eq!(told.alignment_wxyz, report.alignment_wxyz, "{told}");
+                    }
+                }
+            }
+        }
     }
 }

@@ -225,6 +225,8 @@ impl Decoder {
         self.deframer = Deframer::new();
         self.listening = false;
         self.began_ns = None;
+        // A link that was opened anew repeats nothing of before.
+        self.repeats = Repeats::default();
         self.statistics.interruptions += 1;
     }
 

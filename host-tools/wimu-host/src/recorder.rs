@@ -316,26 +316,38 @@ impl Listener<'_> {
                 }
                 thread::sleep(GLANCE);
             }
+            let mut opened_ns = None;
             let resumed = match transport::open(&self.url) {
-                Ok(transport) => self.client.resume(Tap::on(transport)),
+                Ok(transport) => {
+                    opened_ns = Some(nanoseconds(transport.now()));
+                    self.client.resume(Tap::on(transport))
+                }
                 Err(absent) => Err(absent),
             };
             let back = resumed.is_ok();
+            let another = matches!(&resumed, Err(still) if still.code() == ErrorCode::LinkLost);
             if let Err(still) = resumed {
                 error = still;
             }
+            let (role, heard) = (self.role, self.heard());
+            let brought = heard
+                .iter()
+                .any(|entry| matches!(entry, Recorded::Received(_)));
             let mut entries = Vec::new();
+            // What another board has said is none of this recording's.
+            if let Some(host_ns) = opened_ns.filter(|_| back || (brought && !another)) {
+                entries.push(Recorded::Connected { role, host_ns });
+                entries.extend(heard);
+                if !back {
+                    entries.push(Recorded::Lost {
+                        role,
+                        host_ns: nanoseconds(self.client.transport().now()),
+                        reason: error.message().to_owned(),
+                    });
+                }
+            }
             if back {
-                let host_ns = nanoseconds(self.client.transport().now());
-                entries.push(Recorded::Connected {
-                    role: self.role,
-                    host_ns,
-                });
-                entries.extend(self.heard());
                 self.pace = Pace::on_line(self.client.transport().baud());
-            } else {
-                // What another board has said is none of this recording's.
-                self.heard();
             }
             let told = tell(Heard {
                 entries,

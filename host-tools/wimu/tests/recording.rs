@@ -68,8 +68,9 @@ fn a_link_that_ends_while_recording_keeps_what_it_brought() {
     assert!(info["links"][0]["raw_samples"].as_u64().unwrap() > 100);
 }
 
-/// A relay to a board's link that hangs up once, after so many bytes; its LINK.
-fn hangs_up_once(link: &str, after: usize) -> String {
+/// A relay to a board's link that hangs up once, after so many bytes, and of which the connection numbered
+/// `deaf` carries nothing to the board; its LINK.
+fn hangs_up_once(link: &str, after: usize, deaf: Option<usize>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let relay = format!("tcp://{}", listener.local_addr().unwrap());
     let target = link.trim_start_matches("tcp://").to_owned();
@@ -80,7 +81,13 @@ fn hangs_up_once(link: &str, after: usize) -> String {
                 return;
             };
             let (mut up_in, mut up_out) = (client.try_clone().unwrap(), board.try_clone().unwrap());
-            let up = std::thread::spawn(move || std::io::copy(&mut up_in, &mut up_out));
+            let up = std::thread::spawn(move || {
+                if deaf == Some(number) {
+                    std::io::copy(&mut up_in, &mut std::io::sink())
+                } else {
+                    std::io::copy(&mut up_in, &mut up_out)
+                }
+            });
             let (mut from, mut to) = (board.try_clone().unwrap(), client.try_clone().unwrap());
             let (mut buffer, mut carried) = ([0; 512], 0);
             while let Ok(count @ 1..) = from.read(&mut buffer) {
@@ -98,12 +105,30 @@ fn hangs_up_once(link: &str, after: usize) -> String {
 }
 
 #[test]
+fn what_a_board_brings_that_does_not_hear_is_in_the_file_as_it_is_in_the_summary() {
+    let folder = folder();
+    let path = folder.path().join("deaf.mcap");
+    let file = path.to_str().unwrap();
+    let board = Simulator::start(&["--motion", "hand"]);
+    let relay = hangs_up_once(&board.wireless, 4000, Some(1));
+    let recorded = wimu(&["record", &relay, "-o", file, "--for", "8"]).succeeds();
+    let info = wimu(&["info", file]).succeeds();
+    let (said, kept) = (&recorded["links"][0], &info["links"][0]["statistics"]);
+    assert_eq!(kept["interruptions"], 2, "{kept}");
+    for what in ["bytes", "frames", "raw", "interruptions"] {
+        assert_eq!(said[what], kept[what], "{what}");
+    }
+    // What was not heard is less than the two times without a connection.
+    assert!(kept["raw"]["missing"].as_u64().unwrap() < 250, "{kept}");
+}
+
+#[test]
 fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
     let folder = folder();
     let path = folder.path().join("gap.mcap");
     let file = path.to_str().unwrap();
     let board = Simulator::start(&["--motion", "hand"]);
-    let relay = hangs_up_once(&board.wireless, 4000);
+    let relay = hangs_up_once(&board.wireless, 4000, None);
     let arguments = ["record", &relay, "--cable", &board.cable, "-o", file];
     let recorded = wimu(&[&arguments[..], &["--for", "7"]].concat()).succeeds();
     let info = wimu(&["info", file]).succeeds();

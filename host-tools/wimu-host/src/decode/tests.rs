@@ -393,6 +393,23 @@ fn what_comes_again_behind_a_restart_is_not_the_new_starts() {
 }
 
 #[test]
+fn a_start_like_the_one_before_is_another_where_the_link_was_opened_anew() {
+    let started_us = time(320) + 700_000;
+    let course = course(0, 320, 0);
+    let mut decoder = Decoder::new();
+    for (start, at_us) in [(1, 0), (2, started_us)] {
+        let mut frames = vec![(at_us, hello_at(start, 0))];
+        let later = |(us, frame): &(u64, Vec<u8>)| (at_us + us, frame.clone());
+        frames.extend(course.iter().map(later));
+        let events = decode_timed(&mut decoder, &frames);
+        assert_eq!(sequences(&events), (0..320).collect::<Vec<_>>());
+        decoder.interrupt();
+    }
+    let raw = decoder.statistics().raw;
+    assert_eq!((raw.received, raw.missing, raw.duplicated), (640, 0, 0));
+}
+
+#[test]
 fn a_sensor_that_is_stuck_gives_the_same_at_each_start_and_none_of_it_is_left_out() {
     let stuck = |first| {
         let counts = [Counts([0, 0, 32767]); 16];

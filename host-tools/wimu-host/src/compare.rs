@@ -27,7 +27,7 @@ mod quantiles;
 mod residual;
 mod units;
 
-pub use align::{Alignment, align};
+pub use align::{Alignment, Turn, align};
 pub use link::{Burst, ByArrival, LinkReport};
 pub use model::LinkModel;
 pub use quantiles::Quantiles;
@@ -113,7 +113,7 @@ pub struct Axis {
     pub max_after_lsb: Option<u32>,
 }
 
-/// y = b + S x.
+/// y = b + S x; of two tables whose axes are not parallel, x is along the other's axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AxisLine {
     /// b, m/s².

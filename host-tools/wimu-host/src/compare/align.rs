@@ -11,10 +11,13 @@ use crate::Result;
 mod correlation;
 mod signal;
 mod time_fit;
+mod turn;
 
 use correlation::{deviations, drift, refine, scores};
 use signal::Signal;
 use time_fit::TimeFit;
+pub use turn::Turn;
+use turn::scale_along_itself;
 
 /// Both are brought to the slower one's rate, at most this, Hz.
 const MAX_RATE_HZ: f64 = 200.0;
@@ -66,7 +69,10 @@ pub struct Alignment {
     /// Of the reference and the other: for a table in LSB, whose median magnitude is taken for 1 g,
     /// how far that may be off, as a part of 1. It is in the standard deviations.
     pub unit_sd: [Option<f64>; 2],
-    /// The other against the reference, X, Y, Z; `None` where they say nothing about each other.
+    /// How the other's axes are turned against the reference's; `None` where the motion does not show it.
+    pub turn: Option<Turn>,
+    /// The other against the reference, X, Y, Z; `None` where they say nothing about each other. A scale
+    /// factor is along the other's own axis, as far as the motion shows where that points.
     pub axes: Option<[Axis; 3]>,
     /// Why not.
     pub axes_reason: Option<String>,
@@ -210,10 +216,13 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let axes = found.as_ref().ok().map(|found| {
         let count = found.samples.max(1) as f64;
         [0, 1, 2].map(|axis| {
-            let plain = Axis {
+            let mut plain = Axis {
                 rms_before_mps2: (squares[axis] / count).sqrt(),
                 ..Axis::new(found, axis, 0.0)
             };
+            if let (Some(line), Some(seen)) = (&mut plain.line, &found.axes[axis].line) {
+                [line.scale, line.scale_sd] = scale_along_itself(seen);
+            }
             let means = [0, 1].map(|table| sums[table][axis] / count);
             plain.with_units_to(unit_sd.map(Option::unwrap_or_default), means)
         })
@@ -230,6 +239,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         pairs,
         saturated,
         unit_sd,
+        turn: found.as_ref().ok().and_then(Turn::of),
         axes,
         axes_reason: found.err().map(|refusal| refusal.to_string()),
     })

@@ -233,6 +233,61 @@ fn offset_and_rate_of_two_tables_are_within_their_intervals() {
 }
 
 #[test]
+fn devices_turned_against_each_other_show_the_turn_and_the_scale_of_their_own_axes() {
+    let (scale, bias) = ([1.01, 0.99, 1.005], [0.2, -0.1, 0.05]);
+    let (mut inside, mut of) = (0, 0);
+    for (seed, degrees) in (1..=8_u64).zip([0.0, 3.0, 5.0, 10.0].into_iter().cycle()) {
+        // About the axis (2, -2, 1) / 3.
+        let axis = [2.0 / 3.0, -2.0 / 3.0, 1.0 / 3.0];
+        let (sin, cos) = f64::to_radians(degrees).sin_cos();
+        let turned = |v: [f64; 3]| {
+            let along: f64 = (0..3).map(|k| axis[k] * v[k]).sum();
+            [0, 1, 2].map(|k: usize| {
+                let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+                let across = axis[i] * v[j] - axis[j] * v[i];
+                cos * v[k] + sin * across + (1.0 - cos) * along * axis[k]
+            })
+        };
+        let theirs = |t: f64| {
+            let v = turned(force(t));
+            (t, [0, 1, 2].map(|k| scale[k] * v[k] + bias[k]))
+        };
+        let rows = |k: u64| 2 * seed + 100 + k;
+        let ours = noisy(rows(0), 0.03, 100.0, |t| (t, force(t)));
+        let theirs = noisy(rows(1), 0.03, 100.0, theirs);
+        let [a, b] =
+            [("w", ours), ("x", theirs)].map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
+        let found = align(&a, &b).unwrap();
+        let turn = found.turn.unwrap();
+        let apart = (turn.angle_deg - degrees).abs();
+        assert!(
+            apart < 4.0 * turn.angle_sd_deg && turn.angle_sd_deg < 0.1,
+            "{turn:?}"
+        );
+        for (k, along) in axis.iter().enumerate() {
+            assert!(
+                (turn.vector_deg[k] - degrees * along).abs() < 0.2,
+                "{turn:?}"
+            );
+            let line = found.axes.unwrap()[k].line.unwrap();
+            for (error, sd) in [
+                (line.scale - scale[k], line.scale_sd),
+                (line.bias_mps2 - bias[k], line.bias_sd_mps2),
+            ] {
+                of += 1;
+                inside += u32::from(error.abs() <= 2.0 * sd);
+                assert!(error.abs() <= 4.0 * sd, "{degrees}°, {k}: {error} ± {sd}");
+            }
+        }
+        for path in [a, b] {
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+    println!("of turned devices, biases and scale factors within two sd: {inside} of {of}");
+    assert!(10 * inside >= 9 * of, "{inside} of {of}");
+}
+
+#[test]
 fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
     // A shake in a minute of rest, each table's own: two seconds, as even as a hand can; or four, each axis
     // faster and faster at its own pace.

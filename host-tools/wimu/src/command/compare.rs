@@ -272,7 +272,19 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
         );
     }
     match (&found.axes, &found.axes_reason) {
-        (Some(axes), _) => text += &axes_text(axes),
+        (Some(axes), _) => {
+            text += &match &found.turn {
+                Some(turn) => format!(
+                    "\nits axes are turned by {:.2} ± {:.2}° against the reference's; scales are along its own",
+                    turn.angle_deg,
+                    2.0 * turn.angle_sd_deg
+                ),
+                None => "\nthe motion does not show how its axes are turned against the reference's: turned by 5°, a \
+                         scale may be 0.4 % low and a bias off by 9 % of what the others measure; move them through all orientations"
+                    .to_owned(),
+            };
+            text += &axes_text(axes);
+        }
         (None, Some(reason)) => {
             let _ = write!(text, "\nvalues: {reason}");
         }

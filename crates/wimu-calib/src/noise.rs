@@ -104,7 +104,7 @@ pub struct AxisNoise {
     /// χ² per degree of freedom that the terms leave of the curve: 1 for noise as described; where it
     /// is much more, vibration, repeated samples or a drift is in it, and the terms are rough.
     pub misfit: f64,
-    /// Where the output is filtered to less than half its rate, or samples come twice: the averaging time from
+    /// Where the output is filtered to half its rate or less, or samples come twice: the averaging time from
     /// which on it is white, s. All terms are from there on.
     pub white_from_s: Option<f64>,
     /// Standard deviation from one sample to the next, σ(τ) of the shortest τ, m/s².

@@ -204,6 +204,9 @@ pub enum TransferRefusal {
     },
 }
 
+/// Streams correlated by less than this show the same motion with the other sign.
+const NEGATED: f64 = -0.9;
+
 impl fmt::Display for TransferRefusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
@@ -220,6 +223,12 @@ impl fmt::Display for TransferRefusal {
                 let which = if reference { "reference" } else { "output" };
                 write!(out, "the {which} is {rms_mps2:.4} rms, {hint}")
             }
+            Self::NotTheSameMotion { axis, correlation } if correlation < NEGATED => write!(
+                out,
+                "axis {} of one stream is that of the other negated (correlated by {correlation:.2}): turn its \
+                 sign in one of them, or check how the sensors are mounted",
+                name(axis)
+            ),
             Self::NotTheSameMotion { axis, correlation } => write!(
                 out,
                 "axis {} of the two streams is correlated by {correlation:.2} only: they show \

@@ -309,7 +309,7 @@ fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> 
         }
         if let Some(tau_s) = axis.white_from_s {
             remarks.push(format!(
-                "{name}: the output is filtered to less than half its rate, or samples come more than once: it is \
+                "{name}: the output is filtered to half its rate or less, or samples come more than once: it is \
                  white noise from averaging times of {tau_s:.3} s on, and the figures are from there"
             ));
         }

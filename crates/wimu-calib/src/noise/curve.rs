@@ -30,7 +30,7 @@ const OCTAVES: usize = 6;
 /// Rounds of weights by what was fitted the round before.
 const ROUNDS: usize = 8;
 /// A filter takes at least this share from the first point.
-const FILTERED: f64 = 0.2;
+const FILTERED: f64 = 0.1;
 /// Points beside the terms that a curve without its first ones needs.
 const SPARE: usize = 2;
 /// Least share of a variance that is each point's own.
@@ -291,7 +291,8 @@ impl Curve {
         // Hum and vibration add to white noise, a filter takes from it; and what is white at first is not filtered.
         let share = |place: usize| self.variance[place] * self.tau_s(place) / (white * white);
         let rises = share(0) < (1.0 - 0.5 * FILTERED) * share(1);
-        let is_less = share(0) < 1.0 - FILTERED && (0..first).all(|k| share(k) < 1.0 + FILTERED);
+        let is_less =
+            share(0) < 1.0 - FILTERED && (0..first).all(|k| share(k) < 1.0 + 2.0 * FILTERED);
         (rises && is_less).then_some(Fitted {
             white_from_s: Some(self.tau_s(from)),
             ..found.fitted

@@ -1,6 +1,7 @@
 //! From data to an error model, its report, and the file that goes to a board.
 
 mod advice;
+mod bend;
 mod datasheet;
 mod export;
 mod input;
@@ -41,7 +42,7 @@ pub(crate) use input::mps2_per_unit;
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
 use numbers::{numbers, static_poses};
 use range::Range;
-use words::{begins, reason, remarks, said_of_repeated};
+use words::{begins, reason, remarks, said_of_closing, said_of_repeated};
 
 /// Sensitivities of sensors, LSB/*g*: of 8 bits at ±100 *g* to 27 bits at ±1 *g*. A board can be told fewer:
 /// [`Sensitivity::from_lsb_per_g`].
@@ -167,9 +168,11 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         },
     };
     let mut found = poses(data, scale, gravity.mps2());
-    let repeated = match options.method {
-        MethodChoice::MultiPosition => found.take_out_repeated(),
-        _ => 0,
+    let left_out = match options.method {
+        MethodChoice::MultiPosition => said_of_repeated(found.take_out_repeated()),
+        MethodChoice::SixPosition => None,
+        MethodChoice::FourAngle => said_of_closing(found.take_out_closing(4)),
+        MethodChoice::ThreeAngle => said_of_closing(found.take_out_closing(3)),
     };
     if let Some(sides) = &options.sides
         && sides.len() != found.poses.len()
@@ -259,7 +262,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
                 sensor: data.sensor,
                 ..ParameterSet::uncalibrated(range.g, sensitivity)
             });
-    let mut remarks: Vec<String> = said_of_repeated(repeated)
+    let mut remarks: Vec<String> = left_out
         .into_iter()
         .chain(remarks(
             data,

@@ -174,6 +174,68 @@ fn what_a_single_turn_hides_is_said_and_more_than_a_bias_can_be_is_refused() {
 }
 
 #[test]
+fn a_turn_that_comes_back_to_its_beginning_counts_and_misalignment_leaves_no_doubt() {
+    let turn = |steps: u32, poses: u32| -> String {
+        let ups: Vec<[f64; 3]> = (0..poses)
+            .map(|k| {
+                let angle = 0.6 + std::f64::consts::TAU * f64::from(k) / f64::from(steps);
+                [angle.cos(), angle.sin(), 0.0]
+            })
+            .collect();
+        // X and Y lean towards each other by 1.2 % each.
+        means(&ups, |_, [x, y, z]| [x + 0.012 * y, y + 0.012 * x, z])
+    };
+    for (steps, method) in [(4, "four-angle"), (3, "three-angle")] {
+        let flags = ["--poses", "--method", method];
+        let once = run(&turn(steps, steps), &flags).succeeds();
+        for poses in [steps + 1, 2 * steps + 1] {
+            let closed = run(&turn(steps, poses), &flags).succeeds();
+            assert_eq!(closed["poses"], poses - 1);
+            let remarks = closed["remarks"].to_string();
+            assert!(remarks.contains("back at the beginning"), "{remarks}");
+            assert!(!remarks.contains("what is left"), "{remarks}");
+            let bias = |report: &serde_json::Value| report["model"]["bias_m_s2"][0].as_f64();
+            let apart = bias(&closed).unwrap() - bias(&once).unwrap();
+            assert!(apart.abs() < 0.01, "{apart}");
+        }
+        let said = reason(&turn(steps, steps + 2), &flags);
+        let named = format!("poses {steps} to {} (from 0) are not", steps + 1);
+        assert!(said.contains(&named), "{said}");
+    }
+}
+
+#[test]
+fn a_bias_that_moves_in_no_straight_line_is_told_beside_a_drift() {
+    let remarks = |course: &dyn Fn(f64) -> f64| {
+        let moved =
+            |k: usize, force: [f64; 3]| force.map(|axis| axis + 0.05 * course(k as f64 / 39.0));
+        let report = run(
+            &means(&spread(40), moved),
+            &["--poses", "--model", "9+drift"],
+        )
+        .succeeds();
+        report["remarks"].to_string()
+    };
+    let bent = remarks(&|s| 1.0 - (-5.0 * s).exp());
+    assert!(bent.contains("in a straight line"), "{bent}");
+    let straight = remarks(&|s| s);
+    assert!(!straight.contains("in a straight line"), "{straight}");
+}
+
+#[test]
+fn poses_that_were_divided_by_their_length_are_told_so() {
+    let normal = |_: usize, force: [f64; 3]| {
+        let size = force.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
+        force.map(|axis| G * axis / size)
+    };
+    let remarks = |text: &str| run(text, &["--poses"]).succeeds()["remarks"].to_string();
+    let divided = remarks(&means(&spread(20), normal));
+    assert!(divided.contains("look normalised"), "{divided}");
+    let plain = remarks(&means(&spread(20), |_, force| force));
+    assert!(!plain.contains("look normalised"), "{plain}");
+}
+
+#[test]
 fn an_axis_at_full_scale_and_one_limit_of_several_are_named() {
     let mut noise = noise();
     let mut rows = Vec::new();

@@ -78,7 +78,11 @@ fn what_tells_nothing_about_a_stream_is_refused_with_the_reason() {
     let dead: Output = |[x, _, z]| [x, 1.0, z];
     for (rows, output, reason) in [
         (4, same as Output, "8 are needed"),
-        (2000, mirrored, "different motions"),
+        (
+            2000,
+            mirrored,
+            "axis Y of one stream is that of the other negated",
+        ),
         (2000, in_g, "looks like g"),
         (2000, dead, "different motions"),
     ] {

@@ -28,6 +28,27 @@ impl Poses {
         all - self.poses.len()
     }
 
+    /// Takes out the pose after a turn of `steps` that comes back to where the turn began, if whole turns are left
+    /// without it. Says how many they were.
+    pub fn take_out_closing(&mut self, steps: usize) -> usize {
+        let mut kept = Vec::with_capacity(self.poses.len());
+        let mut rest = self.poses.as_slice();
+        while let Some((turn, after)) = rest.split_at_checked(steps) {
+            kept.extend_from_slice(turn);
+            let comes_back = after.first().is_some_and(|pose| alike(&turn[0], pose));
+            let is_over = !after.len().is_multiple_of(steps);
+            rest = after
+                .get(usize::from(is_over && comes_back)..)
+                .unwrap_or(&[]);
+        }
+        if !rest.is_empty() {
+            return 0;
+        }
+        let closing = self.poses.len() - kept.len();
+        self.poses = kept;
+        closing
+    }
+
     /// The same at another scale.
     pub fn scaled(&self, scale: f64) -> Vec<Pose> {
         let change = scale / self.scale;
@@ -39,6 +60,15 @@ impl Poses {
         };
         self.poses.iter().map(scaled).collect()
     }
+}
+
+/// cos 10°: poses whose outputs point less apart are of one orientation.
+const ALIKE: f64 = 0.984_8;
+
+fn alike(a: &Pose, b: &Pose) -> bool {
+    let [a, b] = [a.mean_mps2, b.mean_mps2];
+    let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+    dot > ALIKE * magnitude(a) * magnitude(b)
 }
 
 pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {

@@ -5,7 +5,7 @@ use wimu_model::Sensitivity;
 
 use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
-use super::{CalibrateOptions, MethodChoice, ModelChoice};
+use super::{CalibrateOptions, MethodChoice, ModelChoice, bend};
 use crate::dataset::{Dataset, Output, RateSource};
 
 pub(super) fn said_of_repeated(poses: usize) -> Option<String> {
@@ -16,6 +16,18 @@ pub(super) fn said_of_repeated(poses: usize) -> Option<String> {
              counted where poses are numbered",
             if one { " is" } else { "s are" },
             if one { "another" } else { "others" },
+            if one { "s" } else { "" },
+        )
+    })
+}
+
+pub(super) fn said_of_closing(poses: usize) -> Option<String> {
+    let one = poses == 1;
+    (poses > 0).then(|| {
+        format!(
+            "{poses} pose{} back at the beginning of a turn and tell{} of nothing but that: left out, and not counted \
+             where poses are numbered",
+            if one { " is" } else { "s are" },
             if one { "s" } else { "" },
         )
     })
@@ -47,6 +59,24 @@ pub(super) fn reason(
              sensor, in one direction, and hold it still for two seconds at each step",
             if has == 1 { "" } else { "s" },
             360 / steps.max(1)
+        );
+    }
+    if let Refusal::NotATurn { pose, steps } = *refusal
+        && has < pose + steps
+    {
+        let one = has == pose + 1;
+        return format!(
+            "{} (from 0) {} not {steps} steps of {}° about a level axis but {}: each turn needs {steps} poses, in order, \
+             and no others{}",
+            if one {
+                format!("pose {pose}")
+            } else {
+                format!("poses {pose} to {}", has - 1)
+            },
+            if one { "is" } else { "are" },
+            360 / steps.max(1),
+            has - pose,
+            begins(data, poses)
         );
     }
     let mut reason = refusal.to_string();
@@ -215,8 +245,28 @@ fn what_a_turn_hides(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
     remarks
 }
 
+/// No sensor reads every orientation this nearly alike, as a share.
+const NORMALISED: f64 = 1e-4;
+/// Orientations that show it.
+const FEWEST_NORMALISED: usize = 6;
+
+/// Poses that are all of one length were divided by it: nothing of the sensor is left in that.
+fn normalised(poses: &[Pose], estimate: &Estimate) -> Option<&'static str> {
+    let sizes = || poses.iter().map(|pose| magnitude(pose.mean_mps2));
+    let first = sizes().next()?;
+    let alike = sizes().all(|size| (size / first - 1.0).abs() < NORMALISED);
+    let enough = estimate.orientations >= FEWEST_NORMALISED;
+    (alike && enough).then_some(
+        "every pose is of the same length to 0.01 %, as no sensor has it: the data look normalised, or corrected \
+         already; what the sensor itself put out is needed",
+    )
+}
+
 /// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
+
+/// The same of turns, mm/s² rms: misalignments, which they do not fit, of 2 % of each axis leave g √2 0.02/2, 1 σ; twice that.
+const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 
 /// Why a calibration cannot go to a board.
 pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g, not in counts: to push or export this calibration, calibrate \
@@ -299,9 +349,15 @@ pub(super) fn remarks(
         }
     }
     remarks.extend(in_another_unit(poses, estimate));
+    remarks.extend(bend::remark(poses, estimate).map(str::to_owned));
+    remarks.extend(normalised(poses, estimate).map(str::to_owned));
     remarks.extend(what_a_turn_hides(poses, estimate));
     let left = estimate.rms_mps2 * 1e3;
-    if left > SUSPICIOUS_RMS_MM_S2 && estimate.rejected.as_slice().is_empty() {
+    let most = match estimate.method {
+        Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
+        _ => SUSPICIOUS_RMS_MM_S2,
+    };
+    if left > most && estimate.rejected.as_slice().is_empty() {
         remarks.push(format!(
             "what is left, {left:.0} mm/s² rms, is more than poses of a sound sensor leave: the model \
              is too small, or poses are bad"

@@ -95,6 +95,42 @@ fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
 }
 
 #[test]
+fn a_first_rest_too_short_to_align_at_keeps_no_later_rest_from_being_believed() {
+    // Carried off and tilted by 0.3 rad before the first second is over, with nothing that tells a tilt
+    // from a push but the rate, or not even that.
+    for (rests, gyroscope) in (5..10).flat_map(|n| [(n * 10, true), (n * 10, false)]) {
+        let mut random = Random(12);
+        let mut filter = UnitFilter::new(config());
+        for k in 0..500 {
+            let share = f64::from((k - rests).clamp(0, 100)) / 100.0;
+            let tilt: f64 = 0.3 * share;
+            let mut sample = at_rest(&mut random);
+            sample.field_ut = None;
+            let moves = k >= rests && k < rests + 100;
+            let push = if moves {
+                2.0 * (core::f64::consts::TAU * share).sin()
+            } else {
+                0.0
+            };
+            let (noise, up) = (sample.force_mps2, sample.force_mps2[2]);
+            sample.force_mps2 = [noise[0] + push, noise[1] + up * tilt.sin(), up * tilt.cos()];
+            sample.rate_rad_s = gyroscope.then(|| {
+                let mut rate = random.normals(1e-3);
+                rate[0] += if moves { 0.3 } else { 0.0 };
+                rate
+            });
+            filter.push(&sample).unwrap();
+        }
+        let state = filter.state();
+        let off: f64 = state.position_m.iter().map(|p| p * p).sum();
+        assert!(
+            state.valid && off.sqrt() < 3.0 * state.position_sd_m() + 0.01,
+            "{rests}, gyroscope {gyroscope}: {state:?}"
+        );
+    }
+}
+
+#[test]
 fn even_motion_after_a_push_is_not_taken_for_rest() {
     // With a gyroscope the push is known well: 1 m/s, then quiet for 8.5 s.
     let mut random = Random(8);

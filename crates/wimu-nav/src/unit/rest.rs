@@ -123,6 +123,16 @@ impl<R: Real> Quiet<R> {
         self.anchor = None;
     }
 
+    /// No rest was believed yet, as that before a start in motion, from which nothing was carried on: the next
+    /// one is not compared with what it showed.
+    fn forget(&mut self) {
+        if self.anchor.take().is_some() {
+            for part in self.parts.iter_mut().chain([&mut self.now]) {
+                part.anchor = [R::default(); 3];
+            }
+        }
+    }
+
     pub fn anchor(&self) -> Option<&Anchor<R>> {
         self.anchor.as_ref()
     }
@@ -313,6 +323,9 @@ impl<R: Real> UnitFilter<R> {
         };
         let was = self.quiet.rest;
         let quiet = &mut self.quiet;
+        if !was && !self.valid {
+            quiet.forget();
+        }
         let Some(all) = quiet.gather(force, rate, field, step) else {
             return;
         };

@@ -172,7 +172,8 @@ pub struct InertialPath {
     pub method: Method,
     /// One point a sample.
     pub points: Vec<PathPoint>,
-    /// The point from which position is measured: the last of the first rest. Even motion there is none, by definition;
+    /// The point from which position is measured: the last of the first rest at which it is sure to have lain still, which
+    /// is 0.6 s before that shows to end. Even motion there is none, by definition;
     /// what the points before are off by is how far it may have come on the way there.
     pub origin: usize,
     /// The moves, with [`Method::Slide`].
@@ -553,8 +554,14 @@ pub fn navigate_array(
              their spread"
         ));
     }
+    let measured = |(name, _): &(String, Vec<f64>)| name.starts_with("Magnetometer ");
+    let field = if recording.other.iter().any(measured) {
+        "the array's method does not use the magnetometer"
+    } else {
+        "no magnetometer"
+    };
     path.remarks
-        .push("no magnetometer: heading is that of the body at the start".to_owned());
+        .push(format!("{field}: heading is that of the body at the start"));
     let truth = recording.truth();
     compare(&mut path, &truth);
     let valid = |k: &usize| path.points[*k].valid;

@@ -387,7 +387,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     {
         let _ = writeln!(
             text,
-            "measured from where it lay at {:.2} s, at the end of its first rest: even motion until then is none, by definition",
+            "measured from where it lay at {:.2} s, the last of its first rest that is sure to be one: even motion until then is none, by definition",
             origin.time_s
         );
     }

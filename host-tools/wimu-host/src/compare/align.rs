@@ -42,6 +42,10 @@ const MAX_RATE: f64 = 0.01;
 /// Straight lines between rows know a moment to this part of the time between them, at best.
 const BETWEEN_ROWS: f64 = 0.02;
 
+/// Rows on each side that the curve between two rows goes through, and those of the simpler one: what
+/// these two make different is what the curve may lose.
+const CURVE_ROWS: [usize; 2] = [3, 2];
+
 /// What the alignment of two tables found.
 #[derive(Clone, Debug, Serialize)]
 pub struct Alignment {
@@ -166,7 +170,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let rate = has_rate.then_some((fit.rate, fit.sd[1]));
     let offset_s = fit.offset_s;
     // Any two devices: nobody says which is the noisier.
-    let mut transfer = ReferenceTransfer::of_unknown_noise();
+    let [mut transfer, mut simpler] = [0, 1].map(|_| ReferenceTransfer::of_unknown_noise());
     let (mut squares, mut sums, mut saturated) = ([0.0; 3], [[0.0; 3]; 2], 0);
     let mut sizes = [0.0; 2];
     // Where the slower one has its rows: between them, straight lines are flatter than the motion.
@@ -177,13 +181,15 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     };
     let mut compared = 0;
     for (time, theirs) in moments {
-        if let (Some(x), Some(y)) = (a.at(time), b.at(theirs)) {
+        let both = |rows| a.curved_at(time, rows).zip(b.curved_at(theirs, rows));
+        if let (Some((x, y)), Some(simple)) = (both(CURVE_ROWS[0]), both(CURVE_ROWS[1])) {
             if a.is_saturated_at(time) || b.is_saturated_at(theirs) {
                 saturated += 1;
                 continue;
             }
             compared += 1;
             transfer.push(x, y);
+            simpler.push(simple.0, simple.1);
             for axis in 0..3 {
                 squares[axis] += (y[axis] - x[axis]).powi(2);
                 sums[0][axis] += x[axis];
@@ -194,6 +200,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         }
     }
     let found = transfer.result();
+    let simpler = simpler.result();
     let pairs = found.as_ref().map_or(compared, |found| found.samples);
     let unit_sd = [a.unit_sd, b.unit_sd];
     let [x, y] = [0, 1].map(|table| {
@@ -222,6 +229,16 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
             };
             if let (Some(line), Some(seen)) = (&mut plain.line, &found.axes[axis].line) {
                 [line.scale, line.scale_sd] = scale_along_itself(seen);
+                if let Some(simple) = simpler
+                    .as_ref()
+                    .ok()
+                    .and_then(|found| found.axes[axis].line)
+                {
+                    let lost = line.scale - scale_along_itself(&simple)[0];
+                    line.scale_sd = line.scale_sd.hypot(lost);
+                    let lost = line.bias_mps2 - simple.bias_mps2;
+                    line.bias_sd_mps2 = line.bias_sd_mps2.hypot(lost);
+                }
             }
             let means = [0, 1].map(|table| sums[table][axis] / count);
             plain.with_units_to(unit_sd.map(Option::unwrap_or_default), means)

@@ -288,6 +288,37 @@ fn devices_turned_against_each_other_show_the_turn_and_the_scale_of_their_own_ax
 }
 
 #[test]
+fn tables_of_other_rates_keep_the_scale_of_a_quick_motion() {
+    let quick = |t: f64| {
+        let [x, y, z] = force(t);
+        let fast = |hz: f64| 2.0 * (std::f64::consts::TAU * hz * t + (0.3 * t).sin()).sin();
+        (t, [x + fast(6.1), y + fast(7.3), z + fast(8.9)])
+    };
+    let (mut inside, mut of) = (0, 0);
+    for (seed, rate) in (1..=6_u64).zip([130.0, 104.0, 62.5].into_iter().cycle()) {
+        let ours = noisy(2 * seed + 200, 0.03, 100.0, quick);
+        let theirs = noisy(2 * seed + 201, 0.03, rate, quick);
+        let [a, b] =
+            [("y", ours), ("z", theirs)].map(|(name, rows)| table(name, rows.into_iter(), "m/s²"));
+        for line in align(&a, &b)
+            .unwrap()
+            .axes
+            .unwrap()
+            .map(|axis| axis.line.unwrap())
+        {
+            of += 1;
+            inside += u32::from((line.scale - 1.0).abs() <= 2.0 * line.scale_sd);
+            assert!(line.scale_sd < 0.002, "{rate} Hz: {line:?}");
+        }
+        for path in [a, b] {
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+    println!("of other rates, scale factors within two sd: {inside} of {of}");
+    assert!(10 * inside >= 9 * of, "{inside} of {of}");
+}
+
+#[test]
 fn shakes_that_are_alike_by_chance_are_refused_and_the_same_one_is_not() {
     // A shake in a minute of rest, each table's own: two seconds, as even as a hand can; or four, each axis
     // faster and faster at its own pace.

@@ -172,6 +172,37 @@ impl Signal {
         (t1 - t0 < 1.0).then(|| [0, 1, 2].map(|axis| v0[axis] + share * (v1[axis] - v0[axis])))
     }
 
+    /// The value at a time by the curve through as many rows on each side: straight lines are flatter than
+    /// the motion. Where these rows are not evenly apart, not there, or at a sensor's end, [`Signal::at`].
+    pub fn curved_at(&self, time: f64, rows: usize) -> Option<[f64; 3]> {
+        let next = self.times.partition_point(|t| *t <= time);
+        let near = next.saturating_sub(rows)..next + rows;
+        let (Some(times), Some(values), Some(saturated)) = (
+            self.times.get(near.clone()),
+            self.values.get(near.clone()),
+            self.saturated.get(near),
+        ) else {
+            return self.at(time);
+        };
+        let mean = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+        let even = |pair: &[f64]| (0.5..1.5).contains(&((pair[1] - pair[0]) / mean));
+        if times.len() < 2 * rows || saturated.contains(&true) || !times.windows(2).all(even) {
+            return self.at(time);
+        }
+        // Lagrange's polynomial.
+        let mut curved = [0.0; 3];
+        for (i, value) in values.iter().enumerate() {
+            let others = (0..times.len()).filter(|j| *j != i);
+            let weight: f64 = others
+                .map(|j| (time - times[j]) / (times[i] - times[j]))
+                .product();
+            for axis in 0..3 {
+                curved[axis] += weight * value[axis];
+            }
+        }
+        Some(curved)
+    }
+
     /// Whether the value at a time is made of one at its sensor's end.
     pub fn is_saturated_at(&self, time: f64) -> bool {
         let next = self.times.partition_point(|t| *t <= time);

@@ -164,8 +164,13 @@ pub enum Method {
     /// Six known orientations, 12 parameters.
     SixPosition {
         /// Placement error that the covariance includes, rad, 1 σ about each axis: what was
-        /// declared or what the poses show, whichever is larger.
+        /// declared or what the poses show, whichever is larger. A pair of sides that stands out is
+        /// not in it.
         placement_sd_rad: f64,
+        /// What was declared.
+        declared_sd_rad: f64,
+        /// A side that was placed much worse than the others; the covariance of its axis includes it.
+        misplaced: Option<crate::Misplaced>,
         /// What else a position differs by from one visit to the next, m/s², 1 σ, in the covariance
         /// too: as visits of one side show, and as real sensors have it where there are few.
         revisit_sd_mps2: f64,

@@ -65,7 +65,7 @@ pub use scalar::Scalar;
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
 pub use six_position::{
-    Placement, PlacementError, six_position, six_position_f32, six_position_labelled,
+    Misplaced, Placement, PlacementError, six_position, six_position_f32, six_position_labelled,
     six_position_labelled_f32,
 };
 pub use terms::{Term, Terms};

@@ -28,6 +28,27 @@ const REVISIT_DOF: f64 = 2.0;
 /// 6 / the 5 % point of χ² with six degrees of freedom: what six sides show may be as much more.
 const SEEN_AT_MOST: f64 = 3.67;
 
+/// χ² of two degrees of freedom that one pair of sides passes by chance once in 100, and one of three
+/// once in 200; and once in so many where the usual placement is known from the other four only.
+const PAIR_STANDS_OUT: f64 = 9.2;
+const PAIR_MISPLACED: f64 = 12.8;
+const OF_FOUR: f64 = 2.7;
+/// The off-axis readings of the side that was misplaced are so many times those of its opposite.
+const ONE_OF_TWO: f64 = 2.0;
+
+/// A side that was put down much worse than the others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Misplaced {
+    /// The side, or one of the pair.
+    pub face: Face,
+    /// Whether it may as well be the opposite side: what tells them apart is that the sensor's axes are
+    /// square to a degree or two.
+    pub or_opposite: bool,
+    /// Its tilt, if it is one side, rad.
+    pub tilt_rad: f64,
+}
+
 /// How well the sensor was squared when it was put down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -312,23 +333,23 @@ fn estimate<'a, R: Real>(
     }
     let (bias, a) = solve(&sides, g);
     let model = model(&bias, &a).map_err(Refusal::OutOfBounds)?;
-    let seen = placement_seen(&sides, &bias, &a, g);
+    let shown = pairs_show(&sides, &bias, &a, g);
+    let all_shown = shown[0] + shown[1] + shown[2];
+    let seen = (all_shown / real(PLACEMENT_DOF as f64)).sqrt();
     let seen_rad = double(seen);
     if seen_rad > MOST_PLACEMENT_RAD {
         return Err(Refusal::NotSquared {
             placement_rad: seen_rad,
         });
     }
-    // What was declared holds unless the poses contradict it beyond chance.
-    let most = student::chi_squared_half_percent(PLACEMENT_DOF) / PLACEMENT_DOF as f64;
-    let contradicted = seen_rad * seen_rad > most * placement.sd_rad * placement.sd_rad;
-    let placement_sd_rad = if contradicted {
-        seen_rad
-    } else {
-        placement.sd_rad
-    };
+    let Squareness {
+        placement_sd_rad,
+        tilts,
+        contradicted,
+        misplaced,
+    } = Squareness::of(&sides, &bias, shown.map(double), placement, g);
     let revisits = Revisits::of(&sides, &a, g, real(placement_sd_rad), seen * g);
-    let covariance_with = |extra: R| covariance(&sides, &a, g, real(placement_sd_rad), extra);
+    let covariance_with = |extra: R| covariance(&sides, &a, g, tilts.map(real), extra);
     let mut covariance = covariance_with(revisits.variance);
     let known = covariance_with(R::zero());
     let dof_of = |parameter: Parameter| {
@@ -380,6 +401,8 @@ fn estimate<'a, R: Real>(
         model,
         method: Method::SixPosition {
             placement_sd_rad,
+            declared_sd_rad: placement.sd_rad,
+            misplaced,
             revisit_sd_mps2: double(revisits.variance.sqrt()),
             revisits: revisits.seen,
             unexplained: revisits.unexplained,
@@ -434,20 +457,108 @@ fn theta<R: Real>(bias: &[R; 3], a: &Matrix<R>) -> Theta<R> {
     theta
 }
 
-/// The placement error that the poses show, rad rms over six degrees of freedom: the other two
-/// axes of each pair say the bias again, with the tilts added.
-fn placement_seen<R: Real>(sides: &Sides<R>, bias: &[R; 3], a: &Matrix<R>, gravity_mps2: R) -> R {
-    let mut squares = R::zero();
-    for axis in 0..3 {
+/// The squared placement error that each pair of sides shows in two degrees of freedom, rad²: its other
+/// two axes say the bias again, with the tilts added.
+fn pairs_show<R: Real>(sides: &Sides<R>, bias: &[R; 3], a: &Matrix<R>, gravity_mps2: R) -> [R; 3] {
+    core::array::from_fn(|axis| {
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
-        let share = real::<R>(0.25) * (up.share() + down.share());
-        for other in (0..3).filter(|&other| other != axis) {
+        let others = (0..3).filter(|&other| other != axis);
+        others.fold(R::zero(), |squares, other| {
             let middle = real::<R>(0.5) * (up.mean()[other] + down.mean()[other]);
             let tilt = (middle - bias[other]) / (a[other][other] * gravity_mps2);
-            squares += tilt * tilt / share;
+            squares + tilt * tilt / pair_share(sides, axis)
+        })
+    })
+}
+
+/// Of the variance of a tilt, what is left in the mean of a pair.
+fn pair_share<R: Real>(sides: &Sides<R>, axis: usize) -> R {
+    real::<R>(0.25) * (sides[2 * axis].share() + sides[2 * axis + 1].share())
+}
+
+/// How well the sides were placed: equation (19).
+struct Squareness {
+    /// Of the sides that do not stand out.
+    placement_sd_rad: f64,
+    /// What the covariance takes for the pair of each axis, rad, 1 σ.
+    tilts: [f64; 3],
+    /// Whether what was declared does not hold.
+    contradicted: bool,
+    misplaced: Option<Misplaced>,
+}
+
+impl Squareness {
+    /// Of what the pairs show, rad².
+    fn of<R: Real>(
+        sides: &Sides<R>,
+        bias: &[R; 3],
+        shown: [f64; 3],
+        placement: Placement,
+        g: R,
+    ) -> Self {
+        let declared = placement.sd_rad * placement.sd_rad;
+        let all: f64 = shown.iter().sum();
+        let worst = (1..3).fold(
+            0,
+            |worst, k| if shown[k] > shown[worst] { k } else { worst },
+        );
+        let others = all - shown[worst];
+        // What was declared holds unless the poses contradict it beyond chance.
+        let dof = PLACEMENT_DOF - 2;
+        let others_bad = others > student::chi_squared_half_percent(dof) * declared;
+        let all_bad = all > student::chi_squared_half_percent(PLACEMENT_DOF) * declared;
+        let usual = if others_bad {
+            OF_FOUR * others / dof as f64
+        } else {
+            declared
+        };
+        let stands_out = |axis: usize| shown[axis] > PAIR_STANDS_OUT * usual;
+        let misplaced = (shown[worst] > PAIR_MISPLACED * usual)
+            .then(|| Misplaced::of(sides, bias, worst, shown[worst], g));
+        let variance = if others_bad || (all_bad && !stands_out(worst)) {
+            all / PLACEMENT_DOF as f64
+        } else {
+            declared
+        };
+        let tilts = [0, 1, 2].map(|axis| {
+            let share = double(pair_share(sides, axis));
+            let one_side = (shown[axis] + variance) / (2.0 * libm::sqrt(share));
+            let tilt = if stands_out(axis) {
+                one_side.max(variance)
+            } else {
+                variance
+            };
+            libm::sqrt(tilt)
+        });
+        Self {
+            placement_sd_rad: libm::sqrt(variance),
+            tilts,
+            contradicted: all_bad || misplaced.is_some(),
+            misplaced,
         }
     }
-    (squares / real(PLACEMENT_DOF as f64)).sqrt()
+}
+
+impl Misplaced {
+    fn of<R: Real>(sides: &Sides<R>, bias: &[R; 3], axis: usize, shown: f64, g: R) -> Self {
+        let off = |side: usize| {
+            let mean = sides[side].mean();
+            let others = (0..3).filter(|&other| other != axis);
+            let squares = others.fold(R::zero(), |sum, other| {
+                let off = mean[other] - bias[other];
+                sum + off * off
+            });
+            double(squares.sqrt() / g)
+        };
+        let (up, down) = (off(2 * axis), off(2 * axis + 1));
+        let side = 2 * axis + usize::from(down > up);
+        Self {
+            face: Face::ALL[side],
+            or_opposite: up.max(down) < ONE_OF_TWO * up.min(down),
+            // Twice the mean of the pair.
+            tilt_rad: 2.0 * libm::sqrt(shown * double(pair_share(sides, axis))),
+        }
+    }
 }
 
 /// What differs from visit to visit beyond noise and placement: equation (19).
@@ -494,19 +605,19 @@ impl<R: Real> Revisits<R> {
     }
 }
 
-/// Covariance from placement, noise and `revisit`, the variance of what else differs from visit to
+/// Covariance from the placement of each pair, noise and `revisit`, the variance of what else differs from visit to
 /// visit: equation (19).
 fn covariance<R: Real>(
     sides: &Sides<R>,
     a: &Matrix<R>,
     g: R,
-    placement_rad: R,
+    placement_rad: [R; 3],
     revisit: R,
 ) -> Covariance {
-    let tilt = placement_rad * placement_rad;
     let quarter: R = real(0.25);
     let mut covariance = Covariance::ZERO;
     for axis in 0..3 {
+        let tilt = placement_rad[axis] * placement_rad[axis];
         // Of a side's mean output: tilts bring in the other two columns of A in first order and
         // shorten this one in second.
         let of = |side: &Side<R>, r: usize, c: usize| {

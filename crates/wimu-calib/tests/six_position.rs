@@ -142,7 +142,8 @@ fn the_covariance_is_the_error_that_placement_and_noise_make() {
     for (k, parameter) in Parameter::ALL.into_iter().enumerate() {
         let ratio = (errors[k] / said[k]).sqrt();
         println!("{parameter}: error / sd = {ratio:.3}");
-        assert!((0.85..1.2).contains(&ratio), "{parameter} {ratio}");
+        // Smaller than one: pairs that stand out by chance are given more.
+        assert!((0.8..1.2).contains(&ratio), "{parameter} {ratio}");
     }
 }
 
@@ -282,5 +283,65 @@ fn sides_that_are_not_square_are_refused() {
 fn a_placement_error_that_makes_no_sense_is_refused() {
     for bad in [-0.1, 0.2, f64::NAN, f64::INFINITY] {
         assert!(Placement::new(bad).is_err());
+    }
+}
+
+#[test]
+fn one_misplaced_side_is_named_and_the_intervals_include_it() {
+    const SEEDS: u64 = 400;
+    let mut random = Random(21);
+    for tilt_deg in [0.0, 4.0, 6.0, 9.0, 12.0] {
+        let (mut named, mut pair, mut out) = (0, 0, 0);
+        for _ in 0..SEEDS {
+            let truth = random.model(false);
+            let bad = (random.uniform() * 6.0) as usize % 6;
+            let turned = random.uniform() * std::f64::consts::TAU;
+            let poses: Vec<Pose> = Face::ALL
+                .into_iter()
+                .enumerate()
+                .map(|(k, face)| {
+                    let mut up = Orientation::from(face).up();
+                    if k == bad {
+                        let lean = f64::tan(tilt_deg * DEGREE);
+                        up[(face.axis() + 1) % 3] = lean * turned.cos();
+                        up[(face.axis() + 2) % 3] = lean * turned.sin();
+                    }
+                    let up = misplaced(&mut random, common::unit(up), DEGREE);
+                    let mut pose = pose(&truth, G, up);
+                    pose.samples = 100;
+                    for axis in 0..3 {
+                        pose.sd_mps2[axis] = 0.02;
+                        pose.mean_mps2[axis] += random.normal() * 0.002;
+                    }
+                    pose
+                })
+                .collect();
+            let placement = Placement::BY_HAND;
+            let estimate = six_position(&poses, exact(), placement).expect("an answer");
+            let Method::SixPosition { misplaced, .. } = estimate.method else {
+                panic!("six-position");
+            };
+            if let Some(side) = misplaced {
+                pair += u64::from(side.face.axis() == Face::ALL[bad].axis());
+                named += u64::from(side.face == Face::ALL[bad]);
+            }
+            let (found, truth) = (parameters(&estimate.model), parameters(&truth));
+            out += u64::from([0, 1, 2, 3, 7, 11].into_iter().any(|k: usize| {
+                (found[k] - truth[k]).abs() > estimate.half_width_95(Parameter::ALL[k])
+            }));
+        }
+        println!(
+            "one side {tilt_deg}° off: its pair is named {pair}, the side {named}, an axis is outside \
+             {out} of {SEEDS} times"
+        );
+        let [least_pair, least_named, most_out] = match tilt_deg {
+            // By chance, one sensor in two hundred; an axis or scale of six.
+            0.0 => [0, 0, 80],
+            4.0 => [100, 90, 240],
+            6.0 => [300, 280, 80],
+            _ => [380, 380, 60],
+        };
+        assert!(pair >= least_pair && named >= least_named && out <= most_out);
+        assert!(tilt_deg > 0.0 || pair <= 8, "{pair}");
     }
 }

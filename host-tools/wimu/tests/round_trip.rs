@@ -226,6 +226,24 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     assert_eq!(refused.code, 3, "{refused:?}");
     let reason = refused.object()["reason"].to_string();
     assert!(reason.contains("does not hold any more"), "{reason}");
+    // One rest of six, 2 % off: it is named, and to be held again.
+    let text = table(&many()[..6]);
+    let knocked = text.lines().enumerate().map(|(k, line)| {
+        let scaled = |(j, field): (usize, &str)| match (k, j) {
+            (4, 2..5) => (field.parse::<f64>().unwrap() * 1.02).to_string(),
+            _ => field.to_owned(),
+        };
+        let fields: Vec<String> = line.split(',').enumerate().map(scaled).collect();
+        fields.join(",") + "\n"
+    });
+    fs::write(&rests, knocked.collect::<String>()).unwrap();
+    let refused = wimu(&update);
+    assert_eq!(refused.code, 3, "{refused:?}");
+    let reason = refused.object()["reason"].to_string();
+    assert!(
+        reason.contains("rest 3 (from 0") && reason.contains("again"),
+        "{reason}"
+    );
     wimu(&update[..5]).fails(2, "usage");
     wimu(&[&update[..], &["--model", "9"]].concat()).fails(2, "usage");
 }

@@ -136,6 +136,16 @@ pub fn update(
             "{unusable} of {} rests are nowhere near gravity: is it this sensor, and this unit?",
             found.len()
         ))
+    } else if let (Some(alone), true) = (lone(&report.rests), allowed == 0) {
+        let rest = &report.rests[alone];
+        Some(format!(
+            "rest {alone} (from 0, at sample {}) alone of {} contradicts it, by {:+.0} mm/s²: it was \
+             knocked or not still, or the calibration does not hold any more; hold that position again, \
+             and calibrate again if it still contradicts",
+            rest.first_sample,
+            found.len(),
+            rest.residual_mm_s2
+        ))
     } else if contradictions as usize > allowed {
         Some(format!(
             "the calibration does not hold any more: {contradictions} of {} rests contradict it; \
@@ -181,6 +191,13 @@ pub fn update(
     report.parameter_id = Some(parameter_id(&set).to_string());
     report.parameters = Some(set);
     Ok(report)
+}
+
+/// The rest that contradicts, if it is one of three or more: a device waits for two in a row, too.
+fn lone(rests: &[RestReport]) -> Option<usize> {
+    let mut bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
+    let (alone, _) = bad.next()?;
+    (bad.next().is_none() && rests.len() > 2).then_some(alone)
 }
 
 impl fmt::Display for UpdateReport {

@@ -329,12 +329,35 @@ pub(super) fn remarks(
         ));
     }
     if let Method::SixPosition {
+        placement_sd_rad,
+        declared_sd_rad,
+        misplaced,
         revisit_sd_mps2,
         revisits,
         unexplained,
-        ..
     } = estimate.method
     {
+        let declared = declared_sd_rad.to_degrees();
+        if let Some(side) = misplaced {
+            let or = if side.or_opposite {
+                " or the opposite side"
+            } else {
+                ""
+            };
+            remarks.push(format!(
+                "the side {} up{or} was placed about {:.1}° off, declared is {declared:.1}° (1 σ): the \
+                 intervals of its axis include it; put it up again, square",
+                side.face,
+                side.tilt_rad.to_degrees()
+            ));
+        }
+        if placement_sd_rad > declared_sd_rad {
+            remarks.push(format!(
+                "the sides were placed worse than declared, {:.1}° rather than {declared:.1}° (1 σ): the \
+                 intervals include it",
+                placement_sd_rad.to_degrees()
+            ));
+        }
         let mm = revisit_sd_mps2 * 1e3;
         if unexplained {
             remarks.push(format!(

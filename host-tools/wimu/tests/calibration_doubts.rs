@@ -5,7 +5,7 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{Ran, folder, noise, wimu};
+use kit::{Ran, folder, noise, spread, wimu};
 
 const G: f64 = 9.80665;
 
@@ -36,18 +36,6 @@ fn output(up: [f64; 3]) -> [f64; 3] {
         -0.15 + 0.01 * x + 0.991 * y,
         0.3 - 0.004 * x + 0.008 * y + 1.006 * z,
     ]
-}
-
-fn spread(count: u32) -> Vec<[f64; 3]> {
-    let n = f64::from(count);
-    (0..count)
-        .map(|k| {
-            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
-            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
-            let flat = (1.0 - z * z).sqrt();
-            [flat * cos, flat * sin, z]
-        })
-        .collect()
 }
 
 /// Means of poses, each through `change`.

@@ -5,7 +5,7 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, noise, wimu};
+use kit::{folder, noise, spread, wimu};
 
 /// 600 s/100 of a sensor at rest, each value through `value`.
 fn at_rest(value: impl Fn(f64) -> f64, unit: &str) -> String {
@@ -66,18 +66,6 @@ fn means(ups: &[[f64; 3]]) -> String {
         write!(text, "\n{k},{},{},{}", x + rough, y - rough, z + rough).unwrap();
     }
     text
-}
-
-fn spread(count: u32) -> Vec<[f64; 3]> {
-    let n = f64::from(count);
-    (0..count)
-        .map(|k| {
-            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
-            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
-            let flat = (1.0 - z * z).sqrt();
-            [flat * cos, flat * sin, z]
-        })
-        .collect()
 }
 
 #[test]

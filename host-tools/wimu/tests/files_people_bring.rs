@@ -5,24 +5,11 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{in_folder, noise, wimu};
+use kit::{in_folder, noise, spread, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
 const NAMES: &str = "Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)";
-
-/// Evenly spread directions.
-fn spread(count: u32) -> Vec<[f64; 3]> {
-    let n = f64::from(count);
-    (0..count)
-        .map(|k| {
-            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
-            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
-            let flat = (1.0 - z * z).sqrt();
-            [flat * cos, flat * sin, z]
-        })
-        .collect()
-}
 
 /// A sensor held still for three seconds each way up at 50 Hz, its bias drifting by `drift` over the whole
 /// time; the logger pauses for so long half-way.

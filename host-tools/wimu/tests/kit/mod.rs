@@ -218,6 +218,19 @@ pub fn noise() -> impl FnMut() -> f64 {
     }
 }
 
+/// Evenly spread directions.
+pub fn spread(count: u32) -> Vec<[f64; 3]> {
+    let n = f64::from(count);
+    (0..count)
+        .map(|k| {
+            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
+            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            [flat * cos, flat * sin, z]
+        })
+        .collect()
+}
+
 /// A folder for one test, gone afterwards.
 pub fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a folder")

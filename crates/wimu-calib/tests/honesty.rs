@@ -90,6 +90,36 @@ impl Coverage {
     }
 }
 
+/// Of each kind of parameter.
+#[derive(Default)]
+struct Kinds {
+    bias: Coverage,
+    scale: Coverage,
+    misalignment: Coverage,
+}
+
+impl Kinds {
+    fn count(&mut self, estimate: &Estimate, truth: &ErrorModel) {
+        let (found, truth) = (parameters(&estimate.model), parameters(truth));
+        for parameter in estimate.fitted.iter() {
+            let i = parameter.index();
+            let coverage = match i {
+                0..3 => &mut self.bias,
+                3 | 7 | 11 => &mut self.scale,
+                _ => &mut self.misalignment,
+            };
+            coverage.add(found[i] - truth[i], estimate.half_width_95(parameter));
+        }
+    }
+
+    fn assert_honest(&self, what: &str) {
+        self.bias.assert_honest(&format!("{what}, bias"));
+        self.scale.assert_honest(&format!("{what}, scale factor"));
+        self.misalignment
+            .assert_honest(&format!("{what}, misalignment"));
+    }
+}
+
 fn sensor(seed: u64, mut shape: impl FnMut(&mut Random, &mut ErrorTerms)) -> Sensor {
     let mut random = Random(seed);
     let mut terms: ErrorTerms = random.model(true).into();
@@ -144,7 +174,7 @@ fn intervals_of_multi_position_cover_the_truth_for_every_model() {
 #[test]
 fn intervals_include_a_gravity_that_is_not_known() {
     for count in [12, 13, 16, 30] {
-        let (mut bias, mut scale, mut misalignment) = Default::default();
+        let mut kinds = Kinds::default();
         for seed in 0..SEEDS {
             let mut sensor = sensor(seed, |_, _| {});
             let gravity = Gravity::UNKNOWN_PLACE;
@@ -166,20 +196,9 @@ fn intervals_include_a_gravity_that_is_not_known() {
                 ..MultiPosition::default()
             };
             let estimate = multi_position_with(&poses, gravity, what).expect("an answer");
-            let (found, truth) = (parameters(&estimate.model), parameters(&sensor.model));
-            for parameter in estimate.fitted.iter() {
-                let i = parameter.index();
-                let coverage: &mut Coverage = match i {
-                    0..3 => &mut bias,
-                    3 | 7 | 11 => &mut scale,
-                    _ => &mut misalignment,
-                };
-                coverage.add(found[i] - truth[i], estimate.half_width_95(parameter));
-            }
+            kinds.count(&estimate, &sensor.model);
         }
-        bias.assert_honest(&format!("{count} poses, gravity not known, bias"));
-        scale.assert_honest(&format!("{count} poses, gravity not known, scale factor"));
-        misalignment.assert_honest(&format!("{count} poses, gravity not known, misalignment"));
+        kinds.assert_honest(&format!("{count} poses, gravity not known"));
     }
 }
 
@@ -280,7 +299,7 @@ fn student(dof: usize) -> f64 {
 
 #[test]
 fn intervals_of_six_positions_cover_the_truth() {
-    let (mut bias, mut scale, mut misalignment) = Default::default();
+    let mut kinds = Kinds::default();
     for seed in 0..SEEDS {
         let mut sensor = sensor(seed, |_, _| {});
         let poses: Vec<Pose> = Face::ALL
@@ -288,20 +307,9 @@ fn intervals_of_six_positions_cover_the_truth() {
             .map(|face| sensor.hold(Orientation::from(face).up(), 0.0, 25.0))
             .collect();
         let estimate = six_position(&poses, exact(), Placement::BY_HAND).expect("an answer");
-        let (found, truth) = (parameters(&estimate.model), parameters(&sensor.model));
-        for parameter in Parameter::ALL {
-            let i = parameter.index();
-            let coverage: &mut Coverage = match i {
-                0..3 => &mut bias,
-                3 | 7 | 11 => &mut scale,
-                _ => &mut misalignment,
-            };
-            coverage.add(found[i] - truth[i], estimate.half_width_95(parameter));
-        }
+        kinds.count(&estimate, &sensor.model);
     }
-    bias.assert_honest("six-position, bias");
-    scale.assert_honest("six-position, scale factor");
-    misalignment.assert_honest("six-position, misalignment");
+    kinds.assert_honest("six-position");
 }
 
 #[test]

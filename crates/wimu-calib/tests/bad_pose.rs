@@ -2,18 +2,12 @@
 
 mod common;
 
-use common::{Random, pose, twelve};
+use common::{G, Random, exact, pose, twelve};
 use wimu_calib::{
-    Estimate, Gravity, Model, MultiPosition, Parameter, Pose, Refusal, Terms, best_model,
+    Estimate, Model, MultiPosition, Parameter, Pose, Refusal, Terms, best_model,
     multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
-
-const G: f64 = 9.80665;
-
-fn exact() -> Gravity {
-    Gravity::new(G, 0.0).expect("gravity")
-}
 
 fn nine(poses: &[Pose]) -> Result<Estimate, Refusal> {
     let what = MultiPosition {

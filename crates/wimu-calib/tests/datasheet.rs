@@ -2,18 +2,12 @@
 
 mod common;
 
-use common::{Random, pose, twelve};
+use common::{G, Random, exact, pose, twelve};
 use wimu_calib::{
-    Datasheet, Face, Finding, Gravity, Model, MultiPosition, Orientation, Placement, Pose,
-    Quantity, Term, Terms, Verdict, four_angle, multi_position, multi_position_with, six_position,
+    Datasheet, Face, Finding, Model, MultiPosition, Orientation, Placement, Pose, Quantity, Term,
+    Terms, Verdict, four_angle, multi_position, multi_position_with, six_position,
 };
-use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
-
-const G: f64 = STANDARD_GRAVITY_MPS2;
-
-fn exact() -> Gravity {
-    Gravity::new(G, 0.0).expect("gravity")
-}
+use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
 fn model(terms: ErrorTerms) -> ErrorModel {
     ErrorModel::new(terms).expect("within bounds")

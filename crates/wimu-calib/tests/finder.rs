@@ -2,11 +2,9 @@
 
 mod common;
 
-use common::{Random, norm, unit};
+use common::{G, Random, norm, unit};
 use proptest::prelude::*;
 use wimu_calib::{Pose, PoseFinder, find_poses};
-
-const G: f64 = 9.80665;
 
 /// A stream of holds with hand motion between them.
 struct Stream {

@@ -3,23 +3,18 @@
 
 mod common;
 
-use common::{Random, misplaced, parameters, pose, twelve};
+use common::{G, Random, exact, misplaced, parameters, pose, twelve};
 use wimu_calib::{
     Estimate, Face, Gravity, Method, Model, MultiPosition, Orientation, Parameter, Placement, Pose,
     ReferenceTransfer, Term, Terms, four_angle, multi_position_with, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
-const G: f64 = 9.80665;
 const SEEDS: u64 = 1000;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// Of a sample, m/s², and how many make a pose.
 const NOISE: f64 = 0.03;
 const SAMPLES: u32 = 100;
-
-fn exact() -> Gravity {
-    Gravity::new(G, 0.0).expect("gravity")
-}
 
 /// A pose put down by hand with `up` upward, at `time` −1..=0 of a session that drifts.
 struct Sensor {

@@ -3,11 +3,9 @@
 
 mod common;
 
-use common::{Random, parameters, pose};
+use common::{G, Random, parameters, pose};
 use wimu_calib::{Gravity, Pose, Terms, best_model};
 use wimu_model::{ErrorModel, ErrorTerms};
-
-const G: f64 = 9.80665;
 
 /// Sensors of a kind, and how they are held.
 #[derive(Clone, Copy)]

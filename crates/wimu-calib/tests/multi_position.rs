@@ -2,19 +2,13 @@
 
 mod common;
 
-use common::{Random, norm, parameters, pose, twelve};
+use common::{G, Random, exact, norm, parameters, pose, twelve};
 use proptest::prelude::*;
 use wimu_calib::{
     Gravity, Model, MultiPosition, Parameter, Pose, Refusal, UnitHint, multi_position,
     multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
-
-const G: f64 = 9.80665;
-
-fn exact() -> Gravity {
-    Gravity::new(G, 0.0).expect("gravity")
-}
 
 /// Poses in `count` random directions, after twelve well spread ones.
 fn spread(random: &mut Random, model: &ErrorModel, more: usize) -> Vec<Pose> {

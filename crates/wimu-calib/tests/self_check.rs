@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Random, norm, parameters, pose, twelve};
+use common::{G, Random, norm, parameters, pose, twelve};
 use proptest::prelude::*;
 use wimu_calib::{
     Ageing, Gravity, Model, MultiPosition, Parameter, Pose, SelfCheck, Term, Terms, multi_position,
@@ -11,8 +11,6 @@ use wimu_calib::{
 use wimu_model::{
     CentiCelsius, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, SpecificForceMps2,
 };
-
-const G: f64 = 9.80665;
 
 fn noisy(random: &mut Random, model: &ErrorModel, up: [f64; 3], sd: f64) -> Pose {
     let mut pose = pose(model, G, up);

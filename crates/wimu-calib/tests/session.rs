@@ -2,11 +2,9 @@
 
 mod common;
 
-use common::{Random, parameters};
+use common::{G, Random, parameters};
 use wimu_calib::{Gravity, Model, Orientation, Phase, Session, multi_position};
 use wimu_model::{ErrorModel, SpecificForceMps2};
-
-const G: f64 = 9.80665;
 
 /// A hand that follows advice, with a sensor of this noise in it.
 struct Hand<'a> {

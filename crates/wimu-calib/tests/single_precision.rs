@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::Random;
+use common::{G, Random};
 use wimu_calib::{
     Ageing, AllanVariance, Estimate, Face, Gravity, KnownDirection, Measured, Model, Parameter,
     Phase, Placement, Pose, PoseFinder, ReferenceTransfer, SelfCheck, Session, align, align_f32,
@@ -11,8 +11,6 @@ use wimu_calib::{
     straight_move_f32, three_angle, three_angle_f32,
 };
 use wimu_model::{Alignment, ErrorModel, SpecificForceMps2};
-
-const G: f64 = 9.80665;
 
 /// A sensor that is held in `count` orientations for 2.5 s each, half a second of motion between.
 fn held(

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Random, misplaced, parameters, pose};
+use common::{G, Random, exact, misplaced, parameters, pose};
 use proptest::prelude::*;
 use wimu_calib::{
     Face, Gravity, Method, Orientation, Parameter, Placement, Pose, Refusal, six_position,
@@ -10,12 +10,7 @@ use wimu_calib::{
 };
 use wimu_model::ErrorModel;
 
-const G: f64 = 9.80665;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
-
-fn exact() -> Gravity {
-    Gravity::new(G, 0.0).expect("gravity")
-}
 
 fn squared() -> Placement {
     Placement::new(0.0).expect("placement")

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Random, norm, parameters, pose, unit};
+use common::{G, Random, norm, parameters, pose, unit};
 
 use wimu_calib::{
     Estimate, Gravity, Model, MultiPosition, Parameter, Pose, Refusal, Terms, best_model,
@@ -11,7 +11,6 @@ use wimu_calib::{
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-const G: f64 = 9.80665;
 const SENSORS: u64 = 100;
 
 /// Where poses are held: a name, how many, and any of them.

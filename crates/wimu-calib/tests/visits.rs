@@ -2,20 +2,15 @@
 
 mod common;
 
-use common::{Random, misplaced, parameters, pose};
+use common::{G, Random, exact, misplaced, parameters, pose};
 use wimu_calib::{
-    Estimate, Gravity, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model,
-    best_model_f32, multi_position, multi_position_f32, multi_position_with,
+    Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, best_model_f32,
+    multi_position, multi_position_f32, multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-const G: f64 = 9.80665;
 const SEEDS: u64 = 100;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
-
-fn exact() -> Gravity {
-    Gravity::new(G, 0.0).expect("gravity")
-}
 
 /// `orientations` well spread ones, each held `visits` times: an error of `stays` m/s² that belongs to the
 /// orientation, and of `new` with each visit.

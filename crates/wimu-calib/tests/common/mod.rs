@@ -5,8 +5,16 @@
 use std::path::PathBuf;
 
 use proptest::test_runner::Config as ProptestConfig;
-use wimu_calib::{MagneticPose, Pose};
+use wimu_calib::{Gravity, MagneticPose, Pose};
 use wimu_model::{Alignment, ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
+
+/// The gravity of the simulated tests, m/s².
+pub const G: f64 = STANDARD_GRAVITY_MPS2;
+
+/// Gravity that is known exactly.
+pub fn exact() -> Gravity {
+    Gravity::new(G, 0.0).expect("gravity")
+}
 
 /// Failures print their seed; nothing is written beside the tests.
 pub fn config() -> ProptestConfig {
@@ -73,6 +81,13 @@ pub fn pose(model: &ErrorModel, gravity: f64, up: [f64; 3]) -> Pose {
     Pose::from_mean(model.distort(force, None).0)
 }
 
+/// Noise of `sd`, m/s², on the mean.
+pub fn jitter(random: &mut Random, pose: &mut Pose, sd: f64) {
+    for y in &mut pose.mean_mps2 {
+        *y += random.normal() * sd;
+    }
+}
+
 /// The twelve vertices of an icosahedron: well spread, none along an axis.
 pub fn twelve() -> [[f64; 3]; 12] {
     let golden = (1.0 + 5.0_f64.sqrt()) / 2.0;
@@ -87,6 +102,13 @@ pub fn twelve() -> [[f64; 3]; 12] {
         vertex[(k / 4 + 2) % 3] = b;
     }
     all
+}
+
+/// Twelve well spread directions and `more` random ones.
+pub fn ups(random: &mut Random, more: usize) -> Vec<[f64; 3]> {
+    let mut ups = twelve().to_vec();
+    ups.extend((0..more).map(|_| random.direction()));
+    ups
 }
 
 /// `up` as a person places it: off by `sd_rad` about each of two axes.

@@ -32,7 +32,7 @@ fn main() {
         zupt: Zupt::Assumed,
         ..wrong
     };
-    let groups: [(&str, Vec<Case>); 6] = [
+    let groups: [(&str, Vec<Case>); 7] = [
         (
             "errors",
             vec![
@@ -85,6 +85,21 @@ fn main() {
                     ..wrong
                 },
             ],
+        ),
+        (
+            "one-move",
+            [0.3, 1.0, 3.0]
+                .into_iter()
+                .flat_map(|radians| {
+                    [Places::Octahedron(0.03), Places::Board, Places::Four(0.03)].map(|places| {
+                        Case {
+                            kind: Kind::Move(0.3, radians),
+                            places,
+                            ..wrong
+                        }
+                    })
+                })
+                .collect(),
         ),
         (
             "quiet",

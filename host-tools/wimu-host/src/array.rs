@@ -4,6 +4,7 @@
 
 mod agreement;
 mod calibration;
+mod departures;
 mod geometry;
 mod health;
 mod motion;

@@ -46,6 +46,28 @@ fn an_array_that_nobody_calibrated_is_within_its_covariance() {
 }
 
 #[test]
+fn what_the_rests_tell_of_sensors_that_nobody_calibrated_is_taken_off_them() {
+    let cases = [
+        (Places::Board, Kind::Moves(0.3, 3.0), 0.65),
+        (Places::Four(0.03), Kind::Moves(0.3, 3.0), 0.24),
+        // Two rests tell little: what is left is allowed for.
+        (Places::Octahedron(0.03), Kind::Move(0.3, 1.0), 0.8),
+    ];
+    for (places, kind, rad_s) in cases {
+        let case = Case {
+            places,
+            kind,
+            rate_hz: 200.0,
+            ..uncalibrated()
+        };
+        let coverage = case.over(SEEDS);
+        println!("{coverage}");
+        assert!(coverage.position() > 90.0 && coverage.rate() > 90.0);
+        assert!(coverage.refused == 0 && coverage.rate_error() < rad_s);
+    }
+}
+
+#[test]
 fn even_motion_and_slow_turns_off_the_axis_are_doubted_unless_a_rest_is_stated() {
     let kinds = [
         Kind::Cart(0.3, 6.0),

@@ -45,6 +45,8 @@ pub struct ArrayConfig {
     /// Standard deviation of each axis's sensitivity, as a share, and of its direction, rad: as the body turns, this
     /// share of what gravity changes by becomes a bias.
     pub scale: f64,
+    /// The same of the error that all sensors share besides: of what their mean shows.
+    pub common_scale: f64,
     /// How well each place is known, m, along each axis.
     pub place_sd_m: f64,
     /// How well the times of the sensors among each other are known, s.
@@ -65,6 +67,7 @@ impl Default for ArrayConfig {
             common_bias_mps2: 0.0,
             bias_walk: 1e-4,
             scale: 0.0,
+            common_scale: 0.0,
             place_sd_m: 0.0,
             delay_sd_s: 0.0,
             force_noise_mps2: 0.05,
@@ -289,8 +292,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if self.moving_start && self.resting() {
             self.begin_at_rest();
         }
-        let scaled = self.scaled(force);
-        self.predict(step, &noise, scaled);
+        let swung = self.swung(force);
+        self.predict(step, &noise, swung);
         self.update(linear, &noise);
         for hypothesis in self.hypotheses.iter_mut().flatten() {
             hypothesis.advance(step, linear, self.array.solver(), &noise, &self.config);

@@ -2,6 +2,7 @@
 
 use wimu_nav::array::ArraySolver;
 
+use super::calibration::{BIAS_MPS2, MOST_SCALE};
 use super::motion::{axes, refused, sample, with_room};
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
@@ -11,8 +12,10 @@ const NOISES: f64 = 10.0;
 const LEAST_MPS2: f64 = 0.3;
 /// Fewer samples do not decide.
 const LEAST_SAMPLES: usize = 50;
-/// Share of what no motion explains from which on the geometry is not this array's.
+/// Share of what no motion explains from which on the geometry is not this array's, where that is beyond so many
+/// deviations of what the sensors' own errors may add.
 const CONTRADICTION: f64 = 0.15;
+const BEYOND: f64 = 3.0;
 
 /// How well the outputs of a turning array fit a motion, equation (101).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +27,8 @@ pub struct Agreement {
     pub unexplained: f64,
     /// That part in m/s² an axis, median.
     pub unexplained_mps2: f64,
+    /// What errors of the sensors, their places and times that are allowed for add to each output, m/s², median.
+    pub allowed_mps2: f64,
     /// The sensor that fits worst.
     pub worst: usize,
 }
@@ -49,7 +54,8 @@ impl Agreement {
     /// # Errors
     /// `data_refused`, with what to check.
     pub fn check(&self, name: &str) -> Result<()> {
-        if self.unexplained < CONTRADICTION {
+        let allowed = self.unexplained_mps2 < BEYOND * self.allowed_mps2;
+        if self.unexplained < CONTRADICTION || allowed {
             return Ok(());
         }
         Err(HostError::new(
@@ -61,7 +67,8 @@ impl Agreement {
                 self.worst
             ),
             "check the geometry: the order of the sensors, the signs of their places, and which way their \
-             axes point",
+             axes point. If they are right, calibrate the sensors: hold the array still in a dozen orientations, \
+             `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`, and navigate with --geometry ARRAY.json",
         )
         .at(name))
     }
@@ -99,7 +106,10 @@ fn agreement<const M: usize>(
     }
     let noise = solver.variance_mps2();
     let least = (NOISES * NOISES * noise).max(LEAST_MPS2 * LEAST_MPS2);
-    let (mut shares, mut sizes) = (Vec::new(), Vec::new());
+    let (mut shares, mut sizes, mut allowed) = (Vec::new(), Vec::new(), Vec::new());
+    let scale = Some(calibration.scale).filter(|s| *s < MOST_SCALE);
+    // Of what turns make the outputs differ by.
+    let place = 3.0 * (calibration.place_sd_m / solver.arm_m()).powi(2);
     let mut of_sensor = vec![0.0; recording.sensors()];
     for index in 0..recording.outputs.len() {
         if !used.iter().all(|sensor| recording.has(index, *sensor)) {
@@ -138,6 +148,10 @@ fn agreement<const M: usize>(
         let total = left.iter().sum::<f64>() / (all - 9) as f64;
         shares.push(total / apart);
         sizes.push(total.sqrt());
+        let change = calibration.changed(index, best.specific_force_mps2);
+        let change = change.iter().map(|c| c * c).sum::<f64>();
+        let scaled = scale.unwrap_or_default().powi(2) * change;
+        allowed.push((noise + BIAS_MPS2.powi(2) + scaled + place * apart).sqrt());
         for (sensor, sum) in of_sensor.iter_mut().enumerate() {
             *sum += left[3 * sensor..3 * sensor + 3].iter().sum::<f64>() / apart;
         }
@@ -149,6 +163,7 @@ fn agreement<const M: usize>(
         samples: shares.len(),
         unexplained: median(&mut shares),
         unexplained_mps2: median(&mut sizes),
+        allowed_mps2: median(&mut allowed),
         worst: (0..of_sensor.len())
             .max_by(|a, b| of_sensor[*a].total_cmp(&of_sensor[*b]))
             .unwrap_or_default(),

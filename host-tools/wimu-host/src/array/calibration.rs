@@ -3,8 +3,9 @@
 use wimu_calib::{Estimate, Gravity, Model, Pose, find_poses, multi_position};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
+use super::departures::Departure;
 use super::motion::check;
-use super::rests::{EvenTurn, judged};
+use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
@@ -17,6 +18,8 @@ const ASSUMED_NOISE_MPS2: f64 = 0.05;
 pub(super) const BIAS_MPS2: f64 = 0.02;
 /// Error of sensitivity and direction of an uncalibrated axis, at least.
 const LEAST_SCALE: f64 = 0.002;
+/// No sensor's sensitivities and directions are wrong by so much: its axes, or its model, are others than given.
+pub(super) const MOST_SCALE: f64 = 0.05;
 /// A sensor with a model of its own that departs by more than this at the rests, m/s², may have another's.
 const DOUBTFUL_MPS2: f64 = 0.5;
 
@@ -40,8 +43,12 @@ pub struct ArrayCalibration {
     pub bias_mps2: f64,
     /// The same of its sensitivity, as a share, and direction, rad.
     pub scale: f64,
+    /// The same of the mean of all sensors.
+    pub common_scale: f64,
     /// How well each coordinate of a place is known, m: [`PLACE_SD_M`](Self::PLACE_SD_M) unless set.
     pub place_sd_m: f64,
+    /// What the size of the whole adds to that where it was found from the motion, m.
+    pub size_sd_m: f64,
     /// How well the sensors' times among each other are known, s: [`DELAY_SD_S`](Self::DELAY_SD_S) unless set.
     pub delay_sd_s: f64,
     /// Why the error models are those of perfect sensors, where they are.
@@ -52,6 +59,11 @@ pub struct ArrayCalibration {
     pub estimates: Vec<Option<Estimate>>,
     /// Sensors that are of no use, and why.
     pub left_out: Vec<(usize, String)>,
+    /// What each sensor that is used departs from the mean of all by, m/s² rms, before the rests' departures were
+    /// taken into the models.
+    apart_mps2: Vec<(usize, f64)>,
+    /// Mean force at each rest, m/s².
+    rest_forces: Vec<[f64; 3]>,
     /// What each sensor still adds at each rest, m/s².
     offsets: Vec<Vec<[f64; 3]>>,
 }
@@ -175,7 +187,7 @@ impl ArrayCalibration {
         let used: Vec<usize> = (0..sensors)
             .filter(|sensor| left_out.iter().all(|(out, _)| out != sensor))
             .collect();
-        let forces: Vec<Vec<Option<[f64; 3]>>> = models
+        let mut forces: Vec<Vec<Option<[f64; 3]>>> = models
             .iter()
             .zip(&per_sensor)
             .map(|(model, poses)| {
@@ -184,7 +196,7 @@ impl ArrayCalibration {
             })
             .collect();
         let mut turns = vec![[0.0; 3]; sensors];
-        if uncalibrated.is_none() && (!stored || differ(&forces, &used)) {
+        if uncalibrated.is_none() && !stored {
             let chosen: Vec<Vec<Option<[f64; 3]>>> =
                 used.iter().map(|k| forces[*k].clone()).collect();
             for (sensor, small) in used.iter().zip(align(&chosen)) {
@@ -200,31 +212,29 @@ impl ArrayCalibration {
             disagreement_mps2: 0.0,
             bias_mps2: BIAS_MPS2,
             scale: 0.0,
+            common_scale: 0.0,
             place_sd_m: Self::PLACE_SD_M,
+            size_sd_m: 0.0,
             delay_sd_s: Self::DELAY_SD_S,
             uncalibrated,
             stored,
             estimates,
             left_out,
+            apart_mps2: Vec::new(),
+            rest_forces: Vec::new(),
             offsets: Vec::new(),
         };
-        let (mut squares, mut values) = (0.0, 0.0);
-        let mut offsets: Vec<Vec<Option<[f64; 3]>>> = Vec::new();
-        for rest in 0..calibration.rests.len() {
-            let turned: Vec<Option<[f64; 3]>> = (0..sensors)
-                .map(|k| forces[k][rest].map(|f| turn(f, calibration.sensors[k].1)))
-                .collect();
-            let mean = mean(used.iter().filter_map(|k| turned[*k]));
-            let of_rest: Vec<Option<[f64; 3]>> = turned
+        calibration.rest_forces = (0..calibration.rests.len())
+            .map(|rest| mean(used.iter().filter_map(|k| forces[*k][rest])))
+            .collect();
+        let mut offsets = departures(&forces, &calibration, &used);
+        let of_used = || {
+            offsets
                 .iter()
-                .map(|force| force.map(|f| std::array::from_fn(|axis| f[axis] - mean[axis])))
-                .collect();
-            for offset in used.iter().filter_map(|k| of_rest[*k]) {
-                squares += offset.iter().map(|o| o * o).sum::<f64>();
-                values += 3.0;
-            }
-            offsets.push(of_rest);
-        }
+                .flat_map(|all| used.iter().filter_map(|k| all[*k]))
+        };
+        let squares = of_used().flatten().map(|o| o * o).sum::<f64>();
+        let values = 3.0 * of_used().count() as f64;
         calibration.disagreement_mps2 = (squares / f64::max(values, 1.0)).sqrt();
         if calibration.uncalibrated.is_some() || stored {
             let count = used.len() as f64;
@@ -234,6 +244,11 @@ impl ArrayCalibration {
             calibration.scale = scale_of(&offsets, &forces, &used)
                 .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
                 .max(LEAST_SCALE);
+            calibration.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
+            if calibration.scale < MOST_SCALE {
+                calibration.learn(recording, &mut forces, &offsets, &used);
+                offsets = departures(&forces, &calibration, &used);
+            }
         }
         // A rest at which a sensor gave nothing says nothing about it: that before it counts, or the first.
         for sensor in 0..sensors {
@@ -248,6 +263,50 @@ impl ArrayCalibration {
             .map(|all| all.iter().map(|o| o.unwrap_or_default()).collect())
             .collect();
         Ok(calibration)
+    }
+
+    /// Takes what the rests tell of each sensor's departures from the mean of all into its model; what they do not
+    /// tell stays in `scale`: equation (108).
+    fn learn(
+        &mut self,
+        recording: &ArrayRecording,
+        forces: &mut [Vec<Option<[f64; 3]>>],
+        departures: &[Vec<Option<[f64; 3]>>],
+        used: &[usize],
+    ) {
+        let (bias, scale) = (self.bias_mps2, self.scale);
+        let mut left = Vec::new();
+        for sensor in used {
+            let seen = (self.rest_forces.iter().zip(departures))
+                .filter_map(|(force, all)| Some((*force, all[*sensor]?)));
+            let found = Departure::of(seen, bias, scale, REST_BIAS_MPS2);
+            // Beyond what a model holds it is no sensor's error.
+            let Some(model) = found.model() else { continue };
+            self.sensors[*sensor].0 = model;
+            for force in forces[*sensor].iter_mut().flatten() {
+                *force = model.correct(SpecificForceMps2(*force), None).0;
+            }
+            left.push(found);
+        }
+        let (mut variance, mut changes) = (0.0, 0.0);
+        for (index, row) in recording.outputs.iter().enumerate() {
+            let seen = used.iter().filter(|k| recording.has(index, **k));
+            let force = mean(seen.map(|k| row[*k]));
+            let change = self.changed(index, force);
+            variance += left.iter().map(|one| one.variance(change)).sum::<f64>();
+            changes += left.len() as f64 * change.iter().map(|c| c * c).sum::<f64>();
+        }
+        if changes > 0.0 {
+            self.scale = (variance / changes).sqrt().min(scale);
+        }
+        let learnt = scale * scale - self.scale * self.scale;
+        self.common_scale = (learnt / used.len().max(1) as f64).sqrt();
+    }
+
+    /// What the force at sample `index` is beyond that at the rest before, m/s².
+    pub(super) fn changed(&self, index: usize, force: [f64; 3]) -> [f64; 3] {
+        let rest = self.rest_forces[self.offset_of(index)];
+        std::array::from_fn(|i| force[i] - rest[i])
     }
 
     /// Mean length of the mean output at the rests, m/s².
@@ -282,8 +341,9 @@ impl ArrayCalibration {
         }
         if let Some(why) = &self.uncalibrated {
             remarks.push(format!(
-                "the array is not calibrated: {why}. As its sensors differ, biases of ± {:.3} m/s² and sensitivities and \
-                 directions wrong by ± {:.1} % are allowed for",
+                "the array is not calibrated: {why}. As its sensors differ, biases of ± {:.3} m/s² are allowed for; \
+                 what the rests tell of each one is taken off, which leaves sensitivities and directions wrong by ± {:.2} %. \
+                 Rests in a dozen orientations tell all: `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`",
                 self.bias_mps2,
                 self.scale * 100.0
             ));
@@ -291,7 +351,7 @@ impl ArrayCalibration {
         if self.stored {
             remarks.push(format!(
                 "the sensors have error models of their own: at the rests they differ by {:.3} m/s² after all, so that \
-                 biases of ± {:.3} m/s² and sensitivities and directions wrong by ± {:.1} % are allowed for",
+                 biases of ± {:.3} m/s² and sensitivities and directions wrong by ± {:.2} % are allowed for",
                 self.disagreement_mps2,
                 self.bias_mps2,
                 self.scale * 100.0
@@ -313,16 +373,8 @@ impl ArrayCalibration {
 
     /// The sensor that departs most from the mean of all at the rests, and by how much, m/s² rms.
     fn farthest(&self) -> Option<(usize, f64)> {
-        let apart = |sensor: usize| {
-            let squares = self
-                .offsets
-                .iter()
-                .map(|all| all[sensor].iter().map(|o| o * o).sum::<f64>());
-            (squares.sum::<f64>() / self.offsets.len().max(1) as f64).sqrt()
-        };
-        let used = (0..self.sensors.len()).filter(|sensor| self.uses(*sensor));
-        used.map(|sensor| (sensor, apart(sensor)))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
+        let all = self.apart_mps2.iter().copied();
+        all.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The rest whose departures are taken off sample `index`: the latest before it, or the first.
@@ -361,18 +413,32 @@ impl ArrayCalibration {
     }
 }
 
-/// Whether the force at some two rests differs by gravity and more: then they show how the sensors are turned.
-fn differ(forces: &[Vec<Option<[f64; 3]>>], used: &[usize]) -> bool {
-    let Some(of_first) = used.first().map(|k| &forces[*k]) else {
-        return false;
-    };
-    let rests = || of_first.iter().flatten();
-    rests().any(|a| {
-        rests().any(|b| {
-            let square: f64 = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum();
-            square >= STANDARD_GRAVITY_MPS2.powi(2)
+/// By how much each sensor departs from the mean of those that are used, at each rest, m/s².
+fn departures(
+    forces: &[Vec<Option<[f64; 3]>>],
+    calibration: &ArrayCalibration,
+    used: &[usize],
+) -> Vec<Vec<Option<[f64; 3]>>> {
+    (0..calibration.rests.len())
+        .map(|rest| {
+            let turned: Vec<Option<[f64; 3]>> = (forces.iter().zip(&calibration.sensors))
+                .map(|(forces, (_, small))| Some(turn(forces[rest]?, *small)))
+                .collect();
+            let mean = mean(used.iter().filter_map(|k| turned[*k]));
+            let from_mean = |f: [f64; 3]| std::array::from_fn(|axis| f[axis] - mean[axis]);
+            turned
+                .into_iter()
+                .map(|force| force.map(from_mean))
+                .collect()
         })
-    })
+        .collect()
+}
+
+/// How far a sensor departs from the mean at the rests, m/s² rms.
+fn apart_of(sensor: usize, departures: &[Vec<Option<[f64; 3]>>]) -> f64 {
+    let seen = || departures.iter().filter_map(|all| all[sensor]);
+    let squares = seen().flatten().map(|o| o * o).sum::<f64>();
+    (squares / seen().count().max(1) as f64).sqrt()
 }
 
 /// The error of sensitivity and direction that shows as the sensors' departures from their mean change with the

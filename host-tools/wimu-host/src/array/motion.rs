@@ -252,7 +252,8 @@ fn filtered<const M: usize>(
             .sqrt()
             / (used.max(1) as f64).sqrt(),
         scale: calibration.scale,
-        place_sd_m: calibration.place_sd_m,
+        common_scale: calibration.common_scale,
+        place_sd_m: calibration.place_sd_m.hypot(calibration.size_sd_m),
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };

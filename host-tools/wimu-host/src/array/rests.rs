@@ -14,7 +14,7 @@ const BLOCK_SAMPLES: usize = 5;
 const REST_BLOCKS: usize = 3;
 /// What biases may move from block to block and from rest to rest, m/s² an axis.
 const BLOCK_BIAS_MPS2: f64 = 0.01;
-const REST_BIAS_MPS2: f64 = 0.015;
+pub(super) const REST_BIAS_MPS2: f64 = 0.015;
 /// Biases and relative errors of scale and direction of a sensor that is not calibrated yet.
 const BIAS_MPS2: f64 = 0.5;
 const SCALE: f64 = 0.03;

@@ -149,8 +149,7 @@ pub(crate) fn mended(
                 *place = place.map(|c| c / size);
             }
         }
-        let arm = arm_m(&mended.geometry);
-        mended.calibration.place_sd_m = calibration.place_sd_m.hypot(arm * sd / size);
+        mended.calibration.size_sd_m = arm_m(&mended.geometry) * sd / size;
         mended.remarks.push(format!(
             "the places are {size:.3} ± {sd:.3} times as far apart as the sensors: the rate's changes are not what ω̇ \
              adds up to; they are taken divided by that. Check the unit of the places"

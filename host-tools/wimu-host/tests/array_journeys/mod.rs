@@ -207,7 +207,9 @@ impl Part {
 pub enum Kind {
     /// Four moves of so many m an axis with turns of so many rad an axis, rests between.
     Moves(f64, f64),
-    /// The same in so many times the time.
+    /// One of these moves, between two rests.
+    Move(f64, f64),
+    /// The four in so many times the time.
     Slow(f64, f64, f64),
     /// Pushed to so many m/s, then so many s evenly, braked.
     Cart(f64, f64),
@@ -306,13 +308,15 @@ impl Case {
         let tilt = rotation(random.three(0.5));
         let (mut parts, mut arm) = (vec![still(2.5)], [0.0; 3]);
         match self.kind {
-            Kind::Moves(metres, radians) | Kind::Slow(_, metres, radians) => {
-                let slower = if let Kind::Slow(by, ..) = self.kind {
-                    by
-                } else {
-                    1.0
+            Kind::Moves(metres, radians)
+            | Kind::Move(metres, radians)
+            | Kind::Slow(_, metres, radians) => {
+                let (slower, moves) = match self.kind {
+                    Kind::Slow(by, ..) => (by, 4),
+                    Kind::Move(..) => (1.0, 1),
+                    _ => (1.0, 4),
                 };
-                for _ in 0..4 {
+                for _ in 0..moves {
                     parts.push(Part {
                         seconds: slower * (0.6 + 0.6 * random.unit()),
                         shift: random.three(metres),
@@ -521,6 +525,16 @@ impl Coverage {
         100.0 * sum / f64::max(self.outcomes.len() as f64, 1.0)
     }
 
+    /// Error of the rates while it turns, rad/s rms.
+    pub fn rate_error(&self) -> f64 {
+        self.mean(|o| o.rate_error)
+    }
+
+    fn mean(&self, of: fn(&Outcome) -> f64) -> f64 {
+        let sum: f64 = self.outcomes.iter().map(|o| of(o).powi(2)).sum();
+        (sum / f64::max(self.outcomes.len() as f64, 1.0)).sqrt()
+    }
+
     /// Median and most of each seed's greatest √NEES of a valid position.
     pub fn greatest(&self) -> [f64; 2] {
         let most = |o: &Outcome| o.position.iter().copied().fold(0.0, f64::max).sqrt();
@@ -546,10 +560,6 @@ impl fmt::Display for Coverage {
         } = self.case;
         let (about, zupt) = (format!("{kind:?} {places:?}"), format!("{zupt:?}"));
         let most = self.outcomes.iter().map(|o| o.most_m).fold(0.0, f64::max);
-        let mean = |of: fn(&Outcome) -> f64| {
-            let sum: f64 = self.outcomes.iter().map(|o| of(o).powi(2)).sum();
-            (sum / f64::max(self.outcomes.len() as f64, 1.0)).sqrt()
-        };
         let [median, worst] = self.greatest();
         write!(
             out,
@@ -561,8 +571,8 @@ impl fmt::Display for Coverage {
             self.valid(),
             self.position(),
             self.rate(),
-            mean(|o| o.rate_error),
-            mean(|o| o.rate_sd),
+            self.rate_error(),
+            self.mean(|o| o.rate_sd),
             self.refused,
         )
     }

@@ -65,9 +65,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             + config.delay_sd_s * config.delay_sd_s * self.jerk
     }
 
-    /// By how much the variance of the biases grows as the force on the sensors becomes another, (m/s²)²: equation
+    /// By how much the square of the force's swing grows, with which the variance of the biases does, (m/s²)²: equation
     /// (104).
-    pub(super) fn scaled(&mut self, force: [R; 3]) -> f64 {
+    pub(super) fn swung(&mut self, force: [R; 3]) -> f64 {
         let away = |from: &[R; 3]| -> f64 {
             let d: [R; 3] = core::array::from_fn(|i| force[i] - from[i]);
             dot(&d, &d).to_f64()
@@ -87,7 +87,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if swing.square > g * g {
             *swing = Swing::at(force);
         }
-        self.config.scale * self.config.scale * more
+        more
     }
 
     /// Square of the relative error of a rate that errors of places bring.

@@ -108,19 +108,21 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     /// ω and ω̇ one step ahead, and attitude with them: equation (96).
-    pub(super) fn predict(&mut self, step: f64, noise: &Noise<R>, scaled: f64) {
+    pub(super) fn predict(&mut self, step: f64, noise: &Noise<R>, swung: f64) {
         let arm = self.array.solver().arm_m();
         let walk = TURN_WALK_AT_REST * TURN_WALK_AT_REST + TURN_WALK * TURN_WALK * self.activity;
         let stray = VIBRATION_RATE * VIBRATION_RATE * noise.vibration.to_f64() / (arm * arm);
-        let bias = (self.config.bias_walk * self.config.bias_walk * step + scaled)
+        let config = &self.config;
+        let scaled = config.scale * config.scale * swung;
+        let bias = (config.bias_walk * config.bias_walk * step + scaled)
             / self.array.solver().variance_mps2().to_f64();
         let rank = self.array.solver().rank();
         let covariance = *self.array.solver().covariance();
-        // Sensitivities times 2 g at most.
-        let g = self.config.gravity_mps2;
-        let most = 4.0 * g * g * self.config.scale * self.config.scale;
-        let kept = r::<R>(if most > 0.0 {
-            libm::sqrt((1.0 - scaled / most).max(0.0))
+        let common = r::<R>(config.common_scale * config.common_scale * swung);
+        // The force changes by 2 g at most.
+        let g = config.gravity_mps2;
+        let kept = r::<R>(if config.scale > 0.0 {
+            libm::sqrt((1.0 - swung / (4.0 * g * g)).max(0.0))
         } else {
             1.0
         });
@@ -153,6 +155,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 cov[w][t] += r(walk * step * step / 2.0);
                 cov[t][w] += r(walk * step * step / 2.0);
                 cov[t][t] += r(walk * step);
+                cov[FORCE_BIAS + i][FORCE_BIAS + i] += common;
                 for j in 0..3 {
                     let with_rate = stray * step * step / 2.0 + walk * cube * step / 8.0;
                     let crossed = attitude[i][j] * r(with_rate);

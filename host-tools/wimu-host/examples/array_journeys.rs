@@ -32,7 +32,7 @@ fn main() {
         zupt: Zupt::Assumed,
         ..wrong
     };
-    let groups: [(&str, Vec<Case>); 7] = [
+    let groups: [(&str, Vec<Case>); 8] = [
         (
             "errors",
             vec![
@@ -98,6 +98,30 @@ fn main() {
                             ..wrong
                         }
                     })
+                })
+                .collect(),
+        ),
+        (
+            "cube",
+            [0.3, 1.0, 3.0]
+                .into_iter()
+                .flat_map(|radians| {
+                    let cube = Case {
+                        kind: Kind::Moves(0.3, radians),
+                        places: Places::Cube(0.1),
+                        ..base
+                    };
+                    let wrong = Case {
+                        bias: 0.1,
+                        scale: 0.015,
+                        place: 1e-3,
+                        ..cube
+                    };
+                    let off = Case {
+                        zupt: Zupt::Off,
+                        ..cube
+                    };
+                    [cube, wrong, off]
                 })
                 .collect(),
         ),

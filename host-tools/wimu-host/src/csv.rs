@@ -30,6 +30,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
+pub(crate) use columns::acceleration;
 pub use columns::{AccelerationUnit, Header};
 use columns::{Columns, Quantity};
 use line::Lines;

@@ -68,6 +68,25 @@ fn what_the_rests_tell_of_sensors_that_nobody_calibrated_is_taken_off_them() {
 }
 
 #[test]
+fn a_cube_whose_rate_is_only_integrated_says_how_far_it_strays() {
+    let cube = Case {
+        places: Places::Cube(0.1),
+        rate_hz: 100.0,
+        ..Case::default()
+    };
+    let off = Case {
+        zupt: Zupt::Off,
+        ..cube
+    };
+    let [rested, strayed] = [cube, off].map(|case| case.over(SEEDS));
+    println!("{rested}\n{strayed}");
+    for coverage in [&rested, &strayed] {
+        assert!(coverage.position() > 90.0 && coverage.rate() > 90.0);
+    }
+    assert!(rested.valid() > 80.0 && strayed.rate_sd() > 3.0 * rested.rate_sd());
+}
+
+#[test]
 fn even_motion_and_slow_turns_off_the_axis_are_doubted_unless_a_rest_is_stated() {
     let kinds = [
         Kind::Cart(0.3, 6.0),

@@ -694,6 +694,7 @@ Example: wimu navigate session.mcap -o path.csv
          wimu navigate walk.csv --method tilt --zupt off --report path.html
          wimu navigate board.csv --geometry places.csv -o path.csv
          wimu navigate board.csv --geometry ARRAY.json                 (from `wimu calibrate --geometry`)
+         wimu navigate cube.csv --geometry cube:100mm                  (columns `Accelerometer 0 (m/s²)`, … to 5)
          wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json --refine refined.json")]
 pub struct Navigate {
     /// A recording, or a CSV file of corrected samples
@@ -709,8 +710,10 @@ pub struct Navigate {
     pub drift: Option<PathBuf>,
     /// Places of an array's accelerometers (triads): a line `X (m),Y (m),Z (m)` or `X (mm),…`, then one for
     /// each; or what `wimu calibrate --geometry` or --refine wrote, which may also hold axes, delays and error
-    /// models. Single axes: with the library only
-    #[arg(long, value_name = "FILE")]
+    /// models, or single `axes`, each with `place_m`, `direction` and the `column` of its output (`Accelerometer 0`, … where
+    /// it has none). Or a preset: `cube:100mm` (six single axes on a cube of that side), `four:30mm`, `octahedron:30mm`
+    /// (triads so far from the centre), `board:9.5mm,2mm` (eight triads, half the side and half the thickness)
+    #[arg(long, value_name = "FILE|PRESET")]
     pub geometry: Option<PathBuf>,
     /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write
     /// them here

@@ -17,7 +17,7 @@ const ASSUMED_NOISE_MPS2: f64 = 0.05;
 /// Bias that is left of a calibrated axis, m/s².
 pub(super) const BIAS_MPS2: f64 = 0.02;
 /// Error of sensitivity and direction of an uncalibrated axis, at least.
-const LEAST_SCALE: f64 = 0.002;
+pub(super) const LEAST_SCALE: f64 = 0.002;
 /// No sensor's sensitivities and directions are wrong by so much: its axes, or its model, are others than given.
 pub(super) const MOST_SCALE: f64 = 0.05;
 /// A sensor with a model of its own that departs by more than this at the rests, m/s², may have another's.

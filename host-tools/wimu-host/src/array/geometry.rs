@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
+use super::single::SingleAxis;
 use crate::calibration::read_model;
 use crate::{ErrorCode, HostError, Result};
 
@@ -76,8 +77,12 @@ pub struct ArrayGeometry {
     /// How well each delay is known, µs, one standard deviation, where that is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay_sd_us: Option<f64>,
-    /// The sensors.
+    /// The sensors, of three axes each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<ArraySensor>,
+    /// Single axes instead of these.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub axes: Vec<SingleAxis>,
 }
 
 impl ArrayGeometry {
@@ -91,6 +96,15 @@ impl ArrayGeometry {
             place_sd_mm: None,
             delay_sd_us: None,
             sensors,
+            axes: Vec::new(),
+        }
+    }
+
+    /// Of single axes.
+    pub fn of_axes(axes: Vec<SingleAxis>) -> Self {
+        Self {
+            axes,
+            ..Self::new(Vec::new())
         }
     }
 
@@ -104,7 +118,7 @@ impl ArrayGeometry {
             return Err(HostError::new(
                 ErrorCode::Usage,
                 format!(
-                    "there are {} calibrations for {} sensors",
+                    "there are {} calibrations for {} sensors of three axes",
                     files.len(),
                     self.sensors.len()
                 ),
@@ -139,7 +153,10 @@ impl ArrayGeometry {
 
     /// The largest distance between two places, m.
     pub fn span_m(&self) -> f64 {
-        let places: Vec<[f64; 3]> = self.sensors.iter().flat_map(|s| s.places_m).collect();
+        let single = self.axes.iter().map(|axis| axis.place_m);
+        let places: Vec<[f64; 3]> = (self.sensors.iter().flat_map(|s| s.places_m))
+            .chain(single)
+            .collect();
         let distance = |a: &[f64; 3], b: &[f64; 3]| {
             let square = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>();
             square.sqrt()
@@ -151,12 +168,17 @@ impl ArrayGeometry {
     /// Reads a JSON object as [`write`](Self::write) writes it, or places as a CSV table: three rows `x`,
     /// `y`, `z` in m with one column a sensor, or one row a sensor with columns `X (m)`, `Y (m)`, `Z (m)`,
     /// or `X (mm)`, …. A table whose places are more than 1 m apart is refused: an array as large as that is
-    /// given as JSON.
+    /// given as JSON. Where there is no such file, [`preset`](super::preset) has a name such as `cube:100mm`.
     ///
     /// # Errors
     /// `file_unreadable`, `csv_bad_number`, `csv_missing_column`, `bad_calibration`.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
+        if !path.exists()
+            && let Some(preset) = super::preset(&name)
+        {
+            return preset;
+        }
         let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
         if !text.trim_start().starts_with('{') {
             let geometry = Self::at(&places(&text, &name)?);
@@ -186,6 +208,23 @@ impl ArrayGeometry {
                 geometry.schema,
                 Self::SCHEMA
             )));
+        }
+        if geometry.sensors.is_empty() == geometry.axes.is_empty() {
+            return Err(bad(
+                "it has neither `sensors` nor `axes`, or both".to_owned()
+            ));
+        }
+        for (index, axis) in geometry.axes.iter().enumerate() {
+            let finite = axis
+                .place_m
+                .iter()
+                .chain(&axis.direction)
+                .all(|v| v.is_finite());
+            if !finite || axis.direction.iter().all(|v| *v == 0.0) {
+                return Err(bad(format!(
+                    "axis {index} (from 0) has a place or direction that is no number, or no direction"
+                )));
+            }
         }
         let known = [geometry.place_sd_mm, geometry.delay_sd_us];
         if known

@@ -39,6 +39,13 @@ impl ArrayRecording {
         self
     }
 
+    /// The same of single axes, none of which measures what the others do.
+    pub(super) fn judged_axes(mut self) -> Self {
+        self.leave_out_stopped();
+        self.find_limits();
+        self
+    }
+
     fn leave_out_stopped(&mut self) {
         let (sensors, count) = (self.sensors(), self.outputs.len());
         let value = |k: usize, axis: usize| self.outputs[k][axis / 3][axis % 3];

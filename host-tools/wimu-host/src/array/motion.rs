@@ -11,7 +11,7 @@ use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
 /// Output that stands for a sensor at its limit, m/s².
-const AT_LIMIT_MPS2: f64 = 1e6;
+pub(super) const AT_LIMIT_MPS2: f64 = 1e6;
 
 /// The angular rate of a body through a recording, from accelerometers alone.
 #[derive(Clone, Debug)]
@@ -81,6 +81,13 @@ pub fn navigated(
 }
 
 pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
+    if !geometry.axes.is_empty() {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "single axes are neither calibrated nor refined: nothing tells their errors apart",
+            "navigate with the geometry as it is; for a calibration give triads",
+        ));
+    }
     if geometry.sensors.len() == recording.sensors() {
         return Ok(());
     }
@@ -257,23 +264,43 @@ fn filtered<const M: usize>(
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };
-    let mut filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
+    let filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
+    let mut offset = calibration.offset_of(0);
+    let uses = |sensor: usize| calibration.uses(sensor);
+    Ok(followed(
+        recording,
+        filter,
+        zupt,
+        &uses,
+        |filter, index, state| {
+            // An even turn about the vertical may look like a rest: where the rate is known not to be zero, it is none.
+            if calibration.offset_of(index) != offset && may_rest(state) {
+                offset = calibration.offset_of(index);
+                filter.residual_biases_taken_off();
+            }
+            sample_since::<M>(recording, calibration, index, offset)
+        },
+    ))
+}
+
+/// What a filter knows after each sample of a recording, and what it met on the way; `output` is told the state before.
+pub(super) fn followed<const M: usize>(
+    recording: &ArrayRecording,
+    mut filter: ArrayFilter<f64, M>,
+    zupt: Zupt,
+    uses: &dyn Fn(usize) -> bool,
+    mut output: impl FnMut(&mut ArrayFilter<f64, M>, usize, Option<&ArrayState<f64>>) -> [f64; M],
+) -> (Vec<ArrayState<f64>>, Vec<String>) {
     let mut states = Vec::with_capacity(recording.times_s.len());
     let (mut gaps, mut backwards, mut blind) = (0_usize, 0_usize, 0_usize);
     let mut saturated = 0_usize;
     let mut moving_start = None;
     let mut without = vec![0_usize; recording.sensors()];
-    let mut offset = calibration.offset_of(0);
     let mut last = recording.times_s[0];
     // Where the way since the last rest begins, and rests at which it was found to be wrong.
     let (mut way, mut astray) = (0, 0);
     for (index, time) in recording.times_s.iter().enumerate() {
-        // An even turn about the vertical may look like a rest: where the rate is known not to be zero, it is none.
-        if calibration.offset_of(index) != offset && may_rest(states.last()) {
-            offset = calibration.offset_of(index);
-            filter.residual_biases_taken_off();
-        }
-        let output = sample_since::<M>(recording, calibration, index, offset);
+        let output = output(&mut filter, index, states.last());
         let pushed = filter.push(time - last, &output);
         last = last.max(*time);
         match pushed {
@@ -348,7 +375,7 @@ fn filtered<const M: usize>(
          evenly",
     );
     for (sensor, count) in without.iter().enumerate() {
-        if calibration.uses(sensor) {
+        if uses(sensor) {
             remark(
                 *count,
                 &format!(
@@ -357,5 +384,5 @@ fn filtered<const M: usize>(
             );
         }
     }
-    Ok((states, remarks))
+    (states, remarks)
 }

@@ -6,7 +6,7 @@ use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
-use crate::csv::{AccelerationUnit, CsvReader};
+use crate::csv::{AccelerationUnit, CsvReader, acceleration};
 use crate::history::{Boot, Recording};
 use crate::motion::Truth;
 use crate::units::RawUnits;
@@ -54,6 +54,52 @@ impl ArrayRecording {
         let mut recording = table.recording;
         recording.start_s = table.first_ns as f64 * 1e-9;
         Ok(recording.judged())
+    }
+
+    /// Reads a CSV file with the columns that the single axes of a geometry name, `Accelerometer 0 (m/s²)`, … where they name
+    /// none: each axis is the X of a sensor, whose Y and Z are not numbers.
+    ///
+    /// # Errors
+    /// Those of [`CsvReader`]; `csv_missing_column` without times or a column that is named.
+    pub fn axes_from_csv(
+        path: &Path,
+        geometry: &ArrayGeometry,
+        sensitivity_lsb_per_g: f64,
+    ) -> Result<Self> {
+        let table = Table::read(path, sensitivity_lsb_per_g, 0)?;
+        let mut recording = table.recording;
+        recording.start_s = table.first_ns as f64 * 1e-9;
+        let count = recording.times_s.len();
+        recording.outputs = vec![Vec::with_capacity(geometry.axes.len()); count];
+        recording.saturated = vec![0; count];
+        for (k, axis) in geometry.axes.iter().enumerate() {
+            let name = axis.column_name(k);
+            let mut found = None;
+            for (column, values) in &recording.other {
+                if let Some(unit) = acceleration(column, &name)? {
+                    found = Some((unit, values));
+                }
+            }
+            let Some(((unit, factor), values)) = found else {
+                return Err(HostError::new(
+                    ErrorCode::CsvMissingColumn,
+                    format!("there is no column `{name}` for axis {k} (from 0)"),
+                    "name the columns of single axes `Accelerometer 0 (m/s²)`, `Accelerometer 1 (m/s²)`, … in the order of \
+                     the geometry, or give each axis its `column` in the geometry's JSON",
+                )
+                .at(format!("{} line 1", recording.name)));
+            };
+            let mps2 = unit
+                .mps2()
+                .unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
+            let rows = recording.outputs.iter_mut().zip(&mut recording.saturated);
+            for ((row, bits), value) in rows.zip(values) {
+                let at_limit = unit == AccelerationUnit::Lsb && value.abs() >= LIMIT_COUNTS;
+                *bits |= u32::from(at_limit) << k;
+                row.push([value * factor * mps2, f64::NAN, f64::NAN]);
+            }
+        }
+        Ok(recording.judged_axes())
     }
 
     /// Brings the samples of several boards to common times: those of the slowest one, each of the
@@ -173,19 +219,8 @@ impl ArrayRecording {
     /// # Errors
     /// `usage` when the numbers of sensors differ.
     pub fn arranged(mut self, geometry: &ArrayGeometry) -> Result<Self> {
+        super::motion::check(&self, geometry)?;
         let sensors = &geometry.sensors;
-        if sensors.len() != self.sensors() {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                format!(
-                    "the geometry has {} sensors, the recording {}",
-                    sensors.len(),
-                    self.sensors()
-                ),
-                "give the geometry of this array",
-            )
-            .at(&self.name));
-        }
         let scaled_by = |k: usize| self.sensitivities.get(k).copied().flatten();
         for row in &mut self.outputs {
             for (k, (output, sensor)) in row.iter_mut().zip(sensors).enumerate() {

@@ -334,6 +334,18 @@ fn axis(word: &str) -> Option<usize> {
     AXES.iter().position(|axis| axis.eq_ignore_ascii_case(word))
 }
 
+/// Whether a column has this name, with or without its unit, and the unit of an acceleration, with how many of it one is.
+///
+/// # Errors
+/// `csv_unknown_unit` for a column of this name that has another.
+pub(crate) fn acceleration(column: &str, name: &str) -> Result<Option<(AccelerationUnit, f64)>> {
+    let (bare, unit) = split_unit(column);
+    if !bare.eq_ignore_ascii_case(split_unit(name).0) {
+        return Ok(None);
+    }
+    lookup(column, unit, &ACCELERATION_UNITS).map(Some)
+}
+
 /// `Name (unit)` or `Name [unit]` in its two parts.
 fn split_unit(name: &str) -> (&str, Option<&str>) {
     let within = |open, close| name.strip_suffix(close)?.rsplit_once(open);

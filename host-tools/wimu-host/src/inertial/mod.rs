@@ -33,11 +33,15 @@ use std::ops::Range;
 use std::path::Path as FilePath;
 
 pub use wimu_nav::Zupt;
+use wimu_nav::array::ArrayState;
 use wimu_nav::drift::{Drift, DriftEstimator, DriftFit};
 use wimu_nav::slide::Move;
 use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
-use crate::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, mended, navigated};
+use crate::array::{
+    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
+    navigated_axes,
+};
 use crate::motion::{MotionRecording, Truth, gap_s, nees};
 use crate::{ErrorCode, HostError, Result};
 
@@ -502,6 +506,42 @@ pub fn navigate_array(
     if let Some(agreement) = &agreement {
         agreement.check(&recording.name)?;
     }
+    let mut said = remarks;
+    said.extend(agreement.map(|a| a.remark()));
+    said.extend(calibration.remarks());
+    if let Some(mended) = &mended {
+        said.extend(mended.remarks.iter().cloned());
+    }
+    let span = geometry.span_m();
+    if span > ArrayGeometry::LARGE_M {
+        said.push(format!(
+            "the array is {span:.1} m wide: are its places in m?"
+        ));
+    }
+    Ok(path_of(recording, &states, choice, said))
+}
+
+/// Navigates single axes ([`ArrayRecording::axes_from_csv`]); `known` says how well their places and times are.
+///
+/// # Errors
+/// Those of [`navigated_axes`].
+pub fn navigate_axes(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    known: &RefineOptions,
+    choice: &Choice,
+) -> Result<InertialPath> {
+    let (states, remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
+    Ok(path_of(recording, &states, choice, remarks))
+}
+
+/// The path of an array whose states are these, against the truth where there is any.
+fn path_of(
+    recording: &ArrayRecording,
+    states: &[ArrayState<f64>],
+    choice: &Choice,
+    said: Vec<String>,
+) -> InertialPath {
     let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
     let mut path = InertialPath {
         method: Method::Array,
@@ -532,18 +572,7 @@ pub fn navigate_array(
         truth_m: Vec::new(),
         heading_fitted: false,
     };
-    path.remarks.extend(remarks);
-    path.remarks.extend(agreement.map(|a| a.remark()));
-    path.remarks.extend(calibration.remarks());
-    if let Some(mended) = &mended {
-        path.remarks.extend(mended.remarks.iter().cloned());
-    }
-    let span = geometry.span_m();
-    if span > ArrayGeometry::LARGE_M {
-        path.remarks.push(format!(
-            "the array is {span:.1} m wide: are its places in m?"
-        ));
-    }
+    path.remarks.extend(said);
     let ambiguous = states
         .iter()
         .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
@@ -596,7 +625,7 @@ pub fn navigate_array(
     });
     path.rate_nees = rate_nees;
     path.velocity_nees = velocity_nees;
-    Ok(path)
+    path
 }
 
 /// Direction of body x from east to north, rad.

@@ -10,8 +10,11 @@ use std::fmt;
 use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::HostError;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, navigated};
-use wimu_host::inertial::{Choice, Method, Zupt, navigate_array};
+use wimu_host::array::{
+    ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated, navigated_axes,
+    preset,
+};
+use wimu_host::inertial::{Choice, Method, Zupt, navigate_array, navigate_axes};
 use wimu_host::motion::nees;
 
 const G: f64 = 9.80665;
@@ -225,6 +228,8 @@ pub enum Places {
     Octahedron(f64),
     Board,
     Four(f64),
+    /// Six single axes on a cube of this side, m.
+    Cube(f64),
 }
 
 /// What is simulated.
@@ -296,6 +301,7 @@ impl Case {
                 ];
                 all.iter().map(|p: &V| p.map(|v| v * arm)).collect()
             }
+            Places::Cube(side) => return preset(&format!("cube:{side}m")).unwrap().unwrap(),
         };
         ArrayGeometry::at(&places)
     }
@@ -361,16 +367,21 @@ impl Case {
         let geometry = self.geometry();
         let journey = self.journey(random);
         struct Sensor {
+            /// Of a single axis.
+            direction: Option<V>,
             place: V,
             bias: V,
             scale: Rotation,
             skew: f64,
         }
-        let sensors: Vec<Sensor> = geometry
-            .sensors
-            .iter()
-            .map(|s| Sensor {
-                place: add(s.places_m[0], random.three(self.place), 1.0),
+        let single = geometry.axes.iter();
+        let single = single.map(|axis| (axis.place_m, Some(axis.direction)));
+        let triads = geometry.sensors.iter().map(|s| (s.places_m[0], None));
+        let sensors: Vec<Sensor> = triads
+            .chain(single)
+            .map(|(place, direction)| Sensor {
+                direction,
+                place: add(place, random.three(self.place), 1.0),
                 bias: random.three(self.bias),
                 scale: [0; 3].map(|_| random.three(self.scale)),
                 skew: self.skew * random.normal(),
@@ -403,7 +414,14 @@ impl Case {
                     1.0,
                 );
                 let scaled = add(force, apply(&sensor.scale, force), 1.0);
-                add(add(scaled, sensor.bias, 1.0), random.three(self.noise), 1.0)
+                let output = add(add(scaled, sensor.bias, 1.0), random.three(self.noise), 1.0);
+                sensor.direction.map_or(output, |d| {
+                    [
+                        d.iter().zip(output).map(|(d, v)| d * v).sum(),
+                        f64::NAN,
+                        f64::NAN,
+                    ]
+                })
             });
             recording.outputs.push(row.collect());
             recording.saturated.push(0);
@@ -428,19 +446,29 @@ impl Case {
     /// Those of the command.
     pub fn run(&self, seed: u64) -> Result<Outcome, HostError> {
         let (recording, geometry) = self.recording(seed);
-        let arranged = recording.judged().arranged(&geometry)?;
-        let mut calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE)?;
         // As the user says who knows no better.
-        calibration.place_sd_m = self.place.max(ArrayCalibration::PLACE_SD_M);
-        calibration.delay_sd_s = self.skew.max(ArrayCalibration::DELAY_SD_S);
+        let known = RefineOptions {
+            place_sd_m: self.place.max(ArrayCalibration::PLACE_SD_M),
+            delay_sd_s: self.skew.max(ArrayCalibration::DELAY_SD_S),
+        };
         let choice = Choice {
             method: Method::Array,
             zupt: self.zupt,
             ..Choice::default()
         };
-        let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
-        let gravity = G;
-        let (states, _) = navigated(&arranged, &geometry, &calibration, gravity, self.zupt)?;
+        let (arranged, path, states) = if geometry.axes.is_empty() {
+            let arranged = recording.judged().arranged(&geometry)?;
+            let mut calibration =
+                ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE)?;
+            (calibration.place_sd_m, calibration.delay_sd_s) = (known.place_sd_m, known.delay_sd_s);
+            let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
+            let (states, _) = navigated(&arranged, &geometry, &calibration, G, self.zupt)?;
+            (arranged, path, states)
+        } else {
+            let path = navigate_axes(&recording, &geometry, &known, &choice)?;
+            let (states, _) = navigated_axes(&recording, &geometry, &known, self.zupt)?;
+            (recording, path, states)
+        };
         let truth = arranged.true_rate_rad_s();
         let mut outcome = Outcome {
             position: path.nees.clone(),
@@ -530,6 +558,11 @@ impl Coverage {
         self.mean(|o| o.rate_error)
     }
 
+    /// What it is said to be.
+    pub fn rate_sd(&self) -> f64 {
+        self.mean(|o| o.rate_sd)
+    }
+
     fn mean(&self, of: fn(&Outcome) -> f64) -> f64 {
         let sum: f64 = self.outcomes.iter().map(|o| of(o).powi(2)).sum();
         (sum / f64::max(self.outcomes.len() as f64, 1.0)).sqrt()
@@ -572,7 +605,7 @@ impl fmt::Display for Coverage {
             self.position(),
             self.rate(),
             self.rate_error(),
-            self.mean(|o| o.rate_sd),
+            self.rate_sd(),
             self.refused,
         )
     }

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, refine};
-use wimu_host::inertial::{Choice, InertialPath, navigate_array};
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, refine};
+use wimu_host::inertial::{Choice, InertialPath, navigate_array, navigate_axes};
 use wimu_host::{ErrorCode, HostError, Result};
 
 use crate::arguments::Navigate;
@@ -39,6 +39,21 @@ pub fn path(
         geometry = geometry.with_models(&arguments.calibration)?;
     }
     let options = array::known(arguments.place_sd, arguments.delay_sd, &geometry);
+    if !geometry.axes.is_empty() {
+        if arguments.refine.is_some() || !arguments.boards.is_empty() {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                "single axes are in one table, and their places are as given",
+                "leave out --refine and further boards",
+            ));
+        }
+        let recording =
+            ArrayRecording::axes_from_csv(&arguments.input, &geometry, arguments.sensitivity)?;
+        return Ok((
+            navigate_axes(&recording, &geometry, &options, choice)?,
+            None,
+        ));
+    }
     let read = array::read(
         &arguments.input,
         &arguments.boards,

@@ -37,6 +37,27 @@ fn main() {
         Journey::Push(1.0, 4.0, true),
         Journey::Push(0.3, 4.0, false),
         Journey::Push(1.0, 1.0, true),
+        Journey::Carried(std::f64::consts::PI),
+    ];
+    let perfect = Recorded::default();
+    let rate = |rate_matrix| Recorded {
+        rate_matrix,
+        ..perfect
+    };
+    let force = |force_matrix| Recorded {
+        force_matrix,
+        ..perfect
+    };
+    let late = |late_s| Recorded { late_s, ..perfect };
+    let turned = [
+        rate(0.01),
+        rate(0.02),
+        rate(0.03),
+        force(0.01),
+        force(0.015),
+        late(0.01),
+        late(0.02),
+        late(0.05),
     ];
     for kind in kinds {
         if !format!("{kind:?}").contains(&only) {
@@ -49,9 +70,22 @@ fn main() {
             let how = Recorded {
                 gyroscope,
                 zupt,
-                ..Recorded::default()
+                ..perfect
             };
             println!("{}", Journeys::over(kind, how, seeds));
+            if matches!(kind, Journey::Carried(_)) {
+                for sensors in turned {
+                    if !gyroscope && sensors.force_matrix == 0.0 {
+                        continue;
+                    }
+                    let how = Recorded {
+                        gyroscope,
+                        zupt,
+                        ..sensors
+                    };
+                    println!("{}", Journeys::over(kind, how, seeds));
+                }
+            }
             if matches!(kind, Journey::Violent(_)) {
                 let clips_mps2 = 2.0 * 9.80665;
                 let how = Recorded { clips_mps2, ..how };

@@ -176,3 +176,53 @@ fn large_turns_that_no_gyroscope_sees_are_doubted() {
         }
     }
 }
+
+/// Data sheets say so: scales and axes to 1 to 3 %, and filters that delay. Turns of up to half a circle.
+#[test]
+fn what_scales_axes_and_a_late_gyroscope_make_of_a_turn_lies_within_the_covariance() {
+    let perfect = Recorded::default();
+    for how in [
+        Recorded {
+            rate_matrix: 0.02,
+            ..perfect
+        },
+        Recorded {
+            force_matrix: 0.01,
+            ..perfect
+        },
+        Recorded {
+            late_s: 0.02,
+            ..perfect
+        },
+    ] {
+        for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
+            let journey = Journey::Carried(std::f64::consts::PI);
+            let found = over(journey, Recorded { zupt, ..how });
+            assert!(found.below > 0.9 && found.greatest < 7.0, "{found}");
+            assert!(found.rests > 0.6, "{found}");
+            let known = over(journey, Recorded { zupt, ..perfect });
+            assert!(found.valid > 0.8 * known.valid, "{found} {known}");
+        }
+    }
+}
+
+/// The first rest ends at 3 s: it is too short, or none.
+#[test]
+fn a_recording_that_begins_in_a_move_or_just_before_starts_at_the_first_rest_of_a_second() {
+    for (gyroscope, field) in [(true, true), (true, false), (false, true)] {
+        for begins_s in [2.0, 2.2, 2.5, 2.8, 3.2, 4.0] {
+            for zupt in [Zupt::Assumed, Zupt::Stated] {
+                let how = Recorded {
+                    gyroscope,
+                    field,
+                    begins_s,
+                    zupt,
+                    ..Recorded::default()
+                };
+                let found = over(Journey::Carried(std::f64::consts::PI), how);
+                assert!(found.below > 0.9 && found.greatest < 6.0, "{found}");
+                assert!(found.rests > 0.6 && found.valid > 0.08, "{found}");
+            }
+        }
+    }
+}

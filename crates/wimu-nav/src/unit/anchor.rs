@@ -49,7 +49,7 @@ pub(super) struct Anchor<R> {
     turned: Vector<R>,
     since_s: R,
     /// Whether an angular rate carried it all the way.
-    carried: bool,
+    pub carried: bool,
     /// Mean of what the last parts departed by from what was expected, m/s²: of a slow push all to one side.
     lag: Vector<R>,
     /// Mean force over the last of the rest, m/s², body axes as they are now, and over how many parts.

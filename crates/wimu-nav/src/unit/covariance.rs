@@ -55,6 +55,12 @@ impl<R: Real> Covariance<R> {
         self.0[at.0 + i][at.0 + i] += variance;
     }
 
+    /// Adds to the covariance of two blocks' states `i`.
+    pub fn add_between(&mut self, one: Block, other: Block, i: usize, covariance: R) {
+        self.0[one.0 + i][other.0 + i] += covariance;
+        self.0[other.0 + i][one.0 + i] += covariance;
+    }
+
     /// P ← F P Fᵀ for F that adds `m` times block `from` to block `to`.
     pub fn couple(&mut self, to: Block, from: Block, m: &Matrix<R>) {
         let source: [[R; STATES]; 3] = core::array::from_fn(|k| self.0[from.0 + k]);

@@ -14,6 +14,7 @@ mod manner;
 mod model;
 mod rest;
 mod start;
+mod turned;
 
 use covariance::{
     ACCELERATION, BIAS, Block, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
@@ -21,6 +22,7 @@ use covariance::{
 };
 use manner::{Manner, Swept};
 use rest::Quiet;
+use turned::Turned;
 
 use crate::Real;
 pub use crate::drift::Drift;
@@ -33,7 +35,8 @@ pub use crate::zupt::Zupt;
 /// Samples are brought together over so long before the filter looks at them, s: it follows what a
 /// hand does, and costs a few operations a sample.
 const UPDATE_S: f64 = 0.035;
-/// The first attitude is from so much, s, and from what shows whether it rests.
+/// The first attitude is from so much, s, and from what shows whether it rests; where it does not, from the first rest of
+/// so much.
 const ALIGN_S: f64 = 1.0;
 /// Bias of a gyroscope that is not known, rad/s.
 const BIAS_RAD_S: f64 = 0.01;
@@ -143,7 +146,7 @@ pub struct UnitState<R = f64> {
     pub unseen_m: R,
     /// Stillnesses, each of a tenth of a second, at which it was known to be pushed.
     pub pushed: u32,
-    /// False before the first alignment, until the first rest where it moved then, and after a gap until
+    /// False before the first alignment, until the first rest of a second where it moved then, and after a gap until
     /// the next rest.
     pub valid: bool,
     /// Whether it is still at the first rest. Position is measured from where that ends, in the frame in which it rested
@@ -207,6 +210,7 @@ pub struct UnitFilter<R = f64> {
     unseen: Unseen<R>,
     gyroscope: Gyroscope<R>,
     swept: Swept<R>,
+    turned: Turned<R>,
     disturbed: u32,
     even: u32,
     /// The usual step, s.
@@ -272,6 +276,7 @@ impl<R: Real> UnitFilter<R> {
             unseen: Unseen::default(),
             gyroscope: Gyroscope::default(),
             swept: Swept::default(),
+            turned: Turned::default(),
             disturbed: 0,
             even: 0,
             usual_s: R::default(),

@@ -3,8 +3,8 @@
 use super::anchor::BACK_S;
 use super::covariance::{Row, pick};
 use super::{
-    ACCELERATION, BIAS, Block, FIELD, Group, OMEGA, PHI, POSITION, RISE, STATES, SWING, UnitFilter,
-    Unseen, VELOCITY,
+    ACCELERATION, ALIGN_S, BIAS, Block, FIELD, Group, OMEGA, PHI, POSITION, RISE, STATES, SWING,
+    UnitFilter, VELOCITY,
 };
 use crate::Real;
 use crate::vector::{
@@ -42,8 +42,9 @@ const FIELD_GATE: f64 = 25.0;
 /// Bias of a calibrated accelerometer, m/s², and its random walk, m/s² per √s.
 pub(super) const BIAS_MPS2: f64 = 0.05;
 const BIAS_WALK: f64 = 1e-4;
-/// Error of an accelerometer's scale, and how long an acceleration lasts, s.
-const SCALE_ERROR: f64 = 0.01;
+/// Standard deviation of each entry of the error of an accelerometer's matrix of scales and axes, and how long an
+/// acceleration lasts, s.
+pub(super) const SCALE_ERROR: f64 = 0.01;
 const PUSH_S: f64 = 0.2;
 /// Random walk of a gyroscope's bias, rad/s per √s: 10 °/h within 100 s.
 const RATE_WALK: f64 = 5e-6;
@@ -56,7 +57,7 @@ const LEAST_NOISE_MPS2: f64 = 0.01;
 /// Speed that a rest may have, m/s.
 const ZUPT_MPS: f64 = 0.005;
 /// A velocity beyond so many variances at a seeming rest is even motion ...
-const EVEN_GATE: f64 = 9.0;
+pub(super) const EVEN_GATE: f64 = 9.0;
 /// ... and stays it until it is within so many ...
 const DOUBTED_GATE: f64 = 1.0;
 /// ... unless the velocity's deviation is wrong: it grows e-fold in this time, s.
@@ -96,7 +97,14 @@ impl<R: Real> UnitFilter<R> {
         self.unseen = self.unseen.after(dt);
         self.moved |= !self.quiet.is_rest();
         self.doubted &= self.quiet.is_rest();
+        if !self.begun && self.config.zupt.is_on() && self.quiet.lasts(R::from_f64(ALIGN_S)) {
+            return self.start_anew();
+        }
         self.predict(force, &group, noise, rated);
+        if rated {
+            let by = times(&self.attitude, group.turned);
+            self.doubt_turn(by, force, dt / group.count);
+        }
         if !rated && group.fields > R::default() {
             let field = scale(group.field, one / group.fields);
             let [field, push] = [field, force].map(|v| {
@@ -124,7 +132,9 @@ impl<R: Real> UnitFilter<R> {
             if rated {
                 self.see_no_turn(&group);
             }
-            self.see_rest(dt, rated);
+            if self.begun {
+                self.see_rest(dt, rated);
+            }
         }
         if self.is_at_origin() {
             self.stay(dt);
@@ -149,6 +159,7 @@ impl<R: Real> UnitFilter<R> {
         }
         // It may have ended already, and not have shown yet; a weak push may have begun before.
         let back = R::from_f64(BACK_S);
+        self.rest_from_turning();
         self.set_origin();
         self.unseen.forget(dt * R::from_f64(1.0 / PUSHED_S));
         self.unseen.restart_before(R::from_f64(FOLLOW_S));
@@ -421,9 +432,6 @@ impl<R: Real> UnitFilter<R> {
     /// What was taken for a rest may be even motion, with the velocity that it came with or that a push too weak
     /// to be seen has given it.
     fn hide(&mut self, velocity: Vector<R>, variance: Vector<R>) {
-        if !self.begun {
-            return;
-        }
         if !self.held {
             self.unseen.arrived(velocity, variance);
         }
@@ -441,6 +449,9 @@ impl<R: Real> UnitFilter<R> {
         let one = diagonal(R::from_f64(1.0));
         let rows = |row: usize| [(VELOCITY, one[row])];
         let variance = R::from_f64(ZUPT_MPS * ZUPT_MPS);
+        if rated && self.valid && !self.doubted && self.since_rest_s > dt {
+            self.learn_turn(velocity, variance);
+        }
         // A velocity after a gap is not known.
         let most = if self.doubted {
             DOUBTED_GATE
@@ -465,18 +476,14 @@ impl<R: Real> UnitFilter<R> {
                 self.put(POSITION, position);
                 self.cov.set(POSITION, &covariance);
             }
-            if !self.begun {
-                self.unseen = Unseen::default();
-                self.set_origin();
-                self.begun = true;
-                self.moved = false;
-            } else if self.doubted {
+            if self.doubted {
                 let lasted = self.since_rest_s * self.since_rest_s * R::from_f64(1.0 / 3.0);
                 for (i, speed) in velocity.iter().enumerate() {
                     self.cov.add(POSITION, i, *speed * *speed * lasted);
                 }
             }
             self.doubted = false;
+            self.rest_from_turning();
             self.held = true;
             self.since_rest_s = R::default();
             self.valid = true;

@@ -51,6 +51,11 @@ impl<R: Real> Part<R> {
         scale(sub(self.force, self.anchor), one / count)
     }
 
+    /// Variance of a component of the force.
+    pub fn spread(&self) -> R {
+        variance(self.force, self.force_square, self.count)
+    }
+
     fn plus(&self, other: &Self) -> Self {
         Self {
             time_s: self.time_s + other.time_s,
@@ -87,6 +92,7 @@ pub(super) struct Quiet<R> {
     now: Part<R>,
     filled: usize,
     rest: bool,
+    lasted_s: R,
     /// The least variance so far, of the force and of the angular rate times the step.
     level: Option<R>,
     walk: Option<R>,
@@ -106,6 +112,11 @@ pub(super) struct Quiet<R> {
 impl<R: Real> Quiet<R> {
     pub fn is_rest(&self) -> bool {
         self.rest
+    }
+
+    /// Whether it has rested for so long, s.
+    pub fn lasts(&self, time_s: R) -> bool {
+        self.rest && self.lasted_s >= time_s
     }
 
     /// What was taken for a rest is none.
@@ -131,6 +142,23 @@ impl<R: Real> Quiet<R> {
                 part.anchor = [R::default(); 3];
             }
         }
+    }
+
+    /// From here on what the rest has shown is carried by an angular rate.
+    pub fn follow(&mut self) {
+        if let Some(anchor) = &mut self.anchor {
+            anchor.carried = true;
+        }
+    }
+
+    /// Sums of the last half second, less `about` each sample.
+    pub fn shown(&self) -> Option<Part<R>> {
+        let all = |sum: Part<R>, part: &Part<R>| sum.plus(part);
+        (self.filled == PARTS).then(|| self.parts.iter().fold(Part::default(), all))
+    }
+
+    pub fn about(&self) -> Vector<R> {
+        self.about
     }
 
     pub fn anchor(&self) -> Option<&Anchor<R>> {
@@ -245,8 +273,7 @@ impl<R: Real> Quiet<R> {
             *last = part;
         }
         self.filled = (self.filled + 1).min(PARTS);
-        let all = |sum: Part<R>, part: &Part<R>| sum.plus(part);
-        (self.filled == PARTS).then(|| self.parts.iter().fold(Part::default(), all))
+        self.shown()
     }
 }
 
@@ -331,7 +358,7 @@ impl<R: Real> UnitFilter<R> {
         };
         let one = R::from_f64(1.0);
         let mean = add(quiet.about, scale(all.force, one / all.count));
-        let spread = variance(all.force, all.force_square, all.count);
+        let spread = all.spread();
         let rated = all.rates > R::default();
         quiet.still = rated.then(|| scale(all.rate, one / all.rates));
         let turning = quiet.still.is_some_and(|rate| {
@@ -366,6 +393,8 @@ impl<R: Real> UnitFilter<R> {
             }
         }
         if quiet.rest {
+            let more = quiet.parts.last().filter(|_| was);
+            quiet.lasted_s = more.map_or(all.time_s, |part| quiet.lasted_s + part.time_s);
             if was && quiet.anchor.is_some() {
                 quiet.go_on(noise, rated && known);
             } else {

@@ -2,8 +2,8 @@
 
 use super::model::{DISTURBANCE_UT, UNKNOWN_MPS};
 use super::{
-    ACCELERATION, BIAS, BIAS_RAD_S, Covariance, FIELD, OMEGA, PHI, POSITION, RISE, STATES, SWING,
-    UnitFilter, UnitSample, Unseen, VELOCITY,
+    ACCELERATION, BIAS, BIAS_RAD_S, Covariance, FIELD, Group, OMEGA, PHI, POSITION, RISE, STATES,
+    SWING, UnitFilter, UnitSample, Unseen, VELOCITY,
 };
 use crate::Real;
 use crate::vector::{Vector, add, cross, dot, norm, product, scale, skew, sub, times, turn};
@@ -19,6 +19,28 @@ impl<R: Real> UnitFilter<R> {
             group.field = add(group.field, field);
             group.fields += R::from_f64(1.0);
         }
+    }
+
+    /// A start in motion ends with a rest, from which all begins as at one that was there before.
+    pub(super) fn start_anew(&mut self) {
+        let Some(shown) = self.quiet.shown() else {
+            return;
+        };
+        let mean = add(
+            self.quiet.about(),
+            scale(shown.force, R::from_f64(1.0) / shown.count),
+        );
+        let square = dot(mean, mean) + R::from_f64(3.0) * shown.spread();
+        self.group = Group {
+            count: shown.count,
+            force: scale(mean, shown.count),
+            square: square * shown.count,
+            field: shown.field,
+            fields: shown.fields,
+            ..Group::default()
+        };
+        self.gyroscope.on = false;
+        self.align();
     }
 
     /// Static alignment from the mean force and field: equation (81). Where it was not at rest, the
@@ -104,10 +126,11 @@ impl<R: Real> UnitFilter<R> {
         self.moved = false;
         self.held = false;
         self.unseen = Unseen::default();
-        if let Some(rate) = self.quiet.still()
-            && self.config.zupt.is_on()
-        {
-            self.gyroscope.bias = rate;
+        if let Some(rate) = self.quiet.still() {
+            if self.config.zupt.is_on() {
+                self.quiet.follow();
+                self.gyroscope.bias = rate;
+            }
         }
         if !self.valid {
             // It moves, nobody knows how fast.
@@ -162,6 +185,7 @@ impl<R: Real> UnitFilter<R> {
             self.cov.know(VELOCITY.0 + i);
             self.cov.know(POSITION.0 + i);
         }
+        self.turned.head();
         self.unseen = Unseen::default();
         self.since_rest_s = nothing;
         self.valid = self.aligned;

@@ -34,6 +34,8 @@ pub enum Journey {
     Violent(f64),
     /// Steps of 0.7 m in 0.6 s, pauses of 0.8 s.
     Steps,
+    /// Eight moves of 0.3 to 1 m in 1 to 3 s, rests of 1 to 3 s, turning by up to so much each, rad, about any axis.
+    Carried(f64),
 }
 
 impl Journey {
@@ -113,9 +115,25 @@ impl Journey {
                     parts.push((0.8, stop));
                 }
             }
+            Self::Carried(most) => {
+                for _ in 0..8 {
+                    let way = direction(random).map(|d| d * 0.5);
+                    let size = (0.6 + 1.4 * random.unit(), most * random.unit());
+                    let turn = direction(random).map(|d| d * size.1);
+                    let lasts = 1.0 + 2.0 * random.unit();
+                    parts.push((lasts, Part::Move(way.map(|w| w * size.0), turn)));
+                    parts.push((1.0 + 2.0 * random.unit(), stop));
+                }
+            }
         }
         parts
     }
+}
+
+/// Any direction.
+fn direction(random: &mut Random) -> [f64; 3] {
+    let any = random.normals(1.0);
+    any.map(|c| c / super::norm(any))
 }
 
 /// Rotation by a vector, columns: where the axes go.
@@ -148,6 +166,17 @@ pub struct Recorded {
     /// Samples are missing for so long from 3.5 s on, s, or time jumps by that.
     pub hole_s: f64,
     pub jump_s: f64,
+    /// It is switched on so late, s: the first rest ends at 3 s.
+    pub begins_s: f64,
+    /// Scales and axes of gyroscope and accelerometer are wrong by this, standard deviation of each entry of their matrices.
+    pub rate_matrix: f64,
+    pub force_matrix: f64,
+    /// The gyroscope's samples are so old, s.
+    pub late_s: f64,
+    /// One sample 1 s after the beginning is this much too great, m/s².
+    pub glitch_mps2: f64,
+    /// There is a magnetometer.
+    pub field: bool,
     /// The accelerometer clips at this, m/s², and what clips is left out.
     pub clips_mps2: f64,
 }
@@ -163,6 +192,12 @@ impl Default for Recorded {
             fails_s: 0.0,
             hole_s: 0.0,
             jump_s: 0.0,
+            begins_s: 0.0,
+            rate_matrix: 0.0,
+            force_matrix: 0.0,
+            late_s: 0.0,
+            glitch_mps2: 0.0,
+            field: true,
             clips_mps2: f64::INFINITY,
         }
     }
@@ -193,6 +228,9 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
     let parts = journey.parts(&mut random);
     let bias = random.normals(how.bias_mps2);
     let offset = random.normals(0.01);
+    let mut errors = Random(seed * 104_729 + 7);
+    let [rate_matrix, force_matrix] = [how.rate_matrix, how.force_matrix]
+        .map(|sd| [errors.normals(sd), errors.normals(sd), errors.normals(sd)]);
     let mut filter = UnitFilter::new(UnitConfig {
         zupt: how.zupt,
         ..UnitConfig::default()
@@ -206,10 +244,13 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
     let mut shown = Shown::default();
     let (mut count, mut valid, mut below) = (0.0, 0.0, 0.0);
     let (mut still, mut found, mut moving) = (0.0, 0.0, 0.0);
-    let mut waited = 0.0;
+    let (mut waited, mut clock_s) = (0.0, 0.0);
+    let mut rates: std::collections::VecDeque<[f64; 3]> = Default::default();
     let mut origin: Option<[f64; 3]> = None;
+    // Without a magnetometer heading is measured from where the first rest ends, too.
+    let mut heading = [1.0, 0.0];
     let mut rested: Vec<(f64, [f64; 3])> = Vec::new();
-    for (number, (lasts, part)) in parts.iter().enumerate() {
+    for (lasts, part) in &parts {
         let samples = (lasts * how.rate_hz).round();
         let lasts = samples * step;
         for k in 0..samples as usize {
@@ -241,6 +282,14 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                     )
                 }
             };
+            rates.push_back(rate);
+            if rates.len() as f64 > (how.late_s * how.rate_hz).round() + 1.0 {
+                rates.pop_front();
+            }
+            clock_s += step;
+            if clock_s <= how.begins_s {
+                continue;
+            }
             let noise = random.normals(how.noise_mps2);
             let white = random.normals(0.003);
             let magnetic = random.normals(0.5);
@@ -258,18 +307,32 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
             } else {
                 0.0
             };
-            let since = if number == 0 && k == 0 {
+            let since = if count == 1.0 {
                 0.0
             } else {
                 step + waited + jump
             };
             waited = 0.0;
+            let glitch = if (age_s - 1.0).abs() < 0.5 * step {
+                how.glitch_mps2
+            } else {
+                0.0
+            };
+            let pulled = now.map(|axis| dot(axis, force));
+            let spun = rates.front().copied().unwrap_or(rate);
             let sample = UnitSample {
                 step_s: since,
-                force_mps2: std::array::from_fn(|i| dot(now[i], force) + bias[i] + noise[i]),
-                field_ut: Some(std::array::from_fn(|i| dot(now[i], FIELD) + magnetic[i])),
-                rate_rad_s: (how.gyroscope && !fails)
-                    .then(|| std::array::from_fn(|i| rate[i] + offset[i] + white[i])),
+                force_mps2: std::array::from_fn(|i| {
+                    pulled[i] + dot(force_matrix[i], pulled) + bias[i] + noise[i] + glitch
+                }),
+                field_ut: how
+                    .field
+                    .then(|| std::array::from_fn(|i| dot(now[i], FIELD) + magnetic[i])),
+                rate_rad_s: (how.gyroscope && !fails).then(|| {
+                    std::array::from_fn(|i| {
+                        spun[i] + dot(rate_matrix[i], spun) + offset[i] + white[i]
+                    })
+                }),
             };
             if sample.force_mps2.iter().any(|f| f.abs() >= how.clips_mps2) {
                 filter.interrupt(sample.step_s);
@@ -289,6 +352,12 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
             }
             // Position is measured from where the first rest ends: that shows after up to 0.6 s.
             if state.at_origin {
+                if !how.field {
+                    let [w, x, y, z] = state.quaternion;
+                    let seen = (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z));
+                    let off = seen - now[0][1].atan2(now[0][0]);
+                    heading = [off.cos(), off.sin()];
+                }
                 rested.push((age_s, truth));
                 origin = rested
                     .iter()
@@ -301,7 +370,10 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
             }
             let from = *origin
                 .get_or_insert_with(|| std::array::from_fn(|i| truth[i] - state.position_m[i]));
-            let error: [f64; 3] = std::array::from_fn(|i| state.position_m[i] - truth[i] + from[i]);
+            let way: [f64; 3] = std::array::from_fn(|i| truth[i] - from[i]);
+            let [c, s] = heading;
+            let way = [c * way[0] - s * way[1], s * way[0] + c * way[1], way[2]];
+            let error: [f64; 3] = std::array::from_fn(|i| state.position_m[i] - way[i]);
             // Truth is right to 1 mm.
             let p = nalgebra::Matrix3::from_fn(|r, c| {
                 state.position_covariance[r][c] + if r == c { 1e-6 } else { 0.0 }
@@ -383,8 +455,9 @@ impl Journeys {
         let greatest = greatest.copied().unwrap_or_default();
         Self {
             name: format!(
-                "{journey:?}{}{}{}{}",
+                "{journey:.2?}{}{}{}{}{}",
                 if how.gyroscope { ", gyroscope" } else { "" },
+                if how.field { "" } else { ", no magnetometer" },
                 match how.zupt {
                     Zupt::Assumed => "",
                     Zupt::Stated => ", ZUPT stated",
@@ -396,7 +469,17 @@ impl Journeys {
                     (.., true) => format!(", jump {} s", how.jump_s),
                     _ => String::new(),
                 },
-                if how.clips_mps2.is_finite() {
+                if how.begins_s > 0.0 {
+                    format!(", begins {} s", how.begins_s)
+                } else if how.rate_matrix > 0.0 {
+                    format!(", rate {} %", 100.0 * how.rate_matrix)
+                } else if how.force_matrix > 0.0 {
+                    format!(", force {} %", 100.0 * how.force_matrix)
+                } else if how.late_s > 0.0 {
+                    format!(", late {} s", how.late_s)
+                } else if how.glitch_mps2 != 0.0 {
+                    format!(", glitch {}", how.glitch_mps2)
+                } else if how.clips_mps2.is_finite() {
                     format!(", clips at {:.0} m/s²", how.clips_mps2)
                 } else if how.rate_hz == 100.0 {
                     String::new()

@@ -2,7 +2,8 @@
 
 use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 
-use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt, measured_from, quaternion};
+use super::origin::measured_from;
+use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt};
 use crate::motion::{MotionRecording, RestSpan, gap_s, median_step_s, rests};
 use crate::{ErrorCode, HostError, Result};
 
@@ -333,6 +334,18 @@ fn broken(recording: &MotionRecording, leg: &Leg) -> Option<String> {
     })
 }
 
+/// Of the rotation whose rows are given, W X Y Z.
+fn quaternion([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]: [[f64; 3]; 3]) -> [f64; 4] {
+    let size = |v: f64| (v.max(0.0)).sqrt() / 2.0;
+    let w = size(1.0 + xx + yy + zz);
+    [
+        w,
+        size(1.0 + xx - yy - zz).copysign(zy - yz),
+        size(1.0 - xx + yy - zz).copysign(xz - zx),
+        size(1.0 - xx - yy + zz).copysign(yx - xy),
+    ]
+}
+
 /// A magnetic field shorter than this says nothing of north, µT.
 const WEAK_UT: f64 = 1.0;
 
@@ -487,17 +500,9 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     track.sound = false;
     track.stray();
     Ok(InertialPath {
-        method: Method::Slide,
-        points: track.points,
-        origin,
         moves,
         remarks,
-        limit_m: choice.limit_m,
-        nees: Vec::new(),
-        rate_nees: Vec::new(),
-        velocity_nees: Vec::new(),
-        truth_m: Vec::new(),
-        heading_fitted: false,
+        ..InertialPath::new(Method::Slide, track.points, origin, choice.limit_m)
     })
 }
 

@@ -1,0 +1,171 @@
+//! The path of several accelerometers on one body.
+
+use wimu_nav::array::ArrayState;
+
+use super::truth::{compare, heading_rad};
+use super::{Choice, InertialPath, LIKELY, Method, PathPoint};
+use crate::array::{
+    Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
+    navigated_axes,
+};
+use crate::motion::nees;
+use crate::{ErrorCode, HostError, Result};
+
+/// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
+const GRAVITY_SHARE: f64 = 0.2;
+
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A sensor whose times, or places
+/// whose size the motion shows to be others than given are taken as it shows them, which the remarks say.
+///
+/// # Errors
+/// Those of [`navigated`]; `data_refused` where the sensors contradict each other, or what
+/// they show at rest is not gravity.
+pub fn navigate_array(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    calibration: &ArrayCalibration,
+    choice: &Choice,
+) -> Result<InertialPath> {
+    let mended = mended(recording, geometry, calibration)?;
+    let (recording, geometry, calibration) = match &mended {
+        Some(m) => (&m.recording, &m.geometry, &m.calibration),
+        None => (recording, geometry, calibration),
+    };
+    let standard = wimu_model::STANDARD_GRAVITY_MPS2;
+    let gravity = if calibration.uncalibrated.is_some() || calibration.stored {
+        // Where biases may explain what it differs by, gravity is what it is.
+        let mean = calibration.mean_rest_mps2(recording);
+        let by_bias = LIKELY * calibration.bias_mps2 / (recording.sensors() as f64).sqrt();
+        if (mean - standard).abs() < by_bias {
+            standard
+        } else {
+            mean
+        }
+    } else {
+        standard
+    };
+    if (gravity / standard - 1.0).abs() > GRAVITY_SHARE {
+        return Err(HostError::new(
+            ErrorCode::DataRefused,
+            format!("the mean output at the rests is {gravity:.2} m/s², which is not gravity"),
+            "check the unit in the columns' names (g, m/s², LSB) and --sensitivity",
+        )
+        .at(&recording.name));
+    }
+    let (states, remarks) = navigated(recording, geometry, calibration, gravity, choice.zupt)?;
+    let agreement = Agreement::of(recording, geometry, calibration)?;
+    if let Some(agreement) = &agreement {
+        agreement.check(&recording.name)?;
+    }
+    let mut said = remarks;
+    said.extend(agreement.map(|a| a.remark()));
+    said.extend(calibration.remarks());
+    if let Some(mended) = &mended {
+        said.extend(mended.remarks.iter().cloned());
+    }
+    let span = geometry.span_m();
+    if span > ArrayGeometry::LARGE_M {
+        said.push(format!(
+            "the array is {span:.1} m wide: are its places in m?"
+        ));
+    }
+    Ok(path_of(recording, &states, choice, said))
+}
+
+/// Navigates single axes ([`ArrayRecording::axes_from_csv`]); `known` says how well their places and times are.
+///
+/// # Errors
+/// Those of [`navigated_axes`].
+pub fn navigate_axes(
+    recording: &ArrayRecording,
+    geometry: &ArrayGeometry,
+    known: &RefineOptions,
+    choice: &Choice,
+) -> Result<InertialPath> {
+    let (states, remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
+    Ok(path_of(recording, &states, choice, remarks))
+}
+
+/// The path of an array whose states are these, against the truth where there is any.
+fn path_of(
+    recording: &ArrayRecording,
+    states: &[ArrayState<f64>],
+    choice: &Choice,
+    said: Vec<String>,
+) -> InertialPath {
+    let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
+    let points = states
+        .iter()
+        .zip(&recording.times_s)
+        .map(|(state, time_s)| PathPoint {
+            // To the nanosecond, as the file says it.
+            time_s: ((recording.start_s + time_s) * 1e9).round() * 1e-9,
+            position_m: state.position_m,
+            velocity_mps: state.velocity_mps,
+            quaternion: state.quaternion,
+            rate_rad_s: state.rate_rad_s,
+            covariance_m2: state.position_covariance,
+            resting: choice.zupt.is_on() && state.resting,
+            unseen_mps: (choice.zupt.is_on() && state.resting).then_some(state.unseen_mps),
+            unseen_m: state.unseen_m,
+            valid: state.valid && state.position_sd_m() <= choice.limit_m,
+        })
+        .collect();
+    let origin = (0..states.len()).find(valid).unwrap_or(0);
+    let mut path = InertialPath::new(Method::Array, points, origin, choice.limit_m);
+    path.remarks.extend(recording.remarks.iter().cloned());
+    path.remarks.extend(said);
+    let ambiguous = states
+        .iter()
+        .filter(|s| s.certainty > 0.0 && s.certainty < 0.99)
+        .count();
+    if ambiguous > 0 {
+        path.remarks.push(format!(
+            "{ambiguous} samples fit several angular rates; rate and position are the means of all, with \
+             their spread"
+        ));
+    }
+    let measured = |(name, _): &(String, Vec<f64>)| name.starts_with("Magnetometer ");
+    let field = if recording.other.iter().any(measured) {
+        "the array's method does not use the magnetometer"
+    } else {
+        "no magnetometer"
+    };
+    path.remarks
+        .push(format!("{field}: heading is that of the body at the start"));
+    let truth = recording.truth();
+    compare(&mut path, &truth);
+    let valid = |k: &usize| path.points[*k].valid;
+    let vector_nees = |truth: &[Option<[f64; 3]>],
+                       of: &dyn Fn(usize) -> ([f64; 3], [[f64; 3]; 3])| {
+        let of_sample = |k: usize| {
+            let (true_value, (value, covariance)) = (truth[k]?, of(k));
+            let error = std::array::from_fn(|i| value[i] - true_value[i]);
+            Some(nees(error, covariance)).filter(|v| v.is_finite())
+        };
+        (0..truth.len())
+            .filter(valid)
+            .filter_map(of_sample)
+            .collect::<Vec<f64>>()
+    };
+    let rate_nees = vector_nees(&recording.true_rate_rad_s(), &|k| {
+        (states[k].rate_rad_s, states[k].rate_covariance)
+    });
+    // The path's heading begins at its own zero.
+    let turn = truth.iter().zip(&path.points).find_map(|(truth, point)| {
+        let by = heading_rad(truth.as_ref()?.quaternion) - heading_rad(point.quaternion);
+        (point.valid && by.is_finite()).then(|| by.sin_cos())
+    });
+    let (sin, cos) = turn.unwrap_or((0.0, 1.0));
+    let true_velocity: Vec<Option<[f64; 3]>> = recording
+        .vectors(["E", "N", "U"].map(|a| format!("Truth Velocity {a} (m/s)")))
+        .into_iter()
+        .map(|v| v.map(|[e, n, u]| [cos * e + sin * n, cos * n - sin * e, u]))
+        .collect();
+    let velocity_nees = vector_nees(&true_velocity, &|k| {
+        (states[k].velocity_mps, states[k].velocity_covariance)
+    });
+    path.rate_nees = rate_nees;
+    path.velocity_nees = velocity_nees;
+    path
+}

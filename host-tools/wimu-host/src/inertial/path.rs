@@ -1,0 +1,173 @@
+//! What a path is, and how it is written.
+
+use std::io::Write as _;
+use std::path::Path as FilePath;
+
+use wimu_nav::slide::Move;
+
+use super::Method;
+use super::truth::consistency;
+use crate::{HostError, Result};
+
+/// Where the unit was at a sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathPoint {
+    /// Time, s, as in the file.
+    pub time_s: f64,
+    /// Position, m, east-north-up.
+    pub position_m: [f64; 3],
+    /// Velocity, m/s.
+    pub velocity_mps: [f64; 3],
+    /// Body to navigation axes, W X Y Z.
+    pub quaternion: [f64; 4],
+    /// Angular rate, rad/s, body axes.
+    pub rate_rad_s: [f64; 3],
+    /// Covariance of the position, m²: with [`Zupt::Assumed`] that of `unseen_m` in it.
+    pub covariance_m2: [[f64; 3]; 3],
+    /// Whether it is taken to rest: never with ZUPT off.
+    pub resting: bool,
+    /// The speed at which it might be moved evenly there and that would not show, m/s; `None` where that is not
+    /// known, and elsewhere.
+    pub unseen_mps: Option<f64>,
+    /// How far even motion that no rest so far would have shown may have taken it, one standard deviation in space, m;
+    /// 0 with ZUPT off.
+    pub unseen_m: f64,
+    /// Whether the position is of use: known to the limit, no gap since the last rest.
+    pub valid: bool,
+}
+
+impl PathPoint {
+    /// Standard deviation of each component, m.
+    pub fn sigma_m(&self) -> [f64; 3] {
+        std::array::from_fn(|i| self.covariance_m2[i][i].max(0.0).sqrt())
+    }
+
+    /// That of the position in space, m.
+    pub fn sd_m(&self) -> f64 {
+        self.sigma_m().iter().map(|s| s * s).sum::<f64>().sqrt()
+    }
+}
+
+/// A move between two rests of a path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlideMove {
+    /// What was found.
+    pub done: Move,
+    /// From when to when, s, as in the file.
+    pub from_s: f64,
+    /// Its end.
+    pub to_s: f64,
+    /// How far even motion that neither rest would have shown would lengthen it, one standard deviation, m.
+    pub unseen_m: f64,
+    /// Whether it is one: not after a gap, a turn or a field that leave the way open.
+    pub valid: bool,
+}
+
+/// A path.
+#[derive(Clone, Debug)]
+pub struct InertialPath {
+    /// How it was found.
+    pub method: Method,
+    /// One point a sample.
+    pub points: Vec<PathPoint>,
+    /// The point from which position is measured: the last of the first rest at which it is sure to have lain still, which
+    /// is 0.6 s before that shows to end. Even motion there is none, by definition;
+    /// what the points before are off by is how far it may have come on the way there.
+    pub origin: usize,
+    /// The moves, with [`Method::Slide`].
+    pub moves: Vec<SlideMove>,
+    /// What was noticed on the way.
+    pub remarks: Vec<String>,
+    /// Points known no better than this, m, are not valid.
+    pub limit_m: f64,
+    /// NEES of the position at each valid sample that has truth, which is taken to be right to 1 mm; both
+    /// begin at the same place and heading.
+    pub nees: Vec<f64>,
+    /// NEES of an array's angular rate at each valid sample, where the truth tells it.
+    pub rate_nees: Vec<f64>,
+    /// That of its velocity.
+    pub velocity_nees: Vec<f64>,
+    /// Where the unit truly was, m, in the path's axes, at each sample that has truth; empty without.
+    pub truth_m: Vec<Option<[f64; 3]>>,
+    /// Whether the truth has no heading, and the one was taken that fits the path best: NEES then says
+    /// nothing of the heading.
+    pub heading_fitted: bool,
+}
+
+impl InertialPath {
+    /// A path without moves, not yet compared with any truth.
+    pub(super) fn new(method: Method, points: Vec<PathPoint>, origin: usize, limit_m: f64) -> Self {
+        Self {
+            method,
+            points,
+            origin,
+            moves: Vec::new(),
+            remarks: Vec::new(),
+            limit_m,
+            nees: Vec::new(),
+            rate_nees: Vec::new(),
+            velocity_nees: Vec::new(),
+            truth_m: Vec::new(),
+            heading_fitted: false,
+        }
+    }
+
+    /// Length of the path over its valid points, m.
+    pub fn distance_m(&self) -> f64 {
+        self.points
+            .windows(2)
+            .filter(|w| w[0].valid && w[1].valid)
+            .map(|w| {
+                (0..3)
+                    .map(|i| (w[1].position_m[i] - w[0].position_m[i]).powi(2))
+                    .sum::<f64>()
+                    .sqrt()
+            })
+            .sum()
+    }
+
+    /// Share of the points that are valid.
+    pub fn valid_share(&self) -> f64 {
+        self.points.iter().filter(|p| p.valid).count() as f64 / self.points.len().max(1) as f64
+    }
+
+    /// Median NEES and the share below 7.81 (95 % of a right covariance), where there is truth.
+    pub fn consistency(&self) -> Option<(f64, f64)> {
+        consistency(&self.nees)
+    }
+
+    /// Writes the points as CSV.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`.
+    pub fn write_csv(&self, file: &FilePath) -> Result<()> {
+        let name = file.display().to_string();
+        let failed = |error: std::io::Error| HostError::file(&name, "write", &error);
+        let sink = std::fs::File::create(file).map_err(failed)?;
+        let mut sink = std::io::BufWriter::new(sink);
+        let mut header = vec!["Time (s)".to_owned()];
+        header.extend(["E", "N", "U"].map(|a| format!("Position {a} (m)")));
+        header.extend(["E", "N", "U"].map(|a| format!("Velocity {a} (m/s)")));
+        header.extend(["W", "X", "Y", "Z"].map(|a| format!("Quaternion {a}")));
+        header.extend(["X", "Y", "Z"].map(|a| format!("Angular Rate {a} (rad/s)")));
+        header.extend(["E", "N", "U"].map(|a| format!("Sigma {a} (m)")));
+        header.push("Valid".to_owned());
+        writeln!(sink, "{}", header.join(",")).map_err(failed)?;
+        for point in &self.points {
+            write!(sink, "{}", point.time_s).map_err(failed)?;
+            let sigma = point.sigma_m();
+            let values = point
+                .position_m
+                .iter()
+                .chain(&point.velocity_mps)
+                .chain(&point.quaternion)
+                .chain(&point.rate_rad_s)
+                .chain(&sigma);
+            for value in values {
+                write!(sink, ",{value:.6}").map_err(failed)?;
+            }
+            writeln!(sink, ",{}", u8::from(point.valid)).map_err(failed)?;
+        }
+        sink.flush().map_err(failed)
+    }
+}

@@ -1,0 +1,90 @@
+//! What can be asked of `wimu navigate`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::{Role, Switch};
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu navigate session.mcap -o path.csv
+         wimu navigate walk.csv --method tilt --zupt off --report path.html
+         wimu navigate raw.csv --calibration CAL.json                  (from `wimu calibrate rests.csv`)
+         wimu navigate board.csv --geometry places.csv -o path.csv
+         wimu navigate board.csv --geometry ARRAY.json                 (from `wimu calibrate --geometry`)
+         wimu navigate cube.csv --geometry cube:100mm                  (columns `Accelerometer 0 (m/s²)`, … to 5)
+         wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json --refine refined.json")]
+pub struct Navigate {
+    /// A recording, or a CSV file: of corrected samples, or with --calibration as the sensor puts them out
+    pub input: PathBuf,
+    /// The recordings of further boards on the same body: together one array, in the order of --geometry
+    #[arg(value_name = "BOARD")]
+    pub boards: Vec<PathBuf>,
+    /// How the path is found
+    #[arg(long, value_enum, default_value_t = NavigateMethod::Auto)]
+    pub method: NavigateMethod,
+    /// How the bias settles is fitted to this CSV file: the same unit at rest, from its switching on
+    #[arg(long, value_name = "STATIC.csv")]
+    pub drift: Option<PathBuf>,
+    /// Places of an array's accelerometers (triads): a line `X (m),Y (m),Z (m)` or `X (mm),…`, then one for
+    /// each; or what `wimu calibrate --geometry` or --refine wrote, which may also hold axes, delays and error
+    /// models, or single `axes`, each with `place_m`, `direction` and the `column` of its output (`Accelerometer 0`, … where
+    /// it has none). Or a preset: `cube:100mm` (six single axes on a cube of that side), `four:30mm`, `octahedron:30mm`
+    /// (triads so far from the centre), `board:9.5mm,2mm` (eight triads, half the side and half the thickness)
+    #[arg(long, value_name = "FILE|PRESET")]
+    pub geometry: Option<PathBuf>,
+    /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write
+    /// them here
+    #[arg(long, value_name = "GEOMETRY.json", requires = "geometry")]
+    pub refine: Option<PathBuf>,
+    /// How well --geometry knows a place, mm (1 standard deviation), which rate and position hold; without it as
+    /// the geometry says, or 0.5
+    #[arg(long, value_name = "MM")]
+    pub place_sd: Option<f64>,
+    /// How well --geometry knows a sensor's delay, µs, which rate and position hold; without it as the geometry
+    /// says, or 300
+    #[arg(long, value_name = "US")]
+    pub delay_sd: Option<f64>,
+    /// Sensitivity of an array's counts
+    #[arg(long, value_name = "LSB_PER_G", default_value_t = 2048.0)]
+    pub sensitivity: f64,
+    /// Position counts as usable while its standard deviation is below this, m
+    #[arg(long, value_name = "M", default_value_t = 1.0)]
+    pub limit: f64,
+    /// Write a report with pictures here
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Write velocity and position here, as a CSV file
+    #[arg(short, long, value_name = "PATH.csv")]
+    pub output: Option<PathBuf>,
+    /// What `wimu calibrate -o` wrote. Of a CSV file it corrects the samples, in the unit that it was made from: counts,
+    /// or m/s² and g. Of a recording it takes the place of the device's own. Of an array once for each sensor, in the
+    /// order of --geometry
+    #[arg(long, value_name = "CAL.json")]
+    pub calibration: Vec<PathBuf>,
+    /// `on`: it is known that it rested wherever it seems to, and σ and Valid depend on that; `off`: no zero velocity at
+    /// rests. Without this stillnesses are taken for rests, too, but even motion would look the same: σ holds what it
+    /// could have hidden, and Valid ends with it. Either way position is zero where the first rest ends, by definition. The
+    /// device's own path is as it did
+    #[arg(long, value_enum)]
+    pub zupt: Option<Switch>,
+    /// Of which link; without it, the cable if it was recorded
+    #[arg(long, value_enum)]
+    pub link: Option<Role>,
+}
+
+/// How `wimu navigate` finds the path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum NavigateMethod {
+    /// `array` with --geometry, `strapdown` where there is a gyroscope, `tilt` otherwise
+    Auto,
+    /// With the gyroscope's angular rate
+    Strapdown,
+    /// Accelerometer and magnetometer alone
+    Tilt,
+    /// With the angular rate of several accelerometers
+    Array,
+    /// Straight moves between rests
+    Slide,
+}

@@ -4,6 +4,7 @@ mod advice;
 mod bend;
 mod datasheet;
 mod export;
+mod file;
 mod input;
 mod magnetometer;
 mod numbers;
@@ -18,11 +19,12 @@ mod words;
 
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
+pub use file::{StoredModel, range_remark, read_model, read_parameters, write_report};
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
 pub use reference::{AxisReport, NoiseSource, Paired, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
-    StoredModel, describe, not_observed, range_remark, read_model, read_parameters, write_report,
+    describe, not_observed,
 };
 
 pub use update::{RestReport, UpdateReport, update};
@@ -35,6 +37,7 @@ use wimu_calib::{
 use wimu_link::message::parameter_id;
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
+use crate::csv::AccelerationUnit;
 use crate::dataset::{Dataset, OutputUnit};
 use crate::error::{ErrorCode, HostError, Result};
 use advice::{advice, next_poses};
@@ -296,6 +299,10 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         gravity_m_s2: gravity.mps2(),
         gravity_sd_m_s2: gravity.sd_mps2(),
         gravity_source,
+        unit: match data.unit {
+            OutputUnit::Counts { .. } => AccelerationUnit::Lsb.as_str(),
+            OutputUnit::Mps2 => AccelerationUnit::Mps2.as_str(),
+        },
         sensitivity_lsb_per_g: lsb_per_g,
         sensitivity_source: source.filter(|_| lsb_per_g.is_some()),
         range_g: range.map(|range| range.g),

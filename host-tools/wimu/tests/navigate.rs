@@ -327,7 +327,7 @@ fn what_cannot_go_together_is_wrong_usage_and_says_what_to_do() {
     usage(&["--method", "array"]);
     usage(&["--method", "slide", "--geometry", &csv]);
     usage(&["--method", "slide", "--drift", &csv]);
-    usage(&["--calibration", "CAL.json"]);
+    usage(&["--calibration", "A.json", "--calibration", "B.json"]);
     usage(&["--link", "cable"]);
     usage(&["-o", &csv]);
     usage(&["--report", &csv]);

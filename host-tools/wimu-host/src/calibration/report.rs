@@ -1,20 +1,14 @@
 //! What comes of a calibration: for people, for machines, and for a board.
 
 use std::fmt;
-use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use wimu_calib::{Orientation, Parameter};
 use wimu_link::hello::sensor;
-use wimu_model::{
-    Alignment, CalibrationMethod, ErrorModel, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2,
-    SensorId,
-};
+use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, SensorId};
 
-use super::range::Range;
 use super::{DatasheetReport, MethodChoice};
 use crate::dataset::RateSource;
-use crate::error::{ErrorCode, HostError, Result};
 
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -177,6 +171,8 @@ pub struct CalibrationReport {
     pub gravity_sd_m_s2: f64,
     /// Where it comes from.
     pub gravity_source: Source,
+    /// What the data were in: `LSB`, or `m/s²` for g too.
+    pub unit: &'static str,
     /// Nominal sensitivity, LSB/g; `None` for data in m/s² without one given.
     pub sensitivity_lsb_per_g: Option<f64>,
     /// Where it comes from.
@@ -550,162 +546,6 @@ fn date(utc_s: u64) -> String {
     let year = 400 * (days / 146_097) + year_of_era + next;
     let (hour, minute) = (utc_s / 3600 % 24, utc_s / 60 % 60);
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02} UTC")
-}
-
-/// Reads the parameters of a calibration file, for a board.
-///
-/// # Errors
-/// `file_unreadable`; `bad_calibration` when it is no calibration, was refused, has no sensitivity
-/// or holds numbers that are out of bounds.
-pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
-    #[derive(Deserialize)]
-    struct File {
-        schema: Option<String>,
-        status: Option<String>,
-        reason: Option<String>,
-        parameters: Option<ParameterSet>,
-        parameter_id: Option<String>,
-        model: Option<ErrorTerms>,
-        sensitivity_lsb_per_g: Option<f64>,
-    }
-    let name = path.display().to_string();
-    let bad =
-        |message: String, remedy: &str| HostError::new(ErrorCode::BadCalibration, message, remedy);
-    let held = |file: &File| file.schema.as_deref() == Some(HELD_SCHEMA);
-    let make = "make it with `wimu calibrate … -o CAL.json`";
-    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-    let file: File = serde_json::from_str(&text).map_err(|error| {
-        bad(format!("this is no calibration: {error}"), make).at(format!(
-            "{name} line {}, column {}",
-            error.line(),
-            error.column()
-        ))
-    })?;
-    if file.schema.as_deref() != Some(CalibrationReport::SCHEMA) && !held(&file) {
-        return Err(bad(
-            format!(
-                "its schema is {}, not {}",
-                file.schema.as_deref().unwrap_or("missing"),
-                CalibrationReport::SCHEMA
-            ),
-            make,
-        )
-        .at(name));
-    }
-    if file.status.as_deref() != Some("ok") {
-        let reason = file
-            .reason
-            .unwrap_or_else(|| "no reason is given".to_owned());
-        return Err(bad(
-            format!("the calibration was refused: {reason}"),
-            "calibrate again with other poses",
-        )
-        .at(name));
-    }
-    let said_twice = !held(&file);
-    let set = file.parameters.ok_or_else(|| {
-        let why = match file.sensitivity_lsb_per_g {
-            Some(own) => format!("{own:.1} LSB/g is not what a board can be told"),
-            None => "its data were in m/s² or g".to_owned(),
-        };
-        bad(
-            format!("it has no parameters for a board: {why}"),
-            "calibrate again with --sensitivity, the nominal LSB/g of the board's range",
-        )
-        .at(&name)
-    })?;
-    // The file says everything twice; where it disagrees, nobody knows what was meant.
-    let id_agrees =
-        file.parameter_id.as_deref() == Some(&wimu_link::message::parameter_id(&set).to_string());
-    if !id_agrees || (said_twice && file.model.as_ref() != Some(set.model.terms())) {
-        return Err(bad(
-            "it has been changed by hand: its parts disagree".to_owned(),
-            "undo the change, or calibrate again",
-        )
-        .at(name));
-    }
-    Ok(set)
-}
-
-/// What a calibration file says of one sensor's errors.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StoredModel {
-    /// The error model, sensor axes.
-    pub model: ErrorModel,
-    /// The sensitivity by which counts become its output; `None` where its data were in m/s² or g.
-    pub sensitivity_lsb_per_g: Option<f64>,
-    /// Sensor axes to body axes.
-    pub alignment: Alignment,
-}
-
-/// Reads the error model of a calibration file, of a sensor that need not be on a board.
-///
-/// # Errors
-/// `file_unreadable`; `bad_calibration` when it is no calibration, was refused, or holds numbers that are
-/// out of bounds.
-pub fn read_model(path: &Path) -> Result<StoredModel> {
-    #[derive(Deserialize)]
-    struct File {
-        schema: Option<String>,
-        status: Option<String>,
-        model: Option<ErrorModel>,
-        sensitivity_lsb_per_g: Option<f64>,
-        parameters: Option<serde_json::Value>,
-    }
-    let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
-    let plain = serde_json::from_str::<File>(&text).ok().filter(|file| {
-        file.schema.as_deref() == Some(CalibrationReport::SCHEMA)
-            && file.status.as_deref() == Some("ok")
-            && file
-                .parameters
-                .as_ref()
-                .is_none_or(serde_json::Value::is_null)
-    });
-    match plain {
-        Some(File {
-            model: Some(model),
-            sensitivity_lsb_per_g,
-            ..
-        }) => Ok(StoredModel {
-            model,
-            sensitivity_lsb_per_g,
-            alignment: Alignment::IDENTITY,
-        }),
-        // It has all that a board takes, or says what is wrong with it.
-        _ => read_parameters(path).map(|set| StoredModel {
-            model: set.model,
-            sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
-            alignment: set.alignment,
-        }),
-    }
-}
-
-/// What a calibration file says of its range where nobody knew it; `None` where it is known.
-pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
-    let text = std::fs::read_to_string(path).ok()?;
-    let file: serde_json::Value = serde_json::from_str(&text).ok()?;
-    let likely = Range {
-        g: set.range_g,
-        source: Source::SixteenBits,
-    };
-    (file["range_source"] == "sixteen_bits").then(|| likely.remark(set.sensitivity))?
-}
-
-/// Writes a report as the file that [`read_parameters`] reads.
-///
-/// # Errors
-/// `file_failed`, `file_unreadable`.
-pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
-    let name = path.display().to_string();
-    let json = serde_json::to_string_pretty(report).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
-            format!("the report cannot be written as JSON: {error}"),
-            "report this as a fault of wimu",
-        )
-    })?;
-    std::fs::write(path, json + "\n").map_err(|error| HostError::file(&name, "write", &error))
 }
 
 #[cfg(test)]

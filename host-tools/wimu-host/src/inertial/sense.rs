@@ -1,6 +1,6 @@
 //! Whether a recording can be what it says it is: gravity, and axes that go on.
 
-use wimu_nav::unit::{UnitConfig, UnitSample};
+use wimu_nav::unit::UnitSample;
 
 use crate::motion::{MotionRecording, median_step_s};
 use crate::{ErrorCode, HostError, Result};
@@ -65,7 +65,7 @@ impl Senses {
         let rest = gravity(recording)?;
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
         // What it shows beyond gravity along one axis it may show along any.
-        let known = UnitConfig::default().bias_mps2;
+        let known = recording.bias_mps2();
         let mut senses = Self {
             bias_mps2: rest.map_or(known, |rest| known.hypot(rest - standard)),
             ..Self::default()

@@ -435,6 +435,7 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     }
     let config = SlideConfig {
         gravity_mps2: recording.gravity_mps2(),
+        bias_mps2: recording.bias_mps2(),
         ..SlideConfig::default()
     };
     let legs = legs(recording, config);

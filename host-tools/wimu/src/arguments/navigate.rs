@@ -46,9 +46,9 @@ pub struct Navigate {
     /// says, or 300
     #[arg(long, value_name = "US")]
     pub delay_sd: Option<f64>,
-    /// Sensitivity of an array's counts
-    #[arg(long, value_name = "LSB_PER_G", default_value_t = 2048.0)]
-    pub sensitivity: f64,
+    /// Sensitivity of counts; without it as the calibration or a column `Sensitivity (LSB/g)` says, of an array 2048
+    #[arg(long, value_name = "LSB_PER_G")]
+    pub sensitivity: Option<f64>,
     /// Position counts as usable while its standard deviation is below this, m
     #[arg(long, value_name = "M", default_value_t = 1.0)]
     pub limit: f64,

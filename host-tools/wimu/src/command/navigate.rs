@@ -89,11 +89,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     }
     inertial::check(arguments)?;
     if arguments.calibration.len() > 1 {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "--calibration more than once is for an array",
-            "give one, or --geometry",
-        ));
+        return Err(inertial::one_calibration());
     }
     if arguments.method == NavigateMethod::Array {
         return Err(HostError::new(

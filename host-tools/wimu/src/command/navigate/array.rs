@@ -47,8 +47,11 @@ pub fn path(
                 "leave out --refine and further boards",
             ));
         }
-        let recording =
-            ArrayRecording::axes_from_csv(&arguments.input, &geometry, arguments.sensitivity)?;
+        let recording = ArrayRecording::axes_from_csv(
+            &arguments.input,
+            &geometry,
+            arguments.sensitivity.unwrap_or(array::SENSITIVITY),
+        )?;
         return Ok((
             navigate_axes(&recording, &geometry, &options, choice)?,
             None,
@@ -57,7 +60,7 @@ pub fn path(
     let read = array::read(
         &arguments.input,
         &arguments.boards,
-        arguments.sensitivity,
+        arguments.sensitivity.unwrap_or(array::SENSITIVITY),
         arguments.link,
         geometry.has_models(),
     )?;

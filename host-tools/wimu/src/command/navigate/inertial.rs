@@ -1,12 +1,14 @@
 //! `wimu navigate` over a CSV file: gyro-free inertial navigation.
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use serde::Serialize;
+use wimu_host::calibration::read_model;
 use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
 };
-use wimu_host::motion::MotionRecording;
+use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::{ErrorCode, HostError, Result};
 
 use super::array;
@@ -126,12 +128,22 @@ fn usage<T>(message: &str, remedy: &str) -> Result<T> {
     Err(HostError::new(ErrorCode::Usage, message, remedy))
 }
 
+/// What is said of several calibrations for one unit.
+pub fn one_calibration() -> HostError {
+    HostError::new(
+        ErrorCode::Usage,
+        "--calibration more than once is for an array",
+        "give one, or --geometry",
+    )
+}
+
 /// Checks what does not need the files.
 pub fn check(arguments: &Navigate) -> Result<()> {
     for file in [&arguments.report, &arguments.output] {
         not_over_input(&arguments.input, file.as_deref())?;
     }
-    if !(arguments.limit > 0.0 && arguments.limit.is_finite() && arguments.sensitivity > 0.0) {
+    let positive = |value: f64| value > 0.0 && value.is_finite();
+    if !positive(arguments.limit) || arguments.sensitivity.is_some_and(|s| !positive(s)) {
         return usage(
             "the limit and the sensitivity must be positive numbers",
             "for example --limit 0.5",
@@ -149,12 +161,10 @@ pub fn check(arguments: &Navigate) -> Result<()> {
 /// A CSV file of corrected samples, or of an array's.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     check(arguments)?;
-    let of_recording = !arguments.calibration.is_empty() || arguments.link.is_some();
-    if of_recording && arguments.geometry.is_none() {
+    if arguments.link.is_some() && arguments.geometry.is_none() {
         return usage(
-            "--calibration and --link are for a recording, or for an array with --geometry: a CSV file of one unit \
-             holds corrected samples",
-            "leave them out",
+            "--link is for a recording: a CSV file has none",
+            "leave it out",
         );
     }
     let source = arguments.input.display().to_string();
@@ -186,13 +196,27 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         }
         (_, None) => one_unit(
             arguments,
-            &MotionRecording::from_csv(&arguments.input)?,
+            &table(arguments, &arguments.input)?,
             source,
             output,
         )?,
     };
     output.object(&found);
     Ok(())
+}
+
+/// A CSV file of one unit, corrected.
+fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
+    let calibration = match &arguments.calibration[..] {
+        [] => None,
+        [file] => Some(read_model(file)?),
+        _ => return Err(one_calibration()),
+    };
+    let options = TableOptions {
+        calibration,
+        sensitivity_lsb_per_g: arguments.sensitivity,
+    };
+    MotionRecording::from_csv_with(file, &options)
 }
 
 /// The path of one unit: said and written; returns what `--json` says.
@@ -232,7 +256,7 @@ fn choice(
     let Some(file) = &arguments.drift else {
         return Ok((choice, None));
     };
-    let fit = settling(&MotionRecording::from_csv(file)?)?;
+    let fit = settling(&table(arguments, file)?)?;
     choice.drift = Some(fit.drift.settling());
     let [x, y, z] = fit.drift.rise_mps2;
     let [sx, sy, sz] = fit.drift.rise_sd_mps2;

@@ -1,0 +1,186 @@
+//! From a calibration to a path: what `wimu calibrate` makes of a table corrects the tables that `wimu navigate` reads.
+
+mod kit;
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use kit::{folder, noise, spread, wimu};
+use serde_json::Value;
+
+const G: f64 = 9.80665;
+const LSB_PER_G: f64 = 4096.0;
+
+/// What the sensor makes of a force, m/s²: biases of 0.3 m/s², scale factors and axes 2 % off.
+fn output(force: [f64; 3]) -> [f64; 3] {
+    let [x, y, z] = force;
+    [
+        0.31 + 1.02 * x,
+        -0.28 + 0.015 * x + 0.985 * y,
+        0.25 - 0.01 * x + 0.012 * y + 1.01 * z,
+    ]
+}
+
+/// Rests of 2 s in 14 orientations, a shake between them, 100 Hz.
+fn rests() -> Vec<[f64; 3]> {
+    let mut forces = Vec::new();
+    for up in spread(14) {
+        for k in 0..240 {
+            let shake = if k < 40 {
+                4.0 * f64::from(k).sin()
+            } else {
+                0.0
+            };
+            forces.push(up.map(|u| G * u + shake));
+        }
+    }
+    forces
+}
+
+/// Level for 2 s, then 0.4 m along x within 1 s, and 2 s level again.
+fn slide() -> Vec<[f64; 3]> {
+    let force = |k: u32| {
+        let tau = ((f64::from(k) * 0.01) - 2.0).clamp(0.0, 1.0);
+        [24.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau), 0.0, G]
+    };
+    (0..500).map(force).collect()
+}
+
+/// Writes what the sensor puts out, in this unit.
+fn write(folder: &Path, name: &str, unit: &str, forces: &[[f64; 3]]) -> String {
+    let path = folder.join(name);
+    let mut noise = noise();
+    let axes = ["X", "Y", "Z"].map(|axis| format!("Accelerometer {axis} ({unit})"));
+    let mut text = format!("Time (s),{}\n", axes.join(","));
+    for (k, force) in forces.iter().enumerate() {
+        let seen = output(*force).map(|a| a + 0.02 * noise());
+        let [x, y, z] = match unit {
+            "LSB" => seen.map(|a| (a * LSB_PER_G / G).round()),
+            "g" => seen.map(|a| a / G),
+            _ => seen,
+        };
+        writeln!(text, "{:.2},{x},{y},{z}", k as f64 * 0.01).unwrap();
+    }
+    fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+fn remarks(said: &Value) -> String {
+    said["remarks"].to_string()
+}
+
+#[test]
+fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
+    let folder = folder();
+    for (unit, other) in [("LSB", "LSB"), ("m/s²", "g"), ("g", "m/s²")] {
+        let model = folder.path().join("CAL.json").display().to_string();
+        let poses = write(folder.path(), "rests.csv", unit, &rests());
+        wimu(&["calibrate", &poses, "-o", &model]).succeeds();
+        let csv = write(folder.path(), "slide.csv", other, &slide());
+        let run = [
+            "navigate",
+            &csv,
+            "--method",
+            "slide",
+            "--calibration",
+            &model,
+        ];
+        let said = wimu(&run).succeeds();
+        assert!(
+            remarks(&said).contains("the calibration is applied"),
+            "{said}"
+        );
+        let length = said["moves"][0]["length_m"].as_f64().unwrap();
+        assert!((length - 0.4).abs() < 0.003, "{unit} {other}: {length}");
+        let tilt = wimu(&["navigate", &csv, "--calibration", &model]).succeeds();
+        assert!(!remarks(&tilt).contains("calibrate it"), "{tilt}");
+    }
+    // Without it the scale factor is 2 % off, and gravity 2.5 %.
+    let csv = write(folder.path(), "slide.csv", "m/s²", &slide());
+    let said = wimu(&["navigate", &csv, "--method", "slide"]).succeeds();
+    let length = said["moves"][0]["length_m"].as_f64().unwrap();
+    assert!((length - 0.4).abs() > 0.006, "{length}");
+    assert!(remarks(&said).contains("calibrate it"), "{said}");
+}
+
+#[test]
+fn a_calibration_of_another_unit_is_refused_and_each_remedy_works() {
+    let folder = folder();
+    let calibrated = |unit: &str, name: &str| {
+        let model = folder.path().join(name).display().to_string();
+        let poses = write(folder.path(), "rests.csv", unit, &rests());
+        wimu(&["calibrate", &poses, "-o", &model]).succeeds();
+        model
+    };
+    let (of_counts, of_si) = (calibrated("LSB", "LSB.json"), calibrated("m/s²", "SI.json"));
+    let counts = write(folder.path(), "counts.csv", "LSB", &slide());
+    let si = write(folder.path(), "si.csv", "m/s²", &slide());
+    let run = |csv: &str, more: &[&str]| wimu(&[&["navigate", csv], more].concat());
+    let refused = |csv: &str, more: &[&str], message: &str, remedy: &str| {
+        let failure = run(csv, more).fails(2, "unknown_format");
+        assert!(
+            failure["message"].as_str().unwrap().contains(message),
+            "{failure}"
+        );
+        assert!(
+            failure["remedy"].as_str().unwrap().contains(remedy),
+            "{failure}"
+        );
+    };
+    refused(
+        &si,
+        &["--calibration", &of_counts],
+        "one of raw counts",
+        "(LSB)",
+    );
+    refused(
+        &counts,
+        &["--calibration", &of_si],
+        "one of m/s²",
+        "--sensitivity",
+    );
+    refused(&counts, &[], "raw counts", "--calibration CAL.json");
+    refused(
+        &counts,
+        &["--calibration", &of_counts, "--sensitivity", "8192"],
+        "8192 LSB",
+        "range",
+    );
+    run(&counts, &["--calibration", &of_counts]).succeeds();
+    run(&counts, &["--calibration", &of_si, "--sensitivity", "4096"]).succeeds();
+    let said = run(&counts, &["--sensitivity", "4096"]).succeeds();
+    assert!(remarks(&said).contains("calibrate it"), "{said}");
+    let twice = ["--calibration", &of_si, "--calibration", &of_si];
+    run(&si, &twice).fails(2, "usage");
+}
+
+#[test]
+fn what_a_calibration_leaves_unknown_is_in_the_paths_deviation() {
+    let folder = folder();
+    let model = folder.path().join("CAL.json").display().to_string();
+    let poses = write(folder.path(), "rests.csv", "m/s²", &rests());
+    wimu(&["calibrate", &poses, "-o", &model]).succeeds();
+    let csv = write(folder.path(), "slide.csv", "m/s²", &slide());
+    let sigma = || {
+        let run = [
+            "navigate",
+            &csv,
+            "--method",
+            "tilt",
+            "--zupt",
+            "off",
+            "--calibration",
+            &model,
+        ];
+        let said = wimu(&run).succeeds();
+        said["final_sigma_m"][2].as_f64().unwrap()
+    };
+    let known = sigma();
+    // The same model from a worse session.
+    let mut file: Value = serde_json::from_str(&fs::read_to_string(&model).unwrap()).unwrap();
+    file["sd"]["bias_m_s2"] = serde_json::json!([0.3, 0.3, 0.3]);
+    fs::write(&model, file.to_string()).unwrap();
+    let vague = sigma();
+    assert!(vague > 2.0 * known, "{vague} {known}");
+}

@@ -209,8 +209,8 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
             .unwrap()
             .contains("2 calibrations for 4 sensors")
     );
-    // One unit takes one, and only of a recording.
-    wimu(&["navigate", &later, "--calibration", &files[0]]).fails(2, "usage");
+    // Without their places they are no array.
+    wimu(&["navigate", &later, "--calibration", &files[0]]).fails(2, "csv_missing_column");
 }
 
 #[test]

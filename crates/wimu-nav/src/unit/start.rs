@@ -126,11 +126,11 @@ impl<R: Real> UnitFilter<R> {
         self.moved = false;
         self.held = false;
         self.unseen = Unseen::default();
-        if let Some(rate) = self.quiet.still() {
-            if self.config.zupt.is_on() {
-                self.quiet.follow();
-                self.gyroscope.bias = rate;
-            }
+        if let Some(rate) = self.quiet.still()
+            && self.config.zupt.is_on()
+        {
+            self.quiet.follow();
+            self.gyroscope.bias = rate;
         }
         if !self.valid {
             // It moves, nobody knows how fast.

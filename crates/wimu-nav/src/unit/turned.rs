@@ -1,4 +1,4 @@
-//! What sensors do as the unit turns that no calibration has taken off: equation (108).
+//! What sensors do as the unit turns that no calibration has taken off: equation (110).
 
 use super::model::{EVEN_GATE, SCALE_ERROR};
 use super::{BIAS, PHI, POSITION, UnitFilter, VELOCITY};

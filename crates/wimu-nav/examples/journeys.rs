@@ -58,6 +58,10 @@ fn main() {
         late(0.01),
         late(0.02),
         late(0.05),
+        Recorded {
+            glitch_mps2: 40.0,
+            ..perfect
+        },
     ];
     for kind in kinds {
         if !format!("{kind:?}").contains(&only) {
@@ -75,7 +79,7 @@ fn main() {
             println!("{}", Journeys::over(kind, how, seeds));
             if matches!(kind, Journey::Carried(_)) {
                 for sensors in turned {
-                    if !gyroscope && sensors.force_matrix == 0.0 {
+                    if !gyroscope && (sensors.rate_matrix > 0.0 || sensors.late_s > 0.0) {
                         continue;
                     }
                     let how = Recorded {

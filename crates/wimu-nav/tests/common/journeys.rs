@@ -173,7 +173,7 @@ pub struct Recorded {
     pub force_matrix: f64,
     /// The gyroscope's samples are so old, s.
     pub late_s: f64,
-    /// One sample 1 s after the beginning is this much too great, m/s².
+    /// One sample 2 s after the beginning, in the first rest, is this much too great on each axis, m/s².
     pub glitch_mps2: f64,
     /// There is a magnetometer.
     pub field: bool,
@@ -313,7 +313,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                 step + waited + jump
             };
             waited = 0.0;
-            let glitch = if (age_s - 1.0).abs() < 0.5 * step {
+            let glitch = if (age_s - 2.0).abs() < 0.5 * step {
                 how.glitch_mps2
             } else {
                 0.0

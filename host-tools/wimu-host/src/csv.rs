@@ -92,6 +92,8 @@ pub struct CsvReader<R> {
     /// Field to compare, and with what.
     filter: Vec<(usize, String)>,
     ordered: bool,
+    /// Whether fields of sensors may hold no number.
+    with_holes: bool,
     /// The field of a table of counts that says its row's sensitivity.
     sensitivity: Option<usize>,
     /// The sensitivity of the rows so far, as written.
@@ -168,6 +170,7 @@ impl<R: BufRead> CsvReader<R> {
             columns,
             filter: Vec::new(),
             ordered: true,
+            with_holes: false,
             decimal_mark: None,
             last: None,
         })
@@ -196,6 +199,14 @@ impl<R: BufRead> CsvReader<R> {
     #[must_use]
     pub fn in_any_order(mut self) -> Self {
         self.ordered = false;
+        self
+    }
+
+    /// Accepts fields of sensors that are empty or `NaN`: of an accelerometer as not a number, of a magnetometer or
+    /// thermometer as absent.
+    #[must_use]
+    pub fn with_holes(mut self) -> Self {
+        self.with_holes = true;
         self
     }
 
@@ -319,6 +330,7 @@ impl<R: BufRead> CsvReader<R> {
         };
         let mut magnetic = [None; 3];
         for (index, text) in self.fields.iter().enumerate() {
+            let is_hole = self.with_holes && number::is_none(text);
             let number = || {
                 number::finite(text).ok_or_else(|| {
                     HostError::new(
@@ -342,15 +354,20 @@ impl<R: BufRead> CsvReader<R> {
                     })?;
                     row.time_ns = Some(time);
                 }
+                Quantity::Acceleration { sensor, axis, .. } if is_hole => {
+                    row.accelerations[sensor][axis] = f64::NAN;
+                }
                 Quantity::Acceleration {
                     sensor,
                     axis,
                     factor,
                 } => row.accelerations[sensor][axis] = number()? * factor,
-                Quantity::MagneticField { axis, ut_per_unit } if !text.is_empty() => {
+                Quantity::MagneticField { axis, ut_per_unit } if !is_hole && !text.is_empty() => {
                     magnetic[axis] = Some(number()? * ut_per_unit);
                 }
-                Quantity::Temperature if !text.is_empty() => row.temperature_c = Some(number()?),
+                Quantity::Temperature if !is_hole && !text.is_empty() => {
+                    row.temperature_c = Some(number()?);
+                }
                 Quantity::MagneticField { .. } | Quantity::Temperature => {}
                 Quantity::Other => row.other.push(text.clone()),
             }
@@ -358,6 +375,7 @@ impl<R: BufRead> CsvReader<R> {
         row.magnetic_field_ut = match magnetic {
             [Some(x), Some(y), Some(z)] => Some([x, y, z]),
             [None, None, None] => None,
+            _ if self.with_holes => None,
             _ => {
                 return Err(HostError::new(
                     ErrorCode::CsvBadNumber,

@@ -25,6 +25,7 @@ pub mod monitor;
 pub mod motion;
 pub mod navigation;
 pub mod overview;
+pub mod plural;
 pub mod recorder;
 pub mod replay;
 pub mod ros;

@@ -262,7 +262,7 @@ fn gaps_and_time_that_stands_still_are_said_and_damaged_files_refused_with_their
     let gap = write("gap.csv", &[&lines[..320], &lines[370..]].concat());
     let said = wimu(&["navigate", &gap]).succeeds();
     assert!(
-        said["remarks"].to_string().contains("1 gaps longer"),
+        said["remarks"].to_string().contains("1 gap longer"),
         "{said}"
     );
     assert!(number(&said, "/valid_share") < 0.95);
@@ -290,7 +290,7 @@ fn gaps_and_time_that_stands_still_are_said_and_damaged_files_refused_with_their
         "{failure}"
     );
     let mut cells: Vec<&str> = lines[300].split(',').collect();
-    cells[2] = "NaN";
+    cells[2] = "N.N";
     let nan = write(
         "nan2.csv",
         &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat(),

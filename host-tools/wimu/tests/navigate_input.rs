@@ -321,3 +321,120 @@ fn a_short_failure_of_the_gyroscope_is_bridged_and_said() {
     assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
     assert!(number(&said, "/valid_share") > 0.8, "{said}");
 }
+
+#[test]
+fn samples_that_are_no_numbers_count_as_missing_and_most_of_them_are_refused() {
+    let folder = folder();
+    let samples = moves(0.4, 1.0);
+    let header = format!("{FORCE}{RATE}{TRUTH}");
+    let run = |spoil: &dyn Fn(usize) -> bool, method: &str| {
+        let mut samples = samples.clone();
+        for (k, sample) in samples.iter_mut().enumerate() {
+            if spoil(k) {
+                sample.force[1] = f64::NAN;
+            }
+        }
+        let csv = write(folder.path(), &header, &samples);
+        wimu(&["navigate", &csv, "--method", method, "--zupt", "on"])
+    };
+    for method in ["strapdown", "tilt", "slide"] {
+        // One now and then, as if its line were missing.
+        let said = run(&|k| k % 97 == 50, method).succeeds();
+        let count = samples.len().div_ceil(97) - usize::from(samples.len() % 97 <= 50);
+        let told = format!(
+            "(Y) gives no number in {count} of {} samples",
+            samples.len()
+        );
+        assert!(remarks(&said).contains(&told), "{said}");
+        assert!(number(&said, "/valid_share") > 0.5, "{said}");
+        assert!(
+            number(&said, "/nees/share_below_7_81") > 0.9,
+            "{method} {said}"
+        );
+        // From then on none: it is not valid there.
+        let said = run(&|k| k > 600, method).succeeds();
+        assert_eq!(said["final_valid"], false, "{said}");
+        // For so long that nobody knows what happened.
+        let said = run(&|k| (230..270).contains(&k), method).succeeds();
+        assert!(remarks(&said).contains("gap"), "{said}");
+        assert!(number(&said, "/valid_share") < 0.97, "{said}");
+    }
+    let failure = run(&|k| k > 300, "tilt").fails(3, "data_refused");
+    let message = failure["message"].as_str().unwrap();
+    assert!(message.contains("(Y) gives no number"), "{failure}");
+    assert!(message.contains("first at 3.01 s"), "{failure}");
+}
+
+#[test]
+fn a_coarse_axis_that_repeats_itself_is_not_dead() {
+    let folder = folder();
+    let step = 0.08;
+    for seed in 0..30_u32 {
+        let mut samples = moves(0.4, 1.0);
+        for (k, sample) in samples.iter_mut().enumerate() {
+            for (axis, force) in sample.force.iter_mut().enumerate() {
+                let lies = step * noise(90_000 + 3 * seed + axis as u32);
+                let fine = 0.3 * noise(9 * (k as u32 + 1000 * seed) + axis as u32) * step;
+                *force = ((*force + lies + fine) / step).round() * step;
+            }
+        }
+        let said = wimu(&["navigate", &write(folder.path(), FORCE, &samples)]).succeeds();
+        assert!(
+            !remarks(&said).contains("one and the same"),
+            "{seed}: {said}"
+        );
+    }
+}
+
+#[test]
+fn a_magnetometer_that_stands_still_while_the_unit_tilts_is_left_out_and_said() {
+    let folder = folder();
+    let mut text =
+        format!("Time (s),{FORCE},Magnetometer X (µT),Magnetometer Y (µT),Magnetometer Z (µT)\n");
+    for k in 0..1200_u32 {
+        // Tilted by 60° about x within 2 s, from 5 s on.
+        let tau = ((f64::from(k) * 0.01 - 5.0) / 2.0).clamp(0.0, 1.0);
+        let (sin, cos) = (1.047 * tau * tau * (3.0 - 2.0 * tau)).sin_cos();
+        let n = |i: u32| 0.05 * noise(3 * k + i);
+        let (x, y, z) = (n(0), G * sin + n(1), G * cos + n(2));
+        writeln!(text, "{:.2},{x},{y},{z},1.5,20,-44.25", f64::from(k) * 0.01).unwrap();
+    }
+    let path = folder.path().join("dead.csv").display().to_string();
+    fs::write(&path, text).unwrap();
+    let said = wimu(&["navigate", &path]).succeeds();
+    assert!(
+        remarks(&said).contains("the magnetometer gives one and the same value from 0.00 s"),
+        "{said}"
+    );
+    assert!(remarks(&said).contains("no magnetometer"), "{said}");
+}
+
+#[test]
+fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
+    let folder = folder();
+    for (rest_s, warms) in [(60_u32, 0.1_f64), (120, 0.1), (120, 1.0), (60, 0.0)] {
+        let mut samples = moves(0.4, 1.0);
+        let still: Vec<Sample> = samples[..150].to_vec();
+        let count = 100 * rest_s;
+        let mut all: Vec<Sample> = (0..count).map(|k| still[(k % 150) as usize]).collect();
+        all.append(&mut samples);
+        for (k, sample) in all.iter_mut().enumerate() {
+            sample.t = k as f64 * 0.01;
+            let bias = warms.to_radians() * (-sample.t / 60.0).exp();
+            let n = |i: usize| 0.01 * noise((3 * k + i) as u32);
+            sample.rate = [0, 1, 2].map(|i| 0.004 + bias + n(i));
+            sample.force[1] += 0.02 * noise(7 * k as u32);
+        }
+        let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &all);
+        let said = wimu(&["navigate", &csv, "--method", "strapdown", "--zupt", "on"]).succeeds();
+        assert_eq!(remarks(&said).contains("warms up"), warms > 0.0, "{said}");
+        assert!(
+            number(&said, "/nees/share_below_7_81") > 0.9,
+            "{rest_s} {warms} {said}"
+        );
+        assert!(
+            number(&said, "/valid_share") > 0.9,
+            "{rest_s} {warms} {said}"
+        );
+    }
+}

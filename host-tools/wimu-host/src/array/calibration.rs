@@ -11,6 +11,8 @@ use crate::{ErrorCode, HostError, Result};
 
 /// Poses that a recording may have.
 const MOST_POSES: usize = 256;
+/// A sensor lives through a rest that has output in each part of so many samples.
+const PART_SAMPLES: usize = 16;
 /// Noise that is assumed where there is no rest to see it, m/s².
 const ASSUMED_NOISE_MPS2: f64 = 0.05;
 
@@ -108,7 +110,7 @@ impl ArrayCalibration {
         // Judged by the sensors that live through all of them.
         let lives: Vec<bool> = (0..sensors)
             .map(|sensor| {
-                let seen = |span: &(usize, usize)| pose(recording, sensor, *span).is_some();
+                let seen = |span: &(usize, usize)| is_throughout(recording, sensor, *span);
                 !dead.contains(&sensor) && stretches.iter().all(seen)
             })
             .collect();
@@ -524,6 +526,18 @@ fn pose(recording: &ArrayRecording, sensor: usize, (first, count): (usize, usize
     });
     pose.samples = rows.len() as u32;
     Some(pose)
+}
+
+/// Whether a sensor gives output all through a rest, and not only for a part of it.
+fn is_throughout(
+    recording: &ArrayRecording,
+    sensor: usize,
+    (first, count): (usize, usize),
+) -> bool {
+    (0..count).step_by(PART_SAMPLES).all(|from| {
+        let part = (first + from, PART_SAMPLES.min(count - from));
+        part.1 < PART_SAMPLES || pose(recording, sensor, part).is_some()
+    })
 }
 
 /// The small turn of each sensor, rad, that makes all of them agree best; their mean is zero.

@@ -1,6 +1,7 @@
 //! Sensors that stop on the way, and limits that a table shows by itself.
 
 use super::ArrayRecording;
+use crate::plural::counted;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 /// Samples in which an output has not moved by one bit, while most others moved in each, of one that
@@ -15,6 +16,11 @@ const NEAR_STEPS: f64 = 3.0;
 const LEAST_LIMIT: f64 = 1.08;
 const ALIKE: f64 = 0.8;
 
+/// A spike is shorter than so many samples, and so many times what the sensor's noise and the motion that the others
+/// show together are.
+const SPIKE_SAMPLES: usize = 3;
+const SPIKE_TIMES: f64 = 10.0;
+
 /// One sensor's own limit: it is there so often, and in this share of the samples in which the median of the others
 /// is beyond by so much, m/s², which goes about by so much meanwhile.
 const LIMIT_OF_ONE_SAMPLES: usize = 10;
@@ -28,11 +34,12 @@ fn same(a: f64, b: f64) -> bool {
 }
 
 impl ArrayRecording {
-    /// Leaves out what sensors give after they have stopped (an output that repeats itself for long, while
+    /// Leaves out spikes, which one sensor shows and the others do not, and what sensors give after they have stopped (an output that repeats itself for long, while
     /// the others move), and marks samples at a limit that the recording shows itself (the largest output,
     /// repeated while hardly anything lies just below it). Both are said in the remarks.
     #[must_use]
     pub fn judged(mut self) -> Self {
+        self.leave_out_spikes();
         self.leave_out_stopped();
         self.find_limits();
         self.find_limits_of_one();
@@ -44,6 +51,99 @@ impl ArrayRecording {
         self.leave_out_stopped();
         self.find_limits();
         self
+    }
+
+    /// Says which sensors give no number, and where.
+    pub(super) fn say_absent(&mut self) {
+        let has = |row: &Vec<[f64; 3]>, sensor: usize| row[sensor].iter().all(|v| v.is_finite());
+        let mut said = Vec::new();
+        for sensor in 0..self.sensors() {
+            let absent = self.outputs.iter().filter(|row| !has(row, sensor)).count();
+            let Some(first) = self.outputs.iter().position(|row| !has(row, sensor)) else {
+                continue;
+            };
+            let at_s = self.start_s + self.times_s[first];
+            let to_the_end = self.outputs.len() - first == absent;
+            said.push(if to_the_end {
+                format!("sensor {sensor} (from 0) from {at_s:.2} s on")
+            } else {
+                let samples = counted(absent, "sample");
+                format!("{samples} of sensor {sensor} (from 0), first at {at_s:.2} s")
+            });
+        }
+        if !said.is_empty() {
+            self.remarks
+                .push(format!("no number, left out there: {}", said.join("; ")));
+        }
+    }
+
+    fn leave_out_spikes(&mut self) {
+        let (sensors, count) = (self.sensors(), self.outputs.len());
+        let window = |k: usize| k.saturating_sub(SPIKE_SAMPLES)..count.min(k + SPIKE_SAMPLES + 1);
+        // How far each output is from the middle of those around it.
+        let strange: Vec<Vec<f64>> = (0..sensors)
+            .map(|sensor| {
+                let of_axis = |k: usize, axis: usize| -> Option<f64> {
+                    let around = window(k).map(|j| self.outputs[j][sensor][axis]);
+                    let middle = median(around.filter(|v| v.is_finite()).collect());
+                    Some((self.outputs[k][sensor][axis] - middle?).abs())
+                };
+                let of_sample = |k: usize| {
+                    let axes = (0..3).filter_map(|axis| of_axis(k, axis));
+                    axes.fold(0.0, f64::max)
+                };
+                (0..count).map(of_sample).collect()
+            })
+            .collect();
+        // Its noise, and no less than a step of it.
+        let usual = |all: &Vec<f64>| {
+            let step = all.iter().filter(|v| **v > 0.0).copied();
+            let step = step.fold(f64::INFINITY, f64::min);
+            median(all.clone()).unwrap_or(0.0).max(step)
+        };
+        let usual: Vec<f64> = strange.iter().map(usual).collect();
+        let step = |of: &Self, k: usize, sensor: usize, axis: usize| {
+            let value = |j: usize| of.outputs[j][sensor][axis];
+            let steps = window(k).skip(1).map(|j| (value(j) - value(j - 1)).abs());
+            let mut steps: Vec<f64> = steps.filter(|v| v.is_finite()).collect();
+            steps.sort_by(f64::total_cmp);
+            // A spike makes two of six.
+            steps.get(steps.len() / 3).copied().unwrap_or(0.0)
+        };
+        let mut found = Vec::new();
+        for k in 0..count {
+            let most = |sensor: usize| window(k).map(|j| strange[sensor][j]).fold(0.0, f64::max);
+            for sensor in 0..sensors {
+                if strange[sensor][k] <= SPIKE_TIMES * usual[sensor] {
+                    continue;
+                }
+                // What it goes by from sample to sample there: a peak of a smooth motion is no spike.
+                let steps = (0..3).map(|axis| step(self, k, sensor, axis));
+                let steps = steps.fold(0.0, f64::max);
+                let others = (0..sensors).filter(|other| *other != sensor).map(most);
+                let moved = median(others.collect()).unwrap_or(f64::INFINITY);
+                if strange[sensor][k] > SPIKE_TIMES * (usual[sensor] + moved + steps) {
+                    found.push((k, sensor));
+                }
+            }
+        }
+        let Some((first, _)) = found.first() else {
+            return;
+        };
+        let of = |sensor: usize| found.iter().filter(|(_, s)| *s == sensor).count();
+        let counts = (0..sensors).map(|sensor| (sensor, of(sensor)));
+        let counts: Vec<String> = counts
+            .filter(|(_, count)| *count > 0)
+            .map(|(sensor, count)| format!("{count} of sensor {sensor}"))
+            .collect();
+        self.remarks.push(format!(
+            "spikes that the other sensors do not show are left out: {} (from 0), first at {:.2} s",
+            counts.join(", "),
+            self.start_s + self.times_s[*first]
+        ));
+        for (k, sensor) in found {
+            self.outputs[k][sensor] = [f64::NAN; 3];
+        }
     }
 
     fn leave_out_stopped(&mut self) {
@@ -139,6 +239,12 @@ impl ArrayRecording {
             ));
         }
     }
+}
+
+/// `None` of none.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 impl ArrayRecording {

@@ -8,6 +8,7 @@ use wimu_nav::array::{
 
 use super::calibration::BIAS_MPS2;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
 /// Output that stands for a sensor at its limit, m/s².
@@ -343,46 +344,53 @@ pub(super) fn followed<const M: usize>(
                 .to_owned(),
         );
     }
-    let mut remark = |count: usize, what: &str| {
+    let mut remark = |count: usize, one: &str, what: &str| {
         if count > 0 {
-            remarks.push(format!("{count} {what}"));
+            remarks.push(format!("{} {what}", counted(count, one)));
         }
     };
     remark(
         gaps,
-        "gaps longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
+        "gap",
+        "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
     );
     remark(
         backwards,
-        "samples whose time stood still or went back: left out",
+        "sample",
+        "whose time stood still or went back: left out",
     );
     remark(
         saturated,
-        "samples without the sensors that were at their limit",
+        "sample",
+        "without the sensors that were at their limit",
     );
     remark(
         blind,
-        "samples with too few sensors: the angular rate is carried over them",
+        "sample",
+        "with too few sensors: the angular rate is carried over",
     );
     remark(
         filter.astray() as usize,
-        "samples at rests at which velocity or attitude were not what the path said: the way there since the rest \
+        "sample",
+        "at rests at which velocity or attitude were not what the path said: the way there since the rest \
          before is not valid; check the size of the places and the sensitivity",
     );
     remark(
         filter.doubtful() as usize,
-        "rests at which the speed was not likely to be zero: the position is as uncertain as if it had gone on \
+        "rest",
+        "at which the speed was not likely to be zero: the position is as uncertain as if it had gone on \
          evenly",
     );
-    for (sensor, count) in without.iter().enumerate() {
-        if uses(sensor) {
-            remark(
-                *count,
-                &format!(
-                    "samples without sensor {sensor} (from 0), which gave none or stood still"
-                ),
-            );
-        }
+    let absent = without.iter().enumerate();
+    let absent = absent.filter(|(sensor, count)| **count > 0 && uses(*sensor));
+    let absent: Vec<String> = absent
+        .map(|(sensor, count)| format!("{count} of sensor {sensor}"))
+        .collect();
+    if !absent.is_empty() {
+        remarks.push(format!(
+            "samples that a sensor (from 0) did not give, or that were left out: {}",
+            absent.join(", ")
+        ));
     }
     (states, remarks)
 }

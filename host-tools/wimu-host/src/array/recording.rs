@@ -1,5 +1,6 @@
 //! A recording of several accelerometers: of one table, or of several boards brought to one time.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use wimu_link::LinkRole;
@@ -53,6 +54,7 @@ impl ArrayRecording {
         let table = Table::read(path, sensitivity_lsb_per_g, 2)?;
         let mut recording = table.recording;
         recording.start_s = table.first_ns as f64 * 1e-9;
+        recording.say_absent();
         Ok(recording.judged())
     }
 
@@ -204,8 +206,12 @@ impl ArrayRecording {
             }
         }
         if count > 0.0 {
+            let missing = match missing {
+                0 => String::new(),
+                some => format!(", {some} values missing"),
+            };
             recording.remarks.push(format!(
-                "interpolated to common times: at most {:.4} m/s² rms wrong, {missing} values missing",
+                "interpolated to common times: at most {:.4} m/s² rms wrong{missing}",
                 f64::sqrt(squares / count)
             ));
         }
@@ -228,14 +234,39 @@ impl ArrayRecording {
             }
         }
         let delays: Vec<f64> = sensors.iter().map(|s| s.delay_us * 1e-6).collect();
-        Ok(self.delayed(&delays))
+        Ok(self.shifted(&delays))
     }
 
-    /// The same with each sensor's samples taken so much later than their times say, s.
-    pub(super) fn delayed(mut self, delays_s: &[f64]) -> Self {
+    /// The same with each sensor's samples taken so much later than their times say, s, where all sensors still have
+    /// samples around: the first and last ones are cut off.
+    pub(super) fn shifted(self, delays_s: &[f64]) -> Self {
+        let count = self.times_s.len();
+        let moves = |delay: &&f64| **delay != 0.0;
+        let (least, most) = (delays_s.iter().filter(moves))
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), d| {
+                (low.min(*d), high.max(*d))
+            });
+        if count < 4 || least > most {
+            return self;
+        }
+        // A cubic wants a sample more on either side.
+        let (from, to) = (self.times_s[1] + most, self.times_s[count - 2] + least);
+        let first = self.times_s.partition_point(|t| *t < from);
+        let end = self.times_s.partition_point(|t| *t < to).max(first);
+        self.moved(delays_s, first..end)
+    }
+
+    /// The same at all its times.
+    pub(super) fn delayed(self, delays_s: &[f64]) -> Self {
         if delays_s.iter().all(|delay| *delay == 0.0) {
             return self;
         }
+        let all = 0..self.times_s.len();
+        self.moved(delays_s, all)
+    }
+
+    /// The same at some of its times.
+    fn moved(mut self, delays_s: &[f64], at: Range<usize>) -> Self {
         let period_s = self.period_s();
         let series: Vec<Series> = delays_s
             .iter()
@@ -251,8 +282,12 @@ impl ArrayRecording {
                 period_s,
             })
             .collect();
-        let moved = Self::interpolated(&series, std::mem::take(&mut self.times_s));
+        let moved = Self::interpolated(&series, self.times_s[at.clone()].to_vec());
         self.remarks.extend(moved.remarks);
+        for (_, values) in &mut self.other {
+            values.truncate(at.end);
+            values.drain(..at.start.min(values.len()));
+        }
         Self {
             times_s: moved.times_s,
             outputs: moved.outputs,
@@ -387,7 +422,7 @@ struct Table {
 
 impl Table {
     fn read(path: &Path, sensitivity_lsb_per_g: f64, least: usize) -> Result<Self> {
-        let reader = CsvReader::open(path)?;
+        let reader = CsvReader::open(path)?.with_holes();
         let header = reader.header().clone();
         let name = reader.name().to_owned();
         let sensors = header.accelerometers.len();

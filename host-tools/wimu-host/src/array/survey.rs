@@ -137,7 +137,7 @@ pub(crate) fn mended(
         remarks,
     };
     if late.iter().any(|delay| *delay != 0.0) {
-        mended.recording = mended.recording.delayed(&late);
+        mended.recording = mended.recording.shifted(&late);
         let mut again = ArrayCalibration::of(&mended.recording, geometry, Gravity::UNKNOWN_PLACE)?;
         again.place_sd_m = calibration.place_sd_m;
         again.delay_sd_s = calibration.delay_sd_s;

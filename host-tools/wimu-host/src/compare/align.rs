@@ -85,7 +85,7 @@ pub struct Alignment {
 /// compares their values. In LSB, the median magnitude is taken for 1 g.
 ///
 /// # Errors
-/// Those of [`CsvReader`]; `no_rows`, `csv_missing_column`; `data_refused` when no place, or more
+/// Those of [`CsvReader`](crate::csv::CsvReader); `no_rows`, `csv_missing_column`; `data_refused` when no place, or more
 /// than one, fits.
 pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let names = [reference, other].map(|path| path.display().to_string());

@@ -6,6 +6,13 @@ pub fn finite(text: &str) -> Option<f64> {
     text.parse::<f64>().ok().filter(|value| value.is_finite())
 }
 
+/// Whether a field says that there is no number: empty, or as programs write one that is none.
+pub fn is_none(text: &str) -> bool {
+    let written = ["", "na", "n/a", "null", "none"];
+    written.iter().any(|none| text.eq_ignore_ascii_case(none))
+        || text.parse::<f64>().is_ok_and(|value| !value.is_finite())
+}
+
 /// Whether commas part `text` in groups of three digits, as `16,384`.
 pub fn has_thousands(text: &str) -> bool {
     let digits = text.trim_start_matches(['-', '+']);

@@ -5,6 +5,7 @@ use std::ops::Range;
 use wimu_nav::unit::UnitSample;
 
 use crate::motion::median_step_s;
+use crate::plural::counted;
 
 /// So many samples in less than this share of their usual time are a burst, ...
 const BURST: usize = 32;
@@ -47,9 +48,9 @@ pub(super) fn spread(times_s: &[f64], samples: &mut [UnitSample]) -> Option<Stri
         samples[k].step_s = usual;
     }
     Some(format!(
-        "its times are those of arrival: {} samples came in {} bursts, first at {:.2} s, and are taken {:.1} ms apart",
+        "its times are those of arrival: {} samples came in {}, first at {:.2} s, and are taken {:.1} ms apart",
         found.iter().map(Range::len).sum::<usize>(),
-        found.len(),
+        counted(found.len(), "burst"),
         times_s[first.start - 1],
         1e3 * usual
     ))
@@ -76,7 +77,7 @@ mod tests {
         let times = times_s(true);
         let mut samples = vec![UnitSample::default(); times.len()];
         let said = spread(&times, &mut samples).unwrap();
-        assert!(said.contains("1 bursts, first at 0.00 s"), "{said}");
+        assert!(said.contains("1 burst, first at 0.00 s"), "{said}");
         let steps: f64 = samples[1..150].iter().map(|s| s.step_s).sum();
         assert!((steps - 1.49).abs() < 0.05, "{steps}");
         assert_eq!(samples[200].step_s, 0.0);

@@ -26,7 +26,7 @@ pub struct Stillness {
     pub lasted_s: f64,
     /// The largest speed at which the unit might have been moved evenly there and that would not show, m/s.
     pub unseen_mps: f64,
-    /// How far even motion may have taken it by the end, one standard deviation in space, m: with [`Zupt::Assumed`] it
+    /// How far even motion may have taken it by the end, one standard deviation in space, m: with [`Zupt::Assumed`](super::Zupt::Assumed) it
     /// is in the covariance.
     pub unseen_m: f64,
 }

@@ -22,6 +22,7 @@
 
 mod array;
 mod arrival;
+mod holes;
 mod horizon;
 mod origin;
 mod path;
@@ -31,6 +32,7 @@ mod sense;
 mod slide;
 mod truth;
 mod unit;
+mod warming;
 
 pub use array::{navigate_array, navigate_axes};
 pub use horizon::{Horizon, Stillness};
@@ -44,6 +46,7 @@ use wimu_nav::unit::{UnitConfig, UnitSample};
 
 use crate::motion::MotionRecording;
 use crate::{ErrorCode, HostError, Result};
+use holes::Holes;
 use truth::compare;
 use unit::{filter, once_each_field};
 
@@ -89,17 +92,54 @@ impl Default for Choice {
     }
 }
 
-/// Navigates one unit's recording.
+/// Navigates one unit's recording. Samples of which the accelerometer gives no number are left out.
 ///
 /// # Errors
 /// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
-/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity; `usage` for
-/// [`Method::Array`], which needs [`navigate_array`], and for a slide without ZUPT.
+/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity or are no numbers for the most part;
+/// `usage` for [`Method::Array`], which needs [`navigate_array`], and for a slide without ZUPT.
 pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
+    let mut path = match Holes::of(recording)? {
+        None => followed(recording, choice)?,
+        Some(holes) => {
+            let mut path = followed(&holes.left_out_of(recording), choice)?;
+            holes.fill(&mut path, &recording.times_s);
+            path.remarks.insert(0, holes.remark(recording));
+            path
+        }
+    };
+    path.remarks.splice(0..0, recording.remarks.iter().cloned());
+    compare(&mut path, &recording.truth);
+    Ok(path)
+}
+
+/// The path of a recording of which every sample is a number.
+fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
     let refused = |message: &str, remedy: &str| {
         Err(HostError::new(ErrorCode::DataRefused, message, remedy).at(&recording.name))
     };
     let senses = sense::Senses::of(recording)?;
+    let mut sound = recording.clone();
+    if let Some(from) = senses.field_ends {
+        for sample in &mut sound.samples[from..] {
+            sample.field_ut = None;
+        }
+    }
+    if let Some(from) = senses.rate_ends {
+        for sample in &mut sound.samples[from..] {
+            sample.rate_rad_s = None;
+        }
+    }
+    let mut wrong = None;
+    let mut warming = None;
+    if matches!(choice.method, Method::Strapdown | Method::Slide) {
+        wrong = rates::checked(&sound)?;
+        if wrong.as_ref().is_some_and(|wrong| wrong.contradicts) {
+            unrated(&mut sound.samples);
+        } else if choice.zupt.is_on() {
+            warming = warming::taken_off(&sound.times_s, &mut sound.samples);
+        }
+    }
     let mut path = match choice.method {
         Method::Array => {
             return Err(HostError::new(
@@ -109,15 +149,8 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             ));
         }
         Method::Slide => {
-            let wrong = rates::checked(recording)?;
-            let mut whole = recording.clone();
-            if wrong.as_ref().is_some_and(|wrong| wrong.contradicts) {
-                unrated(&mut whole.samples);
-            }
-            rates::filled(&whole.times_s, &mut whole.samples);
-            let mut path = slide::slide(&whole, choice)?;
-            path.remarks.extend(wrong.map(|wrong| wrong.said));
-            path
+            rates::filled(&sound.times_s, &mut sound.samples);
+            slide::slide(&sound, choice)?
         }
         Method::Strapdown if recording.samples.iter().all(|s| s.rate_rad_s.is_none()) => {
             return refused(
@@ -127,16 +160,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
             );
         }
         method => {
-            let mut samples = once_each_field(&recording.samples);
-            if let Some(from) = senses.rate_ends {
-                for sample in &mut samples[from..] {
-                    sample.rate_rad_s = None;
-                }
-            }
-            let mut wrong = None;
-            if method == Method::Strapdown {
-                wrong = rates::checked(recording)?;
-            }
+            let mut samples = once_each_field(&sound.samples);
             let contradicts = wrong.as_ref().is_some_and(|wrong| wrong.contradicts);
             let method = if contradicts { Method::Tilt } else { method };
             if method != Method::Strapdown {
@@ -158,11 +182,12 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
                 choice,
                 method,
             );
-            path.remarks.extend(wrong.map(|wrong| wrong.said));
             path.remarks.extend(late);
             path
         }
     };
+    path.remarks.extend(wrong.map(|wrong| wrong.said));
+    path.remarks.extend(warming);
     if path.points.iter().all(|p| !p.valid) && path.moves.is_empty() {
         return refused(
             "no position could be found to the limit",
@@ -175,8 +200,6 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         }
     }
     path.remarks.splice(0..0, senses.remarks);
-    path.remarks.splice(0..0, recording.remarks.iter().cloned());
-    compare(&mut path, &recording.truth);
     Ok(path)
 }
 
@@ -193,7 +216,9 @@ fn unrated(samples: &mut [UnitSample]) {
 /// `data_refused`: it moved, nothing drifts, or it had not settled at the end.
 pub fn settling(recording: &MotionRecording) -> Result<DriftFit> {
     let mut estimator = DriftEstimator::new();
-    for (time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
+    let numbers = |sample: &UnitSample| sample.force_mps2.iter().all(|f| f.is_finite());
+    let samples = recording.times_s.iter().zip(&recording.samples);
+    for (time_s, sample) in samples.filter(|(_, sample)| numbers(sample)) {
         estimator.push(*time_s, sample.force_mps2);
     }
     estimator.fit().map_err(|error| {

@@ -22,7 +22,7 @@ pub struct PathPoint {
     pub quaternion: [f64; 4],
     /// Angular rate, rad/s, body axes.
     pub rate_rad_s: [f64; 3],
-    /// Covariance of the position, m²: with [`Zupt::Assumed`] that of `unseen_m` in it.
+    /// Covariance of the position, m²: with [`Zupt::Assumed`](super::Zupt::Assumed) that of `unseen_m` in it.
     pub covariance_m2: [[f64; 3]; 3],
     /// Whether it is taken to rest: never with ZUPT off.
     pub resting: bool,

@@ -8,6 +8,7 @@ use wimu_nav::unit::UnitSample;
 
 use super::slide::field_at;
 use crate::motion::{MotionRecording, rests};
+use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
 /// A shorter hole is filled in evenly, s: a hand's rate changes by little in it.
@@ -72,9 +73,10 @@ pub(super) fn remark(holes: &[Range<usize>], times_s: &[f64]) -> Option<String> 
     let first = holes.first()?;
     let count: usize = holes.iter().map(|hole| hole.len()).sum();
     Some(format!(
-        "the angular rate is missing in {count} samples, {} times, first at {:.2} s: the last one is held for 0.25 s, \
+        "the angular rate is missing in {}, {}, first at {:.2} s: the last one is held for 0.25 s, \
          from then on it is estimated, and the attitude is doubted as much",
-        holes.len(),
+        counted(count, "sample"),
+        counted(holes.len(), "time"),
         times_s[first.start]
     ))
 }

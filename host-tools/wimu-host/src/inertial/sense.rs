@@ -1,8 +1,11 @@
 //! Whether a recording can be what it says it is: gravity, and axes that go on.
 
+use std::ops::Range;
+
 use wimu_nav::unit::UnitSample;
 
 use crate::motion::{MotionRecording, median_step_s};
+use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
 /// What a rest shows is gravity within this share.
@@ -41,6 +44,14 @@ const AT_SCALE: f64 = 0.03;
 /// ... that is an axis's largest and comes so often is where it clips.
 const CLIPS: usize = 3;
 
+/// A slow magnetometer's reading may be held for so long, s.
+const HELD_S: f64 = 3.0;
+/// An axis that repeats itself is dead where the others' noise is more than so many of its steps: it would show.
+const NOISY_STEPS: f64 = 2.0;
+
+/// What a sensor gives in a sample.
+type Sense = fn(&UnitSample) -> Option<[f64; 3]>;
+
 /// What was found.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Senses {
@@ -48,6 +59,8 @@ pub(super) struct Senses {
     pub force_ends: Option<usize>,
     /// The same of the angular rate.
     pub rate_ends: Option<usize>,
+    /// The same of the magnetometer.
+    pub field_ends: Option<usize>,
     /// Samples at which the accelerometer clips.
     pub clipped: Vec<usize>,
     /// Standard deviation of the accelerometer's bias, m/s².
@@ -82,9 +95,9 @@ impl Senses {
         senses.clipped = clipped(recording);
         if let Some(first) = senses.clipped.first() {
             senses.remarks.push(format!(
-                "the accelerometer clips in {} samples, first at {:.2} s: what it felt there is not \
+                "the accelerometer clips in {}, first at {:.2} s: what it felt there is not \
                  known; take a larger range",
-                senses.clipped.len(),
+                counted(senses.clipped.len(), "sample"),
                 recording.times_s[*first]
             ));
         }
@@ -110,7 +123,16 @@ impl Senses {
             );
             senses.rate_ends = Some(from);
         }
-        if let Some(from) = silent(recording) {
+        let shown: [Sense; 2] = [|s| Some(s.force_mps2), |s| s.field_ut];
+        if let Some(from) = silent(recording, |s| s.field_ut, HELD_S, &shown[..1]) {
+            senses.remarks.push(format!(
+                "the magnetometer gives one and the same value from {:.2} s on while gravity turns: it is left out from \
+                 there on",
+                recording.times_s[from]
+            ));
+            senses.field_ends = Some(from);
+        }
+        if let Some(from) = silent(recording, |s| s.rate_rad_s, STUCK_S, &shown) {
             senses.remarks.push(format!(
                 "all axes of the gyroscope give one and the same value from {:.2} s on while gravity or the field \
                  turns: it is left out from there on",
@@ -255,22 +277,28 @@ fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
     }
 }
 
-/// The sample from which on all axes of the gyroscope stand still in a run in which gravity or the magnetic
-/// field turns.
-fn silent(recording: &MotionRecording) -> Option<usize> {
+/// The sample from which on all axes of a sensor stand still for so long, s, and more while one of the others shows that
+/// the unit turns.
+fn silent(
+    recording: &MotionRecording,
+    sense: Sense,
+    longer_s: f64,
+    others: &[Sense],
+) -> Option<usize> {
     let samples = &recording.samples;
     let mut first = 0;
-    while first < samples.len() {
-        let here = samples[first].rate_rad_s;
+    while let Some(next) = samples[first..].iter().position(|s| sense(s).is_some()) {
+        first += next;
+        let here = sense(&samples[first]);
         let alike = samples[first..].iter();
-        let count = alike.take_while(|s| s.rate_rad_s == here).count().max(1);
+        let count = alike
+            .take_while(|s| sense(s).is_none() || sense(s) == here)
+            .count();
         let times_s = &recording.times_s[first..first + count];
         let run = &samples[first..first + count];
-        if here.is_some()
-            && times_s[count - 1] - times_s[0] >= STUCK_S
+        if times_s[count - 1] - times_s[0] >= longer_s
             && count >= STUCK_SAMPLES
-            && (is_turned(times_s, run, |s| Some(s.force_mps2))
-                || is_turned(times_s, run, |s| s.field_ut))
+            && others.iter().any(|other| is_turned(times_s, run, other))
         {
             return Some(first);
         }
@@ -319,7 +347,15 @@ fn stuck(
 ) -> Option<(usize, usize)> {
     let count = recording.samples.len();
     let mut found: Option<(usize, usize)> = None;
+    // Of an axis that never moves, that of the others.
+    let steps = [0, 1, 2].map(|axis| least_step(count, &value, axis));
+    let finest = steps.into_iter().fold(f64::INFINITY, f64::min);
     for axis in 0..3 {
+        let step = if steps[axis].is_finite() {
+            steps[axis]
+        } else {
+            finest
+        };
         let mut first = 0;
         while first < count {
             let mut end = first + 1;
@@ -337,8 +373,10 @@ fn stuck(
             }
             let lasts = recording.times_s[end - 1] - recording.times_s[first] >= STUCK_S
                 && end - first >= STUCK_SAMPLES;
-            let alive = (0..3).all(|i| i == axis || high[i] > low[i]);
-            if lasts && alive && (0..3).any(|i| high[i] - low[i] > moves) {
+            if lasts
+                && (0..3).any(|i| high[i] - low[i] > moves)
+                && would_show(&value, first..end, axis, step)
+            {
                 if found.is_none_or(|(before, _)| first < before) {
                     found = Some((first, axis));
                 }
@@ -348,4 +386,31 @@ fn stuck(
         }
     }
     found
+}
+
+/// The least change of an axis from sample to sample; infinite where it never moves.
+fn least_step(count: usize, value: impl Fn(usize) -> Option<[f64; 3]>, axis: usize) -> f64 {
+    let change = |k: usize| Some((value(k)?[axis] - value(k - 1)?[axis]).abs());
+    let changes = (1..count).filter_map(change);
+    changes.filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min)
+}
+
+/// Whether the noise of both other axes, as second differences have it, would move this one by steps: an axis of coarse
+/// steps repeats itself at rest, and where it is not moved.
+fn would_show(
+    value: impl Fn(usize) -> Option<[f64; 3]>,
+    run: Range<usize>,
+    axis: usize,
+    step: f64,
+) -> bool {
+    (0..3).filter(|other| *other != axis).all(|other| {
+        let second = |k: usize| {
+            let [a, b, c] = [value(k - 2)?, value(k - 1)?, value(k)?].map(|v| v[other]);
+            Some((a - 2.0 * b + c).abs())
+        };
+        let mut all: Vec<f64> = (run.start + 2..run.end).filter_map(second).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2)
+            .is_some_and(|middle| *middle > NOISY_STEPS * step)
+    })
 }

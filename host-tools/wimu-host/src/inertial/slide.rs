@@ -5,6 +5,7 @@ use wimu_nav::slide::{Move, Rest, Slide, SlideConfig};
 use super::origin::measured_from;
 use super::{Choice, InertialPath, Method, PathPoint, SlideMove, Zupt};
 use crate::motion::{MotionRecording, RestSpan, gap_s, median_step_s, rests};
+use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
 /// Without an angular rate a move that ends at another tilt is no slide, rad.
@@ -451,9 +452,9 @@ pub(super) fn slide(recording: &MotionRecording, choice: &Choice) -> Result<Iner
     let candidates = rests(&recording.times_s, &recording.samples).len();
     if candidates > legs.len() + 1 {
         remarks.push(format!(
-            "{} times it seemed to rest, but its velocity was not zero, or gravity was another: even motion, \
+            "{} it seemed to rest, but its velocity was not zero, or gravity was another: even motion, \
              an even acceleration, or it turned",
-            candidates - legs.len() - 1
+            counted(candidates - legs.len() - 1, "time")
         ));
     }
     let east = east(recording, &first.before, &mut remarks);

@@ -4,6 +4,7 @@ use wimu_nav::unit::{UnitConfig, UnitFault, UnitFilter, UnitSample};
 
 use super::origin::measured_from;
 use super::{Choice, InertialPath, Method, PathPoint, rates};
+use crate::plural::counted;
 
 /// A reading of the magnetometer that is repeated within this time is one that is held, s.
 const HELD_S: f64 = 0.25;
@@ -35,7 +36,7 @@ pub(super) fn filter(
     method: Method,
 ) -> InertialPath {
     let mut filter = UnitFilter::new(config);
-    let (mut gaps, mut bad, mut backwards) = (0, 0, 0);
+    let (mut gaps, mut bad, mut backwards) = (0, 0, 0_usize);
     let (mut begun, mut moved) = (false, false);
     // The last rest from whose end position is measured, and the velocity's deviation there.
     let (mut origin, mut speed_mps) = (0..0, [0.0; 3]);
@@ -87,36 +88,42 @@ pub(super) fn filter(
         ));
     }
     remarks.extend(rates::remark(&rates::holes(samples), times_s));
-    let mut remark = |count: u32, what: &str| {
+    let mut remark = |count: usize, one: &str, what: &str| {
         if count > 0 {
-            remarks.push(format!("{count} {what}"));
+            remarks.push(format!("{} {what}", counted(count, one)));
         }
     };
     remark(
         gaps,
-        "gaps longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
+        "gap",
+        "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
     );
     remark(
-        clipped.len() as u32,
-        "clipped samples left out: position is the less certain after them",
+        clipped.len(),
+        "clipped sample",
+        "left out: position is the less certain after them",
     );
-    remark(backwards, "samples whose time stood still: left out");
-    remark(bad, "samples that were no numbers: left out");
+    remark(backwards, "sample", "whose time stood still: left out");
+    remark(bad, "sample", "that was no number: left out");
     remark(
-        filter.state().even,
-        "updates at what looked like a rest while the velocity was not zero: even motion, or a wrong velocity",
-    );
-    remark(
-        filter.state().pushed,
-        "tenths of a second it seemed to rest and was pushed evenly: no rest",
+        filter.state().even as usize,
+        "update",
+        "at what looked like a rest while the velocity was not zero: even motion, or a wrong velocity",
     );
     remark(
-        filter.state().holes,
-        "times samples were missing, or time jumped, for less than 0.25 s: doubted as the motion there is strong",
+        filter.state().pushed as usize,
+        "time",
+        "for a tenth of a second it seemed to rest and was pushed evenly: no rest",
     );
     remark(
-        filter.state().disturbed,
-        "times the magnetic field was disturbed: left out",
+        filter.state().holes as usize,
+        "time",
+        "samples were missing, or time jumped, for less than 0.25 s: doubted as the motion there is strong",
+    );
+    remark(
+        filter.state().disturbed as usize,
+        "time",
+        "the magnetic field was disturbed: left out",
     );
     if samples.iter().all(|s| s.field_ut.is_none()) {
         remarks.push("no magnetometer: heading is that of the body at the start".to_owned());

@@ -83,7 +83,7 @@ impl MotionRecording {
         Self::from_csv_with(path, &TableOptions::default())
     }
 
-    /// Reads a CSV file with times and one accelerometer; `Gyroscope X (rad/s)` or `(deg/s)`, the magnetometer and
+    /// Reads a CSV file with times and one accelerometer, whose empty fields are not a number; `Gyroscope X (rad/s)` or `(deg/s)`, the magnetometer and
     /// `Truth Position E (m)`, `Truth Quaternion W`, … if there are. A magnetic field whose `Field Calibrated` is 0 is
     /// left out, unless the calibration has a model of the magnetometer. A calibration is of the unit in which the
     /// accelerations are: of counts, or of m/s² and g.
@@ -93,7 +93,7 @@ impl MotionRecording {
     /// with an axis whose neighbours are there; `unknown_format` for counts of unknown sensitivity, a calibration of the
     /// other unit, and units that are not known.
     pub fn from_csv_with(path: &Path, options: &TableOptions) -> Result<Self> {
-        let mut reader = CsvReader::open(path)?;
+        let mut reader = CsvReader::open(path)?.with_holes();
         let header = reader.header().clone();
         let name = reader.name().to_owned();
         let in_header = |error: HostError| error.at(format!("{name} line 1"));

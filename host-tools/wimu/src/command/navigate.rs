@@ -7,6 +7,7 @@ use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::navigation::{self, Point};
+use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_integrator::Phase;
@@ -71,9 +72,9 @@ impl Track {
     fn text(&self) -> String {
         let [e, n, u] = self.final_position_m;
         format!(
-            "{:.1} s, {} legs, path {:.3} m, ends at E {e:+.4} N {n:+.4} U {u:+.4} m{}",
+            "{:.1} s, {}, path {:.3} m, ends at E {e:+.4} N {n:+.4} U {u:+.4} m{}",
             self.duration_s,
-            self.legs,
+            counted(self.legs, "leg"),
             self.distance_m,
             if self.valid { "" } else { " (invalid)" }
         )

@@ -9,6 +9,7 @@ use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::plural::counted;
 use wimu_host::{ErrorCode, HostError, Result};
 
 use super::array;
@@ -447,9 +448,12 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         };
         let _ = writeln!(
             text,
-            "rests: {} stillnesses of {:.1} s in all are taken for rests. Even motion at up to {:.3} m/s would not have \
+            "rests: {}, {:.1} s in all, taken for rest. Even motion at up to {:.3} m/s would not have \
              shown there, and may have put the end off by ± {:.3} m, {so}",
-            found.rests, found.lasted_s, found.unseen_mps, found.unseen_m,
+            counted(found.rests, "stillness"),
+            found.lasted_s,
+            found.unseen_mps,
+            found.unseen_m,
         );
     }
     let _ = writeln!(

@@ -1,0 +1,127 @@
+//! Samples of which the accelerometer gives no number: they are left out, as if they were missing.
+
+use wimu_nav::unit::UnitSample;
+
+use super::{InertialPath, PathPoint};
+use crate::motion::MotionRecording;
+use crate::{ErrorCode, HostError, Result};
+
+/// Where a recording has none, from its first sample to its last.
+pub(super) struct Holes(Vec<bool>);
+
+impl Holes {
+    /// Of a recording; `None` where every sample is a number.
+    ///
+    /// # Errors
+    /// `data_refused` where most samples are none.
+    pub fn of(recording: &MotionRecording) -> Result<Option<Self>> {
+        let is_hole = |sample: &UnitSample| !sample.force_mps2.iter().all(|f| f.is_finite());
+        let holes: Vec<bool> = recording.samples.iter().map(is_hole).collect();
+        let count = holes.iter().filter(|hole| **hole).count();
+        if count == 0 {
+            return Ok(None);
+        }
+        let holes = Self(holes);
+        if 2 * count > recording.samples.len() {
+            return Err(HostError::new(
+                ErrorCode::DataRefused,
+                holes.said(recording),
+                "see why the sensor fails; leave the part out in which it does",
+            )
+            .at(&recording.name));
+        }
+        Ok(Some(holes))
+    }
+
+    fn said(&self, recording: &MotionRecording) -> String {
+        let axes = (0..3).filter(|i| {
+            let mut all = recording.samples.iter();
+            all.any(|sample| !sample.force_mps2[*i].is_finite())
+        });
+        let axes: Vec<&str> = axes.map(|i| ["X", "Y", "Z"][i]).collect();
+        let first = self.0.iter().position(|hole| *hole).unwrap_or_default();
+        format!(
+            "the accelerometer ({}) gives no number in {} of {} samples, first at {:.2} s",
+            axes.join(", "),
+            self.0.iter().filter(|hole| **hole).count(),
+            self.0.len(),
+            recording.times_s[first]
+        )
+    }
+
+    /// What to say of them.
+    pub fn remark(&self, recording: &MotionRecording) -> String {
+        format!(
+            "{}: left out, as if they were missing",
+            self.said(recording)
+        )
+    }
+
+    /// The other samples.
+    pub fn left_out_of(&self, recording: &MotionRecording) -> MotionRecording {
+        let (mut times_s, mut samples, mut truth) = (Vec::new(), Vec::new(), Vec::new());
+        let mut waited_s = 0.0;
+        for (k, sample) in recording.samples.iter().enumerate() {
+            waited_s += sample.step_s;
+            if self.0[k] {
+                continue;
+            }
+            times_s.push(recording.times_s[k]);
+            truth.push(recording.truth.get(k).copied().flatten());
+            samples.push(UnitSample {
+                step_s: waited_s,
+                ..*sample
+            });
+            waited_s = 0.0;
+        }
+        let mut others = MotionRecording::new(recording.name.clone(), times_s, samples);
+        others.truth = truth;
+        others.bias_sd_mps2 = recording.bias_sd_mps2;
+        others.remarks.clone_from(&recording.remarks);
+        others
+    }
+
+    /// Puts a point at each of them: between its neighbours, as uncertain as the later one, and valid where both are.
+    pub fn fill(&self, path: &mut InertialPath, times_s: &[f64]) {
+        let known = std::mem::take(&mut path.points);
+        let origin = path.origin;
+        let mut at = 0;
+        for (time_s, hole) in times_s.iter().zip(&self.0) {
+            let next = known.get(at);
+            if !*hole {
+                if at == origin {
+                    path.origin = path.points.len();
+                }
+                path.points.extend(next);
+                at += 1;
+                continue;
+            }
+            let before = at.checked_sub(1).and_then(|k| known.get(k));
+            path.points.extend(between(before, next, *time_s));
+        }
+    }
+}
+
+fn between(before: Option<&PathPoint>, next: Option<&PathPoint>, time_s: f64) -> Option<PathPoint> {
+    let (Some(before), Some(next)) = (before, next) else {
+        return before.or(next).map(|point| PathPoint {
+            time_s,
+            resting: false,
+            unseen_mps: None,
+            valid: false,
+            ..*point
+        });
+    };
+    let share = (time_s - before.time_s) / (next.time_s - before.time_s).max(f64::MIN_POSITIVE);
+    let mixed = |a: [f64; 3], b: [f64; 3]| std::array::from_fn(|i| a[i] + share * (b[i] - a[i]));
+    Some(PathPoint {
+        time_s,
+        position_m: mixed(before.position_m, next.position_m),
+        velocity_mps: mixed(before.velocity_mps, next.velocity_mps),
+        quaternion: before.quaternion,
+        resting: before.resting && next.resting,
+        unseen_mps: before.unseen_mps.and(next.unseen_mps),
+        valid: before.valid && next.valid,
+        ..*next
+    })
+}

@@ -1,0 +1,11 @@
+//! Numbers of things in words.
+
+/// `1 gap`, `2 gaps`, `3 stillnesses`.
+pub fn counted(count: usize, one: &str) -> String {
+    let end = match (count, one.ends_with('s')) {
+        (1, _) => "",
+        (_, true) => "es",
+        (_, false) => "s",
+    };
+    format!("{count} {one}{end}")
+}

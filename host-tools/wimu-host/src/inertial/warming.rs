@@ -1,4 +1,4 @@
-//! A gyroscope that warms up at rest: its bias settles, b(t) = c e^(−t/T) + d, as the accelerometer's does (90).
+//! A gyroscope that warms up at rest: its bias settles, b(t) = c e^(−t/T) + d, as the accelerometer's does, equation (85).
 
 use wimu_nav::unit::UnitSample;
 

@@ -8,6 +8,7 @@ mod departures;
 mod geometry;
 mod health;
 mod motion;
+mod places;
 mod presets;
 mod recording;
 mod refine;

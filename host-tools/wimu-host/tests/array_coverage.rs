@@ -68,6 +68,25 @@ fn what_the_rests_tell_of_sensors_that_nobody_calibrated_is_taken_off_them() {
 }
 
 #[test]
+fn the_deviation_of_a_calibrated_array_is_of_the_order_of_its_error() {
+    let calibrated = Case {
+        rate_hz: 100.0,
+        ..Case::default()
+    };
+    // Four triads leave nothing over that would show it.
+    let four = Case {
+        places: Places::Four(0.03),
+        ..calibrated
+    };
+    for case in [calibrated, four] {
+        let coverage = case.over(SEEDS);
+        println!("{coverage}");
+        assert!(coverage.position() > 90.0 && coverage.rate() > 90.0);
+        assert!(coverage.rate_sd() < 4.5 * coverage.rate_error());
+    }
+}
+
+#[test]
 fn a_cube_whose_rate_is_only_integrated_says_how_far_it_strays() {
     let cube = Case {
         places: Places::Cube(0.1),

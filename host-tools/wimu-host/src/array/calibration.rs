@@ -248,7 +248,7 @@ impl ArrayCalibration {
                 .max(LEAST_SCALE);
             calibration.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
             if calibration.scale < MOST_SCALE {
-                calibration.learn(recording, &mut forces, &offsets, &used);
+                calibration.learn(&mut forces, &offsets, &used);
                 offsets = departures(&forces, &calibration, &used);
             }
         }
@@ -271,7 +271,6 @@ impl ArrayCalibration {
     /// tell stays in `scale`: equation (108).
     fn learn(
         &mut self,
-        recording: &ArrayRecording,
         forces: &mut [Vec<Option<[f64; 3]>>],
         departures: &[Vec<Option<[f64; 3]>>],
         used: &[usize],
@@ -290,16 +289,10 @@ impl ArrayCalibration {
             }
             left.push(found);
         }
-        let (mut variance, mut changes) = (0.0, 0.0);
-        for (index, row) in recording.outputs.iter().enumerate() {
-            let seen = used.iter().filter(|k| recording.has(index, **k));
-            let force = mean(seen.map(|k| row[*k]));
-            let change = self.changed(index, force);
-            variance += left.iter().map(|one| one.variance(change)).sum::<f64>();
-            changes += left.len() as f64 * change.iter().map(|c| c * c).sum::<f64>();
-        }
-        if changes > 0.0 {
-            self.scale = (variance / changes).sqrt().min(scale);
+        // In any direction alike.
+        let variance = left.iter().map(Departure::mean_variance).sum::<f64>();
+        if !left.is_empty() {
+            self.scale = (variance / left.len() as f64).sqrt();
         }
         let learnt = scale * scale - self.scale * self.scale;
         self.common_scale = (learnt / used.len().max(1) as f64).sqrt();

@@ -74,9 +74,8 @@ impl Departure {
         ErrorModel::new(terms).ok()
     }
 
-    /// Variance of what a change of the force brings, (m/s²)².
-    pub(super) fn variance(&self, change: Vector) -> f64 {
-        let row = |row: &Vector| -> f64 { (0..3).map(|j| row[j] * change[j]).sum() };
-        (0..3).map(|i| change[i] * row(&self.left[i])).sum()
+    /// Mean variance of a share that is not known, in any direction of the force.
+    pub(super) fn mean_variance(&self) -> f64 {
+        (0..3).map(|i| self.left[i][i]).sum::<f64>() / 3.0
     }
 }

@@ -7,6 +7,7 @@ use wimu_nav::array::{
 };
 
 use super::calibration::BIAS_MPS2;
+use super::places::shown_place_sd_m;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
@@ -245,7 +246,9 @@ fn filtered<const M: usize>(
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
     let axes = axes::<M>(geometry, calibration)?;
     // What is missing is said before anything is done.
-    ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let solver =
+        ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
+    let place_sd_m = shown_place_sd_m(recording, calibration, &solver);
     let used = (0..recording.sensors())
         .filter(|sensor| calibration.uses(*sensor))
         .count();
@@ -261,7 +264,7 @@ fn filtered<const M: usize>(
             / (used.max(1) as f64).sqrt(),
         scale: calibration.scale,
         common_scale: calibration.common_scale,
-        place_sd_m: calibration.place_sd_m.hypot(calibration.size_sd_m),
+        place_sd_m: place_sd_m.hypot(calibration.size_sd_m),
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };

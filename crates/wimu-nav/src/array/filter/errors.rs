@@ -1,6 +1,6 @@
 //! Errors that last: of places, sensitivities, times and of the attitude; equations (104) and (105).
 
-use super::super::hypothesis::{Hypothesis, OMEGA, PHI, VELOCITY, Z_BIAS, dot, part, r};
+use super::super::hypothesis::{Hypothesis, OMEGA, PHI, TURN_BIAS, VELOCITY, Z_BIAS, dot, part, r};
 use super::{ArrayFilter, EXCESS_SAMPLES};
 use crate::Real;
 
@@ -109,6 +109,15 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let shows = dot(&rate, &rate).to_f64() * solver.arm_m();
         let ratio = shows * shows / (SHOWS_SD * SHOWS_SD * square).max(1e-12);
         1.0 / (1.0 + ratio * ratio)
+    }
+
+    /// The same of the variance that it gives ω: as far as the biases of ω̇ add up to it since the last rest.
+    pub(super) fn none_variance(&self, all: &Hypothesis<R>) -> f64 {
+        let biases = (0..3).map(|i| all.cov[TURN_BIAS + i][TURN_BIAS + i].to_f64().abs());
+        let added = biases.sum::<f64>() * self.since_rest_s * self.since_rest_s;
+        let rate = part(&all.mean, OMEGA);
+        let square = dot(&rate, &rate).to_f64().max(1e-12);
+        self.may_be_none(all) * (added / square).min(1.0)
     }
 
     /// What is the same from sample to sample and so does not average out: attitude by the error of places, velocity by

@@ -116,7 +116,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         state.rate_covariance = at_time(OMEGA, turn, self.surprise);
         // Equation (105).
         let size = r::<R>(self.size_variance()) * dot(&rate, &rate);
-        let none = r::<R>(self.may_be_none(&all));
+        let none = r::<R>(self.none_variance(&all));
         for (i, row) in state.rate_covariance.iter_mut().enumerate() {
             row[i] += size;
             for (value, other) in row.iter_mut().zip(rate) {

@@ -177,6 +177,23 @@ fn large_turns_that_no_gyroscope_sees_are_doubted() {
     }
 }
 
+/// One sample of the first rest is 40 m/s² too great on each axis.
+#[test]
+fn one_wrong_sample_is_within_the_covariance() {
+    for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
+        for gyroscope in [true, false] {
+            let how = Recorded {
+                glitch_mps2: 40.0,
+                gyroscope,
+                zupt,
+                ..Recorded::default()
+            };
+            let found = over(Journey::Carried(std::f64::consts::PI), how);
+            assert!(found.below > 0.95 && found.greatest < 5.0, "{found}");
+        }
+    }
+}
+
 /// Data sheets say so: scales and axes to 1 to 3 %, and filters that delay. Turns of up to half a circle.
 #[test]
 fn what_scales_axes_and_a_late_gyroscope_make_of_a_turn_lies_within_the_covariance() {

@@ -32,6 +32,8 @@ use crate::vector::{
 };
 pub use crate::zupt::Zupt;
 
+/// A sample is apart from its neighbours where the product of both changes is so many times a change's usual square.
+const APART: f64 = 25.0;
 /// Samples are brought together over so long before the filter looks at them, s: it follows what a
 /// hand does, and costs a few operations a sample.
 const UPDATE_S: f64 = 0.035;
@@ -191,6 +193,7 @@ pub struct UnitFilter<R = f64> {
     manner: Manner<R>,
     rate: Vector<R>,
     last_force: Vector<R>,
+    apart: Apart<R>,
     group: Group<R>,
     quiet: Quiet<R>,
     age_s: R,
@@ -225,8 +228,9 @@ struct Group<R> {
     count: R,
     force: Vector<R>,
     square: R,
-    /// Σ |Δf|² Δt².
+    /// Σ |Δf|² Δt², and that of samples apart from both their neighbours.
     jumps: R,
+    apart: R,
     field: Vector<R>,
     fields: R,
     rated: R,
@@ -236,6 +240,31 @@ struct Group<R> {
     bends: R,
     /// What it turned by while it was rated, rad, body axes.
     turned: Vector<R>,
+}
+
+/// Samples apart from both their neighbours: a knock, or a wrong reading.
+#[derive(Clone, Copy, Debug, Default)]
+struct Apart<R> {
+    /// The last change from sample to sample, m/s², and what its square usually is.
+    jump: Vector<R>,
+    usual: Option<R>,
+}
+
+impl<R: Real> Apart<R> {
+    /// Takes the change from the sample before to this one; how far the one before stands apart from both, squared.
+    fn see(&mut self, jump: Vector<R>) -> R {
+        let back = -dot(jump, self.jump);
+        let square = dot(jump, jump);
+        self.jump = jump;
+        let Some(usual) = &mut self.usual else {
+            self.usual = Some(square);
+            return R::default();
+        };
+        let most = R::from_f64(APART) * *usual;
+        let near = if square < most { square } else { most };
+        *usual += (near - *usual) * R::from_f64(1.0 / 64.0);
+        if back > most { back } else { R::default() }
+    }
 }
 
 /// Whether an angular rate is measured: the state is its bias then, and else the rate.
@@ -262,6 +291,7 @@ impl<R: Real> UnitFilter<R> {
             manner: Manner::default(),
             rate: zero(),
             last_force: zero(),
+            apart: Apart::default(),
             group: Group::default(),
             quiet: Quiet::default(),
             age_s: R::default(),
@@ -440,6 +470,7 @@ impl<R: Real> UnitFilter<R> {
         self.put(VELOCITY, add(velocity, gained));
         let jump = sub(acceleration, self.last_force);
         self.group.jumps += dot(jump, jump) * step * step;
+        self.group.apart += self.apart.see(jump) * step * step;
         self.last_force = acceleration;
         self.group.force = add(self.group.force, turned);
         self.group.count += R::from_f64(1.0);

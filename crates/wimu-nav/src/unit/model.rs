@@ -314,7 +314,7 @@ impl<R: Real> UnitFilter<R> {
         }
         let half = R::from_f64(0.5) * dt;
         // The trapezoid's error is of the size of what changes from sample to sample (87).
-        let uneven = group.jumps * R::from_f64(1.0 / 36.0);
+        let uneven = group.jumps * R::from_f64(1.0 / 36.0) + group.apart * R::from_f64(1.0 / 3.0);
         let gained = noise * dt * dt + scaling + uneven;
         for i in 0..3 {
             let spread = square[i] * square[i] * R::from_f64(4.0 * SQUARE_TIME_S) * dt;

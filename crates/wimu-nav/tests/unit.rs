@@ -534,3 +534,37 @@ fn a_rate_is_that_at_its_time_stamp() {
         "{state:?}"
     );
 }
+
+/// It begins in a move, and the next one begins as soon as it has aligned at the first rest.
+#[test]
+fn the_turn_that_ends_the_first_rest_is_no_bias_of_the_gyroscope() {
+    const BIAS: [f64; 3] = [0.03, 0.03, -0.02];
+    let mut random = Random(5);
+    let mut wrong = 0;
+    for hundredths in 100..180 {
+        let mut filter = UnitFilter::new(UnitConfig {
+            zupt: Zupt::Stated,
+            ..config()
+        });
+        let rest = 1.0 + f64::from(hundredths) / 100.0;
+        for k in 0..((rest + 3.0) * RATE) as usize {
+            let t = k as f64 / RATE;
+            let mut sample = at_rest(&mut random);
+            let turning = t - rest;
+            let mut rate = random.normals(0.003);
+            if t < 1.0 {
+                sample.force_mps2[0] += 3.0 * (12.0 * t).sin();
+            } else if (0.0..1.0).contains(&turning) {
+                rate[2] += 6.0 * turning * (1.0 - turning);
+                sample.force_mps2[0] += 2.0 * (std::f64::consts::TAU * turning).sin();
+            }
+            sample.rate_rad_s = Some([0, 1, 2].map(|i| rate[i] + BIAS[i]));
+            filter.push(&sample).unwrap();
+        }
+        let state = filter.state();
+        // Of the noise of its reading, 4 deviations.
+        let known = state.rate_rad_s.iter().all(|off| off.abs() < 0.012);
+        wrong += u32::from(!known);
+    }
+    assert!(wrong < 4, "{wrong} of 80");
+}

@@ -275,8 +275,9 @@ struct Gyroscope<R> {
     last: Vector<R>,
     change: Vector<R>,
     out_s: R,
-    /// The bias before it failed, rad/s.
+    /// The bias before it failed, or at the rest that it was aligned at, rad/s, and its variance there.
     bias: Vector<R>,
+    bias2: Option<R>,
 }
 
 impl<R: Real> UnitFilter<R> {
@@ -488,7 +489,9 @@ impl<R: Real> UnitFilter<R> {
         if let Some(rate) = rate {
             if !self.gyroscope.on {
                 self.gyroscope.on = true;
-                self.know_rate(self.gyroscope.bias, R::from_f64(BIAS_RAD_S));
+                let unknown = R::from_f64(BIAS_RAD_S * BIAS_RAD_S);
+                let variance = self.gyroscope.bias2.take().unwrap_or(unknown);
+                self.know_rate(self.gyroscope.bias, variance);
             }
             self.gyroscope.last = rate;
             self.gyroscope.out_s = nothing;
@@ -503,7 +506,7 @@ impl<R: Real> UnitFilter<R> {
         if out > R::from_f64(GAP_S) {
             self.gyroscope.on = false;
             self.gyroscope.bias = self.part(OMEGA);
-            self.know_rate(zero(), usual);
+            self.know_rate(zero(), usual * usual);
             return None;
         }
         // It may have changed by as much as it was.
@@ -515,11 +518,11 @@ impl<R: Real> UnitFilter<R> {
     }
 
     /// Makes the state of the angular rate, or of its bias, another one.
-    fn know_rate(&mut self, mean: Vector<R>, sd: R) {
+    fn know_rate(&mut self, mean: Vector<R>, variance: R) {
         self.put(OMEGA, mean);
         for i in 0..3 {
             self.cov.know(OMEGA.0 + i);
-            self.cov.add(OMEGA, i, sd * sd);
+            self.cov.add(OMEGA, i, variance);
         }
     }
 

@@ -21,7 +21,7 @@ const SQUARE_TIME_S: f64 = 0.134;
 const SQUARE_MOST: f64 = 0.25;
 /// Acceleration that is seen at rest, m/s², and angular rate, rad/s.
 const REST_MPS2: f64 = 0.02;
-const REST_RAD_S: f64 = 1e-3;
+pub(super) const REST_RAD_S: f64 = 1e-3;
 /// What departs from a rest by more than so many variances ends it.
 const END_OF_REST: f64 = 9.0;
 /// It turns for so long before that, s.

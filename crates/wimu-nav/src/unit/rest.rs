@@ -1,6 +1,7 @@
 //! What looks like a rest: equation (91).
 
 use super::anchor::{self, Anchor, Verdict};
+use super::model::REST_RAD_S;
 use super::{OMEGA, UnitFilter};
 use crate::Real;
 use crate::vector::{Vector, add, dot, norm, scale, sub};
@@ -205,6 +206,20 @@ impl<R: Real> Quiet<R> {
     /// Mean angular rate at the rest that it is at, rad/s.
     pub fn still(&self) -> Option<Vector<R>> {
         self.still.filter(|_| self.rest)
+    }
+
+    /// Variance of a component of that as its parts scatter, (rad/s)²: a turn may have begun in the last.
+    pub fn still_variance(&self) -> R {
+        let mut sum = [R::default(); 3];
+        let mut squares = R::default();
+        for part in self.parts.iter().filter(|part| part.rates > R::default()) {
+            let mean = scale(part.rate, R::from_f64(1.0) / part.rates);
+            sum = add(sum, mean);
+            squares += dot(mean, mean);
+        }
+        let parts = R::from_f64(PARTS as f64);
+        let least = R::from_f64(REST_RAD_S * REST_RAD_S);
+        variance(sum, squares, parts) / R::from_f64((PARTS - 1) as f64) + least
     }
 
     /// Whether a variance is that of a rest: of the force over a longer time, each axis.

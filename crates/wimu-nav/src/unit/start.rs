@@ -131,6 +131,7 @@ impl<R: Real> UnitFilter<R> {
         {
             self.quiet.follow();
             self.gyroscope.bias = rate;
+            self.gyroscope.bias2 = still.then(|| self.quiet.still_variance());
         }
         if !self.valid {
             // It moves, nobody knows how fast.

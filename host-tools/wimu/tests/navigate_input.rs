@@ -162,6 +162,42 @@ fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
 }
 
 #[test]
+fn an_accelerometer_that_freezes_gives_no_number_and_coarse_steps_and_held_samples_are_no_freezing()
+{
+    let folder = folder();
+    let header = format!("{FORCE}{RATE}{TRUTH}");
+    let ran = |samples: &[Sample]| {
+        let csv = write(folder.path(), &header, samples);
+        wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds()
+    };
+    let frozen = "all axes of the accelerometer";
+    // In the middle of the first move.
+    let mut samples = moves(0.4, 1.0);
+    let last = samples[240].force;
+    for sample in &mut samples[241..] {
+        sample.force = last;
+    }
+    let said = ran(&samples);
+    assert!(remarks(&said).contains(frozen), "{said}");
+    assert!(number(&said, "/valid_share") < 241.0 / 950.0, "{said}");
+    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    // Steps that the noise at rest is less than.
+    let mut samples = moves(0.4, 1.0);
+    for sample in &mut samples {
+        sample.force = sample.force.map(|f| (f / 0.15).round() * 0.15);
+    }
+    let said = ran(&samples);
+    assert!(!remarks(&said).contains(frozen), "{said}");
+    // A fifth of the rate.
+    let mut samples = moves(0.4, 1.0);
+    for k in 0..samples.len() {
+        samples[k].force = samples[k - k % 5].force;
+    }
+    let said = ran(&samples);
+    assert!(!remarks(&said).contains(frozen), "{said}");
+}
+
+#[test]
 fn columns_that_are_nearly_right_are_refused_or_said() {
     let folder = folder();
     let samples = moves(0.4, 1.0);

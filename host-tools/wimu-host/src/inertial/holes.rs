@@ -1,60 +1,55 @@
-//! Samples of which the accelerometer gives no number: they are left out, as if they were missing.
+//! Samples of which the accelerometer gives no number, or goes on giving the last one: they are left out, as if they were missing.
 
 use wimu_nav::unit::UnitSample;
 
-use super::{InertialPath, PathPoint};
+use super::{InertialPath, PathPoint, frozen};
 use crate::motion::MotionRecording;
+use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
-/// Where a recording has none, from its first sample to its last.
-pub(super) struct Holes(Vec<bool>);
+/// Samples that are left out, from a recording's first to its last, and what to say of them.
+pub(super) struct Holes {
+    left_out: Vec<bool>,
+    pub remarks: Vec<String>,
+}
 
 impl Holes {
-    /// Of a recording; `None` where every sample is a number.
+    /// Of a recording; `None` where every sample is one.
     ///
     /// # Errors
-    /// `data_refused` where most samples are none.
+    /// `data_refused` where most samples are no numbers.
     pub fn of(recording: &MotionRecording) -> Result<Option<Self>> {
-        let is_hole = |sample: &UnitSample| !sample.force_mps2.iter().all(|f| f.is_finite());
-        let holes: Vec<bool> = recording.samples.iter().map(is_hole).collect();
-        let count = holes.iter().filter(|hole| **hole).count();
-        if count == 0 {
-            return Ok(None);
+        let is_number = |sample: &UnitSample| sample.force_mps2.iter().all(|f| f.is_finite());
+        let mut left_out: Vec<bool> = recording.samples.iter().map(|s| !is_number(s)).collect();
+        let count = left_out.iter().filter(|hole| **hole).count();
+        let mut remarks = Vec::new();
+        if count > 0 {
+            let said = no_number(recording, &left_out);
+            if 2 * count > recording.samples.len() {
+                return Err(HostError::new(
+                    ErrorCode::DataRefused,
+                    said,
+                    "see why the sensor fails; leave the part out in which it does",
+                )
+                .at(&recording.name));
+            }
+            remarks.push(format!("{said}: left out, as if they were missing"));
         }
-        let holes = Self(holes);
-        if 2 * count > recording.samples.len() {
-            return Err(HostError::new(
-                ErrorCode::DataRefused,
-                holes.said(recording),
-                "see why the sensor fails; leave the part out in which it does",
-            )
-            .at(&recording.name));
+        let frozen = frozen::runs(recording);
+        if let Some(first) = frozen.first() {
+            let count = frozen.iter().map(ExactSizeIterator::len).sum();
+            remarks.push(format!(
+                "all axes of the accelerometer give one and the same value, without noise, from {:.2} s on, in {}: left \
+                 out, as if they were missing",
+                recording.times_s[first.start],
+                counted(count, "sample")
+            ));
         }
-        Ok(Some(holes))
-    }
-
-    fn said(&self, recording: &MotionRecording) -> String {
-        let axes = (0..3).filter(|i| {
-            let mut all = recording.samples.iter();
-            all.any(|sample| !sample.force_mps2[*i].is_finite())
-        });
-        let axes: Vec<&str> = axes.map(|i| ["X", "Y", "Z"][i]).collect();
-        let first = self.0.iter().position(|hole| *hole).unwrap_or_default();
-        format!(
-            "the accelerometer ({}) gives no number in {} of {} samples, first at {:.2} s",
-            axes.join(", "),
-            self.0.iter().filter(|hole| **hole).count(),
-            self.0.len(),
-            recording.times_s[first]
-        )
-    }
-
-    /// What to say of them.
-    pub fn remark(&self, recording: &MotionRecording) -> String {
-        format!(
-            "{}: left out, as if they were missing",
-            self.said(recording)
-        )
+        for run in frozen {
+            left_out[run].fill(true);
+        }
+        let some = left_out.contains(&true);
+        Ok(some.then_some(Self { left_out, remarks }))
     }
 
     /// The other samples.
@@ -63,7 +58,7 @@ impl Holes {
         let mut waited_s = 0.0;
         for (k, sample) in recording.samples.iter().enumerate() {
             waited_s += sample.step_s;
-            if self.0[k] {
+            if self.left_out[k] {
                 continue;
             }
             times_s.push(recording.times_s[k]);
@@ -86,7 +81,7 @@ impl Holes {
         let known = std::mem::take(&mut path.points);
         let origin = path.origin;
         let mut at = 0;
-        for (time_s, hole) in times_s.iter().zip(&self.0) {
+        for (time_s, hole) in times_s.iter().zip(&self.left_out) {
             let next = known.get(at);
             if !*hole {
                 if at == origin {
@@ -100,6 +95,22 @@ impl Holes {
             path.points.extend(between(before, next, *time_s));
         }
     }
+}
+
+fn no_number(recording: &MotionRecording, holes: &[bool]) -> String {
+    let axes = (0..3).filter(|i| {
+        let mut all = recording.samples.iter();
+        all.any(|sample| !sample.force_mps2[*i].is_finite())
+    });
+    let axes: Vec<&str> = axes.map(|i| ["X", "Y", "Z"][i]).collect();
+    let first = holes.iter().position(|hole| *hole).unwrap_or_default();
+    format!(
+        "the accelerometer ({}) gives no number in {} of {} samples, first at {:.2} s",
+        axes.join(", "),
+        holes.iter().filter(|hole| **hole).count(),
+        holes.len(),
+        recording.times_s[first]
+    )
 }
 
 fn between(before: Option<&PathPoint>, next: Option<&PathPoint>, time_s: f64) -> Option<PathPoint> {

@@ -22,6 +22,7 @@
 
 mod array;
 mod arrival;
+mod frozen;
 mod holes;
 mod horizon;
 mod origin;
@@ -92,7 +93,8 @@ impl Default for Choice {
     }
 }
 
-/// Navigates one unit's recording. Samples of which the accelerometer gives no number are left out.
+/// Navigates one unit's recording. Samples of which the accelerometer gives no number, or in which it is frozen, are left
+/// out.
 ///
 /// # Errors
 /// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
@@ -104,7 +106,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         Some(holes) => {
             let mut path = followed(&holes.left_out_of(recording), choice)?;
             holes.fill(&mut path, &recording.times_s);
-            path.remarks.insert(0, holes.remark(recording));
+            path.remarks.splice(0..0, holes.remarks);
             path
         }
     };

@@ -38,6 +38,8 @@ fn main() {
         Journey::Push(0.3, 4.0, false),
         Journey::Push(1.0, 1.0, true),
         Journey::Carried(std::f64::consts::PI),
+        Journey::Vehicle(2.0, 4.0),
+        Journey::Vehicle(1.0, 2.0),
     ];
     let perfect = Recorded::default();
     let rate = |rate_matrix| Recorded {
@@ -77,7 +79,7 @@ fn main() {
                 ..perfect
             };
             println!("{}", Journeys::over(kind, how, seeds));
-            if matches!(kind, Journey::Carried(_)) {
+            if matches!(kind, Journey::Carried(_) | Journey::Vehicle(..)) {
                 for sensors in turned {
                     if !gyroscope && (sensors.rate_matrix > 0.0 || sensors.late_s > 0.0) {
                         continue;

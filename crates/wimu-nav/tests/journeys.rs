@@ -223,6 +223,24 @@ fn what_scales_axes_and_a_late_gyroscope_make_of_a_turn_lies_within_the_covarian
     }
 }
 
+/// Legs of 2 m in 4 s and of 1 m in 2 s, scales and axes of the accelerometer to 1 %: what they make of a way is no noise
+/// that rests could take off again.
+#[test]
+fn what_an_accelerometers_matrix_makes_of_the_way_of_a_vehicle_lies_within_the_covariance() {
+    for journey in [Journey::Vehicle(2.0, 4.0), Journey::Vehicle(1.0, 2.0)] {
+        for zupt in [Zupt::Assumed, Zupt::Stated] {
+            let how = Recorded {
+                force_matrix: 0.01,
+                zupt,
+                ..Recorded::default()
+            };
+            let found = over(journey, how);
+            assert!(found.below > 0.9 && found.greatest < 6.0, "{found}");
+            assert!(found.rests > 0.6, "{found}");
+        }
+    }
+}
+
 /// The first rest ends at 3 s: it is too short, or none.
 #[test]
 fn a_recording_that_begins_in_a_move_or_just_before_starts_at_the_first_rest_of_a_second() {

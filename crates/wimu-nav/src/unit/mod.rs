@@ -542,22 +542,26 @@ impl<R: Real> UnitFilter<R> {
         );
         let unseen = self.unseen.after(ahead);
         let assumed = self.config.zupt == Zupt::Assumed;
+        // What a constant matrix of the accelerometer does is no noise: it grows with the way, and rests do not tell it.
+        let mut more = self.turned.way2();
+        let velocity = self.part(VELOCITY);
+        let mut faster = if self.gyroscope.on {
+            turned::spread(dot(velocity, velocity))
+        } else {
+            [R::default(); 3]
+        };
+        if assumed {
+            more = add(more, unseen.way2());
+            faster = add(faster, unseen.speed2());
+        }
         let position_covariance = core::array::from_fn(|i| {
             core::array::from_fn(|j| {
                 let known = pp[i][j] + ahead * (pv[i][j] + pv[j][i]) + ahead * ahead * vv[i][j];
-                if assumed && i == j {
-                    known + unseen.way2()[i]
-                } else {
-                    known
-                }
+                if i == j { known + more[i] } else { known }
             })
         });
-        let velocity_sd_mps = if assumed {
-            let (known, hidden) = (self.cov.variance(VELOCITY), unseen.speed2());
-            core::array::from_fn(|i| (known[i] + hidden[i]).sqrt())
-        } else {
-            sd(VELOCITY)
-        };
+        let speed2 = add(self.cov.variance(VELOCITY), faster);
+        let velocity_sd_mps = speed2.map(|v| if v > R::default() { v.sqrt() } else { v });
         UnitState {
             position_m: self.part(POSITION),
             velocity_mps: self.part(VELOCITY),

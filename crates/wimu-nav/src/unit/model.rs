@@ -104,6 +104,7 @@ impl<R: Real> UnitFilter<R> {
         if rated {
             let by = times(&self.attitude, group.turned);
             self.doubt_turn(by, force, dt / group.count);
+            self.follow_way(dt);
         }
         if !rated && group.fields > R::default() {
             let field = scale(group.field, one / group.fields);

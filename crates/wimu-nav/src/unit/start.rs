@@ -147,6 +147,7 @@ impl<R: Real> UnitFilter<R> {
     pub fn set_origin(&mut self) {
         self.put(POSITION, [R::default(); 3]);
         self.unseen.restart();
+        self.turned.depart();
         for i in 0..3 {
             self.cov.know(POSITION.0 + i);
         }
@@ -187,6 +188,7 @@ impl<R: Real> UnitFilter<R> {
             self.cov.know(POSITION.0 + i);
         }
         self.turned.head();
+        self.turned.depart();
         self.unseen = Unseen::default();
         self.since_rest_s = nothing;
         self.valid = self.aligned;

@@ -1,4 +1,4 @@
-//! What sensors do as the unit turns that no calibration has taken off: equation (110).
+//! What sensors do as the unit turns and goes on its way that no calibration has taken off: equation (110).
 
 use super::model::{EVEN_GATE, SCALE_ERROR};
 use super::{BIAS, PHI, POSITION, UnitFilter, VELOCITY};
@@ -37,6 +37,10 @@ pub(super) struct Turned<R> {
     /// Times the variance that rests have shown, and how many did.
     worse: R,
     rests: R,
+    /// The way since the origin, m, in navigation axes and as the body saw it go, and the square of the longer as far as it has
+    /// grown.
+    way: [Vector<R>; 2],
+    most_way: R,
 }
 
 impl<R: Real> Default for Turned<R> {
@@ -54,6 +58,8 @@ impl<R: Real> Default for Turned<R> {
             speed2: none,
             worse: one,
             rests: none,
+            way: [[none; 3]; 2],
+            most_way: none,
         }
     }
 }
@@ -73,6 +79,12 @@ fn square<R: Real>(value: f64) -> R {
     R::from_f64(value * value)
 }
 
+/// What a constant matrix makes of something of this square, and of it upward in axes that were levelled with it.
+pub(super) fn spread<R: Real>(square_of: R) -> Vector<R> {
+    let each = square::<R>(SCALE_ERROR) * square_of;
+    [each, each, each + each]
+}
+
 impl<R: Real> Turned<R> {
     /// Gravity and velocity are known anew in this attitude, the heading is not.
     fn rest(&mut self, up: Vector<R>) {
@@ -82,8 +94,20 @@ impl<R: Real> Turned<R> {
             up: Some(up),
             worse: self.worse,
             rests: self.rests,
+            way: self.way,
+            most_way: self.most_way,
             ..Self::default()
         };
+    }
+
+    /// Position is that since here.
+    pub fn depart(&mut self) {
+        (self.way, self.most_way) = ([[R::default(); 3]; 2], R::default());
+    }
+
+    /// Variances of the way for what the accelerometer's matrix makes of it, m². Upward it is that of the levelling as well.
+    pub fn way2(&self) -> Vector<R> {
+        spread(self.most_way)
     }
 
     /// The heading is.
@@ -95,6 +119,18 @@ impl<R: Real> Turned<R> {
 impl<R: Real> UnitFilter<R> {
     pub(super) fn rest_from_turning(&mut self) {
         self.turned.rest(self.attitude[2]);
+    }
+
+    /// What the velocity makes of the way in `dt`.
+    pub(super) fn follow_way(&mut self, dt: R) {
+        let moved = scale(self.part(VELOCITY), dt);
+        let seen = core::array::from_fn(|i| {
+            (0..3).fold(R::default(), |sum, k| sum + self.attitude[k][i] * moved[k])
+        });
+        for (way, more) in self.turned.way.iter_mut().zip([moved, seen]) {
+            *way = add(*way, more);
+            grown(&mut self.turned.most_way, dot(*way, *way));
+        }
     }
 
     /// Doubts a group of samples `step` s apart in which the unit turned by `by`, rad, navigation axes, as it was measured,

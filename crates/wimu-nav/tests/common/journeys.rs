@@ -36,6 +36,8 @@ pub enum Journey {
     Steps,
     /// Eight moves of 0.3 to 1 m in 1 to 3 s, rests of 1 to 3 s, turning by up to so much each, rad, about any axis.
     Carried(f64),
+    /// A level vehicle: four legs of so many m forward in so long, s, a quarter of a turn on the spot after each.
+    Vehicle(f64, f64),
 }
 
 impl Journey {
@@ -113,6 +115,18 @@ impl Journey {
                     let turn = random.normals(0.1);
                     parts.push((0.6, Part::Move(ahead, turn)));
                     parts.push((0.8, stop));
+                }
+            }
+            Self::Vehicle(ahead, lasts) => {
+                let mut heading = 0.0_f64;
+                for _ in 0..4 {
+                    let way = [ahead * heading.cos(), ahead * heading.sin(), 0.0];
+                    parts.push((lasts, Part::Move(way, [0.0; 3])));
+                    parts.push((1.0, stop));
+                    let quarter = std::f64::consts::FRAC_PI_2;
+                    parts.push((1.5, Part::Move([0.0; 3], [0.0, 0.0, quarter])));
+                    parts.push((1.0, stop));
+                    heading += quarter;
                 }
             }
             Self::Carried(most) => {

@@ -146,6 +146,76 @@ fn a_gyroscope_that_turns_the_other_way_than_gravity_is_left_out_and_said() {
     }
 }
 
+/// Turns about the vertical for `lasts_s` with the rate rising and falling in `ramp_s`, at `radius_m` from the axis,
+/// twice, with rests between; the gyroscope's rate times `scale`. The field is turned by a room, or not.
+fn level(radius_m: f64, rate: f64, lasts_s: f64, scale: f64, turned_rad: f64) -> MotionRecording {
+    let mut recording = MotionRecording::default();
+    let ramp_s = 0.4;
+    let mut heading = 0.0;
+    let count = ((2.0 + 2.0 * (lasts_s + 2.0)) * 100.0) as u32;
+    for k in 0..count {
+        let t = f64::from(k) * 0.01;
+        let own = (t - 2.0).rem_euclid(lasts_s + 2.0);
+        let smooth = |x: f64| {
+            let x = x.clamp(0.0, 1.0);
+            (x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x))
+        };
+        let (mut w, mut dw) = (0.0, 0.0);
+        if t > 2.0 {
+            let (up, rising) = smooth(own / ramp_s);
+            let (down, falling) = smooth((own - lasts_s + ramp_s) / ramp_s);
+            w = rate * (up - down);
+            dw = rate * (rising - falling) / ramp_s;
+        }
+        heading += w * 0.01;
+        let noise = |salt: u32| f64::from((k * 7919 + salt) % 13) - 6.0;
+        // Each turn, the room turns the field more.
+        let field = heading - turned_rad * (t / (lasts_s + 2.0)).floor();
+        recording.times_s.push(t);
+        recording.samples.push(UnitSample {
+            step_s: if k == 0 { 0.0 } else { 0.01 },
+            force_mps2: [
+                radius_m * dw + 0.003 * noise(1),
+                radius_m * w * w + 0.003 * noise(5),
+                9.80665 + 0.003 * noise(9),
+            ],
+            field_ut: Some([20.0 * field.sin(), 20.0 * field.cos(), -40.0]),
+            rate_rad_s: Some([
+                0.01 + 0.0003 * noise(2),
+                0.0003 * noise(3),
+                scale * w - 0.01 + 0.0003 * noise(4),
+            ]),
+        });
+        recording.truth.push(None);
+    }
+    recording
+}
+
+#[test]
+fn an_even_turn_is_no_rest_and_keeps_its_gyroscope() {
+    let choice = Choice {
+        method: Method::Strapdown,
+        ..Choice::default()
+    };
+    let quarter = std::f64::consts::FRAC_PI_2;
+    for (name, recording) in [
+        ("on the spot", level(0.0, quarter / 1.1, 1.5, 1.0, 0.0)),
+        ("in a circle", level(1.5, 1.0, 8.0, 1.0, 0.0)),
+        ("in a room", level(0.0, quarter / 1.1, 1.5, 1.0, 1.0)),
+        // Gravity does not tell, and the field alone is no witness.
+        ("turned round", level(0.0, quarter / 1.1, 1.5, -1.0, 0.0)),
+    ] {
+        let path = navigate(&recording, &choice).unwrap();
+        assert_eq!(path.method, Method::Strapdown, "{name}: {:?}", path.remarks);
+        let said = path
+            .remarks
+            .iter()
+            .any(|r| r.contains("between rests open"));
+        let should = ["in a room", "turned round"].contains(&name);
+        assert_eq!(said, should, "{name}: {:?}", path.remarks);
+    }
+}
+
 #[test]
 fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
     let mut down = slide();

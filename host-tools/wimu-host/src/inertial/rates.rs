@@ -7,7 +7,7 @@ use wimu_nav::slide::{Slide, SlideConfig};
 use wimu_nav::unit::UnitSample;
 
 use super::slide::field_at;
-use crate::motion::{MotionRecording, rests};
+use crate::motion::{MotionRecording, RestSpan, rests};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
@@ -97,51 +97,81 @@ pub(super) struct Disagreement {
 pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement>> {
     let rates = recording.samples.iter().filter_map(|s| s.rate_rad_s);
     let fastest = rates.map(length).fold(0.0, f64::max);
-    let refused = |message: String, unit: &str| {
+    let refused = |message: String, is: &str, unit: &str| {
         Err(HostError::new(
             ErrorCode::DataRefused,
             message,
-            format!("is it in {unit}? Name the columns `Gyroscope X ({unit})`, …"),
+            format!("is it in {is}? Name the columns `Gyroscope X ({unit})`, …"),
         )
         .at(&recording.name))
     };
     if fastest > FASTEST_RAD_S {
         let message = format!("its angular rate goes up to {fastest:.0} rad/s");
-        return refused(message, "deg/s");
+        return refused(message, "deg/s", "deg/s");
     }
-    let Some(now) = Open::of(recording, 1.0).filter(Open::is_wide) else {
-        return Ok(None);
-    };
-    // Where nothing turned, a smaller rate always fits better.
-    let still = Open::of(recording, 0.0).unwrap_or_default();
-    for (factor, unit) in [(PI / 180.0, "deg/s"), (180.0 / PI, "rad/s")] {
-        let other = Open::of(recording, factor);
-        if other.is_some_and(|other| !other.is_wide() && other.fits(&now) && other.fits(&still)) {
+    // Each unit is judged by what it says rests: an even turn is as quiet as one.
+    for (factor, times, unit, named) in [
+        (PI / 180.0, "a 57th of it", "deg/s", "rad/s"),
+        (180.0 / PI, "57 times as much", "rad/s", "deg/s"),
+    ] {
+        let found = resting(recording, factor);
+        let open = |factor| Open::over(recording, &found, factor);
+        let (Some(now), Some(other), Some(still)) = (open(1.0), open(factor), open(0.0)) else {
+            continue;
+        };
+        // Where nothing turned, a smaller rate always fits better.
+        if other.gravity_rad <= OPEN_RAD && other.fits(&now) && other.fits(&still) {
             let message =
-                format!("its angular rate leaves {now} between rests open, in {unit} it would not");
-            return refused(message, unit);
+                format!("its angular rate leaves {now} between rests open, {times} would not");
+            return refused(
+                message,
+                &format!("{unit}, in columns that name {named}"),
+                unit,
+            );
         }
     }
-    let turned = Open::of(recording, -1.0).is_some_and(|other| other.fits(&now));
+    let found = resting(recording, 1.0);
+    let open = |factor| Open::over(recording, &found, factor);
+    let (Some(now), Some(other), Some(still)) = (open(1.0), open(-1.0), open(0.0)) else {
+        return Ok(None);
+    };
+    let turned = other.fits(&now);
     let little = now.gravity_rad > OPEN_RAD
         && still.gravity_rad > OPEN_RAD
         && now.gravity_rad > LITTLE * still.gravity_rad;
-    let contradicts = turned || little;
-    if !contradicts && now.gravity_rad <= OPEN_RAD {
-        // A field is disturbed indoors.
-        return Ok(None);
-    }
     let so = if turned {
         "with its signs turned round it would not: it is left out".to_owned()
     } else if little {
         format!("of {still}: it is left out")
-    } else {
+    } else if now.gravity_rad > OPEN_RAD {
         "see that its axes, their signs and its scale are those of the accelerometer".to_owned()
+    } else if now.field_rad.is_some_and(|field| field > OPEN_FIELD_RAD) {
+        "the field is disturbed there, as it is indoors, or the rate about the vertical is not that of its \
+         unit and sign"
+            .to_owned()
+    } else {
+        return Ok(None);
     };
     Ok(Some(Disagreement {
         said: format!("the angular rate leaves {now} between rests open, {so}"),
-        contradicts,
+        contradicts: turned || little,
     }))
+}
+
+/// The rests of a recording whose angular rate, times `factor`, is right.
+fn resting(recording: &MotionRecording, factor: f64) -> Vec<RestSpan> {
+    let times = &recording.times_s;
+    let scaled: Vec<UnitSample> = recording
+        .samples
+        .iter()
+        .map(|s| UnitSample {
+            rate_rad_s: s.rate_rad_s.map(|r| r.map(|w| factor * w)),
+            ..*s
+        })
+        .collect();
+    let mut found = rests(times, &scaled);
+    found.retain(|rest| times[rest.end - 1] - times[rest.first] >= REST_S);
+    found
 }
 
 fn length(v: [f64; 3]) -> f64 {
@@ -166,36 +196,15 @@ impl std::fmt::Display for Open {
 }
 
 impl Open {
-    /// More than a rate of the right unit and axes leaves.
-    fn is_wide(&self) -> bool {
-        self.gravity_rad > OPEN_RAD || self.field_rad.is_some_and(|field| field > OPEN_FIELD_RAD)
-    }
-
-    /// Whether this is so much less, of what is wide, that it must be the right one.
-    fn fits(&self, wide: &Self) -> bool {
-        let less = |this: f64, wide: f64, most: f64| wide <= most || this < FITS * wide;
-        let (field, wide_field) = (
-            self.field_rad.unwrap_or_default(),
-            wide.field_rad.unwrap_or_default(),
-        );
-        wide.is_wide()
-            && less(self.gravity_rad, wide.gravity_rad, OPEN_RAD)
-            && less(field, wide_field, OPEN_FIELD_RAD)
+    /// Whether this leaves so much less of gravity's turn, of which the other leaves more than a right rate does,
+    /// that it must be the right one. The magnetic field is no witness: indoors it turns by itself.
+    fn fits(&self, other: &Self) -> bool {
+        other.gravity_rad > OPEN_RAD && self.gravity_rad < FITS * other.gravity_rad
     }
 
     /// What the angular rate, times `factor`, leaves; `None` where there are no two rests with a rate between.
-    fn of(recording: &MotionRecording, factor: f64) -> Option<Self> {
+    fn over(recording: &MotionRecording, found: &[RestSpan], factor: f64) -> Option<Self> {
         let times = &recording.times_s;
-        let unrated: Vec<UnitSample> = recording
-            .samples
-            .iter()
-            .map(|s| UnitSample {
-                rate_rad_s: None,
-                ..*s
-            })
-            .collect();
-        let mut found = rests(times, &unrated);
-        found.retain(|rest| times[rest.end - 1] - times[rest.first] >= REST_S);
         let (mut gravity, mut field) = (Mean::default(), Mean::default());
         for pair in found.windows(2) {
             let (before, after) = (pair[0], pair[1]);

@@ -106,7 +106,7 @@ pub fn gap_s(times_s: &[f64]) -> f64 {
 
 /// What looks like a rest in a recording, 0.3 s and longer: runs of blocks of 0.1 s that are as quiet as
 /// the quietest such run (up to 3 times), agree with each other within their noise, and turn no more than
-/// it does. Even motion without vibration looks the same, and so does an acceleration that stays.
+/// what lies still does. Even motion without vibration looks the same, and so does an acceleration that stays.
 pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
     let blocks = blocks(times_s, samples);
     let quietest = blocks.windows(REST_BLOCKS).min_by(|a, b| {
@@ -117,7 +117,8 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
         return Vec::new();
     };
     let level = (quietest.iter().map(|b| b.variance).sum::<f64>() / quietest.len() as f64).sqrt();
-    let still = mean3(quietest.iter().filter_map(|b| b.rate));
+    let quiet_mps2 = 3.0 * level + APART_MPS2;
+    let still = still_rate(&blocks, quietest, quiet_mps2);
     let gap = gap_s(times_s);
     // Where a last block may end: what comes after it is too short for one.
     let gaps = times_s.windows(2).rposition(|w| w[1] - w[0] > gap);
@@ -127,12 +128,11 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
     let mut run: Vec<&Block> = Vec::new();
     let mut was_slow = false;
     for block in &blocks {
-        let near = |a: [f64; 3], b: [f64; 3], most: f64| (0..3).all(|i| (a[i] - b[i]).abs() < most);
         let turns = match (block.rate, still) {
             (Some(rate), Some(still)) => !near(rate, still, REST_RATE_RAD_S),
             _ => false,
         };
-        let quiet = block.variance.sqrt() < 3.0 * level + APART_MPS2 && !turns;
+        let quiet = block.variance.sqrt() < quiet_mps2 && !turns;
         let count = (block.end - block.first) as f64;
         let most = APART_MPS2 + APART_SD * level / count.sqrt();
         let recent = run[run.len().saturating_sub(RECENT_BLOCKS)..].iter();
@@ -153,6 +153,34 @@ pub fn rests(times_s: &[f64], samples: &[UnitSample]) -> Vec<RestSpan> {
     }
     found.extend(span(&run, samples, (was_slow, false), level, &tail));
     found
+}
+
+fn near(a: [f64; 3], b: [f64; 3], most: f64) -> bool {
+    (0..3).all(|i| (a[i] - b[i]).abs() < most)
+}
+
+/// What a gyroscope shows that lies still: what it shows at the quietest time, or the least that it holds at
+/// any quiet one where that is another. A turn on the spot, or an even circle, is as quiet as a rest and turns
+/// more than a bias does.
+fn still_rate(blocks: &[Block], quietest: &[Block], quiet_mps2: f64) -> Option<[f64; 3]> {
+    let usual = mean3(quietest.iter().filter_map(|b| b.rate))?;
+    let quiet = blocks
+        .windows(REST_BLOCKS)
+        .filter(|w| w.iter().all(|b| b.variance.sqrt() < quiet_mps2));
+    let held = quiet.filter_map(|w| {
+        let mean = mean3(w.iter().filter_map(|b| b.rate))?;
+        let mut rates = w.iter().filter_map(|b| b.rate);
+        rates
+            .all(|rate| near(rate, mean, REST_RATE_RAD_S))
+            .then_some(mean)
+    });
+    let square = |v: &[f64; 3]| v.iter().map(|c| c * c).sum::<f64>();
+    let least = held.min_by(|a, b| square(a).total_cmp(&square(b)));
+    Some(
+        least
+            .filter(|v| !near(*v, usual, REST_RATE_RAD_S) && square(v) < square(&usual))
+            .unwrap_or(usual),
+    )
 }
 
 /// Whether the force changes evenly over a short run, by more than its noise: a soft push, and no rest.

@@ -470,3 +470,37 @@ fn the_truth_of_an_array_gives_its_nees() {
         "there is no truth of the velocity"
     );
 }
+
+#[test]
+fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none() {
+    let mut random = Random(7);
+    let mut table = |noise: f64| {
+        let mut recording = ArrayRecording::default();
+        for k in 0..1200 {
+            let t = k as f64 / RATE_HZ;
+            // Still for two seconds, then to and fro, then still.
+            let moved = 1.0 - (std::f64::consts::PI * (t - 2.0).clamp(0.0, 2.0)).cos();
+            let row = (0..4).map(|s| [moved, 0.1 * moved * f64::from(s), G]);
+            let row = row.map(|f| f.map(|v| v + noise * random.normal()));
+            recording.outputs.push(row.collect());
+            recording.times_s.push(t);
+            recording.saturated.push(0);
+        }
+        recording
+    };
+    let clean = table(0.0).judged();
+    assert_eq!(clean.times_s.len(), 1200);
+    let noisy = table(NOISE);
+    assert_eq!(noisy.clone().judged().times_s.len(), 1200);
+    let mut held = noisy;
+    for k in 501..600 {
+        held.outputs[k] = held.outputs[500].clone();
+    }
+    let held = held.judged();
+    assert_eq!(held.times_s.len(), 1101);
+    let said = held.remarks.join("; ");
+    assert!(
+        said.contains("99 samples") && said.contains("from 2.50 s on"),
+        "{said}"
+    );
+}

@@ -289,3 +289,49 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
     ];
     wimu(&[&not_one[..], &more].concat()).fails(2, "bad_calibration");
 }
+
+/// The rests, then shaking and turns to and fro.
+fn poses_and_turns(t: f64) -> ([f64; 3], f64, f64) {
+    if t < 35.0 {
+        return poses(t);
+    }
+    let since = t - 35.0;
+    let [x, y, z] = poses(34.9).0;
+    let shaken = [3.0, 2.0, 4.0].map(|by| by * (7.0 * since * by).sin());
+    let force = [x + shaken[0], y + shaken[1], z + shaken[2]];
+    (force, 8.0 * (6.0 * since).sin(), 48.0 * (6.0 * since).cos())
+}
+
+#[test]
+fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
+    let folder = folder();
+    let both = table(55.0, poses_and_turns, "m/s²");
+    let both = written(folder.path(), "both.csv", &both);
+    let array = folder.path().join("ARRAY.json").display().to_string();
+    let calibrate = |places: &[[f64; 3]]| {
+        let mut text = "X (mm),Y (mm),Z (mm)\n".to_owned();
+        for [x, y, z] in places {
+            writeln!(text, "{x},{y},{z}").unwrap();
+        }
+        let places = written(folder.path(), "tried.csv", &text);
+        wimu(&["calibrate", &both, "--geometry", &places, "-o", &array])
+    };
+    let [a, b, c, d] = PLACES_MM;
+    for (places, why) in [
+        ([d, b, c, a], "contradict each other"),
+        ([a, a, a, a], "at one place"),
+        (
+            [-3.0, -1.0, 1.0, 3.0].map(|x| [10.0 * x, 0.0, 0.0]),
+            "on one line",
+        ),
+    ] {
+        let refused = calibrate(&places).fails(3, "data_refused");
+        assert!(
+            refused["message"].as_str().unwrap().contains(why),
+            "{refused}"
+        );
+        assert!(!Path::new(&array).exists());
+    }
+    let right = remarks(&calibrate(&PLACES_MM).succeeds());
+    assert!(right.contains("fits no motion"), "{right}");
+}

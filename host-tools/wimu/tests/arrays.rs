@@ -355,3 +355,15 @@ fn delays_that_the_geometry_knows_are_nothing_to_remark() {
     );
     assert_eq!(ran.succeeds()["final_valid"], true);
 }
+
+#[test]
+fn a_path_says_whose_it_is_where_that_is_not_the_origin_and_that_places_were_not_checked() {
+    let folder = folder();
+    let board = recording(folder.path(), |_, _| true);
+    let centred = remarks(&navigate(&board, &geometry(folder.path(), &PLACES)));
+    assert!(!centred.contains("centre of the sensors"), "{centred}");
+    assert!(centred.contains("was not checked"), "{centred}");
+    let beside = PLACES.map(|[x, y, z]| [x + 0.1, y, z]);
+    let beside = remarks(&navigate(&board, &geometry(folder.path(), &beside)));
+    assert!(beside.contains("at 100.0 0.0 0.0 mm"), "{beside}");
+}

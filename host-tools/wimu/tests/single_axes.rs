@@ -199,3 +199,27 @@ fn triads_of_a_preset_are_those_at_the_same_places() {
     assert_eq!(named, tabled);
     assert!(apart(heading(&folder.path().join("path.csv")), turn(10.0)[0]) < 0.05);
 }
+
+#[test]
+fn an_axis_that_never_moves_is_named() {
+    let folder = folder();
+    let file = folder.path().join("cube.csv").display().to_string();
+    let text = table(&numbered(), &cube());
+    let dead = |(k, line): (usize, &str)| {
+        let mut fields: Vec<&str> = line.split(',').collect();
+        if k > 0 {
+            fields[3] = "0.0";
+        }
+        fields.join(",")
+    };
+    let lines: Vec<String> = text.lines().enumerate().map(dead).collect();
+    fs::write(&file, lines.join("\n")).unwrap();
+    let refused = wimu(&["navigate", &file, "--geometry", "cube:100mm"]).fails(3, "data_refused");
+    let message = refused["message"].as_str().unwrap();
+    assert!(
+        message.contains("`Accelerometer 2` never moves"),
+        "{message}"
+    );
+    let none = wimu(&["navigate", &file, "--geometry", "hexagon:3mm"]).fails(2, "usage");
+    assert!(none["remedy"].as_str().unwrap().contains("octahedron:ARM"));
+}

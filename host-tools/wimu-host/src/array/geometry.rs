@@ -165,6 +165,16 @@ impl ArrayGeometry {
         places.iter().map(from).fold(0.0, f64::max)
     }
 
+    /// The point that paths are those of: the mean of the places, m, body axes.
+    pub fn centre_m(&self) -> [f64; 3] {
+        let single = self.axes.iter().map(|axis| axis.place_m);
+        let places: Vec<[f64; 3]> = (self.sensors.iter().flat_map(|s| s.places_m))
+            .chain(single)
+            .collect();
+        let count = places.len().max(1) as f64;
+        std::array::from_fn(|i| places.iter().map(|p| p[i]).sum::<f64>() / count)
+    }
+
     /// Reads a JSON object as [`write`](Self::write) writes it, or places as a CSV table: three rows `x`,
     /// `y`, `z` in m with one column a sensor, or one row a sensor with columns `X (m)`, `Y (m)`, `Z (m)`,
     /// or `X (mm)`, …. A table whose places are more than 1 m apart is refused: an array as large as that is

@@ -7,6 +7,9 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 /// Samples in which an output has not moved by one bit, while most others moved in each, of one that
 /// has stopped.
 const STOPPED_SAMPLES: usize = 64;
+/// Rows that repeat for longer than this, and than one recording in so many would by chance, are no measurements.
+const FEW_SAMPLES: f64 = 3.0;
+const UNLIKELY: f64 = 1e-3;
 /// An output is at a limit that is found again so often, at least once in two samples on end, and more
 /// than twice as often as anything within 2 % or three steps below it.
 const LIMIT_SAMPLES: usize = 4;
@@ -39,6 +42,7 @@ impl ArrayRecording {
     /// repeated while hardly anything lies just below it). Both are said in the remarks.
     #[must_use]
     pub fn judged(mut self) -> Self {
+        self.leave_out_repeated();
         self.leave_out_spikes();
         self.leave_out_stopped();
         self.find_limits();
@@ -48,6 +52,7 @@ impl ArrayRecording {
 
     /// The same of single axes, none of which measures what the others do.
     pub(super) fn judged_axes(mut self) -> Self {
+        self.leave_out_repeated();
         self.leave_out_stopped();
         self.find_limits();
         self
@@ -75,6 +80,95 @@ impl ArrayRecording {
             self.remarks
                 .push(format!("no number, left out there: {}", said.join("; ")));
         }
+    }
+
+    /// Takes rows out that only repeat the one before, for longer than chance would have noisy outputs do: whoever wrote
+    /// them had nothing new, so that there is a gap.
+    fn leave_out_repeated(&mut self) {
+        let count = self.outputs.len();
+        // Holes are as good as equal; a row of them is none.
+        let repeats = |k: usize| {
+            let pairs = self.outputs[k]
+                .iter()
+                .flatten()
+                .zip(self.outputs[k - 1].iter().flatten());
+            let mut some = false;
+            let alike = pairs
+                .clone()
+                .all(|(a, b)| a == b || (a.is_nan() && b.is_nan()));
+            for (a, b) in pairs {
+                some |= a == b;
+            }
+            alike && some
+        };
+        // First repeated row and number of them.
+        let mut runs: Vec<(usize, usize)> = Vec::new();
+        for k in (1..count).filter(|k| repeats(*k)) {
+            match runs.last_mut() {
+                Some((first, length)) if *first + *length == k => *length += 1,
+                _ => runs.push((k, 1)),
+            }
+        }
+        let repeated: usize = runs.iter().map(|(_, length)| length).sum();
+        let distinct = (count - repeated) as f64;
+        // By chance a row repeats the one before so often.
+        let often = (1.0 + runs.len() as f64) / (1.0 + distinct);
+        let longest = (UNLIKELY / count.max(1) as f64).ln() / often.min(1.0).ln();
+        runs.retain(|(_, length)| *length as f64 > longest.max(FEW_SAMPLES));
+        let Some((first, _)) = runs.first().copied() else {
+            return;
+        };
+        if !self.is_noisy() {
+            return;
+        }
+        let rows: usize = runs.iter().map(|(_, length)| length).sum();
+        self.remarks.push(format!(
+            "{} in which every output repeats the one before are no measurements: a gap, first from {:.2} s on",
+            counted(rows, "sample"),
+            self.start_s + self.times_s[first]
+        ));
+        let mut keep = vec![true; count];
+        for (first, length) in runs {
+            keep[first..first + length].fill(false);
+        }
+        fn only<T>(values: &mut Vec<T>, keep: &[bool]) {
+            let mut kept = keep.iter();
+            values.retain(|_| kept.next().copied().unwrap_or(true));
+        }
+        only(&mut self.times_s, &keep);
+        only(&mut self.outputs, &keep);
+        only(&mut self.saturated, &keep);
+        for (_, values) in &mut self.other {
+            only(values, &keep);
+        }
+    }
+
+    /// Whether noise shows where the outputs change least: steps of white noise turn back, those of a smooth motion go on.
+    fn is_noisy(&self) -> bool {
+        let step = |k: usize| {
+            let pairs = self.outputs[k]
+                .iter()
+                .flatten()
+                .zip(self.outputs[k - 1].iter().flatten());
+            pairs.map(|(a, b)| a - b).collect::<Vec<f64>>()
+        };
+        let steps: Vec<Vec<f64>> = (1..self.outputs.len()).map(step).collect();
+        let dot = |a: &[f64], b: &[f64]| {
+            let products = a.iter().zip(b).map(|(a, b)| a * b);
+            products.filter(|p| p.is_finite()).sum::<f64>()
+        };
+        // What each window changes by, and how its steps go on.
+        let mut windows: Vec<(f64, f64)> = (steps.chunks_exact(STOPPED_SAMPLES))
+            .filter(|window| window.iter().all(|s| dot(s, s) > 0.0))
+            .map(|window| {
+                let squares = window.iter().map(|s| dot(s, s)).sum();
+                let on = window.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+                (squares, on)
+            })
+            .collect();
+        windows.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let quietest = windows.len().div_ceil(10);
+        windows[..quietest].iter().map(|(_, on)| on).sum::<f64>() < 0.0
     }
 
     fn leave_out_spikes(&mut self) {

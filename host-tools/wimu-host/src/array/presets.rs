@@ -21,19 +21,23 @@ const KNOWN: &str = "cube:SIDE (six single axes after Chen, Lee & DeBra), four:A
 ///
 /// let cube = preset("cube:100mm").expect("a preset")?;
 /// assert_eq!((cube.axes.len(), cube.axes[5].place_m), (6, [0.0, 0.0, 0.05]));
+/// assert!(preset("hexagon:3mm").is_some_and(|none| none.is_err()));
 /// assert!(preset("places.csv").is_none() && preset("cube:100").is_some_and(|cube| cube.is_err()));
 /// # Ok::<(), wimu_host::HostError>(())
 /// ```
 pub fn preset(text: &str) -> Option<Result<ArrayGeometry>> {
     let (name, lengths) = text.split_once(':')?;
-    let count = match name {
-        "cube" | "four" | "octahedron" => 1,
-        "board" => 2,
-        _ => return None,
-    };
     let usage =
         |message: String| HostError::new(ErrorCode::Usage, message, format!("give {KNOWN}"));
     let lengths: Option<Vec<f64>> = lengths.split(',').map(metres).collect();
+    let count = match name {
+        "cube" | "four" | "octahedron" => 1,
+        "board" => 2,
+        // With lengths it is no name of a file.
+        _ => {
+            return lengths.map(|_| Err(usage(format!("there is no preset `{name}`"))));
+        }
+    };
     let Some(lengths) = lengths.filter(|all| all.len() == count) else {
         return Some(Err(usage(format!("`{text}` has not the lengths it needs"))));
     };

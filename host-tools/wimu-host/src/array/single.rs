@@ -71,6 +71,7 @@ fn navigate<const M: usize>(
     known: &RefineOptions,
     zupt: Zupt,
 ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
+    check_moving(recording, geometry)?;
     let quiet = Quiet::<M>::of(recording);
     let axes: Vec<Axis> = (geometry.axes.iter().zip(&quiet.noise_mps2))
         .map(|(axis, noise)| Axis {
@@ -133,6 +134,34 @@ fn navigate<const M: usize>(
         Roots::Two => {}
     }
     Ok((states, remarks))
+}
+
+/// Refuses axes whose output never moves while that of others does: no axis can stand in for one of so few.
+fn check_moving(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
+    let never_moves = |axis: &usize| {
+        let mut values = (recording.outputs.iter())
+            .map(|row| row[*axis][0])
+            .filter(|v| v.is_finite());
+        let first = values.next();
+        values.all(|v| Some(v) == first)
+    };
+    let count = geometry.axes.len();
+    let dead: Vec<usize> = (0..count).filter(never_moves).collect();
+    let (Some(first), true) = (dead.first(), dead.len() < count) else {
+        return Ok(());
+    };
+    let names: Vec<String> = (dead.iter())
+        .map(|axis| format!("`{}`", geometry.axes[*axis].column_name(*axis)))
+        .collect();
+    Err(HostError::new(
+        ErrorCode::DataRefused,
+        format!(
+            "the output of {} never moves: axis {first} (from 0) is dead",
+            names.join(", ")
+        ),
+        "check that sensor, its wires and its column; single axes do without none of them",
+    )
+    .at(&recording.name))
 }
 
 fn output<const M: usize>(recording: &ArrayRecording, index: usize) -> [f64; M] {

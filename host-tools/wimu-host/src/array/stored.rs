@@ -4,7 +4,8 @@ use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 use super::refine::{RefineOptions, Refinement, refine};
-use super::{ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use super::survey::mended;
+use super::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{ErrorCode, HostError, Result};
 
 /// What a recording of rests, and of turns, says of an array.
@@ -17,6 +18,8 @@ pub struct CalibratedArray {
     pub calibration: ArrayCalibration,
     /// What turns say of places and delays, or why they say nothing.
     pub refinement: std::result::Result<Refinement, HostError>,
+    /// What turns show to be otherwise than given, and how well all agrees.
+    pub remarks: Vec<String>,
 }
 
 /// Calibrates an array from a recording in the sensors' own axes: rests in a dozen orientations tell the
@@ -24,7 +27,7 @@ pub struct CalibratedArray {
 /// and the delays. What `geometry` has of models is not used.
 ///
 /// # Errors
-/// `data_refused` where the rests do not suffice; those of [`ArrayCalibration::of`].
+/// `data_refused` where the rests do not suffice, the sensors contradict each other or their places show no angular rate; those of [`ArrayCalibration::of`].
 pub fn calibrate_array(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
@@ -49,16 +52,41 @@ pub fn calibrate_array(
         )
         .at(&recording.name));
     }
+    let mut remarks = Vec::new();
+    (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
+    let mut arranged = arranged;
+    let mut size_sd_m = 0.0;
+    if let Some(mended) = mended(&arranged, &geometry, &calibration)? {
+        geometry = mended.geometry;
+        for (sensor, delay) in geometry.sensors.iter_mut().zip(mended.delays_s) {
+            sensor.delay_us += delay * 1e6;
+        }
+        size_sd_m = mended.calibration.size_sd_m;
+        geometry.place_sd_mm = Some(options.place_sd_m.hypot(size_sd_m) * 1e3);
+        remarks = mended.remarks;
+        (arranged, calibration) = calibrated(&geometry)?;
+    }
     let refinement = refine(&arranged, &geometry, &calibration, options);
     match &refinement {
         Ok(found) => {
             geometry = found.geometry.clone();
-            geometry.place_sd_mm = Some(found.known_place_m() * 1e3);
+            geometry.place_sd_mm = Some(found.known_place_m().hypot(size_sd_m) * 1e3);
             geometry.delay_sd_us = Some(found.known_delay_s() * 1e6);
-            calibration = calibrated(&geometry)?.1;
+            (arranged, calibration) = calibrated(&geometry)?;
         }
         Err(why) if why.code() == ErrorCode::DataRefused => {}
         Err(why) => return Err(why.clone()),
+    }
+    calibration.place_sd_m = geometry
+        .place_sd_mm
+        .map_or(options.place_sd_m, |mm| mm * 1e-3);
+    calibration.delay_sd_s = geometry
+        .delay_sd_us
+        .map_or(options.delay_sd_s, |us| us * 1e-6);
+    // Whoever navigates with these places would be refused.
+    if let Some(agreement) = Agreement::of(&arranged, &geometry, &calibration)? {
+        agreement.check(&recording.name)?;
+        remarks.push(agreement.remark());
     }
     for (k, sensor) in geometry.sensors.iter_mut().enumerate() {
         if calibration.estimates[k].is_none() || !calibration.uses(k) {
@@ -72,6 +100,7 @@ pub fn calibrate_array(
         geometry,
         calibration,
         refinement,
+        remarks,
     })
 }
 

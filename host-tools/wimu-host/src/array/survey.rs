@@ -91,6 +91,8 @@ pub(crate) struct Mended {
     pub recording: ArrayRecording,
     pub geometry: ArrayGeometry,
     pub calibration: ArrayCalibration,
+    /// By how much each sensor was found to be later.
+    pub delays_s: Vec<f64>,
     pub remarks: Vec<String>,
 }
 
@@ -134,10 +136,12 @@ pub(crate) fn mended(
         recording: recording.clone(),
         geometry: geometry.clone(),
         calibration: calibration.clone(),
+        delays_s: late,
         remarks,
     };
+    let late = &mended.delays_s;
     if late.iter().any(|delay| *delay != 0.0) {
-        mended.recording = mended.recording.shifted(&late);
+        mended.recording = mended.recording.shifted(late);
         let mut again = ArrayCalibration::of(&mended.recording, geometry, Gravity::UNKNOWN_PLACE)?;
         again.place_sd_m = calibration.place_sd_m;
         again.delay_sd_s = calibration.delay_sd_s;

@@ -11,6 +11,8 @@ use crate::array::{
 use crate::motion::nees;
 use crate::{ErrorCode, HostError, Result};
 
+/// A centre nearer to the origin than this, m, is at it.
+const CENTRED_M: f64 = 1e-3;
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
@@ -58,11 +60,19 @@ pub fn navigate_array(
         agreement.check(&recording.name)?;
     }
     let mut said = remarks;
-    said.extend(agreement.map(|a| a.remark()));
+    said.push(agreement.map_or_else(
+        || {
+            "whether the sensors are where the geometry says was not checked: the array hardly turned, or its \
+             sensors are too few to contradict each other"
+                .to_owned()
+        },
+        |agreement| agreement.remark(),
+    ));
     said.extend(calibration.remarks());
     if let Some(mended) = &mended {
         said.extend(mended.remarks.iter().cloned());
     }
+    said.extend(point_of(geometry));
     let span = geometry.span_m();
     if span > ArrayGeometry::LARGE_M {
         said.push(format!(
@@ -70,6 +80,20 @@ pub fn navigate_array(
         ));
     }
     Ok(path_of(recording, &states, choice, said))
+}
+
+/// Which point the path is that of, where that is not the origin of the places.
+fn point_of(geometry: &ArrayGeometry) -> Option<String> {
+    let centre = geometry.centre_m();
+    let off = centre.iter().map(|c| c * c).sum::<f64>().sqrt();
+    (off > CENTRED_M).then(|| {
+        let [x, y, z] = centre.map(|c| c * 1e3);
+        format!(
+            "the path is that of the centre of the sensors, at {x:.1} {y:.1} {z:.1} mm in the geometry, not of the \
+             geometry's origin: as the body turns these move by up to {:.0} mm against each other",
+            2e3 * off
+        )
+    })
 }
 
 /// Navigates single axes ([`ArrayRecording::axes_from_csv`]); `known` says how well their places and times are.
@@ -82,7 +106,8 @@ pub fn navigate_axes(
     known: &RefineOptions,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let (states, remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
+    let (states, mut remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
+    remarks.extend(point_of(geometry));
     Ok(path_of(recording, &states, choice, remarks))
 }
 

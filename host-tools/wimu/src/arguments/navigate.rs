@@ -31,7 +31,8 @@ pub struct Navigate {
     /// each; or what `wimu calibrate --geometry` or --refine wrote, which may also hold axes, delays and error
     /// models, or single `axes`, each with `place_m`, `direction` and the `column` of its output (`Accelerometer 0`, … where
     /// it has none). Or a preset: `cube:100mm` (six single axes on a cube of that side), `four:30mm`, `octahedron:30mm`
-    /// (triads so far from the centre), `board:9.5mm,2mm` (eight triads, half the side and half the thickness)
+    /// (triads so far from the centre), `board:9.5mm,2mm` (eight triads, half the side and half the thickness).
+    /// The path is that of the sensors' centre, wherever the origin of the places is
     #[arg(long, value_name = "FILE|PRESET")]
     pub geometry: Option<PathBuf>,
     /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write

@@ -160,6 +160,7 @@ fn said(
         calibration.disagreement_mps2
     ));
     let mut remarks = calibration.remarks();
+    remarks.extend(found.remarks.iter().cloned());
     let refined = match &found.refinement {
         Ok(refinement) => Some(Refined::of(refinement, output)),
         Err(why) => {

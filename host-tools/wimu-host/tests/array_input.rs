@@ -492,6 +492,12 @@ fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none(
     assert_eq!(clean.times_s.len(), 1200);
     let noisy = table(NOISE);
     assert_eq!(noisy.clone().judged().times_s.len(), 1200);
+    // Steps far coarser than the noise repeat at rest.
+    let mut coarse = noisy.clone();
+    for value in coarse.outputs.iter_mut().flatten().flatten() {
+        *value = (*value / 0.06).round() * 0.06;
+    }
+    assert_eq!(coarse.judged().times_s.len(), 1200);
     let mut held = noisy;
     for k in 501..600 {
         held.outputs[k] = held.outputs[500].clone();

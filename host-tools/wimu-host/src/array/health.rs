@@ -114,7 +114,23 @@ impl ArrayRecording {
         // By chance a row repeats the one before so often.
         let often = (1.0 + runs.len() as f64) / (1.0 + distinct);
         let longest = (UNLIKELY / count.max(1) as f64).ln() / often.min(1.0).ln();
-        runs.retain(|(_, length)| *length as f64 > longest.max(FEW_SAMPLES));
+        // Outputs with steps coarser than their noise repeat at rest, where few of them move from row to row.
+        let moves = |k: usize| {
+            let pairs = self.outputs[k]
+                .iter()
+                .flatten()
+                .zip(self.outputs[k - 1].iter().flatten());
+            let finite = pairs.filter(|(a, b)| a.is_finite() && b.is_finite());
+            let (moved, all) = finite.fold((0, 0), |(moved, all), (a, b)| {
+                (moved + usize::from(a != b), all + 1)
+            });
+            2 * moved > all
+        };
+        runs.retain(|(first, length)| {
+            let end = first + length;
+            let lively = (*first < 2 || moves(first - 1)) && (end >= count || moves(end));
+            lively && *length as f64 > longest.max(FEW_SAMPLES)
+        });
         let Some((first, _)) = runs.first().copied() else {
             return;
         };

@@ -492,10 +492,11 @@ fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none(
     assert_eq!(clean.times_s.len(), 1200);
     let noisy = table(NOISE);
     assert_eq!(noisy.clone().judged().times_s.len(), 1200);
-    // Steps far coarser than the noise repeat at rest.
+    // Steps coarser than the noise: a rest that few outputs jump into, one step at a time.
     let mut coarse = noisy.clone();
-    for value in coarse.outputs.iter_mut().flatten().flatten() {
-        *value = (*value / 0.06).round() * 0.06;
+    for k in 790..1200 {
+        coarse.outputs[k] = coarse.outputs[789].clone();
+        coarse.outputs[k][0][0] += 0.3 * f64::from(u8::from(k < 800 && k % 2 == 0));
     }
     assert_eq!(coarse.judged().times_s.len(), 1200);
     let mut held = noisy;

@@ -88,18 +88,8 @@ impl ArrayRecording {
         let count = self.outputs.len();
         // Holes are as good as equal; a row of them is none.
         let repeats = |k: usize| {
-            let pairs = self.outputs[k]
-                .iter()
-                .flatten()
-                .zip(self.outputs[k - 1].iter().flatten());
-            let mut some = false;
-            let alike = pairs
-                .clone()
-                .all(|(a, b)| a == b || (a.is_nan() && b.is_nan()));
-            for (a, b) in pairs {
-                some |= a == b;
-            }
-            alike && some
+            let alike = |(a, b): (f64, f64)| a == b || (a.is_nan() && b.is_nan());
+            self.steps(k).all(alike) && self.steps(k).any(|(a, b)| a == b)
         };
         // First repeated row and number of them.
         let mut runs: Vec<(usize, usize)> = Vec::new();
@@ -116,11 +106,7 @@ impl ArrayRecording {
         let longest = (UNLIKELY / count.max(1) as f64).ln() / often.min(1.0).ln();
         // Outputs with steps coarser than their noise repeat at rest, where few of them move from row to row.
         let moves = |k: usize| {
-            let pairs = self.outputs[k]
-                .iter()
-                .flatten()
-                .zip(self.outputs[k - 1].iter().flatten());
-            let finite = pairs.filter(|(a, b)| a.is_finite() && b.is_finite());
+            let finite = (self.steps(k)).filter(|(a, b)| a.is_finite() && b.is_finite());
             let (moved, all) = finite.fold((0, 0), |(moved, all), (a, b)| {
                 (moved + usize::from(a != b), all + 1)
             });
@@ -159,15 +145,15 @@ impl ArrayRecording {
         }
     }
 
+    /// Each output of a row beside that of the row before.
+    fn steps(&self, k: usize) -> impl Iterator<Item = (f64, f64)> {
+        let [now, before] = [k, k - 1].map(|k| self.outputs[k].iter().flatten().copied());
+        now.zip(before)
+    }
+
     /// Whether noise shows where the outputs change least: steps of white noise turn back, those of a smooth motion go on.
     fn is_noisy(&self) -> bool {
-        let step = |k: usize| {
-            let pairs = self.outputs[k]
-                .iter()
-                .flatten()
-                .zip(self.outputs[k - 1].iter().flatten());
-            pairs.map(|(a, b)| a - b).collect::<Vec<f64>>()
-        };
+        let step = |k: usize| self.steps(k).map(|(a, b)| a - b).collect::<Vec<f64>>();
         let steps: Vec<Vec<f64>> = (1..self.outputs.len()).map(step).collect();
         let dot = |a: &[f64], b: &[f64]| {
             let products = a.iter().zip(b).map(|(a, b)| a * b);

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Ran, Simulator, folder, wimu};
+use kit::{Background, Ran, Simulator, folder, record_until, wimu};
 
 const PLACES: [[f64; 3]; 4] = [
     [0.05, 0.05, 0.05],
@@ -271,12 +271,12 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
     let recorders: Vec<Background> = boards
         .iter()
         .zip(&files)
-        .map(|(board, file)| {
-            Background::start(&["record", &board.wireless, "-o", file, "--for", "5"])
-        })
+        .map(|(board, file)| Background::start(&["record", &board.wireless, "-o", file]))
         .collect();
-    for recorder in recorders {
-        recorder.finish().succeeds();
+    for (recorder, file) in recorders.into_iter().zip(&files) {
+        record_until(recorder, file, |link| {
+            link["raw_samples"].as_u64() > Some(450)
+        });
     }
     let places = geometry(folder.path(), &PLACES);
     let (a, b) = (files[0].as_str(), files[1].as_str());

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 
-use kit::wimu;
+use kit::{Background, wait_until, wimu};
 use wimu_link::hello::{Fault, Part, ResetReason, board, sensor};
 use wimu_link::{Hello, LinkRole, MAX_FRAME};
 use wimu_model::Counts;
@@ -95,15 +95,19 @@ fn what_is_wrong_with_the_sensor_is_told_with_what_to_do_whenever_somebody_begin
             "has no new data in time; check its wiring",
         ),
     ] {
-        thread::sleep(std::time::Duration::from_millis(700));
-        let info = wimu(&["info", &board.link]).succeeds();
-        let troubles = info["troubles"].as_array().expect("a list");
+        let troubles = || {
+            let mut info = wimu(&["info", &board.link]).succeeds();
+            info["troubles"].take()
+        };
+        wait_until(what, || {
+            troubles().as_array().is_some_and(|list| !list.is_empty())
+        });
+        let info = troubles();
+        let troubles = info.as_array().expect("a list");
         assert_eq!(troubles.len(), 1, "{what}: {info}");
         let trouble = troubles[0].as_str().expect("text");
         assert!(trouble.contains(told), "{what}: {trouble}");
-        let monitor = wimu(&["monitor", &board.link, "--for", "0.5"]);
-        assert_eq!(monitor.code, 0, "{what}: {monitor:?}");
-        assert!(monitor.stderr.contains(told), "{what}: {monitor:?}");
+        Background::start(&["monitor", &board.link]).says(told, 1);
     }
 }
 
@@ -144,8 +148,7 @@ fn why_a_board_started_is_told_with_file_and_line_after_a_panic() {
                 }
             }
         });
-        let monitor = wimu(&["monitor", &link, "--for", "0.3"]);
-        assert!(monitor.stderr.contains(told), "{told}: {monitor:?}");
+        Background::start(&["monitor", &link]).says(told, 1);
         answering.join().expect("no panic");
     }
 }

@@ -57,8 +57,7 @@ fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
 fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
     let board = Simulator::start(&["--motion", "rest", "--exit-when-done", "--press", "3,4"]);
     let calibrating = Background::start(&["calibrate", &board.cable]);
-    std::thread::sleep(std::time::Duration::from_millis(6_000));
-    let ran = calibrating.signal("-INT");
+    let ran = calibrating.says("next, for example: ", 4).signal("-INT");
     assert_eq!(told(&ran, "pose ").len(), 1, "{ran:?}");
     // At first, after the pose, and after each press.
     let advice = told(&ran, "next, for example: ");

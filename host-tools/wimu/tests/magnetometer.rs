@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Simulator, folder, in_folder, wimu};
+use kit::{Links, Simulator, folder, in_folder, wimu};
 use wimu_host::calibration::read_parameters;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
@@ -96,7 +96,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     let board = Simulator::start(&motion);
     wimu(&["params", "push", &board.cable, &both]).succeeds();
     let pushed = path("pushed.mcap");
-    wimu(&["record", &board.cable, "-o", &pushed, "--for", "3"]).succeeds();
+    board.record_samples(Links::Cable, &pushed, 2500);
     let spread = |stream: &str| {
         let table = path(&format!("{stream}.csv"));
         wimu(&["export", &pushed, "-o", &table, "--stream", stream]).succeeds();

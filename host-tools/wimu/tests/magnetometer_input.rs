@@ -5,7 +5,7 @@ mod kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{Simulator, folder, wimu};
+use kit::{Links, Simulator, folder, wimu};
 use serde_json::Value;
 
 /// A sensor held in 30 orientations: accelerometer with a bias of 0.1 m/s² on X, field of 48.3 µT, 65.6°
@@ -212,7 +212,7 @@ fn a_board_without_a_magnetometer_is_told_so() {
     let of = ["calibrate", &csv, "--poses", "--sensitivity", "256"];
     wimu(&[&of[..], &["-o", &accelerometer]].concat()).succeeds();
     let board = Simulator::start(&motion);
-    wimu(&["record", &board.cable, "-o", &recording, "--for", "2"]).succeeds();
+    board.record_samples(Links::Cable, &recording, 1500);
     let of = ["calibrate", &recording, "--sensor", "magnetometer"];
     let told = wimu(&[&of[..], &["--with", &accelerometer]].concat()).fails(3, "data_refused");
     assert!(

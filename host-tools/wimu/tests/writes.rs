@@ -9,7 +9,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use kit::{Background, Simulator, folder, wimu};
+use kit::{Background, Links, Simulator, folder, wimu};
 use serde_json::Value;
 
 /// Pose means of a sensor whose bias on X is so many LSB, 16384 LSB/g.
@@ -117,8 +117,7 @@ fn a_calibration_of_another_sensor_is_refused() {
         "15",
     ];
     let theirs = Simulator::start(&flags);
-    let span = ["--for", "6"];
-    wimu(&[&["record", &theirs.cable, "-o", recording][..], &span].concat()).succeeds();
+    theirs.record_samples(Links::Cable, recording, 7000);
     let report = wimu(&["calibrate", recording, "-o", cal]).succeeds();
     assert_eq!(report["parameters"]["sensor"], 2);
     wimu(&["settings", "set", &theirs.cable, "--range", "2"]).succeeds();
@@ -162,18 +161,8 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     let board = Simulator::start(&["--motion", "rest"]);
     let mcap = folder.path().join("session.mcap");
     let mcap = mcap.to_str().expect("text");
-    let recording = Background::start_as(
-        &user,
-        &[
-            "record",
-            &board.wireless,
-            "-o",
-            mcap,
-            "--decoded",
-            "--for",
-            "6",
-        ],
-    );
+    let recording =
+        Background::start_as(&user, &["record", &board.wireless, "-o", mcap, "--decoded"]);
     let mut said = Vec::new();
     let mut keys = Vec::new();
     let mut file = None;
@@ -208,7 +197,7 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     let forgotten = run(&["key", "forget", &board.cable]);
     assert_eq!(forgotten.succeeds()["set"], false);
     assert!(!file.exists());
-    let recorded = recording.finish();
+    let recorded = recording.signal("-INT");
     recorded.succeeds();
     for ran in [set, open, long, forgotten, recorded] {
         said.extend([ran.stdout.into_bytes(), ran.stderr.into_bytes()]);

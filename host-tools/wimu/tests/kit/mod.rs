@@ -5,13 +5,14 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
-use std::thread;
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// No command of a test takes longer, unless something hangs.
-const PATIENCE: Duration = Duration::from_secs(90);
+/// No command of a test takes longer, unless something hangs, however busy the machine is.
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// What a command came to.
 #[derive(Debug)]
@@ -74,6 +75,9 @@ pub struct Background {
     child: Child,
     stdout: BufReader<ChildStdout>,
     read: String,
+    /// What it has said to people so far.
+    stderr: Arc<Mutex<String>>,
+    errors: Option<JoinHandle<()>>,
     arguments: String,
 }
 
@@ -95,10 +99,23 @@ impl Background {
             .spawn()
             .expect("wimu was built");
         let stdout = BufReader::new(child.stdout.take().expect("piped"));
+        let mut lines = BufReader::new(child.stderr.take().expect("piped"));
+        let stderr = Arc::new(Mutex::new(String::new()));
+        let said = stderr.clone();
+        // Pipes are emptied meanwhile, so that it never waits for us.
+        let errors = thread::spawn(move || {
+            let mut line = String::new();
+            while lines.read_line(&mut line).is_ok_and(|read| read > 0) {
+                said.lock().expect("no panic").push_str(&line);
+                line.clear();
+            }
+        });
         Self {
             child,
             stdout,
             read: String::new(),
+            stderr,
+            errors: Some(errors),
             arguments: arguments.join(" "),
         }
     }
@@ -116,6 +133,15 @@ impl Background {
         self
     }
 
+    /// Waits until it has said `text` to people `count` times.
+    pub fn says(self, text: &str, count: usize) -> Self {
+        wait_until(text, || {
+            let said = self.stderr.lock().expect("no panic");
+            said.matches(text).count() >= count
+        });
+        self
+    }
+
     /// Sends it a signal by its name and waits for its end.
     #[cfg(unix)]
     pub fn signal(self, signal: &str) -> Ran {
@@ -127,12 +153,6 @@ impl Background {
 
     /// Waits for its end.
     pub fn finish(mut self) -> Ran {
-        let mut stderr = self.child.stderr.take().expect("piped");
-        // Pipes are emptied meanwhile, so that it never waits for us.
-        let errors = thread::spawn(move || {
-            let mut text = String::new();
-            stderr.read_to_string(&mut text).map(|_| text)
-        });
         let until = Instant::now() + PATIENCE;
         let child = &mut self.child;
         let (stdout, read) = (&mut self.stdout, &mut self.read);
@@ -152,10 +172,11 @@ impl Background {
             output.join().expect("no panic").expect("text");
             status
         });
+        self.errors.take().map(JoinHandle::join);
         Ran {
             code: status.code().unwrap_or(-1),
             stdout: std::mem::take(&mut self.read),
-            stderr: errors.join().expect("no panic").expect("text"),
+            stderr: std::mem::take(&mut self.stderr.lock().expect("no panic")),
         }
     }
 }
@@ -196,11 +217,52 @@ impl Simulator {
         }
     }
 
+    /// Records `links` to `file` until it holds `samples` raw samples of each, however long this machine
+    /// takes, and returns what the recorder reports.
+    #[cfg(unix)]
+    pub fn record_samples(&self, links: Links, file: &str, samples: u64) -> Value {
+        let both = ["record", &self.wireless, "--cable", &self.cable, "-o", file];
+        let arguments = match links {
+            Links::Both => &both[..],
+            Links::Cable => &["record", &self.cable, "-o", file],
+            Links::Wireless => &["record", &self.wireless, "-o", file],
+        };
+        record_until(Background::start(arguments), file, |link| {
+            link["raw_samples"].as_u64() >= Some(samples)
+        })
+    }
+
     /// Records its cable to `file` until it is gone, as one with `--exit-when-done` is.
     pub fn record_to_the_end(&self, file: &str) {
         let record = ["record", &self.cable, "-o", file, "--reconnect", "0.5"];
         Background::start(&record).finish().succeeds();
     }
+}
+
+/// Which links of a board are recorded.
+#[derive(Clone, Copy)]
+pub enum Links {
+    Both,
+    Cable,
+    Wireless,
+}
+
+/// Ends a recording once `is_enough` holds of every link in its `file`, as `info` describes it.
+#[cfg(unix)]
+pub fn record_until(
+    recording: Background,
+    file: &str,
+    is_enough: impl Fn(&Value) -> bool,
+) -> Value {
+    wait_until("enough in the file", || {
+        thread::sleep(Duration::from_millis(200));
+        let info = wimu(&["info", file]);
+        info.code == 0
+            && info.object()["links"]
+                .as_array()
+                .is_some_and(|links| !links.is_empty() && links.iter().all(&is_enough))
+    });
+    recording.signal("-INT").succeeds()
 }
 
 /// Noise of variance 1, the same in every run.

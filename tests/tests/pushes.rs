@@ -1,7 +1,7 @@
 //! Pushes over a bad wireless link: each is applied once or reported failed, and nobody is mistaken
 //! about which set is active.
 //!
-//! Ten thousand of them: `cargo test --release -p wimu-tests --test pushes -- --ignored --nocapture`.
+//! Ten thousand of them: `cargo test --release -p wimu-tests --test all pushes -- --ignored --nocapture`.
 
 use std::cell::{Cell, RefCell};
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! The store in a flash that loses power at every byte, wears out, fills up and rots.
 //!
 //! The whole campaign, which prints its counts:
-//! `cargo test --release -p wimu-tests --test store -- --ignored --nocapture`.
+//! `cargo test --release -p wimu-tests --test all store -- --ignored --nocapture`.
 
 use std::collections::BTreeMap;
 use std::future::Future;

@@ -1,6 +1,6 @@
 //! Alignments with known truth.
 
-mod common;
+use crate::common;
 
 use common::{Random, cross, norm, unit};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! One bad pose among few: named and left out, or refused; hardly ever passed over.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, pose, twelve};
 use wimu_calib::{

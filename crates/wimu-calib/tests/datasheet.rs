@@ -1,6 +1,6 @@
 //! What a sensor shows beside what its datasheet promises.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, pose, twelve};
 use wimu_calib::{

@@ -1,6 +1,6 @@
 //! The pose finder on simulated streams.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, norm, unit};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! Which pose next: advice, and what it is worth.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, cross, exact, jitter, norm, pose, unit};
 use wimu_calib::{Guide, Model, Orientation, Pose, multi_position};

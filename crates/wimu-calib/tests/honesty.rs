@@ -1,7 +1,7 @@
 //! What every method says of its uncertainty, on a thousand simulated sensors whose truth is known:
 //! lower triangular, put down by hand to 1°.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, misplaced, parameters, pose, twelve};
 use wimu_calib::{

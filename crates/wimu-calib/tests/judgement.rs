@@ -1,6 +1,6 @@
 //! Terms, choice of the model, bad poses, weights, axes that are stuck or clipped, and f32, on simulated sensors.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, jitter, parameters, pose, twelve, ups};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! Magnetometers with known iron and mounting.
 
-mod common;
+use crate::common;
 
 use common::{DIP, FIELD, Random, magnetometer as sensor};
 use wimu_calib::{MagneticPose, MagneticRefusal, MirroredAxes, magnetometer};

@@ -1,7 +1,7 @@
 //! What `best_model` says of its uncertainty, though it chose the model by the data: on simulated
 //! sensors whose truth is known.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, parameters, pose};
 use wimu_calib::{Gravity, Pose, Terms, best_model};

@@ -1,6 +1,6 @@
 //! Multi-position on simulated sensors whose truth is known.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, norm, parameters, pose, twelve};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! The Allan deviation against a direct computation, and against noise that is known.
 
-mod common;
+use crate::common;
 
 use common::Random;
 use proptest::prelude::*;
@@ -320,7 +320,7 @@ fn a_sensor_that_warms_up_or_jumps_is_told_as_no_noise() {
     }
 }
 
-/// `cargo test --release -p wimu-calib --test noise long -- --ignored --nocapture`
+/// `cargo test --release -p wimu-calib --test all long -- --ignored --nocapture`
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_of_long_recordings_hold_the_truth() {

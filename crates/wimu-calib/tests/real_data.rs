@@ -1,6 +1,6 @@
 //! Real recordings, where they are beside the repository; each figure in README.md is printed here.
 
-mod common;
+use crate::common;
 
 use common::{norm, recording, vector};
 use wimu_calib::{

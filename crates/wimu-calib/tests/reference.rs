@@ -1,6 +1,6 @@
 //! One stream against another, with known truth.
 
-mod common;
+use crate::common;
 
 use common::Random;
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! Sensors whose counts are coarser than their noise.
 
-mod common;
+use crate::common;
 
 use common::Random;
 use wimu_calib::{

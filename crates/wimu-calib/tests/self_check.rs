@@ -1,6 +1,6 @@
 //! A stored calibration against later rests.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, norm, parameters, pose, twelve};
 use proptest::prelude::*;

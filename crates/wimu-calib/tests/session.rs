@@ -1,6 +1,6 @@
 //! A live calibration of a simulated sensor that a hand turns.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, parameters};
 use wimu_calib::{Gravity, Model, Orientation, Phase, Session, multi_position};

@@ -1,6 +1,6 @@
 //! f32 against f64 on the same data.
 
-mod common;
+use crate::common;
 
 use common::{G, Random};
 use wimu_calib::{

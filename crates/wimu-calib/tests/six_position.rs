@@ -1,6 +1,6 @@
 //! Six-position on simulated sensors whose truth is known.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, misplaced, parameters, pose};
 use proptest::prelude::*;

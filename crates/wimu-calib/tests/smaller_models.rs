@@ -1,7 +1,7 @@
 //! What models that leave parameters out say of sensors that have them, held where the poses show it
 //! and where they do not.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, norm, parameters, pose, unit};
 

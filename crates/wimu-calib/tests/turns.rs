@@ -1,6 +1,6 @@
 //! Three and four angles: what a turn about a level axle shows, and what it does not.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, jitter, pose, unit, ups};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! Orientations that come again: what a second visit tells, and what it does not.
 
-mod common;
+use crate::common;
 
 use common::{G, Random, exact, misplaced, parameters, pose};
 use wimu_calib::{

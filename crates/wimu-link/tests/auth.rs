@@ -1,7 +1,7 @@
 //! Writes that nobody signed, and the owner's that pass among them.
 //!
 //! The whole campaign, which prints its counts:
-//! `cargo test --release -p wimu-link --test auth -- --ignored --nocapture`.
+//! `cargo test --release -p wimu-link --test all auth -- --ignored --nocapture`.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

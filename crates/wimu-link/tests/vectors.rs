@@ -2,7 +2,7 @@
 //! says what it is. They keep the wire from changing unnoticed, and other hosts can be tested on
 //! them.
 //!
-//! Those of version 1 are frozen: `WRITE_VECTORS=1 cargo test -p wimu-link --test vectors` adds frames that
+//! Those of version 1 are frozen: `WRITE_VECTORS=1 cargo test -p wimu-link --test all vectors` adds frames that
 //! are new, and changes none.
 
 use std::fmt::Write as _;

@@ -1,6 +1,6 @@
 //! What the array solver claims.
 
-mod common;
+use crate::common;
 
 use common::{Random, dot, minus, norm, outputs};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! What navigating with an array alone claims.
 
-mod common;
+use crate::common;
 
 use common::{Random, dot, minus, norm, outputs};
 use nalgebra::{Matrix3, Rotation3, Vector3};

@@ -1,7 +1,7 @@
 //! Whether the truth lies within the covariance of the one-unit filter: a few seeds of what the example
 //! `consistency` prints for many.
 
-mod common;
+use crate::common;
 
 use common::motions::{Consistency, KINDS, Kind};
 

@@ -1,6 +1,6 @@
 //! What a recording at rest says about how the bias settles.
 
-mod common;
+use crate::common;
 
 use common::Random;
 use wimu_nav::drift::{Drift, DriftError, DriftEstimator};

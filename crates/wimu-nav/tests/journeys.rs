@@ -1,7 +1,7 @@
 //! Journeys between rests, ZUPT on and off: what the data exclude is not assumed, and what they cannot exclude is
 //! told. A few seeds of what the example `journeys` prints for many.
 
-mod common;
+use crate::common;
 
 use common::journeys::{Journey, Journeys, Recorded, travel};
 use wimu_nav::unit::Zupt;

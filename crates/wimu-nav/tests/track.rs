@@ -1,6 +1,6 @@
 //! What following an array's angular rate claims.
 
-mod common;
+use crate::common;
 
 use common::{Random, dot, minus, norm, outputs};
 use wimu_nav::array::{ArraySolver, Geometry, Observation, Step, track};

@@ -1,6 +1,6 @@
 //! What the filter of one unit and the slide claim.
 
-mod common;
+use crate::common;
 
 use common::Random;
 use wimu_nav::slide::{Rest, Slide, SlideConfig};

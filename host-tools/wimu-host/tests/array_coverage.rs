@@ -1,7 +1,6 @@
 //! What an array says of rate and position holds the truth, whatever its sensors are that nobody calibrated.
 
-#[path = "array_journeys/mod.rs"]
-mod array_journeys;
+use crate::array_journeys;
 
 use array_journeys::{Case, Kind, Places};
 use wimu_host::inertial::Zupt;

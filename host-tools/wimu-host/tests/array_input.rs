@@ -1,7 +1,7 @@
 //! What is claimed of arrays that are given something wrong: even turns, sensors that fail on the way,
 //! limits nobody declared, geometries of another array, starts in motion.
 
-mod common;
+use crate::common;
 
 use common::{Random, cross};
 use wimu_calib::Gravity;

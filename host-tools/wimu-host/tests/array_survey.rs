@@ -1,8 +1,7 @@
 //! Sensors that sample at other times than they say, and places of a wrong size, are found from the motion itself
 //! and put right; arrays that are as given are left alone.
 
-#[path = "array_journeys/mod.rs"]
-mod array_journeys;
+use crate::array_journeys;
 
 use array_journeys::{Case, Kind, Places};
 use wimu_calib::Gravity;

@@ -1,7 +1,7 @@
 //! What is claimed of arrays: places and delays found again, boards with clocks of their own brought
 //! together, dead sensors left out.
 
-mod common;
+use crate::common;
 
 use std::f64::consts::TAU;
 

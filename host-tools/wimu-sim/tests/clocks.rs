@@ -1,6 +1,6 @@
 //! The clock models of both links of a simulated board, with faults on the wireless one, against its true clock.
 
-mod session;
+use crate::session;
 
 use session::*;
 use wimu_host::clock::ClockModel;

@@ -1,7 +1,7 @@
 //! Both links of a simulated board recorded at once, in virtual time, with faults on the wireless
 //! one: what the comparison says against what the simulator knows.
 
-mod session;
+use crate::session;
 
 use session::*;
 use wimu_host::ErrorCode;

@@ -1,7 +1,7 @@
 //! Error models of an array's sensors: found all at once or one by one, stored, and handed over to another
 //! recording.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

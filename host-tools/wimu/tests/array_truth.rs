@@ -1,6 +1,6 @@
 //! `wimu navigate --geometry`: compared with the truth at the file's times, and geometries of another array.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

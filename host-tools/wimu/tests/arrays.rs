@@ -1,6 +1,6 @@
 //! `wimu navigate` with several accelerometers on one body: what it takes, and what it refuses.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,7 +1,7 @@
 //! `wimu calibrate` on data that support no answer: a clear refusal or a right answer, with the exit
 //! code for it, never a panic, never a silent wrong one.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
@@ -357,7 +357,7 @@ fn many_poses_are_answered_in_bounded_time_and_bad_ones_left_out() {
     }
 }
 
-/// `cargo test --release -p wimu --test bad_input -- --ignored`
+/// `cargo test --release -p wimu --test all bad_input -- --ignored`
 #[test]
 #[ignore = "a million poses: by hand, in release"]
 fn a_million_poses_are_answered() {

@@ -1,6 +1,6 @@
 //! Boards on which something is wrong, as a person at the command line sees them.
 
-mod kit;
+use crate::kit;
 
 use std::io::{Read, Write};
 use std::net::TcpListener;

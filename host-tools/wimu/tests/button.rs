@@ -1,6 +1,6 @@
 //! The button at the board: a mark in the stream, and a person's "next" in a live calibration.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write as _;
 use std::fs;

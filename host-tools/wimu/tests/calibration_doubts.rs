@@ -1,6 +1,6 @@
 //! What a calibration cannot know, and says: bad poses, temperature, turns off level, stuck and clipped axes.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,6 +1,6 @@
 //! What people give `wimu calibrate` and `wimu allan` that would be passed over in silence.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,7 +1,7 @@
 //! Captures of the MIMU4444's stream that are damaged: what is whole is read, the rest is counted, and a
 //! file without a packet is refused.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! The tool as scripts use it: exit codes, and one JSON object that says what went wrong, where,
 //! and what to do.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::io::Write;

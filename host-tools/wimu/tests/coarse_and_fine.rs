@@ -1,6 +1,6 @@
 //! Counts of few bits and of many: calibrated alike.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,7 +1,7 @@
 //! `wimu compare` on recordings that leave something to be desired. Their frames are made here, as a
 //! board sends them.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::path::Path;

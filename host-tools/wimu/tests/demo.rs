@@ -1,6 +1,6 @@
 //! The demo does the main job, and README shows what it shows.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Recordings of other people's loggers: pauses, ranges, weights, names and marks as they have them.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

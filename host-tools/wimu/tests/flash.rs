@@ -1,6 +1,6 @@
 //! `wimu flash`, as far as it goes without a board.
 
-mod kit;
+use crate::kit;
 
 use std::path::Path;
 

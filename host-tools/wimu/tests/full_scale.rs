@@ -1,6 +1,6 @@
 //! Sensors at the end of their range: refused, however coarse.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,7 +1,7 @@
 //! `wimu key`: who may write, and with what.
 #![cfg(target_os = "linux")]
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::path::Path;

@@ -2,7 +2,7 @@
 //! simulated board behind it, whose line garbles what comes at another rate than its own.
 #![cfg(target_os = "linux")]
 
-mod kit;
+use crate::kit;
 
 use std::io::{Read, Write};
 use std::sync::mpsc;

@@ -1,6 +1,6 @@
 //! Commands that read a LINK as they read a file.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::path::Path;

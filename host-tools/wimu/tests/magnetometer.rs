@@ -1,6 +1,6 @@
 //! A magnetometer from a session on a board to the corrected field in its exports.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,6 +1,6 @@
 //! What people give `wimu calibrate --sensor magnetometer`.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

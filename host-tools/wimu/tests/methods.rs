@@ -1,6 +1,6 @@
 //! The calibrations beside that from gravity, as scripts use them.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

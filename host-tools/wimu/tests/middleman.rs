@@ -2,7 +2,7 @@
 //! what is only read says whether the board has proved it.
 #![cfg(target_os = "linux")]
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::io::{Read, Write};

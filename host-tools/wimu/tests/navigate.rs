@@ -1,6 +1,6 @@
 //! `wimu navigate` as scripts use it: columns, keys, reports and what is refused.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

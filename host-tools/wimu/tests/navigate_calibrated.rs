@@ -1,6 +1,6 @@
 //! From a calibration to a path: what `wimu calibrate` makes of a table corrects the tables that `wimu navigate` reads.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

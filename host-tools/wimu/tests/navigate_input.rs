@@ -1,6 +1,6 @@
 //! What `wimu navigate` makes of input that is not what it says: units, dead axes, no rest.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

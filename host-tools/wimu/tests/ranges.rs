@@ -1,7 +1,7 @@
 //! Recordings in which the range changes, and recordings whose file is damaged. Their frames are made
 //! here, as a board sends them.
 
-mod kit;
+use crate::kit;
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,7 +1,7 @@
 //! The device's clock by the wireless link alone in real time, over TCP. The other figures of the clock
 //! are of virtual time.
 
-mod kit;
+use crate::kit;
 
 use kit::{Simulator, folder, wimu};
 

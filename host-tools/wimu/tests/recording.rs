@@ -1,6 +1,6 @@
 //! `wimu record`: links that end, come back or are cut off, and what others read in its files.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::io::{Read, Write};

@@ -1,6 +1,6 @@
 //! What people give `wimu calibrate --method reference`.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

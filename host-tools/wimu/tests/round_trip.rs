@@ -1,7 +1,7 @@
 //! A calibration of every method goes to a board and back, and into other people's firmware, without
 //! losing a digit.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

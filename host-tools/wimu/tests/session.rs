@@ -1,6 +1,6 @@
 //! From a board to a calibration on it: the whole loop, as a user goes through it.
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::path::Path;

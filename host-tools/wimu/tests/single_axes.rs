@@ -1,6 +1,6 @@
 //! Arrays of single axes, and geometries that have a name.
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

@@ -1,7 +1,7 @@
 //! What may go wrong with those who write to a board, as a user meets it.
 #![cfg(unix)]
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

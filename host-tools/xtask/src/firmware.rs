@@ -91,7 +91,7 @@ pub fn pico(workspace: &Workspace) -> Result<(), String> {
     let file = std::path::absolute(image::write(folder, &image, Format::Uf2)?)
         .map_err(|problem| problem.to_string())?;
     // With the workspace's features: what was built for the other tests serves.
-    setup::cargo("test --workspace --test pico -- --ignored")
+    setup::cargo("test --workspace --test all pico:: -- --ignored")
         .with("WIMU_PICO_FIRMWARE", &file.display().to_string())
         .with("WIMU_PICO_ELF", &image.display().to_string())
         .run()
@@ -177,7 +177,7 @@ fn go_on_as(command: CommandLine) -> Result<(), String> {
 /// Says what is missing or which command failed.
 pub fn test() -> Result<(), String> {
     let image = qemu_image()?;
-    setup::cargo("test --workspace --test qemu -- --ignored")
+    setup::cargo("test --workspace --test all qemu:: -- --ignored")
         .with("WIMU_QEMU_FIRMWARE", &image.display().to_string())
         .run()
 }

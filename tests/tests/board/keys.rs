@@ -346,7 +346,7 @@ fn no_recording_holds_a_key() {
 }
 
 /// Flash as firmware of each version of the wire left it: `tests/vectors/store`. All firmware from then
-/// on reads it. `WRITE_VECTORS=1 cargo test -p wimu-tests --test board` writes that of this version if
+/// on reads it. `WRITE_VECTORS=1 cargo test -p wimu-tests --test all board` writes that of this version if
 /// there is none, and never another.
 #[test]
 fn what_older_firmware_stored_is_read() {

@@ -4,8 +4,8 @@ use wimu_link::LinkRole;
 use wimu_link::hello::{Fault, ResetReason};
 use wimu_tests::{ROLES, assert_replays};
 
-use crate::image::Image;
-use crate::run::{Run, call, happens, run};
+use super::image::Image;
+use super::run::{Run, call, happens, run};
 
 /// Why each start was, as both links tell it.
 fn starts(run: &Run) -> Vec<(ResetReason, Option<Fault>)> {

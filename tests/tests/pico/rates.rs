@@ -4,7 +4,7 @@ use wimu_link::message::Refusal;
 use wimu_link::{Answer, Command, LinkRole};
 use wimu_tests::who_are_you;
 
-use crate::run::{CABLE, Run, WIRELESS, happens, rate, request, run, send};
+use super::run::{CABLE, Run, WIRELESS, happens, rate, request, run, send};
 
 fn set_cable(id: u32, baud: u32) -> Vec<u8> {
     let link = LinkRole::Cable.number();

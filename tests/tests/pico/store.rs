@@ -5,7 +5,7 @@ use wimu_link::{Answer, Command, LinkRole, Settings};
 use wimu_model::{ParameterId, ParameterSet, Sensitivity};
 use wimu_tests::{ROLES, who_are_you};
 
-use crate::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
+use super::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
 
 /// What the image needs beside its static memory, bytes: staging, storing and reading a set.
 const MOST_STACK: u64 = 10_752;

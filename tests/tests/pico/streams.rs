@@ -6,7 +6,7 @@ use wimu_link::message::{BusFault, Event};
 use wimu_link::{Answer, Command, LinkRole, Settings};
 use wimu_tests::{ROLES, assert_replays, gaps, who_are_you};
 
-use crate::run::{CABLE, WIRELESS, happens, request, run, send};
+use super::run::{CABLE, WIRELESS, happens, request, run, send};
 
 #[test]
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]

@@ -1,7 +1,7 @@
 //! The firmware of `firmware/qemu-mps2` on an emulated Cortex-M4F.
 //!
 //! `cargo xtask test --only qemu` builds it and runs these; by hand
-//! `cargo xtask firmware && cargo test -p wimu-tests --test qemu -- --ignored`.
+//! `cargo xtask firmware && cargo test -p wimu-tests --test all qemu -- --ignored`.
 //!
 //! Most run in lockstep: what they hold does not depend on how fast this computer is.
 #![cfg(unix)]

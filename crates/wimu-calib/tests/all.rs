@@ -1,0 +1,24 @@
+//! All integration tests of `wimu-calib` in one binary: one module a file.
+
+mod alignment;
+mod bad_pose;
+mod common;
+mod datasheet;
+mod finder;
+mod guide;
+mod honesty;
+mod judgement;
+mod magnetometer;
+mod model_choice;
+mod multi_position;
+mod noise;
+mod real_data;
+mod reference;
+mod rounding;
+mod self_check;
+mod session;
+mod single_precision;
+mod six_position;
+mod smaller_models;
+mod turns;
+mod visits;

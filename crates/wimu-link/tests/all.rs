@@ -1,0 +1,10 @@
+//! All integration tests of `wimu-link` in one binary: one module a file.
+
+mod auth;
+mod batches;
+mod frames;
+mod fuzz;
+mod growth;
+mod messages;
+mod requests;
+mod vectors;

@@ -1,0 +1,10 @@
+//! All integration tests of `wimu-nav` in one binary: one module a file.
+
+mod array;
+mod array_filter;
+mod common;
+mod consistency;
+mod drift;
+mod journeys;
+mod track;
+mod unit;

@@ -1,0 +1,12 @@
+//! All integration tests of `wimu-host` in one binary: one module a file.
+
+mod array_coverage;
+mod array_input;
+mod array_journeys;
+mod array_survey;
+mod arrays;
+mod common;
+#[path = "export_calibration/main.rs"]
+mod export_calibration;
+mod inertial;
+mod slides;

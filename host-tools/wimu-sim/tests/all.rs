@@ -1,0 +1,13 @@
+//! All integration tests of `wimu-sim` in one binary: one module a file.
+
+mod adxl345;
+mod clocks;
+mod compare;
+mod driver;
+mod faults;
+mod long_files;
+mod lsm303agr_fifo;
+mod motion;
+mod physics;
+mod pipe;
+mod session;

@@ -1,0 +1,37 @@
+//! All integration tests of `wimu` in one binary: one module a file.
+
+mod array_calibration;
+mod array_truth;
+mod arrays;
+mod bad_input;
+mod broken_boards;
+mod button;
+mod calibration_doubts;
+mod calibration_input;
+mod captures;
+mod cli;
+mod coarse_and_fine;
+mod comparisons;
+mod demo;
+mod files_people_bring;
+mod flash;
+mod full_scale;
+mod keys;
+mod kit;
+mod line_rates;
+mod live;
+mod magnetometer;
+mod magnetometer_input;
+mod methods;
+mod middleman;
+mod navigate;
+mod navigate_calibrated;
+mod navigate_input;
+mod ranges;
+mod real_time;
+mod recording;
+mod reference_input;
+mod round_trip;
+mod session;
+mod single_axes;
+mod writes;

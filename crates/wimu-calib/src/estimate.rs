@@ -5,12 +5,9 @@ use core::fmt;
 use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
 
 use crate::linear::Real;
-use crate::outliers::Rejected;
 use crate::terms::{self, Slot, Terms, Theta};
-use crate::{Gravity, Model, Parameter, Parameters, Pose, force, student};
-
-/// Zero-g offset of a usual sensor, m/s²: 50 mg.
-pub(crate) const USUAL_BIAS_MPS2: f64 = 0.5;
+use crate::weights::Rejected;
+use crate::{Covariance, Face, Gravity, Model, Parameter, Parameters, Pose, force, student};
 
 /// An error model and how good it is.
 #[derive(Clone, Debug, PartialEq)]
@@ -170,7 +167,7 @@ pub enum Method {
         /// What was declared.
         declared_sd_rad: f64,
         /// A side that was placed much worse than the others; the covariance of its axis includes it.
-        misplaced: Option<crate::Misplaced>,
+        misplaced: Option<Misplaced>,
         /// What else a position differs by from one visit to the next, m/s², 1 σ, in the covariance
         /// too: as visits of one side show, and as real sensors have it where there are few.
         revisit_sd_mps2: f64,
@@ -196,6 +193,19 @@ impl fmt::Display for Method {
             Self::ThreeAngle => out.write_str("three-angle"),
         }
     }
+}
+
+/// A side that was put down much worse than the others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Misplaced {
+    /// The side, or one of the pair.
+    pub face: Face,
+    /// Whether it may as well be the opposite side: what tells them apart is that the sensor's axes are
+    /// square to a degree or two.
+    pub or_opposite: bool,
+    /// Its tilt, if it is one side, rad.
+    pub tilt_rad: f64,
 }
 
 /// Standard deviations, 1 σ, of an error model's terms.
@@ -245,90 +255,6 @@ impl TermDeviations {
             terms::Term::Quadratic => &mut self.nonlinearity,
         };
         group[slot.index() % 3] = sd;
-    }
-}
-
-/// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Covariance([[f64; Parameter::COUNT]; Parameter::COUNT]);
-
-impl Covariance {
-    /// Covariance of two parameters, in the product of their units; 0 where one was not fitted.
-    pub fn get(&self, a: Parameter, b: Parameter) -> f64 {
-        self.0[a.index()][b.index()]
-    }
-
-    /// Standard deviation of a parameter, in its unit.
-    pub fn sd(&self, parameter: Parameter) -> f64 {
-        libm::sqrt(self.get(parameter, parameter).max(0.0))
-    }
-
-    /// All of it, in the order of [`Parameter::ALL`].
-    pub fn matrix(&self) -> &[[f64; Parameter::COUNT]; Parameter::COUNT] {
-        &self.0
-    }
-
-    pub(crate) const ZERO: Self = Self([[0.0; Parameter::COUNT]; Parameter::COUNT]);
-
-    pub(crate) fn add(&mut self, a: Parameter, b: Parameter, covariance: f64) {
-        self.0[a.index()][b.index()] += covariance;
-    }
-
-    pub(crate) fn set(&mut self, a: Parameter, b: Parameter, covariance: f64) {
-        self.0[a.index()][b.index()] = covariance;
-    }
-
-    /// Gives what nothing was seen of the size that datasheets have: 50 mg, 3 %, 2 %.
-    pub(crate) fn take_for_granted(&mut self, unseen: Parameters) {
-        for parameter in unseen.iter() {
-            let usual = Slot::of(parameter).usual_sd().unwrap_or(USUAL_BIAS_MPS2);
-            self.set(parameter, parameter, usual * usual);
-        }
-    }
-
-    pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
-        Self(*matrix)
-    }
-
-    /// Adds that of gravity: A goes with 1/g, so its relative error is common to all of A.
-    /// The last term of equation (15).
-    pub(crate) fn add_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
-        let relative = gravity.sd_mps2() / gravity.mps2();
-        self.add_common_scale(theta, relative * relative);
-    }
-
-    /// Takes it out again, as far as it is in.
-    pub(crate) fn remove_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
-        let held = self.held_of_gravity(theta, gravity);
-        self.add_common_scale(theta, -held);
-    }
-
-    /// How much of a parameter's variance is that of gravity, as far as it is in.
-    fn of_gravity(&self, theta: &Theta<f64>, gravity: Gravity, parameter: Parameter) -> f64 {
-        match parameter.index() {
-            0..3 => 0.0,
-            i => theta[i] * theta[i] * self.held_of_gravity(theta, gravity),
-        }
-    }
-
-    /// Relative variance of gravity, as far as it is in.
-    fn held_of_gravity(&self, theta: &Theta<f64>, gravity: Gravity) -> f64 {
-        let relative = gravity.sd_mps2() / gravity.mps2();
-        let held = |axis: usize| {
-            let scale = theta[3 + 4 * axis];
-            self.0[3 + 4 * axis][3 + 4 * axis] / (scale * scale)
-        };
-        let most = (0..3).map(held).fold(f64::INFINITY, f64::min);
-        (relative * relative).min(most)
-    }
-
-    fn add_common_scale(&mut self, theta: &Theta<f64>, variance: f64) {
-        for i in 3..Parameter::COUNT {
-            for j in 3..Parameter::COUNT {
-                self.0[i][j] += theta[i] * theta[j] * variance;
-            }
-        }
     }
 }
 

@@ -5,9 +5,9 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Normal, Without};
 use crate::linear::{Real, double, eigen, eigenvalue_range, real, times};
-use crate::outliers::Weighting;
+use crate::shared::Shared;
 use crate::terms::{Slot, Theta};
-use crate::visits::Shared;
+use crate::weights::Weighting;
 use crate::{MultiPosition, Orientation, Refusal};
 
 /// Beyond, some orientation is predicted so badly that the model is of no use there. Twelve well

@@ -5,9 +5,9 @@ use nalgebra::{SMatrix, SVector};
 use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
 use crate::linear::{Cholesky, Real, double, real, times};
-use crate::outliers::{FarOff, Rejected, Weighting};
 use crate::terms::{Slot, Theta};
 use crate::visits::Visits;
+use crate::weights::{FarOff, Rejected, Weighting};
 
 /// Iterations after which a fit counts as not converged; a good one takes 3 to 6.
 const MOST_ITERATIONS: usize = 100;

@@ -2,10 +2,8 @@
 
 use nalgebra::{RealField, SMatrix, SVector, convert};
 
-use crate::Scalar;
-
 /// f32 or f64.
-pub(crate) trait Real: RealField + Scalar {}
+pub(crate) trait Real: RealField + Copy + Default {}
 
 impl Real for f32 {}
 impl Real for f64 {}

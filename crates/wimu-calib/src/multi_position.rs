@@ -1,37 +1,22 @@
 //! Calibration from the magnitude of gravity alone: any orientations, none of them known.
 
-use core::fmt;
-
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
+use crate::evidence::evidence;
 use crate::force::Conditions;
 use crate::knowledge::Knowledge;
 use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
-use crate::outliers::{Rejected, Weighting};
 use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::unfitted::Unfitted;
 use crate::visits::Visits;
+use crate::weights::{Rejected, Weighting};
 use crate::{
-    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Pose, Refusal, choice, design,
-    input, outliers, pose,
+    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, input,
+    outliers, pose,
 };
-
-/// Which parameters are fitted; the others are those of a perfect sensor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Model {
-    /// The bias: 3.
-    Bias3,
-    /// Bias and scale factors: 6.
-    BiasScale6,
-    /// Bias, scale factors and the three misalignments below the diagonal of A: all that gravity
-    /// alone can tell, because it does not see a rotation of the sensor as a whole.
-    #[default]
-    Full9,
-}
 
 /// Beyond, in standard deviations of a residual, a pose left out is not predicted: some pose
 /// decides alone. Twelve well spread poses give 2 to 3.
@@ -48,89 +33,6 @@ const FAR_OFF_MPS2: f64 = 0.5;
 const LEAST_WARMING_K: f64 = 1.0;
 /// A left-out error below this, m/s², is a good prediction whatever the residuals.
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
-
-impl Model {
-    /// All of them, the smallest first.
-    pub const ALL: [Self; 3] = [Self::Bias3, Self::BiasScale6, Self::Full9];
-
-    /// The parameters that are fitted.
-    pub fn fitted(self) -> Parameters {
-        use Parameter::{
-            BiasX, BiasY, BiasZ, MisalignmentXy, MisalignmentXz, MisalignmentYz, ScaleX, ScaleY,
-            ScaleZ,
-        };
-        let all = [
-            BiasX,
-            BiasY,
-            BiasZ,
-            ScaleX,
-            ScaleY,
-            ScaleZ,
-            MisalignmentXy,
-            MisalignmentXz,
-            MisalignmentYz,
-        ];
-        all.into_iter().take(self.parameters()).collect()
-    }
-
-    /// How many parameters are fitted.
-    pub fn parameters(self) -> usize {
-        match self {
-            Self::Bias3 => 3,
-            Self::BiasScale6 => 6,
-            Self::Full9 => 9,
-        }
-    }
-
-    /// The next smaller model, where there is one.
-    pub fn smaller(self) -> Option<Self> {
-        match self {
-            Self::Bias3 => None,
-            Self::BiasScale6 => Some(Self::Bias3),
-            Self::Full9 => Some(Self::BiasScale6),
-        }
-    }
-}
-
-impl fmt::Display for Model {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}-parameter model", self.parameters())
-    }
-}
-
-/// What [`multi_position_with`] fits, and how.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct MultiPosition {
-    /// The parameters.
-    pub model: Model,
-    /// Terms on top of them.
-    pub terms: Terms,
-    /// Leave out poses that the others contradict beyond chance, [`Estimate::rejected`] naming
-    /// them; never more than the data can spare.
-    pub reject: bool,
-}
-
-impl MultiPosition {
-    /// How many parameters are fitted, those of the terms included.
-    pub fn parameters(self) -> usize {
-        self.model.parameters() + self.terms.parameters()
-    }
-
-    fn slots<const N: usize>(self) -> [Slot; N] {
-        let mut slots = [Slot::ALL[0]; N];
-        let basic = self.model.fitted();
-        let basic = basic.iter().map(Slot::of);
-        let terms = self
-            .terms
-            .iter()
-            .flat_map(|term| Slot::ALL.into_iter().skip(term.first_slot()).take(3));
-        for (place, slot) in slots.iter_mut().zip(basic.chain(terms)) {
-            *place = slot;
-        }
-        slots
-    }
-}
 
 /// Estimates the error model from static poses whose orientations nobody knows: |f| = g in each.
 /// Equations (11) to (17) and (40) of docs/EQUATIONS.md.
@@ -388,8 +290,7 @@ fn fit<R: Real, const N: usize>(
     let mut fitted = result(&problem, &fit, &knowledge, gravity, what)?;
     if weigh {
         let poses = fitted.estimate.poses as f64;
-        fitted.evidence =
-            choice::evidence(&fit, &problem.free, poses, fitted.telling, problem.rejected);
+        fitted.evidence = evidence(&fit, &problem.free, poses, fitted.telling, problem.rejected);
     }
     Ok(fitted)
 }

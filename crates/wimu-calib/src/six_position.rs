@@ -4,11 +4,11 @@ use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError};
 
-use crate::estimate::{Residuals, TermDeviations};
+use crate::estimate::{Misplaced, Residuals, TermDeviations};
 use crate::linear::{Real, double, real};
-use crate::outliers::Rejected;
 use crate::pose::mean_temperature;
 use crate::terms::{PERFECT, Terms, Theta};
+use crate::weights::Rejected;
 use crate::{
     Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Pose, Refusal, design,
     force, input, student,
@@ -35,19 +35,6 @@ const PAIR_MISPLACED: f64 = 12.8;
 const OF_FOUR: f64 = 2.7;
 /// The off-axis readings of the side that was misplaced are so many times those of its opposite.
 const ONE_OF_TWO: f64 = 2.0;
-
-/// A side that was put down much worse than the others.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Misplaced {
-    /// The side, or one of the pair.
-    pub face: Face,
-    /// Whether it may as well be the opposite side: what tells them apart is that the sensor's axes are
-    /// square to a degree or two.
-    pub or_opposite: bool,
-    /// Its tilt, if it is one side, rad.
-    pub tilt_rad: f64,
-}
 
 /// How well the sensor was squared when it was put down.
 #[derive(Clone, Copy, Debug, PartialEq)]

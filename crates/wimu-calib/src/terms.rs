@@ -73,6 +73,8 @@ impl Slot {
     }
 }
 
+/// Zero-g offset of a usual sensor, m/s², 1 σ: 50 mg.
+pub(crate) const USUAL_BIAS_MPS2: f64 = 0.5;
 /// What datasheets make likely, 1 σ: of a sensitivity, and across the axes.
 pub(crate) const USUAL_SCALE: f64 = 0.03;
 pub(crate) const USUAL_ACROSS: f64 = 0.02;

@@ -4,11 +4,11 @@ use core::f64::consts::{PI, TAU};
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use crate::estimate::{Residuals, TermDeviations, USUAL_BIAS_MPS2};
+use crate::estimate::{Residuals, TermDeviations};
 use crate::linear::{Real, double, real};
-use crate::outliers::Rejected;
-use crate::terms::{self, PERFECT, Terms};
+use crate::terms::{self, PERFECT, Terms, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
+use crate::weights::Rejected;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal, design,
     force, input, pose, student,

@@ -2,12 +2,11 @@
 
 use nalgebra::{SMatrix, Vector3};
 
-use crate::estimate::USUAL_BIAS_MPS2;
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, real};
-use crate::terms::Slot;
-use crate::visits::Shared;
+use crate::shared::Shared;
+use crate::terms::{Slot, USUAL_BIAS_MPS2};
 use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
 
 /// Parameters that a model can leave out: three scale factors and three misalignments.

@@ -9,8 +9,8 @@
 
 use std::collections::VecDeque;
 
+use crate::chip::Chip;
 use crate::sampling::SampleClock;
-use crate::sensor::Chip;
 use crate::source::{Conversion, Source};
 
 /// Its I²C address, with SDO low.

@@ -5,6 +5,7 @@ pub mod adxl345;
 pub mod attitude;
 pub mod board;
 pub mod bridge;
+mod chip;
 pub mod clock;
 pub mod faults;
 pub mod i2c;

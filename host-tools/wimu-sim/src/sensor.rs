@@ -2,7 +2,6 @@
 
 use std::cell::RefCell;
 use std::convert::Infallible;
-use std::fmt;
 use std::future::{Future, poll_fn};
 use std::pin::Pin;
 use std::rc::Rc;
@@ -11,35 +10,12 @@ use std::task::{Context, Poll, Waker};
 use embedded_hal::digital::{ErrorType, InputPin};
 use embedded_hal_async::digital::Wait;
 
+use crate::adxl345::Adxl345;
+use crate::chip::Chip;
 use crate::clock::{Until, VirtualClock};
 use crate::i2c::Target;
+use crate::lsm303agr::Lsm303agr;
 use crate::source::Source;
-
-/// The registers of a chip and what they do.
-pub(crate) trait Chip: fmt::Debug {
-    /// Takes the samples that are due by `now` (µs).
-    fn settle(&mut self, now: u64, source: &mut dyn Source);
-    /// All registers as after power came.
-    fn reset(&mut self);
-    /// Whether it answers at the 7-bit `address`.
-    fn acknowledges(&self, address: u8) -> bool;
-    /// A message to `address` begins.
-    fn begin_write(&mut self, address: u8);
-    /// The next byte of it.
-    fn write(&mut self, address: u8, byte: u8, now: u64, period_error_ppm: f64);
-    /// The next byte from `address`.
-    fn read(&mut self, address: u8) -> u8;
-    /// The level of its interrupt line.
-    fn interrupt(&self) -> bool;
-    /// When that may next change without anybody touching the chip, µs.
-    fn next_change(&self) -> Option<u64>;
-    /// Makes it identify itself as `identity`.
-    fn set_identity(&mut self, identity: u8);
-    /// Accelerometer samples taken since it was made, read or not.
-    fn samples_taken(&self) -> u64;
-    /// Whether samples wait that were not read.
-    fn has_unread(&self) -> bool;
-}
 
 /// A simulated sensor; clones are the same one, so that one can be on the bus and another in the
 /// hands of a test.
@@ -74,16 +50,12 @@ impl Sensor {
     /// An LSM303AGR that has just got power, with samples from `source`; its interrupt line is
     /// INT1.
     pub fn lsm303agr(clock: &VirtualClock, source: impl Source + 'static) -> Self {
-        Self::of(
-            clock,
-            source,
-            Box::new(crate::lsm303agr::Lsm303agr::default()),
-        )
+        Self::of(clock, source, Box::new(Lsm303agr::default()))
     }
 
     /// An ADXL345 that has just got power, with samples from `source`; its interrupt line is INT1.
     pub fn adxl345(clock: &VirtualClock, source: impl Source + 'static) -> Self {
-        Self::of(clock, source, Box::new(crate::adxl345::Adxl345::default()))
+        Self::of(clock, source, Box::new(Adxl345::default()))
     }
 
     fn of(clock: &VirtualClock, source: impl Source + 'static, chip: Box<dyn Chip>) -> Self {

@@ -13,8 +13,6 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::command::flash::Board;
-
 /// A wireless IMU from an ordinary accelerometer: stream, record, calibrate, push back, navigate.
 ///
 /// LINK is tcp://127.0.0.1:7100, serial:///dev/ttyACM0?baud=115200, a port (COM5, /dev/rfcomm0) or
@@ -104,6 +102,16 @@ pub struct Flash {
     /// Unlock a locked chip, which erases all that is on it: firmware, calibration, key
     #[arg(long)]
     pub erase_all: bool,
+}
+
+/// Boards that are written through a debug probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Board {
+    /// BBC micro:bit v2
+    MicrobitV2,
+    /// Raspberry Pi Pico with an ADXL345
+    #[value(name = "pico-adxl345")]
+    PicoAdxl345,
 }
 
 #[derive(Args)]

@@ -6,7 +6,6 @@ use crate::command_line::{CommandLine, heading};
 use crate::image::{self, Format};
 use crate::output::Output;
 use crate::setup::{self, Need, Source, TARGETS, ThisMachine, embedded_cargo};
-use crate::size;
 use crate::workspace::Workspace;
 
 /// The board that everyone has.
@@ -182,11 +181,11 @@ pub fn test() -> Result<(), String> {
         .run()
 }
 
-/// Builds every board, with its log for a debug probe too if it has one, looks whether it is small
-/// enough, and lints it where the toolchain can.
+/// Builds every board, with its log for a debug probe too if it has one, and lints it where the toolchain
+/// can.
 ///
 /// # Errors
-/// Says which command failed, or which image is too large.
+/// Says which command failed.
 pub fn check(workspace: &Workspace) -> Result<(), String> {
     let source = setup::provide(Need::Targets, &mut ThisMachine)?;
     for folder in &workspace.firmware {
@@ -198,7 +197,6 @@ pub fn check(workspace: &Workspace) -> Result<(), String> {
     }
     // Last: these are the images that are left.
     run(workspace)?;
-    size::check(workspace)?;
     if setup::provide(Need::Targets, &mut ThisMachine)? == Source::Toolchain {
         let clippy = CommandLine::new("cargo clippy --release --locked").words("-- -D warnings");
         for folder in &workspace.firmware {

@@ -6,6 +6,7 @@ use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::instructions;
 use crate::setup::{self, Need, OLDEST, Source, TARGETS, ThisMachine, cargo, embedded_cargo};
+use crate::size;
 use crate::workspace::{Package, Target, Workspace};
 
 /// One thing that must hold.
@@ -70,7 +71,7 @@ pub const STEPS: [Step; 12] = [
     Step {
         name: "firmware",
         about: "every board builds, without a warning, and no larger than it may be",
-        run: firmware::check,
+        run: |workspace| firmware::check(workspace).and_then(|()| size::check(workspace)),
     },
     Step {
         name: "budget",

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use crate::frame::{self, EncodeError, Kind};
 
 mod exchange;
+mod fault;
 mod parameters;
 mod quality;
 mod request;
@@ -25,10 +26,8 @@ mod settings;
 mod state;
 mod telemetry;
 
-pub use parameters::{
-    EncodedParameters, ParameterFault, WireMagnetometerFault, WireParameters, WireQualityFault,
-    WireTerm, parameter_id,
-};
+pub use fault::{ParameterFault, WireMagnetometerFault, WireQualityFault, WireTerm};
+pub use parameters::{EncodedParameters, WireParameters, parameter_id};
 pub use quality::{WireMagnetometer, WireMagnetometerRotation, WireMethod, WireQuality};
 pub(crate) use request::Head;
 pub use request::{Answer, Command, Payload, Refusal, Reply, Request, Signature};

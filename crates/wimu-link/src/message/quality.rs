@@ -1,28 +1,25 @@
 //! What a parameter set carries beside the error model.
 
 use wimu_model::{
-    Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, MagnetometerModel,
-    MagnetometerRotation, MagnetometerTerms, ModelCovariance, QualityTerms, TermDeviations,
+    Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, CovarianceError,
+    MagnetometerModel, MagnetometerRotation, MagnetometerTerms, ModelCovariance, QualityTerms,
+    RotationCovariance, TermDeviations,
 };
 
 use super::MessageError;
 use super::exchange::{Wire, doubles, float, floats, number, number_32, option};
-use super::parameters::{ParameterFault, rotation_covariance, rotation_factor};
+use super::fault::{ParameterFault, mirrored};
 
-/// [`CalibrationMethod`] as it travels. Append only.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[allow(
-    missing_docs,
-    reason = "the names are those of wimu_model::CalibrationMethod"
-)]
-pub enum WireMethod {
-    MultiPosition,
-    SixPosition,
-    FourAngle,
-    ThreeAngle,
-    Reference,
-    Updated,
+mirrored! {
+    /// [`CalibrationMethod`] as it travels. Append only.
+    WireMethod of CalibrationMethod {
+        MultiPosition,
+        SixPosition,
+        FourAngle,
+        ThreeAngle,
+        Reference,
+        Updated,
+    }
 }
 
 /// [`CalibrationQuality`] as it travels, not checked yet.
@@ -193,30 +190,13 @@ impl WireMagnetometer {
     }
 }
 
-impl From<CalibrationMethod> for WireMethod {
-    fn from(method: CalibrationMethod) -> Self {
-        match method {
-            CalibrationMethod::MultiPosition => Self::MultiPosition,
-            CalibrationMethod::SixPosition => Self::SixPosition,
-            CalibrationMethod::FourAngle => Self::FourAngle,
-            CalibrationMethod::ThreeAngle => Self::ThreeAngle,
-            CalibrationMethod::Reference => Self::Reference,
-            CalibrationMethod::Updated => Self::Updated,
-        }
-    }
+pub(super) fn rotation_factor(covariance: RotationCovariance) -> [f32; 6] {
+    let [factor] = covariance.factor();
+    factor
 }
 
-impl From<WireMethod> for CalibrationMethod {
-    fn from(method: WireMethod) -> Self {
-        match method {
-            WireMethod::MultiPosition => Self::MultiPosition,
-            WireMethod::SixPosition => Self::SixPosition,
-            WireMethod::FourAngle => Self::FourAngle,
-            WireMethod::ThreeAngle => Self::ThreeAngle,
-            WireMethod::Reference => Self::Reference,
-            WireMethod::Updated => Self::Updated,
-        }
-    }
+pub(super) fn rotation_covariance(factor: [f32; 6]) -> Result<RotationCovariance, CovarianceError> {
+    RotationCovariance::from_factor([factor])
 }
 
 // The patterns name every field, so that a field added to the model cannot be forgotten here.

@@ -6,7 +6,8 @@ use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::MessageError;
-use super::parameters::{EncodedParameters, ParameterFault, WireParameters};
+use super::fault::ParameterFault;
+use super::parameters::{EncodedParameters, WireParameters};
 use super::settings::Settings;
 use super::telemetry::{ActiveParameters, Status};
 use crate::auth::{DeviceKey, KeyId, Nonce};

@@ -6,7 +6,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use wimu_model::ParameterId;
 
 use super::MessageError;
-use super::parameters::{EncodedParameters, ParameterFault, WireParameters};
+use super::fault::ParameterFault;
+use super::parameters::{EncodedParameters, WireParameters};
 use super::settings::Settings;
 use super::state::{WirePhase, WireState};
 use crate::frame::{Kind, WIRE_VERSION};

@@ -13,7 +13,7 @@ mod accelerometer;
 mod magnetometer;
 mod output;
 
-use crate::sensor::Chip;
+use crate::chip::Chip;
 use crate::source::Source;
 use accelerometer::Accelerometer;
 use magnetometer::Magnetometer;

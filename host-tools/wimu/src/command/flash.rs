@@ -7,21 +7,10 @@ mod probe;
 use std::ops::Range;
 use std::path::PathBuf;
 
-use clap::ValueEnum;
 use wimu_host::{ErrorCode, HostError, Result};
 
-use crate::arguments::Flash;
+use crate::arguments::{Board, Flash};
 use crate::output::Output;
-
-/// Boards that are written through a debug probe.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Board {
-    /// BBC micro:bit v2
-    MicrobitV2,
-    /// Raspberry Pi Pico with an ADXL345
-    #[value(name = "pico-adxl345")]
-    PicoAdxl345,
-}
 
 /// What a chip is called and where it has what.
 struct Chip {

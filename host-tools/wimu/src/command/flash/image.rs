@@ -1,6 +1,6 @@
 //! Firmware images: ELF, Intel HEX and UF2, and whether they are for a board.
 
-use super::Board;
+use crate::arguments::Board;
 
 /// What lies at an address.
 pub type Segment = (u32, Vec<u8>);

@@ -1,0 +1,93 @@
+//! Covariance of an error model's parameters.
+
+use crate::terms::{Slot, Theta, USUAL_BIAS_MPS2};
+use crate::{Gravity, Parameter, Parameters};
+
+/// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Covariance([[f64; Parameter::COUNT]; Parameter::COUNT]);
+
+impl Covariance {
+    /// Covariance of two parameters, in the product of their units; 0 where one was not fitted.
+    pub fn get(&self, a: Parameter, b: Parameter) -> f64 {
+        self.0[a.index()][b.index()]
+    }
+
+    /// Standard deviation of a parameter, in its unit.
+    pub fn sd(&self, parameter: Parameter) -> f64 {
+        libm::sqrt(self.get(parameter, parameter).max(0.0))
+    }
+
+    /// All of it, in the order of [`Parameter::ALL`].
+    pub fn matrix(&self) -> &[[f64; Parameter::COUNT]; Parameter::COUNT] {
+        &self.0
+    }
+
+    pub(crate) const ZERO: Self = Self([[0.0; Parameter::COUNT]; Parameter::COUNT]);
+
+    pub(crate) fn add(&mut self, a: Parameter, b: Parameter, covariance: f64) {
+        self.0[a.index()][b.index()] += covariance;
+    }
+
+    pub(crate) fn set(&mut self, a: Parameter, b: Parameter, covariance: f64) {
+        self.0[a.index()][b.index()] = covariance;
+    }
+
+    /// Gives what nothing was seen of the size that datasheets have: 50 mg, 3 %, 2 %.
+    pub(crate) fn take_for_granted(&mut self, unseen: Parameters) {
+        for parameter in unseen.iter() {
+            let usual = Slot::of(parameter).usual_sd().unwrap_or(USUAL_BIAS_MPS2);
+            self.set(parameter, parameter, usual * usual);
+        }
+    }
+
+    pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
+        Self(*matrix)
+    }
+
+    /// Adds that of gravity: A goes with 1/g, so its relative error is common to all of A.
+    /// The last term of equation (15).
+    pub(crate) fn add_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
+        let relative = gravity.sd_mps2() / gravity.mps2();
+        self.add_common_scale(theta, relative * relative);
+    }
+
+    /// Takes it out again, as far as it is in.
+    pub(crate) fn remove_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
+        let held = self.held_of_gravity(theta, gravity);
+        self.add_common_scale(theta, -held);
+    }
+
+    /// How much of a parameter's variance is that of gravity, as far as it is in.
+    pub(crate) fn of_gravity(
+        &self,
+        theta: &Theta<f64>,
+        gravity: Gravity,
+        parameter: Parameter,
+    ) -> f64 {
+        match parameter.index() {
+            0..3 => 0.0,
+            i => theta[i] * theta[i] * self.held_of_gravity(theta, gravity),
+        }
+    }
+
+    /// Relative variance of gravity, as far as it is in.
+    fn held_of_gravity(&self, theta: &Theta<f64>, gravity: Gravity) -> f64 {
+        let relative = gravity.sd_mps2() / gravity.mps2();
+        let held = |axis: usize| {
+            let scale = theta[3 + 4 * axis];
+            self.0[3 + 4 * axis][3 + 4 * axis] / (scale * scale)
+        };
+        let most = (0..3).map(held).fold(f64::INFINITY, f64::min);
+        (relative * relative).min(most)
+    }
+
+    fn add_common_scale(&mut self, theta: &Theta<f64>, variance: f64) {
+        for i in 3..Parameter::COUNT {
+            for j in 3..Parameter::COUNT {
+                self.0[i][j] += theta[i] * theta[j] * variance;
+            }
+        }
+    }
+}

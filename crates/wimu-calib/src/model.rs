@@ -1,0 +1,103 @@
+//! What is fitted to the magnitude of gravity.
+
+use core::fmt;
+
+use crate::terms::{Slot, Terms};
+use crate::{Parameter, Parameters};
+
+/// Which parameters are fitted; the others are those of a perfect sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Model {
+    /// The bias: 3.
+    Bias3,
+    /// Bias and scale factors: 6.
+    BiasScale6,
+    /// Bias, scale factors and the three misalignments below the diagonal of A: all that gravity
+    /// alone can tell, because it does not see a rotation of the sensor as a whole.
+    #[default]
+    Full9,
+}
+
+impl Model {
+    /// All of them, the smallest first.
+    pub const ALL: [Self; 3] = [Self::Bias3, Self::BiasScale6, Self::Full9];
+
+    /// The parameters that are fitted.
+    pub fn fitted(self) -> Parameters {
+        use Parameter::{
+            BiasX, BiasY, BiasZ, MisalignmentXy, MisalignmentXz, MisalignmentYz, ScaleX, ScaleY,
+            ScaleZ,
+        };
+        let all = [
+            BiasX,
+            BiasY,
+            BiasZ,
+            ScaleX,
+            ScaleY,
+            ScaleZ,
+            MisalignmentXy,
+            MisalignmentXz,
+            MisalignmentYz,
+        ];
+        all.into_iter().take(self.parameters()).collect()
+    }
+
+    /// How many parameters are fitted.
+    pub fn parameters(self) -> usize {
+        match self {
+            Self::Bias3 => 3,
+            Self::BiasScale6 => 6,
+            Self::Full9 => 9,
+        }
+    }
+
+    /// The next smaller model, where there is one.
+    pub fn smaller(self) -> Option<Self> {
+        match self {
+            Self::Bias3 => None,
+            Self::BiasScale6 => Some(Self::Bias3),
+            Self::Full9 => Some(Self::BiasScale6),
+        }
+    }
+}
+
+impl fmt::Display for Model {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}-parameter model", self.parameters())
+    }
+}
+
+/// What [`multi_position_with`](crate::multi_position_with) fits, and how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MultiPosition {
+    /// The parameters.
+    pub model: Model,
+    /// Terms on top of them.
+    pub terms: Terms,
+    /// Leave out poses that the others contradict beyond chance, [`Estimate::rejected`](crate::Estimate::rejected) naming
+    /// them; never more than the data can spare.
+    pub reject: bool,
+}
+
+impl MultiPosition {
+    /// How many parameters are fitted, those of the terms included.
+    pub fn parameters(self) -> usize {
+        self.model.parameters() + self.terms.parameters()
+    }
+
+    pub(crate) fn slots<const N: usize>(self) -> [Slot; N] {
+        let mut slots = [Slot::ALL[0]; N];
+        let basic = self.model.fitted();
+        let basic = basic.iter().map(Slot::of);
+        let terms = self
+            .terms
+            .iter()
+            .flat_map(|term| Slot::ALL.into_iter().skip(term.first_slot()).take(3));
+        for (place, slot) in slots.iter_mut().zip(basic.chain(terms)) {
+            *place = slot;
+        }
+        slots
+    }
+}

@@ -1,0 +1,219 @@
+//! Why parameters are refused.
+
+use core::fmt;
+
+use serde::{Deserialize, Serialize};
+use wimu_model::{
+    AlignmentError, CompileError, CovarianceError, MagnetometerError, ModelError, QualityError,
+    SensitivityError, Term,
+};
+
+use crate::hello::sensor;
+
+/// An enum of the model as it travels, and both conversions. The wire has a variant's place: append only.
+macro_rules! mirrored {
+    ($(#[$attribute:meta])* $wire:ident of $model:ident { $($name:ident),+ $(,)? }) => {
+        $(#[$attribute])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[allow(missing_docs, reason = "the names are those of the model's enum")]
+        pub enum $wire { $($name),+ }
+
+        impl From<$model> for $wire {
+            fn from(model: $model) -> Self {
+                match model { $($model::$name => Self::$name),+ }
+            }
+        }
+
+        impl From<$wire> for $model {
+            fn from(wire: $wire) -> Self {
+                match wire { $($wire::$name => Self::$name),+ }
+            }
+        }
+    };
+}
+pub(super) use mirrored;
+
+mirrored! {
+    /// A term of the error model, as a fault names it. On the wire: append only.
+    #[derive(Serialize, Deserialize)]
+    WireTerm of Term {
+        Bias,
+        Scale,
+        Misalignment,
+        ReferenceTemperature,
+        BiasSlope,
+        BiasCurvature,
+        ScaleSlope,
+        Nonlinearity,
+    }
+}
+
+mirrored! {
+    /// [`QualityError`] as it travels. Append only.
+    #[derive(Serialize, Deserialize)]
+    WireQualityFault of QualityError { Temperature, Residual, Condition, Deviation }
+}
+
+mirrored! {
+    /// [`MagnetometerError`] as it travels. Append only.
+    #[derive(Serialize, Deserialize)]
+    WireMagnetometerFault of MagnetometerError { HardIron, SoftIron, Field, Quality, Dip }
+}
+
+/// Why parameters are none. On the wire: append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ParameterFault {
+    /// A term is infinite or not a number.
+    NotFinite {
+        /// Which term.
+        term: WireTerm,
+        /// Its axis (its row in A), 0 = X.
+        axis: u8,
+    },
+    /// A term is outside its physical bounds.
+    OutOfBounds {
+        /// Which term.
+        term: WireTerm,
+        /// Its axis (its row in A), 0 = X.
+        axis: u8,
+        /// Its value, in the term's unit.
+        value: f64,
+        /// The lowest allowed.
+        low: f64,
+        /// The highest allowed.
+        high: f64,
+    },
+    /// The matrix cannot be inverted, or is mirrored; holds its determinant.
+    Singular(f64),
+    /// The sensitivity is out of bounds; holds it, LSB/*g*.
+    Sensitivity(f64),
+    /// The alignment is no rotation; holds the quaternion's length.
+    Alignment(f64),
+    /// Corrected samples would not fit 32 bits.
+    Overflow,
+    /// The matrix cannot be inverted at the device's temperature.
+    SingularAtTemperature,
+    /// A covariance is none.
+    Covariance,
+    /// What the calibration says of itself makes no sense.
+    Quality(WireQualityFault),
+    /// The magnetometer's model makes no sense.
+    Magnetometer(WireMagnetometerFault),
+    /// The parameters are of another model of accelerometer, both a number of
+    /// [`sensor`](crate::hello::sensor).
+    OtherSensor {
+        /// Theirs.
+        parameters: u16,
+        /// The device's.
+        device: u16,
+    },
+}
+
+impl From<QualityError> for ParameterFault {
+    fn from(error: QualityError) -> Self {
+        Self::Quality(error.into())
+    }
+}
+
+impl From<MagnetometerError> for ParameterFault {
+    fn from(error: MagnetometerError) -> Self {
+        Self::Magnetometer(error.into())
+    }
+}
+
+impl From<CovarianceError> for ParameterFault {
+    fn from(_: CovarianceError) -> Self {
+        Self::Covariance
+    }
+}
+
+impl From<ModelError> for ParameterFault {
+    fn from(error: ModelError) -> Self {
+        match error {
+            ModelError::NotFinite { term, axis } => Self::NotFinite {
+                term: term.into(),
+                axis: axis as u8,
+            },
+            ModelError::OutOfBounds {
+                term,
+                axis,
+                value,
+                low,
+                high,
+            } => Self::OutOfBounds {
+                term: term.into(),
+                axis: axis as u8,
+                value,
+                low,
+                high,
+            },
+            ModelError::Singular { determinant } => Self::Singular(determinant),
+        }
+    }
+}
+
+impl From<SensitivityError> for ParameterFault {
+    fn from(error: SensitivityError) -> Self {
+        Self::Sensitivity(error.0)
+    }
+}
+
+impl From<AlignmentError> for ParameterFault {
+    fn from(error: AlignmentError) -> Self {
+        Self::Alignment(error.norm)
+    }
+}
+
+impl From<CompileError> for ParameterFault {
+    fn from(error: CompileError) -> Self {
+        match error {
+            CompileError::Overflow => Self::Overflow,
+            CompileError::Singular => Self::SingularAtTemperature,
+        }
+    }
+}
+
+impl fmt::Display for ParameterFault {
+    /// In the words of the model's own errors.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::NotFinite { term, axis } => ModelError::NotFinite {
+                term: term.into(),
+                axis: axis.into(),
+            }
+            .fmt(out),
+            Self::OutOfBounds {
+                term,
+                axis,
+                value,
+                low,
+                high,
+            } => ModelError::OutOfBounds {
+                term: term.into(),
+                axis: axis.into(),
+                value,
+                low,
+                high,
+            }
+            .fmt(out),
+            Self::Singular(determinant) => ModelError::Singular { determinant }.fmt(out),
+            Self::Sensitivity(lsb_per_g) => SensitivityError(lsb_per_g).fmt(out),
+            Self::Alignment(norm) => AlignmentError { norm }.fmt(out),
+            Self::Overflow => CompileError::Overflow.fmt(out),
+            Self::SingularAtTemperature => CompileError::Singular.fmt(out),
+            Self::Covariance => CovarianceError.fmt(out),
+            Self::Quality(fault) => QualityError::from(fault).fmt(out),
+            Self::Magnetometer(fault) => MagnetometerError::from(fault).fmt(out),
+            Self::OtherSensor { parameters, device } => write!(
+                out,
+                "they are of sensor {parameters} ({}), the device has {device} ({})",
+                sensor::name(parameters),
+                sensor::name(device)
+            ),
+        }
+    }
+}
+
+impl core::error::Error for ParameterFault {}

@@ -1,0 +1,31 @@
+//! What a sensor's chip does, whichever it is.
+
+use std::fmt;
+
+use crate::source::Source;
+
+/// The registers of a chip and what they do.
+pub(crate) trait Chip: fmt::Debug {
+    /// Takes the samples that are due by `now` (µs).
+    fn settle(&mut self, now: u64, source: &mut dyn Source);
+    /// All registers as after power came.
+    fn reset(&mut self);
+    /// Whether it answers at the 7-bit `address`.
+    fn acknowledges(&self, address: u8) -> bool;
+    /// A message to `address` begins.
+    fn begin_write(&mut self, address: u8);
+    /// The next byte of it.
+    fn write(&mut self, address: u8, byte: u8, now: u64, period_error_ppm: f64);
+    /// The next byte from `address`.
+    fn read(&mut self, address: u8) -> u8;
+    /// The level of its interrupt line.
+    fn interrupt(&self) -> bool;
+    /// When that may next change without anybody touching the chip, µs.
+    fn next_change(&self) -> Option<u64>;
+    /// Makes it identify itself as `identity`.
+    fn set_identity(&mut self, identity: u8);
+    /// Accelerometer samples taken since it was made, read or not.
+    fn samples_taken(&self) -> u64;
+    /// Whether samples wait that were not read.
+    fn has_unread(&self) -> bool;
+}

@@ -1,6 +1,7 @@
 //! The chores of this repository: `cargo xtask --help`.
 
 mod budget;
+mod campaign;
 mod command_line;
 mod firmware;
 mod image;
@@ -9,6 +10,7 @@ mod output;
 mod setup;
 mod size;
 mod test;
+mod validation;
 mod workspace;
 
 use std::process::ExitCode;
@@ -21,7 +23,11 @@ enum Task {
     Help,
     Setup,
     /// Names of the steps to run; all of them when empty.
+    Check(Vec<String>),
     Test(Vec<String>),
+    /// The name of a campaign.
+    Campaign(String),
+    Validation,
     /// A folder of recordings.
     Budget(Option<String>),
     Firmware,
@@ -57,7 +63,16 @@ fn run(task: Task) -> Result<(), String> {
             Ok(())
         }
         Task::Setup => setup::run(),
-        Task::Test(only) => test::run(&Workspace::enter()?, &only),
+        Task::Check(only) => test::run(&Workspace::enter()?, &test::CHECK, &only),
+        Task::Test(only) => test::run(&Workspace::enter()?, &test::TEST, &only),
+        Task::Campaign(name) => {
+            Workspace::enter()?;
+            campaign::run(&name)
+        }
+        Task::Validation => {
+            Workspace::enter()?;
+            validation::write()
+        }
         Task::Budget(data) => budget::run(&Workspace::enter()?, data.as_deref()),
         Task::Firmware => firmware::run(&Workspace::enter()?),
         Task::Flash(board, options) => firmware::flash(&Workspace::enter()?, &board, &options),
@@ -83,9 +98,14 @@ fn parse(words: &[String]) -> Result<Task, String> {
     match words[..] {
         [] => Err("no task given".into()),
         ["setup"] => Ok(Task::Setup),
+        ["check"] => Ok(Task::Check(Vec::new())),
+        ["check", "--only", names] => steps_named(&test::CHECK, names).map(Task::Check),
         ["test"] => Ok(Task::Test(Vec::new())),
-        ["test", "--only", names] => steps_named(names).map(Task::Test),
-        ["test", "--only"] => Err("--only needs the name of a step".into()),
+        ["test", "--only", names] => steps_named(&test::TEST, names).map(Task::Test),
+        ["check" | "test", "--only"] => Err("--only needs the name of a step".into()),
+        ["campaign", name] => campaign::known(name).map(|name| Task::Campaign(name.into())),
+        ["campaign"] => Err(format!("campaign needs a name: {}", campaign::names())),
+        ["validation"] => Ok(Task::Validation),
         ["budget"] => Ok(Task::Budget(None)),
         ["budget", folder] if !folder.starts_with('-') => Ok(Task::Budget(Some(folder.into()))),
         ["firmware"] => Ok(Task::Firmware),
@@ -96,7 +116,8 @@ fn parse(words: &[String]) -> Result<Task, String> {
         )),
         ["size"] => Ok(Task::Size),
         [
-            "setup" | "test" | "budget" | "firmware" | "flash" | "size",
+            "setup" | "check" | "test" | "campaign" | "validation" | "budget" | "firmware"
+            | "flash" | "size",
             extra,
             ..,
         ] => Err(format!("`{}` does not take `{extra}`", words[0])),
@@ -104,11 +125,11 @@ fn parse(words: &[String]) -> Result<Task, String> {
     }
 }
 
-fn steps_named(names: &str) -> Result<Vec<String>, String> {
+fn steps_named(lane: &test::Lane, names: &str) -> Result<Vec<String>, String> {
     names
         .split(',')
         .map(|name| {
-            let known = test::STEPS.iter().any(|step| step.name == name);
+            let known = lane.steps.iter().any(|step| step.name == name);
             known
                 .then(|| name.to_owned())
                 .ok_or_else(|| format!("there is no step `{name}`"))
@@ -117,17 +138,25 @@ fn steps_named(names: &str) -> Result<Vec<String>, String> {
 }
 
 fn help() -> String {
-    let steps: String = test::STEPS
+    let steps = |lane: &test::Lane| -> String {
+        let line = |step: &test::Step| format!("\n    {:<11} {}", step.name, step.about);
+        lane.steps.iter().map(line).collect()
+    };
+    let (check, test) = (steps(&test::CHECK), steps(&test::TEST));
+    let campaigns: String = campaign::CAMPAIGNS
         .iter()
-        .map(|step| format!("\n    {:<11} {}", step.name, step.about))
+        .map(|campaign| format!("\n    {:<11} {}", campaign.name, campaign.about))
         .collect();
     format!(
         "\
 Usage: cargo xtask TASK
 
   setup                 find or install what the tests need
+  check                 what is run before each commit: some minutes
   test                  everything that must hold before a change is kept
-  test --only STEP,…    just these steps
+  … --only STEP,…       just these steps of `check` or `test`
+  campaign NAME         statistics in release, to docs/validation/NAME.json
+  validation            render docs/VALIDATION.md from docs/validation
   budget [DATA]         print the measured figures: bytes on the wire, accuracy, instructions per
                         sample in QEMU, and fail where one is past its bar;
                         recordings come from the folder DATA (default {}, if there)
@@ -140,7 +169,11 @@ Usage: cargo xtask TASK
   qemu [OPTION VALUE]…  start the board in QEMU in real time with a moving sensor, and print its
                         links; Ctrl-C stops it; `qemu --help` lists the options
 
-Steps of `test`, in order:{steps}
+Steps of `check`, in order:{check}
+
+Steps of `test`, in order:{test}
+
+Campaigns:{campaigns}
 
 `setup` installs when it runs as root or with CI=true, and otherwise prints the command to run.
 With CI=true cargo also gets --locked. CARGO_TARGET_DIR, CARGO_TERM_COLOR and NO_COLOR are respected.
@@ -164,6 +197,12 @@ mod tests {
     fn each_task_is_understood() {
         assert_eq!(parsed("setup"), Ok(Task::Setup));
         assert_eq!(parsed("test"), Ok(Task::Test(vec![])));
+        assert_eq!(parsed("check"), Ok(Task::Check(vec![])));
+        assert_eq!(
+            parsed("campaign storage"),
+            Ok(Task::Campaign("storage".into()))
+        );
+        assert_eq!(parsed("validation"), Ok(Task::Validation));
         assert_eq!(parsed("budget"), Ok(Task::Budget(None)));
         assert_eq!(parsed("budget data"), Ok(Task::Budget(Some("data".into()))));
         assert_eq!(parsed("firmware"), Ok(Task::Firmware));
@@ -203,6 +242,8 @@ mod tests {
             ("tset", "`tset`"),
             ("setup now", "`now`"),
             ("test clippy", "`clippy`"),
+            ("campaign", "calibration"),
+            ("campaign calibartion", "`calibartion`"),
             ("test --only", "--only"),
             ("test --only clipy", "`clipy`"),
             ("test --only clippy doc", "`--only`"),
@@ -218,7 +259,7 @@ mod tests {
     #[test]
     fn help_names_every_step() {
         let help = help();
-        for step in &test::STEPS {
+        for step in test::TEST.steps.iter().chain(test::CHECK.steps) {
             assert!(
                 help.contains(&format!("\n    {} ", step.name)),
                 "{}",

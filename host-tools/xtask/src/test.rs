@@ -16,107 +16,154 @@ pub struct Step {
     run: fn(&Workspace) -> Result<(), String>,
 }
 
-/// The cheaper first: a run stops at the first that fails.
-pub const STEPS: [Step; 12] = [
-    Step {
-        name: "setup",
-        about: "rustfmt, clippy, the microcontroller targets and the emulators are installed",
-        run: |_| setup::run(),
-    },
-    Step {
-        name: "format",
-        about: "the source is formatted",
-        run: |workspace| {
-            let check = CommandLine::new("cargo fmt --all --check");
-            check
-                .run()
-                .map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))?;
-            all(firmware::format(workspace))
-                .map_err(|problem| format!("{problem}; `cargo fmt` there formats it"))
-        },
-    },
-    Step {
-        name: "clippy",
-        about: "no warning: every target of every package, and the libraries with all features",
-        run: |workspace| all(clippy(workspace)),
-    },
-    Step {
-        name: "oldest",
-        about: concat!(
-            "everything compiles with Rust ",
-            env!("CARGO_PKG_RUST_VERSION"),
-            ", if rustup has it or can install it"
-        ),
-        run: |_| match setup::provide(Need::Oldest, &mut ThisMachine) {
-            Ok(_) => oldest().run(),
-            Err(why) => {
-                println!("skipped: {why}");
-                Ok(())
-            }
-        },
-    },
-    Step {
-        name: "doc",
-        about: "the libraries' documentation builds without a warning",
-        run: |workspace| doc(workspace).run(),
-    },
-    Step {
-        name: "embedded",
-        about: "libraries compile and bare-metal programs build for Cortex-M4F and Cortex-M0+",
-        run: |workspace| {
-            let source = setup::provide(Need::Targets, &mut ThisMachine)?;
-            all(embedded(workspace, source))
-        },
-    },
-    Step {
-        name: "firmware",
-        about: "every board builds, without a warning, and no larger than it may be",
-        run: |workspace| firmware::check(workspace).and_then(|()| size::check(workspace)),
-    },
-    Step {
-        name: "budget",
-        about: "a sample costs no more instructions than it may, counted in QEMU",
-        run: |_| instructions::run(),
-    },
-    Step {
-        name: "host",
-        about: "all tests on this machine, examples in the documentation included, without C libraries",
-        run: |_| without_c_libraries("test --workspace").run(),
-    },
-    Step {
-        name: "qemu",
-        about: "the firmware does the main job on an emulated Cortex-M4F, bit for bit",
-        run: |_| firmware::test(),
-    },
-    Step {
-        name: "pico",
-        about: "the Pico's firmware works on an emulated RP2040 with an ADXL345, both links at 115,200 baud",
-        run: firmware::pico,
-    },
-    Step {
-        name: "standalone",
-        about: "`wimu` compiles by itself, and with what writes boards through probes, without C libraries",
-        run: |_| {
-            let commands = ["check -p wimu", "check -p wimu --features flash"];
-            all(commands.map(without_c_libraries).into())
-        },
-    },
-];
+/// Steps that are run together, the cheaper first: a run stops at the first that fails.
+pub struct Lane {
+    pub name: &'static str,
+    pub steps: &'static [Step],
+}
 
-/// Runs the steps named in `only`, or all, and prints how long each took.
+/// What is run before each commit.
+pub const CHECK: Lane = Lane {
+    name: "check",
+    steps: &[
+        Step {
+            name: "format",
+            about: "the source is formatted",
+            run: |_| formatted(),
+        },
+        Step {
+            name: "clippy",
+            about: "no warning: every target of every package of the workspace",
+            run: |_| workspace_clippy().run(),
+        },
+        Step {
+            name: "embedded",
+            about: "libraries compile for Cortex-M4F",
+            run: |workspace| {
+                let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+                all(embedded(workspace, source, &TARGETS[..1]))
+            },
+        },
+        Step {
+            name: "host",
+            about: "the tests on this machine, statistics with 20 draws, without documentation",
+            run: |_| {
+                without_c_libraries("test --workspace --lib --bins --test all")
+                    .with("WIMU_LANE", "check")
+                    .run()
+            },
+        },
+    ],
+};
+
+/// Everything that must hold before a change is kept.
+pub const TEST: Lane = Lane {
+    name: "test",
+    steps: &[
+        Step {
+            name: "setup",
+            about: "rustfmt, clippy, the microcontroller targets and the emulators are installed",
+            run: |_| setup::run(),
+        },
+        Step {
+            name: "format",
+            about: "the source is formatted",
+            run: |workspace| {
+                formatted()?;
+                all(firmware::format(workspace))
+                    .map_err(|problem| format!("{problem}; `cargo fmt` there formats it"))
+            },
+        },
+        Step {
+            name: "clippy",
+            about: "no warning: every target of every package, and the libraries with all features",
+            run: |workspace| all(clippy(workspace)),
+        },
+        Step {
+            name: "oldest",
+            about: concat!(
+                "everything compiles with Rust ",
+                env!("CARGO_PKG_RUST_VERSION"),
+                ", if rustup has it or can install it"
+            ),
+            run: |_| match setup::provide(Need::Oldest, &mut ThisMachine) {
+                Ok(_) => oldest().run(),
+                Err(why) => {
+                    println!("skipped: {why}");
+                    Ok(())
+                }
+            },
+        },
+        Step {
+            name: "doc",
+            about: "the libraries' documentation builds without a warning",
+            run: |workspace| doc(workspace).run(),
+        },
+        Step {
+            name: "embedded",
+            about: "libraries compile and bare-metal programs build for Cortex-M4F and Cortex-M0+",
+            run: |workspace| {
+                let source = setup::provide(Need::Targets, &mut ThisMachine)?;
+                all(embedded(workspace, source, &TARGETS))
+            },
+        },
+        Step {
+            name: "firmware",
+            about: "every board builds, without a warning, and no larger than it may be",
+            run: |workspace| firmware::check(workspace).and_then(|()| size::check(workspace)),
+        },
+        Step {
+            name: "budget",
+            about: "a sample costs no more instructions than it may, counted in QEMU",
+            run: |_| instructions::run(),
+        },
+        Step {
+            name: "host",
+            about: "all tests on this machine, examples in the documentation included, without C libraries",
+            run: |_| without_c_libraries("test --workspace").run(),
+        },
+        Step {
+            name: "qemu",
+            about: "the firmware does the main job on an emulated Cortex-M4F, bit for bit",
+            run: |_| firmware::test(),
+        },
+        Step {
+            name: "pico",
+            about: "the Pico's firmware works on an emulated RP2040 with an ADXL345, both links at 115,200 baud",
+            run: firmware::pico,
+        },
+        Step {
+            name: "standalone",
+            about: "`wimu` compiles by itself, and with what writes boards through probes, without C libraries",
+            run: |_| {
+                let commands = ["check -p wimu", "check -p wimu --features flash"];
+                all(commands.map(without_c_libraries).into())
+            },
+        },
+    ],
+};
+
+fn formatted() -> Result<(), String> {
+    let check = CommandLine::new("cargo fmt --all --check");
+    check
+        .run()
+        .map_err(|problem| format!("{problem}; `cargo fmt --all` formats it"))
+}
+
+/// Runs the steps of `lane` named in `only`, or all, and prints how long each took.
 ///
 /// # Errors
 /// Says what failed and how to run just that again.
-pub fn run(workspace: &Workspace, only: &[String]) -> Result<(), String> {
+pub fn run(workspace: &Workspace, lane: &Lane, only: &[String]) -> Result<(), String> {
     let mut done = Vec::new();
     let mut outcome = Ok(());
     let wanted = |step: &&Step| only.is_empty() || only.iter().any(|name| name == step.name);
-    for step in STEPS.iter().filter(wanted) {
+    for step in lane.steps.iter().filter(wanted) {
         heading(&format!("{}: {}", step.name, step.about));
         let start = Instant::now();
         outcome = (step.run)(workspace).map_err(|problem| {
-            let name = step.name;
-            format!("{name}: {problem}\njust this step again: cargo xtask test --only {name}")
+            let (lane, name) = (lane.name, step.name);
+            format!("{name}: {problem}\njust this step again: cargo xtask {lane} --only {name}")
         });
         let took = start.elapsed();
         println!("{}: {:.1} s", step.name, took.as_secs_f64());
@@ -145,13 +192,16 @@ fn all(commands: Vec<CommandLine>) -> Result<(), String> {
     commands.iter().try_for_each(CommandLine::run)
 }
 
+const DENY: &str = "--all-targets -- -D warnings";
+
+fn workspace_clippy() -> CommandLine {
+    cargo("clippy --workspace").words(DENY)
+}
+
 fn clippy(workspace: &Workspace) -> Vec<CommandLine> {
-    let deny = "--all-targets -- -D warnings";
     let featured = workspace.below("crates").filter(|p| !p.features.is_empty());
-    vec![
-        cargo("clippy --workspace").words(deny),
-        selecting(cargo("clippy --all-features"), featured).words(deny),
-    ]
+    let featured = selecting(cargo("clippy --all-features"), featured).words(DENY);
+    vec![workspace_clippy(), featured]
 }
 
 fn oldest() -> CommandLine {
@@ -174,7 +224,7 @@ fn without_c_libraries(command: &str) -> CommandLine {
 }
 
 /// Each package by itself: built together, one could lean on features that another asks for.
-fn embedded(workspace: &Workspace, source: Source) -> Vec<CommandLine> {
+fn embedded(workspace: &Workspace, source: Source, targets: &[&str]) -> Vec<CommandLine> {
     let mut commands = Vec::new();
     for package in workspace.below("crates").chain(workspace.below("examples")) {
         let bare_metal = |target: &&Target| target.kind == "bin" && target.no_std;
@@ -185,8 +235,8 @@ fn embedded(workspace: &Workspace, source: Source) -> Vec<CommandLine> {
         } else {
             "build"
         };
-        let targets = TARGETS.iter();
         let mut plain = targets
+            .iter()
             .fold(embedded_cargo(source, verb), |cargo, target| {
                 cargo.word("--target").word(target)
             })
@@ -254,7 +304,7 @@ mod tests {
     #[test]
     fn microcontroller_builds_take_each_package_alone_plain_and_with_all_features_but_std() {
         assert_eq!(
-            tails(embedded(&workspace(), Source::Toolchain)),
+            tails(embedded(&workspace(), Source::Toolchain, &TARGETS)),
             [
                 "plain --lib",
                 "rich --lib",
@@ -284,8 +334,10 @@ mod tests {
 
     #[test]
     fn no_two_steps_share_a_name() {
-        for (i, step) in STEPS.iter().enumerate() {
-            assert!(STEPS[..i].iter().all(|other| other.name != step.name));
+        for Lane { steps, .. } in [CHECK, TEST] {
+            for (i, step) in steps.iter().enumerate() {
+                assert!(steps[..i].iter().all(|other| other.name != step.name));
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ mod common;
 use std::hint::black_box;
 use std::time::Instant;
 
-use common::{Random, pose, twelve};
+use common::{DrawModel as _, Random, pose, twelve};
 use imu_calib::estimate::{AccelParametrization, StaticPose, estimate_accel_intrinsics};
 use wimu_calib::{
     Gravity, Model, MultiPosition, Pose, multi_position, multi_position_f32, multi_position_with,
@@ -21,7 +21,7 @@ const G: f64 = 9.80665;
 const ROUNDS: usize = 2000;
 
 fn main() {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let truth = random.model(true);
     let mut ups = twelve().to_vec();
     ups.extend((0..26).map(|_| random.direction()));

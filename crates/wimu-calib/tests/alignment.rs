@@ -38,7 +38,7 @@ proptest! {
     /// Independent computation: TRIAD, which is exact for exact directions.
     #[test]
     fn exact_directions_give_the_rotation_itself(seed: u64, more in 0_usize..4) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = rotation(&mut random);
         let back = inverse(truth);
         let mut bodies = vec![[0.0, 0.0, 1.0], unit([1.0, random.within(0.5), random.within(0.5)])];
@@ -73,7 +73,7 @@ proptest! {
 fn the_covariance_holds_the_truth_95_percent_of_the_time() {
     let (mut held, mut axes) = (0, 0);
     for seed in 0..1000 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = rotation(&mut random);
         let sds = [0.3_f64, 1.0].map(f64::to_radians);
         let bodies = [[0.0, 0.0, 1.0], unit([1.0, 0.0, 0.4])];
@@ -167,7 +167,7 @@ fn push(random: &mut Random, ahead: [f64; 3], up: [f64; 3], crooked: f64) -> Vec
 fn a_straight_push_tells_ahead_and_a_crooked_one_is_refused() {
     let (mut worst, mut held) = (0.0_f64, 0);
     for seed in 0..200 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let up = random.direction();
         let ahead = unit(cross(up, random.direction()));
         let rest = up.map(|u| 9.81 * u);

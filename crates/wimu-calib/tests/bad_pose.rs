@@ -119,7 +119,7 @@ fn one_bad_pose_of_few_is_named_or_the_answer_refused_and_good_ones_hardly_ever(
         let [good, bad] = [0.0, 1.0].map(|off| {
             let mut what = Count::default();
             for seed in 0..SEEDS as u64 {
-                let mut random = Random(seed);
+                let mut random = Random::new(seed);
                 let ups: Vec<[f64; 3]> = (0..count).map(|_| random.direction()).collect();
                 let (truth, mut poses) = session(&mut random, &ups, 0.005);
                 let bad = (random.uniform() * count as f64) as usize;
@@ -143,7 +143,7 @@ fn one_bad_pose_of_few_is_named_or_the_answer_refused_and_good_ones_hardly_ever(
 
 #[test]
 fn a_bad_pose_that_cannot_be_spared_is_named_with_what_to_do() {
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let (_, mut poses) = session(&mut random, &twelve(), 0.003);
     poses[5].mean_mps2 = poses[5].mean_mps2.map(|y| 1.03 * y);
     let refused = nine(&poses).expect_err("contradicted");

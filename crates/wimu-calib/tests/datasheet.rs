@@ -45,7 +45,7 @@ fn each_parameter_stands_beside_its_limit_in_the_datasheets_unit() {
         matrix: [[1.0, 0.0, 0.0], [0.0, 1.04, 0.0], [0.0, 0.05, 0.99]],
         ..ErrorTerms::default()
     });
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let mut poses: Vec<Pose> = twelve().map(|up| pose(&truth, G, up)).to_vec();
     poses.extend((0..8).map(|_| pose(&truth, G, random.direction())));
     for pose in &mut poses {
@@ -131,7 +131,7 @@ fn temperature_and_nonlinearity_are_compared_where_they_were_fitted() {
     // 1 % of ± 2 g from the best line.
     terms.nonlinearity = [0.0, 0.0, 0.01 / (0.5 * 2.0 * G)];
     let truth = model(terms);
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let poses: Vec<Pose> = (0..80)
         .map(|k| {
             let celsius = CentiCelsius(500 + 50 * k);

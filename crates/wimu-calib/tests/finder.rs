@@ -82,7 +82,7 @@ fn every_hold_is_found_at_any_noise_and_rate_and_nothing_else() {
         .take(96)
         .enumerate()
     {
-        let mut random = Random(seed as u64);
+        let mut random = Random::new(seed as u64);
         let hold_s = 1.0 + 4.0 * random.uniform();
         let step = [0.0, G / 1024.0, G / 16384.0][seed / 12 % 3];
         let stream = stream(&mut random, rate, sd, step, 12, hold_s);
@@ -129,7 +129,7 @@ fn any_noise_at_any_rate_is_learnt_live_and_from_a_recording() {
         .take(60)
         .enumerate()
     {
-        let mut random = Random(1000 + seed as u64);
+        let mut random = Random::new(1000 + seed as u64);
         let stream = stream(&mut random, rate, sd, 0.0, 10, 3.5);
         let live = streamed(&mut PoseFinder::new(rate), &stream.samples);
         for (way, found) in [("recorded", poses(&stream.samples, rate)), ("live", live)] {
@@ -181,7 +181,7 @@ fn motion_alone_gives_no_pose() {
     for rate in [10.0, 25.0, 100.0, 400.0] {
         for noise in [0.001, 0.01, 0.1, 0.3] {
             for seed in 0..100 {
-                let mut random = Random(seed);
+                let mut random = Random::new(seed);
                 let stream = stream(&mut random, rate, noise, 0.0, 6, 0.0);
                 let found = streamed(&mut PoseFinder::new(rate), &stream.samples);
                 turns += 7;
@@ -204,7 +204,7 @@ fn a_sensor_that_is_turned_slowly_and_never_rests_has_no_pose() {
         .flat_map(|rate| [0.002, 0.01, 0.03].map(|noise| (rate, noise)))
         .enumerate()
     {
-        let mut random = Random(seed as u64);
+        let mut random = Random::new(seed as u64);
         let samples: Vec<[f64; 3]> = (0..20_000)
             .map(|k| {
                 // About Z, which is level, while Z leans to and fro as slowly.
@@ -250,7 +250,7 @@ fn wild() -> impl Strategy<Value = f64> {
 
 #[test]
 fn a_stream_gives_what_the_recording_gives_once_the_noise_is_known() {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let stream = stream(&mut random, 100.0, 0.02, 0.0, 12, 2.0);
     let recorded = poses(&stream.samples, 100.0);
     let mut first = PoseFinder::new(100.0);
@@ -267,7 +267,7 @@ fn a_stream_gives_what_the_recording_gives_once_the_noise_is_known() {
 
 #[test]
 fn a_hold_is_reported_while_it_lasts_and_comes_out_when_the_sensor_is_turned() {
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let rate = 100.0;
     let stream = stream(&mut random, rate, 0.02, 0.0, 2, 2.0);
     let mut finder = PoseFinder::new(rate);
@@ -293,7 +293,7 @@ fn a_hold_is_reported_while_it_lasts_and_comes_out_when_the_sensor_is_turned() {
 
 #[test]
 fn a_knock_does_not_make_two_poses_of_one() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let mut stream = stream(&mut random, 100.0, 0.02, 0.0, 3, 5.0);
     let (first, _, _) = stream.holds[1];
     for k in 0..8 {
@@ -306,7 +306,7 @@ fn a_knock_does_not_make_two_poses_of_one() {
 
 #[test]
 fn the_same_orientation_taken_again_is_another_pose() {
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let stream = stream(&mut random, 100.0, 0.02, 0.0, 1, 2.0);
     let mut twice = stream.samples.clone();
     twice.extend(&stream.samples);
@@ -315,7 +315,7 @@ fn the_same_orientation_taken_again_is_another_pose() {
 
 #[test]
 fn samples_that_are_no_numbers_end_a_hold_and_harm_nothing_else() {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut stream = stream(&mut random, 100.0, 0.02, 0.0, 3, 4.0);
     let middle = stream.holds[1].0 + 200;
     stream.samples[middle] = [f64::NAN; 3];
@@ -327,7 +327,7 @@ fn samples_that_are_no_numbers_end_a_hold_and_harm_nothing_else() {
 
 #[test]
 fn a_stream_that_hangs_does_not_pass_for_a_quiet_sensor() {
-    let mut random = Random(6);
+    let mut random = Random::new(6);
     let mut stream = stream(&mut random, 100.0, 0.03, 0.0, 6, 3.0);
     let hang = stream.samples[40];
     for _ in 0..300 {
@@ -339,7 +339,7 @@ fn a_stream_that_hangs_does_not_pass_for_a_quiet_sensor() {
 
 #[test]
 fn the_temperature_of_a_pose_is_the_mean_while_it_was_held() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let stream = stream(&mut random, 100.0, 0.02, 0.0, 2, 3.0);
     let samples = stream.samples.iter().enumerate();
     let samples = samples.map(|(k, y)| (*y, Some(20.0 + k as f64 * 0.01)));

@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, cross, exact, jitter, norm, pose, unit};
+use common::{DrawModel as _, G, Random, cross, exact, jitter, norm, pose, unit};
 use wimu_calib::{Guide, Model, Orientation, Pose, multi_position};
 
 #[test]
@@ -12,7 +12,7 @@ fn twelve_guided_poses_predict_unseen_orientations_better_than_twenty_random_one
     let mut pairs = Vec::new();
     let (mut refused, mut twelve_refused, mut twelve_random) = (0, 0, Vec::new());
     for seed in 0..SENSORS {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let mut guide = Guide::new(Model::Full9);
         let mut plan = Vec::new();
@@ -36,7 +36,7 @@ fn twelve_guided_poses_predict_unseen_orientations_better_than_twenty_random_one
             let squares = unseen.iter().map(|p| estimate.residual_mps2(p).powi(2));
             Some(squares.sum::<f64>() / 100.0)
         };
-        let mut other = Random(seed + 5000);
+        let mut other = Random::new(seed + 5000);
         let twenty: Vec<_> = (0..20).map(|_| other.direction()).collect();
         let guided = score(&plan).expect("guided poses are never refused");
         match score(&twenty) {

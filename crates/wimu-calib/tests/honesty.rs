@@ -3,7 +3,7 @@
 
 use crate::common;
 
-use common::{G, Random, exact, misplaced, parameters, pose, twelve};
+use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose, twelve};
 use wimu_calib::{
     Estimate, Face, Gravity, Method, Model, MultiPosition, Orientation, Parameter, Placement, Pose,
     ReferenceTransfer, Term, Terms, four_angle, multi_position_with, six_position, three_angle,
@@ -116,7 +116,7 @@ impl Kinds {
 }
 
 fn sensor(seed: u64, mut shape: impl FnMut(&mut Random, &mut ErrorTerms)) -> Sensor {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut terms: ErrorTerms = random.model(true).into();
     shape(&mut random, &mut terms);
     Sensor {

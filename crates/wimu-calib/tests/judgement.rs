@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, exact, jitter, parameters, pose, twelve, ups};
+use common::{DrawModel as _, G, Random, exact, jitter, parameters, pose, twelve, ups};
 use proptest::prelude::*;
 use wimu_calib::{
     Face, Gravity, Model, MultiPosition, Orientation, Parameter, Placement, Pose, Refusal, Term,
@@ -30,7 +30,7 @@ proptest! {
 
     #[test]
     fn every_term_is_recovered_from_noiseless_poses(seed: u64) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut terms: ErrorTerms = random.model(true).into();
         terms.temperature.reference_c = 30.0;
         for axis in 0..3 {
@@ -80,7 +80,7 @@ proptest! {
 
     #[test]
     fn f32_gives_the_answer_of_f64(seed: u64, more in 0_usize..30) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let mut poses: Vec<Pose> =
             ups(&mut random, more).into_iter().map(|up| pose(&truth, G, up)).collect();
@@ -144,7 +144,7 @@ proptest! {
 
 #[test]
 fn the_papers_six_position_equations_are_the_special_case_of_squared_poses() {
-    let truth = Random(21).model(false);
+    let truth = Random::new(21).model(false);
     let poses: Vec<Pose> = Face::ALL
         .into_iter()
         .map(|face| pose(&truth, G, Orientation::from(face).up()))
@@ -176,7 +176,7 @@ fn the_papers_six_position_equations_are_the_special_case_of_squared_poses() {
 fn a_term_is_kept_where_it_is_there_and_left_out_where_it_is_not() {
     let (mut kept, mut wrongly) = (0, 0);
     for seed in 0..100 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let drift = [0, 1, 2].map(|_| 0.02 + random.within(0.01));
         for drifts in [true, false] {
@@ -212,7 +212,7 @@ fn a_term_is_kept_where_it_is_there_and_left_out_where_it_is_not() {
 fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
     let (mut found, mut missed, mut wrongly) = (0, 0, 0);
     for seed in 0..200 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let mut poses: Vec<Pose> = ups(&mut random, 18)
             .into_iter()
@@ -257,7 +257,7 @@ fn f32_carries_terms_and_bad_poses_within_a_fraction_of_what_is_known() {
     let mut conditions = [0.0_f64; 5];
     let mut differ = 0;
     for seed in 0..60 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let mut poses: Vec<Pose> = ups(&mut random, 28)
             .into_iter()
@@ -314,7 +314,7 @@ fn f32_carries_terms_and_bad_poses_within_a_fraction_of_what_is_known() {
 fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
     let (mut answered, mut honest) = (0, 0);
     for seed in 0..240 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let count = 12 + (seed as usize * 7) % 30;
         let mut poses: Vec<Pose> = ups(&mut random, count - 12)
@@ -380,7 +380,7 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
 #[test]
 fn no_pose_is_left_out_that_the_data_cannot_spare() {
     for seed in 0..50 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let mut poses: Vec<Pose> = ups(&mut random, 0)
             .into_iter()
@@ -405,7 +405,7 @@ fn no_pose_is_left_out_that_the_data_cannot_spare() {
 fn noisy_and_short_poses_count_less() {
     let (mut weighted, mut plain) = (0.0, 0.0);
     for seed in 0..200 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let poses: Vec<Pose> = ups(&mut random, 12)
             .into_iter()
@@ -442,7 +442,7 @@ fn noisy_and_short_poses_count_less() {
 
 #[test]
 fn one_pose_in_which_an_axis_falls_silent_at_its_end_is_saturated() {
-    let mut random = Random(77);
+    let mut random = Random::new(77);
     let truth = random.model(true);
     let seen = |random: &mut Random, up: [f64; 3]| {
         let pose = pose(&truth, G, up);
@@ -473,7 +473,7 @@ fn one_pose_in_which_an_axis_falls_silent_at_its_end_is_saturated() {
 
 #[test]
 fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
-    let mut random = Random(31);
+    let mut random = Random::new(31);
     let truth = random.model(true);
     let mut poses: Vec<Pose> = ups(&mut random, 10)
         .into_iter()
@@ -513,7 +513,7 @@ fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
 
 #[test]
 fn terms_that_nothing_shows_are_refused() {
-    let mut random = Random(9);
+    let mut random = Random::new(9);
     let truth = random.model(true);
     let poses: Vec<Pose> = ups(&mut random, 10)
         .into_iter()

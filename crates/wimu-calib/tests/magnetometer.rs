@@ -15,7 +15,7 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
     ] {
         let (mut hard_held, mut soft_held, mut turned, mut answers, mut lost) = (0, 0, 0, 0, 0);
         for seed in 0..seeds {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let (soft, hard, rotation, poses) = sensor(&mut random, poses, 150.0);
             let Ok(found) = magnetometer(&poses, None) else {
                 continue;
@@ -69,7 +69,7 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
 
 #[test]
 fn what_tells_no_magnetometer_is_refused() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let (.., poses) = sensor(&mut random, 40, 100.0);
     assert!(magnetometer(&poses, None).is_ok());
     let few = magnetometer(&poses[..8], None);
@@ -122,7 +122,7 @@ fn what_tells_no_magnetometer_is_refused() {
 
 /// A chip whose axes are parallel to the accelerometer's, in `count` orientations, after `change`.
 fn parallel(count: u32, change: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<MagneticPose> {
-    let mut random = Random(21);
+    let mut random = Random::new(21);
     (0..count)
         .map(|_| {
             let up = random.direction();
@@ -172,7 +172,7 @@ fn a_negated_or_exchanged_axis_is_named() {
 fn many_disturbed_poses_are_left_out_or_named_as_such() {
     let (mut left_out, mut named, mut wrong) = (0, 0, 0);
     for seed in 0..30 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let (_, hard, _, clean) = sensor(&mut random, 40, 150.0);
         let push = common::unit([0; 3].map(|_| random.normal())).map(|p| 15_000.0 * p);
         let disturbed = |count: usize| {
@@ -222,7 +222,7 @@ fn many_disturbed_poses_are_left_out_or_named_as_such() {
 fn poses_beside_iron_are_named_as_far_as_they_show() {
     let (mut all, mut silent) = (0, 0);
     for seed in 0..100 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let (_, hard, _, mut poses) = sensor(&mut random, 30, 150.0);
         // An eighth of the field: along it that is length, across it dip or, in a few, hardly either.
         poses[3].output_nt[0] += 6_000.0;
@@ -249,7 +249,7 @@ fn poses_beside_iron_are_named_as_far_as_they_show() {
 
 #[test]
 fn other_units_dead_and_clipped_axes_and_a_turn_about_one_axis_are_named() {
-    let (.., poses) = sensor(&mut Random(9), 40, 100.0);
+    let (.., poses) = sensor(&mut Random::new(9), 40, 100.0);
     let changed = |change: &dyn Fn(usize, &mut [f64; 3])| {
         let mut poses = poses.clone();
         for (k, pose) in poses.iter_mut().enumerate() {

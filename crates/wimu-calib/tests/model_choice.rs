@@ -64,7 +64,7 @@ fn run(kind: Kind, seeds: u64) -> Found {
         terms: 0,
     };
     for seed in 0..seeds {
-        let mut random = Random(seed * 1000 + kind.poses as u64);
+        let mut random = Random::new(seed * 1000 + kind.poses as u64);
         let mut terms = ErrorTerms::default();
         let mut drift = [0.0; 3];
         for row in 0..3 {
@@ -189,7 +189,7 @@ fn what_the_chosen_model_leaves_out_is_as_uncertain_as_larger_models_or_datashee
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let (mut few, mut chosen) = (0, 0);
     for seed in 0..60 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut terms = ErrorTerms {
             bias_mps2: [0.1, -0.2, 0.3],
             ..ErrorTerms::default()

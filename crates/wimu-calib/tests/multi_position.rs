@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, exact, norm, parameters, pose, twelve};
+use common::{DrawModel as _, G, Random, exact, norm, parameters, pose, twelve};
 use proptest::prelude::*;
 use wimu_calib::{
     Gravity, Model, MultiPosition, Parameter, Pose, Refusal, UnitHint, multi_position,
@@ -30,7 +30,7 @@ proptest! {
 
     #[test]
     fn truth_is_recovered_from_noiseless_poses(seed: u64, more in 0_usize..20) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let poses = spread(&mut random, &truth, more);
         let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
@@ -43,7 +43,7 @@ proptest! {
 
     #[test]
     fn truth_is_recovered_wherever_an_error_model_may_lie(seed: u64) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut terms = ErrorTerms::default();
         for row in 0..3 {
             terms.bias_mps2[row] = random.within(4.0);
@@ -65,7 +65,7 @@ proptest! {
 
     #[test]
     fn smaller_models_recover_the_truth_that_they_can_express(seed: u64) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut terms = ErrorTerms {
             bias_mps2: [random.within(3.0), random.within(3.0), random.within(3.0)],
             ..ErrorTerms::default()
@@ -86,7 +86,7 @@ proptest! {
 
     #[test]
     fn a_rotation_of_the_whole_sensor_changes_no_magnitude(seed: u64) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(false);
         let poses = spread(&mut random, &truth, 5);
         let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
@@ -133,7 +133,7 @@ fn garbage() -> impl Strategy<Value = f64> {
 #[test]
 fn the_left_out_error_is_that_of_refitting_without_each_pose() {
     for (seed, more) in [(1, 3), (2, 5), (3, 8), (4, 26), (5, 290)] {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let mut poses = spread(&mut random, &truth, more);
         add_noise(&mut random, &mut poses, 0.003);
@@ -167,7 +167,7 @@ fn the_covariance_is_the_spread_of_many_estimates() {
         Parameter::MisalignmentXz,
         Parameter::MisalignmentYz,
     ];
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let truth = random.model(true);
     let clean = spread(&mut random, &truth, 8);
     let truth = parameters(&truth);
@@ -201,7 +201,7 @@ fn the_covariance_is_the_spread_of_many_estimates() {
 
 #[test]
 fn the_worst_orientation_is_predicted_as_badly_as_said() {
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     let truth = random.model(true);
     let clean = spread(&mut random, &truth, 0);
     let checks: Vec<Pose> = (0..200)
@@ -225,7 +225,7 @@ fn the_worst_orientation_is_predicted_as_badly_as_said() {
 
 #[test]
 fn the_uncertainty_of_gravity_is_in_the_scale_factor() {
-    let mut random = Random(9);
+    let mut random = Random::new(9);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 8);
     let gravity = Gravity::new(G, 0.015).expect("gravity");
@@ -238,7 +238,7 @@ fn the_uncertainty_of_gravity_is_in_the_scale_factor() {
 #[test]
 fn twelve_poses_placed_by_hand_are_answered() {
     for seed in 0..500 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(false);
         let mut poses: Vec<Pose> = twelve()
             .into_iter()
@@ -261,7 +261,7 @@ fn twelve_poses_placed_by_hand_are_answered() {
 
 #[test]
 fn too_few_poses_are_refused() {
-    let mut random = Random(10);
+    let mut random = Random::new(10);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 0);
     for (model, need) in [
@@ -285,7 +285,7 @@ fn too_few_poses_are_refused() {
 fn a_smaller_model_is_advised_where_the_poses_support_it_and_nowhere_else() {
     let (mut advised, mut none) = (0, 0);
     for seed in 0..600 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         // Few poses, or many in a plane or about one direction.
         let count = 3 + (seed as usize / 3) % 14;
@@ -386,7 +386,7 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
     ));
     multi_position(&faces, exact(), Model::Bias3).expect("the smallest model is determined");
     // The same of a sensor whose axes are not square, and with noise: no fit converges.
-    let mut random = Random(18);
+    let mut random = Random::new(18);
     let truth = random.model(true);
     let mut faces: Vec<Pose> = faces
         .iter()
@@ -408,7 +408,7 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
 
 #[test]
 fn a_pose_that_decides_alone_is_named() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let truth = random.model(true);
     // Six sides and four edges: ten poses for nine parameters.
     let mut ups = vec![
@@ -438,7 +438,7 @@ fn a_pose_that_decides_alone_is_named() {
 
 #[test]
 fn wrong_units_are_recognised() {
-    let mut random = Random(12);
+    let mut random = Random::new(12);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 0);
     for (factor, expected) in [
@@ -464,7 +464,7 @@ fn wrong_units_are_recognised() {
 
 #[test]
 fn a_pose_with_a_value_that_is_no_number_is_named() {
-    let mut random = Random(13);
+    let mut random = Random::new(13);
     let truth = random.model(true);
     for bad in [f64::NAN, f64::INFINITY] {
         let mut poses = spread(&mut random, &truth, 3);
@@ -476,7 +476,7 @@ fn a_pose_with_a_value_that_is_no_number_is_named() {
 
 #[test]
 fn a_dead_axis_and_poses_in_motion_are_refused() {
-    let mut random = Random(14);
+    let mut random = Random::new(14);
     let truth = random.model(true);
     let mut dead = spread(&mut random, &truth, 12);
     for pose in &mut dead {
@@ -501,7 +501,7 @@ fn a_dead_axis_and_poses_in_motion_are_refused() {
 
 #[test]
 fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
-    let mut random = Random(16);
+    let mut random = Random::new(16);
     let truth = random.model(true);
     let good = spread(&mut random, &truth, 12);
     let in_g = |poses: &mut [Pose]| {
@@ -527,7 +527,7 @@ fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
 
 #[test]
 fn what_is_not_observed_is_as_uncertain_as_datasheets_have_it() {
-    let mut random = Random(17);
+    let mut random = Random::new(17);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 12);
     let three = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Bias3).expect("an answer");
@@ -542,7 +542,7 @@ fn what_is_not_observed_is_as_uncertain_as_datasheets_have_it() {
 
 #[test]
 fn very_many_poses_are_answered() {
-    let mut random = Random(15);
+    let mut random = Random::new(15);
     let truth = random.model(true);
     let mut poses = spread(&mut random, &truth, 1_000_000);
     add_noise(&mut random, &mut poses, 0.01);
@@ -562,7 +562,7 @@ fn very_many_poses_are_answered() {
 fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
     for (count, share) in [(400, 0.05), (3000, 0.02), (20_000, 0.05), (100_000, 0.001)] {
         for seed in 0..4 {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let truth = random.model(true);
             let mut poses = spread(&mut random, &truth, count);
             add_noise(&mut random, &mut poses, 0.003);
@@ -594,7 +594,7 @@ fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
         }
     }
     // Two in five are no few.
-    let mut random = Random(9);
+    let mut random = Random::new(9);
     let truth = random.model(true);
     let mut poses = spread(&mut random, &truth, 20_000);
     add_noise(&mut random, &mut poses, 0.003);

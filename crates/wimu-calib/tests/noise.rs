@@ -34,7 +34,7 @@ proptest! {
 
     #[test]
     fn the_deviation_is_that_of_its_definition(seed: u64, n in 500_usize..3000) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let samples: Vec<[f64; 3]> = (0..n).map(|k| {
             let drift = 1e-4 * k as f64;
             [random.normal() + drift, 5.0 + 0.1 * random.normal(), -9.81 + 0.01 * random.normal()]
@@ -186,7 +186,7 @@ impl Held {
 fn coverage(recordings: u64, n: usize, truth: Truth) -> [Held; 3] {
     let mut held: [Held; 3] = Default::default();
     for seed in 0..recordings {
-        let mut random = Random(seed + 1_000_003 * n as u64);
+        let mut random = Random::new(seed + 1_000_003 * n as u64);
         let axes = [0; 3].map(|_| noise(&mut random, n, truth));
         let mut allan = AllanVariance::new(RATE);
         for k in 0..n {
@@ -258,7 +258,7 @@ fn a_steady_drift_is_told_as_one_and_as_no_noise() {
         let (mut ramp, mut white) = (Held::default(), Held::default());
         let (mut walk, mut flicker) = (0, 0);
         for seed in 0..67 {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let mut allan = AllanVariance::new(RATE);
             for k in 0..n {
                 let moved = drift * f64::from(k) / f64::from(n);
@@ -303,7 +303,7 @@ fn a_sensor_that_warms_up_or_jumps_is_told_as_no_noise() {
     for (name, course) in courses {
         let (mut walk, mut flicker, mut said) = (0, 0, 0);
         for seed in 0..10 {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let mut allan = AllanVariance::new(RATE);
             for k in 0..n {
                 let moved = course(k);
@@ -332,7 +332,7 @@ fn intervals_of_long_recordings_hold_the_truth() {
 
 #[test]
 fn hum_is_no_noise_and_samples_that_come_twice_are_of_half_the_rate() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let mut rest = || [0.0, 0.0, 9.81].map(|f| f + 0.02 * random.normal());
     let plain: Vec<_> = (0..20_000).map(|_| rest()).collect();
     let mut hum = plain.clone();
@@ -381,7 +381,7 @@ fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
     for (stages, cut_off) in [(1, 0.2), (1, 0.1), (1, 0.05), (2, 0.1), (4, 0.1), (4, 0.2)] {
         let (mut held, mut ratios, mut told) = (Held::default(), Vec::new(), 0);
         for seed in 0..10 {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let axes = [0; 3].map(|_| filtered(&mut random, n, stages, cut_off));
             let mut allan = AllanVariance::new(RATE);
             for k in 0..n {
@@ -407,7 +407,7 @@ fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
 
 #[test]
 fn a_rest_that_is_not_gravity_in_si_is_refused_with_the_unit_it_looks_like() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut rest = |size: f64| {
         let samples: Vec<_> = (0..2000)
             .map(|_| [0.3, -0.2, 0.93].map(|f| size * (f + 0.002 * random.normal())))
@@ -431,7 +431,7 @@ fn a_rest_that_is_not_gravity_in_si_is_refused_with_the_unit_it_looks_like() {
 
 #[test]
 fn counts_coarser_than_the_noise_are_told_from_finer_ones() {
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     let mut rest = |step: f64| {
         let samples: Vec<_> = (0..5000)
             .map(|_| {
@@ -459,7 +459,7 @@ fn counts_coarser_than_the_noise_are_told_from_finer_ones() {
 
 #[test]
 fn an_output_that_ends_within_its_noise_is_clipped() {
-    let mut random = Random(9);
+    let mut random = Random::new(9);
     // Limits in standard deviations from where it rests.
     for (step, limits) in [
         (0.0, &[0.0, 1.0, 2.0, 9.0][..]),
@@ -489,7 +489,7 @@ fn an_output_that_ends_within_its_noise_is_clipped() {
 
 #[test]
 fn what_is_no_rest_is_refused_with_the_time() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let mut rest = |n: usize| -> Vec<[f64; 3]> {
         (0..n)
             .map(|_| [0.0, 0.0, 9.81].map(|f| f + 0.02 * random.normal()))

@@ -83,7 +83,7 @@ fn held(random: &mut Random) -> Vec<[f64; 3]> {
 fn coverage(trial: Trial) -> [f64; 3] {
     let mut inside = [0; 3];
     for seed in 0..SENSORS {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut noises: [_; 6] = std::array::from_fn(|_| Noise::new(trial.memory));
         let matrix: [[f64; 3]; 3] = std::array::from_fn(|row| {
             std::array::from_fn(|column| match column.cmp(&row) {
@@ -187,7 +187,7 @@ fn coverage_of_unknown_noise(
     let mut held = [0; 3];
     let mut all = 0;
     for seed in 0..seeds {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut noises: [_; 6] = std::array::from_fn(|_| Noise::new(memory));
         let truth: [_; 3] =
             std::array::from_fn(|_| (random.within(0.8), 1.0 + random.within(0.04)));
@@ -262,7 +262,7 @@ fn transfer_of(
     noise: f64,
     changed: impl Fn([f64; 3], [f64; 3]) -> [[f64; 3]; 2],
 ) -> Result<wimu_calib::Transfer, TransferRefusal> {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let slow = 0.2 + random.uniform();
     let bias: [f64; 3] = std::array::from_fn(|_| random.within(0.5));
     let mut transfer = ReferenceTransfer::of_unknown_noise();
@@ -335,7 +335,7 @@ fn counts_however_coarse_that_stop_nowhere_are_not_taken_for_saturated() {
 
 #[test]
 fn noise_of_the_reference_does_not_shrink_the_scale_factor_as_least_squares_lets_it() {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
     let (mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0);
     for k in 0..20_000 {
@@ -360,7 +360,7 @@ proptest! {
     /// search over its angle, from two passes over stored data.
     #[test]
     fn the_slope_is_the_direction_of_most_variance(seed: u64, ratio in 0.2_f64..5.0, n in 40_usize..400) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = 1.0 + random.within(0.3);
         let pairs: Vec<[f64; 2]> = (0..n)
             .map(|k| {
@@ -395,7 +395,7 @@ proptest! {
 
     #[test]
     fn a_stream_against_itself_is_exact(seed: u64, n in 40_usize..5000) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
         for k in 0..n {
             let force = motion(13 * k).map(|f| f + random.normal());
@@ -416,7 +416,7 @@ proptest! {
 fn at_one_static_pose_the_offset_alone_is_known() {
     let mut held = 0;
     for seed in 0..500 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
         for k in 0..3200 {
             // Both drift by the same 30 mm/s² as they warm up.

@@ -2,6 +2,7 @@
 
 use crate::common;
 
+use crate::common::DrawModel as _;
 use common::Random;
 use wimu_calib::{
     Face, Gravity, Model, Parameter, Placement, Pose, find_poses, multi_position, six_position,
@@ -34,7 +35,7 @@ fn held(random: &mut Random, model: &ErrorModel, ups: &[[f64; 3]], noise: f64) -
 /// How far the mean of a pose is from what the sensor would put out without noise or rounding.
 #[test]
 fn a_pose_says_what_rounding_leaves_in_its_mean() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     for share_of_step in [0.002, 0.1, 0.2, 0.4, 1.0, 3.0] {
         let (mut squares, mut count) = (0.0, 0.0);
         for _ in 0..12 {
@@ -66,7 +67,7 @@ fn a_pose_says_what_rounding_leaves_in_its_mean() {
 
 #[test]
 fn intervals_hold_where_counts_are_coarser_than_the_noise() {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let gravity = Gravity::new(STANDARD_GRAVITY_MPS2, 0.0).expect("gravity");
     for share_of_step in [0.02, 0.15, 0.4] {
         let noise = share_of_step * STEP_MPS2;

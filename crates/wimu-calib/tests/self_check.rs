@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, norm, parameters, pose, twelve};
+use common::{DrawModel as _, G, Random, norm, parameters, pose, twelve};
 use proptest::prelude::*;
 use wimu_calib::{
     Ageing, Gravity, Model, MultiPosition, Parameter, Pose, SelfCheck, Term, Terms, multi_position,
@@ -38,7 +38,7 @@ fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
     let fitted: Vec<Parameter> = Model::Full9.fitted().iter().collect();
     const RUNS: u32 = 1000;
     for seed in 0..RUNS {
-        let mut random = Random(u64::from(seed));
+        let mut random = Random::new(u64::from(seed));
         let truth = random.model(true);
         let first: Vec<Pose> = twelve()
             .into_iter()
@@ -90,7 +90,7 @@ fn told(jump_mps2: f64) -> [f64; 2] {
     let mut counts = [0_u32; 2];
     const RUNS: u64 = 1000;
     for seed in 0..RUNS {
-        let mut random = Random(seed + 77_000);
+        let mut random = Random::new(seed + 77_000);
         let stored = random.model(true);
         let mut known = [[0.0; 12]; 12];
         for (k, row) in known.iter_mut().enumerate() {
@@ -148,7 +148,7 @@ fn alarms_are_as_rare_and_jumps_of_the_bias_as_well_seen_as_stated() {
 #[test]
 fn a_calibration_that_no_longer_holds_is_found_out_and_left_alone() {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let truth = random.model(true);
     let poses: Vec<Pose> = twelve().into_iter().map(|up| pose(&truth, G, up)).collect();
     let stored = multi_position_with(&poses, gravity, MultiPosition::default()).expect("answer");
@@ -197,7 +197,7 @@ fn warmth_makes_room_for_a_bias_that_moved() {
 #[test]
 fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only() {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let mut random = Random(12);
+    let mut random = Random::new(12);
     let mut terms: ErrorTerms = random.model(true).into();
     terms.temperature.reference_c = 25.0;
     terms.temperature.bias_mps2_per_k = [0.008, -0.006, 0.01];

@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, parameters};
+use common::{DrawModel as _, G, Random, parameters};
 use wimu_calib::{Gravity, Model, Orientation, Phase, Session, multi_position};
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
@@ -54,7 +54,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
     .into_iter()
     .enumerate()
     {
-        let mut random = Random(seed as u64);
+        let mut random = Random::new(seed as u64);
         let truth = random.model(true);
         let mut session = Session::<16>::new(rate, Model::Full9, 12);
         let mut hand = Hand {
@@ -107,7 +107,7 @@ fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     let second = session.next().expect("other advice");
     assert_ne!(first, second);
     let mut hand = Hand {
-        random: Random(5),
+        random: Random::new(5),
         truth: &truth,
         noise: 0.01,
         up: [0.0, 0.0, 1.0],

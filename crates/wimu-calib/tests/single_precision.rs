@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random};
+use common::{DrawModel as _, G, Random};
 use wimu_calib::{
     Ageing, AllanVariance, Estimate, Face, Gravity, KnownDirection, Measured, Model, Parameter,
     Phase, Placement, Pose, PoseFinder, ReferenceTransfer, SelfCheck, Session, align, align_f32,
@@ -39,7 +39,7 @@ fn double(sample: [f32; 3]) -> [f64; 3] {
 
 #[test]
 fn the_finder_finds_the_same_poses() {
-    let mut random = Random(31);
+    let mut random = Random::new(31);
     let mut poses = 0;
     let mut worst: f64 = 0.0;
     for (rate, noise) in [(10.0, 0.05), (100.0, 0.002), (100.0, 0.1), (1000.0, 0.05)] {
@@ -71,7 +71,7 @@ fn the_finder_finds_the_same_poses() {
 
 #[test]
 fn a_session_in_f32_says_the_same_at_every_sample() {
-    let mut random = Random(32);
+    let mut random = Random::new(32);
     let truth = random.model(true);
     let samples = held(&mut random, &truth, 100.0, 0.02, 16);
     let mut long = Session::<16>::new(100.0, Model::Full9, 12);
@@ -99,7 +99,7 @@ fn a_self_check_in_f32_comes_to_the_same_verdicts() {
     let (mut rests, mut contradicted, mut other) = (0, 0, 0);
     let mut worst: f64 = 0.0;
     for seed in 0..200 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let poses: Vec<Pose> = (0..20)
             .map(|_| {
@@ -195,7 +195,7 @@ fn known_orientations_give_the_same_in_f32() {
     let (mut six, mut turns) = ([0.0; 2], [0.0; 2]);
     let gravity = Gravity::new(G, 0.001).expect("gravity");
     for seed in 0..300 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let model = random.model(false);
         let placement_rad = [0.001, 0.0175][seed as usize % 2];
         let placement = Placement::new(placement_rad).expect("a placement");
@@ -257,7 +257,7 @@ fn known_orientations_give_the_same_in_f32() {
 fn an_alignment_is_the_same_in_f32() {
     let mut worst = [0.0_f64; 2];
     for seed in 0..300 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let sd_rad = 0.0017 * (1.0 + random.uniform());
         let body = [
             [0.0, 0.0, 1.0],
@@ -319,7 +319,7 @@ fn a_magnetometer_is_the_same_in_f32() {
     let mut worst = [0.0_f64; 4];
     let (mut compared, mut refused) = (0, 0);
     for seed in 0..100 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let (_, _, _, mut poses) = common::magnetometer(&mut random, 30, 150.0);
         if seed % 4 == 1 {
             poses[7].output_nt[1] += 9_000.0;
@@ -380,7 +380,7 @@ fn a_magnetometer_is_the_same_in_f32() {
 fn a_reference_tells_the_same_in_f32_however_long_it_is() {
     let mut worst = [0.0_f64; 2];
     for (seed, samples) in [(1, 3000), (2, 30_000), (3, 300_000)] {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut long = ReferenceTransfer::of_unknown_noise();
         let mut short = ReferenceTransfer::of_unknown_noise_f32();
         for k in 0..samples {
@@ -425,7 +425,7 @@ fn a_reference_tells_the_same_in_f32_however_long_it_is() {
 fn noise_is_the_same_in_f32_however_long_it_is() {
     let mut worst = 0.0_f64;
     for (seed, samples) in [(1, 2000), (2, 300_000)] {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let (mut long, mut short) = (AllanVariance::new(100.0), AllanVariance::new_f32(100.0));
         let mut walk = [0.0; 3];
         for _ in 0..samples {

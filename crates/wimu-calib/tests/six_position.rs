@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, exact, misplaced, parameters, pose};
+use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use proptest::prelude::*;
 use wimu_calib::{
     Face, Gravity, Method, Orientation, Parameter, Placement, Pose, Refusal, six_position,
@@ -32,7 +32,7 @@ proptest! {
 
     #[test]
     fn all_twelve_parameters_are_recovered_from_squared_poses(seed: u64, turn in 0_usize..6) {
-        let truth = Random(seed).model(false);
+        let truth = Random::new(seed).model(false);
         let mut poses = six(&truth);
         poses.rotate_left(turn);
         for estimate in [
@@ -78,7 +78,7 @@ proptest! {
 
 #[test]
 fn poses_of_one_side_are_averaged_by_their_samples() {
-    let truth = Random(1).model(false);
+    let truth = Random::new(1).model(false);
     let mut poses = unlabelled(&six(&truth));
     let (mut light, mut heavy) = (poses[0], poses[0]);
     light.mean_mps2[1] += 0.03;
@@ -97,7 +97,7 @@ fn poses_of_one_side_are_averaged_by_their_samples() {
 #[test]
 fn the_covariance_is_the_error_that_placement_and_noise_make() {
     const TRIALS: usize = 4000;
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let truth = random.model(false);
     let placement = Placement::new(DEGREE).expect("placement");
     let mut errors = [0.0; 12];
@@ -144,7 +144,7 @@ fn the_covariance_is_the_error_that_placement_and_noise_make() {
 
 #[test]
 fn the_left_out_error_is_that_of_refitting_without_each_pose() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let truth = random.model(false);
     let poses: Vec<Pose> = Face::ALL
         .into_iter()
@@ -177,7 +177,7 @@ fn the_left_out_error_is_that_of_refitting_without_each_pose() {
 
 #[test]
 fn a_worse_placement_than_declared_is_seen() {
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let truth = random.model(false);
     let poses: Vec<Pose> = Face::ALL
         .into_iter()
@@ -199,7 +199,7 @@ fn a_worse_placement_than_declared_is_seen() {
 
 #[test]
 fn a_missing_side_is_named() {
-    let truth = Random(5).model(false);
+    let truth = Random::new(5).model(false);
     for missing in 0..6 {
         let mut poses = unlabelled(&six(&truth));
         poses.remove(missing);
@@ -213,7 +213,7 @@ fn a_missing_side_is_named() {
 
 #[test]
 fn a_tilted_pose_is_left_out_of_the_fit_and_not_of_its_residuals() {
-    let truth = Random(6).model(false);
+    let truth = Random::new(6).model(false);
     let mut poses = unlabelled(&six(&truth));
     poses.push(pose(&truth, G, [0.6, 0.8, 0.0]));
     poses[6].mean_mps2[0] += 0.1;
@@ -224,7 +224,7 @@ fn a_tilted_pose_is_left_out_of_the_fit_and_not_of_its_residuals() {
 
 #[test]
 fn labels_that_do_not_go_with_the_sensor_are_told_apart() {
-    let truth = Random(7).model(false);
+    let truth = Random::new(7).model(false);
     let good = six(&truth);
     let relabelled = |change: fn([f64; 3]) -> [f64; 3]| -> Result<_, Refusal> {
         let poses: Vec<(Face, Pose)> = good
@@ -284,7 +284,7 @@ fn a_placement_error_that_makes_no_sense_is_refused() {
 #[test]
 fn one_misplaced_side_is_named_and_the_intervals_include_it() {
     const SEEDS: u64 = 400;
-    let mut random = Random(21);
+    let mut random = Random::new(21);
     for tilt_deg in [0.0, 4.0, 6.0, 9.0, 12.0] {
         let (mut named, mut pair, mut out) = (0, 0, 0);
         for _ in 0..SEEDS {

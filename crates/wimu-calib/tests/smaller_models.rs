@@ -62,7 +62,7 @@ fn run(
         said: 0.0,
     };
     for seed in 0..SENSORS {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut terms = ErrorTerms::default();
         for row in 0..3 {
             terms.bias_mps2[row] = 0.3 * random.normal();
@@ -179,7 +179,7 @@ fn a_pose_that_alone_shows_what_a_small_model_leaves_out_is_not_taken_for_a_bad_
     ] {
         let (mut answered, mut rejected, mut held, mut all, mut far) = (0, 0, 0, 0, 0);
         for seed in 0..150 {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let mut terms = ErrorTerms::default();
             for row in 0..3 {
                 terms.bias_mps2[row] = 0.3 * random.normal();

@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, exact, jitter, pose, unit, ups};
+use common::{DrawModel as _, G, Random, exact, jitter, pose, unit, ups};
 use proptest::prelude::*;
 use wimu_calib::{
     Gravity, Model, Parameter, Placement, Pose, Refusal, four_angle, multi_position, three_angle,
@@ -18,7 +18,7 @@ proptest! {
         begin in -3.0..3.0_f64,
         backwards: bool,
     ) {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(false);
         let matrix = truth.terms().matrix;
         for steps in [3_usize, 4] {
@@ -125,7 +125,7 @@ fn what_is_no_turn_is_refused() {
 /// Turns of a sensor with errors: `steps` of `step`°, its own axis `lean`° from the axis of rotation
 /// and that `tilt`° from level.
 fn turned(steps: usize, step: f64, lean: f64, tilt: f64, begin: f64) -> Vec<Pose> {
-    let mut random = Random(77);
+    let mut random = Random::new(77);
     let truth = random.model(true);
     (0..steps)
         .map(|k| {
@@ -209,7 +209,7 @@ fn what_a_turn_does_not_show_is_said_and_not_taken_for_known() {
     }
     assert!(unseen.contains(Parameter::BiasZ) && unseen.contains(Parameter::ScaleZ));
     assert!(estimate.sd().bias_mps2[2] >= 0.3 && estimate.sd().matrix[2][2] >= 0.02);
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let truth = random.model(true);
     let poses: Vec<Pose> = ups(&mut random, 8)
         .into_iter()
@@ -253,7 +253,7 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
         for steps in [4, 3] {
             let (mut answered, mut held, mut worst) = (0_u32, 0_u32, 0.0_f64);
             for seed in 0..300 {
-                let mut random = Random(seed);
+                let mut random = Random::new(seed);
                 let mut terms = ErrorTerms::default();
                 for axis in 0..3 {
                     terms.bias_mps2[axis] = 0.3 * random.normal();
@@ -303,7 +303,7 @@ fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
     let degree = std::f64::consts::PI / 180.0;
     let (mut told, mut wrongly, mut held, mut all) = (0, 0, 0, 0);
     for seed in 0..300 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(false);
         for step in [0.0, 10.0] {
             let mut poses = Vec::new();

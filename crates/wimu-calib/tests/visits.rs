@@ -2,7 +2,7 @@
 
 use crate::common;
 
-use common::{G, Random, exact, misplaced, parameters, pose};
+use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use wimu_calib::{
     Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, best_model_f32,
     multi_position, multi_position_f32, multi_position_with,
@@ -79,7 +79,7 @@ fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is
                 let [mut covered, mut all] = [0.0; 2];
                 let mut refused = 0;
                 for seed in 0..SEEDS {
-                    let mut random = Random(seed);
+                    let mut random = Random::new(seed);
                     let truth = sensor(&mut random);
                     let poses = session(&mut random, &truth, orientations, visits, errors);
                     let Ok(estimate) = method(&poses) else {
@@ -161,7 +161,7 @@ fn inverse(a: &Matrix) -> Matrix {
 fn the_covariance_is_that_of_the_two_variances_that_dense_matrices_give() {
     let mut shared = 0;
     for seed in 0..20 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = sensor(&mut random);
         let visits = 1 + seed as usize % 4;
         let mut poses = session(&mut random, &truth, 16, visits, [0.004, 0.002]);
@@ -281,7 +281,7 @@ fn a_second_visit_does_not_replace_an_orientation() {
     let mut refused = [0; 2];
     for seed in 0..60 {
         for visits in [1, 2] {
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let truth = sensor(&mut random);
             let ups: Vec<_> = (0..10).map(|_| random.direction()).collect();
             let mut poses = Vec::new();

@@ -13,6 +13,7 @@ use std::path::Path;
 use wimu_link::batch::{self, Batch};
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{Counts, DeviceTimeUs};
+use wimu_testkit::Random;
 
 const BATCH: usize = 16;
 /// What is looked for in a folder: a sensor at rest, all of an array's sensor, and its walk.
@@ -76,7 +77,7 @@ fn report(name: &str, samples: &[Counts]) -> Result<(), Box<dyn Error>> {
 }
 
 fn signals() -> [(&'static str, Vec<Counts>); 5] {
-    let mut noise = Noise(1);
+    let mut noise = Random::new(1);
     let rest_12 = (0..16_000)
         .map(|_| {
             // 1.5 digits of noise; a digit is 16 counts.
@@ -121,23 +122,6 @@ fn signals() -> [(&'static str, Vec<Counts>); 5] {
         ("16-bit, hand motion, 400 Hz, 12 LSB rms", hand(400.0)),
         ("16-bit, hand motion, 2000 Hz, 12 LSB rms", hand(2000.0)),
     ]
-}
-
-/// A small generator with a fixed seed (SplitMix64), so that the figures repeat.
-struct Noise(u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (TAU * self.uniform()).cos()
-    }
 }
 
 fn read(argument: &str) -> Result<Vec<Counts>, Box<dyn Error>> {

@@ -154,36 +154,18 @@ fn rate(rate_hz: u16) -> Command {
     })
 }
 
-/// SplitMix64.
-struct Seeded(u64);
-
-impl Seeded {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        (self.bits() % limit as u64) as usize
-    }
-
-    fn key(&mut self) -> DeviceKey {
-        let mut bytes = [0; 32];
-        for byte in &mut bytes {
-            *byte = self.bits() as u8;
-        }
-        DeviceKey::new(bytes)
-    }
+/// A random key.
+fn random_key(random: &mut Random) -> DeviceKey {
+    let mut bytes = [0; 32];
+    bytes.copy_from_slice(&random.bytes(32));
+    DeviceKey::new(bytes)
 }
 
 /// Attacks on one device while its owner writes on both links; what was tried, by kind. Panics when
 /// a write passes that the owner did not ask for, when one passes twice, or when the owner's do not.
 fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
     const HOSTILE_PER_ROUND: usize = 60;
-    let mut source = Seeded(seed);
+    let mut source = Random::new(seed);
     let (key, others_key) = (source.key(), source.key());
     let mut device = Device::new(locked_by(key));
     // Same key, another device; and one that has another key.
@@ -388,7 +370,7 @@ fn held_back_until_others_came(
     device: &mut Device,
     role: LinkRole,
     key: DeviceKey,
-    source: &mut Seeded,
+    source: &mut Random,
 ) -> [Vec<u8>; 2] {
     let mut open = |device: &mut Device| {
         let mut owner = Owner::new(role, key, source.bits() as u32);
@@ -508,7 +490,7 @@ fn sessions_end_when_others_have_taken_their_place() {
     let key = DeviceKey::new([5; 32]);
     let mut device = Device::new(locked_by(key));
     for role in ROLES {
-        for late in held_back_until_others_came(&mut device, role, key, &mut Seeded(3)) {
+        for late in held_back_until_others_came(&mut device, role, key, &mut Random::new(3)) {
             let reply = device.hear(role, &late).expect("an answer");
             assert_eq!(reply.answer, Answer::Refused(Refusal::SessionEnded));
         }

@@ -31,7 +31,7 @@ fn planar() -> Geometry<12> {
 #[test]
 fn the_octahedron_reaches_the_cramer_rao_bound() {
     let solver = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     for (speed_deg, published_bound) in [(100.0, 14.2), (1000.0, 1.42)] {
         let rate = [speed_deg * DEG / 3f64.sqrt(); 3];
         let clean = outputs(&octahedron(), rate, [3.0, -2.0, 5.0], [1.0, 2.0, 9.0]);
@@ -61,7 +61,7 @@ fn the_octahedron_reaches_the_cramer_rao_bound() {
 fn in_f32_the_octahedron_loses_nothing() {
     let fine = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
     let coarse = ArraySolver::<f32, 18>::new(&octahedron()).unwrap();
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     for _ in 0..1000 {
         let rate = random.normals(10.0);
         let clean = outputs(
@@ -244,7 +244,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
 #[test]
 fn dead_and_saturated_triads_are_dropped_and_said() {
     let mut array = Array::<f64, 18>::new(octahedron(), 150.0).unwrap();
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let rate = [6.0, -4.0, 5.0];
     let sample = |random: &mut Random| {
         outputs(&octahedron(), rate, [1.0, 2.0, 3.0], [0.0, 0.0, 9.8])

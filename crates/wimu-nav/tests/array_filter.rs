@@ -42,9 +42,9 @@ impl Body {
     fn new(random: &mut Random, metres: f64, rad_s: f64) -> Self {
         let tones = std::array::from_fn(|axis| {
             [0; 3].map(|_| {
-                let omega = std::f64::consts::TAU * (0.3 + 1.2 * random.unit());
+                let omega = std::f64::consts::TAU * (0.3 + 1.2 * random.uniform());
                 let size = if axis < 3 { metres } else { rad_s };
-                let phase = random.unit() * std::f64::consts::TAU;
+                let phase = random.uniform() * std::f64::consts::TAU;
                 [random.normal() * size, omega, phase]
             })
         });
@@ -113,7 +113,7 @@ fn nees(error: [f64; 3], covariance: [[f64; 3]; 3]) -> f64 {
 
 /// NEES of position, velocity, attitude and ω at the end of a run, and the position's error.
 fn run(seed: u64) -> [f64; 5] {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut body = Body::new(&mut random, 0.04, 2.0);
     let geometry = board();
     let bias: [f64; 24] = std::array::from_fn(|_| BIAS * random.normal());
@@ -219,7 +219,7 @@ fn rate_sd(state: &ArrayState<f64>) -> f64 {
 
 #[test]
 fn at_rest_the_rate_is_hardly_known_and_a_turn_shows_it() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let mut filter = ArrayFilter::<f64, 24>::new(board(), config(false)).unwrap();
     hold(&mut filter, &mut random, 100);
     let early = rate_sd(&filter.state());
@@ -249,7 +249,7 @@ fn at_rest_the_rate_is_hardly_known_and_a_turn_shows_it() {
 
 #[test]
 fn a_start_in_a_turn_is_ambiguous_until_the_turn_changes() {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut filter = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
     let rate = [6.0, -3.0, 4.0];
     let mut push = |filter: &mut ArrayFilter<f64, 24>, rate: [f64; 3], turn: [f64; 3]| {
@@ -289,7 +289,7 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
     let triads = places.map(|[x, y]| Triad::aligned([x * 0.02, y * 0.02, 0.0], NOISE));
     let flat = Geometry::<12>::from_triads(&triads).unwrap();
     let mut filter = ArrayFilter::<f64, 12>::new(flat, config(true)).unwrap();
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let rate = [6.0, -3.0, 5.0];
     let mut most = 0;
     for _ in 0..120 {
@@ -313,7 +313,7 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
 
 #[test]
 fn single_precision_follows_double() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let mut body = Body::new(&mut random, 0.04, 2.0);
     let mut fine = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
     let mut coarse = ArrayFilter::<f32, 24>::new(board(), config(true)).unwrap();
@@ -332,7 +332,7 @@ fn single_precision_follows_double() {
 
 #[test]
 fn bad_input_is_said_and_survived() {
-    let mut random = Random(13);
+    let mut random = Random::new(13);
     let mut filter = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
     hold(&mut filter, &mut random, 100);
     assert!(filter.state().valid && filter.state().resting);
@@ -386,11 +386,11 @@ fn bad_input_is_said_and_survived() {
 
 #[test]
 fn no_sample_makes_it_panic_or_forget_its_numbers() {
-    let mut random = Random(17);
+    let mut random = Random::new(17);
     let mut filter = ArrayFilter::<f32, 24>::new(board(), config(true)).unwrap();
     for k in 0..3000 {
-        let size = [1.0, 100.0, 1e20, f64::NAN][(random.unit() * 4.0) as usize % 4];
-        let kind = random.unit();
+        let size = [1.0, 100.0, 1e20, f64::NAN][(random.uniform() * 4.0) as usize % 4];
+        let kind = random.uniform();
         let y: [f32; 24] = std::array::from_fn(|i| {
             let value = if i % 3 == 2 { G } else { 0.0 };
             if kind < 0.7 {
@@ -399,7 +399,7 @@ fn no_sample_makes_it_panic_or_forget_its_numbers() {
                 (random.normal() * size) as f32
             }
         });
-        let step = if random.unit() < 0.05 {
+        let step = if random.uniform() < 0.05 {
             random.normal()
         } else {
             DT
@@ -416,7 +416,7 @@ fn no_sample_makes_it_panic_or_forget_its_numbers() {
 
 #[test]
 fn speed_that_a_push_left_is_doubted_at_what_looks_like_a_rest_after_it() {
-    let mut random = Random(21);
+    let mut random = Random::new(21);
     let mut filter = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
     hold(&mut filter, &mut random, 150);
     let start = filter.state().position_m;
@@ -454,7 +454,7 @@ fn when_a_sample_was_taken_and_how_it_fits_is_in_the_covariance() {
     };
     let [mut late, mut exact] =
         [late, exact].map(|c| ArrayFilter::<f64, 24>::new(board(), c).unwrap());
-    let mut random = Random(22);
+    let mut random = Random::new(22);
     let mut push = |rate: [f64; 3], turn: [f64; 3], force: [f64; 3]| {
         let clean = outputs(&board(), rate, turn, force);
         let y = clean.map(|v| v + NOISE * random.normal());

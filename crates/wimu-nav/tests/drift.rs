@@ -15,7 +15,7 @@ const TRUTH: Drift = Drift {
 
 /// Twenty minutes at 10 Hz from the switching on, white noise and a slow wander.
 fn recording(drift: Drift, seed: u64) -> DriftEstimator {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut estimator = DriftEstimator::new();
     let mut wander = [0.0; 3];
     for k in 0..12_000 {
@@ -92,7 +92,7 @@ fn what_does_not_drift_or_has_not_settled_or_moves_is_refused() {
 fn a_known_drift_is_taken_out_and_its_doubt_is_left_in_the_covariance() {
     // Level and still: what the drift tilts, east and north, is what is not known of the position.
     let run = |drift: Option<Drift>| {
-        let mut random = Random(5);
+        let mut random = Random::new(5);
         let mut filter = UnitFilter::new(UnitConfig {
             zupt: wimu_nav::Zupt::Off,
             drift,
@@ -140,7 +140,7 @@ fn a_rise_that_is_wrong_by_its_deviation_is_found_at_rests_with_motion_between()
     let (rise, sd) = ([0.08, -0.05, 0.06], 0.02);
     let (mut squares, mut count) = (0.0, 0.0);
     for seed in 0..8 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let wrong = [0, 1, 2].map(|i| rise[i] + random.normal() * sd);
         let truth = Drift {
             rise_mps2: rise,

@@ -19,7 +19,7 @@ fn the_sign_is_found_and_the_rate_lies_within_its_covariance() {
     let noise = 0.05;
     let board = Geometry::<24>::eight_triads_board(0.01, 0.002, noise).unwrap();
     let solver = ArraySolver::<f64, 24>::new(&board).unwrap();
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let dt = 0.005;
     let mut observations = Vec::new();
     for k in 0..1200 {

@@ -51,7 +51,7 @@ fn single(sample: &UnitSample) -> UnitSample<f32> {
 #[test]
 fn in_f32_the_answer_is_that_of_f64_within_a_third_of_its_uncertainty() {
     for (zupt, gyroscope) in [(Zupt::Stated, false), (Zupt::Off, false), (Zupt::Off, true)] {
-        let mut random = Random(11);
+        let mut random = Random::new(11);
         let config = UnitConfig { zupt, ..config() };
         let (mut wide, mut narrow) = (UnitFilter::new(config), UnitFilter::<f32>::new(config));
         for k in 0..12_000 {
@@ -99,7 +99,7 @@ fn a_first_rest_too_short_to_align_at_keeps_no_later_rest_from_being_believed() 
     // Carried off and tilted by 0.3 rad before the first second is over, with nothing that tells a tilt
     // from a push but the rate, or not even that.
     for (rests, gyroscope) in (5..10).flat_map(|n| [(n * 10, true), (n * 10, false)]) {
-        let mut random = Random(12);
+        let mut random = Random::new(12);
         let mut filter = UnitFilter::new(config());
         for k in 0..500 {
             let share = f64::from((k - rests).clamp(0, 100)) / 100.0;
@@ -133,7 +133,7 @@ fn a_first_rest_too_short_to_align_at_keeps_no_later_rest_from_being_believed() 
 #[test]
 fn even_motion_after_a_push_is_not_taken_for_rest() {
     // With a gyroscope the push is known well: 1 m/s, then quiet for 8.5 s.
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     let mut filter = UnitFilter::new(config());
     let mut worst = 0.0_f64;
     for k in 0..1100 {
@@ -165,7 +165,7 @@ fn even_motion_after_a_push_is_not_taken_for_rest() {
 #[test]
 fn a_pause_of_a_second_is_a_rest_at_any_rate_and_the_motion_before_it_is_not() {
     for rate in [50, 100, 400] {
-        let mut random = Random(21);
+        let mut random = Random::new(21);
         let mut filter = UnitFilter::new(config());
         for k in 0..5 * rate {
             let mut sample = at_rest(&mut random);
@@ -188,7 +188,7 @@ fn a_pause_of_a_second_is_a_rest_at_any_rate_and_the_motion_before_it_is_not() {
 
 #[test]
 fn a_start_in_motion_is_not_valid_before_the_first_rest_and_position_begins_there() {
-    let mut random = Random(22);
+    let mut random = Random::new(22);
     let mut filter = UnitFilter::new(UnitConfig {
         zupt: Zupt::Stated,
         ..config()
@@ -209,7 +209,7 @@ fn a_start_in_motion_is_not_valid_before_the_first_rest_and_position_begins_ther
 fn what_a_gyroscope_leaves_out_is_doubted_and_its_bias_is_not_taken_for_a_rate() {
     // A quarter turn to and fro about x every 4 s; the gyroscope fails for so long, s, at its fastest.
     for fails_s in [0.0, 0.1, 0.2, 1.0] {
-        let mut random = Random(24);
+        let mut random = Random::new(24);
         let mut filter = UnitFilter::new(config());
         for k in 0..900 {
             let t = f64::from(k) / RATE - 2.0;
@@ -247,7 +247,7 @@ fn what_a_gyroscope_leaves_out_is_doubted_and_its_bias_is_not_taken_for_a_rate()
 
 #[test]
 fn a_gyroscopes_offset_is_found_at_the_first_rest() {
-    let mut random = Random(23);
+    let mut random = Random::new(23);
     let mut filter = UnitFilter::new(config());
     for _ in 0..500 {
         let mut sample = at_rest(&mut random);
@@ -264,7 +264,7 @@ fn a_gyroscopes_offset_is_found_at_the_first_rest() {
 
 /// At rest for so long, s, with a gap of 1 s before the last two where one is asked for; then 0.5 m east in 2 s.
 fn move_after(rest_s: f64, gap: bool, zupt: Zupt) -> [UnitState; 2] {
-    let mut random = Random(17);
+    let mut random = Random::new(17);
     let mut filter = UnitFilter::new(UnitConfig { zupt, ..config() });
     let (rest, last) = ((rest_s * RATE) as u32, 2.0);
     let mut before = filter.state();
@@ -312,7 +312,7 @@ fn a_long_rest_before_the_first_move_costs_little_and_so_does_a_gap_in_it() {
 #[test]
 fn a_unit_at_rest_stays_where_it_is_with_zupt_and_gets_lost_without() {
     for (zupt, least, most) in [(Zupt::Stated, 0.0, 0.15), (Zupt::Off, 0.5, 1e4)] {
-        let mut random = Random(1);
+        let mut random = Random::new(1);
         let mut filter = UnitFilter::new(UnitConfig { zupt, ..config() });
         for k in 0..6000 {
             let mut sample = at_rest(&mut random);
@@ -335,7 +335,7 @@ fn a_unit_at_rest_stays_where_it_is_with_zupt_and_gets_lost_without() {
 
 #[test]
 fn alignment_finds_level_and_north() {
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let mut filter = UnitFilter::new(config());
     // Body x points north, y west.
     for _ in 0..200 {
@@ -359,7 +359,7 @@ fn alignment_finds_level_and_north() {
 #[test]
 fn without_a_rest_at_the_start_the_attitude_is_known_worse() {
     let run = |size: f64| {
-        let mut random = Random(3);
+        let mut random = Random::new(3);
         let mut filter = UnitFilter::new(config());
         for k in 0..150 {
             let mut sample = at_rest(&mut random);
@@ -373,7 +373,7 @@ fn without_a_rest_at_the_start_the_attitude_is_known_worse() {
 
 #[test]
 fn without_a_magnetometer_it_navigates_by_its_first_heading() {
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let mut filter = UnitFilter::new(config());
     for _ in 0..500 {
         let sample = UnitSample {
@@ -388,7 +388,7 @@ fn without_a_magnetometer_it_navigates_by_its_first_heading() {
 
 #[test]
 fn a_magnetic_disturbance_is_left_out_and_counted() {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut filter = UnitFilter::new(config());
     for k in 0..1000 {
         let mut sample = at_rest(&mut random);
@@ -404,7 +404,7 @@ fn a_magnetic_disturbance_is_left_out_and_counted() {
 
 #[test]
 fn gaps_jumps_and_what_is_no_number_are_said_and_survived() {
-    let mut random = Random(6);
+    let mut random = Random::new(6);
     let mut filter = UnitFilter::new(UnitConfig {
         zupt: Zupt::Off,
         ..config()
@@ -502,7 +502,7 @@ fn a_slide_with_bias_and_a_changed_tilt_is_as_long_as_it_was() {
 #[test]
 fn a_rate_is_that_at_its_time_stamp() {
     // To 1.5 rad and back in 1 s each, 50 samples a second: half a sample's time would be 28 mrad.
-    let mut random = Random(26);
+    let mut random = Random::new(26);
     let mut filter = UnitFilter::new(config());
     let (step, mut worst) = (0.02, 0.0_f64);
     for k in 0..250 {
@@ -539,7 +539,7 @@ fn a_rate_is_that_at_its_time_stamp() {
 #[test]
 fn the_turn_that_ends_the_first_rest_is_no_bias_of_the_gyroscope() {
     const BIAS: [f64; 3] = [0.03, 0.03, -0.02];
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut wrong = 0;
     for hundredths in 100..180 {
         let mut filter = UnitFilter::new(UnitConfig {

@@ -224,7 +224,7 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
             // From nothing to the turn in one sample, before the recording.
             parts.insert(0, part(1.0 / RATE_HZ, first));
         }
-        let all = simulated(&geometry, &parts, &mut Random(5));
+        let all = simulated(&geometry, &parts, &mut Random::new(5));
         let (path, calibration) = path(&all.recording, &geometry, true).unwrap();
         for (first, count) in &calibration.rests {
             let fastest = all.rates[*first..first + count].iter().map(|r| r[2].abs());
@@ -245,7 +245,7 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
     let all = simulated(
         &geometry,
         &[about_z(1.0 / RATE_HZ, 20.0), about_z(5.0, 20.0)],
-        &mut Random(6),
+        &mut Random::new(6),
     );
     let error = path(&all.recording, &geometry, true).unwrap_err();
     assert!(error.code() == ErrorCode::DataRefused && error.to_string().contains("even turn"));
@@ -274,7 +274,7 @@ fn carried() -> Vec<Part> {
 #[test]
 fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
     let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random(7));
+    let all = simulated(&geometry, &carried(), &mut Random::new(7));
     let (sound, _) = path(&all.recording, &geometry, true).unwrap();
     let without = end_error(&sound, &all.recording);
     println!(
@@ -316,7 +316,7 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
 #[test]
 fn a_limit_that_nobody_declared_is_found_in_the_recording() {
     let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random(8));
+    let all = simulated(&geometry, &carried(), &mut Random::new(8));
     let clipped = |limit: f64| {
         let mut recording = all.recording.clone();
         let mut beyond = 0;
@@ -382,7 +382,7 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
 #[test]
 fn a_geometry_of_another_array_is_refused() {
     let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random(9));
+    let all = simulated(&geometry, &carried(), &mut Random::new(9));
     let (sound, calibration) = path(&all.recording, &geometry, true).unwrap();
     let arranged = all.recording.clone().arranged(&geometry).unwrap();
     let agreement = Agreement::of(&arranged, &geometry, &calibration)
@@ -427,7 +427,7 @@ fn a_geometry_of_another_array_is_refused() {
 #[test]
 fn a_start_in_motion_is_said_and_its_velocity_unknown() {
     let geometry = octahedron(0.03);
-    let mut all = simulated(&geometry, &carried(), &mut Random(10));
+    let mut all = simulated(&geometry, &carried(), &mut Random::new(10));
     // From the middle of the first move on.
     let from = (3.3 * RATE_HZ) as usize;
     all.recording.outputs.drain(..from);
@@ -458,7 +458,7 @@ fn a_start_in_motion_is_said_and_its_velocity_unknown() {
 #[test]
 fn the_truth_of_an_array_gives_its_nees() {
     let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random(11));
+    let all = simulated(&geometry, &carried(), &mut Random::new(11));
     let (path, _) = path(&all.recording, &geometry, true).unwrap();
     let (median, share) = path.consistency().unwrap();
     let rate = wimu_host::inertial::consistency(&path.rate_nees).unwrap();
@@ -473,7 +473,7 @@ fn the_truth_of_an_array_gives_its_nees() {
 
 #[test]
 fn rows_that_repeat_among_noisy_ones_are_a_gap_and_a_rest_without_noise_is_none() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut table = |noise: f64| {
         let mut recording = ArrayRecording::default();
         for k in 0..1200 {

@@ -117,7 +117,7 @@ fn rms_error(states: &[[f64; 3]], times: &[f64]) -> f64 {
 
 #[test]
 fn wrong_places_and_delays_are_found_within_their_deviations() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let drawn = ArrayGeometry::at(&board_places());
     let mut truth = drawn.clone();
     // Two sensors a millimetre off, the proof masses of all apart, and delays of 100 µs.
@@ -201,7 +201,7 @@ fn wrong_places_and_delays_are_found_within_their_deviations() {
 
 #[test]
 fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     // Four boards on a body of 20 cm, each turned its own way.
     let places = [
         [0.1, 0.1, 0.1],
@@ -319,7 +319,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
 
 #[test]
 fn dead_and_saturated_sensors_are_left_out_and_said() {
-    let mut random = Random(13);
+    let mut random = Random::new(13);
     let geometry = ArrayGeometry::at(&board_places());
     let mut recording = table(&geometry, 100.0, 0.03, &mut random);
     for row in &mut recording.outputs {

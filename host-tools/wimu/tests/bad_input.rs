@@ -9,32 +9,11 @@ use std::path::Path;
 
 use kit::{Ran, folder, wimu};
 use serde_json::Value;
+use wimu_testkit::Random;
 
 const G: f64 = 9.80665;
 const BIAS: [f64; 3] = [0.3, -0.5, 0.7];
 const MATRIX: [[f64; 3]; 3] = [[1.03, 0.0, 0.0], [0.02, 0.97, 0.0], [-0.01, 0.03, 1.01]];
-
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-
-    fn direction(&mut self) -> [f64; 3] {
-        unit([self.normal(), self.normal(), self.normal()])
-    }
-}
 
 fn unit(v: [f64; 3]) -> [f64; 3] {
     let norm = v.iter().map(|c| c * c).sum::<f64>().sqrt();
@@ -48,7 +27,7 @@ fn output(up: [f64; 3]) -> [f64; 3] {
 
 /// Twelve edges and random directions, to `count`, with 3 mm/s² from pose to pose.
 fn poses(count: usize) -> Vec<[f64; 3]> {
-    let mut random = Random(count as u64);
+    let mut random = Random::new(count as u64);
     let mut ups = Vec::new();
     for (a, b) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
         ups.extend([[a, b, 0.05], [a, 0.05, b], [0.05, a, b]].map(unit));
@@ -267,7 +246,7 @@ fn wrong_and_mixed_units_are_named() {
 
 /// A recording of a hand that turns the sensor through `poses`, 100 Hz; `shake` m/s² while held.
 fn recording(poses: &[[f64; 3]], shake: f64) -> String {
-    let mut random = Random(99);
+    let mut random = Random::new(99);
     let mut text = String::from("Time (s),");
     text += &table("m/s²", &[]);
     let mut t = 0.0_f64;
@@ -295,7 +274,7 @@ fn recordings_in_motion_and_broken_files_say_so() {
     refused(&in_mg, &[], "looks like counts");
     // Poses that were not still, as means.
     let moving = {
-        let mut random = Random(5);
+        let mut random = Random::new(5);
         let all = poses(30).into_iter();
         all.map(|y| y.map(|c| c + 1.5 * random.normal()))
             .collect::<Vec<_>>()

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use proptest::test_runner::Config as ProptestConfig;
 use wimu_calib::{Gravity, MagneticPose, Pose};
 use wimu_model::{Alignment, ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
+pub use wimu_testkit::Random;
 
 /// The gravity of the simulated tests, m/s².
 pub const G: f64 = STANDARD_GRAVITY_MPS2;
@@ -24,40 +25,14 @@ pub fn config() -> ProptestConfig {
     }
 }
 
-/// SplitMix64: the same numbers on every machine.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    pub fn within(&mut self, limit: f64) -> f64 {
-        (2.0 * self.uniform() - 1.0) * limit
-    }
-
-    /// Normal, mean 0, standard deviation 1.
-    pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-
-    pub fn direction(&mut self) -> [f64; 3] {
-        loop {
-            let v = [self.normal(), self.normal(), self.normal()];
-            let norm = v.iter().map(|c| c * c).sum::<f64>().sqrt();
-            if norm > 0.1 {
-                return v.map(|c| c / norm);
-            }
-        }
-    }
-
+/// Draws error models.
+pub trait DrawModel {
     /// Bias up to 80 mg, scale factor ±4 %, misalignment ±2°; lower triangular or full.
-    pub fn model(&mut self, triangular: bool) -> ErrorModel {
+    fn model(&mut self, triangular: bool) -> ErrorModel;
+}
+
+impl DrawModel for Random {
+    fn model(&mut self, triangular: bool) -> ErrorModel {
         let mut terms = ErrorTerms::default();
         for row in 0..3 {
             terms.bias_mps2[row] = self.within(0.08 * STANDARD_GRAVITY_MPS2);

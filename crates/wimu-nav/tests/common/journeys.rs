@@ -48,9 +48,9 @@ impl Journey {
         match self {
             Self::Moves(turn) => {
                 for _ in 0..4 {
-                    let lasts = 1.0 + 1.5 * random.unit();
+                    let lasts = 1.0 + 1.5 * random.uniform();
                     parts.push((lasts, Part::Move(random.normals(0.4), random.normals(turn))));
-                    parts.push((1.0 + random.unit(), stop));
+                    parts.push((1.0 + random.uniform(), stop));
                 }
             }
             Self::Slow(lasts) => {
@@ -60,7 +60,7 @@ impl Journey {
                 }
             }
             Self::Cart(speed) => {
-                let angle = std::f64::consts::TAU * random.unit();
+                let angle = std::f64::consts::TAU * random.uniform();
                 let peak = [2.0 * speed * angle.cos(), 2.0 * speed * angle.sin(), 0.0];
                 let brake = peak.map(|a| -a);
                 for (lasts, from, to) in [
@@ -132,11 +132,11 @@ impl Journey {
             Self::Carried(most) => {
                 for _ in 0..8 {
                     let way = direction(random).map(|d| d * 0.5);
-                    let size = (0.6 + 1.4 * random.unit(), most * random.unit());
+                    let size = (0.6 + 1.4 * random.uniform(), most * random.uniform());
                     let turn = direction(random).map(|d| d * size.1);
-                    let lasts = 1.0 + 2.0 * random.unit();
+                    let lasts = 1.0 + 2.0 * random.uniform();
                     parts.push((lasts, Part::Move(way.map(|w| w * size.0), turn)));
-                    parts.push((1.0 + 2.0 * random.unit(), stop));
+                    parts.push((1.0 + 2.0 * random.uniform(), stop));
                 }
             }
         }
@@ -238,11 +238,11 @@ pub struct Shown {
 
 /// One journey.
 pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
-    let mut random = Random(seed * 7919 + 29);
+    let mut random = Random::new(seed * 7919 + 29);
     let parts = journey.parts(&mut random);
     let bias = random.normals(how.bias_mps2);
     let offset = random.normals(0.01);
-    let mut errors = Random(seed * 104_729 + 7);
+    let mut errors = Random::new(seed * 104_729 + 7);
     let [rate_matrix, force_matrix] = [how.rate_matrix, how.force_matrix]
         .map(|sd| [errors.normals(sd), errors.normals(sd), errors.normals(sd)]);
     let mut filter = UnitFilter::new(UnitConfig {

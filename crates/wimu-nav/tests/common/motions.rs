@@ -92,16 +92,16 @@ impl Motion {
                 for axis in 0..3 {
                     for _ in 0..3 {
                         let size = 0.06 * random.normal();
-                        let hertz = 0.4 + 0.6 * random.unit();
-                        let phase = tau * random.unit();
+                        let hertz = 0.4 + 0.6 * random.uniform();
+                        let phase = tau * random.uniform();
                         motion.place[axis].push(Tone {
                             size,
                             omega: tau * hertz,
                             phase,
                         });
                         let size = 0.04 * random.normal();
-                        let hertz = 0.2 + 0.8 * random.unit();
-                        let phase = tau * random.unit();
+                        let hertz = 0.2 + 0.8 * random.uniform();
+                        let phase = tau * random.uniform();
                         motion.turn[axis].push(Tone {
                             size,
                             omega: tau * hertz,
@@ -109,8 +109,8 @@ impl Motion {
                         });
                     }
                     if kind == Kind::Vibration {
-                        let omega = tau * (38.0 + 4.0 * random.unit());
-                        let phase = tau * random.unit();
+                        let omega = tau * (38.0 + 4.0 * random.uniform());
+                        let phase = tau * random.uniform();
                         motion.place[axis].push(Tone {
                             size: 5.0 / (omega * omega),
                             omega,
@@ -120,9 +120,9 @@ impl Motion {
                 }
             }
             Kind::Walk => {
-                let step = 1.6 + 0.4 * random.unit();
-                let direction = tau * random.unit();
-                let speed = 1.0 + 0.6 * random.unit();
+                let step = 1.6 + 0.4 * random.uniform();
+                let direction = tau * random.uniform();
+                let speed = 1.0 + 0.6 * random.uniform();
                 let along = [direction.cos(), direction.sin()];
                 motion.moves.push((
                     REST_S,
@@ -130,9 +130,9 @@ impl Motion {
                     [along[0] * speed * 39.0, along[1] * speed * 39.0, 0.0],
                 ));
                 let mut tone = |size: f64, hertz: f64| Tone {
-                    size: size * (0.7 + 0.6 * random.unit()),
+                    size: size * (0.7 + 0.6 * random.uniform()),
                     omega: tau * hertz,
-                    phase: tau * random.unit(),
+                    phase: tau * random.uniform(),
                 };
                 motion.place[2].push(tone(0.02, step));
                 motion.place[2].push(tone(0.003, 2.0 * step));
@@ -157,9 +157,9 @@ impl Motion {
             Kind::Slides => {
                 let mut start = REST_S;
                 while start < 40.0 {
-                    let way = 0.3 + 0.2 * random.unit();
-                    let direction = tau * random.unit();
-                    let duration = 0.8 + 0.4 * random.unit();
+                    let way = 0.3 + 0.2 * random.uniform();
+                    let direction = tau * random.uniform();
+                    let duration = 0.8 + 0.4 * random.uniform();
                     motion.moves.push((
                         start,
                         duration,
@@ -180,14 +180,14 @@ impl Motion {
                     let length = way.iter().map(|w| w * w).sum::<f64>().sqrt();
                     let duration = length / 0.25 + 0.3;
                     motion.moves.push((start, duration, way));
-                    if random.unit() < 0.5 {
+                    if random.uniform() < 0.5 {
                         motion.turns.push((start, duration, random.normals(0.3)));
                     }
                     start += duration + 0.5;
                 }
                 for axis in 0..3 {
-                    let omega = tau * (18.0 + 8.0 * random.unit());
-                    let phase = tau * random.unit();
+                    let omega = tau * (18.0 + 8.0 * random.uniform());
+                    let phase = tau * random.uniform();
                     motion.place[axis].push(Tone {
                         size: 0.3 / (omega * omega),
                         omega,
@@ -304,11 +304,11 @@ pub struct Run {
 
 /// Motion of one seed at `rate` Hz: start known at a time in the motion, errors after 1, 2 and 5 s.
 pub fn run(kind: Kind, rate: f64, gyroscope: bool, seed: u64) -> Run {
-    let mut random = Random(seed * 7919 + 17);
+    let mut random = Random::new(seed * 7919 + 17);
     let motion = Motion::new(kind, &mut random);
     let bias = random.normals(0.03);
     let offset = random.normals(0.005);
-    let begin = 8.0 + 4.0 * random.unit();
+    let begin = 8.0 + 4.0 * random.uniform();
     // No zero velocity: it would be a prior on speed.
     let mut filter = UnitFilter::new(UnitConfig {
         zupt: Zupt::Off,

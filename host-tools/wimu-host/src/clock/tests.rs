@@ -1,5 +1,6 @@
 use super::envelope::LogProduct;
 use super::*;
+use wimu_testkit::Random;
 
 /// What a link does to transfers.
 #[derive(Clone, Copy, Debug)]
@@ -21,24 +22,24 @@ enum Jitter {
 impl Jitter {
     /// The next delay of a direction, ns, after `last`.
     fn draw(self, random: &mut Random, last: &mut f64) -> f64 {
-        let mut exponential = || -(1.0 - random.next()).ln();
+        let mut exponential = || -(1.0 - random.uniform()).ln();
         match self {
             Self::Exponential(mean) => mean * exponential(),
             Self::Gamma(mean) => mean * (exponential() + exponential()),
             Self::HalfNormal(sd) => {
                 let length = (2.0 * exponential()).sqrt();
-                sd * length * (std::f64::consts::TAU * random.next()).cos().abs()
+                sd * length * (std::f64::consts::TAU * random.uniform()).cos().abs()
             }
-            Self::Uniform(most) => most * random.next(),
+            Self::Uniform(most) => most * random.uniform(),
             Self::Rare(most) => {
-                let late = random.next() < 0.1;
-                f64::from(u8::from(late)) * most * random.next()
+                let late = random.uniform() < 0.1;
+                f64::from(u8::from(late)) * most * random.uniform()
             }
             Self::Lasting(most) => {
-                if random.next() < 0.3 || *last == 0.0 {
-                    *last = most * random.next();
+                if random.uniform() < 0.3 || *last == 0.0 {
+                    *last = most * random.uniform();
                 }
-                *last + 1e6 * random.next()
+                *last + 1e6 * random.uniform()
             }
         }
     }
@@ -77,19 +78,6 @@ impl Default for Link {
     }
 }
 
-struct Random(u64);
-
-impl Random {
-    /// Uniform in 0..1, by SplitMix64.
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
 const START_NS: f64 = 5e12;
 /// Bytes that share a delay at most, and the pause on the line after which others have another.
 const PACKET: u64 = 64;
@@ -122,8 +110,8 @@ impl Link {
     }
 
     fn play(&self, number: usize, seed: u64, clock: &mut ClockEstimator) {
-        let mut random = Random(seed * 1000 + 1);
-        let mut other = Random(seed * 1000 + 2);
+        let mut random = Random::new(seed * 1000 + 1);
+        let mut other = Random::new(seed * 1000 + 2);
         // When it is ready by the device's clock, what it is, bytes, when it was asked for.
         let mut frames = Vec::new();
         for (every, class, bytes) in [(0.16, Some(Class::Raw), 45.0), (0.1, None, 50.0)] {
@@ -133,7 +121,7 @@ impl Link {
                     Some(_) if time > self.duration_s / 2.0 => 25.0,
                     _ => 0.0,
                 };
-                let bytes = bytes + long + (10.0 * other.next()).floor();
+                let bytes = bytes + long + (10.0 * other.uniform()).floor();
                 frames.push((time, class, bytes, 0.0));
                 time += every;
             }
@@ -157,7 +145,7 @@ impl Link {
                 pace.answered(at, answered(trip));
             }
             if !pace.is_due(now) {
-                time += 0.001 * (0.5 + other.next());
+                time += 0.001 * (0.5 + other.uniform());
                 continue;
             }
             pace.asked(now);
@@ -167,7 +155,7 @@ impl Link {
             // One after the other.
             heard = (heard + 1e3).max(stalled(line_free + self.takes(1, time) + late));
             let heard_s = time + (heard - asked) * 1e-9;
-            if other.next() >= SHORT_LOST {
+            if other.uniform() >= SHORT_LOST {
                 frames.push((heard_s, Some(Class::Answer), QUESTION, asked));
                 let back = self.least[0] + self.jitter.draw(&mut other, &mut 0.0);
                 let trip = (heard - asked + back + self.byte * QUESTION) * 1e-9;
@@ -204,7 +192,7 @@ impl Link {
                 Some(Class::Answer) => SHORT_LOST,
                 _ => LONG_LOST,
             };
-            let Some(class) = class.filter(|_| other.next() >= lost) else {
+            let Some(class) = class.filter(|_| other.uniform() >= lost) else {
                 continue;
             };
             let time = DeviceTimeUs((ready_s * 1e6).round() as u64);
@@ -393,16 +381,16 @@ fn best_possible(law: Law, each: f64, duration_s: f64, seeds: u64) -> Errors {
         Law::Exponential(mean) => (mean, 40.0),
     };
     for seed in 0..seeds {
-        let mut random = Random(seed * 7919 + 5);
+        let mut random = Random::new(seed * 7919 + 5);
         let mut sides = Vec::new();
         for _ in 0..2 {
             let mut side = Vec::new();
             let mut latest = f64::NEG_INFINITY;
             for index in 0..(each * duration_s) as usize {
-                let x = (index as f64 + 0.5 * random.next()) / each - duration_s / 2.0;
+                let x = (index as f64 + 0.5 * random.uniform()) / each - duration_s / 2.0;
                 let delay = match law {
-                    Law::Uniform(most) => most * random.next(),
-                    Law::Exponential(mean) => -mean * (1.0 - random.next()).ln(),
+                    Law::Uniform(most) => most * random.uniform(),
+                    Law::Exponential(mean) => -mean * (1.0 - random.uniform()).ln(),
                 };
                 // What comes with the one before had less delay than that.
                 let free = x * 1e9 + delay > latest;

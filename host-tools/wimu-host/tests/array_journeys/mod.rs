@@ -25,12 +25,6 @@ const SCORED_RAD_S: f64 = 0.3;
 type V = [f64; 3];
 type Rotation = [V; 3];
 
-impl Random {
-    fn three(&mut self, sd: f64) -> V {
-        [0; 3].map(|_| sd * self.normal())
-    }
-}
-
 fn add(a: V, b: V, by: f64) -> V {
     std::array::from_fn(|i| a[i] + by * b[i])
 }
@@ -311,7 +305,7 @@ impl Case {
             seconds,
             ..Part::default()
         };
-        let tilt = rotation(random.three(0.5));
+        let tilt = rotation(random.normals(0.5));
         let (mut parts, mut arm) = (vec![still(2.5)], [0.0; 3]);
         match self.kind {
             Kind::Moves(metres, radians)
@@ -324,16 +318,16 @@ impl Case {
                 };
                 for _ in 0..moves {
                     parts.push(Part {
-                        seconds: slower * (0.6 + 0.6 * random.unit()),
-                        shift: random.three(metres),
-                        turn: random.three(radians),
+                        seconds: slower * (0.6 + 0.6 * random.uniform()),
+                        shift: random.normals(metres),
+                        turn: random.normals(radians),
                         ..Part::default()
                     });
                     parts.push(still(1.2));
                 }
             }
             Kind::Cart(speed, seconds) => {
-                let direction = random.three(1.0);
+                let direction = random.normals(1.0);
                 let velocity = direction.map(|v| v * speed / norm(direction));
                 let of = |seconds, velocity| Part {
                     seconds,
@@ -363,7 +357,7 @@ impl Case {
 
     /// The recording of one seed, with the truth.
     pub fn recording(&self, seed: u64) -> (ArrayRecording, ArrayGeometry) {
-        let random = &mut Random(seed);
+        let random = &mut Random::new(seed);
         let geometry = self.geometry();
         let journey = self.journey(random);
         struct Sensor {
@@ -381,9 +375,9 @@ impl Case {
             .chain(single)
             .map(|(place, direction)| Sensor {
                 direction,
-                place: add(place, random.three(self.place), 1.0),
-                bias: random.three(self.bias),
-                scale: [0; 3].map(|_| random.three(self.scale)),
+                place: add(place, random.normals(self.place), 1.0),
+                bias: random.normals(self.bias),
+                scale: [0; 3].map(|_| random.normals(self.scale)),
                 skew: self.skew * random.normal(),
             })
             .collect();
@@ -414,7 +408,11 @@ impl Case {
                     1.0,
                 );
                 let scaled = add(force, apply(&sensor.scale, force), 1.0);
-                let output = add(add(scaled, sensor.bias, 1.0), random.three(self.noise), 1.0);
+                let output = add(
+                    add(scaled, sensor.bias, 1.0),
+                    random.normals(self.noise),
+                    1.0,
+                );
                 sensor.direction.map_or(output, |d| {
                     [
                         d.iter().zip(output).map(|(d, v)| d * v).sum(),

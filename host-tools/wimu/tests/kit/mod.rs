@@ -10,6 +10,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+pub use wimu_testkit::spread;
 
 /// No command of a test takes longer, unless something hangs, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -278,19 +279,6 @@ pub fn noise() -> impl FnMut() -> f64 {
         }
         sum
     }
-}
-
-/// Evenly spread directions.
-pub fn spread(count: u32) -> Vec<[f64; 3]> {
-    let n = f64::from(count);
-    (0..count)
-        .map(|k| {
-            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / n;
-            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
-            let flat = (1.0 - z * z).sqrt();
-            [flat * cos, flat * sin, z]
-        })
-        .collect()
 }
 
 /// A folder for one test, gone afterwards.

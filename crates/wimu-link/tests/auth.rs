@@ -12,6 +12,7 @@ use wimu_link::message::{Answer, Command, Payload, Refusal, Reply, Request, Sett
 use wimu_link::requester::Requester;
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{Deframer, MAX_FRAME};
+use wimu_testkit::Random;
 
 const NOW: Duration = Duration::from_secs(1);
 
@@ -166,7 +167,7 @@ fn random_key(random: &mut Random) -> DeviceKey {
 fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
     const HOSTILE_PER_ROUND: usize = 60;
     let mut source = Random::new(seed);
-    let (key, others_key) = (source.key(), source.key());
+    let (key, others_key) = (random_key(&mut source), random_key(&mut source));
     let mut device = Device::new(locked_by(key));
     // Same key, another device; and one that has another key.
     let twin = Lock {

@@ -334,13 +334,20 @@ fn recordings() -> Option<PathBuf> {
 fn every_public_recording_reads() {
     let Some(data) = recordings() else { return };
     let mut files = 0;
-    for folder in std::fs::read_dir(data).unwrap() {
-        let folder = folder.unwrap().path();
-        for file in folder.read_dir().into_iter().flatten() {
+    for folder in [
+        "array",
+        "calibration",
+        "gait",
+        "motion",
+        "protractor",
+        "static",
+    ] {
+        for file in data.join(folder).read_dir().into_iter().flatten() {
             let path = file.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            // The lever arms are no sensor data.
-            if !name.ends_with(".csv") || name == "mimu4444_positions.csv" {
+            // Lever arms and a list of trials are no sensor data.
+            let other = ["mimu4444_positions.csv", "pyshoe_trials.csv"];
+            if !name.ends_with(".csv") || other.contains(&name.as_str()) {
                 continue;
             }
             let mut reader = CsvReader::open(&path).unwrap();

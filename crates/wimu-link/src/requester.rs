@@ -4,7 +4,7 @@ use core::time::Duration;
 
 use crate::auth::Session;
 use crate::frame::{FrameBuffer, MAX_FRAME};
-use crate::message::{Answer, Command, Head, Refusal, Request, Signature};
+use crate::message::{Answer, Command, Head, Payload, Refusal, Request, Signature};
 
 /// Asked once and again every half second, a device has three seconds to answer: enough for it to
 /// erase its flash, during which it hears nothing.
@@ -69,6 +69,10 @@ struct Waiting {
     id: u32,
     /// In what it was signed, and how.
     signed: Option<(Session, Signature)>,
+    /// It has been sent again.
+    repeated: bool,
+    /// Whether an answer to whoever asks the same answers it too.
+    is_anyones: fn(&Answer) -> bool,
 }
 
 /// What to do next.
@@ -126,6 +130,13 @@ impl Requester {
         self.signing.is_some()
     }
 
+    /// Numbers unsigned requests in another session from now on: somebody else has used this one's
+    /// numbers. `session` should be random.
+    pub fn renew(&mut self, session: u32) {
+        self.session = session;
+        self.id = 0;
+    }
+
     /// Begins a request at the time `now`; returns the frame to send. A request before it that
     /// still waits is given up. What opens a session is not signed.
     pub fn start(&mut self, command: Command, now: Duration) -> &[u8] {
@@ -160,6 +171,16 @@ impl Requester {
             session: request.session,
             id: request.id,
             signed: signing.map(|(session, _)| (session, request.signature)),
+            repeated: false,
+            is_anyones: match command {
+                Command::OpenSession => {
+                    |answer| matches!(answer, Answer::Accepted(Payload::Session { .. }))
+                }
+                Command::GetKeyStatus => {
+                    |answer| matches!(answer, Answer::Accepted(Payload::KeyStatus { .. }))
+                }
+                _ => |_| false,
+            },
         });
         self.frame.frame()
     }
@@ -179,6 +200,7 @@ impl Requester {
             }
             Some(waiting) => {
                 waiting.attempts_left -= 1;
+                waiting.repeated = true;
                 // From now, so that a host that slept does not send all at once.
                 waiting.until = now.saturating_add(self.interval);
                 Next::Send(self.frame.frame())
@@ -193,11 +215,20 @@ impl Requester {
     /// of a device that cannot sign: [`Refusal::WrongSignature`], [`Refusal::SessionEnded`],
     /// [`Refusal::KeyNeeded`] and [`Refusal::Locked`]. Anyone can forge those: they say that the
     /// request may not have been obeyed, nothing about the device's state.
+    ///
+    /// A device that is asked too often leaves unsigned requests unanswered. So an unsigned
+    /// `OpenSession` or `GetKeyStatus` that had to be repeated takes the answer to anybody's: a session
+    /// is of use to none but those who have the key, and the key's name is the same for all.
     pub fn on_reply(&mut self, body: &[u8]) -> Option<Answer> {
         let (head, bytes) = Head::split(body).ok()?;
         let answer = Answer::decode(bytes).ok()?;
         let waiting = self.waiting?;
-        if head.session != waiting.session || head.id != waiting.id {
+        let ours = head.session == waiting.session && head.id == waiting.id;
+        let overheard = waiting.repeated
+            && waiting.signed.is_none()
+            && head.signature == Signature::NONE
+            && (waiting.is_anyones)(&answer);
+        if !ours && !overheard {
             return None;
         }
         let vouched = waiting.signed.is_some_and(|(session, request)| {

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
 use crate::checksum::crc_32c;
-use crate::frame::FrameBuffer;
+use crate::frame::{FrameBuffer, MAX_FRAME};
 use crate::hello::LinkRole;
 use crate::message::{
     Answer, Command, EncodedParameters, Head, Payload, Refusal, Reply, Signature,
@@ -12,6 +12,26 @@ use crate::message::{
 
 /// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
+
+/// Size of a token bucket for answers, as the time that it takes to fill, µs.
+const BURST_US: u64 = 1_000_000;
+/// Time in which the bucket of each [`Class`] gains a byte, µs: 500, 500, 2000 and 1000 bytes/s,
+/// together a third of a line of 115,200 baud. The first two are 12 answers a second.
+const BYTE_US: [u64; 4] = [2000, 2000, 500, 1000];
+
+/// Answers that take no key, by the token bucket that limits them: a flood of one class leaves the
+/// others answered.
+#[derive(Clone, Copy, Debug)]
+enum Class {
+    /// To unsigned `OpenSession`.
+    Session,
+    /// To unsigned `GetKeyStatus`.
+    KeyStatus,
+    /// To all other unsigned requests, and refusals of signed ones.
+    Other,
+    /// To the latest signed request when it comes again.
+    Repeated,
+}
 
 /// What a device does about a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,8 +42,8 @@ pub enum Decision<'a, 'b> {
     Execute(Command<EncodedParameters<'b>>),
     /// Send this frame: the request was answered before, or is refused.
     Send(&'a [u8]),
-    /// Do nothing: the bytes are no request, or one is still being carried out; the host asks
-    /// again.
+    /// Do nothing: the bytes are no request, one is still being carried out, or there were too many
+    /// ([`Responder::accept_at`]); the host asks again.
     Ignore,
 }
 
@@ -31,7 +51,7 @@ pub enum Decision<'a, 'b> {
 ///
 /// Requests are known by session and id. The latest one is answered again when it is repeated, with
 /// the same bytes, or, if it changes nothing and its answer is long, by carrying it out again; one
-/// that is older, of this session or of the three before, is refused as stale.
+/// that is older, of this session or of the three before, is refused as stale if it writes.
 /// Who may write, the [`Lock`] says; signatures are checked here ([`auth`](crate::auth)). Unsigned
 /// requests and wrong signatures have no effect on signed ones, however many they are.
 ///
@@ -90,14 +110,19 @@ pub struct Responder {
     /// The reply to it.
     signed_reply: FrameBuffer<KEPT_FRAME>,
     executing: Option<Executing>,
+    /// When the token bucket of each [`Class`] is full, µs on the device's clock.
+    full_at_us: [u64; 4],
+    /// Time of the latest request, µs on the device's clock, while answers are limited.
+    limited_at_us: Option<u64>,
     /// Requests that came again.
     repeated: u32,
     /// A refusal that must replace neither reply.
     refusal: FrameBuffer<REFUSAL_FRAME>,
 }
 
-/// Session and id at their longest, signature, answer, refusal, kind, CRC, stuffing, zero.
-const REFUSAL_FRAME: usize = 5 + 5 + 9 + 2 + 1 + 4 + 1 + 1;
+/// Session and id at their longest, signature or number of a session, its nonce, answer, refusal, kind,
+/// CRC, stuffing, zero.
+const REFUSAL_FRAME: usize = 5 + 5 + 9 + 16 + 2 + 1 + 4 + 1 + 1;
 
 /// An answer without parameters.
 type ShortAnswer = Answer<EncodedParameters<'static>>;
@@ -116,7 +141,8 @@ struct Known {
 /// What is being carried out.
 #[derive(Clone, Copy, Debug)]
 enum Executing {
-    Unsigned(Known),
+    /// With the class of its answer, and whether it is late: then no repeat gets that answer.
+    Unsigned(Known, Class, bool),
     /// With what its answer is signed.
     Signed(Known, Session, Signature),
 }
@@ -155,9 +181,20 @@ impl Responder {
             latest_signed: None,
             signed_reply: FrameBuffer::new(),
             executing: None,
+            full_at_us: [0; 4],
+            limited_at_us: None,
             repeated: 0,
             refusal: FrameBuffer::new(),
         }
+    }
+
+    /// As [`accept`](Self::accept), at `now_us`, µs on the device's clock. While a key is set, answers
+    /// that take none are limited to about 4 kB/s in all after a burst of a second's worth; requests
+    /// beyond are ignored and change nothing. New requests that are signed with the key are always
+    /// taken: a stranger who floods the link leaves most of it to telemetry and to the owner.
+    pub fn accept_at<'b>(&mut self, body: &'b [u8], lock: &Lock, now_us: u64) -> Decision<'_, 'b> {
+        self.limited_at_us = matches!(lock.key, KeyState::Set(_)).then_some(now_us);
+        self.accept(body, lock)
     }
 
     /// Takes the body of a frame of kind [`Request`](crate::Kind::Request), and who may write at
@@ -172,15 +209,41 @@ impl Responder {
             content: crc_32c(body),
         };
         if head.signature == Signature::NONE {
-            self.accept_unsigned(request, command, lock)
+            // By the variant's number, which is all of such a command.
+            let class = match command {
+                [8] => Class::Session,
+                [9] => Class::KeyStatus,
+                _ => Class::Other,
+            };
+            if self.is_spent(class) {
+                return Decision::Ignore;
+            }
+            self.accept_unsigned(request, class, command, lock)
         } else {
             self.accept_signed(request, head.signature, command, lock)
+        }
+    }
+
+    /// Whether the bucket of a class is empty.
+    fn is_spent(&self, class: Class) -> bool {
+        let full_at_us = self.full_at_us.get(class as usize);
+        (self.limited_at_us.zip(full_at_us))
+            .is_some_and(|(now, full)| *full > now.saturating_add(BURST_US))
+    }
+
+    /// Takes an answer of so many bytes from the bucket of its class.
+    fn spend(&mut self, class: Class, bytes: usize) {
+        let (class, bytes) = (class as usize, bytes as u64);
+        let bucket = self.full_at_us.get_mut(class).zip(BYTE_US.get(class));
+        if let (Some(now), Some((full, byte_us))) = (self.limited_at_us, bucket) {
+            *full = now.max(*full).saturating_add(bytes * byte_us);
         }
     }
 
     fn accept_unsigned<'b>(
         &mut self,
         request: Known,
+        class: Class,
         command: &'b [u8],
         lock: &Lock,
     ) -> Decision<'_, 'b> {
@@ -195,25 +258,34 @@ impl Responder {
         if repeats {
             self.repeated = self.repeated.wrapping_add(1);
             match self.executing {
-                Some(Executing::Unsigned(_)) => return Decision::Ignore,
-                _ if !self.reply.frame().is_empty() => return Decision::Send(self.reply.frame()),
+                Some(Executing::Unsigned(..)) => return Decision::Ignore,
+                _ if !self.reply.frame().is_empty() => {
+                    self.spend(class, self.reply.frame().len());
+                    return Decision::Send(self.reply.frame());
+                }
                 _ => {}
             }
-        } else if let Some(latest) = latest {
-            // Ids wrap: the nearer half of them is later.
-            if (request.id.wrapping_sub(latest.id) as i32) <= 0 {
-                return self.refuse(request.answer(&Answer::Refused(Refusal::Stale)));
-            }
+        }
+        // Ids wrap: the nearer half of them is later.
+        let late = !repeats
+            && latest.is_some_and(|latest| (request.id.wrapping_sub(latest.id) as i32) <= 0);
+        let command = Command::take(command);
+        // A late read is answered: a stranger may have used the session's numbers before its host.
+        if late && !command.as_ref().is_ok_and(|command| !command.is_write()) {
+            return self.refuse(class, request.answer(&Answer::Refused(Refusal::Stale)));
         }
         if self.executing.is_some() {
             return Decision::Ignore;
         }
 
-        // This session moves to the front; what was before it moves back by one.
-        let moved = known.unwrap_or(SESSIONS - 1);
-        put_first(&mut self.latest, moved, Some(request));
+        if !late {
+            // This session moves to the front; what was before it moves back by one.
+            let moved = known.unwrap_or(SESSIONS - 1);
+            put_first(&mut self.latest, moved, Some(request));
+            self.reply.clear();
+        }
 
-        let outcome = match Command::take(command) {
+        let outcome = match command {
             Err(_) => Err(Answer::Unknown),
             // It has had its effect.
             Ok(command) if repeats && command.is_write() => return Decision::Ignore,
@@ -225,13 +297,14 @@ impl Responder {
         };
         match outcome {
             Ok(command) => {
-                self.executing = Some(Executing::Unsigned(request));
-                self.reply.clear();
+                self.executing = Some(Executing::Unsigned(request, class, late));
                 Decision::Execute(command)
             }
+            Err(answer) if late => self.refuse(class, request.answer(&answer)),
             Err(answer) => {
                 self.reply
                     .fill(|frame| request.answer(&answer).encode(frame));
+                self.spend(class, self.reply.frame().len());
                 Decision::Send(self.reply.frame())
             }
         }
@@ -249,8 +322,10 @@ impl Responder {
             self.repeated = self.repeated.wrapping_add(1);
             match self.executing {
                 Some(Executing::Signed(..)) => return Decision::Ignore,
+                _ if self.is_spent(Class::Repeated) => return Decision::Ignore,
                 // What was sent before: nobody learns anything from it.
                 _ if !self.signed_reply.frame().is_empty() => {
+                    self.spend(Class::Repeated, self.signed_reply.frame().len());
                     return Decision::Send(self.signed_reply.frame());
                 }
                 _ => {}
@@ -262,19 +337,19 @@ impl Responder {
                 KeyState::None => Refusal::KeyNeeded,
                 _ => Refusal::Locked,
             };
-            return self.refuse(refused(refusal));
+            return self.refuse(Class::Other, refused(refusal));
         };
         let standing = self.sessions.standing(request.session, request.id);
         if let Standing::Ended = standing {
-            return self.refuse(refused(Refusal::SessionEnded));
+            return self.refuse(Class::Other, refused(Refusal::SessionEnded));
         }
         if !session.has_signed(request.id, command, signature) {
-            return self.refuse(refused(Refusal::WrongSignature));
+            return self.refuse(Class::Other, refused(Refusal::WrongSignature));
         }
         let signed = |answer: &ShortAnswer| request.signed_answer(&session, signature, answer);
         // What is like the latest request up to its CRC may be another: its signature counts.
         if !repeats && matches!(standing, Standing::Used) {
-            return self.refuse(signed(&Answer::Refused(Refusal::Stale)));
+            return self.refuse(Class::Other, signed(&Answer::Refused(Refusal::Stale)));
         }
         if self.executing.is_some() {
             return Decision::Ignore;
@@ -292,6 +367,10 @@ impl Responder {
         };
         match outcome {
             Ok(command) => {
+                if repeats {
+                    // As long as it can be.
+                    self.spend(Class::Repeated, MAX_FRAME);
+                }
                 self.executing = Some(Executing::Signed(request, session, signature));
                 self.signed_reply.clear();
                 Decision::Execute(command)
@@ -304,8 +383,16 @@ impl Responder {
         }
     }
 
-    fn refuse<'b>(&mut self, reply: Reply<EncodedParameters<'static>>) -> Decision<'_, 'b> {
+    fn refuse<'b>(
+        &mut self,
+        class: Class,
+        reply: Reply<EncodedParameters<'static>>,
+    ) -> Decision<'_, 'b> {
+        if self.is_spent(class) {
+            return Decision::Ignore;
+        }
         self.refusal.fill(|frame| reply.encode(frame));
+        self.spend(class, self.refusal.frame().len());
         Decision::Send(self.refusal.frame())
     }
 
@@ -325,6 +412,11 @@ impl Responder {
         self.repeated
     }
 
+    /// Whether the request that is being carried out is signed with the key.
+    pub fn is_signed(&self) -> bool {
+        matches!(self.executing, Some(Executing::Signed(..)))
+    }
+
     /// Puts the frame that answers the request that was to be executed into `frame`, of which
     /// [`MAX_FRAME`](crate::MAX_FRAME) bytes are enough, and returns it. Empty when none was.
     pub fn reply<'f, P: Copy + Serialize>(
@@ -332,17 +424,25 @@ impl Responder {
         answer: &Answer<P>,
         frame: &'f mut [u8],
     ) -> &'f [u8] {
-        let (reply, kept) = match self.executing.take() {
-            Some(Executing::Unsigned(request)) => (request.answer(answer), &mut self.reply),
-            Some(Executing::Signed(request, session, signature)) => (
-                request.signed_answer(&session, signature, answer),
-                &mut self.signed_reply,
-            ),
+        let executing = self.executing.take();
+        let reply = match executing {
+            Some(Executing::Unsigned(request, ..)) => request.answer(answer),
+            Some(Executing::Signed(request, session, signature)) => {
+                request.signed_answer(&session, signature, answer)
+            }
             None => return &[],
         };
         let length = reply.encode(frame).unwrap_or(0);
         let frame = frame.get(..length).unwrap_or_default();
-        kept.keep(frame);
+        match executing {
+            Some(Executing::Unsigned(_, class, late)) => {
+                if !late {
+                    self.reply.keep(frame);
+                }
+                self.spend(class, length);
+            }
+            _ => self.signed_reply.keep(frame),
+        }
         frame
     }
 }

@@ -234,6 +234,189 @@ fn a_repeat_while_it_is_carried_out_is_ignored() {
 }
 
 #[test]
+fn a_read_that_comes_late_is_answered_and_a_write_is_stale() {
+    let mut device = Device::new(LinkRole::Cable);
+    let write = request(1, 5, Command::SetSettings(Settings::default()));
+    let written = device.hear(&write);
+    // Somebody has used ids of this session farther on, or another session since.
+    for (session, id) in [(1, 9), (2, 1)] {
+        device.hear(&request(session, id, Command::GetKeyStatus));
+        let read = device.hear(&request(1, 4, Command::GetSettings));
+        let settings = Answer::Accepted(Payload::Settings(Settings::default()));
+        assert_eq!(answer(&read), settings);
+        for id in [3, 5] {
+            let late = device.hear(&request(1, id, Command::FactoryReset));
+            assert_eq!(answer(&late), Answer::Refused(Refusal::Stale));
+        }
+        assert_eq!(
+            answer(&device.hear(&write)),
+            Answer::Refused(Refusal::Stale)
+        );
+    }
+    let writes = device.effects.iter().filter(|command| command.is_write());
+    assert_eq!(writes.count(), 1);
+    // What was late has not taken the place of the latest answer.
+    let latest = request(1, 10, Command::SetSettings(Settings::default()));
+    let reply = device.hear(&latest);
+    assert_eq!(answer(&reply), answer(&written));
+    device.hear(&request(1, 4, Command::GetSettings));
+    assert_eq!(device.hear(&latest), reply);
+}
+
+/// A device with a key, and a host that signs.
+fn with_session(responder: &mut Responder) -> (Lock, Requester) {
+    let key = DeviceKey::new([1; 32]);
+    let lock = Lock {
+        key: KeyState::Set(key),
+        ..open()
+    };
+    let mut requester = Requester::new(77);
+    let open = requester.start(Command::OpenSession, NOW).to_vec();
+    let Decision::Send(frame) = responder.accept(&body(&open, Kind::Request), &lock) else {
+        panic!("no session");
+    };
+    let Answer::Accepted(Payload::Session { number, nonce }) = answer(frame) else {
+        panic!("no session");
+    };
+    let session = Session {
+        key,
+        role: LinkRole::Wireless,
+        device_id: 0,
+        number,
+        nonce,
+    };
+    requester.sign(session, 1);
+    (lock, requester)
+}
+
+/// Bytes of answers to requests that come every millisecond for 20 s.
+fn answered(responder: &mut Responder, lock: &Lock, mut ask: impl FnMut(u32) -> Vec<u8>) -> usize {
+    let long: Answer = Answer::Accepted(Payload::Parameters(ActiveParameters {
+        active: Some(uncalibrated()),
+        id: 1,
+    }));
+    let asked = (0..20_000_u32).map(|ms| {
+        let body = ask(ms);
+        match responder.accept_at(&body, lock, u64::from(ms) * 1000) {
+            Decision::Send(frame) => frame.len(),
+            Decision::Execute(_) => responder.reply(&long, &mut [0; MAX_FRAME]).len(),
+            Decision::Ignore => 0,
+        }
+    });
+    asked.sum()
+}
+
+#[test]
+fn answers_that_take_no_key_are_limited_where_there_is_one() {
+    let mut responder = Responder::new(LinkRole::Wireless);
+    let (lock, mut requester) = with_session(&mut responder);
+    let flood = |command| move |ms: u32| request(ms, 1, command);
+    for (command, rate) in [
+        (Command::OpenSession, 500),
+        (Command::GetKeyStatus, 500),
+        (Command::GetParameters, 2000),
+        (Command::FactoryReset, 2000),
+    ] {
+        let mut responder = Responder::new(LinkRole::Wireless);
+        let bytes = answered(&mut responder, &lock, flood(command));
+        // 20 s, a burst of 1 s, and the answer that empties the bucket.
+        let expected = 21 * rate..=21 * rate + MAX_FRAME;
+        assert!(expected.contains(&bytes), "{command:?}: {bytes}");
+        // The others are answered; so is the same, later.
+        for (other, ms) in [
+            (Command::OpenSession, 20_000),
+            (Command::GetKeyStatus, 20_000),
+            (command, 23_000),
+        ] {
+            let fresh = request(1, 1, other);
+            let decision = responder.accept_at(&fresh, &lock, ms * 1000);
+            let ignored = decision == Decision::Ignore;
+            assert_eq!(ignored, other == command && ms == 20_000, "{other:?}");
+            responder.reply(&Answer::<WireParameters>::Unknown, &mut [0; MAX_FRAME]);
+        }
+        // Without a key all are.
+        let mut responder = Responder::new(LinkRole::Wireless);
+        let bytes = answered(&mut responder, &open(), flood(command));
+        assert!(bytes >= 20_000 * 12, "{command:?}: {bytes}");
+    }
+    // Each new one that the owner signs is taken, whatever is between.
+    for ms in 0..2000_u64 {
+        let garbage = request(ms as u32, 1, Command::GetParameters);
+        if let Decision::Execute(_) = responder.accept_at(&garbage, &lock, ms * 1000) {
+            responder.reply(&Answer::<WireParameters>::Unknown, &mut [0; MAX_FRAME]);
+        }
+        let signed = body(requester.start(Command::FactoryReset, NOW), Kind::Request);
+        let decision = responder.accept_at(&signed, &lock, ms * 1000);
+        assert_eq!(decision, Decision::Execute(Command::FactoryReset));
+        assert!(responder.is_signed());
+        let done: Answer = Answer::Accepted(Payload::None);
+        responder.reply(&done, &mut [0; MAX_FRAME]);
+    }
+    // A stranger who repeats it has it answered seldom.
+    let signed = body(requester.start(Command::GetStatus, NOW), Kind::Request);
+    let bytes = answered(&mut responder, &lock, |_| signed.clone());
+    // Once a second at least, as if each answer were as long as it can be.
+    let least = 20 * 200;
+    assert!((least..=21_000 + MAX_FRAME).contains(&bytes), "{bytes}");
+}
+
+#[test]
+fn an_answer_to_anybody_serves_who_asks_the_same_in_vain() {
+    let session = Answer::Accepted(Payload::Session {
+        number: 5,
+        nonce: [3; 16],
+    });
+    let key = Answer::Accepted(Payload::KeyStatus { key: None });
+    let late = NOW + Duration::from_millis(500);
+    for (command, fits, other) in [
+        (Command::OpenSession, session, key),
+        (Command::GetKeyStatus, key, session),
+    ] {
+        let to = |session, id, signature, answer: Answer| {
+            let mut line = [0; MAX_FRAME];
+            let reply = Reply {
+                session,
+                id,
+                signature,
+                answer,
+            };
+            let length = reply.encode(&mut line).unwrap();
+            body(&line[..length], Kind::Reply)
+        };
+        let mut requester = Requester::new(9);
+        requester.start(command, NOW);
+        let overheard = to(1, 1, Signature::NONE, fits);
+        // It is answered itself, usually.
+        assert_eq!(requester.on_reply(&overheard), None);
+        assert!(matches!(requester.poll(late), Next::Send(_)));
+        let signed = to(1, 1, Signature::new(&[1; 8]).unwrap(), fits);
+        let refused = to(1, 1, Signature::NONE, Answer::Refused(Refusal::Locked));
+        for useless in [signed, refused, to(1, 1, Signature::NONE, other)] {
+            assert_eq!(requester.on_reply(&useless), None);
+        }
+        assert_eq!(requester.on_reply(&overheard), Some(fits));
+        assert!(!requester.vouched());
+    }
+    // What was asked signed is answered signed.
+    let mut responder = Responder::new(LinkRole::Wireless);
+    let (_, mut requester) = with_session(&mut responder);
+    requester.start(Command::GetKeyStatus, NOW);
+    assert!(matches!(requester.poll(late), Next::Send(_)));
+    let mut line = [0; MAX_FRAME];
+    let reply = Reply {
+        session: 1,
+        id: 1,
+        signature: Signature::NONE,
+        answer: key,
+    };
+    let length = reply.encode(&mut line).unwrap();
+    assert_eq!(
+        requester.on_reply(&body(&line[..length], Kind::Reply)),
+        None
+    );
+}
+
+#[test]
 fn an_unsigned_write_passes_only_on_the_cable_of_a_device_without_a_key() {
     let has = |key, boot_count| Lock {
         key,

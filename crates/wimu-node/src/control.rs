@@ -150,7 +150,11 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         answer: &Answer<EncodedParameters<'_>>,
     ) {
         let mut frame = [0; MAX_FRAME];
-        self.shared.keep(role, responder.reply(answer, &mut frame));
+        match responder.is_signed() {
+            true => self.shared.keep(role, responder.reply(answer, &mut frame)),
+            // One that finds no room is asked for again.
+            false => (self.shared).keep_if_room(role, responder.reply(answer, &mut frame)),
+        }
     }
 
     /// What is to become of a line's rate because of a request on the link `role`.

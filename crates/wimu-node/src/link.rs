@@ -117,10 +117,11 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
     async fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<EncodedParameters<'b>>> {
         let lock = self.shared.lock();
         let mut responder = self.shared.responder(self.role).await;
-        let command = match responder.accept(request, &lock) {
+        let command = match responder.accept_at(request, &lock, self.timer.now().0) {
             Decision::Execute(command) => Some(command),
+            // One that finds no room is asked for again.
             Decision::Send(answer) => {
-                self.shared.keep(self.role, answer);
+                self.shared.keep_if_room(self.role, answer);
                 None
             }
             Decision::Ignore => None,

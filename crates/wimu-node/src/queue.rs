@@ -5,7 +5,9 @@ const TELEMETRY_BYTES: usize = 1024;
 /// Bytes for frames that may not: epochs, replies, Hello, parameters. The longest reply, the longest
 /// epoch and the longest Hello fit at once, or all that tells who the device is but its parameters, which
 /// are queued when there is room.
-const KEPT_BYTES: usize = 1600;
+const KEPT_BYTES: usize = 1600 + SIGNED_BYTES;
+/// Bytes of them that unsigned replies leave free: the longest signed reply to a write, and its length.
+const SIGNED_BYTES: usize = 80 + 2;
 /// A frame is taken in pieces of so many bytes.
 pub(crate) const PIECE: usize = 64;
 
@@ -67,6 +69,13 @@ impl FrameQueue {
     pub(crate) fn push_kept_if_room(&mut self, frame: &[u8]) -> bool {
         let kept: &mut Ring<[u8]> = &mut self.kept;
         kept.push(frame)
+    }
+
+    /// Queues a reply that anybody can ask for, if that leaves room for a signed one.
+    pub(crate) fn push_unsigned(&mut self, frame: &[u8]) {
+        if self.kept.used + 2 + frame.len() + SIGNED_BYTES <= KEPT_BYTES {
+            self.push_kept_if_room(frame);
+        }
     }
 
     /// Whether no kept frame waits, nor the rest of one.
@@ -260,6 +269,24 @@ mod tests {
         assert_eq!(pop(&mut queue), Some(1));
         assert!(queue.has_all_room() && queue.push_kept_if_room(&[2; 860]));
         assert_eq!(pop(&mut queue), Some(2));
+    }
+
+    #[test]
+    fn unsigned_replies_leave_room_for_a_signed_one_and_cost_no_other_its_place() {
+        for length in [15, 80, 400, wimu_link::frame::MAX_FRAME] {
+            let mut queue = FrameQueue::new();
+            queue.push_kept(&[1; 540]);
+            for _ in 0..200 {
+                queue.push_unsigned(&std::vec![2; length]);
+            }
+            queue.push_kept(&[3; SIGNED_BYTES - 2]);
+            assert_eq!((queue.shed, queue.overflowed), (0, false));
+            let order: std::vec::Vec<u8> = core::iter::from_fn(|| pop(&mut queue)).collect();
+            // As many as there is room for.
+            let unsigned = (KEPT_BYTES - SIGNED_BYTES - 542) / (length + 2);
+            assert_eq!(order.len(), 1 + unsigned + 1);
+            assert_eq!((order[0], order[order.len() - 1]), (1, 3));
+        }
     }
 
     #[test]

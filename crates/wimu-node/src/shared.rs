@@ -425,6 +425,11 @@ impl<M: RawMutex> Shared<M> {
         self.with_outbox(role, |outbox| outbox.push_kept(frame));
     }
 
+    /// Queues an encoded frame that is never shed, if that leaves room for a signed reply.
+    pub(crate) fn keep_if_room(&self, role: LinkRole, frame: &[u8]) {
+        self.with_outbox(role, |outbox| outbox.push_unsigned(frame));
+    }
+
     /// Queues a message that is shed when the link is too slow, on the links that want it.
     pub(crate) fn stream(&self, roles: [bool; 2], message: &Message, wanted: fn(&Streams) -> bool) {
         let mut frame = [0; MAX_SHED];

@@ -130,18 +130,33 @@ impl<T: Transport> Client<T> {
         };
         let first = match self.seed {
             Some(seed) => seed,
-            None => {
-                let mut bytes = [0; 4];
-                keys::random(&mut bytes)?;
-                u32::from_le_bytes(bytes)
-            }
+            None => random_number()?,
         };
         self.requester.sign(session, first);
         Ok(())
     }
 
-    /// Asks once and waits for the answer.
+    /// Asks and waits for the answer; again in another unsigned session where somebody else has used
+    /// the numbers of this one. Not a write: another host's may have come between.
     fn ask(&mut self, command: Command) -> Result<Answer> {
+        let mut answer = self.ask_once(command)?;
+        for _ in 1..SESSIONS {
+            let stale = answer == Answer::Refused(Refusal::Stale) && !self.requester.vouched();
+            if !stale || command.is_write() {
+                break;
+            }
+            let session = match self.seed {
+                Some(_) => self.requester.session().wrapping_add(1),
+                None => random_number()?,
+            };
+            self.requester.renew(session);
+            answer = self.ask_once(command)?;
+        }
+        Ok(answer)
+    }
+
+    /// Asks once and waits for the answer.
+    fn ask_once(&mut self, command: Command) -> Result<Answer> {
         self.wait_while_deaf()?;
         self.answer = None;
         let frame = self.requester.start(command, self.transport.now());
@@ -398,6 +413,12 @@ impl<T: Transport> Client<T> {
             _ => Err(error),
         }
     }
+}
+
+fn random_number() -> Result<u32> {
+    let mut bytes = [0; 4];
+    keys::random(&mut bytes)?;
+    Ok(u32::from_le_bytes(bytes))
 }
 
 /// What is said when nobody knows whether a write was done.

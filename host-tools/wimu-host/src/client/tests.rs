@@ -3,7 +3,7 @@ use std::rc::Rc;
 
 use wimu_link::auth::{KeyState, Lock};
 use wimu_link::hello::LinkRole;
-use wimu_link::message::{Environment, ParameterFault};
+use wimu_link::message::{Environment, ParameterFault, Reply, Request, Signature};
 use wimu_link::responder::Decision;
 use wimu_link::{Deframer, Kind, Responder, Telemetry, WriteAccess};
 use wimu_model::{ErrorModel, ErrorTerms, Sensitivity};
@@ -26,6 +26,10 @@ struct Board {
     lose_received: u32,
     /// Frames to the host to lose.
     lose_sent: u32,
+    /// Requests to refuse as stale, unsigned.
+    stale: u32,
+    /// Unsigned requests that were taken.
+    asked: Vec<(u32, u32)>,
     /// Device time at which it sends what it measures.
     next_environment: Duration,
     lock: Lock,
@@ -58,6 +62,8 @@ impl Line {
             outgoing: VecDeque::new(),
             lose_received: 0,
             lose_sent: 0,
+            stale: 0,
+            asked: Vec::new(),
             next_environment: Duration::ZERO,
             silent: false,
             lock: Lock {
@@ -113,6 +119,19 @@ impl Board {
         let mut frame = [0; MAX_FRAME];
         if kind == Kind::WhoAreYou {
             let length = self.hello.encode(&mut frame).unwrap();
+            return self.send(&frame[..length]);
+        }
+        let request = Request::decode(body).unwrap();
+        self.asked.push((request.session, request.id));
+        if self.stale > 0 {
+            self.stale -= 1;
+            let reply: Reply = Reply {
+                session: request.session,
+                id: request.id,
+                signature: Signature::NONE,
+                answer: Answer::Refused(Refusal::Stale),
+            };
+            let length = reply.encode(&mut frame).unwrap();
             return self.send(&frame[..length]);
         }
         let command = match self.responder.accept(body, &self.lock) {
@@ -321,6 +340,35 @@ fn refusals_come_with_the_boards_reason_and_exit_code_4() {
     let fault = Refusal::InvalidParameters(ParameterFault::Overflow);
     let error = client.accepted(Answer::Refused(fault)).unwrap_err();
     assert!(!error.remedy().is_empty());
+}
+
+#[test]
+fn a_question_that_is_stale_is_asked_again_in_a_new_session_and_a_write_is_not() {
+    for stale in 0..=3 {
+        let line = Line::new(LinkRole::Cable);
+        let mut client = line.connect().unwrap();
+        client.settings().unwrap();
+        line.board().asked.clear();
+        line.board().stale = stale;
+        client.settings().unwrap();
+        // Session 7, request 2; then the first of others.
+        let mut expected = vec![(7, 2)];
+        expected.extend((1..=stale).map(|renewed| (7 + renewed, 1)));
+        assert_eq!(line.board().asked, expected);
+    }
+    // Somebody refuses without end.
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    line.board().stale = u32::MAX;
+    let error = client.settings().unwrap_err();
+    assert_eq!(error.code(), ErrorCode::DeviceRefused);
+    assert_eq!(line.board().asked.len(), 4);
+    // Another host's write may have come between.
+    line.board().stale = 1;
+    line.board().asked.clear();
+    let error = client.set_settings(Settings::default()).unwrap_err();
+    assert_eq!(error.code(), ErrorCode::DeviceRefused);
+    assert_eq!(line.board().asked.len(), 1);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 mod adxl345;
 mod at_once;
 mod epochs;
+mod flood;
 mod heading;
 mod keys;
 mod links;

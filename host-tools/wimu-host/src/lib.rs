@@ -20,7 +20,6 @@ pub mod inertial;
 pub mod keys;
 mod link_url;
 pub mod mcap_file;
-pub mod mimu4444;
 pub mod monitor;
 pub mod motion;
 pub mod navigation;

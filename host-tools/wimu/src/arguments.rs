@@ -245,9 +245,6 @@ pub struct Record {
 pub struct Info {
     /// A recording, or a LINK
     pub input: String,
-    /// The input is another maker's file
-    #[arg(long, value_enum)]
-    pub format: Option<Foreign>,
 }
 
 #[derive(Args)]
@@ -306,21 +303,12 @@ pub enum ExportFormat {
     Csv,
     /// A recording with decoded ROS 2 topics beside the bytes
     Mcap,
-    /// A table, from a capture of a MIMU4444's Bluetooth stream
-    Mimu4444,
     /// A calibration as a Rust module for wimu-model
     Rust,
     /// A calibration as a C header without dependencies
     C,
     /// A calibration as Kalibr's IMU file
     Kalibr,
-}
-
-/// A file of another maker.
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Foreign {
-    /// A capture of a MIMU4444's Bluetooth stream
-    Mimu4444,
 }
 
 /// A stream of a recording.

@@ -8,7 +8,6 @@ mod broken_boards;
 mod button;
 mod calibration_doubts;
 mod calibration_input;
-mod captures;
 mod cli;
 mod coarse_and_fine;
 mod comparisons;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::{Foreign, Role};
+use super::Role;
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -100,9 +100,6 @@ pub struct Calibrate {
     /// tells a mirrored axis, and without it the field points down (magnetometer)
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub dip: Option<f64>,
-    /// The input is another maker's file; choose with --accelerometer
-    #[arg(long, value_enum)]
-    pub format: Option<Foreign>,
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,

@@ -15,7 +15,6 @@ use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::{LinkHistory, Recording};
-use wimu_host::mimu4444::Capture;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::batch::Stream;
@@ -23,7 +22,7 @@ use wimu_link::hello::board;
 use wimu_link::message::Event as Happened;
 use wimu_model::{Counts, Sensitivity};
 
-use crate::arguments::{Calibrate, Calibrated, Foreign, Method};
+use crate::arguments::{Calibrate, Calibrated, Method};
 use crate::command::{connect, connect_to_write, interrupted, not_over_input, params};
 use crate::output::Output;
 
@@ -83,10 +82,7 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         poses: arguments.poses,
         role: arguments.link.map(Into::into),
     };
-    let input = match arguments.format {
-        Some(Foreign::Mimu4444) => Input::Csv(arguments.input.clone().into()),
-        None => Input::parse(&arguments.input)?,
-    };
+    let input = Input::parse(&arguments.input)?;
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
     if arguments.push && !matches!(input, Input::Link(_)) {
         return Err(HostError::new(
@@ -97,9 +93,6 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
     let mut client = None;
     let data = match input {
-        Input::Csv(path) if arguments.format.is_some() => {
-            Capture::read(&path)?.dataset(arguments.accelerometer)?
-        }
         Input::Csv(path) => Dataset::from_csv(&path, &load)?,
         Input::Recording(path) => Dataset::from_recording(&path, &load)?,
         Input::Link(_) => {
@@ -135,12 +128,12 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
 
 /// Refuses what the input or the method would pass over in silence.
 fn only_what_counts(arguments: &Calibrate) -> Result<()> {
-    let (csv, link, recording) = match (arguments.format, Input::parse(&arguments.input)) {
-        (Some(_), _) | (None, Ok(Input::Csv(_))) => (true, false, false),
-        (None, Ok(Input::Link(_))) => (false, true, false),
-        (None, Ok(Input::Recording(_))) => (false, false, true),
+    let (csv, link, recording) = match Input::parse(&arguments.input) {
+        Ok(Input::Csv(_)) => (true, false, false),
+        Ok(Input::Link(_)) => (false, true, false),
+        Ok(Input::Recording(_)) => (false, false, true),
         // What is not there is said when it is read.
-        (None, Err(_)) => return Ok(()),
+        Err(_) => return Ok(()),
     };
     let known_orientations = matches!(
         arguments.method,
@@ -276,7 +269,6 @@ fn updated(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--noise-ratio", arguments.noise_ratio.is_some()),
         ("--range", arguments.range.is_some()),
         ("--report", arguments.report.is_some()),
-        ("--format", arguments.format.is_some()),
         ("--push", arguments.push),
     ];
     if let Some((flag, _)) = others.into_iter().find(|(_, given)| *given) {

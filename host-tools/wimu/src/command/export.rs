@@ -8,7 +8,6 @@ use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportStream};
 use wimu_host::mcap_file::Wholeness;
-use wimu_host::mimu4444::Capture;
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{ErrorCode, HostError, Result};
 
@@ -21,7 +20,7 @@ struct Exported {
     schema: &'static str,
     status: &'static str,
     file: String,
-    link: Option<String>,
+    link: String,
     rows: usize,
     /// Raw samples whose range no epoch tells.
     without_unit: usize,
@@ -78,74 +77,53 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         }
     };
     let file = to.display().to_string();
-    let mut without_unit = 0;
-    let mut wholeness = Wholeness::default();
-    let (rows, link) = match arguments.format {
-        ExportFormat::Mcap => {
-            let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
-            for (topic, count) in &decoded.messages {
-                output.say(format!("{file}: {count} messages on {topic}"));
-            }
-            say_left_out(&decoded, output);
-            output.object(&ExportedTopics {
-                schema: "wimu.export_topics/1",
-                status: "ok",
-                file,
-                decoded,
-            });
-            return Ok(());
+    if matches!(arguments.format, ExportFormat::Mcap) {
+        let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
+        for (topic, count) in &decoded.messages {
+            output.say(format!("{file}: {count} messages on {topic}"));
         }
-        ExportFormat::Mimu4444 => {
-            if model.is_some() {
-                return Err(HostError::new(
-                    ErrorCode::Usage,
-                    "a link model is of a wimu board's link",
-                    "leave --link-model out",
-                ));
-            }
-            let capture = Capture::read(&arguments.input)?;
-            (capture.write_csv(to)?, None)
-        }
-        _ => {
-            let stream = match arguments.stream {
-                Stream::Raw => ExportStream::Raw,
-                Stream::Corrected => ExportStream::Corrected,
-                Stream::Navigation => ExportStream::Navigation,
-            };
-            let role = arguments.link.map(Into::into);
-            let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
-            if table.ranges_differ {
-                output.say(format!(
-                    "{file}: the range changes; the column `{SENSITIVITY}` tells each row's"
-                ));
-            }
-            without_unit = table.without_unit;
-            wholeness = table.wholeness;
-            (table.rows, Some(table.role.to_string()))
-        }
+        say_left_out(&decoded, output);
+        output.object(&ExportedTopics {
+            schema: "wimu.export_topics/1",
+            status: "ok",
+            file,
+            decoded,
+        });
+        return Ok(());
+    }
+    let stream = match arguments.stream {
+        Stream::Raw => ExportStream::Raw,
+        Stream::Corrected => ExportStream::Corrected,
+        Stream::Navigation => ExportStream::Navigation,
     };
-    let of = link
-        .as_ref()
-        .map_or(String::new(), |link| format!(" of the {link} link"));
-    output.say(format!("{file}: {rows} rows{of}"));
-    if without_unit > 0 {
+    let role = arguments.link.map(Into::into);
+    let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
+    if table.ranges_differ {
         output.say(format!(
-            "  {without_unit} raw samples {}: the range may have changed, and the epoch that tells is lost",
+            "{file}: the range changes; the column `{SENSITIVITY}` tells each row's"
+        ));
+    }
+    let (rows, link) = (table.rows, table.role.to_string());
+    output.say(format!("{file}: {rows} rows of the {link} link"));
+    if table.without_unit > 0 {
+        output.say(format!(
+            "  {} raw samples {}: the range may have changed, and the epoch that tells is lost",
+            table.without_unit,
             match model {
                 Some(_) => "left out",
                 None => "have no sensitivity in it",
             }
         ));
     }
-    say_fault(wholeness, output);
+    say_fault(table.wholeness, output);
     output.object(&Exported {
         schema: "wimu.export/1",
         status: "ok",
         file,
         link,
         rows,
-        without_unit,
-        wholeness,
+        without_unit: table.without_unit,
+        wholeness: table.wholeness,
     });
     Ok(())
 }

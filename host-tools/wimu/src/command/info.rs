@@ -6,13 +6,12 @@ use std::time::Duration;
 use serde::Serialize;
 use wimu_host::decode::{self, LinkStatistics};
 use wimu_host::mcap_file::Wholeness;
-use wimu_host::mimu4444::{Capture, Summary};
 use wimu_host::overview::{BootOverview, Overview};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
-use crate::arguments::{Foreign, Info};
+use crate::arguments::Info;
 use crate::command::record::unplaced_text;
 use crate::command::{connect, say_fault};
 use crate::output::Output;
@@ -142,9 +141,6 @@ impl Device {
 }
 
 pub fn run(arguments: &Info, output: Output) -> Result<()> {
-    if let Some(Foreign::Mimu4444) = arguments.format {
-        return capture(Path::new(&arguments.input), output);
-    }
     match Input::parse(&arguments.input)? {
         Input::Recording(path) => recording(&path, output),
         Input::Link(_) => {
@@ -190,43 +186,6 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
         )
         .at(&arguments.input)),
     }
-}
-
-/// A capture of another maker's stream.
-fn capture(path: &Path, output: Output) -> Result<()> {
-    #[derive(Serialize)]
-    struct Answer {
-        schema: &'static str,
-        status: &'static str,
-        source: String,
-        #[serde(flatten)]
-        summary: Summary,
-    }
-    let capture = Capture::read(path)?;
-    let summary = capture.summary;
-    output.say(format!(
-        "{}: {:.1} s, {} packets of 8 accelerometers and gyroscopes; {} lost, {} duplicated, {} late, {} restarts, {} damaged, {} other bytes",
-        capture.name,
-        summary.duration_s,
-        summary.packets,
-        summary.lost,
-        summary.duplicated,
-        summary.late,
-        summary.restarts,
-        summary.damaged,
-        summary.other_bytes
-    ));
-    output.say(format!(
-        "  {:.5} Hz by its own clock, {:+.2} ppm off the nominal 62.5 Hz, {:.1} µs of jitter; nothing tells times of arrival",
-        summary.rate_hz, summary.rate_ppm, summary.jitter_us
-    ));
-    output.object(&Answer {
-        schema: "wimu.capture/1",
-        status: "ok",
-        source: capture.name,
-        summary,
-    });
-    Ok(())
 }
 
 fn recording(path: &Path, output: Output) -> Result<()> {

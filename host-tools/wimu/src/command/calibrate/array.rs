@@ -56,7 +56,6 @@ fn only_of_arrays(arguments: &Calibrate) -> Result<()> {
         ("--report", arguments.report.is_some()),
         ("--count", arguments.count.is_some()),
         ("--dip", arguments.dip.is_some()),
-        ("--format", arguments.format.is_some()),
         ("--push", arguments.push),
     ];
     let numbers = [

@@ -26,7 +26,6 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
         ("--sides", arguments.sides.is_some()),
         ("--reference", arguments.reference.is_some()),
         ("--sensor-model", arguments.sensor_model.is_some()),
-        ("--format", arguments.format.is_some()),
     ];
     if let Some((flag, _)) = others.into_iter().find(|(_, given)| *given) {
         return Err(usage(

@@ -4,16 +4,45 @@
 //! After a 4-byte acknowledgement, packets of 106 bytes, high byte first: 0xAA, number u16, length
 //! of the payload (100), time u32 in ticks of 64 MHz, 8 × (accelerometer X Y Z, gyroscope X Y Z)
 //! i16, and the sum of the 104 bytes before it, u16. Both counters wrap.
+//!
+//! ```text
+//! cargo run --release -p wimu-host --example mimu4444 -- CAPTURE.bin [TABLE.csv]
+//! ```
+//!
+//! Prints what was received and lost, and writes the table, which `wimu calibrate TABLE.csv
+//! --accelerometer 0` and `wimu navigate` read.
 
 use std::path::Path;
+use std::process::ExitCode;
 
-use serde::Serialize;
+use wimu_host::csv::{AccelerationUnit, CsvWriter, Header, Row};
+use wimu_host::{ErrorCode, HostError, Result};
 
-use crate::csv::{AccelerationUnit, CsvWriter, Header, Row};
-use wimu_calib::Datasheet;
-
-use crate::dataset::{Dataset, Output, OutputUnit, RateSource};
-use crate::{ErrorCode, HostError, Result};
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (capture, table) = match arguments.as_slice() {
+        [capture] => (capture, None),
+        [capture, table] => (capture, Some(table)),
+        _ => {
+            eprintln!("usage: mimu4444 CAPTURE.bin [TABLE.csv]");
+            return ExitCode::from(2);
+        }
+    };
+    let read = Capture::read(Path::new(capture)).and_then(|capture| {
+        println!("{:#?}", capture.summary);
+        if let Some(table) = table {
+            println!("{table}: {} rows", capture.write_csv(Path::new(table))?);
+        }
+        Ok(())
+    });
+    match read {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
 
 /// Bytes of a packet, and of it before the sum.
 const PACKET: usize = 106;
@@ -30,66 +59,64 @@ const NOMINAL_RATE_HZ: f64 = 62.5;
 
 /// One packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Packet {
+struct Packet {
     /// Its number, continued over the wraps.
-    pub number: u64,
+    number: u64,
     /// Ticks of 64 MHz, continued over the wraps.
-    pub ticks: u64,
+    ticks: u64,
     /// Whether nothing tells how long after the one before it came.
-    pub after_restart: bool,
+    after_restart: bool,
     /// Both as they were sent.
     short_number: u16,
     short_ticks: u32,
     /// Accelerometers, 2048 LSB/g, then gyroscopes, 16.4 LSB/(deg/s), of each unit, all in the axes
     /// of the array: 32768 is a −32768 that is turned over.
-    pub units: [[[i32; 3]; 2]; UNITS],
+    units: [[[i32; 3]; 2]; UNITS],
 }
 
 impl Packet {
     /// Seconds of the unit's clock.
-    pub fn time_s(&self) -> f64 {
+    fn time_s(&self) -> f64 {
         self.ticks as f64 / TICKS_PER_S
     }
 }
 
 /// A capture.
 #[derive(Clone, Debug)]
-pub struct Capture {
-    /// What errors call it.
-    pub name: String,
+struct Capture {
     /// The packets, in order.
-    pub packets: Vec<Packet>,
+    packets: Vec<Packet>,
     /// What was lost.
-    pub summary: Summary,
+    summary: Summary,
 }
 
 /// A capture in numbers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Summary {
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Summary {
     /// Whole packets.
-    pub packets: u64,
+    packets: u64,
     /// Packets whose numbers are missing.
-    pub lost: u64,
+    lost: u64,
     /// Packets that arrived again.
-    pub duplicated: u64,
+    duplicated: u64,
     /// Packets that arrived after later ones, and were put in their places.
-    pub late: u64,
+    late: u64,
     /// Times that the unit began its numbers anew, or was silent for more than eight minutes: nothing
     /// tells for how long. Times go on as if the next packet had come at once.
-    pub restarts: u64,
+    restarts: u64,
     /// Places that begin as a packet and whose sum is wrong.
-    pub damaged: u64,
+    damaged: u64,
     /// Bytes that belong to no packet, the acknowledgement and a packet cut off at the end included.
-    pub other_bytes: u64,
+    other_bytes: u64,
     /// By the unit's clock, s.
-    pub duration_s: f64,
+    duration_s: f64,
     /// Mean rate by the unit's clock, Hz, over what is between restarts.
-    pub rate_hz: f64,
+    rate_hz: f64,
     /// How much faster than the nominal 62.5 Hz that is, ppm: the difference of the sensors' clock and
     /// the unit's. Against a host's clock nothing can be said: the capture has no times of arrival.
-    pub rate_ppm: f64,
+    rate_ppm: f64,
     /// Standard deviation of the time from one packet to the next, µs.
-    pub jitter_us: f64,
+    jitter_us: f64,
 }
 
 impl Capture {
@@ -97,7 +124,7 @@ impl Capture {
     ///
     /// # Errors
     /// `file_unreadable`, `file_failed`; `no_rows` when no packet is in it.
-    pub fn read(path: &Path) -> Result<Self> {
+    fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|error| HostError::file(&name, "read", &error))?;
         Self::parse(&bytes, &name)
@@ -107,7 +134,7 @@ impl Capture {
     ///
     /// # Errors
     /// `no_rows` when there is none.
-    pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
+    fn parse(bytes: &[u8], name: &str) -> Result<Self> {
         let mut summary = Summary::default();
         let mut packets: Vec<Packet> = Vec::new();
         let mut at = 0;
@@ -155,54 +182,7 @@ impl Capture {
             .map(|(numbers, seconds)| (seconds / numbers - 1.0 / summary.rate_hz).powi(2))
             .sum();
         summary.jitter_us = (squares / steps().count() as f64).sqrt() * 1e6;
-        Ok(Self {
-            name: name.to_owned(),
-            packets,
-            summary,
-        })
-    }
-
-    /// One accelerometer, 0 to 7, as a calibration reads it.
-    ///
-    /// # Errors
-    /// `usage` when none or another was chosen.
-    pub fn dataset(&self, accelerometer: Option<u32>) -> Result<Dataset> {
-        let chosen = accelerometer.filter(|chosen| *chosen < UNITS as u32);
-        let Some(chosen) = chosen else {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                "it has 8 accelerometers",
-                "choose one with --accelerometer: 0 to 7",
-            )
-            .at(&self.name));
-        };
-        let mut next = None;
-        let outputs = self.packets.iter().map(|packet| {
-            let after_gap = next
-                .replace(packet.number + 1)
-                .is_some_and(|n| n != packet.number || packet.after_restart);
-            Output {
-                value: packet.units[chosen as usize][0].map(f64::from),
-                temperature_c: None,
-                samples: 1,
-                after_gap,
-                time_s: Some(packet.time_s()),
-                magnetic_field_nt: None,
-            }
-        });
-        Ok(Dataset {
-            name: self.name.clone(),
-            unit: OutputUnit::Counts {
-                nominal: None,
-                range_g: None,
-            },
-            poses: false,
-            rate_hz: self.summary.rate_hz,
-            rate_source: RateSource::Times,
-            datasheet: Datasheet::of("MPU-9150"),
-            outputs: outputs.collect(),
-            sensor: None,
-        })
+        Ok(Self { packets, summary })
     }
 
     /// Writes all accelerometers and gyroscopes as a CSV file, LSB, by the unit's clock from the first
@@ -210,7 +190,7 @@ impl Capture {
     ///
     /// # Errors
     /// `file_failed`, `file_unreadable`.
-    pub fn write_csv(&self, path: &Path) -> Result<usize> {
+    fn write_csv(&self, path: &Path) -> Result<usize> {
         let name = path.display().to_string();
         let file = std::fs::File::create(path).map_err(|e| HostError::file(&name, "create", &e))?;
         let header = Header {
@@ -386,10 +366,10 @@ mod tests {
         assert_eq!((found.duplicated, found.late, found.restarts), (1, 1, 1));
         assert!(found.rate_ppm.abs() < 1e-6, "{found:?}");
         assert!(capture.packets.is_sorted_by_key(|packet| packet.ticks));
-        let data = capture.dataset(Some(0)).unwrap();
-        let gaps = data.outputs.iter().filter(|output| output.after_gap);
+        let pairs = capture.packets.windows(2);
+        let gaps = pairs.filter(|p| p[1].number != p[0].number + 1 || p[1].after_restart);
         assert_eq!(gaps.count(), 2);
-        let span = data.outputs[599].time_s.unwrap() - data.outputs[0].time_s.unwrap();
+        let span = capture.packets[599].time_s() - capture.packets[0].time_s();
         assert!((span - 0.016 * 5099.0).abs() < 1e-9, "{span}");
     }
 
@@ -407,7 +387,7 @@ mod tests {
         assert_eq!((found.lost, found.duplicated, found.damaged), (0, 0, 0));
         let table = std::fs::File::open(format!("{folder}mimu4444_run1.csv")).unwrap();
         let reader =
-            crate::csv::CsvReader::new(std::io::BufReader::new(table), "the table").unwrap();
+            wimu_host::csv::CsvReader::new(std::io::BufReader::new(table), "the table").unwrap();
         let mut rows = 0;
         for (row, packet) in reader.zip(&capture.packets) {
             let row = row.unwrap();
@@ -420,5 +400,62 @@ mod tests {
             rows += 1;
         }
         assert_eq!(rows, capture.packets.len());
+    }
+
+    /// Ten seconds as the unit sends them.
+    fn whole() -> Vec<u8> {
+        let acknowledgement = [0xA0, 0x31, 0x00, 0xD1];
+        let packets = (0..625_u16).flat_map(|k| packet(k, u32::from(k) * 1_024_000));
+        acknowledgement.into_iter().chain(packets).collect()
+    }
+
+    #[test]
+    fn a_capture_that_is_cut_off_gives_its_whole_packets() {
+        let bytes = whole();
+        for (length, packets) in [
+            (bytes.len(), 625),
+            (bytes.len() - 1, 624),
+            (4 + 3 * PACKET + 50, 3),
+        ] {
+            let found = Capture::parse(&bytes[..length], "cut").unwrap().summary;
+            assert_eq!((found.packets, found.lost), (packets, 0));
+        }
+        for length in [0, 3, 50] {
+            let error = Capture::parse(&bytes[..length], "cut").unwrap_err();
+            assert_eq!(error.code(), ErrorCode::NoRows);
+        }
+    }
+
+    #[test]
+    fn flipped_bytes_cost_the_packets_that_they_are_in_and_are_counted() {
+        let bytes = whole();
+        let mut random = 1_u64;
+        let mut draw = |below: usize| {
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (random >> 33) as usize % below
+        };
+        for _ in 0..200 {
+            let mut damaged = bytes.clone();
+            let hits: Vec<usize> = (0..1 + draw(5))
+                .map(|_| 4 + PACKET + draw(623 * PACKET))
+                .collect();
+            for hit in &hits {
+                damaged[*hit] ^= 1 << draw(8);
+            }
+            let found = Capture::parse(&damaged, "damaged").unwrap().summary;
+            let mut hit: Vec<usize> = hits.iter().map(|at| (at - 4) / PACKET).collect();
+            hit.sort_unstable();
+            hit.dedup();
+            // A byte flipped twice may be whole again.
+            assert!(found.packets >= 625 - hit.len() as u64, "{found:?}");
+            assert_eq!(found.packets + found.lost, 625, "{found:?}");
+        }
+        let mut damaged = bytes;
+        damaged[4 + 10 * PACKET + 40] ^= 0x10;
+        let found = Capture::parse(&damaged, "flipped").unwrap().summary;
+        assert_eq!((found.packets, found.lost), (624, 1));
+        assert!(found.damaged >= 1, "{found:?}");
     }
 }

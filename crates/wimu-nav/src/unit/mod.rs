@@ -148,8 +148,8 @@ pub struct UnitState<R = f64> {
     pub unseen_m: R,
     /// Stillnesses, each of a tenth of a second, at which it was known to be pushed.
     pub pushed: u32,
-    /// False before the first alignment, until the first rest of a second where it moved then, and after a gap until
-    /// the next rest.
+    /// False before the first alignment, until the first rest of a second where it moved then, after a gap until
+    /// the next rest, and where the filter diverged: a state that is not finite is never valid.
     pub valid: bool,
     /// Whether it is still at the first rest. Position is measured from where that ends, in the frame in which it rested
     /// there: here it is zero, whatever even motion the rest may be.
@@ -174,11 +174,24 @@ impl<R: Real> UnitState<R> {
     pub fn position_sd_m(&self) -> R {
         let p = &self.position_covariance;
         let sum = p[0][0] + p[1][1] + p[2][2];
-        if sum > R::default() {
-            sum.sqrt()
-        } else {
+        // Rounding may leave it below zero. What is not a number stays so.
+        if sum < R::default() {
             R::default()
+        } else {
+            sum.sqrt()
         }
+    }
+
+    /// Whether position, velocity, attitude and their deviations are all numbers.
+    fn is_finite(&self) -> bool {
+        self.position_m
+            .iter()
+            .chain(&self.velocity_mps)
+            .chain(&self.quaternion)
+            .chain(&self.rate_rad_s)
+            .chain(self.position_covariance.iter().flatten())
+            .chain(&self.velocity_sd_mps)
+            .all(|v| v.is_finite())
     }
 }
 
@@ -562,7 +575,7 @@ impl<R: Real> UnitFilter<R> {
         });
         let speed2 = add(self.cov.variance(VELOCITY), faster);
         let velocity_sd_mps = speed2.map(|v| if v > R::default() { v.sqrt() } else { v });
-        UnitState {
+        let mut state = UnitState {
             position_m: self.part(POSITION),
             velocity_mps: self.part(VELOCITY),
             quaternion: quaternion(&self.attitude),
@@ -582,7 +595,11 @@ impl<R: Real> UnitFilter<R> {
             holes: self.holes,
             innovation: self.manner.innovation(),
             rise_mps2: self.rise(),
-        }
+        };
+        let is_finite = state.is_finite();
+        state.valid &= is_finite;
+        state.at_origin &= is_finite;
+        state
     }
 
     fn rise(&self) -> [(R, R); 3] {

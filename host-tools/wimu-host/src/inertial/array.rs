@@ -20,8 +20,8 @@ const GRAVITY_SHARE: f64 = 0.2;
 /// whose size the motion shows to be others than given are taken as it shows them, which the remarks say.
 ///
 /// # Errors
-/// Those of [`navigated`]; `data_refused` where the sensors contradict each other, or what
-/// they show at rest is not gravity.
+/// Those of [`navigated`]; `data_refused` where the sensors contradict each other, what
+/// they show at rest is not gravity, or no position is valid.
 pub fn navigate_array(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
@@ -79,7 +79,7 @@ pub fn navigate_array(
             "the array is {span:.1} m wide: are its places in m?"
         ));
     }
-    Ok(path_of(recording, &states, choice, said))
+    path_of(recording, &states, choice, said)
 }
 
 /// Which point the path is that of, where that is not the origin of the places.
@@ -99,7 +99,7 @@ fn point_of(geometry: &ArrayGeometry) -> Option<String> {
 /// Navigates single axes ([`ArrayRecording::axes_from_csv`]); `known` says how well their places and times are.
 ///
 /// # Errors
-/// Those of [`navigated_axes`].
+/// Those of [`navigated_axes`]; `data_refused` where no position is valid.
 pub fn navigate_axes(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
@@ -108,7 +108,7 @@ pub fn navigate_axes(
 ) -> Result<InertialPath> {
     let (states, mut remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
     remarks.extend(point_of(geometry));
-    Ok(path_of(recording, &states, choice, remarks))
+    path_of(recording, &states, choice, remarks)
 }
 
 /// The path of an array whose states are these, against the truth where there is any.
@@ -117,7 +117,7 @@ fn path_of(
     states: &[ArrayState<f64>],
     choice: &Choice,
     said: Vec<String>,
-) -> InertialPath {
+) -> Result<InertialPath> {
     let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
     let points = states
         .iter()
@@ -158,6 +158,7 @@ fn path_of(
     };
     path.remarks
         .push(format!("{field}: heading is that of the body at the start"));
+    let mut path = path.checked(&recording.name)?;
     let truth = recording.truth();
     compare(&mut path, &truth);
     let valid = |k: &usize| path.points[*k].valid;
@@ -192,5 +193,5 @@ fn path_of(
     });
     path.rate_nees = rate_nees;
     path.velocity_nees = velocity_nees;
-    path
+    Ok(path)
 }

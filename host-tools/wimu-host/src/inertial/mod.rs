@@ -74,7 +74,8 @@ const LIKELY: f64 = 3.0;
 pub struct Choice {
     /// The method.
     pub method: Method,
-    /// Whether stillnesses are taken for zero velocity, and whether they are known to be rests.
+    /// Whether stillnesses are taken for zero velocity, and whether they are known to be rests: [`Zupt::Stated`] is what
+    /// `wimu navigate` does unless it is told otherwise.
     pub zupt: Zupt,
     /// Position is of use as long as its standard deviation is below this, m.
     pub limit_m: f64,
@@ -98,7 +99,8 @@ impl Default for Choice {
 ///
 /// # Errors
 /// `data_refused`: no angular rate for [`Method::Strapdown`], fewer than two rests for
-/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity or are no numbers for the most part;
+/// [`Method::Slide`], nothing to align with, accelerations that do not show gravity, or are no numbers or beyond the full
+/// scale for the most part, no valid position;
 /// `usage` for [`Method::Array`], which needs [`navigate_array`], and for a slide without ZUPT.
 pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
     let mut path = match Holes::of(recording)? {
@@ -111,6 +113,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         }
     };
     path.remarks.splice(0..0, recording.remarks.iter().cloned());
+    let mut path = path.checked(&recording.name)?;
     compare(&mut path, &recording.truth);
     Ok(path)
 }
@@ -190,12 +193,6 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     };
     path.remarks.extend(wrong.map(|wrong| wrong.said));
     path.remarks.extend(warming);
-    if path.points.iter().all(|p| !p.valid) && path.moves.is_empty() {
-        return refused(
-            "no position could be found to the limit",
-            "hold the unit still for a second first, and see that its times go on",
-        );
-    }
     if let Some(from) = senses.force_ends {
         for point in &mut path.points[from..] {
             point.valid = false;

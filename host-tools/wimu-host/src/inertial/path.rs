@@ -7,7 +7,7 @@ use wimu_nav::slide::Move;
 
 use super::Method;
 use super::truth::consistency;
-use crate::{HostError, Result};
+use crate::{ErrorCode, HostError, Result};
 
 /// Where the unit was at a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,9 +37,23 @@ pub struct PathPoint {
 }
 
 impl PathPoint {
-    /// Standard deviation of each component, m.
+    /// Standard deviation of each component, m: not a number where the variance is none.
     pub fn sigma_m(&self) -> [f64; 3] {
-        std::array::from_fn(|i| self.covariance_m2[i][i].max(0.0).sqrt())
+        let variance = |i: usize| self.covariance_m2[i][i];
+        // `max` would make 0 of what is not a number.
+        std::array::from_fn(|i| {
+            if variance(i) < 0.0 {
+                0.0
+            } else {
+                variance(i).sqrt()
+            }
+        })
+    }
+
+    fn is_finite(&self) -> bool {
+        let vectors = [self.position_m, self.velocity_mps, self.rate_rad_s];
+        let numbers = vectors.iter().chain(&self.covariance_m2).flatten();
+        numbers.chain(&self.quaternion).all(|v| v.is_finite())
     }
 
     /// That of the position in space, m.
@@ -110,6 +124,37 @@ impl InertialPath {
             truth_m: Vec::new(),
             heading_fitted: false,
         }
+    }
+
+    /// Makes not valid what is not finite and all after it, and says so.
+    ///
+    /// # Errors
+    /// `data_refused` where nothing is valid.
+    pub(super) fn checked(mut self, name: &str) -> Result<Self> {
+        let diverged = self.points.iter().position(|p| !p.is_finite());
+        for point in self.points.iter_mut().skip(diverged.unwrap_or(usize::MAX)) {
+            point.valid = false;
+        }
+        for one in &mut self.moves {
+            one.valid &= (one.done.length_m + one.done.length_sd_m + one.unseen_m).is_finite();
+        }
+        let diverged = diverged.map(|k| {
+            format!(
+                "the filter diverged at {:.2} s: position is not valid from there on. Check axes, signs and units of the \
+                 sensors there, or use another --method",
+                self.points[k].time_s
+            )
+        });
+        self.remarks.extend(diverged.clone());
+        if self.points.iter().any(|p| p.valid) || self.moves.iter().any(|m| m.valid) {
+            return Ok(self);
+        }
+        Err(HostError::new(
+            ErrorCode::DataRefused,
+            diverged.unwrap_or_else(|| "no position could be found to the limit".to_owned()),
+            "hold the unit still for a second first, and see that its times go on",
+        )
+        .at(name))
     }
 
     /// Length of the path over its valid points, m.

@@ -46,7 +46,7 @@ pub struct ArrayState<R> {
     /// the covariance with [`Zupt::Assumed`]. 0 with ZUPT off.
     pub unseen_m: R,
     /// False before the first alignment, and after a gap or a start in motion until the next rest: position
-    /// begins there.
+    /// begins there. False where the filter diverged: a state that is not finite is never valid.
     pub valid: bool,
 }
 
@@ -55,6 +55,22 @@ impl<R: Real> ArrayState<R> {
     pub fn position_sd_m(&self) -> R {
         let p = &self.position_covariance;
         (p[0][0] + p[1][1] + p[2][2]).abs().sqrt()
+    }
+
+    /// Whether rate, position, velocity, attitude and their covariances are all numbers.
+    fn is_finite(&self) -> bool {
+        let covariances = [
+            &self.rate_covariance,
+            &self.velocity_covariance,
+            &self.position_covariance,
+        ];
+        self.rate_rad_s
+            .iter()
+            .chain(&self.position_m)
+            .chain(&self.velocity_mps)
+            .chain(&self.quaternion)
+            .chain(covariances.into_iter().flatten().flatten())
+            .all(|v| v.is_finite())
     }
 }
 
@@ -156,6 +172,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 }
             }
         }
+        state.valid &= state.is_finite();
         state
     }
 

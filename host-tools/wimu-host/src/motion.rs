@@ -32,6 +32,14 @@ pub(crate) const FIELD_CALIBRATED: &str = "Field Calibrated";
 /// Deviations up to which something is likely.
 const LIKELY: f64 = 3.0;
 
+/// Full scale of an accelerometer that is not known, m/s²: that of the widest digital MEMS accelerometers is ± 200 g
+/// (ADXL375, datasheet).
+pub const FULL_SCALE_MPS2: f64 = 2000.0;
+/// The same of a gyroscope, rad/s: 20,000 deg/s (ADXRS649, datasheet).
+pub const FULL_SCALE_RAD_S: f64 = 350.0;
+/// The same of a magnetometer, µT: ± 50 gauss (LSM303AGR, datasheet).
+pub const FULL_SCALE_UT: f64 = 5000.0;
+
 /// Samples of one unit, corrected, in SI.
 #[derive(Clone, Debug, Default)]
 pub struct MotionRecording {
@@ -48,6 +56,11 @@ pub struct MotionRecording {
     /// What the calibration of its accelerometer leaves unknown of a bias, scale and axes at 1 *g* among it, m/s²: one
     /// standard deviation of the worst axis; 0 where nobody says.
     pub bias_sd_mps2: f64,
+    /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond
+    /// [`FULL_SCALE_MPS2`], was not measured.
+    pub full_scale_mps2: Option<f64>,
+    /// Line of each sample in the file, from 1; empty where it has none.
+    lines: Vec<u64>,
     other: Vec<(String, Vec<f64>)>,
 }
 
@@ -59,10 +72,15 @@ impl MotionRecording {
             truth: vec![None; samples.len()],
             times_s,
             samples,
-            remarks: Vec::new(),
-            bias_sd_mps2: 0.0,
-            other: Vec::new(),
+            ..Self::default()
         }
+    }
+
+    /// Time of a sample, and its line where it is from a table: for messages.
+    pub(crate) fn place_of(&self, index: usize) -> String {
+        let line = self.lines.get(index).map(|line| format!(" (line {line})"));
+        let time_s = self.times_s.get(index).copied().unwrap_or_default();
+        format!("{time_s:.2} s{}", line.unwrap_or_default())
     }
 
     /// Another column of the file.

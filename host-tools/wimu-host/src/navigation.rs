@@ -13,6 +13,9 @@ use crate::motion::MotionRecording;
 use crate::replay::{Replay, Step};
 use crate::{ErrorCode, HostError, Result};
 
+/// Most that a correction makes of 1 g of a board's range, m/s²: half as much again.
+const BEYOND_RANGE: f64 = 1.5 * wimu_model::STANDARD_GRAVITY_MPS2;
+
 /// Velocity and position after one sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Point {
@@ -209,7 +212,10 @@ pub fn motion(
         });
         times_s.push(now);
     }
-    Ok(MotionRecording::new(name, times_s, samples))
+    let mut recording = MotionRecording::new(name, times_s, samples);
+    let range_g = boot.epochs.iter().map(|mark| mark.epoch.range_g).max();
+    recording.full_scale_mps2 = range_g.map(|g| f64::from(g) * BEYOND_RANGE);
+    Ok(recording)
 }
 
 /// Length of the path through `points`, m, over those that are valid.

@@ -189,9 +189,21 @@ fn dead_saturated_and_missing_sensors_are_said() {
     });
     let said = remarks(&navigate(&board, &places));
     assert!(
+        said.contains("full scale, 2000 m/s², in 10 outputs, first at 2.00 s (line 202)")
+            && said.contains("10 of sensor 1"),
+        "{said}"
+    );
+    // In counts it is known that it is the limit.
+    let counts = fs::read_to_string(&board).unwrap();
+    fs::write(&board, counts.replace("(m/s²)", "(LSB)")).unwrap();
+    let of_counts = ["--sensitivity", "9.80665"];
+    let ran = wimu(&[&["navigate", &board, "--geometry", &places], &of_counts[..]].concat());
+    let said = remarks(&ran);
+    assert!(
         said.contains("10 samples without the sensors that were at their limit"),
         "{said}"
     );
+    assert!(!said.contains("full scale"), "{said}");
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[4..] {
             *field = "0".to_owned();

@@ -9,7 +9,8 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 use super::ArrayGeometry;
 use crate::csv::{AccelerationUnit, CsvReader, acceleration};
 use crate::history::{Boot, Recording};
-use crate::motion::Truth;
+use crate::motion::{FULL_SCALE_MPS2, Truth};
+use crate::plural::counted;
 use crate::units::RawUnits;
 use crate::{ErrorCode, HostError, Result};
 
@@ -55,6 +56,7 @@ impl ArrayRecording {
         let mut recording = table.recording;
         recording.start_s = table.first_ns as f64 * 1e-9;
         recording.say_absent();
+        recording.leave_out_beyond(&table.lines);
         Ok(recording.judged())
     }
 
@@ -101,7 +103,33 @@ impl ArrayRecording {
                 row.push([value * factor * mps2, f64::NAN, f64::NAN]);
             }
         }
+        recording.leave_out_beyond(&table.lines);
         Ok(recording.judged_axes())
+    }
+
+    /// Makes what is beyond any accelerometer's full scale not a number, and says so, but for outputs that are known to be
+    /// at their limit; `lines` are those of the samples.
+    fn leave_out_beyond(&mut self, lines: &[u64]) {
+        let is_beyond = |output: &[f64; 3]| output.iter().any(|f| f.abs() > FULL_SCALE_MPS2);
+        let (mut count, mut first) = (0, None);
+        for (k, (row, limited)) in self.outputs.iter_mut().zip(&self.saturated).enumerate() {
+            for (sensor, output) in row.iter_mut().enumerate() {
+                if limited >> sensor & 1 == 0 && is_beyond(output) {
+                    *output = [f64::NAN; 3];
+                    count += 1;
+                    first.get_or_insert(k);
+                }
+            }
+        }
+        if let Some(k) = first {
+            self.remarks.push(format!(
+                "more than any accelerometer's full scale, {FULL_SCALE_MPS2:.0} m/s², in {}, first at {:.2} s (line {}): left \
+                 out, as if they were missing",
+                counted(count, "output"),
+                self.start_s + self.times_s[k],
+                lines[k]
+            ));
+        }
     }
 
     /// Brings the samples of several boards to common times: those of the slowest one, each of the
@@ -417,6 +445,8 @@ fn period_s(times_s: &[f64]) -> f64 {
 /// A table of accelerometers.
 struct Table {
     recording: ArrayRecording,
+    /// Line of each sample.
+    lines: Vec<u64>,
     first_ns: i64,
 }
 
@@ -452,9 +482,10 @@ impl Table {
                 .collect(),
             ..ArrayRecording::default()
         };
-        let mut first_ns = None;
+        let (mut first_ns, mut lines) = (None, Vec::new());
         for row in reader {
             let row = row?;
+            lines.push(row.line);
             let time_ns = row.time_ns.unwrap_or_default();
             let first = *first_ns.get_or_insert(time_ns);
             recording.times_s.push((time_ns - first) as f64 * 1e-9);
@@ -484,6 +515,7 @@ impl Table {
         }
         Ok(Self {
             recording,
+            lines,
             first_ns: first_ns.unwrap_or_default(),
         })
     }
@@ -534,7 +566,8 @@ impl Board {
             .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
         {
             let table = Table::read(path, options.sensitivity_lsb_per_g, 1)?;
-            let recording = table.recording;
+            let mut recording = table.recording;
+            recording.leave_out_beyond(&table.lines);
             if recording.sensors() != 1 {
                 return Err(HostError::new(
                     ErrorCode::Usage,

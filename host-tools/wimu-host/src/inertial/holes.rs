@@ -1,9 +1,10 @@
-//! Samples of which the accelerometer gives no number, or goes on giving the last one: they are left out, as if they were missing.
+//! Samples of which the accelerometer gives no number, more than its full scale, or goes on giving the last one: they are
+//! left out, as if they were missing.
 
 use wimu_nav::unit::UnitSample;
 
 use super::{InertialPath, PathPoint, frozen};
-use crate::motion::MotionRecording;
+use crate::motion::{FULL_SCALE_MPS2, FULL_SCALE_RAD_S, FULL_SCALE_UT, MotionRecording};
 use crate::plural::counted;
 use crate::{ErrorCode, HostError, Result};
 
@@ -17,24 +18,40 @@ impl Holes {
     /// Of a recording; `None` where every sample is one.
     ///
     /// # Errors
-    /// `data_refused` where most samples are no numbers.
+    /// `data_refused` where most samples are no numbers, or beyond the full scale.
     pub fn of(recording: &MotionRecording) -> Result<Option<Self>> {
         let is_number = |sample: &UnitSample| sample.force_mps2.iter().all(|f| f.is_finite());
         let mut left_out: Vec<bool> = recording.samples.iter().map(|s| !is_number(s)).collect();
+        let none = left_out
+            .contains(&true)
+            .then(|| no_number(recording, &left_out));
+        let most = recording.full_scale_mps2.unwrap_or(FULL_SCALE_MPS2);
+        let force = |s: &UnitSample| is_number(s).then_some(s.force_mps2);
+        let too_much = beyond(recording, "accelerometer", most, "m/s²", force);
+        for k in too_much.iter().flat_map(|(samples, _)| samples) {
+            left_out[*k] = true;
+        }
         let count = left_out.iter().filter(|hole| **hole).count();
         let mut remarks = Vec::new();
-        if count > 0 {
-            let said = no_number(recording, &left_out);
+        for said in none.into_iter().chain(too_much.map(|(_, said)| said)) {
             if 2 * count > recording.samples.len() {
                 return Err(HostError::new(
                     ErrorCode::DataRefused,
                     said,
-                    "see why the sensor fails; leave the part out in which it does",
+                    "see why the sensor fails, and that its unit is right; leave the part out in which it does",
                 )
                 .at(&recording.name));
             }
             remarks.push(format!("{said}: left out, as if they were missing"));
         }
+        let rate = beyond(recording, "gyroscope", FULL_SCALE_RAD_S, "rad/s", |s| {
+            s.rate_rad_s
+        });
+        let field = beyond(recording, "magnetometer", FULL_SCALE_UT, "µT", |s| {
+            s.field_ut
+        });
+        let others = rate.into_iter().chain(field);
+        remarks.extend(others.map(|(_, said)| format!("{said}: left out there")));
         let frozen = frozen::runs(recording);
         if let Some(first) = frozen.first() {
             let count = frozen.iter().map(ExactSizeIterator::len).sum();
@@ -48,7 +65,7 @@ impl Holes {
         for run in frozen {
             left_out[run].fill(true);
         }
-        let some = left_out.contains(&true);
+        let some = !remarks.is_empty();
         Ok(some.then_some(Self { left_out, remarks }))
     }
 
@@ -65,6 +82,8 @@ impl Holes {
             truth.push(recording.truth.get(k).copied().flatten());
             samples.push(UnitSample {
                 step_s: waited_s,
+                rate_rad_s: sample.rate_rad_s.filter(|v| is_within(v, FULL_SCALE_RAD_S)),
+                field_ut: sample.field_ut.filter(|v| is_within(v, FULL_SCALE_UT)),
                 ..*sample
             });
             waited_s = 0.0;
@@ -95,6 +114,29 @@ impl Holes {
             path.points.extend(between(before, next, *time_s));
         }
     }
+}
+
+fn is_within(vector: &[f64; 3], most: f64) -> bool {
+    vector.iter().all(|v| v.abs() <= most)
+}
+
+/// Samples in which a sensor gives more than its full scale, or no number, and what to say of them; `None` where there
+/// are none.
+fn beyond(
+    recording: &MotionRecording,
+    sensor: &str,
+    most: f64,
+    unit: &str,
+    sense: impl Fn(&UnitSample) -> Option<[f64; 3]>,
+) -> Option<(Vec<usize>, String)> {
+    let is_beyond = |k: &usize| sense(&recording.samples[*k]).is_some_and(|v| !is_within(&v, most));
+    let found: Vec<usize> = (0..recording.samples.len()).filter(is_beyond).collect();
+    let said = format!(
+        "the {sensor} gives more than its full scale, {most:.0} {unit}, in {}, first at {}",
+        counted(found.len(), "sample"),
+        recording.place_of(*found.first()?)
+    );
+    Some((found, said))
 }
 
 fn no_number(recording: &MotionRecording, holes: &[bool]) -> String {

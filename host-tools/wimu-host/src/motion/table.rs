@@ -167,6 +167,7 @@ impl MotionRecording {
                 rate_rad_s: all(rate).map(|rate| correction.turned(rate)),
             });
             recording.times_s.push(time);
+            recording.lines.push(row.line);
             last = Some(time);
             recording.truth.push(all(position).map(|position_m| Truth {
                 position_m,

@@ -1,0 +1,273 @@
+//! No value of a recording, however wild, makes a position valid that is not one.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use proptest::prelude::*;
+use wimu_calib::Gravity;
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions};
+use wimu_host::inertial::{
+    Choice, InertialPath, Method, Zupt, navigate, navigate_array, navigate_axes,
+};
+use wimu_host::motion::MotionRecording;
+use wimu_host::{ErrorCode, HostError};
+
+const G: f64 = 9.80665;
+const UNIT: [Method; 3] = [Method::Tilt, Method::Strapdown, Method::Slide];
+
+/// The same numbers in every run.
+struct Random(u64);
+
+impl Random {
+    /// Of a standard deviation of 1.
+    fn normal(&mut self) -> f64 {
+        let mut unit = || {
+            self.0 = self
+                .0
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..12).map(|_| unit()).sum::<f64>() - 6.0
+    }
+}
+
+/// A file of this test's own.
+fn file(name: &str, text: &str) -> PathBuf {
+    let path = std::env::temp_dir().join(format!("wimu-violent-{}-{name}", std::process::id()));
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn says(path: &InertialPath, what: &str) -> bool {
+    path.remarks.iter().any(|remark| remark.contains(what))
+}
+
+/// What is valid is a number, and something is.
+fn check(found: Result<InertialPath, HostError>) -> Result<(), TestCaseError> {
+    let path = match found {
+        Ok(path) => path,
+        Err(error) => {
+            prop_assert_eq!(error.code(), ErrorCode::DataRefused);
+            return Ok(());
+        }
+    };
+    for point in path.points.iter().filter(|p| p.valid) {
+        let numbers = point.position_m.iter().chain(&point.velocity_mps);
+        let mut numbers = numbers.chain(&point.quaternion).chain(&point.rate_rad_s);
+        prop_assert!(numbers.all(|v| v.is_finite()), "{point:?}");
+        prop_assert!(point.sd_m() <= path.limit_m, "{point:?}");
+    }
+    for one in path.moves.iter().filter(|m| m.valid) {
+        prop_assert!(one.done.length_m.is_finite() && one.done.length_sd_m.is_finite());
+    }
+    prop_assert!(path.distance_m().is_finite());
+    let some = path.points.iter().any(|p| p.valid) || path.moves.iter().any(|m| m.valid);
+    prop_assert!(some, "nothing is valid, and nobody says so");
+    Ok(())
+}
+
+fn choices() -> impl Iterator<Item = Choice> {
+    let zupts = [Zupt::Assumed, Zupt::Stated, Zupt::Off].into_iter();
+    zupts.flat_map(|zupt| {
+        let sliding = move |method: &Method| *method != Method::Slide || zupt.is_on();
+        UNIT.into_iter().filter(sliding).map(move |method| Choice {
+            method,
+            zupt,
+            ..Choice::default()
+        })
+    })
+}
+
+/// 12 s at 100 Hz: rest, 4 s of shaking by so much, rest; `wild` values in fields of their own.
+fn table(shake: f64, wild: &[(usize, usize, f64)], columns: &[&str], seed: u64) -> String {
+    let mut random = Random(seed);
+    let mut text = format!("Time (s),{}\n", columns.join(","));
+    for k in 0..1200_usize {
+        let moves = (400..800).contains(&k);
+        write!(text, "{:.2}", k as f64 * 0.01).unwrap();
+        for (column, name) in columns.iter().enumerate() {
+            let gravity = if name.starts_with("Acc") && name.contains('Z') {
+                G
+            } else {
+                0.0
+            };
+            let noise = if name.starts_with("Gyr") { 0.002 } else { 0.02 };
+            let size = if moves { shake } else { noise };
+            let own = wild
+                .iter()
+                .find(|(row, at, _)| *row == k && at % columns.len() == column);
+            let value = own.map_or(gravity + size * random.normal(), |(_, _, value)| *value);
+            write!(text, ",{value:e}").unwrap();
+        }
+        text.push('\n');
+    }
+    text
+}
+
+const ALL: [&str; 9] = [
+    "Accelerometer X (m/s²)",
+    "Accelerometer Y (m/s²)",
+    "Accelerometer Z (m/s²)",
+    "Gyroscope X (rad/s)",
+    "Gyroscope Y (rad/s)",
+    "Gyroscope Z (rad/s)",
+    "Magnetometer X (µT)",
+    "Magnetometer Y (µT)",
+    "Magnetometer Z (µT)",
+];
+
+fn wild() -> impl Strategy<Value = Vec<(usize, usize, f64)>> {
+    let value = prop_oneof![
+        (0.0..308.0).prop_map(|exponent: f64| 10_f64.powf(exponent)),
+        (0.0..4.0).prop_map(|exponent: f64| -(10_f64.powf(exponent))),
+    ];
+    prop::collection::vec((0..1200_usize, 0..99_usize, value), 0..12)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn what_a_unit_says_is_valid_is_a_number(
+        seed in any::<u64>(),
+        shake in (-2.0..3.0).prop_map(|e: f64| 10_f64.powf(e)),
+        wild in wild(),
+        columns in prop::sample::select(vec![3_usize, 6, 9]),
+    ) {
+        let csv = file("unit.csv", &table(shake, &wild, &ALL[..columns], seed));
+        let recording = MotionRecording::from_csv(&csv).unwrap();
+        for choice in choices() {
+            check(navigate(&recording, &choice))?;
+        }
+    }
+
+    #[test]
+    fn what_an_array_says_is_valid_is_a_number(
+        seed in any::<u64>(),
+        shake in (-2.0..3.0).prop_map(|e: f64| 10_f64.powf(e)),
+        wild in wild(),
+    ) {
+        let names: Vec<String> = (0..4)
+            .flat_map(|k| ["X", "Y", "Z"].map(|axis| format!("Accelerometer {k} {axis} (m/s²)")))
+            .collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let csv = file("array.csv", &table(shake, &wild, &names, seed));
+        let geometry = ArrayGeometry::read(Path::new("four:30mm")).unwrap();
+        let single = ArrayGeometry::read(Path::new("cube:100mm")).unwrap();
+        // All upright where they rest: gravity is what they show, whatever the cube.
+        let axes: Vec<String> = (0..6).map(|k| format!("Accelerometer {k} (m/s²)")).collect();
+        let axes: Vec<&str> = axes.iter().map(String::as_str).collect();
+        let alone = file("axes.csv", &table(shake, &wild, &axes, seed));
+        for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
+            let choice = Choice { method: Method::Array, zupt, ..Choice::default() };
+            let recording = ArrayRecording::from_csv(&csv, 2048.0).unwrap();
+            let found = recording.arranged(&geometry).and_then(|recording| {
+                let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
+                navigate_array(&recording, &geometry, &calibration, &choice)
+            });
+            check(found)?;
+            let recording = ArrayRecording::axes_from_csv(&alone, &single, 2048.0).unwrap();
+            let known = RefineOptions::default();
+            check(navigate_axes(&recording, &single, &known, &choice))?;
+        }
+    }
+}
+
+#[test]
+fn a_filter_that_diverges_is_not_valid_from_there_on_and_says_when() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/motion");
+    let csv = folder.join("robot_arm_v500_mpu9150.csv");
+    if !csv.exists() {
+        return;
+    }
+    let recording = MotionRecording::from_csv(&csv).unwrap();
+    for choice in choices() {
+        let path = navigate(&recording, &choice).unwrap();
+        check(Ok(path.clone())).unwrap();
+        let last = path.points.last().unwrap();
+        let diverged = last.position_m.iter().any(|p| !p.is_finite());
+        assert_eq!(
+            says(&path, "the filter diverged at"),
+            diverged,
+            "{choice:?}"
+        );
+        assert!(!diverged || last.sd_m().is_nan() && !last.valid, "{last:?}");
+    }
+}
+
+#[test]
+fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
+    let columns = &ALL[..6];
+    let with = |wild: &[(usize, usize, f64)], choice: &Choice| {
+        let csv = file("wild.csv", &table(0.3, wild, columns, 7));
+        navigate(&MotionRecording::from_csv(&csv).unwrap(), choice).unwrap()
+    };
+    let apart = |a: &InertialPath, b: &InertialPath| {
+        let pairs = a.points.iter().zip(&b.points);
+        let apart = pairs.map(|(a, b)| {
+            (0..3)
+                .map(|i| (a.position_m[i] - b.position_m[i]).abs())
+                .sum()
+        });
+        apart.fold(0.0, f64::max)
+    };
+    for choice in choices() {
+        let (clean, missing) = (with(&[], &choice), with(&[(600, 0, f64::NAN)], &choice));
+        for value in [65_536.0, -2001.0, 1e308] {
+            // Row 600 of the samples is line 602 of the file.
+            let found = with(&[(600, 0, value)], &choice);
+            let said = "the accelerometer gives more than its full scale, 2000 m/s², in 1 sample, first at 6.00 s (line 602)";
+            assert!(says(&found, said), "{choice:?}: {:?}", found.remarks);
+            assert_eq!(apart(&found, &missing), 0.0, "{choice:?}: {value} m/s²");
+            let off = apart(&found, &clean);
+            assert!(
+                off < 1.0,
+                "{choice:?}: {value} m/s² takes the path {off} m off"
+            );
+        }
+        assert!(!says(&with(&[(600, 0, 1999.0)], &choice), "full scale"));
+        let missing = with(&[(600, 4, f64::NAN)], &choice);
+        let turned = with(&[(600, 4, -360.0)], &choice);
+        assert!(says(
+            &turned,
+            "the gyroscope gives more than its full scale, 350 rad/s, in 1 sample"
+        ));
+        assert_eq!(apart(&turned, &missing), 0.0, "{choice:?}");
+    }
+    // Whose accelerometer gives nothing else is refused.
+    let all: Vec<_> = (0..700).map(|k| (k, 1, 3000.0)).collect();
+    let csv = file("all.csv", &table(0.3, &all, columns, 7));
+    let refused = navigate(
+        &MotionRecording::from_csv(&csv).unwrap(),
+        &Choice::default(),
+    );
+    assert!(
+        refused
+            .unwrap_err()
+            .message()
+            .contains("full scale, 2000 m/s², in 700 samples")
+    );
+}
+
+#[test]
+fn an_output_of_an_array_beyond_any_full_scale_is_left_out_and_said() {
+    let names: Vec<String> = (0..2)
+        .flat_map(|k| ["X", "Y", "Z"].map(|axis| format!("Accelerometer {k} {axis} (m/s²)")))
+        .collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    for (value, left_out) in [(65_536.0, true), (1e308, true), (1999.0, false)] {
+        let csv = file("outputs.csv", &table(0.3, &[(600, 4, value)], &names, 3));
+        let recording = ArrayRecording::from_csv(&csv, 2048.0).unwrap();
+        let said = "2000 m/s², in 1 output, first at 6.00 s (line 602)";
+        let says = recording.remarks.iter().any(|remark| remark.contains(said));
+        assert_eq!(says, left_out, "{:?}", recording.remarks);
+        let finite = recording
+            .outputs
+            .iter()
+            .flatten()
+            .flatten()
+            .all(|v| v.is_nan() || v.abs() < 2000.0);
+        assert!(finite);
+    }
+}

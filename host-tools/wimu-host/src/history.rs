@@ -1,5 +1,6 @@
 //! What links have brought, sorted: from a recording or from a live board.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use wimu_link::batch::Stream;
@@ -49,8 +50,9 @@ pub struct Boot {
     pub settings: Vec<Settings>,
     /// How it was, as it said last.
     pub status: Option<Status>,
-    /// What happened.
+    /// What happened, each once.
     pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
+    known_events: HashSet<String>,
     /// What the link told about the device's clock.
     pub clock: ClockEstimator,
     /// The clock by all of that, once it has been read.
@@ -199,6 +201,13 @@ impl Boot {
     }
 }
 
+/// Adds what is not yet `known`, by how it is written: looking through `all` would take longer with every one.
+fn push_new<T: std::fmt::Debug>(all: &mut Vec<T>, known: &mut HashSet<String>, item: T) {
+    if known.insert(format!("{item:?}")) {
+        all.push(item);
+    }
+}
+
 /// What one link has brought.
 #[derive(Clone, Debug)]
 pub struct LinkHistory {
@@ -280,9 +289,7 @@ impl LinkHistory {
             Event::Status(status) => boot.status = Some(*status),
             Event::Device { time, event } => {
                 // What is wrong is told again to whoever asks who is there.
-                if !boot.events.contains(&(*time, *event)) {
-                    boot.events.push((*time, *event));
-                }
+                push_new(&mut boot.events, &mut boot.known_events, (*time, *event));
             }
             Event::Reply { reply, .. } => match reply.answer {
                 Answer::Accepted(Payload::Parameters(parameters)) => {
@@ -377,6 +384,8 @@ impl Recording {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+    use std::fmt;
     use std::io::Cursor;
 
     use wimu_link::message::{EpochReason, WireState};
@@ -538,5 +547,32 @@ mod tests {
         let error = recording.link(Some(LinkRole::Cable)).unwrap_err();
         assert_eq!(error.code(), ErrorCode::NoRows);
         assert!(error.message().contains("the cable link"), "{error}");
+    }
+
+    #[test]
+    fn an_event_is_kept_once_without_looking_through_those_before_it() {
+        /// Counts how often it is looked at.
+        struct Seen<'a>(u32, &'a Cell<u64>);
+        impl fmt::Debug for Seen<'_> {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.1.set(self.1.get() + 1);
+                write!(f, "{}", self.0)
+            }
+        }
+        impl PartialEq for Seen<'_> {
+            fn eq(&self, other: &Self) -> bool {
+                self.1.set(self.1.get() + 1);
+                self.0 == other.0
+            }
+        }
+        let looks = Cell::new(0);
+        let (mut all, mut known) = (Vec::new(), HashSet::new());
+        for round in 0..2 {
+            for k in 0..10_000 {
+                push_new(&mut all, &mut known, Seen(k, &looks));
+            }
+            assert!(looks.get() <= 10_000 * (round + 1), "{}", looks.get());
+        }
+        assert!(all.iter().map(|seen| seen.0).eq(0..10_000));
     }
 }

@@ -29,8 +29,11 @@ fn bursts(times_s: &[f64]) -> Vec<Range<usize>> {
             None => found.push(first + 1..end + 1),
         }
     }
-    let inside = |k: usize| found.iter().any(|burst| burst.contains(&k));
-    let others: Vec<usize> = (1..times_s.len()).filter(|k| !inside(*k)).collect();
+    let mut inside = vec![false; times_s.len()];
+    for burst in &found {
+        inside[burst.clone()].fill(true);
+    }
+    let others: Vec<usize> = (1..times_s.len()).filter(|k| !inside[*k]).collect();
     let departs = |k: &&usize| (times_s[**k] - times_s[**k - 1] - usual).abs() > DEPARTS * usual;
     let uneven = others.iter().filter(departs).count();
     if (uneven as f64) < UNEVEN * others.len() as f64 {

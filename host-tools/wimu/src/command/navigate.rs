@@ -3,9 +3,15 @@
 mod array;
 mod inertial;
 
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::history::{Boot, LinkHistory, Recording};
+use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
@@ -99,7 +105,11 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
             "use --method tilt or slide, or several boards with --geometry",
         ));
     }
-    let recording = Recording::load(&arguments.input)?;
+    let recording = Recording::read(
+        open(&arguments.input, output)?,
+        &arguments.input.display().to_string(),
+    )?;
+    output.end_refresh();
     let link = recording.link(arguments.link.map(Into::into))?;
     let mut starts = Vec::new();
     for boot in &link.boots {
@@ -140,6 +150,46 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         path,
     });
     Ok(())
+}
+
+/// A recording whose reading is shown as it goes on.
+fn open(path: &Path, output: Output) -> Result<RecordingReader<Watched>> {
+    let name = path.display().to_string();
+    let unreadable = |error: std::io::Error| HostError::file(&name, "open", &error);
+    let file = File::open(path).map_err(unreadable)?;
+    let size = file.metadata().map_err(unreadable)?.len();
+    let watched = Watched {
+        file: BufReader::new(file),
+        read: 0,
+        size,
+        shown: Instant::now(),
+        output,
+    };
+    RecordingReader::new(watched, &name)
+}
+
+/// A file that shows how much of it has been read.
+struct Watched {
+    file: BufReader<File>,
+    read: u64,
+    size: u64,
+    shown: Instant,
+    output: Output,
+}
+
+impl Read for Watched {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.read += count as u64;
+        if self.shown.elapsed() >= Duration::from_millis(250) {
+            self.shown = Instant::now();
+            let percent = (100 * self.read / self.size.max(1)).min(100) as usize;
+            let bar = "#".repeat(percent / 5);
+            self.output
+                .refresh(&format!("reading [{bar:20}] {percent} %"));
+        }
+        Ok(count)
+    }
 }
 
 /// The filter's path through the longest start. Where nothing but the device's own was asked for, it may be

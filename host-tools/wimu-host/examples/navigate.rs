@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use wimu_host::inertial::{Choice, InertialPath, Method, navigate};
+use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate};
 use wimu_host::motion::MotionRecording;
 
 /// The path of a file: strapdown where there is an angular rate, else from tilt.
@@ -17,6 +17,7 @@ pub fn path_of(file: &Path) -> wimu_host::Result<InertialPath> {
     };
     let choice = Choice {
         method,
+        zupt: Zupt::Stated,
         ..Choice::default()
     };
     navigate(&recording, &choice)

@@ -6,7 +6,7 @@ mod navigate;
 
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
 pub use device::{Carried, Change, Key, Params, Resolution, Settings};
-pub use navigate::{Navigate, NavigateMethod};
+pub use navigate::{Navigate, NavigateMethod, ZeroVelocity};
 
 use std::net::SocketAddr;
 use std::path::PathBuf;

@@ -37,6 +37,19 @@ fn readme_shows_what_the_demo_prints_and_draws() {
         lines += 1;
     }
     assert_eq!(lines, 12);
+    // What it tells to try finds the two slides of 1 m at which it is calibrated.
+    let last = ran.stderr.lines().last().unwrap();
+    assert!(last.contains("`wimu navigate --method slide`"), "{last}");
+    let recording = report.with_extension("mcap");
+    let found = wimu(&["navigate", recording.to_str().unwrap(), "--method", "slide"]);
+    let moves = &found.succeeds()["path"]["moves"];
+    for one in moves.as_array().unwrap() {
+        let [length, sd] = ["length_m", "length_sd_m"].map(|key| one[key].as_f64().unwrap());
+        assert_eq!(one["valid"], true);
+        assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{one}");
+    }
+    let headline = found.stderr.lines().next().unwrap();
+    assert!(headline.starts_with("2 moves, "), "{headline}");
     for picture in ["tilts.svg", "slide.svg"] {
         let drawn = fs::read_to_string(folder.join(picture)).unwrap();
         let shown = fs::read_to_string(repository.join("docs/pictures").join(picture)).unwrap();

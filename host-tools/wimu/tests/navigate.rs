@@ -150,6 +150,18 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
         assert!(number(&said, "/nees/share_below_7_81") > 0.85, "{said}");
         number(&said, "/nees/median");
         assert!(said["remarks"].is_array() && said["drift"].is_null());
+        let headline = ran.stderr.lines().next().unwrap();
+        let begins = match method {
+            "slide" => "moved 0.5",
+            _ => "position at ",
+        };
+        assert!(headline.starts_with(begins), "{headline}");
+        assert_eq!(ran.stderr.matches(headline).count(), 1, "{}", ran.stderr);
+        assert!(
+            ran.stderr.contains("(--zupt on, the default)"),
+            "{}",
+            ran.stderr
+        );
         for limit in ["0.1 m", "1 m", "0.5 m"] {
             let said = ran
                 .stderr
@@ -193,7 +205,7 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
 }
 
 #[test]
-fn zero_velocity_at_rests_is_assumed_or_stated_or_off_and_the_covariance_says_which() {
+fn zero_velocity_is_taken_at_rests_unless_it_is_off_and_the_covariance_says_how() {
     let folder = folder();
     let csv = PLAIN.write(folder.path(), "in.csv");
     let found = |zupt: &[&str], name: &str| {
@@ -204,14 +216,12 @@ fn zero_velocity_at_rests_is_assumed_or_stated_or_off_and_the_covariance_says_wh
             .sum::<f64>();
         (sigma, said["final_position_m"].clone())
     };
-    let (assumed, assumed_m) = found(&[], "assumed");
-    let (stated, stated_m) = found(&["--zupt", "on"], "stated");
+    let (cautious, cautious_m) = found(&["--zupt", "cautious"], "cautious");
+    let (on, on_m) = found(&["--zupt", "on"], "on");
     let (off, _) = found(&["--zupt", "off"], "off");
-    assert_eq!(assumed_m, stated_m);
-    assert!(
-        off > 1.5 * stated && assumed > stated,
-        "{off} {assumed} {stated}"
-    );
+    assert_eq!(found(&[], "on"), (on, on_m.clone()), "the default");
+    assert_eq!(cautious_m, on_m);
+    assert!(off > 1.5 * on && cautious > on, "{off} {cautious} {on}");
 }
 
 #[test]
@@ -438,4 +448,29 @@ fn the_librarys_example_finds_the_same_numbers() {
         same("/nees/median", median);
         same("/nees/share_below_7_81", below);
     }
+}
+
+#[test]
+fn readmes_own_sequence_ends_with_the_length_of_the_simulated_slide() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (session, cal) = (path("session.mcap"), path("CAL.json"));
+    // The poses and the slide again and again: the first slide, and what comes after it.
+    let motion = ["--motion", "twelve-poses,slide,twelve-poses"];
+    let board = Simulator::start(&[&motion[..], &["--speed", "20", "--exit-when-done"]].concat());
+    board.record_to_the_end(&session);
+    wimu(&["calibrate", &session, "-o", &cal]).succeeds();
+    let corrected = ["navigate", &session, "--calibration", &cal];
+    let ran = wimu(&[&corrected[..], &["--method", "slide"]].concat());
+    let said = ran.succeeds();
+    let moves = said["path"]["moves"].as_array().unwrap();
+    assert_eq!(moves.len(), 1, "{said}");
+    // The truth is 1 m.
+    let [length, sd] = ["/length_m", "/length_sd_m"].map(|key| number(&moves[0], key));
+    assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{said}");
+    let headline = ran.stderr.lines().next().unwrap();
+    assert!(
+        headline.starts_with(&format!("moved {length:.3} ± {sd:.3} m, from ")),
+        "{headline}"
+    );
 }

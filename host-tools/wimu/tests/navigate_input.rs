@@ -317,7 +317,8 @@ fn what_rests_assume_is_told_and_clipped_samples_are_doubted() {
     let last = samples.last().map_or(0.0, |s| s.x);
     let csv = write(folder.path(), &header, &samples);
     for method in ["strapdown", "tilt"] {
-        let said = wimu(&["navigate", &csv, "--method", method]).succeeds();
+        let cautious = ["navigate", &csv, "--method", method, "--zupt", "cautious"];
+        let said = wimu(&cautious).succeeds();
         let off = (number(&said, "/final_position_m/0") - last).abs();
         assert!(number(&said, "/stillness/unseen_m") > off / 2.0, "{said}");
         assert!(number(&said, "/nees/share_below_7_81") > 0.97, "{said}");
@@ -399,6 +400,34 @@ fn samples_that_are_no_numbers_count_as_missing_and_most_of_them_are_refused() {
     let message = failure["message"].as_str().unwrap();
     assert!(message.contains("(Y) gives no number"), "{failure}");
     assert!(message.contains("first at 3.01 s"), "{failure}");
+}
+
+#[test]
+fn a_wild_value_is_left_out_and_nothing_but_wild_values_is_refused() {
+    let folder = folder();
+    let header = format!("{FORCE}{RATE}{TRUTH}");
+    let run = |wild: &dyn Fn(usize) -> bool, value: f64, method: &str| {
+        let mut samples = moves(0.4, 1.0);
+        for (k, sample) in samples.iter_mut().enumerate() {
+            if wild(k) {
+                sample.force[1] = value;
+            }
+        }
+        let csv = write(folder.path(), &header, &samples);
+        wimu(&["navigate", &csv, "--method", method])
+    };
+    for method in ["strapdown", "tilt", "slide"] {
+        for value in [65_536.0, 1e308] {
+            let said = run(&|k| k == 300, value, method).succeeds();
+            let told = "2000 m/s², in 1 sample, first at 3.00 s (line 302)";
+            assert!(remarks(&said).contains(told), "{said}");
+            assert!(number(&said, "/distance_m") < 5.0, "{said}");
+            assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+        }
+        let failure = run(&|k| k % 3 != 0, 3000.0, method).fails(3, "data_refused");
+        let message = failure["message"].as_str().unwrap();
+        assert!(message.contains("more than its full scale"), "{failure}");
+    }
 }
 
 #[test]

@@ -152,6 +152,7 @@ fn robot_arm(data: &Path) {
             }
             let choice = Choice {
                 method: Method::Slide,
+                zupt: wimu_nav::Zupt::Assumed,
                 ..Choice::default()
             };
             match navigate(&recording, &choice) {

@@ -4,12 +4,14 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::{Role, Switch};
+use wimu_host::inertial::Zupt;
+
+use super::Role;
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu navigate session.mcap -o path.csv
-         wimu navigate walk.csv --method tilt --zupt off --report path.html
+Example: wimu navigate session.mcap --method slide -o path.csv        (moves between rests, without a turn)
+         wimu navigate walk.csv --method tilt --zupt cautious --report path.html
          wimu navigate raw.csv --calibration CAL.json                  (from `wimu calibrate rests.csv`)
          wimu navigate board.csv --geometry places.csv -o path.csv
          wimu navigate board.csv --geometry ARRAY.json                 (from `wimu calibrate --geometry`)
@@ -64,15 +66,35 @@ pub struct Navigate {
     /// order of --geometry
     #[arg(long, value_name = "CAL.json")]
     pub calibration: Vec<PathBuf>,
-    /// `on`: it is known that it rested wherever it seems to, and σ and Valid depend on that; `off`: no zero velocity at
-    /// rests. Without this stillnesses are taken for rests, too, but even motion would look the same: σ holds what it
-    /// could have hidden, and Valid ends with it. Either way position is zero where the first rest ends, by definition. The
-    /// device's own path is as it did
+    /// Zero velocity at rests; without this, `on`. Position is zero where the first rest ends. The device's own path is
+    /// as it computed it, unless this is given
     #[arg(long, value_enum)]
-    pub zupt: Option<Switch>,
+    pub zupt: Option<ZeroVelocity>,
     /// Of which link; without it, the cable if it was recorded
     #[arg(long, value_enum)]
     pub link: Option<Role>,
+}
+
+/// What `wimu navigate` takes a rest for. An accelerometer cannot tell one from constant velocity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ZeroVelocity {
+    /// Velocity is zero there: σ and Valid are right where the unit did rest
+    On,
+    /// The same, and σ includes what constant velocity could have hidden there: Valid ends the sooner
+    Cautious,
+    /// Nothing, except at the start
+    Off,
+}
+
+impl ZeroVelocity {
+    /// That of the option, and its default.
+    pub fn of(option: Option<Self>) -> Zupt {
+        match option {
+            None | Some(Self::On) => Zupt::Stated,
+            Some(Self::Cautious) => Zupt::Assumed,
+            Some(Self::Off) => Zupt::Off,
+        }
+    }
 }
 
 /// How `wimu navigate` finds the path.

@@ -74,7 +74,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         chart::write_all(folder, &charts)?;
     }
     output.say(format!(
-        "{:.0} s of a board's life in {:.1} s. Pictures: {}; the recording: {} (try `wimu navigate` on it).",
+        "{:.0} s of a board's life in {:.1} s. Pictures: {}; the recording: {} (try `wimu navigate --method slide` on it).",
         outcome.duration_s,
         began.elapsed().as_secs_f64(),
         arguments.report.display(),

@@ -18,7 +18,7 @@ use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_integrator::Phase;
 
-use crate::arguments::{Navigate, NavigateMethod, Switch};
+use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
 use crate::command::not_over_input;
 use crate::output::Output;
 
@@ -41,6 +41,22 @@ struct Start {
     /// Whether the recomputed numbers are the device's bit for bit; absent where they are not
     /// meant to be.
     replay: Option<ReplayReport>,
+}
+
+impl Start {
+    fn tell(&self, output: Output) {
+        match &self.device {
+            Some(track) => output.say(format!("device:     {}", track.text())),
+            None => output.say("device:     sent no position, or found no rest"),
+        }
+        match &self.recomputed {
+            Some(track) => output.say(format!("recomputed: {}", track.text())),
+            None => output.say("recomputed: no rest to start from"),
+        }
+        if let (Some(_), Some(replay)) = (&self.recomputed, &self.replay) {
+            output.say(verdict(replay));
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -111,24 +127,8 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     )?;
     output.end_refresh();
     let link = recording.link(arguments.link.map(Into::into))?;
-    let mut starts = Vec::new();
-    for boot in &link.boots {
-        let start = start(boot, arguments)?;
-        match &start.device {
-            Some(track) => output.say(format!("device:     {}", track.text())),
-            None => output.say("device:     sent no position, or found no rest"),
-        }
-        match (&start.recomputed, &start.replay) {
-            (Some(track), replay) => {
-                output.say(format!("recomputed: {}", track.text()));
-                if let Some(replay) = replay {
-                    output.say(verdict(replay));
-                }
-            }
-            (None, _) => output.say("recomputed: no rest to start from"),
-        }
-        starts.push(start);
-    }
+    let starts = link.boots.iter().map(|boot| start(boot, arguments));
+    let starts = starts.collect::<Result<Vec<Start>>>()?;
     if starts
         .iter()
         .all(|start| start.device.is_none() && start.recomputed.is_none())
@@ -141,6 +141,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         .at(&recording.name));
     }
     let path = path(link, arguments, &recording.name, output)?;
+    for start in &starts {
+        start.tell(output);
+    }
     output.object(&Navigated {
         schema: "wimu.navigation/1",
         status: "ok",
@@ -243,7 +246,7 @@ fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
     };
     let zupt = arguments
         .zupt
-        .map_or(mark.epoch.state.zupt, |zupt| zupt == Switch::On);
+        .map_or(mark.epoch.state.zupt, |zupt| zupt != ZeroVelocity::Off);
     let points = navigation::recomputed(boot, &parameters, zupt)?;
     Ok(Start {
         device,

@@ -9,11 +9,10 @@ use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
-use wimu_host::plural::counted;
 use wimu_host::{ErrorCode, HostError, Result};
 
 use super::array;
-use crate::arguments::{Navigate, NavigateMethod, Switch};
+use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
 use crate::command::array::Refined;
 use crate::command::not_over_input;
 use crate::output::Output;
@@ -25,7 +24,7 @@ pub struct Found {
     status: &'static str,
     source: String,
     method: Method,
-    /// `assumed`: σ holds what even motion at the rests could have hidden; `stated`: it does not; `off`.
+    /// As the option has it: `cautious` where σ includes what constant velocity at the rests could have hidden.
     zupt: &'static str,
     duration_s: f64,
     /// When the first rest ends: position is zero there, and velocity, by definition.
@@ -177,7 +176,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
                     "leave it out",
                 );
             }
-            let (choice, settling) = choice(arguments, Method::Array, output)?;
+            let (choice, settling) = choice(arguments, Method::Array)?;
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
             let mut found = present(arguments, &path, &choice, settling, source, output)?;
             found.refined = refined;
@@ -234,23 +233,15 @@ pub fn one_unit(
         NavigateMethod::Auto if rated => Method::Strapdown,
         _ => Method::Tilt,
     };
-    let (choice, settling) = choice(arguments, method, output)?;
+    let (choice, settling) = choice(arguments, method)?;
     let path = navigate(recording, &choice)?;
     present(arguments, &path, &choice, settling, source, output)
 }
 
-fn choice(
-    arguments: &Navigate,
-    method: Method,
-    output: Output,
-) -> Result<(Choice, Option<Settling>)> {
+fn choice(arguments: &Navigate, method: Method) -> Result<(Choice, Option<Settling>)> {
     let mut choice = Choice {
         method,
-        zupt: match arguments.zupt {
-            None => Zupt::Assumed,
-            Some(Switch::On) => Zupt::Stated,
-            Some(Switch::Off) => Zupt::Off,
-        },
+        zupt: ZeroVelocity::of(arguments.zupt),
         limit_m: arguments.limit,
         drift: None,
     };
@@ -259,12 +250,6 @@ fn choice(
     };
     let fit = settling(&table(arguments, file)?)?;
     choice.drift = Some(fit.drift.settling());
-    let [x, y, z] = fit.drift.rise_mps2;
-    let [sx, sy, sz] = fit.drift.rise_sd_mps2;
-    output.say(format!(
-        "the bias settles by {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s² in {:.0} ± {:.0} s",
-        fit.drift.time_s, fit.time_sd_s
-    ));
     let settling = Settling {
         rise_m_s2: fit.drift.rise_mps2,
         rise_sd_m_s2: fit.drift.rise_sd_mps2,
@@ -284,6 +269,13 @@ fn present(
 ) -> Result<Found> {
     let text = text(path, choice);
     output.say(text.trim_end());
+    if let Some(fit) = &settling {
+        let ([x, y, z], [sx, sy, sz]) = (fit.rise_m_s2, fit.rise_sd_m_s2);
+        output.say(format!(
+            "the bias settles by {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s² in {:.0} ± {:.0} s",
+            fit.time_s, fit.time_sd_s
+        ));
+    }
     if let Some(file) = &arguments.output {
         path.write_csv(file)?;
         output.say(format!("{}: {} rows", file.display(), path.points.len()));
@@ -308,8 +300,8 @@ fn found(
         source,
         method: path.method,
         zupt: match choice.zupt {
-            Zupt::Assumed => "assumed",
-            Zupt::Stated => "stated",
+            Zupt::Assumed => "cautious",
+            Zupt::Stated => "on",
             Zupt::Off => "off",
         },
         duration_s: duration(path),
@@ -392,27 +384,55 @@ fn duration(path: &InertialPath) -> f64 {
     }
 }
 
+/// The result: how far it moved, or the last position that is valid.
+fn headline(path: &InertialPath, choice: &Choice) -> String {
+    let moves: Vec<&SlideMove> = path.moves.iter().filter(|m| m.valid).collect();
+    // Their errors of scale are one: deviations add up.
+    let length_m: f64 = moves.iter().map(|m| m.done.length_m).sum();
+    let sd_m: f64 = moves.iter().map(|m| length_sd_m(m, choice)).sum();
+    let position = path.points.iter().rposition(|p| p.valid);
+    match (&moves[..], position) {
+        ([one], _) => format!(
+            "moved {length_m:.3} ± {sd_m:.3} m, from {:.2} to {:.2} s",
+            one.from_s, one.to_s
+        ),
+        ([_, ..], _) => format!("{} moves, {length_m:.3} ± {sd_m:.3} m in all", moves.len()),
+        ([], Some(_)) if path.method == Method::Slide => "no move whose length is known".to_owned(),
+        ([], Some(k)) => {
+            let (point, [e, n, u]) = (&path.points[k], path.points[k].position_m);
+            let last = if k + 1 < path.points.len() {
+                ", the last that is valid"
+            } else {
+                ""
+            };
+            format!(
+                "position at {:.2} s{last}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m",
+                point.time_s,
+                point.sd_m()
+            )
+        }
+        ([], None) => "no position is valid".to_owned(),
+    }
+}
+
 fn text(path: &InertialPath, choice: &Choice) -> String {
     let mut text = String::new();
-    let Some(last) = path.points.last() else {
-        return text;
-    };
-    let [e, n, u] = last.position_m;
+    let _ = writeln!(text, "{}", headline(path, choice));
     let _ = writeln!(
         text,
-        "{:?}: {:.1} s, path {:.3} m as far as it is valid, ends at E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m{}",
+        "{:?}, {:.1} s: path {:.3} m over the {:.0} % of the samples that are valid: known to {} m, no gap since the last rest",
         path.method,
         duration(path),
         path.distance_m(),
-        last.sd_m(),
-        if last.valid { "" } else { " (not valid)" }
+        100.0 * path.valid_share(),
+        choice.limit_m
     );
     if path.method != Method::Array
         && let Some(origin) = path.points.get(path.origin)
     {
         let _ = writeln!(
             text,
-            "measured from where it lay at {:.2} s, the last of its first rest that is sure to be one: even motion until then is none, by definition",
+            "origin: t = {:.2} s (end of the first rest, velocity taken as zero)",
             origin.time_s
         );
     }
@@ -443,25 +463,18 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     }
     if let Some(found) = path.stillness() {
         let so = match choice.zupt {
-            Zupt::Assumed => "which ± holds. Where it is known that it rested, say so: --zupt on",
-            _ => "which ± does not hold: it is stated that it rested",
+            Zupt::Assumed => "± includes it. If the unit was at rest, pass `--zupt on`".to_owned(),
+            _ => format!(
+                "± does not include it (--zupt on, the default): `--zupt cautious` adds {:.3} m",
+                found.unseen_m
+            ),
         };
         let _ = writeln!(
             text,
-            "rests: {}, {:.1} s in all, taken for rest. Even motion at up to {:.3} m/s would not have \
-             shown there, and may have put the end off by ± {:.3} m, {so}",
-            counted(found.rests, "stillness"),
-            found.lasted_s,
-            found.unseen_mps,
-            found.unseen_m,
+            "rests: {} ({:.1} s in total), velocity taken as zero. Constant velocity up to {:.3} m/s cannot be excluded there; {so}",
+            found.rests, found.lasted_s, found.unseen_mps,
         );
     }
-    let _ = writeln!(
-        text,
-        "{:.0} % of the samples are valid: known to {} m, no gap since the last rest",
-        100.0 * path.valid_share(),
-        choice.limit_m
-    );
     for (index, one) in path.moves.iter().enumerate() {
         let _ = writeln!(
             text,

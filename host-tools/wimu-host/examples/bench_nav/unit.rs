@@ -6,6 +6,8 @@ use std::time::Instant;
 use wimu_host::motion::{MotionRecording, Truth};
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
 
+use crate::low_pass::LowPass;
+
 const HORIZONS_S: [f64; 3] = [1.0, 2.0, 5.0];
 
 pub fn bench(data: &Path) {
@@ -201,58 +203,19 @@ fn baseline(
     starts: &[usize],
     added: [f64; 3],
 ) -> Errors {
-    let unit = |v: [f64; 3]| {
-        let n = v.iter().map(|a| a * a).sum::<f64>().sqrt();
-        v.map(|a| a / n)
-    };
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ]
-    };
-    let samples = &recording.samples;
-    let mut force = samples[0].force_mps2;
-    let mut field = samples[0].field_ut.unwrap_or_default();
-    let mut acceleration = Vec::new();
-    let mut headings = Vec::new();
-    for sample in samples {
-        let share = sample.step_s / (1.0 + sample.step_s);
-        for i in 0..3 {
-            force[i] += share * (sample.force_mps2[i] - force[i]);
-            if let Some(seen) = sample.field_ut {
-                field[i] += share * (seen[i] - field[i]);
-            }
-        }
-        let up = unit(force);
-        let east = unit(cross(field, up));
-        let north = cross(up, east);
-        let dot = |a: [f64; 3]| (0..3).map(|i| a[i] * sample.force_mps2[i]).sum::<f64>();
-        acceleration.push([dot(east), dot(north), dot(up) - gravity]);
-        headings.push(north[0].atan2(east[0]));
-    }
+    let low_pass = LowPass::of(recording, gravity);
     let mut errors = Errors::default();
     for k in starts {
-        let (mut p, mut v, heading) = start(recording, *k, added);
-        let (sin, cos) = (heading - headings[*k]).sin_cos();
-        let turned = |a: [f64; 3]| [cos * a[0] - sin * a[1], sin * a[0] + cos * a[1], a[2]];
+        let (p, v, heading) = start(recording, *k, added);
+        let (mut state, yaw) = ((p, v), heading - low_pass.headings[*k]);
         let mut at = *k;
         let mut distance = [0.0; 3];
         for (h, horizon) in HORIZONS_S.iter().enumerate() {
             let end = recording
                 .times_s
                 .partition_point(|t| *t < recording.times_s[*k] + horizon);
-            while at < end {
-                let (a, b) = (turned(acceleration[at]), turned(acceleration[at + 1]));
-                let dt = recording.times_s[at + 1] - recording.times_s[at];
-                for i in 0..3 {
-                    let next = v[i] + 0.5 * (a[i] + b[i]) * dt;
-                    p[i] += 0.5 * (v[i] + next) * dt;
-                    v[i] = next;
-                }
-                at += 1;
-            }
+            state = low_pass.integrate(&recording.times_s, at, end, yaw, state);
+            at = end;
             let seconds = recording.times_s[at] - recording.times_s[*k];
             let truth = moved(
                 recording.truth[at].expect("ends have truth"),
@@ -260,7 +223,7 @@ fn baseline(
                 seconds,
             );
             distance[h] = (0..3)
-                .map(|i| (p[i] - truth[i]).powi(2))
+                .map(|i| (state.0[i] - truth[i]).powi(2))
                 .sum::<f64>()
                 .sqrt();
         }

@@ -5,7 +5,7 @@ use core::fmt;
 use nalgebra::{Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
 use wimu_model::{Alignment, RotationCovariance};
 
-use crate::linear::{Real, double, eigen, real};
+use crate::linear::eigen;
 
 /// Directions nearer to one line than this tell no rotation about it, rad: 10°.
 const LEAST_ANGLE_RAD: f64 = 0.175;
@@ -150,40 +150,27 @@ impl core::error::Error for AlignmentRefusal {}
 /// # Errors
 /// [`AlignmentRefusal`].
 pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, AlignmentRefusal> {
-    rotation::<f64>(directions)
-}
-
-/// [`align`] computed in f32, for a processor that has no f64: within 0.001 standard deviations of
-/// f64 for directions known to 0.1° or worse.
-///
-/// # Errors
-/// Those of [`align`].
-pub fn align_f32(directions: &[KnownDirection]) -> Result<AlignmentEstimate, AlignmentRefusal> {
-    rotation::<f32>(directions)
-}
-
-fn rotation<R: Real>(directions: &[KnownDirection]) -> Result<AlignmentEstimate, AlignmentRefusal> {
     if directions.len() < 2 {
         return Err(AlignmentRefusal::TooFewDirections {
             have: directions.len(),
         });
     }
     let unit = |v: [f64; 3]| {
-        Vector3::from(v.map(real::<R>))
-            .try_normalize(real(1e-9))
-            .filter(|u| u.norm() > real(0.5))
+        Vector3::from(v)
+            .try_normalize(1e-9)
+            .filter(|u| u.norm() > 0.5)
     };
-    let mut attitude = Matrix3::<R>::zeros();
-    let mut information = Matrix3::<R>::zeros();
-    let mut scatter = [Matrix3::<R>::zeros(); 2];
-    let mut weights = R::zero();
+    let mut attitude = Matrix3::<f64>::zeros();
+    let mut information = Matrix3::<f64>::zeros();
+    let mut scatter = [Matrix3::<f64>::zeros(); 2];
+    let mut weights = 0.0;
     for (direction, known) in directions.iter().enumerate() {
-        let sd: R = real(known.sd_rad);
-        let weight = R::one() / (sd * sd);
+        let sd = known.sd_rad;
+        let weight = 1.0 / (sd * sd);
         let (Some(v), Some(u), true) = (
             unit(known.sensor),
             unit(known.body),
-            weight.is_finite() && weight > R::zero(),
+            weight.is_finite() && weight > 0.0,
         ) else {
             return Err(AlignmentRefusal::NoDirection { direction });
         };
@@ -199,7 +186,7 @@ fn rotation<R: Real>(directions: &[KnownDirection]) -> Result<AlignmentEstimate,
         let angle_rad = directions
             .iter()
             .filter_map(|known| unit(if which == 0 { known.body } else { known.sensor }))
-            .map(|u| double(from_line(&line, &u)))
+            .map(|u| from_line(&line, &u))
             .fold(0.0, f64::max);
         if angle_rad < LEAST_ANGLE_RAD / 2.0 {
             return Err(AlignmentRefusal::Collinear { angle_rad });
@@ -213,21 +200,20 @@ fn rotation<R: Real>(directions: &[KnownDirection]) -> Result<AlignmentEstimate,
         b[(0, 2)] - b[(2, 0)],
         b[(1, 0)] - b[(0, 1)],
     ];
-    let shift: R = real(2.0);
-    let davenport = SMatrix::<R, 4, 4>::from_fn(|r, c| match (r, c) {
-        (0, 0) => shift + b.trace(),
+    let davenport = SMatrix::<f64, 4, 4>::from_fn(|r, c| match (r, c) {
+        (0, 0) => 2.0 + b.trace(),
         (0, k) | (k, 0) => z[k - 1],
-        (r, c) if r == c => shift + symmetric[(r - 1, c - 1)] - b.trace(),
+        (r, c) if r == c => 2.0 + symmetric[(r - 1, c - 1)] - b.trace(),
         (r, c) => symmetric[(r - 1, c - 1)],
     });
     let best = main_axis(davenport);
-    let best = if best[0] < R::zero() { -best } else { best };
-    let quaternion = [0, 1, 2, 3].map(|k| double(best[k]));
+    let best = if best[0] < 0.0 { -best } else { best };
+    let quaternion = [0, 1, 2, 3].map(|k| best[k]);
     let none = AlignmentRefusal::NoDirection { direction: 0 };
     let alignment = Alignment::from_quaternion(quaternion).map_err(|_| none)?;
     let inverse = information.try_inverse().ok_or(none)?;
     let covariance: [[f64; 3]; 3] =
-        core::array::from_fn(|r| core::array::from_fn(|c| double(inverse[(r, c)])));
+        core::array::from_fn(|r| core::array::from_fn(|c| inverse[(r, c)]));
     let covariance = RotationCovariance::from_matrix(&covariance).map_err(|_| none)?;
     let turn = UnitQuaternion::from_quaternion(Quaternion::new(best[0], best[1], best[2], best[3]));
     let mut worst = (0, 0.0, 0.0);
@@ -235,7 +221,7 @@ fn rotation<R: Real>(directions: &[KnownDirection]) -> Result<AlignmentEstimate,
         let (Some(v), Some(u)) = (unit(known.sensor), unit(known.body)) else {
             continue;
         };
-        let off = double(angle(&(turn * v), &u));
+        let off = angle(&(turn * v), &u);
         if off / known.sd_rad > worst.2 {
             worst = (direction, off, off / known.sd_rad);
         }
@@ -255,17 +241,17 @@ fn rotation<R: Real>(directions: &[KnownDirection]) -> Result<AlignmentEstimate,
 }
 
 /// The angle between two vectors, rad.
-fn angle<R: Real>(a: &Vector3<R>, b: &Vector3<R>) -> R {
-    a.cross(b).norm().atan2(a.dot(b))
+fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
+    libm::atan2(a.cross(b).norm(), a.dot(b))
 }
 
 /// The same from the line along `line`, 0..=π/2.
-fn from_line<R: Real>(line: &Vector3<R>, v: &Vector3<R>) -> R {
-    line.cross(v).norm().atan2(line.dot(v).abs())
+fn from_line(line: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
+    libm::atan2(line.cross(v).norm(), line.dot(v).abs())
 }
 
 /// The eigenvector of the largest eigenvalue of a symmetric matrix.
-fn main_axis<R: Real, const N: usize>(matrix: SMatrix<R, N, N>) -> SVector<R, N> {
+fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N> {
     let (values, vectors) = eigen(matrix);
     vectors.column(values.imax()).into_owned()
 }
@@ -295,47 +281,22 @@ pub fn straight_move(
     samples: impl Iterator<Item = [f64; 3]>,
     rate_hz: f64,
 ) -> Result<([f64; 3], f64), AlignmentRefusal> {
-    moved(before, after, samples, rate_hz)
-}
-
-/// [`straight_move`] in f32, for a processor that has no f64: the direction is within 10⁻⁵ rad of
-/// f64's over a thousand samples.
-///
-/// # Errors
-/// Those of [`straight_move`].
-pub fn straight_move_f32(
-    before: [f32; 3],
-    after: [f32; 3],
-    samples: impl Iterator<Item = [f32; 3]>,
-    rate_hz: f32,
-) -> Result<([f64; 3], f64), AlignmentRefusal> {
-    moved(before, after, samples, rate_hz)
-}
-
-fn moved<R: Real>(
-    before: [R; 3],
-    after: [R; 3],
-    samples: impl Iterator<Item = [R; 3]>,
-    rate_hz: R,
-) -> Result<([f64; 3], f64), AlignmentRefusal> {
-    let half: R = real(0.5);
-    let rest = (Vector3::from(before) + Vector3::from(after)) * half;
-    let step = R::one() / rate_hz;
-    let (mut velocity, mut position) = (Vector3::<R>::zeros(), Vector3::<R>::zeros());
-    let mut scatter = Matrix3::<R>::zeros();
-    let mut count = R::zero();
+    let rest = (Vector3::from(before) + Vector3::from(after)) * 0.5;
+    let step = 1.0 / rate_hz;
+    let (mut velocity, mut position) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
+    let mut scatter = Matrix3::<f64>::zeros();
+    let mut count = 0.0;
     for sample in samples {
         let push = Vector3::from(sample) - rest;
         scatter += push * push.transpose();
-        position += (velocity + push * (step * half)) * step;
+        position += (velocity + push * (step * 0.5)) * step;
         velocity += push * step;
-        count += R::one();
+        count += 1.0;
     }
     // It stood still at the end: what velocity is left grew evenly, to the least variance.
-    let distance = position - velocity * (count * step * half);
-    let size = distance.norm();
-    let distance_m = double(size);
-    let rms = double((scatter.trace() / count).sqrt());
+    let distance = position - velocity * (count * step * 0.5);
+    let distance_m = distance.norm();
+    let rms = libm::sqrt(scatter.trace() / count);
     let moved = distance_m >= SHORTEST_MOVE_M && rms >= LEAST_PUSH_MPS2;
     if !moved {
         return Err(AlignmentRefusal::NotMoved {
@@ -346,18 +307,18 @@ fn moved<R: Real>(
             },
         });
     }
-    let ahead = distance / size;
+    let ahead = distance / distance_m;
     let along = ahead.dot(&(scatter * ahead));
-    let crookedness = double((scatter.trace() / along - R::one()).max(R::zero()).sqrt());
+    let crookedness = libm::sqrt((scatter.trace() / along - 1.0).max(0.0));
     if crookedness > MOST_CROOKED || crookedness.is_nan() {
         return Err(AlignmentRefusal::NotStraight { crookedness });
     }
     // The line of the acceleration is a second opinion, with other errors: noise and shaking leave
     // it where they are, and turn the distance.
-    let apart = double(from_line(&main_axis(scatter), &ahead));
-    let shaken = crookedness / libm::sqrt((double(count) / 8.0).max(1.0));
+    let apart = from_line(&main_axis(scatter), &ahead);
+    let shaken = crookedness / libm::sqrt((count / 8.0).max(1.0));
     Ok((
-        [0, 1, 2].map(|axis| double(ahead[axis])),
+        [0, 1, 2].map(|axis| ahead[axis]),
         libm::sqrt(apart * apart + shaken * shaken),
     ))
 }

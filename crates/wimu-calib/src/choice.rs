@@ -1,6 +1,5 @@
 //! The model that the data choose, and what the choice adds to its uncertainty: equation (49).
 
-use crate::linear::Real;
 use crate::multi_position::{Fitted, with_terms};
 use crate::terms::{Slot, Terms, Theta, theta_of};
 use crate::visits::Visits;
@@ -47,28 +46,6 @@ pub fn best_model(
     least: Terms,
     reject: bool,
 ) -> Result<Estimate, Refusal> {
-    best::<f64>(poses, gravity, least, reject)
-}
-
-/// [`best_model`] computed in f32, for a processor that has no f64: the fits are, what weighs them is not.
-///
-/// # Errors
-/// Those of [`best_model`].
-pub fn best_model_f32(
-    poses: &[Pose],
-    gravity: Gravity,
-    least: Terms,
-    reject: bool,
-) -> Result<Estimate, Refusal> {
-    best::<f32>(poses, gravity, least, reject)
-}
-
-fn best<R: Real>(
-    poses: &[Pose],
-    gravity: Gravity,
-    least: Terms,
-    reject: bool,
-) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
     let mut best: Option<(Fitted, f64)> = None;
     // What nine parameters alone came to: a refusal, and whether the poses tell all nine.
@@ -86,7 +63,7 @@ fn best<R: Real>(
                 terms,
                 reject,
             };
-            let fitted = match with_terms::<R>(poses, &visits, gravity, what, true) {
+            let fitted = match with_terms(poses, &visits, gravity, what, true) {
                 Ok(fitted) => fitted,
                 Err(refusal) => {
                     if model == Model::Full9 && terms == least {

@@ -1,6 +1,6 @@
 //! Static poses in a continuous recording: equation (10).
 
-use crate::{Pose, Scalar};
+use crate::Pose;
 
 /// Blocks in the shortest hold.
 const BLOCKS: usize = 8;
@@ -166,20 +166,20 @@ impl Moments {
 /// division per sample and lose nothing to a large mean.
 #[derive(Clone, Copy, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Block<R> {
+struct Block {
     samples: u32,
-    origin: [R; 3],
-    sum: [R; 3],
-    squares: [R; 3],
-    differences: R,
+    origin: [f64; 3],
+    sum: [f64; 3],
+    squares: [f64; 3],
+    differences: f64,
     celsius: f64,
     celsius_samples: u32,
     first: u64,
 }
 
-impl<R: Scalar> Block<R> {
+impl Block {
     /// With the squared difference from the sample before.
-    fn add(&mut self, output: [R; 3], difference: R, celsius: Option<f64>) {
+    fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
         if self.samples == 0 {
             self.origin = output;
         }
@@ -200,17 +200,17 @@ impl<R: Scalar> Block<R> {
         let n = f64::from(self.samples);
         let mut moments = Moments {
             samples: self.samples,
-            differences: self.differences.into(),
+            differences: self.differences,
             celsius: self.celsius,
             celsius_samples: self.celsius_samples,
             first: self.first,
             ..Moments::default()
         };
         for axis in 0..3 {
-            let (origin, sum): (f64, f64) = (self.origin[axis].into(), self.sum[axis].into());
+            let (origin, sum) = (self.origin[axis], self.sum[axis]);
             let mean = sum / n;
             moments.mean[axis] = origin + mean;
-            moments.squares[axis] = (self.squares[axis].into() - sum * mean).max(0.0);
+            moments.squares[axis] = (self.squares[axis] - sum * mean).max(0.0);
         }
         moments
     }
@@ -228,22 +228,18 @@ impl<R: Scalar> Block<R> {
 /// far above the least seen, and its block means are not all the way on a line in time, as those of a slow turn are;
 /// its first and last block are left out. A hold disturbed by a knock is
 /// one pose, the longer part of it.
-///
-/// `PoseFinder<f32>` takes samples in f32 and computes in it what every sample asks for, for a
-/// processor that has no f64; what a block of a tenth of a second asks for stays f64. It finds the same
-/// poses, their means within 10⁻⁷ m/s².
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct PoseFinder<R: Scalar = f64> {
+pub struct PoseFinder {
     rate_hz: f64,
     block_samples: u32,
     next_sample: u64,
     celsius: Option<f64>,
-    last: Option<[R; 3]>,
+    last: Option<[f64; 3]>,
     /// Least change from one sample to the next.
-    step: R,
+    step: f64,
     noise: Noise,
-    block: Block<R>,
+    block: Block,
     /// The last blocks, oldest first; `filled` of them, at the end.
     window: [Moments; BLOCKS],
     filled: usize,
@@ -270,29 +266,11 @@ impl PoseFinder {
     /// A finder for samples at `rate_hz`; the shortest hold it finds is 0.75 s, 16 samples at the
     /// least. Rates that make no sense count as the nearest that does.
     pub fn new(rate_hz: f64) -> Self {
-        Self::of(rate_hz, Noise::NOTHING_SEEN)
+        Self::with_noise(rate_hz, Noise::NOTHING_SEEN)
     }
 
     /// The same, with the sensor's noise known from an earlier look at it.
     pub fn with_noise(rate_hz: f64, noise: Noise) -> Self {
-        Self::of(rate_hz, noise)
-    }
-}
-
-impl PoseFinder<f32> {
-    /// [`PoseFinder::new`] for samples in f32.
-    pub fn new_f32(rate_hz: f64) -> Self {
-        Self::of(rate_hz, Noise::NOTHING_SEEN)
-    }
-
-    /// [`PoseFinder::with_noise`] for samples in f32.
-    pub fn with_noise_f32(rate_hz: f64, noise: Noise) -> Self {
-        Self::of(rate_hz, noise)
-    }
-}
-
-impl<R: Scalar> PoseFinder<R> {
-    pub(crate) fn of(rate_hz: f64, noise: Noise) -> Self {
         let samples = rate_hz * HOLD_S / BLOCKS as f64;
         Self {
             rate_hz: if rate_hz > 0.0 { rate_hz } else { 1.0 },
@@ -301,7 +279,7 @@ impl<R: Scalar> PoseFinder<R> {
             next_sample: 0,
             celsius: None,
             last: None,
-            step: R::of(noise.step),
+            step: noise.step,
             noise,
             block: Block::default(),
             window: [Moments::default(); BLOCKS],
@@ -339,23 +317,23 @@ impl<R: Scalar> PoseFinder<R> {
     }
 
     /// Takes one sample y, m/s², sensor axes. A sample that is not finite counts as motion.
-    pub fn push(&mut self, output_mps2: [R; 3]) -> Option<Pose> {
+    pub fn push(&mut self, output_mps2: [f64; 3]) -> Option<Pose> {
         let index = self.next_sample;
         self.next_sample += 1;
-        if !output_mps2.iter().all(|y| y.finite()) {
+        if !output_mps2.iter().all(|y| y.is_finite()) {
             self.last = None;
             self.filled = 0;
             self.block = Block::default();
             return self.end_hold();
         }
-        let mut difference = R::default();
+        let mut difference = 0.0;
         if let Some(last) = self.last.replace(output_mps2) {
             for axis in 0..3 {
-                let step = (output_mps2[axis] - last[axis]).size();
+                let step = (output_mps2[axis] - last[axis]).abs();
                 difference += step * step;
-                if step > R::default() && step < self.step {
+                if step > 0.0 && step < self.step {
                     self.step = step;
-                    self.noise.step = step.into();
+                    self.noise.step = step;
                 }
             }
         }

@@ -39,11 +39,8 @@ mod unfitted;
 mod visits;
 mod weights;
 
-pub use alignment::{
-    AlignmentEstimate, AlignmentRefusal, KnownDirection, align, align_f32, straight_move,
-    straight_move_f32,
-};
-pub use choice::{best_model, best_model_f32};
+pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
+pub use choice::best_model;
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
@@ -52,12 +49,9 @@ pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use magnetometer::{
     Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
-    magnetometer_f32,
 };
 pub use model::{Model, MultiPosition};
-pub use multi_position::{
-    multi_position, multi_position_f32, multi_position_with, multi_position_with_f32,
-};
+pub use multi_position::{multi_position, multi_position_f32, multi_position_with};
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, stops_at_limit};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
@@ -69,10 +63,7 @@ pub use refusal::{Refusal, UnitHint};
 pub use scalar::Scalar;
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
-pub use six_position::{
-    Placement, PlacementError, six_position, six_position_f32, six_position_labelled,
-    six_position_labelled_f32,
-};
+pub use six_position::{Placement, PlacementError, six_position, six_position_labelled};
 pub use terms::{Term, Terms};
-pub use turn::{four_angle, four_angle_f32, three_angle, three_angle_f32};
+pub use turn::{four_angle, three_angle};
 pub use weights::Rejected;

@@ -9,7 +9,6 @@ pub use refusal::{Disturbed, MagneticRefusal, MirroredAxes};
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::MagnetometerModel;
 
-use crate::linear::Real;
 use crate::{Rejected, student};
 
 /// Parameters of hard and soft iron, and of the rotation with the dip.
@@ -116,25 +115,6 @@ pub fn magnetometer(
     poses: &[MagneticPose],
     dip_rad: Option<f64>,
 ) -> Result<MagneticEstimate, MagneticRefusal> {
-    estimate::<f64>(poses, dip_rad)
-}
-
-/// [`magnetometer`] computed in f32, for a processor that has no f64: within 0.001 standard deviations
-/// of f64.
-///
-/// # Errors
-/// Those of [`magnetometer`].
-pub fn magnetometer_f32(
-    poses: &[MagneticPose],
-    dip_rad: Option<f64>,
-) -> Result<MagneticEstimate, MagneticRefusal> {
-    estimate::<f32>(poses, dip_rad)
-}
-
-fn estimate<R: Real>(
-    poses: &[MagneticPose],
-    dip_rad: Option<f64>,
-) -> Result<MagneticEstimate, MagneticRefusal> {
     let (have, need) = (poses.len(), FEWEST);
     if have < need {
         return Err(MagneticRefusal::TooFewPoses { have, need });
@@ -146,13 +126,13 @@ fn estimate<R: Real>(
         }
     }
     plausible(poses)?;
-    let found = without_suspects::<R>(poses, Rejected::default()).or_else(|refusal| {
+    let found = without_suspects(poses, Rejected::default()).or_else(|refusal| {
         // Several disturbed poses bend the fit so far that none of them stands out.
-        let Some((share, disturbed, count)) = consensus::disturbed::<R>(poses) else {
+        let Some((share, disturbed, count)) = consensus::disturbed(poses) else {
             return Err(refusal);
         };
         let few = count <= disturbed.as_slice().len() && spares(have, count);
-        let again = few.then(|| without_suspects::<R>(poses, disturbed));
+        let again = few.then(|| without_suspects(poses, disturbed));
         again
             .and_then(Result::ok)
             .ok_or(MagneticRefusal::FieldNotConstant {
@@ -170,13 +150,13 @@ fn spares(have: usize, left_out: usize) -> bool {
 }
 
 /// Leaves out one pose after the other that the rest contradicts.
-fn without_suspects<R: Real>(
+fn without_suspects(
     poses: &[MagneticPose],
     mut rejected: Rejected,
 ) -> Result<MagneticEstimate, MagneticRefusal> {
     loop {
         let mut suspect = None;
-        let outcome = fit::model::<R>(poses, &rejected, &mut suspect);
+        let outcome = fit::model(poses, &rejected, &mut suspect);
         match suspect {
             Some(pose) if spares(poses.len(), rejected.as_slice().len() + 1) => {
                 rejected = rejected.with(pose);

@@ -94,33 +94,10 @@ pub fn multi_position_with(
     gravity: Gravity,
     what: MultiPosition,
 ) -> Result<Estimate, Refusal> {
-    advised::<f64>(poses, gravity, what)
-}
-
-/// [`multi_position_with`] computed in f32, for a processor that has no f64: terms and bad poses
-/// included, on forty poses of 3 mm/s² and of conditions up to 11 within 0.002 standard deviations of
-/// f64. Which poses are left out may differ where chance decides. Beyond a condition of 1/√ε = 2900
-/// f32 does not tell what is determined, and refuses.
-///
-/// # Errors
-/// Those of [`multi_position_with`].
-pub fn multi_position_with_f32(
-    poses: &[Pose],
-    gravity: Gravity,
-    what: MultiPosition,
-) -> Result<Estimate, Refusal> {
-    advised::<f32>(poses, gravity, what)
-}
-
-fn advised<R: Real>(
-    poses: &[Pose],
-    gravity: Gravity,
-    what: MultiPosition,
-) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
     let of = |model| {
         let what = MultiPosition { model, ..what };
-        with_terms::<R>(poses, &visits, gravity, what, false)
+        with_terms(poses, &visits, gravity, what, false)
     };
     match of(what.model) {
         Ok(fitted) => Ok(fitted.alone()),
@@ -152,7 +129,7 @@ impl Fitted {
 }
 
 /// With `weigh`, what the choice between models asks for, too.
-pub(crate) fn with_terms<R: Real>(
+pub(crate) fn with_terms(
     poses: &[Pose],
     visits: &Visits,
     gravity: Gravity,
@@ -161,13 +138,13 @@ pub(crate) fn with_terms<R: Real>(
 ) -> Result<Fitted, Refusal> {
     check(poses, gravity, what)?;
     match what.parameters() {
-        3 => fit::<R, 3>(poses, visits, gravity, what, weigh),
-        6 => fit::<R, 6>(poses, visits, gravity, what, weigh),
-        9 => fit::<R, 9>(poses, visits, gravity, what, weigh),
-        12 => fit::<R, 12>(poses, visits, gravity, what, weigh),
-        15 => fit::<R, 15>(poses, visits, gravity, what, weigh),
-        18 => fit::<R, 18>(poses, visits, gravity, what, weigh),
-        _ => fit::<R, 21>(poses, visits, gravity, what, weigh),
+        3 => fit::<f64, 3>(poses, visits, gravity, what, weigh),
+        6 => fit::<f64, 6>(poses, visits, gravity, what, weigh),
+        9 => fit::<f64, 9>(poses, visits, gravity, what, weigh),
+        12 => fit::<f64, 12>(poses, visits, gravity, what, weigh),
+        15 => fit::<f64, 15>(poses, visits, gravity, what, weigh),
+        18 => fit::<f64, 18>(poses, visits, gravity, what, weigh),
+        _ => fit::<f64, 21>(poses, visits, gravity, what, weigh),
     }
 }
 

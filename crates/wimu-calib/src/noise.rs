@@ -14,8 +14,7 @@ pub use ends::stops_at_limit;
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::scalar::sealed::Total;
-use crate::{Scalar, UnitHint, input};
+use crate::{UnitHint, input};
 
 /// Octaves of averaging time.
 const LEVELS: usize = 26;
@@ -203,21 +202,21 @@ impl core::error::Error for NoiseRefusal {}
 
 /// Every 2^level-th value of the running sum, the latest few.
 #[derive(Clone, Copy, Debug)]
-struct Level<R: Scalar> {
-    kept: [[R::Total; 3]; KEPT],
+struct Level {
+    kept: [[f64; 3]; KEPT],
     next: usize,
     /// How many are kept.
     held: usize,
 }
 
-impl<R: Scalar> Level<R> {
+impl Level {
     const EMPTY: Self = Self {
-        kept: [[R::Total::ZERO; 3]; KEPT],
+        kept: [[0.0; 3]; KEPT],
         next: 0,
         held: 0,
     };
 
-    fn take(&mut self, sum: [R::Total; 3]) {
+    fn take(&mut self, sum: [f64; 3]) {
         if let Some(place) = self.kept.get_mut(self.next) {
             *place = sum;
         }
@@ -226,14 +225,11 @@ impl<R: Scalar> Level<R> {
     }
 
     /// Second difference of the sum over the latest two clusters of `m` steps.
-    fn difference(&self, m: usize) -> Option<[R; 3]> {
+    fn difference(&self, m: usize) -> Option<[f64; 3]> {
         let back = |by: usize| self.kept.get((self.next + KEPT - 1 - by) % KEPT);
         let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
         let clusters = |axis: usize| {
-            let (late, early) = (
-                last[axis].less(middle[axis]),
-                middle[axis].less(first[axis]),
-            );
+            let (late, early) = (last[axis] - middle[axis], middle[axis] - first[axis]);
             late - early
         };
         (self.held > 2 * m).then(|| core::array::from_fn(clusters))
@@ -242,21 +238,21 @@ impl<R: Scalar> Level<R> {
 
 /// Second differences of one averaging time.
 #[derive(Clone, Copy, Debug)]
-struct Squares<R: Scalar> {
+struct Squares {
     /// Σ of their squares.
-    sum: [R::Total; 3],
+    sum: [f64; 3],
     count: u64,
 }
 
-impl<R: Scalar> Squares<R> {
+impl Squares {
     const ZERO: Self = Self {
-        sum: [R::Total::ZERO; 3],
+        sum: [0.0; 3],
         count: 0,
     };
 
-    fn take(&mut self, difference: [R; 3]) {
+    fn take(&mut self, difference: [f64; 3]) {
         for (sum, d) in self.sum.iter_mut().zip(difference) {
-            sum.add(d * d);
+            *sum += d * d;
         }
         self.count += 1;
     }
@@ -272,8 +268,7 @@ fn cluster(place: usize) -> u64 {
 ///
 /// Averaging times are 1, 2, 4, 8, … samples. Clusters begin at every sample up to 8 samples, and
 /// beyond at every eighth of their length, which says as much to within a percent. Memory is
-/// fixed, 13 KB, and so is the cost of a sample. `AllanVariance<f32>` takes samples without f64, each
-/// sum with what rounding took from it kept beside; what is made of the curve, once, is f64.
+/// fixed, 13 KB, and so is the cost of a sample.
 ///
 /// ```
 /// use wimu_calib::AllanVariance;
@@ -297,44 +292,31 @@ fn cluster(place: usize) -> u64 {
 /// # Ok::<(), wimu_calib::NoiseRefusal>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct AllanVariance<R: Scalar = f64> {
+pub struct AllanVariance {
     rate_hz: f64,
-    origin: Option<[R; 3]>,
+    origin: Option<[f64; 3]>,
     /// Σ of the samples less the first.
-    sum: [R::Total; 3],
+    sum: [f64; 3],
     /// Samples in all, and since the latest gap.
     samples: u64,
     run: u64,
     longest_run: u64,
-    levels: [Level<R>; LEVELS],
+    levels: [Level; LEVELS],
     /// By averaging time.
-    squares: [Squares<R>; POINTS],
-    rest: Rest<R>,
-    course: Course<R>,
+    squares: [Squares; POINTS],
+    rest: Rest,
+    course: Course,
     /// Σ of all samples less the first.
-    total: [R::Total; 3],
+    total: [f64; 3],
     /// The sample before, and the least change from one to the next.
-    last: [R; 3],
-    step: [R; 3],
-    ends: Ends<R>,
+    last: [f64; 3],
+    step: [f64; 3],
+    ends: Ends,
 }
 
 impl AllanVariance {
     /// For samples at `rate_hz`; a rate that is not positive and finite counts as 1 Hz.
     pub fn new(rate_hz: f64) -> Self {
-        Self::start_at(rate_hz)
-    }
-}
-
-impl AllanVariance<f32> {
-    /// [`AllanVariance::new`] in f32.
-    pub fn new_f32(rate_hz: f64) -> Self {
-        Self::start_at(rate_hz)
-    }
-}
-
-impl<R: Scalar> AllanVariance<R> {
-    fn start_at(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 {
             rate_hz
         } else {
@@ -343,7 +325,7 @@ impl<R: Scalar> AllanVariance<R> {
         Self {
             rate_hz,
             origin: None,
-            sum: [R::Total::ZERO; 3],
+            sum: [0.0; 3],
             samples: 0,
             run: 0,
             longest_run: 0,
@@ -351,28 +333,28 @@ impl<R: Scalar> AllanVariance<R> {
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz),
             course: Course::new(),
-            total: [R::Total::ZERO; 3],
-            last: [R::default(); 3],
-            step: [R::of(f64::INFINITY); 3],
+            total: [0.0; 3],
+            last: [0.0; 3],
+            step: [f64::INFINITY; 3],
             ends: Ends::new(),
         }
     }
 
     /// Takes the next sample, m/s². One that is not finite is a gap.
-    pub fn push(&mut self, sample_mps2: [R; 3]) {
-        if !sample_mps2.iter().all(|axis| axis.size() < R::of(1e6)) {
+    pub fn push(&mut self, sample_mps2: [f64; 3]) {
+        if !sample_mps2.iter().all(|axis| axis.abs() < 1e6) {
             return self.gap();
         }
         let origin = *self.origin.get_or_insert(sample_mps2);
         if self.run == 0 {
             self.start();
         }
-        let off: [R; 3] = core::array::from_fn(|axis| sample_mps2[axis] - origin[axis]);
+        let off: [f64; 3] = core::array::from_fn(|axis| sample_mps2[axis] - origin[axis]);
         for axis in 0..3 {
-            self.sum[axis].add(off[axis]);
-            self.total[axis].add(off[axis]);
-            let step = (off[axis] - self.last[axis]).size();
-            if step > R::default() && step < self.step[axis] {
+            self.sum[axis] += off[axis];
+            self.total[axis] += off[axis];
+            let step = (off[axis] - self.last[axis]).abs();
+            if step > 0.0 && step < self.step[axis] {
                 self.step[axis] = step;
             }
         }
@@ -398,7 +380,7 @@ impl<R: Scalar> AllanVariance<R> {
     }
 
     fn start(&mut self) {
-        self.sum = [R::Total::ZERO; 3];
+        self.sum = [0.0; 3];
         for level in &mut self.levels {
             level.held = 0;
         }
@@ -430,7 +412,7 @@ impl<R: Scalar> AllanVariance<R> {
         let all = self.squares.get(place)?;
         let length = cluster(place) as f64;
         let n = all.count as f64;
-        (all.count > 0).then(|| all.sum.map(|sum| sum.value() / (2.0 * n * length * length)))
+        (all.count > 0).then(|| all.sum.map(|sum| sum / (2.0 * n * length * length)))
     }
 
     /// The curve, shortest averaging time first, as far as it says something.
@@ -460,8 +442,8 @@ impl<R: Scalar> AllanVariance<R> {
             });
         }
         let mean = |axis: usize| {
-            let origin = self.origin.map_or(0.0, |origin| origin[axis].into());
-            origin + self.total[axis].value() / self.samples.max(1) as f64
+            let origin = self.origin.map_or(0.0, |origin| origin[axis]);
+            origin + self.total[axis] / self.samples.max(1) as f64
         };
         let squares: f64 = (0..3).map(|axis| mean(axis) * mean(axis)).sum();
         let mean_mps2 = libm::sqrt(squares);
@@ -504,7 +486,7 @@ impl<R: Scalar> AllanVariance<R> {
         let is_one_event =
             (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
         let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
-        let step_mps2: f64 = self.step[axis].into();
+        let step_mps2 = self.step[axis];
         Ok(AxisNoise {
             velocity_random_walk: white.unwrap_or(Measured {
                 value: 0.0,

@@ -8,7 +8,7 @@ use core::fmt;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
-use crate::{Scalar, UnitHint, input, student};
+use crate::{UnitHint, input, student};
 use ends::Ends;
 use row::{Fitting, How};
 use sums::{Jackknife, Recent, Sums};
@@ -263,9 +263,7 @@ impl core::error::Error for TransferRefusal {}
 /// that moves bias, scale factor and what it sees of the other two.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 40 KB: sums over blocks whose length grows with the data. `ReferenceTransfer<f32>`
-/// takes samples without f64, each sum with what rounding took from it kept beside; what is made of
-/// the sums, once, is f64.
+/// Memory is fixed, 40 KB: sums over blocks whose length grows with the data.
 ///
 /// ```
 /// use wimu_calib::{NoiseRatio, ReferenceTransfer};
@@ -287,15 +285,15 @@ impl core::error::Error for TransferRefusal {}
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct ReferenceTransfer<R: Scalar = f64> {
+pub struct ReferenceTransfer {
     ratio: Option<NoiseRatio>,
     /// Whether no axis sees another.
     parallel: bool,
     /// The first pair: sums are of what differs from it.
-    origin: Option<[[R; 2]; 3]>,
-    recent: Recent<R>,
-    blocks: [Sums<R>; BLOCKS],
-    ends: [Ends<R>; 3],
+    origin: Option<[[f64; 2]; 3]>,
+    recent: Recent,
+    blocks: [Sums; BLOCKS],
+    ends: [Ends; 3],
     /// Full blocks.
     full: usize,
     /// Samples of a full block, and of the one that is filled.
@@ -316,21 +314,7 @@ impl ReferenceTransfer {
     pub fn of_unknown_noise() -> Self {
         Self::with(None)
     }
-}
 
-impl ReferenceTransfer<f32> {
-    /// [`ReferenceTransfer::new`] in f32.
-    pub fn new_f32(ratio: NoiseRatio) -> Self {
-        Self::with(Some(ratio))
-    }
-
-    /// [`ReferenceTransfer::of_unknown_noise`] in f32.
-    pub fn of_unknown_noise_f32() -> Self {
-        Self::with(None)
-    }
-}
-
-impl<R: Scalar> ReferenceTransfer<R> {
     fn with(ratio: Option<NoiseRatio>) -> Self {
         Self {
             ratio,
@@ -357,8 +341,8 @@ impl<R: Scalar> ReferenceTransfer<R> {
     }
 
     /// Takes the next sample of both streams, m/s², taken at the same time.
-    pub fn push(&mut self, reference_mps2: [R; 3], output_mps2: [R; 3]) {
-        let finite = |v: [R; 3]| v.iter().all(|c| c.size() < R::of(1e6));
+    pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
+        let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
         if !finite(reference_mps2) || !finite(output_mps2) {
             self.not_finite += 1;
             self.recent = Recent::none();
@@ -370,7 +354,7 @@ impl<R: Scalar> ReferenceTransfer<R> {
         let origin = *self.origin.get_or_insert(pairs);
         if self.full == BLOCKS {
             for k in 0..BLOCKS / 2 {
-                self.blocks[k] = self.blocks[2 * k].joined(&self.blocks[2 * k + 1]);
+                self.blocks[k] = self.blocks[2 * k].plus(&self.blocks[2 * k + 1], 1.0);
             }
             for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
                 *block = Sums::NONE;
@@ -440,7 +424,7 @@ impl<R: Scalar> ReferenceTransfer<R> {
         let all = self.all(used);
         let without = || {
             let blocks = self.blocks.iter().take(used);
-            blocks.map(|block| all.plus(&block.seen(), -1.0))
+            blocks.map(|block| all.plus(block, -1.0))
         };
         let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
         let delta = ratio * ratio;
@@ -488,10 +472,9 @@ impl<R: Scalar> ReferenceTransfer<R> {
         let refusal = TransferRefusal::OneMotionOnly { axis };
         let row = fitting.find(&all, how).ok_or(refusal)?;
         let blocks = self.blocks.iter().take(used).map(|block| {
-            let block = block.seen();
-            let left = all.plus(&block, -1.0);
+            let left = all.plus(block, -1.0);
             let moves = left.axis(axis).moments().xx > moments.xx * 0.1;
-            (block, fitting.find(&left, how).filter(|_| moves))
+            (*block, fitting.find(&left, how).filter(|_| moves))
         });
         let (scatter, dof) = fitting.scatter(&row, &all, blocks).ok_or(refusal)?;
         let mut covariance = scatter;
@@ -526,7 +509,7 @@ impl<R: Scalar> ReferenceTransfer<R> {
     /// Sums over all blocks.
     fn all(&self, used: usize) -> Sums {
         let blocks = self.blocks.iter().take(used);
-        blocks.fold(Sums::NONE, |sums, block| sums.plus(&block.seen(), 1.0))
+        blocks.fold(Sums::NONE, |sums, block| sums.plus(block, 1.0))
     }
 
     /// Root mean square of the reference and of the output, m/s².

@@ -166,16 +166,6 @@ impl SelfCheck {
 }
 
 impl SelfCheck<f32> {
-    /// [`SelfCheck::new`] in f32.
-    pub fn new_f32(
-        stored: &ErrorModel,
-        covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
-        gravity: Gravity,
-        ageing: Ageing,
-    ) -> Self {
-        Self::start(stored, covariance, gravity, ageing)
-    }
-
     /// [`SelfCheck::of`] in f32.
     pub fn of_f32(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         Self::start_of(set, gravity, ageing)

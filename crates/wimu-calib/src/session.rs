@@ -1,6 +1,6 @@
 //! A live calibration: which way to turn the sensor next, and when a pose is taken.
 
-use crate::{Guide, Model, Noise, Orientation, Pose, PoseFinder, Scalar};
+use crate::{Guide, Model, Orientation, Pose, PoseFinder};
 
 /// A hold this long is a pose, s.
 const CAPTURE_S: f64 = 1.5;
@@ -32,8 +32,7 @@ pub enum Phase {
 }
 
 /// Takes the samples of a sensor that is turned by hand and says what to do, until there are
-/// poses enough for a calibration; room for `POSES` of them. In f64, or in f32 for a processor that
-/// has no f64, as [`PoseFinder`] is.
+/// poses enough for a calibration; room for `POSES` of them.
 ///
 /// ```
 /// use wimu_calib::{Gravity, Model, Phase, Session, multi_position};
@@ -58,8 +57,8 @@ pub enum Phase {
 /// # Ok::<(), wimu_calib::Refusal>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct Session<const POSES: usize, R: Scalar = f64> {
-    finder: PoseFinder<R>,
+pub struct Session<const POSES: usize> {
+    finder: PoseFinder,
     guide: Guide,
     poses: [Pose; POSES],
     count: usize,
@@ -75,21 +74,8 @@ impl<const POSES: usize> Session<POSES> {
     /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`; `model` is what the
     /// advice is for.
     pub fn new(rate_hz: f64, model: Model, wanted: usize) -> Self {
-        Self::of(rate_hz, model, wanted)
-    }
-}
-
-impl<const POSES: usize> Session<POSES, f32> {
-    /// [`Session::new`] for samples in f32.
-    pub fn new_f32(rate_hz: f64, model: Model, wanted: usize) -> Self {
-        Self::of(rate_hz, model, wanted)
-    }
-}
-
-impl<const POSES: usize, R: Scalar> Session<POSES, R> {
-    fn of(rate_hz: f64, model: Model, wanted: usize) -> Self {
         Self {
-            finder: PoseFinder::of(rate_hz, Noise::NOTHING_SEEN),
+            finder: PoseFinder::new(rate_hz),
             guide: Guide::new(model),
             poses: [Pose::default(); POSES],
             count: 0,
@@ -107,7 +93,7 @@ impl<const POSES: usize, R: Scalar> Session<POSES, R> {
     }
 
     /// Takes one sample y, m/s², sensor axes.
-    pub fn push(&mut self, output_mps2: [R; 3]) -> Phase {
+    pub fn push(&mut self, output_mps2: [f64; 3]) -> Phase {
         // Poses are taken while they last; what comes out when they end is not needed.
         self.finder.push(output_mps2);
         let Some(hold) = self.finder.held() else {

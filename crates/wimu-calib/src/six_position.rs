@@ -5,7 +5,7 @@ use core::fmt;
 use wimu_model::{ErrorModel, ErrorTerms, ModelError};
 
 use crate::estimate::{Misplaced, Residuals, TermDeviations};
-use crate::linear::{Real, double, real};
+
 use crate::pose::mean_temperature;
 use crate::terms::{PERFECT, Terms, Theta};
 use crate::weights::Rejected;
@@ -113,30 +113,9 @@ pub fn six_position(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
-    unlabelled::<f64>(poses, gravity, placement)
-}
-
-/// [`six_position`] computed in f32, for a processor that has no f64: within 0.002 standard deviations
-/// of f64 where a pose is known to 1 mm/s² or worse.
-///
-/// # Errors
-/// Those of [`six_position`].
-pub fn six_position_f32(
-    poses: &[Pose],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
-    unlabelled::<f32>(poses, gravity, placement)
-}
-
-fn unlabelled<R: Real>(
-    poses: &[Pose],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
     input::check(poses.iter(), gravity)?;
     let all = poses.iter().map(|pose| (Face::of(pose), pose));
-    estimate::<R>(all, gravity, placement)
+    estimate(all, gravity, placement)
 }
 
 /// The same from poses whose side that is up was noted when they were taken.
@@ -149,30 +128,10 @@ pub fn six_position_labelled(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
-    labelled::<f64>(poses, gravity, placement)
-}
-
-/// [`six_position_labelled`] computed in f32, as [`six_position_f32`] is.
-///
-/// # Errors
-/// Those of [`six_position_labelled`].
-pub fn six_position_labelled_f32(
-    poses: &[(Face, Pose)],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
-    labelled::<f32>(poses, gravity, placement)
-}
-
-fn labelled<R: Real>(
-    poses: &[(Face, Pose)],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
     input::check(poses.iter().map(|(_, pose)| pose), gravity)?;
     check_labels(poses)?;
     let all = poses.iter().map(|(face, pose)| (Some(*face), pose));
-    estimate::<R>(all, gravity, placement)
+    estimate(all, gravity, placement)
 }
 
 /// Refuses labels that do not go with what the poses read.
@@ -218,86 +177,85 @@ fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
 
 /// Weighted sums of the poses of one side.
 #[derive(Clone, Copy, Default)]
-struct Side<R> {
-    weight: R,
+struct Side {
+    weight: f64,
     /// Σ w² over the poses.
-    weight_squares: R,
+    weight_squares: f64,
     /// The first pose, about which sums are taken: that keeps the digits.
-    origin: Option<[R; 3]>,
-    sum: [R; 3],
+    origin: Option<[f64; 3]>,
+    sum: [f64; 3],
     /// Σ w² times the noise of its mean.
-    noise: [R; 3],
+    noise: [f64; 3],
     /// Of the readings of the axis that is upright, each visit counting once.
-    visits: R,
-    upright: R,
-    upright_squares: R,
+    visits: f64,
+    upright: f64,
+    upright_squares: f64,
 }
 
-impl<R: Real> Side<R> {
+impl Side {
     /// Adds a pose, or takes it out again with `sign` −1.
-    fn add(&mut self, pose: &Pose, sign: R) {
-        let w: R = real(pose.weight());
+    fn add(&mut self, pose: &Pose, sign: f64) {
+        let w = pose.weight();
         self.weight += sign * w;
         self.weight_squares += sign * w * w;
-        let mean = pose.mean_mps2.map(real);
+        let mean = pose.mean_mps2;
         let origin = *self.origin.get_or_insert(mean);
         for axis in 0..3 {
             self.sum[axis] += sign * w * (mean[axis] - origin[axis]);
-            self.noise[axis] += sign * w * w * real(pose.noise(axis));
+            self.noise[axis] += sign * w * w * pose.noise(axis);
         }
     }
 
     /// One more visit, which reads `upright` on the axis that is.
-    fn visit(&mut self, upright: R) {
-        let before = if self.visits.is_zero() {
-            R::zero()
+    fn visit(&mut self, upright: f64) {
+        let before = if self.visits == 0.0 {
+            0.0
         } else {
             upright - self.upright / self.visits
         };
-        let visits = self.visits + R::one();
+        let visits = self.visits + 1.0;
         self.upright_squares += before * before * self.visits / visits;
         self.visits = visits;
         self.upright += upright;
     }
 
-    fn mean(&self) -> [R; 3] {
+    fn mean(&self) -> [f64; 3] {
         let origin = self.origin.unwrap_or_default();
         core::array::from_fn(|axis| origin[axis] + self.sum[axis] / self.weight)
     }
 
     /// Variance of the mean from the sensor's noise.
-    fn noise_variance(&self) -> [R; 3] {
+    fn noise_variance(&self) -> [f64; 3] {
         self.noise.map(|n| n / (self.weight * self.weight))
     }
 
     /// 1 / how many poses of equal weight this would be.
-    fn share(&self) -> R {
+    fn share(&self) -> f64 {
         self.weight_squares / (self.weight * self.weight)
     }
 }
 
 /// The six sides in the order of [`Face::ALL`].
-type Sides<R> = [Side<R>; 6];
+type Sides = [Side; 6];
 
 /// A by rows.
-type Matrix<R> = [[R; 3]; 3];
+type Matrix = [[f64; 3]; 3];
 
 /// b and A from the six sides: equation (18).
-fn solve<R: Real>(sides: &Sides<R>, gravity_mps2: R) -> ([R; 3], Matrix<R>) {
-    let half: R = real(0.5);
-    let mut bias = [R::zero(); 3];
-    let mut a = [[R::zero(); 3]; 3];
+fn solve(sides: &Sides, gravity_mps2: f64) -> ([f64; 3], Matrix) {
+    let mut bias = [0.0; 3];
+    let mut a = [[0.0; 3]; 3];
     for axis in 0..3 {
         let (up, down) = (sides[2 * axis].mean(), sides[2 * axis + 1].mean());
-        bias[axis] = half * (up[axis] + down[axis]);
+        bias[axis] = 0.5 * (up[axis] + down[axis]);
         for row in 0..3 {
-            a[row][axis] = half * (up[row] - down[row]) / gravity_mps2;
+            a[row][axis] = 0.5 * (up[row] - down[row]) / gravity_mps2;
         }
     }
     (bias, a)
 }
 
-fn estimate<'a, R: Real>(
+fn estimate<'a>(
     poses: impl Iterator<Item = (Option<Face>, &'a Pose)> + Clone,
     gravity: Gravity,
     placement: Placement,
@@ -305,12 +263,12 @@ fn estimate<'a, R: Real>(
     let used = poses
         .clone()
         .filter_map(|(face, pose)| Some((face? as usize, pose)));
-    let g: R = real(gravity.mps2());
-    let mut sides = Sides::<R>::default();
+    let g = gravity.mps2();
+    let mut sides = Sides::default();
     let mut counts = [0_usize; 6];
     for (side, pose) in used.clone() {
-        sides[side].add(pose, R::one());
-        sides[side].visit(real(pose.mean_mps2[side / 2]));
+        sides[side].add(pose, 1.0);
+        sides[side].visit(pose.mean_mps2[side / 2]);
         counts[side] += 1;
     }
     for (face, count) in Face::ALL.into_iter().zip(counts) {
@@ -322,8 +280,8 @@ fn estimate<'a, R: Real>(
     let model = model(&bias, &a).map_err(Refusal::OutOfBounds)?;
     let shown = pairs_show(&sides, &bias, &a, g);
     let all_shown = shown[0] + shown[1] + shown[2];
-    let seen = (all_shown / real(PLACEMENT_DOF as f64)).sqrt();
-    let seen_rad = double(seen);
+    let seen = libm::sqrt(all_shown / PLACEMENT_DOF as f64);
+    let seen_rad = seen;
     if seen_rad > MOST_PLACEMENT_RAD {
         return Err(Refusal::NotSquared {
             placement_rad: seen_rad,
@@ -334,11 +292,11 @@ fn estimate<'a, R: Real>(
         tilts,
         contradicted,
         misplaced,
-    } = Squareness::of(&sides, &bias, shown.map(double), placement, g);
-    let revisits = Revisits::of(&sides, &a, g, real(placement_sd_rad), seen * g);
-    let covariance_with = |extra: R| covariance(&sides, &a, g, tilts.map(real), extra);
+    } = Squareness::of(&sides, &bias, shown, placement, g);
+    let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, seen * g);
+    let covariance_with = |extra: f64| covariance(&sides, &a, g, tilts, extra);
     let mut covariance = covariance_with(revisits.variance);
-    let known = covariance_with(R::zero());
+    let known = covariance_with(0.0);
     let dof_of = |parameter: Parameter| {
         let all = covariance.get(parameter, parameter);
         let share = (all - known.get(parameter, parameter)) / all;
@@ -362,7 +320,7 @@ fn estimate<'a, R: Real>(
         f64::min,
     );
     let worst_sd_mps2 = force::worst_sd(&theta(&bias, &a), &covariance, gravity.mps2());
-    covariance.add_gravity(&theta(&bias, &a).map(double), gravity);
+    covariance.add_gravity(&theta(&bias, &a), gravity);
 
     let all = poses.clone().map(|(_, pose)| pose);
     let residuals = Residuals::of(&theta(&bias, &a), all, gravity.mps2());
@@ -376,7 +334,7 @@ fn estimate<'a, R: Real>(
             .clone()
             .map(|(side, pose)| {
                 let mut others = sides;
-                others[side].add(pose, -R::one());
+                others[side].add(pose, -1.0);
                 let (bias, a) = solve(&others, g);
                 let left = force::residual(&theta(&bias, &a), pose, gravity.mps2());
                 left * left
@@ -390,7 +348,7 @@ fn estimate<'a, R: Real>(
             placement_sd_rad,
             declared_sd_rad: placement.sd_rad,
             misplaced,
-            revisit_sd_mps2: double(revisits.variance.sqrt()),
+            revisit_sd_mps2: libm::sqrt(revisits.variance),
             revisits: revisits.seen,
             unexplained: revisits.unexplained,
         },
@@ -419,24 +377,20 @@ fn estimate<'a, R: Real>(
     })
 }
 
-fn coverage<R: Real>(sides: &Sides<R>) -> f64 {
-    design::coverage(
-        &sides
-            .each_ref()
-            .map(|side| Pose::from_mean(side.mean().map(double))),
-    )
+fn coverage(sides: &Sides) -> f64 {
+    design::coverage(&sides.each_ref().map(|side| Pose::from_mean(side.mean())))
 }
 
-fn model<R: Real>(bias: &[R; 3], a: &Matrix<R>) -> Result<ErrorModel, ModelError> {
+fn model(bias: &[f64; 3], a: &Matrix) -> Result<ErrorModel, ModelError> {
     ErrorModel::new(ErrorTerms {
-        bias_mps2: bias.map(double),
-        matrix: a.map(|row| row.map(double)),
+        bias_mps2: *bias,
+        matrix: a.map(|row| row),
         ..ErrorTerms::default()
     })
 }
 
-fn theta<R: Real>(bias: &[R; 3], a: &Matrix<R>) -> Theta<R> {
-    let mut theta = PERFECT.map(real);
+fn theta(bias: &[f64; 3], a: &Matrix) -> Theta<f64> {
+    let mut theta = PERFECT;
     for axis in 0..3 {
         theta[axis] = bias[axis];
         theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&a[axis]);
@@ -446,12 +400,12 @@ fn theta<R: Real>(bias: &[R; 3], a: &Matrix<R>) -> Theta<R> {
 
 /// The squared placement error that each pair of sides shows in two degrees of freedom, rad²: its other
 /// two axes say the bias again, with the tilts added.
-fn pairs_show<R: Real>(sides: &Sides<R>, bias: &[R; 3], a: &Matrix<R>, gravity_mps2: R) -> [R; 3] {
+fn pairs_show(sides: &Sides, bias: &[f64; 3], a: &Matrix, gravity_mps2: f64) -> [f64; 3] {
     core::array::from_fn(|axis| {
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
         let others = (0..3).filter(|&other| other != axis);
-        others.fold(R::zero(), |squares, other| {
-            let middle = real::<R>(0.5) * (up.mean()[other] + down.mean()[other]);
+        others.fold(0.0, |squares, other| {
+            let middle = 0.5 * (up.mean()[other] + down.mean()[other]);
             let tilt = (middle - bias[other]) / (a[other][other] * gravity_mps2);
             squares + tilt * tilt / pair_share(sides, axis)
         })
@@ -459,8 +413,8 @@ fn pairs_show<R: Real>(sides: &Sides<R>, bias: &[R; 3], a: &Matrix<R>, gravity_m
 }
 
 /// Of the variance of a tilt, what is left in the mean of a pair.
-fn pair_share<R: Real>(sides: &Sides<R>, axis: usize) -> R {
-    real::<R>(0.25) * (sides[2 * axis].share() + sides[2 * axis + 1].share())
+fn pair_share(sides: &Sides, axis: usize) -> f64 {
+    0.25 * (sides[2 * axis].share() + sides[2 * axis + 1].share())
 }
 
 /// How well the sides were placed: equation (19).
@@ -476,13 +430,7 @@ struct Squareness {
 
 impl Squareness {
     /// Of what the pairs show, rad².
-    fn of<R: Real>(
-        sides: &Sides<R>,
-        bias: &[R; 3],
-        shown: [f64; 3],
-        placement: Placement,
-        g: R,
-    ) -> Self {
+    fn of(sides: &Sides, bias: &[f64; 3], shown: [f64; 3], placement: Placement, g: f64) -> Self {
         let declared = placement.sd_rad * placement.sd_rad;
         let all: f64 = shown.iter().sum();
         let worst = (1..3).fold(
@@ -508,7 +456,7 @@ impl Squareness {
             declared
         };
         let tilts = [0, 1, 2].map(|axis| {
-            let share = double(pair_share(sides, axis));
+            let share = pair_share(sides, axis);
             let one_side = (shown[axis] + variance) / (2.0 * libm::sqrt(share));
             let tilt = if stands_out(axis) {
                 one_side.max(variance)
@@ -527,15 +475,15 @@ impl Squareness {
 }
 
 impl Misplaced {
-    fn of<R: Real>(sides: &Sides<R>, bias: &[R; 3], axis: usize, shown: f64, g: R) -> Self {
+    fn of(sides: &Sides, bias: &[f64; 3], axis: usize, shown: f64, g: f64) -> Self {
         let off = |side: usize| {
             let mean = sides[side].mean();
             let others = (0..3).filter(|&other| other != axis);
-            let squares = others.fold(R::zero(), |sum, other| {
+            let squares = others.fold(0.0, |sum, other| {
                 let off = mean[other] - bias[other];
                 sum + off * off
             });
-            double(squares.sqrt() / g)
+            libm::sqrt(squares) / g
         };
         let (up, down) = (off(2 * axis), off(2 * axis + 1));
         let side = 2 * axis + usize::from(down > up);
@@ -543,15 +491,15 @@ impl Misplaced {
             face: Face::ALL[side],
             or_opposite: up.max(down) < ONE_OF_TWO * up.min(down),
             // Twice the mean of the pair.
-            tilt_rad: 2.0 * libm::sqrt(shown * double(pair_share(sides, axis))),
+            tilt_rad: 2.0 * libm::sqrt(shown * pair_share(sides, axis)),
         }
     }
 }
 
 /// What differs from visit to visit beyond noise and placement: equation (19).
-struct Revisits<R> {
+struct Revisits {
     /// (m/s²)².
-    variance: R,
+    variance: f64,
     /// Its degrees of freedom, what is known beforehand included.
     dof: f64,
     /// Visits beyond the first of each side.
@@ -560,32 +508,32 @@ struct Revisits<R> {
     unexplained: bool,
 }
 
-impl<R: Real> Revisits<R> {
-    fn of(sides: &Sides<R>, a: &Matrix<R>, g: R, placement_rad: R, seen_mps2: R) -> Self {
+impl Revisits {
+    fn of(sides: &Sides, a: &Matrix, g: f64, placement_rad: f64, seen_mps2: f64) -> Self {
         let tilt = placement_rad * placement_rad;
-        let sixth: R = real(1.0 / 6.0);
-        let (mut squares, mut dof) = (R::zero(), R::zero());
-        let mut explained = R::zero();
+        let sixth = 1.0 / 6.0;
+        let (mut squares, mut dof) = (0.0, 0.0);
+        let mut explained = 0.0;
         for (index, side) in sides.iter().enumerate() {
             let axis = index / 2;
-            let across = (0..3).fold(R::zero(), |sum, other| {
-                let by = if other == axis { tilt } else { R::one() };
+            let across = (0..3).fold(0.0, |sum, other| {
+                let by = if other == axis { tilt } else { 1.0 };
                 sum + by * a[axis][other] * a[axis][other]
             });
             let own = side.noise_variance()[axis] / side.share();
             squares += side.upright_squares;
-            dof += side.visits - R::one();
+            dof += side.visits - 1.0;
             explained += (own + g * g * tilt * across) * sixth;
         }
-        let usual: R = real(REVISIT_MPS2 * REVISIT_MPS2);
-        let taken = usual.min(real::<R>(SEEN_AT_MOST) * seen_mps2 * seen_mps2);
-        let beyond = (squares - dof * explained).max(R::zero());
-        let seen = double(dof) as usize;
-        let more = (real::<R>(REVISIT_DOF) * (R::one() - dof * sixth)).max(R::zero());
-        let most = real::<R>(student::chi_squared_half_percent(seen.max(1))) * explained;
+        let usual = REVISIT_MPS2 * REVISIT_MPS2;
+        let taken = usual.min(SEEN_AT_MOST * seen_mps2 * seen_mps2);
+        let beyond = (squares - dof * explained).max(0.0);
+        let seen = dof as usize;
+        let more = (REVISIT_DOF * (1.0 - dof * sixth)).max(0.0);
+        let most = (student::chi_squared_half_percent(seen.max(1))) * explained;
         Self {
             variance: (beyond + more * taken) / (dof + more),
-            dof: double(dof + more),
+            dof: (dof + more),
             seen,
             unexplained: seen > 0 && squares > most,
         }
@@ -594,45 +542,44 @@ impl<R: Real> Revisits<R> {
 
 /// Covariance from the placement of each pair, noise and `revisit`, the variance of what else differs from visit to
 /// visit: equation (19).
-fn covariance<R: Real>(
-    sides: &Sides<R>,
-    a: &Matrix<R>,
-    g: R,
-    placement_rad: [R; 3],
-    revisit: R,
+fn covariance(
+    sides: &Sides,
+    a: &Matrix,
+    g: f64,
+    placement_rad: [f64; 3],
+    revisit: f64,
 ) -> Covariance {
-    let quarter: R = real(0.25);
     let mut covariance = Covariance::ZERO;
     for axis in 0..3 {
         let tilt = placement_rad[axis] * placement_rad[axis];
         // Of a side's mean output: tilts bring in the other two columns of A in first order and
         // shorten this one in second.
-        let of = |side: &Side<R>, r: usize, c: usize| {
+        let of = |side: &Side, r: usize, c: usize| {
             let across = (0..3).filter(|&other| other != axis);
-            let first = across.fold(R::zero(), |sum, other| sum + a[r][other] * a[c][other]);
+            let first = across.fold(0.0, |sum, other| sum + a[r][other] * a[c][other]);
             let second = tilt * a[r][axis] * a[c][axis];
             let noise = if r == c {
                 side.noise_variance()[r] + revisit * side.share()
             } else {
-                R::zero()
+                0.0
             };
             tilt * (first + second) * g * g * side.share() + noise
         };
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
         let both = |r, c| of(up, r, c) + of(down, r, c);
         let bias = Parameter::ALL[axis];
-        covariance.add(bias, bias, double(quarter * both(axis, axis)));
+        covariance.add(bias, bias, 0.25 * both(axis, axis));
         for r in 0..3 {
             let row = Parameter::ALL[3 + 3 * r + axis];
-            let cross = double(quarter * (of(up, axis, r) - of(down, axis, r)) / g);
+            let cross = 0.25 * (of(up, axis, r) - of(down, axis, r)) / g;
             covariance.add(bias, row, cross);
             covariance.add(row, bias, cross);
             for c in 0..3 {
                 let column = Parameter::ALL[3 + 3 * c + axis];
                 // Both sides are shortened on average: a systematic part that does not average out.
                 let shortened = tilt * tilt * a[r][axis] * a[c][axis];
-                let spread = quarter * both(r, c) / (g * g);
-                covariance.add(row, column, double(spread + shortened));
+                let spread = 0.25 * both(r, c) / (g * g);
+                covariance.add(row, column, spread + shortened);
             }
         }
     }

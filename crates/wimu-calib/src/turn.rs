@@ -5,7 +5,7 @@ use core::f64::consts::{PI, TAU};
 use wimu_model::{ErrorModel, ErrorTerms};
 
 use crate::estimate::{Residuals, TermDeviations};
-use crate::linear::{Real, double, real};
+
 use crate::terms::{self, PERFECT, Terms, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
 use crate::weights::Rejected;
@@ -69,20 +69,7 @@ pub fn four_angle(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
-    turns::<f64, 4>(poses, gravity, placement, Method::FourAngle)
-}
-
-/// [`four_angle`] computed in f32, for a processor that has no f64: within 0.002 standard deviations
-/// of f64 where a pose is known to 1 mm/s² or worse.
-///
-/// # Errors
-/// Those of [`four_angle`].
-pub fn four_angle_f32(
-    poses: &[Pose],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
-    turns::<f32, 4>(poses, gravity, placement, Method::FourAngle)
+    turns::<4>(poses, gravity, placement, Method::FourAngle)
 }
 
 /// The same from turns of three steps of 120°.
@@ -107,61 +94,45 @@ pub fn three_angle(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
-    turns::<f64, 3>(poses, gravity, placement, Method::ThreeAngle)
-}
-
-/// [`three_angle`] computed in f32, as [`four_angle_f32`] is.
-///
-/// # Errors
-/// Those of [`three_angle`].
-pub fn three_angle_f32(
-    poses: &[Pose],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
-    turns::<f32, 3>(poses, gravity, placement, Method::ThreeAngle)
+    turns::<3>(poses, gravity, placement, Method::ThreeAngle)
 }
 
 /// Bias and scale factor of one axis with their covariance, before the error of gravity.
 #[derive(Clone, Copy)]
-struct Axis<R> {
-    bias: R,
-    scale: R,
-    bias_variance: R,
-    scale_variance: R,
-    both: R,
+struct Axis {
+    bias: f64,
+    scale: f64,
+    bias_variance: f64,
+    scale_variance: f64,
+    both: f64,
     /// What the readings say beyond three unknowns: its square over its variance.
-    misfit: R,
+    misfit: f64,
 }
 
-impl<R: Real> Axis<R> {
+impl Axis {
     /// Of several turns: each value by its own weight. What they differ by is another check.
     fn merge(self, other: Self) -> Self {
-        let apart = |a: R, b: R, variance: R| {
-            if variance > R::zero() {
+        let apart = |a: f64, b: f64, variance: f64| {
+            if variance > 0.0 {
                 (a - b) * (a - b) / variance
             } else {
-                R::zero()
+                0.0
             }
         };
         // In two planes the norms of one row differ by the squares of what is across, halved.
-        let across: R = real(CROSS_AXIS * CROSS_AXIS);
+        let across = CROSS_AXIS * CROSS_AXIS;
         let of_scale = self.scale_variance + other.scale_variance + across * across;
         let of_bias = self.bias_variance + other.bias_variance;
         let differ =
             apart(self.bias, other.bias, of_bias) + apart(self.scale, other.scale, of_scale);
-        let weight = |a: R, b: R| {
-            if a + b > R::zero() {
-                b / (a + b)
-            } else {
-                real(0.5)
-            }
+        let weight = |a: f64, b: f64| {
+            if a + b > 0.0 { b / (a + b) } else { 0.5 }
         };
         let b = weight(self.bias_variance, other.bias_variance);
         let s = weight(self.scale_variance, other.scale_variance);
-        let rest = |w: R| R::one() - w;
-        let mix = |w: R, x: R, y: R| w * x + rest(w) * y;
-        let square = |w: R, x: R, y: R| w * w * x + rest(w) * rest(w) * y;
+        let rest = |w: f64| 1.0 - w;
+        let mix = |w: f64, x: f64, y: f64| w * x + rest(w) * y;
+        let square = |w: f64, x: f64, y: f64| w * w * x + rest(w) * rest(w) * y;
         Self {
             bias: mix(b, self.bias, other.bias),
             scale: mix(s, self.scale, other.scale),
@@ -174,27 +145,27 @@ impl<R: Real> Axis<R> {
 }
 
 /// The angle of step `k` of N, rad.
-fn step<R: Real, const N: usize>(k: usize) -> R {
-    real(TAU * k as f64 / N as f64)
+fn step<const N: usize>(k: usize) -> f64 {
+    TAU * k as f64 / N as f64
 }
 
 /// The first harmonic of N readings over a turn.
-struct Harmonic<R> {
-    mean: R,
-    cos: R,
-    sin: R,
+struct Harmonic {
+    mean: f64,
+    cos: f64,
+    sin: f64,
 }
 
-impl<R: Real> Harmonic<R> {
-    fn of<const N: usize>(readings: [R; N]) -> Self {
-        let share: R = real(1.0 / N as f64);
-        let (mut mean, mut cos, mut sin) = (R::zero(), R::zero(), R::zero());
+impl Harmonic {
+    fn of<const N: usize>(readings: [f64; N]) -> Self {
+        let share = 1.0 / N as f64;
+        let (mut mean, mut cos, mut sin) = (0.0, 0.0, 0.0);
         for (k, y) in readings.into_iter().enumerate() {
-            let angle = step::<R, N>(k);
+            let angle = step::<N>(k);
             let share_of_y = share * y;
             mean += share_of_y;
-            cos += (share_of_y + share_of_y) * angle.cos();
-            sin += (share_of_y + share_of_y) * angle.sin();
+            cos += (share_of_y + share_of_y) * libm::cos(angle);
+            sin += (share_of_y + share_of_y) * libm::sin(angle);
         }
         Self { mean, cos, sin }
     }
@@ -204,20 +175,20 @@ impl<R: Real> Harmonic<R> {
         Self::of(readings(turn, axis))
     }
 
-    fn size(&self) -> R {
-        self.cos.hypot(self.sin)
+    fn size(&self) -> f64 {
+        libm::hypot(self.cos, self.sin)
     }
 
-    fn phase(&self) -> R {
-        self.sin.atan2(self.cos)
+    fn phase(&self) -> f64 {
+        libm::atan2(self.sin, self.cos)
     }
 }
 
-fn readings<R: Real, const N: usize>(turn: &[Pose; N], axis: usize) -> [R; N] {
-    turn.each_ref().map(|pose| real(pose.mean_mps2[axis]))
+fn readings<const N: usize>(turn: &[Pose; N], axis: usize) -> [f64; N] {
+    turn.each_ref().map(|pose| pose.mean_mps2[axis])
 }
 
-fn turns<R: Real, const N: usize>(
+fn turns<const N: usize>(
     poses: &[Pose],
     gravity: Gravity,
     placement: Placement,
@@ -232,14 +203,12 @@ fn turns<R: Real, const N: usize>(
         });
     }
     let g = gravity.mps2();
-    let gravity_mps2: R = real(g);
-    let quarter: R = real(0.25);
-    let mut axes: [Option<Axis<R>>; 3] = [None; 3];
+    let mut axes: [Option<Axis>; 3] = [None; 3];
     let mut checks = 0;
     for (number, turn) in whole.iter().enumerate() {
         let pose = N * number;
-        let [a, b, still] = plane::<R, N>(turn, g).ok_or(Refusal::NotATurn { pose, steps: N })?;
-        let off_rad = step_error::<R, N>(turn, [a, b], g);
+        let [a, b, still] = plane::<N>(turn, g).ok_or(Refusal::NotATurn { pose, steps: N })?;
+        let off_rad = step_error::<N>(turn, [a, b], g);
         if off_rad > MOST_STEP_ERROR {
             return Err(Refusal::StepsUnequal {
                 pose,
@@ -247,16 +216,16 @@ fn turns<R: Real, const N: usize>(
                 off_rad,
             });
         }
-        let lean = Harmonic::<R>::along(turn, still).size() / gravity_mps2;
-        if double(lean) > MOST_LEAN {
+        let lean = Harmonic::along(turn, still).size() / g;
+        if lean > MOST_LEAN {
             return Err(Refusal::TurnTilted {
                 pose,
                 steps: N,
-                off_rad: double(lean),
+                off_rad: lean,
             });
         }
         // Unequal steps make of two axes what no usual sensor has; of three nothing else shows them.
-        let unlike = elliptic::<R, N>(turn, [a, b]) / USUAL_ELLIPTIC;
+        let unlike = elliptic::<N>(turn, [a, b]) / USUAL_ELLIPTIC;
         let seen_rad = if N == 3 && unlike > BEYOND_USUAL {
             let of_steps = USUAL_ELLIPTIC * libm::sqrt(unlike * unlike - 1.0);
             BY_TWO_NUMBERS * of_steps * libm::sqrt(N as f64 / ELLIPTIC_OF_STEPS)
@@ -265,15 +234,15 @@ fn turns<R: Real, const N: usize>(
         };
         let steps_sd_rad = libm::hypot(placement.sd_rad(), seen_rad);
         for axis in [a, b] {
-            let said = one_axis(turn, axis, gravity_mps2, placement.sd_rad());
+            let said = one_axis(turn, axis, g, placement.sd_rad());
             let mut found = Axis {
                 bias: said.bias,
                 scale: said.scale,
-                ..one_axis(turn, axis, gravity_mps2, steps_sd_rad)
+                ..one_axis(turn, axis, g, steps_sd_rad)
             };
-            if double(lean) > BEYOND_CHANCE * libm::hypot(placement.sd_rad(), CROSS_AXIS) {
+            if lean > BEYOND_CHANCE * libm::hypot(placement.sd_rad(), CROSS_AXIS) {
                 // It shortens one of them or both.
-                found.scale_variance += quarter * lean * lean * lean * lean;
+                found.scale_variance += 0.25 * lean * lean * lean * lean;
             }
             axes[axis] = Some(match axes[axis] {
                 Some(before) => {
@@ -288,17 +257,17 @@ fn turns<R: Real, const N: usize>(
 
     // How far from level each turn was, going by the bias that the others tell.
     for (number, turn) in whole.iter().enumerate() {
-        let Some([_, _, still]) = plane::<R, N>(turn, g) else {
+        let Some([_, _, still]) = plane::<N>(turn, g) else {
             continue;
         };
-        let reads = Harmonic::<R>::along(turn, still).mean;
+        let reads = Harmonic::along(turn, still).mean;
         // What it may be off by: a bias that nothing shows is as large as usual.
         let either = libm::hypot(USUAL_BIAS_MPS2 / g, placement.sd_rad());
         let (off, most) = match axes[still] {
-            Some(known) => ((reads - known.bias) / gravity_mps2, MOST_STEP_ERROR),
-            None => (reads / gravity_mps2, BEYOND_CHANCE * either),
+            Some(known) => ((reads - known.bias) / g, MOST_STEP_ERROR),
+            None => (reads / g, BEYOND_CHANCE * either),
         };
-        let off_rad = double(off.abs());
+        let off_rad = off.abs();
         if off_rad > most {
             return Err(Refusal::TurnTilted {
                 pose: N * number,
@@ -315,16 +284,16 @@ fn turns<R: Real, const N: usize>(
                 .iter_mut()
                 .enumerate()
                 .filter(|(axis, _)| *axis != still);
-            let across = off * real::<R>(CROSS_AXIS * g);
+            let across = off * (CROSS_AXIS * g);
             for found in in_plane.filter_map(|(_, found)| found.as_mut()) {
-                found.scale_variance += quarter * off * off * off * off;
+                found.scale_variance += 0.25 * off * off * off * off;
                 found.bias_variance += across * across;
             }
         }
     }
 
     // What was declared holds unless the readings contradict it beyond chance.
-    let misfits = axes.iter().flatten().map(|axis| double(axis.misfit));
+    let misfits = axes.iter().flatten().map(|axis| axis.misfit);
     let misfit: f64 = misfits.sum();
     let contradicted = checks > 0 && misfit > student::chi_squared_half_percent(checks);
     let inflation = if contradicted {
@@ -342,13 +311,13 @@ fn turns<R: Real, const N: usize>(
             continue;
         };
         let (bias, scale) = (Parameter::ALL[axis], Parameter::ALL[3 + 4 * axis]);
-        error_terms.bias_mps2[axis] = double(found.bias);
-        error_terms.matrix[axis][axis] = double(found.scale);
-        theta[3 + 4 * axis] = double(found.scale);
-        covariance.add(bias, bias, inflation * double(found.bias_variance));
-        covariance.add(scale, scale, inflation * double(found.scale_variance));
-        covariance.add(bias, scale, inflation * double(found.both));
-        covariance.add(scale, bias, inflation * double(found.both));
+        error_terms.bias_mps2[axis] = found.bias;
+        error_terms.matrix[axis][axis] = found.scale;
+        theta[3 + 4 * axis] = found.scale;
+        covariance.add(bias, bias, inflation * found.bias_variance);
+        covariance.add(scale, scale, inflation * found.scale_variance);
+        covariance.add(bias, scale, inflation * found.both);
+        covariance.add(scale, bias, inflation * found.both);
     }
     let fitted: Parameters = axes
         .iter()
@@ -359,13 +328,13 @@ fn turns<R: Real, const N: usize>(
     let model = ErrorModel::new(error_terms).map_err(Refusal::OutOfBounds)?;
     covariance.add_gravity(&theta, gravity);
     covariance.take_for_granted(Parameters::ALL.without(fitted));
-    let residuals = Residuals::of(&terms::theta_of(&model).map(real::<R>), poses.iter(), g);
+    let residuals = Residuals::of(&terms::theta_of(&model), poses.iter(), g);
     Ok(Estimate {
         model,
         method,
         terms: Terms::NONE,
         fitted,
-        worst_sd_mps2: force::worst_sd(&PERFECT.map(real::<R>), &covariance, g),
+        worst_sd_mps2: force::worst_sd(&PERFECT, &covariance, g),
         covariance,
         term_sd: TermDeviations::default(),
         gravity,
@@ -390,28 +359,28 @@ fn turns<R: Real, const N: usize>(
 
 /// The two axes in the plane of a turn and the one it is about; `None` where it is none about an axis
 /// of the sensor.
-fn plane<R: Real, const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 3]> {
-    let harmonics: [Harmonic<R>; 3] = core::array::from_fn(|axis| Harmonic::along(turn, axis));
-    let size = |axis: usize| double(harmonics[axis].size()) / g;
+fn plane<const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 3]> {
+    let harmonics: [Harmonic; 3] = core::array::from_fn(|axis| Harmonic::along(turn, axis));
+    let size = |axis: usize| harmonics[axis].size() / g;
     let mut in_plane = (0..3).filter(|axis| TURNS.contains(&size(*axis)));
     let (a, b) = (in_plane.next()?, in_plane.next()?);
     let still = 3 - a - b;
     let one_stays = in_plane.next().is_none() && size(still) < STAYS;
     // Two axes of one body, a quarter of a turn apart, in either direction.
-    let quarter = double(quarter_off(&harmonics[a], &harmonics[b]));
+    let quarter = quarter_off(&harmonics[a], &harmonics[b]);
     (one_stays && quarter.abs() < PI / 4.0).then_some([a, b, still])
 }
 
 /// How far two axes are from a quarter of a turn apart, rad.
-fn quarter_off<R: Real>(a: &Harmonic<R>, b: &Harmonic<R>) -> R {
+fn quarter_off(a: &Harmonic, b: &Harmonic) -> f64 {
     let apart = (a.phase() - b.phase()).abs();
-    apart.min(R::two_pi() - apart) - R::frac_pi_2()
+    apart.min(TAU - apart) - PI / 2.0
 }
 
 /// How unequal the steps were, rad rms, as far as the readings tell: what two axes of one body cannot
 /// read of equal steps.
-fn step_error<R: Real, const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: f64) -> f64 {
-    let elliptic = elliptic::<R, N>(turn, [a, b]);
+fn step_error<const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: f64) -> f64 {
+    let elliptic = elliptic::<N>(turn, [a, b]);
     let shown = if elliptic > MOST_ELLIPTIC {
         elliptic * libm::sqrt(N as f64 / ELLIPTIC_OF_STEPS)
     } else {
@@ -420,70 +389,60 @@ fn step_error<R: Real, const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: 
     if N != 4 {
         return shown;
     }
-    let odd = |axis: usize| odd(&readings::<R, N>(turn, axis));
-    shown.max(double(odd(a).hypot(odd(b))) / (2.0 * g))
+    let odd = |axis: usize| odd(&readings::<N>(turn, axis));
+    shown.max(libm::hypot(odd(a), odd(b)) / (2.0 * g))
 }
 
 /// How far two axes are from alike and at right angles.
-fn elliptic<R: Real, const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2]) -> f64 {
-    let [one, other] = [a, b].map(|axis| Harmonic::<R>::along(turn, axis));
-    let longer = (one.size() / other.size()).ln();
-    double(longer.hypot(quarter_off(&one, &other)))
+fn elliptic<const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2]) -> f64 {
+    let [one, other] = [a, b].map(|axis| Harmonic::along(turn, axis));
+    let longer = libm::log(one.size() / other.size());
+    libm::hypot(longer, quarter_off(&one, &other))
 }
 
 /// Readings of even steps less those of odd ones.
-fn odd<R: Real>(readings: &[R]) -> R {
-    let signed = |(k, y): (usize, &R)| if k % 2 == 0 { *y } else { -*y };
-    readings
-        .iter()
-        .enumerate()
-        .map(signed)
-        .fold(R::zero(), |sum, y| sum + y)
+fn odd(readings: &[f64]) -> f64 {
+    let signed = |(k, y): (usize, &f64)| if k % 2 == 0 { *y } else { -*y };
+    readings.iter().enumerate().map(signed).sum()
 }
 
 /// Equations (45) and (46).
-fn one_axis<R: Real, const N: usize>(
-    turn: &[Pose; N],
-    axis: usize,
-    g: R,
-    placement_sd_rad: f64,
-) -> Axis<R> {
-    let n: R = real(N as f64);
-    let two: R = real(2.0);
-    let readings = readings::<R, N>(turn, axis);
+fn one_axis<const N: usize>(turn: &[Pose; N], axis: usize, g: f64, placement_sd_rad: f64) -> Axis {
+    let n = N as f64;
+    let readings = readings::<N>(turn, axis);
     let harmonic = Harmonic::of(readings);
     let amplitude = harmonic.size();
     let begin = -harmonic.phase();
-    let tilt: R = real(placement_sd_rad * placement_sd_rad);
-    let cross: R = real(CROSS_AXIS * CROSS_AXIS);
-    let (mut sum, mut along, mut across, mut both) = (R::zero(), R::zero(), R::zero(), R::zero());
+    let tilt = placement_sd_rad * placement_sd_rad;
+    let cross = CROSS_AXIS * CROSS_AXIS;
+    let (mut sum, mut along, mut across, mut both) = (0.0, 0.0, 0.0, 0.0);
     for (k, pose) in turn.iter().enumerate() {
-        let (s, c) = (begin + step::<R, N>(k)).sin_cos();
+        let (s, c) = libm::sincos(begin + step::<N>(k));
         // Of one reading: a step that is off, an axis that is not level, noise.
         let variance =
-            tilt * amplitude * amplitude * s * s + tilt * cross * g * g + real(pose.noise(axis));
+            tilt * amplitude * amplitude * s * s + tilt * cross * g * g + pose.noise(axis);
         sum += variance;
         along += c * c * variance;
         across += s * s * variance;
         both += c * variance;
     }
     let odd = odd(&readings);
-    let misfit = if N == 4 && sum > R::zero() {
+    let misfit = if N == 4 && sum > 0.0 {
         odd * odd / sum
     } else {
-        R::zero()
+        0.0
     };
     // Second order: steps and tilts shorten the amplitude, what is across lengthens it.
-    let four = two * two / (n * n);
-    let shift = four * across / (two * amplitude * amplitude) - tilt;
-    let spread = (two / n + real(1.0 / 8.0)) * tilt * tilt;
-    let scale = amplitude / g / (R::one() + shift);
+    let four = 2.0 * 2.0 / (n * n);
+    let shift = four * across / (2.0 * amplitude * amplitude) - tilt;
+    let spread = (2.0 / n + 1.0 / 8.0) * tilt * tilt;
+    let scale = amplitude / g / (1.0 + shift);
     Axis {
         bias: harmonic.mean,
         scale,
         bias_variance: sum / (n * n),
         scale_variance: four * along / (g * g) + spread * scale * scale,
-        both: two / (n * n) * both / g,
+        both: 2.0 / (n * n) * both / g,
         misfit,
     }
 }

@@ -17,7 +17,6 @@ mod reference;
 mod rounding;
 mod self_check;
 mod session;
-mod single_precision;
 mod six_position;
 mod smaller_models;
 mod turns;

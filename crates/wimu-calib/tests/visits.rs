@@ -4,8 +4,8 @@ use crate::common;
 
 use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use wimu_calib::{
-    Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, best_model_f32,
-    multi_position, multi_position_f32, multi_position_with,
+    Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, multi_position,
+    multi_position_f32, multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
@@ -52,7 +52,7 @@ fn sensor(random: &mut Random) -> ErrorModel {
 #[test]
 fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is_new() {
     type Method = fn(&[Pose]) -> Result<Estimate, Refusal>;
-    let methods: [(&str, Method); 5] = [
+    let methods: [(&str, Method); 4] = [
         ("nine parameters", |poses| {
             multi_position(poses, exact(), Model::Full9)
         }),
@@ -68,9 +68,6 @@ fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is
         }),
         ("auto", |poses| {
             best_model(poses, exact(), Terms::NONE, true)
-        }),
-        ("auto in f32", |poses| {
-            best_model_f32(poses, exact(), Terms::NONE, true)
         }),
     ];
     for (orientations, visits) in [(12, 1), (12, 3), (18, 3), (20, 2), (26, 4)] {

@@ -5,7 +5,6 @@ use nalgebra::{Matrix3, Vector3};
 use super::fit::{Iron, Scaled, hard, inverse_soft, start};
 use super::{EARTHS_NT, FEWEST, MagneticPose};
 use crate::Rejected;
-use crate::linear::{Real, double, real};
 
 /// Poses of a trial: as many as the ellipsoid has parameters.
 const TRIAL: usize = 9;
@@ -25,28 +24,28 @@ const LEAST_DEPTH: f64 = 0.02;
 
 /// The share of the field that is disturbed, rms, the poses where it is, and how many there are; `None`
 /// where the poses do not say that. Equation (56).
-pub(super) fn disturbed<R: Real>(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)> {
+pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)> {
     let n = poses.len() as f64;
-    let scaled = Scaled::<R>::of(poses.iter())?;
+    let scaled = Scaled::of(poses.iter())?;
     let point = |p: &MagneticPose| scaled.point(p);
-    let off = |theta: &Iron<R>, p: &MagneticPose| {
-        double((inverse_soft(theta) * (point(p) - hard(theta))).norm()) - 1.0
+    let off = |theta: &Iron, p: &MagneticPose| {
+        (inverse_soft(theta) * (point(p) - hard(theta))).norm() - 1.0
     };
     // Poses that agree, less how far they are from doing so perfectly.
-    let agreeing = |theta: &Iron<R>| {
+    let agreeing = |theta: &Iron| {
         let lack = |p: &MagneticPose| (off(theta, p) / AGREES).abs().min(1.0);
         poses.iter().map(|p| 1.0 - lack(p) * lack(p)).sum::<f64>()
     };
     // Through so many points, if it can be that of a magnetometer in the Earth's field.
-    let ellipsoid = |points: &mut dyn Iterator<Item = Vector3<R>>| -> Option<Iron<R>> {
+    let ellipsoid = |points: &mut dyn Iterator<Item = Vector3<f64>>| -> Option<Iron> {
         let theta = start(points)?;
         let axes = inverse_soft(&theta).symmetric_eigenvalues();
-        let field_nt = double(scaled.unit_nt / axes.product().cbrt());
-        let sound = axes.max() < axes.min() * real(MOST_STRETCH) && EARTHS_NT.contains(&field_nt);
+        let field_nt = scaled.unit_nt / libm::cbrt(axes.product());
+        let sound = axes.max() < axes.min() * MOST_STRETCH && EARTHS_NT.contains(&field_nt);
         sound.then_some(theta)
     };
     // All that agree make it better, and more agree with that.
-    let refined = |mut score: f64, mut theta: Iron<R>| {
+    let refined = |mut score: f64, mut theta: Iron| {
         for _ in 0..REFITS {
             let mut points = poses
                 .iter()
@@ -63,7 +62,7 @@ pub(super) fn disturbed<R: Real>(poses: &[MagneticPose]) -> Option<(f64, Rejecte
         }
         (score, theta)
     };
-    let mut best: Option<(f64, Iron<R>)> = None;
+    let mut best: Option<(f64, Iron)> = None;
     let mut most_at_first = 0.0_f64;
     // Any numbers that look random do; the same ones give the same answer every time.
     let mut state = 1_u64;
@@ -113,18 +112,18 @@ pub(super) fn disturbed<R: Real>(poses: &[MagneticPose]) -> Option<(f64, Rejecte
         return Some((libm::sqrt(squares.sum::<f64>() / n), found, left));
     }
     // Hardly any agree: was it turned to all sides, in a field that has all directions?
-    let scatter = |v: &dyn Fn(&MagneticPose) -> Vector3<R>| {
-        let sum: Matrix3<R> = poses.iter().map(|p| v(p) * v(p).transpose()).sum();
+    let scatter = |v: &dyn Fn(&MagneticPose) -> Vector3<f64>| {
+        let sum: Matrix3<f64> = poses.iter().map(|p| v(p) * v(p).transpose()).sum();
         let values = sum.symmetric_eigenvalues();
-        [values.min(), values.max()].map(|value| double(value) / n)
+        [values.min(), values.max()].map(|value| value / n)
     };
-    let ups = scatter(&|p| Vector3::from(p.up.map(real::<R>)).normalize());
+    let ups = scatter(&|p| Vector3::from(p.up).normalize());
     let fields = scatter(&point);
     let turned = ups[0] > SPREAD && fields[0] > LEAST_DEPTH * fields[1];
     if !turned || 2 * count > poses.len() {
         return None;
     }
-    let size = |p: &MagneticPose| double(point(p).norm());
+    let size = |p: &MagneticPose| point(p).norm();
     let mean = poses.iter().map(size).sum::<f64>() / n;
     let spread = poses.iter().map(|p| size(p) / mean - 1.0);
     let share = libm::sqrt(spread.map(|s| s * s).sum::<f64>() / n);

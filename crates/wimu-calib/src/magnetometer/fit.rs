@@ -8,7 +8,7 @@ use wimu_model::{
 };
 
 use super::{EARTHS_NT, MagneticPose, MagneticRefusal};
-use crate::linear::{Real, double, real};
+
 use crate::{Rejected, student};
 
 /// Beyond, the poses do not tell the model.
@@ -25,7 +25,7 @@ const MOST_DIP_RMS: f64 = 0.1;
 /// The places of xx, yy, zz, xy, xz, yz.
 const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
-fn symmetric<R: Real>(w: &[R]) -> Matrix3<R> {
+fn symmetric(w: &[f64]) -> Matrix3<f64> {
     let mut m = Matrix3::zeros();
     for (&(r, c), value) in PLACES.iter().zip(w) {
         m[(r, c)] = *value;
@@ -35,59 +35,57 @@ fn symmetric<R: Real>(w: &[R]) -> Matrix3<R> {
 }
 
 /// Outputs about their centre, in units of their spread, so that all parameters are of order one.
-pub(super) struct Scaled<R: Real> {
+pub(super) struct Scaled {
     /// The first output, nT: what differs from it keeps its digits.
     origin: [f64; 3],
-    centre: Vector3<R>,
-    pub(super) unit_nt: R,
+    centre: Vector3<f64>,
+    pub(super) unit_nt: f64,
 }
 
-impl<R: Real> Scaled<R> {
+impl Scaled {
     pub(super) fn of<'a>(poses: impl Iterator<Item = &'a MagneticPose> + Clone) -> Option<Self> {
         let first = poses.clone().next()?;
         let mut scaled = Self {
             origin: first.output_nt,
             centre: Vector3::zeros(),
-            unit_nt: R::one(),
+            unit_nt: 1.0,
         };
-        let (mut sum, mut count) = (Vector3::zeros(), R::zero());
+        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for pose in poses.clone() {
             sum += scaled.point(pose);
-            count += R::one();
+            count += 1.0;
         }
         scaled.centre = sum / count;
-        let squares = poses.fold(R::zero(), |sum, pose| {
-            sum + scaled.point(pose).norm_squared()
-        });
-        scaled.unit_nt = (squares / count).sqrt();
-        (scaled.unit_nt >= R::one()).then_some(scaled)
+        let squares = poses.fold(0.0, |sum, pose| sum + scaled.point(pose).norm_squared());
+        scaled.unit_nt = libm::sqrt(squares / count);
+        (scaled.unit_nt >= 1.0).then_some(scaled)
     }
 
-    pub(super) fn point(&self, pose: &MagneticPose) -> Vector3<R> {
-        let off = Vector3::from_fn(|k, _| real::<R>(pose.output_nt[k] - self.origin[k]));
+    pub(super) fn point(&self, pose: &MagneticPose) -> Vector3<f64> {
+        let off = Vector3::from_fn(|k, _| pose.output_nt[k] - self.origin[k]);
         (off - self.centre) / self.unit_nt
     }
 
     /// The output that a point stands for, nT.
-    fn output_nt(&self, point: &Vector3<R>) -> [f32; 3] {
+    fn output_nt(&self, point: &Vector3<f64>) -> [f32; 3] {
         let off = self.centre + point * self.unit_nt;
-        core::array::from_fn(|k| (self.origin[k] + double(off[k])) as f32)
+        core::array::from_fn(|k| (self.origin[k] + off[k]) as f32)
     }
 }
 
 /// Hard iron, then W, the inverse of the soft iron per the field.
-pub(super) type Iron<R> = SVector<R, 9>;
+pub(super) type Iron = SVector<f64, 9>;
 
-pub(super) fn hard<R: Real>(theta: &Iron<R>) -> Vector3<R> {
+pub(super) fn hard(theta: &Iron) -> Vector3<f64> {
     Vector3::new(theta[0], theta[1], theta[2])
 }
 
-pub(super) fn inverse_soft<R: Real>(theta: &Iron<R>) -> Matrix3<R> {
+pub(super) fn inverse_soft(theta: &Iron) -> Matrix3<f64> {
     symmetric(&theta.as_slice()[3..])
 }
 
 /// |B| − 1 at a point, and its derivatives.
-fn row<R: Real>(theta: &Iron<R>, point: Vector3<R>) -> (R, Iron<R>) {
+fn row(theta: &Iron, point: Vector3<f64>) -> (f64, Iron) {
     let w = inverse_soft(theta);
     let off = point - hard(theta);
     let field = w * off;
@@ -104,17 +102,17 @@ fn row<R: Real>(theta: &Iron<R>, point: Vector3<R>) -> (R, Iron<R>) {
             row[3 + k] += ahead[c] * off[r];
         }
     }
-    (size - R::one(), row)
+    (size - 1.0, row)
 }
 
 /// A step so small that the next is rounding.
-fn last_step<R: Real>() -> R {
-    R::default_epsilon() * real(500.0)
+fn last_step() -> f64 {
+    f64::EPSILON * 500.0
 }
 
 /// The model of all poses but those rejected; `suspect` is the pose that the others contradict most,
 /// if one is beyond chance.
-pub(super) fn model<R: Real>(
+pub(super) fn model(
     all: &[MagneticPose],
     rejected: &Rejected,
     suspect: &mut Option<usize>,
@@ -128,17 +126,17 @@ pub(super) fn model<R: Real>(
     let none = MagneticRefusal::NotObservable {
         condition: f64::INFINITY,
     };
-    let scaled = Scaled::<R>::of(poses().map(|(_, pose)| pose)).ok_or(none)?;
+    let scaled = Scaled::of(poses().map(|(_, pose)| pose)).ok_or(none)?;
     let points = || poses().map(|(place, pose)| (place, scaled.point(pose)));
     let mut theta = start(points().map(|(_, point)| point)).ok_or(none)?;
-    let mut information = SMatrix::<R, 9, 9>::zeros();
+    let mut information = SMatrix::<f64, 9, 9>::zeros();
     for _ in 0..50 {
         information = SMatrix::zeros();
         let mut gradient = Iron::zeros();
         for (_, point) in points() {
             let (residual, row) = row(&theta, point);
-            information.ger(R::one(), &row, &row, R::one());
-            gradient.axpy(residual, &row, R::one());
+            information.ger(1.0, &row, &row, 1.0);
+            gradient.axpy(residual, &row, 1.0);
         }
         let step = Cholesky::new(information).ok_or(none)?.solve(&gradient);
         theta -= step;
@@ -148,7 +146,7 @@ pub(super) fn model<R: Real>(
     }
     let inverse = Cholesky::new(information).ok_or(none)?.inverse();
     let values = information.symmetric_eigenvalues();
-    let condition = double((values.max() / values.min()).sqrt());
+    let condition = libm::sqrt(values.max() / values.min());
     if condition.is_nan() || condition > MOST_CONDITION {
         return Err(MagneticRefusal::NotObservable { condition });
     }
@@ -156,8 +154,7 @@ pub(super) fn model<R: Real>(
     let mut worst = Worst::default();
     for (place, point) in points() {
         let (residual, row) = row(&theta, point);
-        let residual = double(residual);
-        let left = 1.0 - double(row.dot(&(inverse * row)));
+        let left = 1.0 - row.dot(&(inverse * row));
         squares += residual * residual;
         left_out += (residual / left) * (residual / left);
         worst.take(place, residual * residual / left);
@@ -177,13 +174,13 @@ pub(super) fn model<R: Real>(
     // The iron alone leaves the unit of the field open: S has determinant one.
     let w = inverse_soft(&theta);
     let raw = w.try_inverse().ok_or(none)?;
-    let size = raw.determinant().cbrt();
+    let size = libm::cbrt(raw.determinant());
     // Also where it is none.
-    if !matches!(size.partial_cmp(&R::zero()), Some(Ordering::Greater)) {
+    if !matches!(size.partial_cmp(&0.0), Some(Ordering::Greater)) {
         return Err(none);
     }
     let s = raw / size;
-    let sd = |slope: &Iron<R>| libm::sqrt(variance * double(slope.dot(&(inverse * slope))));
+    let sd = |slope: &Iron| libm::sqrt(variance * slope.dot(&(inverse * slope)));
     let mut soft_sd = [0.0; 6];
     for (sd_of, (r, c)) in soft_sd.iter_mut().zip(PLACES) {
         let mut slope = Iron::zeros();
@@ -195,7 +192,7 @@ pub(super) fn model<R: Real>(
                 along += raw[(r, j)] * raw[(i, c)];
                 trace += raw[(j, i)];
             }
-            slope[3 + k] = (raw[(r, c)] * trace / real(3.0) - along) / size;
+            slope[3 + k] = (raw[(r, c)] * trace / 3.0 - along) / size;
         }
         *sd_of = sd(&slope);
     }
@@ -203,21 +200,21 @@ pub(super) fn model<R: Real>(
     let hard = hard(&theta);
     let seen = |(place, pose): (usize, &MagneticPose)| {
         let field = back * (scaled.point(pose) - hard);
-        let up = Vector3::from(pose.up.map(real::<R>));
+        let up = Vector3::from(pose.up);
         (place, field.normalize(), up.normalize())
     };
-    let field_nt = double(size * scaled.unit_nt);
+    let field_nt = size * scaled.unit_nt;
     if !EARTHS_NT.contains(&field_nt) {
         return Err(MagneticRefusal::NotEarths { field_nt });
     }
     let (to_accelerometer, bent) = rotation(|| poses().map(seen))?;
     *suspect = suspect.or(bent);
-    let unit_nt = double(scaled.unit_nt);
+    let unit_nt = scaled.unit_nt;
     let terms = MagnetometerTerms {
         hard_iron_nt: scaled.output_nt(&hard),
         hard_iron_sd_nt: [0, 1, 2]
-            .map(|k| (unit_nt * libm::sqrt(variance * double(inverse[(k, k)]))) as f32),
-        soft_iron: PLACES.map(|(r, c)| double(s[(r, c)]) as f32),
+            .map(|k| (unit_nt * libm::sqrt(variance * inverse[(k, k)])) as f32),
+        soft_iron: PLACES.map(|(r, c)| s[(r, c)] as f32),
         soft_iron_sd: soft_sd.map(|sd| sd as f32),
         field_nt: field_nt as f32,
         poses: u32::try_from(have).unwrap_or(u32::MAX),
@@ -230,29 +227,28 @@ pub(super) fn model<R: Real>(
 }
 
 /// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
-pub(super) fn start<R: Real>(points: impl Iterator<Item = Vector3<R>>) -> Option<Iron<R>> {
-    let mut information = SMatrix::<R, 9, 9>::zeros();
+pub(super) fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<Iron> {
+    let mut information = SMatrix::<f64, 9, 9>::zeros();
     let mut right = Iron::zeros();
-    let two: R = real(2.0);
     for m in points {
         let row = Iron::from_fn(|k, _| match k {
-            0..3 => two * m[k],
+            0..3 => 2.0 * m[k],
             k => {
                 let (r, c) = PLACES[k - 3];
                 let product = m[r] * m[c];
-                if r == c { product } else { two * product }
+                if r == c { product } else { 2.0 * product }
             }
         });
-        information.ger(R::one(), &row, &row, R::one());
+        information.ger(1.0, &row, &row, 1.0);
         right += row;
     }
     let solution = Cholesky::new(information)?.solve(&right);
     let q = inverse_soft(&solution);
     let centre = -(q.try_inverse()? * hard(&solution));
-    let size = R::one() + centre.dot(&(q * centre));
+    let size = 1.0 + centre.dot(&(q * centre));
     let eigen = (q / size).symmetric_eigen();
-    let positive = eigen.eigenvalues.iter().all(|value| *value > R::zero());
-    let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| v.max(R::zero()).sqrt()));
+    let positive = eigen.eigenvalues.iter().all(|value| *value > 0.0);
+    let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| libm::sqrt(v.max(0.0))));
     let w = eigen.eigenvectors * roots * eigen.eigenvectors.transpose();
     let mut theta = Iron::zeros();
     for k in 0..3 {
@@ -266,21 +262,21 @@ pub(super) fn start<R: Real>(points: impl Iterator<Item = Vector3<R>>) -> Option
 
 /// up · R b less the level that it is to have, and its derivatives: a small rotation δ of R b adds
 /// δ × R b.
-fn level_row<R: Real>(
-    turn: &Rotation3<R>,
-    level: R,
-    b: &Vector3<R>,
-    up: &Vector3<R>,
-) -> (R, SVector<R, 4>) {
+fn level_row(
+    turn: &Rotation3<f64>,
+    level: f64,
+    b: &Vector3<f64>,
+    up: &Vector3<f64>,
+) -> (f64, SVector<f64, 4>) {
     let turned = turn * b;
     let slope = turned.cross(up);
-    let row = SVector::from([slope.x, slope.y, slope.z, -R::one()]);
+    let row = SVector::from([slope.x, slope.y, slope.z, -1.0]);
     (up.dot(&turned) - level, row)
 }
 
 /// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses: their
 /// places, b and up; and the pose that the others contradict most, if one is beyond chance.
-fn rotation<R: Real, I: Iterator<Item = (usize, Vector3<R>, Vector3<R>)>>(
+fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
     seen: impl Fn() -> I,
 ) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
     let have = seen().count();
@@ -288,26 +284,26 @@ fn rotation<R: Real, I: Iterator<Item = (usize, Vector3<R>, Vector3<R>)>>(
     let none = MagneticRefusal::NotObservable {
         condition: f64::INFINITY,
     };
-    let mut best: Option<(R, Rotation3<R>, R, SMatrix<R, 4, 4>)> = None;
+    let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
     // The 24 ways in which chips' axes can lie to each other are the starts.
     for turn in 0..24 {
-        let quarters = |count: i32| R::frac_pi_2() * real(f64::from(count));
+        let quarters = |count: i32| core::f64::consts::FRAC_PI_2 * f64::from(count);
         let face = match turn / 4 {
             count @ 0..4 => Rotation3::from_axis_angle(&Vector3::x_axis(), quarters(count)),
             4 => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(1)),
             _ => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(-1)),
         };
         let mut r = face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarters(turn % 4));
-        let mut level = R::zero();
-        let mut last: Option<(R, SMatrix<R, 4, 4>)> = None;
+        let mut level = 0.0;
+        let mut last: Option<(f64, SMatrix<f64, 4, 4>)> = None;
         for _ in 0..30 {
-            let mut information = SMatrix::<R, 4, 4>::zeros();
-            let mut gradient = SVector::<R, 4>::zeros();
-            let mut cost = R::zero();
+            let mut information = SMatrix::<f64, 4, 4>::zeros();
+            let mut gradient = SVector::<f64, 4>::zeros();
+            let mut cost = 0.0;
             for (_, b, up) in seen() {
                 let (residual, row) = level_row(&r, level, &b, &up);
-                information.ger(R::one(), &row, &row, R::one());
-                gradient.axpy(residual, &row, R::one());
+                information.ger(1.0, &row, &row, 1.0);
+                gradient.axpy(residual, &row, 1.0);
                 cost += residual * residual;
             }
             last = Some((cost, information));
@@ -330,26 +326,25 @@ fn rotation<R: Real, I: Iterator<Item = (usize, Vector3<R>, Vector3<R>)>>(
     }
     let (cost, r, level, information) = best.ok_or(none)?;
     let inverse = Cholesky::new(information).ok_or(none)?.inverse();
-    let cost = double(cost);
-    let sine = double(level).clamp(-1.0, 1.0);
+    let sine = level.clamp(-1.0, 1.0);
     let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
     let spread_rad = libm::sqrt(cost / n) / cosine;
     let variance = cost / (n - 4.0);
     let mut worst = Worst::default();
     for (place, b, up) in seen() {
         let (residual, row) = level_row(&r, level, &b, &up);
-        let left = R::one() - row.dot(&(inverse * row));
-        worst.take(place, double(residual * residual / left));
+        let left = 1.0 - row.dot(&(inverse * row));
+        worst.take(place, residual * residual / left);
     }
     if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
         let pose = worst.place;
         return Err(MagneticRefusal::DipNotConstant { spread_rad, pose });
     }
     let covariance: [[f64; 3]; 3] =
-        core::array::from_fn(|a| core::array::from_fn(|b| variance * double(inverse[(a, b)])));
+        core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));
     let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
     let found = MagnetometerRotation {
-        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k].map(double)).map_err(|_| none)?,
+        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none)?,
         covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none)?,
         // Down is minus up.
         dip_rad: -libm::asin(sine) as f32,

@@ -1,8 +1,5 @@
 //! Whether what looks like noise of long times is one event: a sensor that warms up, or a jump.
 
-use crate::Scalar;
-use crate::scalar::sealed::Total;
-
 /// Most blocks; two become one when they are full.
 const BLOCKS: usize = 32;
 /// Fewest steps between blocks that tell a course.
@@ -17,39 +14,39 @@ const DECAYS: [f64; 14] = [
 
 /// Sums over blocks of time, whose length grows with the data.
 #[derive(Clone, Debug)]
-pub(super) struct Course<R: Scalar> {
-    sums: [[R::Total; 3]; BLOCKS],
+pub(super) struct Course {
+    sums: [[f64; 3]; BLOCKS],
     full: usize,
     /// Samples of a full block, and of the one that is filled.
     length: u64,
     filled: u64,
 }
 
-impl<R: Scalar> Course<R> {
+impl Course {
     pub(super) fn new() -> Self {
         Self {
-            sums: [[R::Total::ZERO; 3]; BLOCKS],
+            sums: [[0.0; 3]; BLOCKS],
             full: 0,
             length: 1,
             filled: 0,
         }
     }
 
-    pub(super) fn take(&mut self, off: [R; 3]) {
+    pub(super) fn take(&mut self, off: [f64; 3]) {
         if self.full == BLOCKS {
             for k in 0..BLOCKS / 2 {
                 let [even, odd] = [self.sums[2 * k], self.sums[2 * k + 1]];
-                self.sums[k] = [0, 1, 2].map(|axis: usize| even[axis].joined(odd[axis]));
+                self.sums[k] = [0, 1, 2].map(|axis: usize| even[axis] + odd[axis]);
             }
             for sums in self.sums.iter_mut().skip(BLOCKS / 2) {
-                *sums = [R::Total::ZERO; 3];
+                *sums = [0.0; 3];
             }
             self.full = BLOCKS / 2;
             self.length *= 2;
         }
         if let Some(sums) = self.sums.get_mut(self.full) {
             for (sum, off) in sums.iter_mut().zip(off) {
-                sum.add(off);
+                *sum += off;
             }
         }
         self.filled += 1;
@@ -63,12 +60,7 @@ impl<R: Scalar> Course<R> {
     /// a random walk: a jump or a decaying drift from any time on. `beside_ramp`: besides a steady one.
     pub(super) fn is_one(&self, axis: usize, beside_ramp: bool) -> bool {
         let mut steps = [0.0; BLOCKS];
-        let sums = || {
-            self.sums
-                .iter()
-                .take(self.full)
-                .map(|sums| sums[axis].value())
-        };
+        let sums = || self.sums.iter().take(self.full).map(|sums| sums[axis]);
         for (step, (before, after)) in steps.iter_mut().zip(sums().zip(sums().skip(1))) {
             *step = after - before;
         }

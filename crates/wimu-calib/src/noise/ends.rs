@@ -1,7 +1,5 @@
 //! Whether the output ends where the sensor's range does, and not where the noise does.
 
-use crate::Scalar;
-
 /// Fewer samples at the very end are no sign.
 const FEWEST: u64 = 10;
 /// A tail of noise falls towards its end: so many times as many samples there as next to it are no chance, nor are so
@@ -29,20 +27,20 @@ pub fn stops_at_limit(at_end: u64, next: u64, noise_steps: f64) -> bool {
 
 /// The highest and the lowest output, negated, of X, Y, Z.
 #[derive(Clone, Debug)]
-pub(super) struct Ends<R>([[End<R>; 2]; 3]);
+pub(super) struct Ends([[End; 2]; 3]);
 
 /// The end value and the one next to it, and how often each came.
 #[derive(Clone, Copy, Debug)]
-struct End<R> {
-    at: R,
+struct End {
+    at: f64,
     samples: u64,
-    next: R,
+    next: f64,
     next_samples: u64,
 }
 
-impl<R: Scalar> Ends<R> {
+impl Ends {
     pub(super) fn new() -> Self {
-        let none = R::of(f64::NEG_INFINITY);
+        let none = f64::NEG_INFINITY;
         let end = End {
             at: none,
             samples: 0,
@@ -52,10 +50,10 @@ impl<R: Scalar> Ends<R> {
         Self([[end; 2]; 3])
     }
 
-    pub(super) fn take(&mut self, output: [R; 3]) {
+    pub(super) fn take(&mut self, output: [f64; 3]) {
         for ([high, low], value) in self.0.iter_mut().zip(output) {
             high.take(value);
-            low.take(R::default() - value);
+            low.take(0.0 - value);
         }
     }
 
@@ -68,8 +66,8 @@ impl<R: Scalar> Ends<R> {
     }
 }
 
-impl<R: Scalar> End<R> {
-    fn take(&mut self, value: R) {
+impl End {
+    fn take(&mut self, value: f64) {
         if value > self.at {
             (self.next, self.next_samples) = (self.at, self.samples);
             (self.at, self.samples) = (value, 1);

@@ -1,7 +1,5 @@
 //! Whether a sensor was at rest while its noise was measured.
 
-use crate::Scalar;
-
 /// A second at rest has a mean this near to that of any other, m/s²: 20 mg, drift included.
 const MOST_WANDER_MPS2: f64 = 0.2;
 /// A second at rest has no more than this many times the usual variance.
@@ -11,14 +9,14 @@ const MOST_NOISE_MPS2: f64 = 0.5;
 
 /// Whether the sensor was at rest: seconds compared with each other.
 #[derive(Clone, Debug)]
-pub(super) struct Rest<R> {
+pub(super) struct Rest {
     rate_hz: f64,
     /// Samples of a block.
     length: u32,
     filled: u32,
     blocks: u64,
-    sum: [R; 3],
-    squares: [R; 3],
+    sum: [f64; 3],
+    squares: [f64; 3],
     /// Least and largest block mean, and when.
     least: [f64; 3],
     largest: [(f64, f64); 3],
@@ -29,15 +27,15 @@ pub(super) struct Rest<R> {
     samples: u64,
 }
 
-impl<R: Scalar> Rest<R> {
+impl Rest {
     pub(super) fn new(rate_hz: f64) -> Self {
         Self {
             rate_hz,
             length: (rate_hz as u32).max(16),
             filled: 0,
             blocks: 0,
-            sum: [R::default(); 3],
-            squares: [R::default(); 3],
+            sum: [0.0; 3],
+            squares: [0.0; 3],
             least: [f64::INFINITY; 3],
             largest: [(f64::NEG_INFINITY, 0.0); 3],
             least_at: [0.0; 3],
@@ -49,11 +47,11 @@ impl<R: Scalar> Rest<R> {
 
     pub(super) fn gap(&mut self) {
         self.filled = 0;
-        self.sum = [R::default(); 3];
-        self.squares = [R::default(); 3];
+        self.sum = [0.0; 3];
+        self.squares = [0.0; 3];
     }
 
-    pub(super) fn take(&mut self, off: [R; 3]) {
+    pub(super) fn take(&mut self, off: [f64; 3]) {
         self.samples += 1;
         for axis in 0..3 {
             self.sum[axis] += off[axis];
@@ -66,7 +64,7 @@ impl<R: Scalar> Rest<R> {
         let n = f64::from(self.length);
         let at = (self.samples as f64 - n / 2.0) / self.rate_hz;
         for axis in 0..3 {
-            let (sum, squares): (f64, f64) = (self.sum[axis].into(), self.squares[axis].into());
+            let (sum, squares) = (self.sum[axis], self.squares[axis]);
             let mean = sum / n;
             let variance = (squares / n - mean * mean).max(1e-8);
             if mean < self.least[axis] {

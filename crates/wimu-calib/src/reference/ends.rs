@@ -1,8 +1,6 @@
 //! Where a stream stops: readings that pile up at an end of an axis while the other stream goes on.
 
 use super::sums::AxisSums;
-use crate::Scalar;
-use crate::scalar::sealed::Total;
 
 /// So many samples at one reading are a pile.
 const PILE: f64 = 10.0;
@@ -13,39 +11,39 @@ const HIDDEN_STEPS: f64 = 0.5;
 
 /// The samples at the lowest or highest reading of one side.
 #[derive(Clone, Copy, Debug)]
-struct End<R: Scalar> {
-    at: R,
-    n: R::Total,
+struct End {
+    at: f64,
+    n: f64,
     /// Σ of the other side and of its squares.
-    other: R::Total,
-    squares: R::Total,
+    other: f64,
+    squares: f64,
 }
 
-impl<R: Scalar> End<R> {
+impl End {
     fn none() -> Self {
         Self {
-            at: R::default(),
-            n: R::Total::ZERO,
-            other: R::Total::ZERO,
-            squares: R::Total::ZERO,
+            at: 0.0,
+            n: 0.0,
+            other: 0.0,
+            squares: 0.0,
         }
     }
 
-    fn take(&mut self, at: R, other: R) {
+    fn take(&mut self, at: f64, other: f64) {
         self.at = at;
-        self.n.add(R::of(1.0));
-        self.other.add(other);
-        self.squares.add(other * other);
+        self.n += 1.0;
+        self.other += other;
+        self.squares += other * other;
     }
 }
 
 /// Both ends of both sides of an axis: reference, output; low, high.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ends<R: Scalar> {
-    ends: [[End<R>; 2]; 2],
+pub(super) struct Ends {
+    ends: [[End; 2]; 2],
     /// The sample before, and the least change from one to the next.
-    last: [R; 2],
-    step: [Option<R>; 2],
+    last: [f64; 2],
+    step: [Option<f64>; 2],
 }
 
 /// A reading that a stream stops at.
@@ -57,17 +55,17 @@ pub(super) struct Stopped {
     pub samples: f64,
 }
 
-impl<R: Scalar> Ends<R> {
+impl Ends {
     pub fn none() -> Self {
         Self {
             ends: [[End::none(); 2]; 2],
-            last: [R::default(); 2],
+            last: [0.0; 2],
             step: [None; 2],
         }
     }
 
     /// Takes the next pair, about the origin.
-    pub fn take(&mut self, pair: [R; 2]) {
+    pub fn take(&mut self, pair: [f64; 2]) {
         let [x, y] = pair;
         for (side, (own, other)) in [(x, y), (y, x)].into_iter().enumerate() {
             for (high, end) in self.ends[side].iter_mut().enumerate() {
@@ -83,8 +81,8 @@ impl<R: Scalar> Ends<R> {
                     end.take(own, other);
                 }
             }
-            let step = (own - self.last[side]).size();
-            if step > R::default() && self.step[side].is_none_or(|least| step < least) {
+            let step = (own - self.last[side]).abs();
+            if step > 0.0 && self.step[side].is_none_or(|least| step < least) {
                 self.step[side] = Some(step);
             }
         }
@@ -103,20 +101,20 @@ impl<R: Scalar> Ends<R> {
     fn stopped_on(&self, side: usize, all: &AxisSums, delta: f64) -> Option<Stopped> {
         let piles = || {
             let ends = self.ends[side].iter().enumerate();
-            ends.filter(|(_, end)| end.n.value() >= PILE)
+            ends.filter(|(_, end)| end.n >= PILE)
         };
         let free = piles().fold(*all, |sums, (_, end)| {
-            let sums_of_it = [end.n.value(), end.other.value(), end.squares.value()];
-            sums.without(side, end.at.into(), sums_of_it)
+            let sums_of_it = [end.n, end.other, end.squares];
+            sums.without(side, end.at, sums_of_it)
         });
         let moments = free.moments();
         let slope = moments.slope(delta).filter(|_| free.n >= PILE)?;
         let noise = libm::sqrt(moments.left(slope).max(0.0));
-        let step = |side: usize| self.step[side].map_or(0.0, Into::into);
+        let step = |side: usize| self.step[side].unwrap_or(0.0);
         let hidden = HIDDEN_STEPS * (step(1) + slope.abs() * step(0));
         let mut stopped = piles().filter_map(|(high, end)| {
-            let (at, n): (f64, f64) = (end.at.into(), end.n.value());
-            let other = end.other.value() / n;
+            let (at, n) = (end.at, end.n);
+            let other = end.other / n;
             let [x, y] = if side == 0 { [at, other] } else { [other, at] };
             let off = y - moments.y - slope * (x - moments.x);
             // An output that stops at its high end falls short; a reference that does is passed.

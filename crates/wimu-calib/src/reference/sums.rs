@@ -4,38 +4,35 @@ use core::array::from_fn;
 
 use nalgebra::Matrix3;
 
-use crate::Scalar;
-use crate::scalar::sealed::Total;
-
 /// Distances in samples at which neighbours are compared.
 pub(super) const LAGS: [usize; 5] = [1, 2, 4, 8, 16];
 
 /// Reference and output of three axes.
-type Pairs<R> = [[R; 2]; 3];
+type Pairs = [[f64; 2]; 3];
 
 /// The last samples, for the lags.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Recent<R> {
-    pairs: [Pairs<R>; LAGS[LAGS.len() - 1]],
+pub(super) struct Recent {
+    pairs: [Pairs; LAGS[LAGS.len() - 1]],
     /// Unbroken samples so far.
     run: usize,
 }
 
-impl<R: Scalar> Recent<R> {
+impl Recent {
     pub fn none() -> Self {
         Self {
-            pairs: [[[R::default(); 2]; 3]; LAGS[LAGS.len() - 1]],
+            pairs: [[[0.0; 2]; 3]; LAGS[LAGS.len() - 1]],
             run: 0,
         }
     }
 
     /// The pairs `lag` samples ago, if none is missing since.
-    fn before(&self, lag: usize) -> Option<Pairs<R>> {
+    fn before(&self, lag: usize) -> Option<Pairs> {
         let place = self.run.checked_sub(lag)? % self.pairs.len();
         self.pairs.get(place).copied()
     }
 
-    fn take(&mut self, pairs: Pairs<R>) {
+    fn take(&mut self, pairs: Pairs) {
         let place = self.run % self.pairs.len();
         if let Some(kept) = self.pairs.get_mut(place) {
             *kept = pairs;
@@ -46,74 +43,67 @@ impl<R: Scalar> Recent<R> {
 
 /// Sums over samples x of the reference and y of the output; in f64 once they are looked at.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sums<R: Scalar = f64> {
+pub(super) struct Sums {
     /// Of each sample with itself.
-    own: Products<R>,
+    own: Products,
     /// Of each sample with the one so many before.
-    lagged: [Products<R>; LAGS.len()],
+    lagged: [Products; LAGS.len()],
 }
 
 /// Sums over two samples some way apart, and of their products, each the mean of both ways.
 #[derive(Clone, Copy, Debug)]
-struct Products<R: Scalar> {
-    n: R::Total,
-    x: [R::Total; 3],
-    y: [R::Total; 3],
+struct Products {
+    n: f64,
+    x: [f64; 3],
+    y: [f64; 3],
     /// Of the reference's axes: XX, YY, ZZ, XY, XZ, YZ.
-    xx: [R::Total; 6],
+    xx: [f64; 6],
     /// Of each axis of the reference, row, with each of the output.
-    xy: [[R::Total; 3]; 3],
+    xy: [[f64; 3]; 3],
     /// Of each axis of the output.
-    yy: [R::Total; 3],
+    yy: [f64; 3],
 }
 
 /// Which axes [`Products::xx`] are of.
 const AXES: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
 
-impl<R: Scalar> Products<R> {
+impl Products {
     const NONE: Self = Self {
-        n: R::Total::ZERO,
-        x: [R::Total::ZERO; 3],
-        y: [R::Total::ZERO; 3],
-        xx: [R::Total::ZERO; 6],
-        xy: [[R::Total::ZERO; 3]; 3],
-        yy: [R::Total::ZERO; 3],
+        n: 0.0,
+        x: [0.0; 3],
+        y: [0.0; 3],
+        xx: [0.0; 6],
+        xy: [[0.0; 3]; 3],
+        yy: [0.0; 3],
     };
 
-    fn take(&mut self, now: Pairs<R>, then: Pairs<R>) {
-        let half = R::of(0.5);
-        self.n.add(R::of(1.0));
+    fn take(&mut self, now: Pairs, then: Pairs) {
+        let half = 0.5;
+        self.n += 1.0;
         for (sum, [i, j]) in self.xx.iter_mut().zip(AXES) {
-            sum.add(half * (now[i][0] * then[j][0] + now[j][0] * then[i][0]));
+            *sum += half * (now[i][0] * then[j][0] + now[j][0] * then[i][0]);
         }
         for i in 0..3 {
             for j in 0..3 {
-                self.xy[i][j].add(half * (now[i][0] * then[j][1] + now[j][1] * then[i][0]));
+                self.xy[i][j] += half * (now[i][0] * then[j][1] + now[j][1] * then[i][0]);
             }
-            self.yy[i].add(now[i][1] * then[i][1]);
-            self.x[i].add(half * (now[i][0] + then[i][0]));
-            self.y[i].add(half * (now[i][1] + then[i][1]));
+            self.yy[i] += now[i][1] * then[i][1];
+            self.x[i] += half * (now[i][0] + then[i][0]);
+            self.y[i] += half * (now[i][1] + then[i][1]);
         }
     }
 
-    /// Of each sum and that of `other`.
-    fn zip<S: Scalar>(
-        &self,
-        other: &Self,
-        with: impl Fn(R::Total, R::Total) -> S::Total,
-    ) -> Products<S> {
-        Products {
-            n: with(self.n, other.n),
-            x: from_fn(|i| with(self.x[i], other.x[i])),
-            y: from_fn(|i| with(self.y[i], other.y[i])),
-            xx: from_fn(|i| with(self.xx[i], other.xx[i])),
-            xy: from_fn(|i| from_fn(|j| with(self.xy[i][j], other.xy[i][j]))),
-            yy: from_fn(|i| with(self.yy[i], other.yy[i])),
+    fn plus(&self, other: &Self, sign: f64) -> Self {
+        Self {
+            n: self.n + sign * other.n,
+            x: from_fn(|i| self.x[i] + sign * other.x[i]),
+            y: from_fn(|i| self.y[i] + sign * other.y[i]),
+            xx: from_fn(|i| self.xx[i] + sign * other.xx[i]),
+            xy: from_fn(|i| from_fn(|j| self.xy[i][j] + sign * other.xy[i][j])),
+            yy: from_fn(|i| self.yy[i] + sign * other.yy[i]),
         }
     }
-}
 
-impl Products<f64> {
     fn spread(&self) -> Spread {
         let (x, y) = (self.x.map(|x| x / self.n), self.y.map(|y| y / self.n));
         let mut xx = Matrix3::zeros();
@@ -132,14 +122,14 @@ impl Products<f64> {
     }
 }
 
-impl<R: Scalar> Sums<R> {
+impl Sums {
     pub const NONE: Self = Self {
         own: Products::NONE,
         lagged: [Products::NONE; LAGS.len()],
     };
 
     /// Takes the next pairs, `recent` being those before them.
-    pub fn take(&mut self, pairs: Pairs<R>, recent: &mut Recent<R>) {
+    pub fn take(&mut self, pairs: Pairs, recent: &mut Recent) {
         for (products, lag) in self.lagged.iter_mut().zip(LAGS) {
             if let Some(before) = recent.before(lag) {
                 products.take(pairs, before);
@@ -149,32 +139,12 @@ impl<R: Scalar> Sums<R> {
         self.own.take(pairs, pairs);
     }
 
-    fn zip<S: Scalar>(
-        &self,
-        other: &Self,
-        with: impl Fn(R::Total, R::Total) -> S::Total,
-    ) -> Sums<S> {
-        Sums {
-            own: self.own.zip(&other.own, &with),
-            lagged: from_fn(|i| self.lagged[i].zip(&other.lagged[i], &with)),
-        }
-    }
-
-    /// With those of `other`.
-    pub fn joined(&self, other: &Self) -> Self {
-        self.zip(other, R::Total::joined)
-    }
-
-    /// To be looked at.
-    pub fn seen(&self) -> Sums {
-        self.zip(self, |sum, _| sum.value())
-    }
-}
-
-impl Sums {
     /// With `sign` times `other` added.
     pub fn plus(&self, other: &Self, sign: f64) -> Self {
-        self.zip(other, |a, b| a + sign * b)
+        Self {
+            own: self.own.plus(&other.own, sign),
+            lagged: from_fn(|i| self.lagged[i].plus(&other.lagged[i], sign)),
+        }
     }
 
     pub fn spread(&self) -> Spread {

@@ -1,5 +1,6 @@
 //! An array's calibration from the rests in its own recording, or as it is stored.
 
+use nalgebra::{Matrix3, Vector3};
 use wimu_calib::{Estimate, Gravity, Model, Pose, find_poses, multi_position};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
@@ -581,24 +582,12 @@ fn align(forces: &[Vec<Option<[f64; 3]>>]) -> Vec<[f64; 3]> {
     turns
 }
 
-/// Cramer's rule; `None` where it is singular.
+/// m⁻¹ v; `None` where m is singular.
 fn solve3(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
-    let det = |m: [[f64; 3]; 3]| {
-        m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
-            - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
-            + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
-    };
-    let whole = det(m);
-    let trace = m[0][0] + m[1][1] + m[2][2];
-    (whole.abs() > 1e-9 * trace.powi(3).abs()).then(|| {
-        core::array::from_fn(|column| {
-            let mut changed = m;
-            for row in 0..3 {
-                changed[row][column] = v[row];
-            }
-            det(changed) / whole
-        })
-    })
+    let m = Matrix3::from_fn(|row, column| m[row][column]);
+    let inverse = m.try_inverse()?;
+    let sound = m.determinant().abs() > 1e-9 * m.trace().powi(3).abs();
+    sound.then(|| (inverse * Vector3::from(v)).into())
 }
 
 /// Turns a vector by a rotation vector, rad.

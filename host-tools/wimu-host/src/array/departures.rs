@@ -2,7 +2,7 @@
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use super::refine::Dense;
+use nalgebra::{Matrix4, Vector4};
 
 type Vector = [f64; 3];
 
@@ -26,17 +26,17 @@ impl Departure {
         rest_mps2: f64,
     ) -> Self {
         let known = [bias_mps2, scale, scale, scale];
-        let mut normal = Dense::zeros(4);
-        let mut right = [[0.0; 4]; 3];
+        let mut normal = Matrix4::zeros();
+        let mut right = [Vector4::zeros(); 3];
         for (i, sd) in known.into_iter().enumerate() {
-            normal.add(i, i, 1.0 / (sd * sd));
+            normal[(i, i)] += 1.0 / (sd * sd);
         }
         let weight = 1.0 / (rest_mps2 * rest_mps2);
         for ([x, y, z], departure) in rests {
             let row = [1.0, x, y, z];
             for i in 0..4 {
                 for j in 0..4 {
-                    normal.add(i, j, row[i] * row[j] * weight);
+                    normal[(i, j)] += row[i] * row[j] * weight;
                 }
                 for (right, value) in right.iter_mut().zip(departure) {
                     right[i] += row[i] * value * weight;
@@ -50,13 +50,10 @@ impl Departure {
         for (axis, right) in right.iter().enumerate() {
             let x = factor.solve(right);
             found.bias_mps2[axis] = x[0];
-            found.matrix[axis].copy_from_slice(&x[1..]);
+            found.matrix[axis] = [x[1], x[2], x[3]];
         }
-        for (i, row) in found.left.iter_mut().enumerate() {
-            let mut unit = [0.0; 4];
-            unit[i + 1] = 1.0;
-            row.copy_from_slice(&factor.solve(&unit)[1..]);
-        }
+        let inverse = factor.inverse();
+        found.left = [1, 2, 3].map(|i| [1, 2, 3].map(|j| inverse[(j, i)]));
         found
     }
 

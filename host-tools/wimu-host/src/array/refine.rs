@@ -1,6 +1,7 @@
 //! Places and delays of an array's sensors, from what the sensors disagree by while the body turns:
 //! equation (99).
 
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3};
 use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, refused, sample, with_room};
@@ -107,7 +108,7 @@ fn fit<const M: usize>(
     let mut found = vec![0.0; unknowns];
     let mut changed = geometry.clone();
     let mut residual = [0.0; 2];
-    let mut covariance = Dense::zeros(unknowns);
+    let mut covariance = DMatrix::zeros(unknowns, unknowns);
     let mut samples = 0;
     for pass in 0..=PASSES {
         let solver = ArraySolver::<f64, M>::of(&axes(&changed, calibration)?, |sensor| {
@@ -137,14 +138,14 @@ fn fit<const M: usize>(
         // Prior and gauge.
         let mut normal = sums.normal.clone();
         let mut right = sums.right.clone();
-        let mut before = Dense::zeros(unknowns);
+        let mut before = DMatrix::zeros(unknowns, unknowns);
         for i in 0..unknowns {
             let sd = if i < places {
                 options.place_sd_m
             } else {
                 options.delay_sd_s
             };
-            before.add(i, i, 1.0 / (sd * sd));
+            before[(i, i)] += 1.0 / (sd * sd);
             right[i] -= found[i] / (sd * sd);
         }
         for tie in ties(geometry) {
@@ -152,17 +153,17 @@ fn fit<const M: usize>(
             for (i, a) in tie.iter().enumerate().filter(|(_, a)| **a != 0.0) {
                 right[i] -= a * along / (TIED * TIED);
                 for (j, b) in tie.iter().enumerate() {
-                    before.add(i, j, a * b / (TIED * TIED));
+                    before[(i, j)] += a * b / (TIED * TIED);
                 }
             }
         }
-        normal.sum(&before);
+        normal += &before;
         let factor = normal
             .cholesky()
             .ok_or_else(|| refused("places and delays cannot be told apart"))?;
         if pass < PASSES {
             let step = factor.solve(&right);
-            for (value, step) in found.iter_mut().zip(step) {
+            for (value, step) in found.iter_mut().zip(&step) {
                 *value += step;
             }
             for (sensor, (new, old)) in changed
@@ -182,12 +183,10 @@ fn fit<const M: usize>(
         } else {
             // Neighbouring samples err alike and motion is no white noise: the spread of what each
             // sample pulls counts, not its declared weight.
-            let mut spread = sums.spread;
-            spread.sum(&before);
-            covariance = factor.sandwich(&spread);
+            covariance = sandwich(&factor, &(sums.spread + before));
         }
     }
-    let sd = |i: usize| covariance.get(i, i).max(0.0).sqrt();
+    let sd = |i: usize| covariance[(i, i)].max(0.0).sqrt();
     let by_axis = |value: &dyn Fn(usize) -> f64| -> Vec<[[f64; 3]; 3]> {
         (0..sensors)
             .map(|s| {
@@ -284,10 +283,10 @@ impl<const M: usize> Moving<M> {
 
 /// The normal equations of a linearised fit.
 struct Sums {
-    normal: Dense,
-    right: Vec<f64>,
+    normal: DMatrix<f64>,
+    right: DVector<f64>,
     /// Σ of the squares of what each sample pulls.
-    spread: Dense,
+    spread: DMatrix<f64>,
     samples: usize,
     median_residual: f64,
 }
@@ -311,9 +310,9 @@ impl Sums {
             .collect();
         let z_rows = solver.z_rows();
         let mut sums = Self {
-            normal: Dense::zeros(unknowns),
-            right: vec![0.0; unknowns],
-            spread: Dense::zeros(unknowns),
+            normal: DMatrix::zeros(unknowns, unknowns),
+            right: DVector::zeros(unknowns),
+            spread: DMatrix::zeros(unknowns, unknowns),
             samples: 0,
             median_residual: 0.0,
         };
@@ -344,15 +343,16 @@ impl Sums {
                     *r -= v * z;
                 }
             }
-            let mut information = [[0.0; 3]; 3];
+            let mut information = Matrix3::<f64>::zeros();
             for row in &slope {
                 for i in 0..3 {
                     for j in 0..3 {
-                        information[i][j] += row[i] * row[j];
+                        information[(i, j)] += row[i] * row[j];
                     }
                 }
             }
-            let Some(inverse) = invert(information) else {
+            let shown = information.determinant() > 1e-9 * information.trace().powi(3);
+            let Some(inverse) = information.try_inverse().filter(|_| shown) else {
                 continue;
             };
             // Zᵀ J, in the outputs.
@@ -368,7 +368,7 @@ impl Sums {
                 let mut value = projector[j][i];
                 for c in 0..3 {
                     for d in 0..3 {
-                        value -= along[i][c] * inverse[c][d] * along[j][d];
+                        value -= along[i][c] * inverse[(c, d)] * along[j][d];
                     }
                 }
                 value
@@ -398,19 +398,19 @@ impl Sums {
             for (p, i, a) in &parts {
                 for (q, j, b) in &parts {
                     if q <= p {
-                        sums.normal.add(*p, *q, a * b * between[*i][*j]);
+                        sums.normal[(*p, *q)] += a * b * between[*i][*j];
                     }
                 }
             }
             for p in 0..unknowns {
                 sums.right[p] += pull[p];
                 for q in 0..=p {
-                    sums.spread.add(p, q, pull[p] * pull[q]);
+                    sums.spread[(p, q)] += pull[p] * pull[q];
                 }
             }
         }
-        sums.normal.mirror();
-        sums.spread.mirror();
+        sums.normal.fill_upper_triangle_with_lower_triangle();
+        sums.spread.fill_upper_triangle_with_lower_triangle();
         residuals.sort_by(f64::total_cmp);
         sums.median_residual = residuals.get(residuals.len() / 2).copied().unwrap_or(0.0);
         sums
@@ -426,111 +426,7 @@ fn rotation_tensor([x, y, z]: [f64; 3], [a, b, c]: [f64; 3]) -> [[f64; 3]; 3] {
     ]
 }
 
-fn invert(m: [[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
-    let minor = |i: usize, j: usize| {
-        let (a, b) = ((i + 1) % 3, (i + 2) % 3);
-        let (c, d) = ((j + 1) % 3, (j + 2) % 3);
-        m[a][c] * m[b][d] - m[a][d] * m[b][c]
-    };
-    let det: f64 = (0..3).map(|j| m[0][j] * minor(0, j)).sum();
-    let trace = m[0][0] + m[1][1] + m[2][2];
-    (det.abs() > 1e-9 * trace.powi(3))
-        .then(|| std::array::from_fn(|i| std::array::from_fn(|j| minor(j, i) / det)))
-}
-
-/// A square matrix.
-#[derive(Clone, Debug)]
-pub(super) struct Dense {
-    size: usize,
-    values: Vec<f64>,
-}
-
-impl Dense {
-    pub(super) fn zeros(size: usize) -> Self {
-        Self {
-            size,
-            values: vec![0.0; size * size],
-        }
-    }
-
-    pub(super) fn get(&self, row: usize, column: usize) -> f64 {
-        self.values[row * self.size + column]
-    }
-
-    pub(super) fn add(&mut self, row: usize, column: usize, value: f64) {
-        self.values[row * self.size + column] += value;
-    }
-
-    pub(super) fn sum(&mut self, other: &Self) {
-        for (a, b) in self.values.iter_mut().zip(&other.values) {
-            *a += b;
-        }
-    }
-
-    /// Copies the lower triangle to the upper one.
-    fn mirror(&mut self) {
-        for row in 0..self.size {
-            for column in 0..row {
-                self.values[column * self.size + row] = self.get(row, column);
-            }
-        }
-    }
-
-    /// L with L Lᵀ = self; `None` where it is not positive definite.
-    pub(super) fn cholesky(&self) -> Option<Factor> {
-        let n = self.size;
-        let mut lower = Self::zeros(n);
-        for i in 0..n {
-            for j in 0..=i {
-                let dot: f64 = (0..j).map(|k| lower.get(i, k) * lower.get(j, k)).sum();
-                let rest = self.get(i, j) - dot;
-                let value = if i == j {
-                    (rest > 0.0).then(|| rest.sqrt())?
-                } else {
-                    rest / lower.get(j, j)
-                };
-                lower.add(i, j, value);
-            }
-        }
-        Some(Factor { lower })
-    }
-}
-
-pub(super) struct Factor {
-    lower: Dense,
-}
-
-impl Factor {
-    pub(super) fn solve(&self, right: &[f64]) -> Vec<f64> {
-        let n = self.lower.size;
-        let mut x = right.to_vec();
-        for i in 0..n {
-            let dot: f64 = (0..i).map(|k| self.lower.get(i, k) * x[k]).sum();
-            x[i] = (x[i] - dot) / self.lower.get(i, i);
-        }
-        for i in (0..n).rev() {
-            let dot: f64 = (i + 1..n).map(|k| self.lower.get(k, i) * x[k]).sum();
-            x[i] = (x[i] - dot) / self.lower.get(i, i);
-        }
-        x
-    }
-
-    /// N⁻¹ S N⁻¹.
-    pub(super) fn sandwich(&self, spread: &Dense) -> Dense {
-        let n = spread.size;
-        let column = |m: &Dense, j: usize| -> Vec<f64> { (0..n).map(|i| m.get(i, j)).collect() };
-        let mut half = Dense::zeros(n);
-        for j in 0..n {
-            for (i, value) in self.solve(&column(spread, j)).into_iter().enumerate() {
-                half.add(j, i, value);
-            }
-        }
-        let mut out = Dense::zeros(n);
-        for j in 0..n {
-            for (i, value) in self.solve(&column(&half, j)).into_iter().enumerate() {
-                out.add(i, j, value);
-            }
-        }
-        out
-    }
+/// N⁻¹ S N⁻¹.
+pub(super) fn sandwich(factor: &Cholesky<f64, Dyn>, spread: &DMatrix<f64>) -> DMatrix<f64> {
+    factor.solve(&factor.solve(spread).transpose())
 }

@@ -6,7 +6,9 @@ use wimu_nav::array::ArraySolver;
 
 use super::calibration::BIAS_MPS2;
 use super::motion::{axes, refused, sample, with_room};
-use super::refine::Dense;
+use nalgebra::{DMatrix, DVector};
+
+use super::refine::sandwich;
 use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::{ErrorCode, HostError, Result};
 
@@ -189,7 +191,7 @@ fn delays<const M: usize>(
     }
     let count = used.len();
     let mut found = vec![0.0; sensors];
-    let mut covariance = Dense::zeros(count);
+    let mut covariance = DMatrix::zeros(count, count);
     let mut lasting = 0.0;
     for pass in 0..=PASSES {
         let moved = recording.clone().delayed(&found);
@@ -197,24 +199,20 @@ fn delays<const M: usize>(
         if sums.samples < LEAST_SAMPLES {
             return Vec::new();
         }
-        let mut before = Dense::zeros(count);
+        let mut before = DMatrix::zeros(count, count);
         for i in 0..count {
-            before.add(i, i, 1.0 / (LONGEST_S * LONGEST_S));
+            before[(i, i)] += 1.0 / (LONGEST_S * LONGEST_S);
             for j in 0..count {
-                before.add(i, j, 1.0 / (TIED_S * TIED_S));
+                before[(i, j)] += 1.0 / (TIED_S * TIED_S);
             }
         }
-        let mut normal = sums.normal.clone();
-        normal.sum(&before);
-        let Some(factor) = normal.cholesky() else {
+        let Some(factor) = (&sums.normal + &before).cholesky() else {
             return Vec::new();
         };
         let step = factor.solve(&sums.pull);
         let most = step.iter().fold(0.0, |most: f64, s| most.max(s.abs()));
         if most < SETTLED_S || pass == PASSES {
-            let mut spread = sums.spread();
-            spread.sum(&before);
-            covariance = factor.sandwich(&spread);
+            covariance = sandwich(&factor, &(sums.spread() + before));
             lasting = LIKE_DELAYS * sums.wrong_mps2(calibration) / sums.change_mps3();
             break;
         }
@@ -231,7 +229,7 @@ fn delays<const M: usize>(
     }
     let mut out = vec![(0.0, f64::INFINITY); sensors];
     for (i, sensor) in used.iter().enumerate() {
-        let chance = covariance.get(i, i).max(0.0).sqrt();
+        let chance = covariance[(i, i)].max(0.0).sqrt();
         out[*sensor] = (found[*sensor], chance.hypot(lasting));
     }
     out
@@ -239,8 +237,8 @@ fn delays<const M: usize>(
 
 /// Normal equations of the delays.
 struct DelaySums {
-    normal: Dense,
-    pull: Vec<f64>,
+    normal: DMatrix<f64>,
+    pull: DVector<f64>,
     /// What each stretch of samples pulls.
     blocks: Vec<Vec<f64>>,
     samples: usize,
@@ -271,8 +269,8 @@ impl DelaySums {
             })
             .collect();
         let mut sums = Self {
-            normal: Dense::zeros(used.len()),
-            pull: vec![0.0; used.len()],
+            normal: DMatrix::zeros(used.len(), used.len()),
+            pull: DVector::zeros(used.len()),
             blocks: Vec::new(),
             samples: 0,
             force: [0.0; 3],
@@ -339,7 +337,7 @@ impl DelaySums {
                 }
                 for (j, (_, projected, other)) in columns.iter().enumerate() {
                     let value = dot(own, projected) - dot(explained, other);
-                    sums.normal.add(i, j, weight * value);
+                    sums.normal[(i, j)] += weight * value;
                 }
             }
             sums.samples += 1;
@@ -371,16 +369,13 @@ impl DelaySums {
             .max(1e-9)
     }
 
-    fn spread(&self) -> Dense {
-        let mut spread = Dense::zeros(self.pull.len());
-        for block in &self.blocks {
-            for (i, a) in block.iter().enumerate() {
-                for (j, b) in block.iter().enumerate() {
-                    spread.add(i, j, a * b);
-                }
-            }
-        }
-        spread
+    fn spread(&self) -> DMatrix<f64> {
+        let count = self.pull.len();
+        let blocks = self.blocks.iter();
+        blocks.fold(DMatrix::zeros(count, count), |spread, block| {
+            let block = DVector::from_column_slice(block);
+            spread + &block * block.transpose()
+        })
     }
 }
 

@@ -1,5 +1,6 @@
 //! What a sample's noise is where only means and their numbers of samples are given.
 
+use nalgebra::{DMatrix, DVector};
 use wimu_calib::{Estimate, Parameter, Pose};
 
 /// Numbers of samples that differ by less tell nothing.
@@ -70,8 +71,8 @@ fn noise(rows: &[Row]) -> Option<f64> {
     // Both variances per `share` of the noise in a mean of one sample.
     let likelihood = |share: f64| {
         let parameters = rows.first()?.by_parameter.len();
-        let mut normal = vec![vec![0.0; parameters]; parameters];
-        let mut right = vec![0.0; parameters];
+        let mut normal = DMatrix::zeros(parameters, parameters);
+        let mut right = DVector::zeros(parameters);
         let (mut squares, mut logs) = (0.0, 0.0);
         for row in rows {
             let relative = (1.0 - share) + share / row.samples;
@@ -80,11 +81,11 @@ fn noise(rows: &[Row]) -> Option<f64> {
             for (i, a) in row.by_parameter.iter().enumerate() {
                 right[i] += a * row.residual / relative;
                 for (j, b) in row.by_parameter.iter().enumerate() {
-                    normal[i][j] += a * b / relative;
+                    normal[(i, j)] += a * b / relative;
                 }
             }
         }
-        let (explained, log_determinant) = solve(&mut normal, &mut right)?;
+        let (explained, log_determinant) = solve(normal, &right)?;
         let free = rows
             .len()
             .checked_sub(parameters)
@@ -103,28 +104,23 @@ fn noise(rows: &[Row]) -> Option<f64> {
     (best - equal > EVIDENCE && variance > 0.0).then_some(variance)
 }
 
-/// rᵀ N⁻¹ r and ln det N of normal equations, by Cholesky's decomposition in place; `None` where they are
-/// singular.
-fn solve(normal: &mut [Vec<f64>], right: &mut [f64]) -> Option<(f64, f64)> {
-    let (mut explained, mut log_determinant) = (0.0, 0.0);
-    for k in 0..right.len() {
-        for j in 0..=k {
-            let known: f64 = (0..j).map(|i| normal[k][i] * normal[j][i]).sum();
-            let left = normal[k][j] - known;
-            normal[k][j] = if j < k {
-                left / normal[j][j]
-            } else if left > 1e-12 * normal[k][k] {
-                left.sqrt()
-            } else {
-                return None;
-            };
-        }
-        let known: f64 = (0..k).map(|i| normal[k][i] * right[i]).sum();
-        right[k] = (right[k] - known) / normal[k][k];
-        explained += right[k] * right[k];
-        log_determinant += 2.0 * normal[k][k].ln();
+/// rᵀ N⁻¹ r and ln det N of normal equations; `None` where they are singular.
+fn solve(normal: DMatrix<f64>, right: &DVector<f64>) -> Option<(f64, f64)> {
+    let size = normal.diagonal();
+    let lower = normal.cholesky()?.unpack();
+    let pivots = lower.diagonal();
+    if pivots
+        .iter()
+        .zip(&size)
+        .any(|(pivot, size)| pivot * pivot <= 1e-12 * size)
+    {
+        return None;
     }
-    Some((explained, log_determinant))
+    let explained = lower.solve_lower_triangular(right)?.norm_squared();
+    Some((
+        explained,
+        2.0 * pivots.iter().map(|pivot| pivot.ln()).sum::<f64>(),
+    ))
 }
 
 #[cfg(test)]
@@ -160,10 +156,10 @@ mod tests {
     #[test]
     fn normal_equations_are_solved_and_singular_ones_refused() {
         // N⁻¹ r = (1, 2): rᵀ N⁻¹ r = 8 · 1 + 8 · 2, det N = 8.
-        let mut normal = vec![vec![4.0, 2.0], vec![2.0, 3.0]];
-        let (explained, log) = solve(&mut normal, &mut [8.0, 8.0]).unwrap();
+        let normal = DMatrix::from_row_slice(2, 2, &[4.0, 2.0, 2.0, 3.0]);
+        let (explained, log) = solve(normal, &DVector::from_element(2, 8.0)).unwrap();
         assert!((explained - 24.0).abs() < 1e-12 && (log - 8_f64.ln()).abs() < 1e-12);
-        let mut normal = vec![vec![1.0, 1.0], vec![1.0, 1.0]];
-        assert_eq!(solve(&mut normal, &mut [1.0, 1.0]), None);
+        let ones = DMatrix::from_element(2, 2, 1.0);
+        assert_eq!(solve(ones, &DVector::from_element(2, 1.0)), None);
     }
 }

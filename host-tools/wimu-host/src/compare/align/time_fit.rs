@@ -1,5 +1,7 @@
 //! The fit of one table's times to the other's.
 
+use nalgebra::Matrix4;
+
 use super::MAX_RATE;
 use super::signal::{Signal, norm};
 
@@ -114,41 +116,28 @@ impl TimeFit {
 }
 
 /// The inverse of the first `size` rows and columns of a matrix that is nearly symmetric and positive.
-fn inverse(mut matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
+fn inverse(matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
     // Of like size first: seconds beside seconds squared.
-    let scale: [f64; 4] = std::array::from_fn(|k| matrix[k][k].sqrt());
-    let mut inverse = [[0.0; 4]; 4];
-    for row in 0..size {
-        // Not a number where it was negative.
-        if scale[row].is_nan() || scale[row] <= 0.0 {
+    let scale: [f64; 4] = std::array::from_fn(|k| if k < size { matrix[k][k].sqrt() } else { 1.0 });
+    let scaled = Matrix4::from_fn(|row, column| match row.max(column) < size {
+        true => matrix[row][column] / (scale[row] * scale[column]),
+        false => f64::from(u8::from(row == column)),
+    });
+    // The pivots.
+    let mut before = 1.0;
+    for rows in 1..=size {
+        let minor = scaled
+            .view((0, 0), (rows, rows))
+            .clone_owned()
+            .determinant();
+        // Not a number where the diagonal was negative.
+        if minor.is_nan() || minor < 1e-9 * before {
             return None;
         }
-        for column in 0..size {
-            matrix[row][column] /= scale[row] * scale[column];
-        }
-        inverse[row][row] = 1.0;
+        before = minor;
     }
-    for pivot in 0..size {
-        let by = matrix[pivot][pivot];
-        if by < 1e-9 {
-            return None;
-        }
-        for column in 0..size {
-            matrix[pivot][column] /= by;
-            inverse[pivot][column] /= by;
-        }
-        for row in (0..size).filter(|row| *row != pivot) {
-            let by = matrix[row][pivot];
-            for column in 0..size {
-                matrix[row][column] -= by * matrix[pivot][column];
-                inverse[row][column] -= by * inverse[pivot][column];
-            }
-        }
-    }
-    for row in 0..size {
-        for column in 0..size {
-            inverse[row][column] /= scale[row] * scale[column];
-        }
-    }
-    Some(inverse)
+    let inverse = scaled.lu().try_inverse()?;
+    Some(std::array::from_fn(|row| {
+        std::array::from_fn(|column| inverse[(row, column)] / (scale[row] * scale[column]))
+    }))
 }

@@ -5,6 +5,7 @@ mod array_filter;
 mod common;
 mod consistency;
 mod drift;
+mod finite;
 mod journeys;
 mod track;
 mod unit;

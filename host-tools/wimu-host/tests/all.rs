@@ -10,3 +10,4 @@ mod common;
 mod export_calibration;
 mod inertial;
 mod slides;
+mod violent;

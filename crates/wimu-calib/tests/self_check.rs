@@ -306,7 +306,7 @@ fn a_self_check_in_f32_comes_to_the_same_verdicts() {
     let (mut rests, mut contradicted, mut other) = (0, 0, 0);
     let mut worst: f64 = 0.0;
     for seed in 0..200 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let poses: Vec<Pose> = (0..20)
             .map(|_| {

@@ -5,6 +5,13 @@ use crate::Real;
 pub(crate) type Vector<R> = [R; 3];
 pub(crate) type Matrix<R> = [[R; 3]; 3];
 
+/// Whether every component is finite.
+pub(crate) fn all_finite<'a, R: Real + 'a>(
+    vectors: impl IntoIterator<Item = &'a Vector<R>>,
+) -> bool {
+    vectors.into_iter().flatten().all(|v| v.is_finite())
+}
+
 pub(crate) fn zero<R: Real>() -> Vector<R> {
     [R::default(); 3]
 }

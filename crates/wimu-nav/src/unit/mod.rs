@@ -28,7 +28,8 @@ use crate::Real;
 pub use crate::drift::Drift;
 use crate::unseen::Unseen;
 use crate::vector::{
-    Matrix, Vector, add, cross, diagonal, dot, product, quaternion, scale, sub, times, turn, zero,
+    Matrix, Vector, add, all_finite, cross, diagonal, dot, product, quaternion, scale, sub, times,
+    turn, zero,
 };
 pub use crate::zupt::Zupt;
 
@@ -180,18 +181,6 @@ impl<R: Real> UnitState<R> {
         } else {
             sum.sqrt()
         }
-    }
-
-    /// Whether position, velocity, attitude and their deviations are all numbers.
-    fn is_finite(&self) -> bool {
-        self.position_m
-            .iter()
-            .chain(&self.velocity_mps)
-            .chain(&self.quaternion)
-            .chain(&self.rate_rad_s)
-            .chain(self.position_covariance.iter().flatten())
-            .chain(&self.velocity_sd_mps)
-            .all(|v| v.is_finite())
     }
 }
 
@@ -596,9 +585,14 @@ impl<R: Real> UnitFilter<R> {
             innovation: self.manner.innovation(),
             rise_mps2: self.rise(),
         };
-        let is_finite = state.is_finite();
-        state.valid &= is_finite;
-        state.at_origin &= is_finite;
+        let means = [state.position_m, state.velocity_mps, state.rate_rad_s];
+        let deviations = state
+            .position_covariance
+            .iter()
+            .chain([&state.velocity_sd_mps]);
+        let finite = all_finite(self.attitude.iter().chain(&means).chain(deviations));
+        state.valid &= finite;
+        state.at_origin &= finite;
         state
     }
 

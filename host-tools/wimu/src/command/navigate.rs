@@ -121,10 +121,10 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
             "use --method tilt or slide, or several boards with --geometry",
         ));
     }
-    let recording = Recording::read(
-        open(&arguments.input, output)?,
-        &arguments.input.display().to_string(),
-    )?;
+    let name = arguments.input.display().to_string();
+    let file = Watched::open(&arguments.input, output)
+        .map_err(|error| HostError::file(&name, "open", &error))?;
+    let recording = Recording::read(RecordingReader::new(file, &name)?, &name)?;
     output.end_refresh();
     let link = recording.link(arguments.link.map(Into::into))?;
     let starts = link.boots.iter().map(|boot| start(boot, arguments));
@@ -155,22 +155,6 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     Ok(())
 }
 
-/// A recording whose reading is shown as it goes on.
-fn open(path: &Path, output: Output) -> Result<RecordingReader<Watched>> {
-    let name = path.display().to_string();
-    let unreadable = |error: std::io::Error| HostError::file(&name, "open", &error);
-    let file = File::open(path).map_err(unreadable)?;
-    let size = file.metadata().map_err(unreadable)?.len();
-    let watched = Watched {
-        file: BufReader::new(file),
-        read: 0,
-        size,
-        shown: Instant::now(),
-        output,
-    };
-    RecordingReader::new(watched, &name)
-}
-
 /// A file that shows how much of it has been read.
 struct Watched {
     file: BufReader<File>,
@@ -178,6 +162,19 @@ struct Watched {
     size: u64,
     shown: Instant,
     output: Output,
+}
+
+impl Watched {
+    fn open(path: &Path, output: Output) -> std::io::Result<Self> {
+        let file = File::open(path)?;
+        Ok(Self {
+            read: 0,
+            size: file.metadata()?.len(),
+            file: BufReader::new(file),
+            shown: Instant::now(),
+            output,
+        })
+    }
 }
 
 impl Read for Watched {

@@ -5,6 +5,7 @@ use super::super::hypothesis::{
 };
 use super::super::matrix::times;
 use super::{ArrayFilter, Wandered};
+use crate::vector::all_finite;
 use crate::{Real, Zupt};
 
 /// The part of a hidden turn's variance across the vertical: what holds the array on its circle tilts it.
@@ -55,22 +56,6 @@ impl<R: Real> ArrayState<R> {
     pub fn position_sd_m(&self) -> R {
         let p = &self.position_covariance;
         (p[0][0] + p[1][1] + p[2][2]).abs().sqrt()
-    }
-
-    /// Whether rate, position, velocity, attitude and their covariances are all numbers.
-    fn is_finite(&self) -> bool {
-        let covariances = [
-            &self.rate_covariance,
-            &self.velocity_covariance,
-            &self.position_covariance,
-        ];
-        self.rate_rad_s
-            .iter()
-            .chain(&self.position_m)
-            .chain(&self.velocity_mps)
-            .chain(&self.quaternion)
-            .chain(covariances.into_iter().flatten().flatten())
-            .all(|v| v.is_finite())
     }
 }
 
@@ -172,7 +157,18 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 }
             }
         }
-        state.valid &= state.is_finite();
+        let means = [rate, velocity, state.position_m];
+        let covariances = [
+            state.rate_covariance,
+            state.velocity_covariance,
+            state.position_covariance,
+        ];
+        state.valid &= all_finite(
+            all.attitude
+                .iter()
+                .chain(&means)
+                .chain(covariances.iter().flatten()),
+        );
         state
     }
 

@@ -390,28 +390,20 @@ fn headline(path: &InertialPath, choice: &Choice) -> String {
     // Their errors of scale are one: deviations add up.
     let length_m: f64 = moves.iter().map(|m| m.done.length_m).sum();
     let sd_m: f64 = moves.iter().map(|m| length_sd_m(m, choice)).sum();
-    let position = path.points.iter().rposition(|p| p.valid);
-    match (&moves[..], position) {
+    match (&moves[..], path.points.iter().rfind(|p| p.valid)) {
         ([one], _) => format!(
             "moved {length_m:.3} ± {sd_m:.3} m, from {:.2} to {:.2} s",
             one.from_s, one.to_s
         ),
         ([_, ..], _) => format!("{} moves, {length_m:.3} ± {sd_m:.3} m in all", moves.len()),
-        ([], Some(_)) if path.method == Method::Slide => "no move whose length is known".to_owned(),
-        ([], Some(k)) => {
-            let (point, [e, n, u]) = (&path.points[k], path.points[k].position_m);
-            let last = if k + 1 < path.points.len() {
-                ", the last that is valid"
-            } else {
-                ""
-            };
-            format!(
-                "position at {:.2} s{last}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {:.3} m",
-                point.time_s,
-                point.sd_m()
-            )
+        ([], Some(point)) if path.method != Method::Slide => {
+            let ([e, n, u], sd) = (point.position_m, point.sd_m());
+            let ends = path.points.last().is_some_and(|last| last.valid);
+            let last = if ends { "" } else { ", the last that is valid" };
+            let at = point.time_s;
+            format!("position at {at:.2} s{last}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m")
         }
-        ([], None) => "no position is valid".to_owned(),
+        _ => "no move whose length is known".to_owned(),
     }
 }
 

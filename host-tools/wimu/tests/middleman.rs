@@ -245,3 +245,26 @@ fn a_key_erased_at_the_board_is_not_written_around_in_silence() {
         assert_eq!(set.succeeds()["authenticated"], true);
     }
 }
+
+#[test]
+fn a_simulator_that_was_started_without_its_store_is_the_first_thing_named() {
+    let folder = folder();
+    let user = folder.path().join("user");
+    run_as(
+        &user,
+        &["key", "set", &Simulator::start(&["--motion", "rest"]).cable],
+    )
+    .succeeds();
+    let again = Simulator::start(&["--motion", "rest"]);
+    let ran = run_as(&user, &["settings", "set", &again.cable, "--rate", "200"]);
+    let remedy = ran.fails(4, "key_needed")["remedy"].to_string();
+    let named =
+        ["`--store`", "erased", "wimu key set", "in between"].map(|cause| remedy.find(cause));
+    assert!(
+        named.iter().all(Option::is_some) && named.is_sorted(),
+        "{remedy}"
+    );
+    // What it says to do helps.
+    run_as(&user, &["key", "set", &again.cable]).succeeds();
+    run_as(&user, &["settings", "set", &again.cable, "--rate", "200"]).succeeds();
+}

@@ -48,8 +48,8 @@ impl<T: Transport> Client<T> {
         let (message, remedy) = match held {
             None => (
                 "this computer has a key of this device, and the answer is that it has none".into(),
-                "if its key was erased at the board, give it a new one over the cable with `wimu key set`; \
-                 else something in between answers in its name",
+                "if `wimu simulate` was started without the `--store` of before, or the board's memory was erased, \
+                 give it a new key over the cable with `wimu key set`; else something in between answers in its name",
             ),
             Some(id) => (
                 format!("the device's key is {id}, and this computer's key of it is another"),

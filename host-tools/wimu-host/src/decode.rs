@@ -1,10 +1,11 @@
 //! The bytes of one link become typed events: frames assembled, short numbers completed, losses
 //! counted.
 
+use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use wimu_link::batch;
-use wimu_link::message::Epoch;
+use wimu_link::message::{Environment, Epoch, Navigation};
 use wimu_link::{Batch, Deframer, FrameError, Hello, Kind, Reply, Telemetry};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
@@ -27,6 +28,17 @@ const MAX_UNPLACED: usize = 512;
 const PLACE_TOLERANCE_US: u64 = 250_000;
 /// By how much an epoch may be ahead of a greeting that follows it: its first sample is expected, µs.
 const EXPECTED_US: u64 = 1_000_000;
+/// By how much a device time may be ahead of the latest one and the host time since, µs: the longest
+/// stall of a link that loses what it held. Chosen: a Bluetooth link is given up after 30 s at most.
+const MAX_AHEAD_US: u64 = 120_000_000;
+/// Shortest sample period that is believed, ns: twice the rate of the fastest supported sensor
+/// (LSM303AGR, 5376 Hz).
+const MIN_PERIOD_NS: u32 = 93_000;
+
+/// Order of two sequence numbers that are less than 2³¹ samples apart: they wrap at 2³².
+pub(crate) fn sequence_order(a: u32, b: u32) -> Ordering {
+    (a.wrapping_sub(b) as i32).cmp(&0)
+}
 
 /// Where a link's samples are: what completes short numbers.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +46,8 @@ struct Anchor {
     sequence: u32,
     time: DeviceTimeUs,
     period: PeriodNs,
+    /// When it arrived, ns of the host.
+    host_ns: u64,
 }
 
 impl Anchor {
@@ -46,6 +60,31 @@ impl Anchor {
         let passed_us = time.0.wrapping_sub(self.time.0) as i64;
         let tolerance = PLACE_TOLERANCE_US + foretold_us.unsigned_abs() / 4;
         (foretold_us.abs_diff(passed_us) <= tolerance).then_some((sequence, time))
+    }
+
+    /// The latest device time that can arrive at `host_ns`, µs.
+    fn latest_us(&self, host_ns: u64) -> u64 {
+        let passed_us = host_ns.saturating_sub(self.host_ns) / 1000;
+        let ahead_us = passed_us.saturating_add(MAX_AHEAD_US);
+        self.time.0.saturating_add(ahead_us)
+    }
+
+    /// Whether the device can have taken a sample of this number by the device time `by_us`, at a
+    /// rate that is up to 25 % off.
+    fn reaches(&self, sequence: u32, by_us: u64) -> bool {
+        let samples = sequence.wrapping_sub(self.sequence) as i32;
+        let period_ns = self.period.0.max(MIN_PERIOD_NS);
+        let foretold_us = u64::from(samples.unsigned_abs()) * u64::from(period_ns) / 1000;
+        let passed_us = by_us.saturating_sub(self.time.0);
+        foretold_us <= passed_us.saturating_add(passed_us / 4)
+    }
+
+    /// Whether the device can have sent `next` after this. Back in time, it may have started anew.
+    fn leads_to(&self, next: &Self) -> bool {
+        let period = PeriodNs(self.period.0.min(next.period.0));
+        let by_us = next.time.0.saturating_add(MAX_AHEAD_US);
+        let is_reached = Self { period, ..*self }.reaches(next.sequence, by_us);
+        next.time <= self.time || (is_reached && next.time.0 <= self.latest_us(next.host_ns))
     }
 }
 
@@ -60,7 +99,7 @@ impl Received {
     fn at(self, time: DeviceTimeUs) -> Moment {
         Moment {
             host_ns: self.host_ns,
-            time_us: time.0,
+            time_us: time.0.min(i64::MAX as u64),
         }
     }
 
@@ -101,6 +140,8 @@ pub struct Decoder {
     statistics: LinkStatistics,
     /// The latest and the one before: epochs may overtake samples.
     anchors: [Option<Anchor>; 2],
+    /// The latest epoch, if it jumped: believed once the next goes on from it.
+    jumped: Option<Anchor>,
     unplaced: VecDeque<(Received, Batch)>,
     /// Whether a frame has been read since listening began.
     listening: bool,
@@ -139,6 +180,7 @@ impl Decoder {
             deframer: Deframer::new(),
             statistics: LinkStatistics::default(),
             anchors: [None; 2],
+            jumped: None,
             unplaced: VecDeque::new(),
             listening: false,
             began_ns: None,
@@ -209,7 +251,7 @@ impl Decoder {
             match event {
                 Message::Hello(hello) => self.take_hello(received, hello, &mut each),
                 Message::Epoch(epoch) => self.take_epoch(received, epoch, &mut each),
-                Message::Event(event) if self.order.is_in_doubt() && event.is_of_a_start() => {
+                Message::Event(event) if self.order.holds() && event.is_of_a_start() => {
                     self.order.hold((received, Held::Event(Box::new(event))));
                 }
                 Message::Event(event) => self.take_event(received, event, &mut each),
@@ -295,6 +337,7 @@ impl Decoder {
         self.statistics.batches_unplaced += self.unplaced.len() as u64;
         self.unplaced.clear();
         self.anchors = [None; 2];
+        self.jumped = None;
         self.latest = [None; 2];
         self.skipped = [false; 2];
         self.gaps = Default::default();
@@ -326,11 +369,27 @@ impl Decoder {
         }
     }
 
-    /// Hands on an event, a reading once.
+    /// Hands on an event, a reading once and none that the device cannot have sent yet.
     fn take_event(&mut self, received: Received, event: Event, each: &mut impl FnMut(Arrival)) {
+        let possible = self.anchors[0].is_none_or(|anchor| {
+            let by_us = anchor.latest_us(received.host_ns);
+            match &event {
+                Event::Environment(reading) => reading.time_us <= by_us,
+                Event::Navigation(reading) => anchor.reaches(reading.sequence, by_us),
+                _ => true,
+            }
+        });
+        if !possible {
+            self.statistics.frames_rejected += 1;
+            return;
+        }
         let is_new = match &event {
-            Event::Environment(reading) => is_later(&mut self.last_environment, reading.time_us),
-            Event::Navigation(reading) => is_later(&mut self.last_navigation, reading.sequence),
+            Event::Environment(Environment { time_us, .. }) => {
+                is_later(&mut self.last_environment, *time_us, |a, b| a.cmp(&b))
+            }
+            Event::Navigation(Navigation { sequence, .. }) => {
+                is_later(&mut self.last_navigation, *sequence, sequence_order)
+            }
             _ => true,
         };
         if is_new {
@@ -365,6 +424,20 @@ impl Decoder {
 
     fn take_epoch(&mut self, received: Received, epoch: Epoch, each: &mut impl FnMut(Arrival)) {
         let time = DeviceTimeUs(epoch.time_us);
+        let anchor = Anchor {
+            sequence: epoch.sequence,
+            time,
+            period: PeriodNs(epoch.period_ns),
+            host_ns: received.host_ns,
+        };
+        let goes_on = self.anchors[0].is_none_or(|before| before.leads_to(&anchor));
+        let jumped = self.jumped.take();
+        if !goes_on && jumped.is_none_or(|jumped| time <= jumped.time || !jumped.leads_to(&anchor))
+        {
+            self.jumped = Some(anchor);
+            self.statistics.frames_rejected += 1;
+            return;
+        }
         let place = match self.last_epoch_time {
             Some(last) if time < last => Place::Back,
             _ => Place::Ahead,
@@ -383,10 +456,12 @@ impl Decoder {
             }
         }
         self.last_epoch_time = Some(time);
-        self.anchor(Anchor {
-            sequence: epoch.sequence,
-            time,
-            period: PeriodNs(epoch.period_ns),
+        self.anchor(anchor);
+        // No reading is that far ahead of an epoch: the latest was none of the device's.
+        let ahead_us = time.0.saturating_add(EXPECTED_US);
+        self.last_environment.take_if(|latest| *latest > ahead_us);
+        self.last_navigation.take_if(|latest| {
+            sequence_order(*latest, epoch.sequence).is_gt() && !anchor.reaches(*latest, ahead_us)
         });
         for (received, batch) in std::mem::take(&mut self.unplaced) {
             self.take_batch(received, &batch, each);
@@ -414,7 +489,7 @@ impl Decoder {
             Some(Anchor {
                 sequence,
                 time,
-                period: anchor.period,
+                ..*anchor
             })
         })
     }
@@ -425,7 +500,7 @@ impl Decoder {
             return;
         }
         let Some(first) = self.place(batch) else {
-            if self.order.is_in_doubt() {
+            if self.order.holds() {
                 return self.order.hold((received, Held::Batch(Box::new(*batch))));
             }
             self.unplaced.push_back((received, *batch));
@@ -439,6 +514,7 @@ impl Decoder {
             sequence,
             time,
             period,
+            ..
         } = first;
         let every = u32::from(batch.every());
         let index = batch.stream() as usize;
@@ -475,6 +551,7 @@ impl Decoder {
         {
             latest.sequence = sequence;
             latest.time = time;
+            latest.host_ns = received.host_ns;
         }
         let statistics = self.statistics.stream(batch.stream());
         let mut samples = Samples {
@@ -556,8 +633,8 @@ enum Held {
 }
 
 /// Whether `now` is behind `latest`, which it then becomes.
-fn is_later<T: PartialOrd>(latest: &mut Option<T>, now: T) -> bool {
-    let is_later = latest.as_ref().is_none_or(|latest| now > *latest);
+fn is_later<T: Copy>(latest: &mut Option<T>, now: T, order: fn(T, T) -> Ordering) -> bool {
+    let is_later = latest.is_none_or(|latest| order(now, latest).is_gt());
     if is_later {
         *latest = Some(now);
     }

@@ -1,6 +1,6 @@
 //! A recording as a table.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
@@ -13,7 +13,7 @@ use wimu_model::{DeviceTimeUs, SpecificForceQ16};
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
 use crate::csv::{AccelerationUnit, CsvWriter, Header, Row, SENSITIVITY};
-use crate::decode::{Arrival, Decoder, Event, TimedSample};
+use crate::decode::{Arrival, Decoder, Event, TimedSample, sequence_order};
 use crate::history::Boot;
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::motion::FIELD_CALIBRATED;
@@ -202,7 +202,7 @@ struct Start {
     navigation: VecDeque<Navigation>,
     environment: VecDeque<Environment>,
     /// When samples were taken, by number.
-    times: BTreeMap<u32, DeviceTimeUs>,
+    times: VecDeque<(u32, DeviceTimeUs)>,
     /// Parameters and latest epochs: how samples and field are to be read.
     boot: Boot,
     /// The latest device time, µs.
@@ -213,6 +213,14 @@ struct Start {
     temperature_c: Option<f64>,
     field_ut: Option<[f64; 3]>,
     field_calibrated: bool,
+}
+
+impl Start {
+    /// Where the time of a sample is among those kept, or belongs.
+    fn find_time(&self, sequence: u32) -> std::result::Result<usize, usize> {
+        self.times
+            .binary_search_by(|(number, _)| sequence_order(*number, sequence))
+    }
 }
 
 struct Table<'a> {
@@ -269,10 +277,11 @@ impl<'a> Table<'a> {
             }
             Event::Late(samples) if self.stream == samples.stream.into() => {
                 for late in samples.iter() {
-                    if start.written.is_none_or(|written| late.sequence > written) {
+                    let is_behind = |number| sequence_order(late.sequence, number).is_gt();
+                    if start.written.is_none_or(is_behind) {
                         let at = start
                             .samples
-                            .partition_point(|sample| sample.sequence < late.sequence);
+                            .partition_point(|sample| is_behind(sample.sequence));
                         start.samples.insert(at, late);
                     }
                 }
@@ -287,8 +296,12 @@ impl<'a> Table<'a> {
                 if self.stream == wanted {
                     start.samples.extend(samples.iter());
                 } else if self.stream == ExportStream::Navigation {
-                    let times = samples.iter().map(|sample| (sample.sequence, sample.time));
-                    start.times.extend(times);
+                    for sample in samples.iter() {
+                        // Either stream tells it.
+                        if let Err(at) = start.find_time(sample.sequence) {
+                            start.times.insert(at, (sample.sequence, sample.time));
+                        }
+                    }
                 }
                 if let Some(last) = samples.iter().last() {
                     start.latest_us = start.latest_us.max(last.time.0);
@@ -311,11 +324,13 @@ impl<'a> Table<'a> {
         }
         while let Some(navigation) = self.start.navigation.front().copied() {
             let start = &mut self.start;
-            let time = start.times.get(&navigation.sequence).copied();
+            let found = start.find_time(navigation.sequence);
+            let time = found.ok().map(|at| start.times[at].1);
             if time.is_none() && !all && start.navigation.len() <= MAX_WAITING {
                 // Its sample may still come; those behind it wait, too.
-                let passed = navigation.sequence.saturating_add(MAX_WAITING as u32);
-                if start.times.range(passed..).next().is_none() {
+                let passed = navigation.sequence.wrapping_add(MAX_WAITING as u32);
+                let has_passed = |(last, _): &_| sequence_order(*last, passed).is_ge();
+                if !start.times.back().is_some_and(has_passed) {
                     break;
                 }
             }
@@ -323,7 +338,7 @@ impl<'a> Table<'a> {
             self.position(&navigation, time)?;
         }
         while self.start.times.len() > MAX_TIMES {
-            self.start.times.pop_first();
+            self.start.times.pop_front();
         }
         Ok(())
     }
@@ -420,3 +435,6 @@ fn pop_if<T>(queue: &mut VecDeque<T>, wanted: impl Fn(&T) -> bool) -> Option<T> 
         .is_some_and(wanted)
         .then(|| queue.pop_front())?
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,11 +12,14 @@ use wimu_link::{Hello, LinkRole, Settings};
 use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity, SensorId};
 
 use crate::clock::{ClockEstimator, ClockModel};
-use crate::decode::{Arrival, Event, LinkStatistics, TimedSample};
+use crate::decode::{Arrival, Event, LinkStatistics, TimedSample, sequence_order};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 use crate::overview::{Listen, choose, listen};
 use crate::walk::Start;
+
+/// Changes of parameters and of settings, and events, that are kept of a start, of each the latest.
+const MAX_KEPT: usize = 4096;
 
 /// An epoch as it arrived.
 #[derive(Clone, Debug)]
@@ -44,13 +47,13 @@ pub struct Boot {
     pub environment: Vec<Environment>,
     /// Velocity and position, by sequence number.
     pub navigation: Vec<Navigation>,
-    /// Parameters in use, as it said them.
+    /// Parameters in use, as it said them: the latest 4096 changes.
     pub parameters: Vec<ActiveParameters>,
-    /// Settings in use, as it said them.
+    /// Settings in use, as it said them: the latest 4096 changes.
     pub settings: Vec<Settings>,
     /// How it was, as it said last.
     pub status: Option<Status>,
-    /// What happened, each once.
+    /// What happened, each once: the latest [`MAX_KEPT`] events and up to as many before them.
     pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
     known_events: HashSet<String>,
     /// What the link told about the device's clock.
@@ -76,7 +79,8 @@ impl Boot {
         [&self.raw, &self.corrected]
             .into_iter()
             .find_map(|samples| {
-                let found = samples.binary_search_by_key(&sequence, |sample| sample.sequence);
+                let found =
+                    samples.binary_search_by(|sample| sequence_order(sample.sequence, sequence));
                 found.ok().map(|index| samples[index].time)
             })
     }
@@ -189,23 +193,37 @@ impl Boot {
     }
 
     fn use_settings(&mut self, settings: Settings) {
-        if self.settings.last() != Some(&settings) {
-            self.settings.push(settings);
-        }
+        push_change(&mut self.settings, settings);
     }
 
     fn use_parameters(&mut self, parameters: ActiveParameters) {
-        if self.parameters.last() != Some(&parameters) {
-            self.parameters.push(parameters);
-        }
+        push_change(&mut self.parameters, parameters);
     }
 }
 
-/// Adds what is not yet `known`, by how it is written: looking through `all` would take longer with every one.
+/// Adds what is not yet `known`, by its `Debug` text: looking through `all` would take longer with every
+/// item. Of twice [`MAX_KEPT`] the older half is dropped.
 fn push_new<T: std::fmt::Debug>(all: &mut Vec<T>, known: &mut HashSet<String>, item: T) {
-    if known.insert(format!("{item:?}")) {
-        all.push(item);
+    if !known.insert(format!("{item:?}")) {
+        return;
     }
+    if all.len() == 2 * MAX_KEPT {
+        for dropped in all.drain(..MAX_KEPT) {
+            known.remove(&format!("{dropped:?}"));
+        }
+    }
+    all.push(item);
+}
+
+/// Takes what differs from the latest; keeps [`MAX_KEPT`].
+fn push_change<T: PartialEq>(kept: &mut Vec<T>, new: T) {
+    if kept.last() == Some(&new) {
+        return;
+    }
+    if kept.len() >= MAX_KEPT {
+        kept.remove(0);
+    }
+    kept.push(new);
 }
 
 /// What one link has brought.
@@ -274,7 +292,9 @@ impl LinkHistory {
                     Stream::Corrected => &mut boot.corrected,
                 };
                 for late in samples.iter() {
-                    let at = known.partition_point(|sample| sample.sequence < late.sequence);
+                    let at = known.partition_point(|sample| {
+                        sequence_order(sample.sequence, late.sequence).is_lt()
+                    });
                     known.insert(at, late);
                 }
             }
@@ -536,6 +556,45 @@ mod tests {
         writer.append(LinkRole::Cable, 1, &second(0)).unwrap();
         let recording = read(&writer.finish().unwrap().into_inner());
         assert_eq!(recording.link(None).unwrap().boots[0].raw.len(), 100);
+    }
+
+    #[test]
+    fn changes_and_events_without_end_keep_the_latest_only() {
+        let mut link = LinkHistory::new(LinkRole::Cable);
+        let mut take = |event| {
+            link.take(&Arrival {
+                host_ns: 0,
+                began_ns: 0,
+                event,
+            });
+        };
+        let most = MAX_KEPT as u32;
+        for n in 0..most + 10 {
+            take(Event::Parameters(ActiveParameters {
+                active: None,
+                id: n,
+            }));
+            take(Event::Settings(Settings {
+                gravity_um_s2: n,
+                ..Settings::default()
+            }));
+            take(Event::Device {
+                time: DeviceTimeUs(n.into()),
+                event: DeviceEvent::SensorFound,
+            });
+        }
+        let boot = &link.boots[0];
+        let lengths = [
+            boot.parameters.len(),
+            boot.settings.len(),
+            boot.events.len(),
+        ];
+        assert_eq!(lengths, [MAX_KEPT; 3]);
+        assert_eq!((boot.parameters[0].id, boot.events[0].0.0), (10, 10));
+        assert_eq!(
+            boot.settings.last().map(|last| last.gravity_um_s2),
+            Some(most + 9)
+        );
     }
 
     #[test]

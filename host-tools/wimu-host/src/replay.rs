@@ -5,7 +5,7 @@ use wimu_integrator::{Integrator, MagneticHeading, Navigation, State};
 use wimu_link::message::{ARITHMETIC_REVISION, EpochReason};
 use wimu_model::{CentiCelsius, Corrector, Counts, PeriodNs, SpecificForceQ16};
 
-use crate::decode::TimedSample;
+use crate::decode::{TimedSample, sequence_order};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::history::{Boot, EpochMark};
 
@@ -169,7 +169,8 @@ impl<'a> Replay<'a> {
             }),
             _ => Running::from_epoch(self.boot, mark).map(|running| {
                 let start = running.next_sequence;
-                self.raw = self.boot.raw.partition_point(|raw| raw.sequence < start);
+                let is_before = |raw: &TimedSample| sequence_order(raw.sequence, start).is_lt();
+                self.raw = self.boot.raw.partition_point(is_before);
                 self.running = Some(running);
                 None
             }),
@@ -221,7 +222,7 @@ impl Iterator for Replay<'_> {
                 let epochs = &self.boot.epochs;
                 while epochs
                     .get(self.epoch)
-                    .is_some_and(|mark| mark.epoch.sequence < sequence)
+                    .is_some_and(|mark| sequence_order(mark.epoch.sequence, sequence).is_lt())
                 {
                     self.epoch += 1;
                 }
@@ -314,7 +315,7 @@ fn compare(boot: &Boot, replayed: &Replayed, span: &mut ReplayReport) {
     let mut differs = false;
     if let Ok(found) = boot
         .corrected
-        .binary_search_by_key(&sequence, |sample| sample.sequence)
+        .binary_search_by(|sample| sequence_order(sample.sequence, sequence))
     {
         span.corrected_compared += 1;
         if boot.corrected[found].value != replayed.force.0 {
@@ -324,7 +325,7 @@ fn compare(boot: &Boot, replayed: &Replayed, span: &mut ReplayReport) {
     }
     if let Ok(found) = boot
         .navigation
-        .binary_search_by_key(&sequence, |navigation| navigation.sequence)
+        .binary_search_by(|navigation| sequence_order(navigation.sequence, sequence))
     {
         span.navigation_compared += 1;
         let ours = wimu_link::message::Navigation::new(sequence, &replayed.navigation);

@@ -4,6 +4,8 @@
 use wimu_link::message::{Epoch, EpochReason};
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
+use crate::decode::sequence_order;
+
 /// A device sends an epoch at least this often, ns of samples.
 const EPOCH_WITHIN_NS: u64 = 1_000_000_000;
 
@@ -86,7 +88,7 @@ impl Mark {
     /// meanwhile.
     fn steps_to(&self, next: &Self) -> Option<u8> {
         let steps = next.number.wrapping_sub(self.number);
-        let apart = next.sequence.checked_sub(self.sequence)?;
+        let apart = u32::try_from(next.sequence.wrapping_sub(self.sequence) as i32).ok()?;
         // The last of the steps may be an epoch that was sent again for a new listener.
         let most = u64::from(self.most.max(next.most)) * (u64::from(steps) + 1);
         (u64::from(apart) <= most).then_some(steps)
@@ -147,9 +149,9 @@ impl RawUnits {
         };
         let mut at = self
             .runs
-            .partition_point(|run| run.first.sequence <= mark.sequence);
+            .partition_point(|run| sequence_order(run.first.sequence, mark.sequence).is_le());
         if let Some(before) = at.checked_sub(1).and_then(|index| self.runs.get(index)) {
-            if mark.sequence <= before.last.sequence {
+            if sequence_order(mark.sequence, before.last.sequence).is_le() {
                 return;
             }
             if before.unit == unit && before.last.holds_until(&mark) {
@@ -179,20 +181,20 @@ impl RawUnits {
     pub fn of(&self, sequence: u32) -> Option<RawUnit> {
         let at = self
             .runs
-            .partition_point(|run| run.first.sequence <= sequence);
+            .partition_point(|run| sequence_order(run.first.sequence, sequence).is_le());
         let after = self.runs.get(at);
         let Some(run) = at.checked_sub(1).and_then(|index| self.runs.get(index)) else {
             // On their way when listening began: none need have been lost.
             return after
                 .filter(|after| !after.first.may_change_range())
-                .filter(|after| after.first.sequence - sequence <= after.first.most)
+                .filter(|after| after.first.sequence.wrapping_sub(sequence) <= after.first.most)
                 .map(|after| after.unit);
         };
         let known = match after {
-            _ if sequence <= run.last.sequence => true,
+            _ if sequence_order(sequence, run.last.sequence).is_le() => true,
             Some(after) if after.unit == run.unit => run.last.holds_until(&after.first),
             Some(after) => run.last.ends_with(&after.first),
-            None => sequence - run.last.sequence < run.last.most,
+            None => sequence.wrapping_sub(run.last.sequence) < run.last.most,
         };
         known.then_some(run.unit)
     }

@@ -21,6 +21,7 @@ use super::range::Range;
 use super::{CalibrationReport, Source};
 use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
+use crate::decode::sequence_order;
 use crate::error::{ErrorCode, HostError, Result};
 use crate::history::Recording;
 use crate::units::RawUnits;
@@ -226,7 +227,7 @@ impl Paired {
             for sample in &theirs.raw {
                 let found = ours
                     .raw
-                    .binary_search_by_key(&sample.sequence, |sample| sample.sequence);
+                    .binary_search_by(|ours| sequence_order(ours.sequence, sample.sequence));
                 let Ok(index) = found else { continue };
                 let Some(unit) = units.of(sample.sequence) else {
                     without_unit += 1;

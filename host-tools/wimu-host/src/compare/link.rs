@@ -43,6 +43,8 @@ pub struct LinkReport {
     pub interruptions: u64,
     /// Batches of samples whose place no epoch has told, those at the very end of the recording too.
     pub unplaced: u64,
+    /// Undamaged frames with a number or time that the device cannot have reached.
+    pub rejected: u64,
     /// Runs of missing samples: how many runs of how many samples, by powers of two.
     pub bursts: Vec<Burst>,
     /// From the newest sample of a batch to its arrival.
@@ -412,6 +414,7 @@ impl LinkMeter {
             shed: self.shed(),
             interruptions: statistics.interruptions,
             unplaced: statistics.batches_unplaced,
+            rejected: statistics.frames_rejected,
             bursts: self
                 .bursts
                 .iter()

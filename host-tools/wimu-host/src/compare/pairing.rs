@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use super::holes::Holes;
 use crate::clock::ClockModel;
-use crate::decode::TimedSample;
+use crate::decode::{TimedSample, sequence_order};
 use crate::walk::Start;
 
 /// Samples that wait for their twin at most: over three minutes at 1344 Hz.
@@ -113,7 +113,9 @@ impl Waiting {
         if !self.carries(sample.number, known) {
             return false;
         }
-        let is_between = self.first.is_some_and(|first| sample.number > first);
+        let is_between = self
+            .first
+            .is_some_and(|first| sequence_order(sample.number, first).is_gt());
         if !is_between && sample.taken_ns <= self.from_ns {
             self.before_heard += 1;
         } else if !is_between {
@@ -171,7 +173,7 @@ impl<'a> Pairing<'a> {
         // Each link brings its samples in order, but for late ones: what the other has brought before
         // this one is not coming any more.
         while let Some(before) = other.samples.front().copied() {
-            if before.number > number {
+            if sequence_order(before.number, number).is_gt() {
                 break;
             }
             other.samples.pop_front();
@@ -222,7 +224,8 @@ impl<'a> Pairing<'a> {
             return lacked.remove(at).map(|(_, twin)| twin.value);
         }
         let [own, other] = self.links(link, start);
-        let at = other.samples.partition_point(|twin| twin.number < number);
+        let is_before = |known: &Taken| sequence_order(known.number, number).is_lt();
+        let at = other.samples.partition_point(is_before);
         if other
             .samples
             .get(at)
@@ -230,7 +233,7 @@ impl<'a> Pairing<'a> {
         {
             return other.samples.remove(at).map(|twin| twin.value);
         }
-        let at = own.samples.partition_point(|before| before.number < number);
+        let at = own.samples.partition_point(is_before);
         own.samples.insert(at, sample);
         None
     }

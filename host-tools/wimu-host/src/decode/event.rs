@@ -137,6 +137,10 @@ pub struct LinkStatistics {
     pub frames_damaged: u64,
     /// Undamaged frames of an unknown version or kind, or with a body that makes no sense.
     pub frames_unreadable: u64,
+    /// Undamaged frames with a number or time that the device cannot have reached, which were left out.
+    pub frames_rejected: u64,
+    /// Events that were left out because too many waited for somebody to take them.
+    pub events_dropped: u64,
     /// The raw samples.
     pub raw: StreamStatistics,
     /// The corrected samples.

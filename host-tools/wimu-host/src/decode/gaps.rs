@@ -33,7 +33,7 @@ impl Gaps {
             let gap = self
                 .0
                 .iter()
-                .position(|(from, to)| (*from..*to).contains(&number));
+                .position(|(from, to)| number.wrapping_sub(*from) < to.wrapping_sub(*from));
             let Some(index) = gap else {
                 statistics.duplicated += 1;
                 follows = false;
@@ -42,8 +42,8 @@ impl Gaps {
             statistics.late += 1;
             statistics.missing = statistics.missing.saturating_sub(1);
             let (from, to) = self.0[index];
-            self.0[index] = (number + 1, to);
-            if from < number {
+            self.0[index] = (number.wrapping_add(1), to);
+            if from != number && self.0.len() < MAX_GAPS {
                 self.0.insert(index, (from, number));
             }
             match found.last_mut().filter(|_| follows) {

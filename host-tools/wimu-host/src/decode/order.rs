@@ -20,7 +20,7 @@ const MAX_HELD: usize = 2048;
 pub(super) struct Moment {
     /// Host's monotonic clock, ns.
     pub host_ns: u64,
-    /// Device time, µs.
+    /// Device time, µs; at most 2⁶³ − 1.
     pub time_us: u64,
 }
 
@@ -28,7 +28,7 @@ impl Moment {
     /// The device time at `host_ns`, if nothing is late and the device has gone on.
     fn foretold_us(self, host_ns: u64) -> i64 {
         let passed_us = host_ns.saturating_sub(self.host_ns) / 1000;
-        self.time_us.saturating_add(passed_us) as i64
+        self.time_us.saturating_add(passed_us).min(i64::MAX as u64) as i64
     }
 }
 
@@ -79,6 +79,11 @@ impl<T> Order<T> {
     /// Whether something is held: all that follows is, too, until it is decided.
     pub fn is_in_doubt(&self) -> bool {
         self.doubt.is_some()
+    }
+
+    /// Whether what tells nothing of its place is to be held: in doubt, while there is room.
+    pub fn holds(&self) -> bool {
+        self.is_in_doubt() && self.held.len() < MAX_HELD
     }
 
     /// What is held.

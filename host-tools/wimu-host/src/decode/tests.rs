@@ -71,6 +71,33 @@ fn samples_of(start: i16, first: u32, count: u32) -> Vec<u8> {
     framed(|frame| batch::encode(first, DeviceTimeUs(time(first)), &counts, frame))
 }
 
+fn navigation(sequence: u32) -> Vec<u8> {
+    let state = wimu_integrator::Navigation::default();
+    let navigation = <Telemetry>::Navigation(Navigation::new(sequence, &state));
+    framed(|frame| navigation.encode(frame))
+}
+
+fn environment(time_us: u64) -> Vec<u8> {
+    let environment = <Telemetry>::Environment(Environment {
+        time_us,
+        ..Environment::default()
+    });
+    framed(|frame| environment.encode(frame))
+}
+
+fn positions(events: &[Event]) -> Vec<u32> {
+    let position = |event: &Event| match event {
+        Event::Navigation(navigation) => Some(navigation.sequence),
+        _ => None,
+    };
+    events.iter().filter_map(position).collect()
+}
+
+fn fields(events: &[Event]) -> usize {
+    let is_field = |event: &&Event| matches!(event, Event::Environment(_));
+    events.iter().filter(is_field).count()
+}
+
 fn time(sequence: u32) -> u64 {
     1_000_000 + u64::from(sequence) * PERIOD_US
 }
@@ -533,4 +560,257 @@ fn decimated_samples_keep_number_and_time_and_only_their_losses_count() {
     assert_eq!(sequences(&events), expected);
     let raw = decoder.statistics().raw;
     assert_eq!((raw.missing, raw.duplicated), (2 + 2, 1));
+}
+
+#[test]
+fn positions_and_samples_go_on_where_their_numbers_wrap() {
+    // 2³² samples are 37 days at 1344 Hz.
+    let mut decoder = Decoder::new();
+    let mut events = Vec::new();
+    let mut expected = Vec::new();
+    let start = 0_u32.wrapping_sub(400);
+    for step in (0..800).step_by(16) {
+        let first = start.wrapping_add(step);
+        let at = |step: u32| u64::from(step) * PERIOD_US;
+        let counts: Vec<_> = (step..step + 16)
+            .map(|s| Counts([s as i16, 0, 16384]))
+            .collect();
+        let mut frames = Vec::new();
+        if step % 96 == 0 {
+            frames.push(numbered_epoch((step / 96) as u8, first, at(step)));
+        }
+        // The batch over the wrap comes after the next: it fills its gap.
+        let batch = framed(|frame| batch::encode(first, DeviceTimeUs(at(step)), &counts, frame));
+        frames.push(batch);
+        frames.push(navigation(first));
+        expected.push(first);
+        for frame in frames {
+            decoder.push(at(step) * 1000, &frame, |arrival| {
+                events.push(arrival.event)
+            });
+        }
+    }
+    assert_eq!(positions(&events), expected);
+    let statistics = decoder.statistics();
+    assert_eq!((statistics.raw.received, statistics.raw.missing), (800, 0));
+    assert_eq!(statistics.readings_repeated + statistics.frames_rejected, 0);
+    // Again, and late: nothing twice.
+    decoder.push(8_000_000_000, &navigation(383), |_| unreachable!());
+    decoder.push(8_000_000_000, &navigation(u32::MAX), |_| unreachable!());
+    assert_eq!(decoder.statistics().readings_repeated, 2);
+}
+
+#[test]
+fn a_late_batch_fills_a_gap_over_the_wrap() {
+    let start = 0_u32.wrapping_sub(40);
+    let mut gaps = Gaps::default();
+    let mut statistics = StreamStatistics::default();
+    gaps.add(start, start.wrapping_add(80));
+    let samples = Samples {
+        stream: batch::Stream::Raw,
+        first_sequence: start.wrapping_add(32),
+        first_time: DeviceTimeUs(0),
+        period: PeriodNs(10_000_000),
+        every: 1,
+        values: vec![[0; 3]; 16],
+    };
+    assert_eq!(gaps.take(&samples, 16, &mut statistics).len(), 1);
+    assert_eq!((statistics.late, statistics.duplicated), (16, 0));
+    // Once each.
+    gaps.take(&samples, 16, &mut statistics);
+    assert_eq!((statistics.late, statistics.duplicated), (16, 16));
+}
+
+#[test]
+fn one_forged_number_hides_no_position_and_no_field() {
+    let forged = [1 << 30, u32::MAX].map(navigation);
+    let forged = [&forged[..], &[environment(u64::MAX)]].concat();
+    for before_the_first_epoch in [true, false] {
+        let mut decoder = Decoder::new();
+        let mut events = Vec::new();
+        if before_the_first_epoch {
+            events.extend(decode(&mut decoder, &forged));
+        }
+        for second in 0..5_u32 {
+            let host_us = time(100 * second);
+            let mut frames = vec![(host_us, numbered_epoch(second as u8, 100 * second, host_us))];
+            for number in (100 * second..100 * (second + 1)).step_by(10) {
+                frames.push((host_us, navigation(number)));
+                frames.push((host_us, environment(time(number))));
+            }
+            if second == 2 && !before_the_first_epoch {
+                frames.extend(forged.iter().map(|frame| (host_us, frame.clone())));
+            }
+            events.extend(decode_timed(&mut decoder, &frames));
+        }
+        let genuine: Vec<_> = (0..500).step_by(10).collect();
+        let mut found = positions(&events);
+        found.retain(|number| *number < 1 << 30);
+        assert_eq!(found, genuine);
+        let rejected = decoder.statistics().frames_rejected;
+        // 2³² − 1 is the number before 0: late.
+        assert_eq!(decoder.statistics().readings_repeated, 1);
+        match before_the_first_epoch {
+            // What no epoch judges is believed until one comes.
+            true => assert_eq!((fields(&events), rejected), (51, 0)),
+            false => assert_eq!((fields(&events), rejected), (50, 2)),
+        }
+    }
+}
+
+#[test]
+fn what_a_stalled_link_brings_is_believed_and_what_is_farther_ahead_is_not() {
+    let ahead = (MAX_AHEAD_US / PERIOD_US) as u32;
+    for (number, rejected) in [(ahead, 0), (ahead * 5 / 4, 0), (ahead * 5 / 4 + 200, 1)] {
+        let mut decoder = Decoder::new();
+        decode(&mut decoder, &[epoch(0, time(0)), navigation(number)]);
+        assert_eq!(decoder.statistics().frames_rejected, rejected, "{number}");
+    }
+    for (late_us, rejected) in [(0, 0), (1, 1)] {
+        let mut decoder = Decoder::new();
+        let late = environment(time(0) + MAX_AHEAD_US + late_us);
+        decode(&mut decoder, &[epoch(0, time(0)), late]);
+        assert_eq!(decoder.statistics().frames_rejected, rejected, "{late_us}");
+    }
+    // A position that may have been sent, but for the epoch after it: it hides none for long.
+    let mut decoder = Decoder::new();
+    let second = [epoch(100, time(100)), navigation(100)];
+    decode(&mut decoder, &[epoch(0, time(0)), navigation(ahead)]);
+    assert_eq!(positions(&decode(&mut decoder, &second)), [100]);
+}
+
+#[test]
+fn an_epoch_that_jumps_is_rejected_and_a_second_one_that_goes_on_from_it_believed() {
+    for (jump_us, jump_samples) in [(1 << 62, 0), (0, 1 << 30), (1 << 40, 1 << 30)] {
+        let mut decoder = Decoder::new();
+        let mut frames = course(0, 960, 0);
+        let forged = |step: u32| {
+            let number = step + jump_samples;
+            numbered_epoch(7, number, time(step) + jump_us)
+        };
+        frames.insert(30, (time(480), forged(480)));
+        let events = decode_timed(&mut decoder, &frames);
+        assert_eq!(sequences(&events), (0..960).collect::<Vec<_>>());
+        assert_eq!(restarts(&events), []);
+        assert_eq!(decoder.statistics().frames_rejected, 1);
+        // A host that slept meanwhile: the second epoch is believed.
+        let slept = [(time(1000), forged(1000)), (time(1096), forged(1096))];
+        let events = decode_timed(&mut decoder, &slept);
+        assert!(matches!(events[..], [Event::Epoch { .. }]), "{events:?}");
+        assert_eq!(decoder.statistics().frames_rejected, 2);
+    }
+}
+
+#[test]
+fn a_first_epoch_from_the_end_of_time_is_survived_within_seconds() {
+    let mut decoder = Decoder::new();
+    let mut frames = course(0, 1_600, 0);
+    frames.insert(0, (0, numbered_epoch(9, 5, u64::MAX)));
+    let events = decode_timed(&mut decoder, &frames);
+    assert_eq!(sequences(&events), (0..1_600).collect::<Vec<_>>());
+    assert_eq!(restarts(&events), [None]);
+}
+
+#[test]
+fn what_is_held_in_doubt_is_bounded_whatever_comes() {
+    let mut decoder = Decoder::new();
+    let mut frames = course(1_000, 1_600, 0);
+    // Back by far: late, or a new start.
+    frames.push((time(1_600), epoch(0, time(0))));
+    decode_timed(&mut decoder, &frames);
+    assert!(decoder.is_in_doubt());
+    let event: Telemetry = Telemetry::Event {
+        time_us: 0,
+        event: wimu_link::message::Event::SensorFound,
+    };
+    let event = framed(|frame| event.encode(frame));
+    let (mut handed_on, sent) = (0, 10_000);
+    for _ in 0..sent {
+        decoder.push(time(1_600) * 1000, &event, |_| handed_on += 1);
+    }
+    assert!(decoder.order.held().len() <= 2048);
+    assert!(handed_on >= sent - 2048, "{handed_on}");
+    let unplaced = samples(40_000, 16);
+    for _ in 0..sent {
+        decoder.push(time(1_600) * 1000, &unplaced, |_| {});
+    }
+    assert!(decoder.order.held().len() <= 2048 && decoder.unplaced.len() <= MAX_UNPLACED);
+}
+
+/// A frame of a device, or of nobody's, with any numbers.
+fn absurd() -> impl Strategy<Value = Vec<u8>> {
+    let extreme = prop_oneof![
+        Just(0),
+        Just(u64::MAX),
+        Just(1 << 63),
+        Just(u64::from(u32::MAX)),
+        0..100_000_000_u64,
+        any::<u64>()
+    ];
+    (
+        0..7,
+        extreme.clone(),
+        extreme,
+        any::<[u16; 3]>(),
+        any::<u8>(),
+    )
+        .prop_map(|(kind, one, two, values, small)| match kind {
+            0 => hello_at(one as u32, two),
+            1 | 2 => {
+                let epoch = <Telemetry>::Epoch(Epoch {
+                    reason: EpochReason::Periodic,
+                    number: small,
+                    sequence: one as u32,
+                    time_us: two,
+                    period_ns: u32::from(values[0]) << (small % 17),
+                    range_g: 2,
+                    sensitivity_lsb_per_g: 16384.0,
+                    full_scale: 32752,
+                    parameters: 0,
+                    temperature_centi_c: None,
+                    state: WireState::default(),
+                });
+                framed(|frame| epoch.encode(frame))
+            }
+            3 => navigation(one as u32),
+            4 => environment(one),
+            _ => {
+                let counts: Vec<_> = (0..1 + small % 32)
+                    .map(|k| Counts(values.map(|v| v.wrapping_add(k.into()) as i16)))
+                    .collect();
+                let every =
+                    std::num::NonZeroU8::new(values[1] as u8).unwrap_or(std::num::NonZeroU8::MIN);
+                let time = DeviceTimeUs(two);
+                framed(|frame| batch::encode_every(every, one as u32, time, &counts, frame))
+            }
+        })
+}
+
+proptest! {
+    #[test]
+    fn no_frames_with_absurd_numbers_panic_and_what_is_kept_is_bounded(
+        frames in prop::collection::vec((absurd(), 0..3_000_000_000_u64), 0..300),
+    ) {
+        let mut decoder = Decoder::new();
+        let mut readings = crate::monitor::Readings::new();
+        let mut history = crate::history::LinkHistory::new(LinkRole::Cable);
+        let mut host_ns = 0_u64;
+        for (frame, later_ns) in frames {
+            host_ns += later_ns;
+            decoder.push(host_ns, &frame, |arrival| {
+                history.take(&arrival);
+                readings.push(&arrival.event, |_| {});
+            });
+            prop_assert!(decoder.order.held().len() <= 2049);
+            prop_assert!(decoder.unplaced.len() <= MAX_UNPLACED);
+        }
+        for boot in &history.boots {
+            for mark in &boot.epochs {
+                boot.time_of(mark.epoch.sequence);
+            }
+            for index in 0..boot.epochs.len() {
+                crate::replay::verify(boot, index);
+            }
+        }
+    }
 }

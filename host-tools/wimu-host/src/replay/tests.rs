@@ -18,6 +18,7 @@ struct Device {
     integrator: Integrator,
     period: PeriodNs,
     sequence: u32,
+    first: u32,
     due: Option<EpochReason>,
     since_epoch: u32,
     epochs: u8,
@@ -27,6 +28,11 @@ struct Device {
 
 impl Device {
     fn new() -> Self {
+        Self::from(100_000)
+    }
+
+    /// One whose first sample has this number.
+    fn from(sequence: u32) -> Self {
         let set = ParameterSet {
             model: ErrorModel::new(ErrorTerms {
                 bias_mps2: [0.3, -0.2, 0.1],
@@ -48,7 +54,8 @@ impl Device {
             corrector: Corrector::compile(&set, Some(temperature)).unwrap(),
             integrator: Integrator::new(Config::new(period).unwrap()),
             period,
-            sequence: 100_000,
+            sequence,
+            first: sequence,
             due: Some(EpochReason::Start),
             since_epoch: 0,
             epochs: 0,
@@ -74,7 +81,7 @@ impl Device {
     }
 
     fn time(&self, sequence: u32) -> DeviceTimeUs {
-        DeviceTimeUs(u64::from(sequence) * 10_000)
+        DeviceTimeUs(u64::from(sequence.wrapping_sub(self.first)) * 10_000)
     }
 
     fn set_temperature(&mut self, temperature: CentiCelsius) {
@@ -105,14 +112,14 @@ impl Device {
         let force = self.corrector.correct(counts);
         let transition = self.integrator.step(force, counts.saturated(0x7FF0));
         self.pending.push((counts, force));
-        if self.sequence.is_multiple_of(10) {
+        if self.sequence.wrapping_sub(self.first).is_multiple_of(10) {
             let navigation = <Telemetry>::Navigation(wimu_link::message::Navigation::new(
                 self.sequence,
                 &self.integrator.navigation(),
             ));
             self.send(|frame| navigation.encode(frame));
         }
-        self.sequence += 1;
+        self.sequence = self.sequence.wrapping_add(1);
         self.since_epoch += 1;
         if self.pending.len() == 16 {
             self.flush();
@@ -125,7 +132,7 @@ impl Device {
     }
 
     fn flush(&mut self) {
-        let first = self.sequence - self.pending.len() as u32;
+        let first = self.sequence.wrapping_sub(self.pending.len() as u32);
         let time = self.time(first);
         let (raw, corrected): (Vec<_>, Vec<_>) = self.pending.drain(..).unzip();
         if !raw.is_empty() {
@@ -318,4 +325,34 @@ fn parameters_that_were_not_recorded_are_named() {
             .message()
             .contains(&format!("{:08x}", boot.epochs[0].epoch.parameters))
     );
+}
+
+#[test]
+fn numbers_that_wrap_are_replayed_and_their_times_found() {
+    let first = 0_u32.wrapping_sub(450);
+    let boot = boot(&Device::from(first).run());
+    assert_eq!(boot.raw.len(), 900);
+    for step in 0..900 {
+        let time = boot.time_of(first.wrapping_add(step)).expect("it arrived");
+        // To what a period that changes within a batch makes of it.
+        assert!(
+            time.0.abs_diff(u64::from(step) * 10_000) < 500,
+            "{step}: {time:?}"
+        );
+    }
+    let before = boot
+        .epochs
+        .iter()
+        .filter(|mark| mark.epoch.sequence >= first)
+        .count();
+    assert!(0 < before && before < boot.epochs.len());
+    for epoch in 0..boot.epochs.len() {
+        let report = verify(&boot, epoch);
+        assert!(report.is_exact(), "{epoch}: {report:?}");
+        assert_eq!(report.breaks, 0, "{epoch}");
+        let behind = boot.epochs[epoch].epoch.sequence.wrapping_sub(first);
+        assert_eq!(report.samples, u64::from(900 - behind));
+        assert_eq!(report.corrected_compared, report.samples);
+        assert_eq!(report.navigation_compared, report.samples / 10);
+    }
 }

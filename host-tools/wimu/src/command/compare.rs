@@ -9,7 +9,7 @@ use wimu_host::mcap_file::RecordingReader;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 
 use crate::arguments::Compare;
-use crate::command::record::{clock_text, unplaced_text};
+use crate::command::record::{clock_text, left_out_text};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -150,7 +150,7 @@ fn link_text(link: &LinkReport) -> String {
         link.shed
             .map_or("unknown".to_owned(), |shed| shed.to_string()),
         link.interruptions,
-        unplaced_text(link.unplaced)
+        left_out_text(link.unplaced, link.rejected)
     );
     if link.before + link.under_way > 0 {
         let _ = write!(

@@ -12,7 +12,7 @@ use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
-use crate::command::record::unplaced_text;
+use crate::command::record::left_out_text;
 use crate::command::{connect, say_fault};
 use crate::output::Output;
 
@@ -231,7 +231,7 @@ fn recording(path: &Path, output: Output) -> Result<()> {
             link.navigation,
             link.statistics.raw.missing,
             link.statistics.frames_damaged,
-            unplaced_text(link.statistics.batches_unplaced),
+            left_out_text(link.statistics.batches_unplaced, link.statistics.frames_rejected),
             link.statistics.bytes,
             match link.starts {
                 0 | 1 => String::new(),

@@ -150,7 +150,7 @@ fn summary(progress: &Progress) -> String {
                 statistics.bytes,
                 statistics.raw.missing,
                 statistics.frames_damaged,
-                unplaced_text(statistics.batches_unplaced),
+                left_out_text(statistics.batches_unplaced, statistics.frames_rejected),
                 if link.lost.is_some() {
                     ", LOST: trying again"
                 } else {
@@ -162,12 +162,17 @@ fn summary(progress: &Progress) -> String {
     links.join("; ")
 }
 
-/// What is said of batches whose place no epoch tells: at the end of a recording too.
-pub fn unplaced_text(batches: u64) -> String {
-    match batches {
-        0 => String::new(),
-        _ => format!(", {batches} batches whose place no epoch tells"),
+/// What is said of batches whose place no epoch tells, at the end of a recording too, and of frames
+/// that were rejected.
+pub fn left_out_text(batches: u64, rejected: u64) -> String {
+    let mut text = String::new();
+    if batches > 0 {
+        text += &format!(", {batches} batches whose place no epoch tells");
     }
+    if rejected > 0 {
+        text += &format!(", {rejected} frames rejected: their number or time is impossible");
+    }
+    text
 }
 
 /// A clock in a line, two standard deviations.

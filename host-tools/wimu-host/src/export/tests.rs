@@ -1,0 +1,70 @@
+use wimu_link::message::{Epoch, EpochReason, WireState};
+use wimu_link::{MAX_FRAME, Telemetry, batch};
+use wimu_model::Counts;
+
+use super::*;
+use crate::mcap_file::RecordingWriter;
+
+#[test]
+fn every_position_has_its_time_where_numbers_wrap() {
+    let folder = tempfile::tempdir().unwrap();
+    let [file, table] = ["wrap.mcap", "wrap.csv"].map(|name| folder.path().join(name));
+    let anchor = ClockAnchor {
+        monotonic_ns: 0,
+        utc_ns: 1_795_222_920_000_000_000,
+    };
+    let mut writer = RecordingWriter::create(&file, anchor).unwrap();
+    // More behind the wrap than times are kept, at 100 Hz.
+    let (start, steps) = (0_u32.wrapping_sub(1600), 1600 + MAX_TIMES as u32 + 3200);
+    let mut frame = [0; MAX_FRAME];
+    for step in (0..steps).step_by(16) {
+        let sequence = start.wrapping_add(step);
+        let time_us = u64::from(step) * 10_000;
+        let mut append = |length: usize, frame: &[u8]| {
+            let bytes = &frame[..length];
+            writer
+                .append(LinkRole::Cable, time_us * 1000, bytes)
+                .unwrap();
+        };
+        if step.is_multiple_of(96) {
+            let epoch = <Telemetry>::Epoch(Epoch {
+                reason: EpochReason::Periodic,
+                number: (step / 96) as u8,
+                sequence,
+                time_us,
+                period_ns: 10_000_000,
+                range_g: 2,
+                sensitivity_lsb_per_g: 16384.0,
+                full_scale: 32752,
+                parameters: 0,
+                temperature_centi_c: None,
+                state: WireState::default(),
+            });
+            let length = epoch.encode(&mut frame).unwrap();
+            append(length, &frame);
+        }
+        let counts: Vec<_> = (0..16).map(|k| Counts([k, step as i16, 16384])).collect();
+        let time = DeviceTimeUs(time_us);
+        let length = batch::encode(sequence, time, &counts, &mut frame).unwrap();
+        append(length, &frame);
+        let state = wimu_integrator::Navigation::default();
+        let navigation = <Telemetry>::Navigation(Navigation::new(sequence, &state));
+        let length = navigation.encode(&mut frame).unwrap();
+        append(length, &frame);
+    }
+    writer.finish().unwrap();
+    let exported = to_csv(&file, None, None, ExportStream::Navigation, &table).unwrap();
+    assert_eq!(exported.rows, steps as usize / 16);
+    let text = std::fs::read_to_string(&table).unwrap();
+    let mut lines = text.lines();
+    let header = lines.next().unwrap();
+    let column = header
+        .split(',')
+        .position(|name| name.starts_with("Time"))
+        .unwrap();
+    let times: Vec<f64> = lines
+        .filter_map(|line| line.split(',').nth(column)?.parse().ok())
+        .collect();
+    assert_eq!(times.len(), exported.rows);
+    assert!(times.is_sorted_by(|a, b| a < b));
+}

@@ -35,6 +35,17 @@ const RATE_PATIENCE: Duration = Duration::from_secs(3);
 const FALL_BACK_PATIENCE: Duration = Duration::from_secs(8);
 /// No longer than this between looks at the clock.
 const GLANCE: Duration = Duration::from_millis(50);
+/// Longest pause that one announcement is believed for: five times the longest of a supported board
+/// (RP2040, 400 ms for erasing a sector).
+const MAX_PAUSE: Duration = Duration::from_secs(2);
+/// Longest sum of the pauses that hold up one request.
+const MAX_PAUSES: Duration = Duration::from_secs(6);
+/// Events that wait to be handed out, at most: 16 MB, and more than arrive while a request is repeated.
+const MAX_ARRIVALS: usize = 16_384;
+/// Somebody looks again after so many bytes that make no event, and no board brings so many before it
+/// says who it is: 80 s at 115 200 baud.
+const MAX_WITHOUT_EVENT: u64 = 1 << 16;
+const MAX_UNGREETED: u64 = 1 << 20;
 
 mod requests;
 
@@ -111,7 +122,8 @@ pub fn adapter_decides(link: &str, baud: u32) -> HostError {
 
 /// A connection to a board.
 ///
-/// What arrives while it waits for something else is kept for [`Client::next_event`], in order.
+/// What arrives while it waits for something else is kept for [`Client::next_event`], in order: the
+/// latest 16 384 events. [`LinkStatistics::events_dropped`] counts those before.
 pub struct Client<T> {
     transport: T,
     name: String,
@@ -120,6 +132,9 @@ pub struct Client<T> {
     hello: Hello,
     /// Arrived and not yet handed out.
     arrivals: VecDeque<Arrival>,
+    dropped: u64,
+    /// Who the board is, as it said since it was last asked.
+    greeting: Option<Hello>,
     /// The answer to the request under way, when it has arrived.
     answer: Option<Answer>,
     /// What the board's writes are signed with.
@@ -128,6 +143,8 @@ pub struct Client<T> {
     seed: Option<u32>,
     /// The device writes its flash until then and hears nothing.
     deaf_until: Duration,
+    /// The part of [`MAX_PAUSES`] that is left until the next request or answer.
+    pauses_left: Duration,
     /// Length of questions for the board's time.
     time_bytes: usize,
 }
@@ -153,10 +170,13 @@ impl<T: Transport> Client<T> {
             requester: Requester::new(session.unwrap_or_else(random)),
             hello: Hello::new(wimu_link::LinkRole::Other(0)),
             arrivals: VecDeque::new(),
+            dropped: 0,
+            greeting: None,
             answer: None,
             key: None,
             seed: session,
             deaf_until: Duration::ZERO,
+            pauses_left: MAX_PAUSES,
             time_bytes: 0,
         }
     }
@@ -236,6 +256,7 @@ impl<T: Transport> Client<T> {
         self.decoder.interrupt();
         self.answer = None;
         self.deaf_until = Duration::ZERO;
+        self.pauses_left = MAX_PAUSES;
         let (known, role) = (self.hello.device_id, self.hello.role);
         let greeted = self.greet(ConnectOptions::default().patience);
         let hello = self.hello;
@@ -277,10 +298,11 @@ impl<T: Transport> Client<T> {
         let start = self.transport.now();
         let mut ask_at = start;
         // A greeting of before is none.
-        let mut looked_at = self.arrivals.len();
+        self.greeting = None;
+        let most = self.decoder.statistics().bytes + MAX_UNGREETED;
         loop {
             let now = self.transport.now();
-            if now >= start + patience {
+            if now >= start + patience || self.decoder.statistics().bytes >= most {
                 return Err(self.no_greeting());
             }
             if now >= ask_at {
@@ -288,16 +310,7 @@ impl<T: Transport> Client<T> {
                 ask_at = now + ASK_EVERY;
             }
             self.poll(GLANCE).map_err(|error| self.turned_away(error))?;
-            let greeting =
-                self.arrivals
-                    .iter()
-                    .skip(looked_at)
-                    .find_map(|arrival| match arrival.event {
-                        Event::Hello(hello) => Some(hello),
-                        _ => None,
-                    });
-            looked_at = self.arrivals.len();
-            if let Some(hello) = greeting {
+            if let Some(hello) = self.greeting.take() {
                 self.hello = hello;
                 return if hello.wire_version == WIRE_VERSION {
                     Ok(())
@@ -379,7 +392,10 @@ impl<T: Transport> Client<T> {
 
     /// What the link carried and lost so far.
     pub fn statistics(&self) -> LinkStatistics {
-        self.decoder.statistics()
+        LinkStatistics {
+            events_dropped: self.dropped,
+            ..self.decoder.statistics()
+        }
     }
 
     /// The link below: for its clock.
@@ -387,18 +403,20 @@ impl<T: Transport> Client<T> {
         &mut self.transport
     }
 
-    /// The next event, waiting for at most `timeout`; `None` if there is none by then.
+    /// The next event, waiting for at most `timeout` and 64 KiB; `None` if there is none by then.
     ///
     /// # Errors
     /// `link_lost`; what arrived before has been handed out by then.
     pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Arrival>> {
         let until = self.transport.now() + timeout;
+        let most = self.decoder.statistics().bytes + MAX_WITHOUT_EVENT;
         loop {
             if let Some(arrival) = self.arrivals.pop_front() {
                 return Ok(Some(arrival));
             }
             let left = until.saturating_sub(self.transport.now());
-            if left.is_zero() && !timeout.is_zero() {
+            let nothing = self.decoder.statistics().bytes >= most;
+            if (left.is_zero() && !timeout.is_zero()) || nothing {
                 return Ok(None);
             }
             self.poll(left)?;
@@ -429,15 +447,21 @@ impl<T: Transport> Client<T> {
             requester,
             hello,
             arrivals,
+            dropped,
+            greeting,
             answer,
             deaf_until,
+            pauses_left,
             time_bytes,
             ..
         } = self;
         let host_ns = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
         decoder.push(host_ns, &buffer[..count], |arrival| {
             match &arrival.event {
-                Event::Hello(new) => *hello = *new,
+                Event::Hello(new) => {
+                    *hello = *new;
+                    *greeting = Some(*new);
+                }
                 Event::Reply { reply, body } => {
                     if let Answer::Accepted(Payload::Time { .. }) = reply.answer {
                         *time_bytes = wire_length(reply).max(*time_bytes);
@@ -446,13 +470,24 @@ impl<T: Transport> Client<T> {
                         *answer = Some(ours);
                         // It has written, and hears again.
                         *deaf_until = Duration::ZERO;
+                        *pauses_left = MAX_PAUSES;
                     }
                 }
                 Event::Device {
                     event: DeviceEvent::Pause { longest_ms },
                     ..
-                } => *deaf_until = now + Duration::from_millis((*longest_ms).into()),
+                } => {
+                    let pause = Duration::from_millis((*longest_ms).into()).min(MAX_PAUSE);
+                    let from = now.max(*deaf_until);
+                    let longer = (now + pause).saturating_sub(from).min(*pauses_left);
+                    *pauses_left -= longer;
+                    *deaf_until = from + longer;
+                }
                 _ => {}
+            }
+            if arrivals.len() >= MAX_ARRIVALS {
+                arrivals.pop_front();
+                *dropped += 1;
             }
             arrivals.push_back(arrival);
         });

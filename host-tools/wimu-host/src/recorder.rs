@@ -21,6 +21,10 @@ use crate::{ErrorCode, HostError, LinkUrl, Result};
 const GLANCE: Duration = Duration::from_millis(20);
 /// How often a lost link is tried.
 const TRY_EVERY: Duration = Duration::from_millis(500);
+/// What a link has brought is handed on as soon as it is this much, bytes.
+const ENOUGH: u64 = 1 << 16;
+/// So often at most, before it is in the file: 64 MiB, or six seconds of a disk that stalls.
+const MAX_QUEUED: usize = 1024;
 
 /// What has been recorded so far, or in all.
 #[derive(Clone, Debug, Default)]
@@ -131,7 +135,7 @@ impl Recorder {
         };
         let finished = AtomicBool::new(false);
         let board = Mutex::new(None);
-        let (sender, receiver) = mpsc::channel();
+        let (sender, receiver) = mpsc::sync_channel(MAX_QUEUED);
         thread::scope(|scope| {
             for (index, (url, mut client)) in self.links.into_iter().enumerate() {
                 let sender = sender.clone();
@@ -267,6 +271,7 @@ impl Listener<'_> {
             self.client.ask_who()?;
         }
         let look_up = now + 5 * GLANCE;
+        let enough = self.client.statistics().bytes + ENOUGH;
         while let Some(arrival) = self.client.next_event(self.pace.due_in(now).min(GLANCE))? {
             match &arrival.event {
                 Event::Restart { .. } => self.clock = ClockEstimator::new(),
@@ -280,7 +285,8 @@ impl Listener<'_> {
             if let Some(trip) = trip {
                 self.pace.answered(now, trip);
             }
-            if now >= look_up || self.pace.is_due(now) {
+            let has_enough = self.client.statistics().bytes >= enough;
+            if now >= look_up || has_enough || self.pace.is_due(now) {
                 break;
             }
         }

@@ -157,6 +157,7 @@ impl<T: Transport> Client<T> {
 
     /// Asks once and waits for the answer.
     fn ask_once(&mut self, command: Command) -> Result<Answer> {
+        self.pauses_left = MAX_PAUSES;
         self.wait_while_deaf()?;
         self.answer = None;
         let frame = self.requester.start(command, self.transport.now());

@@ -37,6 +37,8 @@ struct Board {
     deaf_until: Duration,
     /// Says this much longer pause before a commit.
     pause: Option<Duration>,
+    /// Somebody says this pause, ms, with all that the board measures.
+    forged_pause_ms: Option<u16>,
     /// Stages something else than it was sent.
     forgetful: bool,
     heard_while_deaf: u32,
@@ -74,6 +76,7 @@ impl Line {
             },
             deaf_until: Duration::ZERO,
             pause: None,
+            forged_pause_ms: None,
             forgetful: false,
             heard_while_deaf: 0,
         })))
@@ -217,7 +220,14 @@ impl Transport for Line {
                 time_us,
                 ..Environment::default()
             }));
+            if let Some(longest_ms) = board.forged_pause_ms {
+                board.say(&Telemetry::Event {
+                    time_us,
+                    event: DeviceEvent::Pause { longest_ms },
+                });
+            }
         }
+        assert!(board.now < Duration::from_secs(400), "blocked");
         let count = board.outgoing.len().min(buffer.len()).min(7);
         for (place, byte) in buffer.iter_mut().zip(board.outgoing.drain(..count)) {
             *place = byte;
@@ -458,4 +468,117 @@ fn waiting_for_an_event_ends_in_time() {
             .is_none()
     );
     assert!(line.now() - start <= Duration::from_millis(510));
+}
+
+#[test]
+fn pauses_without_end_hold_up_a_request_for_seconds_only() {
+    // One after the other, and all the longest that there is.
+    for forged_pause_ms in [90, 500, u16::MAX] {
+        let line = Line::new(LinkRole::Cable);
+        let mut client = line.connect().unwrap();
+        line.board().forged_pause_ms = Some(forged_pause_ms);
+        for _ in 0..5 {
+            let start = line.now();
+            client.settings().unwrap();
+            let took = line.now() - start;
+            assert!(took <= MAX_PAUSES + Duration::from_secs(1), "{took:?}");
+        }
+        // A board that does not answer at all is given up, too.
+        line.board().lose_received = u32::MAX;
+        let start = line.now();
+        let error = client.settings().unwrap_err();
+        assert_eq!(error.code(), ErrorCode::NoAnswer);
+        let took = line.now() - start;
+        assert!(took <= MAX_PAUSES + Duration::from_secs(10), "{took:?}");
+    }
+}
+
+#[test]
+fn one_pause_is_believed_up_to_its_limit() {
+    for (longest_ms, expected_ms) in [(400, 400), (2000, 2000), (2001, 2000), (u16::MAX, 2000)] {
+        let line = Line::new(LinkRole::Cable);
+        let mut client = line.connect().unwrap();
+        line.board().say(&Telemetry::Event {
+            time_us: 0,
+            event: DeviceEvent::Pause { longest_ms },
+        });
+        while client.deaf_until.is_zero() {
+            client.next_event(Duration::from_millis(100)).unwrap();
+        }
+        let start = line.now();
+        client.settings().unwrap();
+        let waited = (line.now() - start).as_millis();
+        let expected = expected_ms - 120..expected_ms + 60;
+        assert!(expected.contains(&waited), "{longest_ms}: {waited}");
+    }
+}
+
+/// Brings the same bytes without end, and takes all.
+struct Flood {
+    now: Duration,
+    bytes: Vec<u8>,
+}
+
+impl Transport for Flood {
+    fn read(&mut self, buffer: &mut [u8], _: Duration) -> Result<usize> {
+        let count = buffer.len().min(self.bytes.len());
+        buffer[..count].copy_from_slice(&self.bytes[..count]);
+        self.now += Duration::from_millis(10);
+        Ok(count)
+    }
+
+    fn write_all(&mut self, _: &[u8]) -> Result<()> {
+        Ok(())
+    }
+
+    fn now(&self) -> Duration {
+        self.now
+    }
+}
+
+fn flood(bytes: Vec<u8>) -> Client<Flood> {
+    let transport = Flood {
+        now: Duration::ZERO,
+        bytes,
+    };
+    Client::new(transport, "test", Some(7))
+}
+
+#[test]
+fn what_waits_to_be_handed_out_is_bounded_and_what_is_dropped_counted() {
+    let mut frame = [0; MAX_FRAME];
+    let status: Telemetry = Telemetry::Event {
+        time_us: 0,
+        event: DeviceEvent::SensorFound,
+    };
+    let length = status.encode(&mut frame).unwrap();
+    let mut client = flood(frame[..length].repeat(100));
+    let mut asked = 0;
+    while client.statistics().events_dropped < 100_000 {
+        assert_eq!(client.settings().unwrap_err().code(), ErrorCode::NoAnswer);
+        assert!(client.arrivals.len() <= 20_000);
+        asked += 1;
+        assert!(asked < 100);
+    }
+    let room = client.arrivals.capacity() * size_of::<Arrival>();
+    assert!(room <= 20 << 20, "{room}");
+    let mut left = 0_u64;
+    while left < MAX_ARRIVALS as u64 {
+        assert!(client.next_event(Duration::ZERO).unwrap().is_some());
+        left += 1;
+    }
+    let statistics = client.statistics();
+    assert_eq!(statistics.frames, statistics.events_dropped + left);
+}
+
+#[test]
+fn noise_without_end_is_no_board_and_no_event() {
+    let mut client = flood(vec![0x55; 4096]);
+    let error = client.greet(Duration::from_secs(1000)).unwrap_err();
+    assert_eq!(error.code(), ErrorCode::NotAWimuBoard);
+    let before = client.statistics().bytes;
+    assert!(before <= 2 << 20, "{before}");
+    let event = client.next_event(Duration::from_secs(1000)).unwrap();
+    assert!(event.is_none());
+    assert!(client.statistics().bytes - before <= 1 << 17);
 }

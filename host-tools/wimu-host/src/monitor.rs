@@ -1,18 +1,21 @@
 //! Samples and slow sensors put together: what a person looks at.
 
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 
 use wimu_integrator::{Integrator, State};
-use wimu_link::batch::Stream;
+use wimu_link::batch::{MAX_BATCH, Stream};
 use wimu_link::message::{Environment, Epoch, Navigation};
 use wimu_model::{Counts, DeviceTimeUs, ParameterId, SpecificForceMps2, SpecificForceQ16};
 
-use crate::decode::Event;
+use crate::decode::{Event, TimedSample, sequence_order};
 use crate::history::Boot;
 use crate::units::RawUnits;
 
 /// Samples kept while their corrected twin may still come.
 const KEPT: usize = 256;
+/// Raw samples without a corrected one after which a link whose settings are not known carries raw
+/// ones only: two of the longest batches.
+const UNDECIDED: usize = 2 * MAX_BATCH;
 
 /// A magnetic field.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,7 +78,8 @@ pub struct Reading {
 /// a link that carries no corrected ones, but for those whose range no epoch has told yet.
 #[derive(Debug, Default)]
 pub struct Readings {
-    raw: BTreeMap<u32, [i32; 3]>,
+    /// Raw samples whose corrected twins may still come, in order.
+    raw: VecDeque<TimedSample>,
     units: RawUnits,
     parameters: Option<ParameterId>,
     /// Epoch and parameters.
@@ -84,7 +88,8 @@ pub struct Readings {
     field: Option<Field>,
     heading: Option<Heading>,
     navigation: Option<Navigation>,
-    corrected_come: bool,
+    /// Whether corrected samples come; `None` until something tells.
+    corrected_come: Option<bool>,
 }
 
 impl Readings {
@@ -115,54 +120,78 @@ impl Readings {
             }
             Event::Settings(settings) => {
                 // Either link's choice: where both carry corrected samples, none is made twice.
-                self.corrected_come = settings.cable.corrected || settings.wireless.corrected;
+                let either = settings.cable.corrected || settings.wireless.corrected;
+                self.corrected_come = Some(either);
             }
             Event::Restart { .. } => *self = Self::new(),
             Event::Samples(samples) => match samples.stream {
                 Stream::Raw => {
-                    for sample in samples.iter() {
-                        if self.corrected_come {
-                            self.raw.insert(sample.sequence, sample.value);
-                        } else if let Some(unit) = self.units.of(sample.sequence) {
-                            let counts = Counts(sample.value.map(|v| v as i16));
-                            each(Reading {
-                                sequence: sample.sequence,
-                                time: sample.time,
-                                raw: Some(counts),
-                                specific_force: unit.sensitivity.to_mps2(counts),
-                                corrected: false,
-                                parameters: self.parameters,
-                                environment: self.environment,
-                                field: self.field,
-                                heading: self.heading,
-                                navigation: self.navigation,
-                            });
-                        }
-                    }
-                    while self.raw.len() > KEPT {
-                        self.raw.pop_first();
+                    self.raw.extend(samples.iter());
+                    if self.raw.len() >= UNDECIDED {
+                        self.corrected_come.get_or_insert(false);
                     }
                 }
                 Stream::Corrected => {
-                    self.corrected_come = true;
+                    self.corrected_come = Some(true);
                     for sample in samples.iter() {
-                        let raw = self.raw.remove(&sample.sequence);
-                        each(Reading {
-                            sequence: sample.sequence,
-                            time: sample.time,
-                            raw: raw.map(|value| Counts(value.map(|v| v as i16))),
-                            specific_force: SpecificForceQ16(sample.value).to_mps2(),
-                            corrected: true,
-                            parameters: self.parameters,
-                            environment: self.environment,
-                            field: self.field,
-                            heading: self.heading,
-                            navigation: self.navigation,
-                        });
+                        let raw = self.twin_of(&sample);
+                        let force = SpecificForceQ16(sample.value).to_mps2();
+                        each(self.reading(&sample, raw, force));
                     }
                 }
             },
             _ => {}
         }
+        while self.corrected_come == Some(false)
+            && let Some(sample) = self.raw.pop_front()
+        {
+            if let Some(unit) = self.units.of(sample.sequence) {
+                let raw = counts(&sample);
+                let force = unit.sensitivity.to_mps2(raw);
+                each(Reading {
+                    corrected: false,
+                    ..self.reading(&sample, Some(raw), force)
+                });
+            }
+        }
+        let old = self.raw.len().saturating_sub(KEPT);
+        self.raw.drain(..old);
+    }
+
+    /// Takes the raw sample of a corrected one's number, and those before it out.
+    fn twin_of(&mut self, corrected: &TimedSample) -> Option<Counts> {
+        let is_before =
+            |raw: &TimedSample| sequence_order(raw.sequence, corrected.sequence).is_lt();
+        let before = self.raw.partition_point(is_before);
+        self.raw.drain(..before);
+        let twin = self.raw.front()?.sequence == corrected.sequence;
+        twin.then(|| self.raw.pop_front())?.as_ref().map(counts)
+    }
+
+    fn reading(
+        &self,
+        sample: &TimedSample,
+        raw: Option<Counts>,
+        specific_force: SpecificForceMps2,
+    ) -> Reading {
+        Reading {
+            sequence: sample.sequence,
+            time: sample.time,
+            raw,
+            specific_force,
+            corrected: true,
+            parameters: self.parameters,
+            environment: self.environment,
+            field: self.field,
+            heading: self.heading,
+            navigation: self.navigation,
+        }
     }
 }
+
+fn counts(sample: &TimedSample) -> Counts {
+    Counts(sample.value.map(|axis| axis as i16))
+}
+
+#[cfg(test)]
+mod tests;

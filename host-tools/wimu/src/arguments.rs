@@ -211,6 +211,10 @@ pub struct Ports {
 pub struct Monitor {
     /// A LINK, or a recording
     pub input: String,
+    /// Lines a second of device time; by default 1, with --json every reading; a terminal's line is
+    /// renewed 20 times a second
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
     /// Stop after this many seconds
     #[arg(long = "for", value_name = "SECONDS")]
     pub seconds: Option<f64>,

@@ -4,6 +4,7 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
+use terminal_size::terminal_size;
 use wimu_host::{ErrorCode, HostError, Result};
 
 /// Whether something could not be written to stdout.
@@ -62,10 +63,19 @@ impl Output {
         Ok(())
     }
 
-    /// A line that the next one replaces, on a terminal.
+    /// Characters that a line holds where stdout is a terminal, but for the last column: behind it
+    /// some begin a new line.
+    pub fn width() -> Option<usize> {
+        let (width, _) = io::stdout().is_terminal().then(terminal_size)??;
+        Some(usize::from(width.0).saturating_sub(1))
+    }
+
+    /// A line that the next one replaces, on a terminal; what is beyond its width is left out.
     pub fn refresh(self, text: &str) {
         let mut stderr = io::stderr();
         if stderr.is_terminal() {
+            let width = Self::width().unwrap_or(usize::MAX);
+            let text: String = text.chars().take(width).collect();
             let _ = write!(stderr, "\r\x1b[2K{text}");
             let _ = stderr.flush();
         }

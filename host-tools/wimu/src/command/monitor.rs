@@ -1,5 +1,7 @@
 //! `wimu monitor`.
 
+use std::cmp::Reverse;
+use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
@@ -12,6 +14,7 @@ use wimu_link::message::Status;
 
 use crate::arguments::Monitor;
 use crate::command::info::Sampling;
+use crate::command::record::left_out_text;
 use crate::command::{connect, deadline, interrupted, is_over};
 use crate::output::Output;
 
@@ -79,45 +82,66 @@ impl From<&Reading> for Line {
 }
 
 impl Line {
-    fn text(&self) -> String {
+    /// For a line of no more than `width` characters, if it is given: what is most important and fits.
+    fn text(&self, width: Option<usize>) -> String {
+        let parts = self.parts();
+        let mut room = width.unwrap_or(usize::MAX);
+        let mut kept: Vec<usize> = (0..parts.len()).collect();
+        kept.sort_by_key(|&at| Reverse(parts[at].0));
+        kept.retain(|&at| {
+            let left = room.checked_sub(parts[at].1.chars().count());
+            room = left.unwrap_or(room);
+            left.is_some()
+        });
+        kept.sort();
+        kept.into_iter().map(|at| parts[at].1.as_str()).collect()
+    }
+
+    /// What it says, in order, each with how important it is.
+    fn parts(&self) -> Vec<(u8, String)> {
         let [x, y, z] = self.specific_force_m_s2;
         let norm = (x * x + y * y + z * z).sqrt();
-        let mut text = format!(
-            "{:8.2} s  f {x:+8.3} {y:+8.3} {z:+8.3} m/s²  |f| {norm:7.3}",
-            self.time_s
-        );
+        let mut parts = vec![
+            (9, format!("{:7.2} s", self.time_s)),
+            (8, format!("  f {x:+7.3} {y:+7.3} {z:+7.3} m/s²")),
+            (3, format!("  |f| {norm:7.3}")),
+        ];
         if let Some([x, y, z]) = self.magnetic_field_ut {
-            text += &format!("  B {x:+6.1} {y:+6.1} {z:+6.1} µT");
-            if self.magnetic_field_calibrated == Some(false) {
-                text += " uncalibrated";
-            }
+            let calibrated = self.magnetic_field_calibrated == Some(true);
+            let note = if calibrated { "" } else { " uncalibrated" };
+            parts.push((1, format!("  B {x:+6.1} {y:+6.1} {z:+6.1} µT{note}")));
         }
-        match (self.heading_deg, self.heading_sd_deg) {
-            (Some(heading), Some(sd)) => text += &format!("  heading {heading:3.0} ± {sd:.0}°"),
-            (Some(heading), None) => text += &format!("  heading {heading:3.0}° uncalibrated"),
-            _ => {}
+        if let Some(heading) = self.heading_deg {
+            let sd = self.heading_sd_deg;
+            let sd = sd.map_or("° uncalibrated".to_owned(), |sd| format!(" ± {sd:.0}°"));
+            parts.push((4, format!("  heading {heading:3.0}{sd}")));
         }
         if let Some(celsius) = self.temperature_c {
-            text += &format!("  {celsius:.1} °C");
+            parts.push((2, format!("  {celsius:.1} °C")));
         }
-        match (&self.phase, self.position_m) {
-            (Some(phase), Some([e, n, u])) if phase != "searching" => {
-                text += &format!("  {phase}  p {e:+.3} {n:+.3} {u:+.3} m");
+        if let Some(phase) = &self.phase {
+            let invalid = self.valid == Some(false);
+            let note = if invalid { " (invalid)" } else { "" };
+            parts.push((7, format!("  {phase}{note}")));
+            if let Some([e, n, u]) = self.position_m.filter(|_| phase != "searching") {
+                parts.push((6, format!("  p {e:+.3} {n:+.3} {u:+.3} m")));
             }
-            (Some(phase), _) => text += &format!("  {phase}"),
-            _ => {}
         }
-        if self.valid == Some(false) {
-            text += " (invalid)";
-        }
-        text
+        parts
     }
 }
 
 pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
+    if let Some(rate) = arguments.rate.filter(|rate| !(1e-6..=1e6).contains(rate)) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            format!("--rate {rate} is out of range"),
+            "give lines a second, above 0, as in --rate 10",
+        ));
+    }
     match Input::parse(&arguments.input)? {
         Input::Link(_) => live(arguments, output),
-        Input::Recording(path) => recorded(&path, output),
+        Input::Recording(path) => recorded(&path, arguments.rate, output),
         Input::Csv(_) => Err(HostError::new(
             ErrorCode::UnknownFormat,
             "a CSV file has nothing to watch",
@@ -142,7 +166,7 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
         cause(&hello)
     ));
     let mut readings = Readings::new();
-    let mut screen = Screen::new(output);
+    let mut screen = Screen::new(arguments.rate, output);
     while !is_over(end, &stop) {
         let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
             continue;
@@ -154,9 +178,10 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
     output.end_refresh();
     let statistics = client.statistics();
     output.say(format!(
-        "{} frames, {} damaged; {} samples missing",
+        "{} frames, {} damaged{}; {} samples missing",
         statistics.frames,
         statistics.frames_damaged,
+        left_out_text(0, statistics.frames_rejected),
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
     if let Some(status) = &screen.status {
@@ -165,11 +190,11 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
     Ok(())
 }
 
-fn recorded(path: &std::path::Path, output: Output) -> Result<()> {
+fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result<()> {
     let mut reader = RecordingReader::open(path)?;
     let mut decoder = Decoder::new();
     let mut readings = Readings::new();
-    let mut screen = Screen::new(output);
+    let mut screen = Screen::new(rate, output);
     let mut role = None;
     let mut going = true;
     while let Some(received) = reader.next_received()? {
@@ -199,8 +224,13 @@ fn cause(hello: &Hello) -> String {
 /// Shows readings and what happens to the device.
 struct Screen {
     output: Output,
+    /// When a terminal's line was last renewed.
     last: Option<Instant>,
     refreshes: bool,
+    /// Device time between two lines, s.
+    every_s: f64,
+    /// Device time of the latest line, s.
+    shown_s: Option<f64>,
     /// As the device said it last.
     status: Option<Status>,
     /// The device has started anew and has not said yet why.
@@ -208,14 +238,19 @@ struct Screen {
 }
 
 impl Screen {
-    fn new(output: Output) -> Self {
-        use std::io::IsTerminal;
+    fn new(rate: Option<f64>, output: Output) -> Self {
+        let terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
+        let refreshes = terminal && !output.is_json() && rate.is_none();
+        let all = refreshes || output.is_json();
+        let usual_hz = if all { f64::INFINITY } else { 1.0 };
         Self {
             output,
             last: None,
             status: None,
             restarted: false,
-            refreshes: std::io::stderr().is_terminal() && !output.is_json(),
+            refreshes,
+            every_s: rate.unwrap_or(usual_hz).recip(),
+            shown_s: None,
         }
     }
 
@@ -228,7 +263,10 @@ impl Screen {
                     .say(format!("{:8.2} s  {event}", time.to_seconds()));
             }
             Event::Status(status) => self.status = Some(*status),
-            Event::Restart { .. } => self.restarted = true,
+            Event::Restart { .. } => {
+                self.restarted = true;
+                self.shown_s = None;
+            }
             Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
                 self.output.end_refresh();
                 self.output
@@ -239,15 +277,87 @@ impl Screen {
         let mut going = true;
         readings.push(event, |reading| {
             let line = Line::from(&reading);
+            // As many lines as were asked for, however the samples' times are rounded.
+            let due = |shown_s| line.time_s - shown_s >= self.every_s - 1e-6;
+            if !self.shown_s.is_none_or(due) {
+                return;
+            }
+            self.shown_s = Some(line.time_s);
             if self.output.is_json() {
                 going = going && self.output.object(&line);
             } else if !self.refreshes {
-                self.output.say(line.text());
+                self.output.say(line.text(Output::width()));
             } else if self.last.is_none_or(|last| last.elapsed() >= REFRESH) {
                 self.last = Some(Instant::now());
-                self.output.refresh(&line.text());
+                self.output.refresh(&line.text(Output::width()));
             }
         });
         going
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// With all that a line can hold, at its longest.
+    fn longest() -> Line {
+        Line {
+            schema: "wimu.reading/1",
+            sequence: 1,
+            time_s: 12_345.67,
+            raw_lsb: None,
+            specific_force_m_s2: [-19.123, 19.123, -9.807],
+            corrected: true,
+            parameter_id: None,
+            magnetic_field_ut: Some([-120.5, 20.5, 43.0]),
+            magnetic_field_calibrated: Some(false),
+            heading_deg: Some(359.0),
+            heading_sd_deg: None,
+            temperature_c: Some(25.4),
+            phase: Some("moving".to_owned()),
+            velocity_m_s: Some([0.0; 3]),
+            position_m: Some([-1234.567, 1234.567, -12.345]),
+            since_rest_s: Some(1.0),
+            valid: Some(false),
+        }
+    }
+
+    #[test]
+    fn a_line_fits_its_terminal_and_loses_the_least_important_first() {
+        let line = longest();
+        let whole = line.text(None);
+        let length = whole.chars().count();
+        assert!(length > 160, "{length}");
+        assert_eq!(line.text(Some(length)), whole);
+        assert!(!line.text(Some(length - 1)).contains("µT"));
+        for width in 10..length {
+            let text = line.text(Some(width));
+            assert!(text.chars().count() <= width, "{width}: {text}");
+            assert!(text.starts_with("12345.67 s"), "{width}: {text}");
+        }
+        let has = |width, parts: &[&str]| {
+            let text = line.text(Some(width));
+            assert!(
+                parts.iter().all(|part| text.contains(part)),
+                "{width}: {text}"
+            );
+        };
+        has(65, &["f -19.123", "(invalid)"]);
+        has(
+            119,
+            &["f -19.123", "moving (invalid)", "p -1234.567", "|f|"],
+        );
+        let usual = Line {
+            time_s: 12.34,
+            position_m: Some([-1.234, 12.345, -0.012]),
+            valid: Some(true),
+            ..line
+        };
+        let text = usual.text(Some(79));
+        assert!(
+            text.contains("moving") && text.contains("p -1.234"),
+            "{text}"
+        );
     }
 }

@@ -569,7 +569,7 @@ mod tests {
             });
         };
         let most = MAX_KEPT as u32;
-        for n in 0..most + 10 {
+        for n in 0..2 * most + 10 {
             take(Event::Parameters(ActiveParameters {
                 active: None,
                 id: n,
@@ -589,11 +589,12 @@ mod tests {
             boot.settings.len(),
             boot.events.len(),
         ];
-        assert_eq!(lengths, [MAX_KEPT; 3]);
-        assert_eq!((boot.parameters[0].id, boot.events[0].0.0), (10, 10));
+        assert_eq!(lengths, [MAX_KEPT, MAX_KEPT, MAX_KEPT + 10]);
+        assert_eq!(boot.parameters[0].id, most + 10);
+        assert_eq!(boot.events[0].0, DeviceTimeUs(most.into()));
         assert_eq!(
             boot.settings.last().map(|last| last.gravity_um_s2),
-            Some(most + 9)
+            Some(2 * most + 9)
         );
     }
 

@@ -1,7 +1,7 @@
 //! What a broken or hostile link may bring: `monitor` and `record` take it in bounded memory.
 #![cfg(target_os = "linux")]
 
-mod kit;
+use crate::kit;
 
 use std::fs;
 use std::io::{Read, Write};

@@ -1,6 +1,6 @@
 //! `wimu monitor` as it is read by a person and by a program.
 
-mod kit;
+use crate::kit;
 
 use std::process::{Command, Stdio};
 

@@ -16,7 +16,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use wimu_host::csv::{AccelerationUnit, CsvWriter, Header, Row};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, HostError, OutputFile, Result};
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -191,8 +191,7 @@ impl Capture {
     /// # Errors
     /// `file_failed`, `file_unreadable`.
     fn write_csv(&self, path: &Path) -> Result<usize> {
-        let name = path.display().to_string();
-        let file = std::fs::File::create(path).map_err(|e| HostError::file(&name, "create", &e))?;
+        let (output, file) = OutputFile::create(path)?;
         let header = Header {
             time: true,
             accelerometers: (0..UNITS as u32).map(Some).collect(),
@@ -205,7 +204,7 @@ impl Capture {
                 })
                 .collect(),
         };
-        let mut writer = CsvWriter::new(std::io::BufWriter::new(file), &name, header)?;
+        let mut writer = CsvWriter::new(std::io::BufWriter::new(file), output.name(), header)?;
         let start = self.packets.first().map_or(0, |packet| packet.ticks);
         for packet in &self.packets {
             let gyroscopes = packet.units.iter().flat_map(|[_, gyroscope]| gyroscope);
@@ -218,6 +217,7 @@ impl Capture {
             })?;
         }
         writer.finish()?;
+        output.finish()?;
         Ok(self.packets.len())
     }
 }

@@ -9,7 +9,7 @@ use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::register_font;
 
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Size of a picture, px.
 const SIZE: (u32, u32) = (860, 380);
@@ -108,12 +108,14 @@ impl Chart {
         let name = path.display().to_string();
         let extension = path.extension().and_then(|extension| extension.to_str());
         match extension {
-            Some("svg") => std::fs::write(path, self.svg()?)
-                .map_err(|error| HostError::file(&name, "write", &error)),
+            Some("svg") => OutputFile::write(path, self.svg()?),
             Some("png") => {
                 let size = (FINER * SIZE.0, FINER * SIZE.1);
-                let area = BitMapBackend::new(path, size).into_drawing_area();
-                self.draw(&area, FINER).map_err(|error| error.at(name))
+                let (output, _) = OutputFile::create(path)?;
+                let area = BitMapBackend::new(output.path(), size).into_drawing_area();
+                self.draw(&area, FINER).map_err(|error| error.at(name))?;
+                drop(area);
+                output.finish()
             }
             _ => Err(HostError::new(
                 ErrorCode::Usage,

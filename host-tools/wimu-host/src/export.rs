@@ -19,7 +19,7 @@ use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// The column of the heading's standard deviation, empty where it is uncalibrated.
 const HEADING_SD: &str = "Heading SD (deg)";
@@ -99,15 +99,14 @@ pub fn to_csv(
             model.check_device(hello.device_id)?;
         }
     }
-    let name = path.display().to_string();
-    let file = File::create(path).map_err(|error| HostError::file(&name, "create", &error))?;
+    let (output, file) = OutputFile::create(path)?;
     let mut boots = link.boots.iter();
     let mut table = Table {
         stream,
         anchor: overview.anchor,
         link_model,
         clock: None,
-        writer: CsvWriter::new(BufWriter::new(file), &name, header(stream))?,
+        writer: CsvWriter::new(BufWriter::new(file), output.name(), header(stream))?,
         rows: 0,
         sensitivity: None,
         ranges_differ: false,
@@ -136,6 +135,7 @@ pub fn to_csv(
     }
     table.write_until(u64::MAX)?;
     table.writer.finish()?;
+    output.finish()?;
     Ok(Exported {
         role,
         rows: table.rows,

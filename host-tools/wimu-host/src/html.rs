@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::chart::Chart;
-use crate::{HostError, Result};
+use crate::{OutputFile, Result};
 
 /// A page that is written from top to bottom.
 #[derive(Clone, Debug)]
@@ -72,8 +72,7 @@ impl Report {
              <style>{STYLE}</style></head>\n<body><h1>{title}</h1>\n{}</body></html>\n",
             self.body
         );
-        std::fs::write(path, page)
-            .map_err(|error| HostError::file(&path.display().to_string(), "write", &error))
+        OutputFile::write(path, page)
     }
 }
 

@@ -23,6 +23,7 @@ pub mod mcap_file;
 pub mod monitor;
 pub mod motion;
 pub mod navigation;
+mod output_file;
 pub mod overview;
 pub mod plural;
 pub mod recorder;
@@ -34,3 +35,4 @@ pub mod walk;
 
 pub use error::{ErrorCode, HostError, Result};
 pub use link_url::{DEFAULT_BAUD, Input, LinkUrl};
+pub use output_file::OutputFile;

@@ -22,7 +22,7 @@ use crate::history::Boot;
 use crate::mcap_file::{RecordingReader, RecordingWriter, Topic, Wholeness};
 use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, Walker, walk};
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, HostError, OutputFile, Result};
 
 const FRAME_ID: &str = "imu_link";
 /// ROS's separator between a message's definition and those of its parts.
@@ -101,11 +101,11 @@ impl Kind {
     }
 }
 
-/// Copies the recording at `from` to a new file at `to`, with the decoded topics added. A link model
+/// Copies the recording at `from` to `to`, with the decoded topics added. A link model
 /// is taken off the link that it names. Memory does not grow with the recording.
 ///
 /// # Errors
-/// Those of reading a recording and of [`RecordingWriter::create`]; `data_refused` when the link
+/// Those of reading a recording and of [`OutputFile`]; `data_refused` when the link
 /// model is another device's.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
     let mut clocks = Clocks::default();
@@ -132,8 +132,9 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         )
         .at(from.display().to_string()));
     };
+    let (output, file) = OutputFile::create(to)?;
     let mut decoder = Writer {
-        out: RecordingWriter::create(to, anchor)?,
+        out: RecordingWriter::new(file, output.name(), anchor)?,
         topics: BTreeMap::new(),
         units,
         parameters: BTreeMap::new(),
@@ -154,6 +155,9 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     decoder.decoded.unplaced = unplaced.sum();
     decoder.out.finish()?;
     decoder.decoded.wholeness = reader.wholeness();
+    // It may be the file that is replaced.
+    drop(reader);
+    output.finish()?;
     Ok(decoder.decoded)
 }
 

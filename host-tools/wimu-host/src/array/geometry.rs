@@ -7,7 +7,7 @@ use wimu_model::{ErrorModel, SpecificForceMps2};
 
 use super::single::SingleAxis;
 use crate::calibration::read_model;
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// One triad of an array.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -280,10 +280,9 @@ impl ArrayGeometry {
     /// # Errors
     /// `file_unreadable`, `file_failed`.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let name = path.display().to_string();
         let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
         text.push('\n');
-        std::fs::write(path, text).map_err(|e| HostError::file(&name, "write", &e))
+        OutputFile::write(path, text)
     }
 }
 

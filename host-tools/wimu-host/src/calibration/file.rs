@@ -10,6 +10,7 @@ use wimu_model::{
 use super::Source;
 use super::range::Range;
 use super::report::{CalibrationReport, HELD_SCHEMA};
+use crate::OutputFile;
 use crate::csv::AccelerationUnit;
 use crate::error::{ErrorCode, HostError, Result};
 
@@ -190,7 +191,6 @@ pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
 /// # Errors
 /// `file_failed`, `file_unreadable`.
 pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
-    let name = path.display().to_string();
     let json = serde_json::to_string_pretty(report).map_err(|error| {
         HostError::new(
             ErrorCode::FileFailed,
@@ -198,5 +198,5 @@ pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
             "report this as a fault of wimu",
         )
     })?;
-    std::fs::write(path, json + "\n").map_err(|error| HostError::file(&name, "write", &error))
+    OutputFile::write(path, json + "\n")
 }

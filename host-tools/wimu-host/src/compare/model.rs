@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use wimu_link::LinkRole;
 
 use super::Axis;
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Bias and scale factor of a link's values against the reference link's, equation (65). It
 /// corrects what the link brought, on the host; it is no sensor's error and is never pushed.
@@ -103,8 +103,7 @@ impl LinkModel {
     /// `file_failed`, `file_unreadable`.
     pub fn write(&self, path: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
-        std::fs::write(path, text)
-            .map_err(|error| HostError::file(&path.display().to_string(), "write", &error))
+        OutputFile::write(path, text)
     }
 
     /// Reads it from a file.

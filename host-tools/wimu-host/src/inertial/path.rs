@@ -7,7 +7,7 @@ use wimu_nav::slide::Move;
 
 use super::Method;
 use super::truth::consistency;
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Where the unit was at a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -188,7 +188,7 @@ impl InertialPath {
     pub fn write_csv(&self, file: &FilePath) -> Result<()> {
         let name = file.display().to_string();
         let failed = |error: std::io::Error| HostError::file(&name, "write", &error);
-        let sink = std::fs::File::create(file).map_err(failed)?;
+        let (output, sink) = OutputFile::create(file)?;
         let mut sink = std::io::BufWriter::new(sink);
         let mut header = vec!["Time (s)".to_owned()];
         header.extend(["E", "N", "U"].map(|a| format!("Position {a} (m)")));
@@ -213,6 +213,8 @@ impl InertialPath {
             }
             writeln!(sink, ",{}", u8::from(point.valid)).map_err(failed)?;
         }
-        sink.flush().map_err(failed)
+        sink.flush().map_err(failed)?;
+        drop(sink);
+        output.finish()
     }
 }

@@ -8,7 +8,7 @@ use wimu_host::compare::{Comparison, compare};
 use wimu_host::html::Report;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, HostError, OutputFile, Result};
 use wimu_sim::board::{Board, BoardConfig};
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
 
@@ -64,8 +64,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         output.say(line);
     }
     let recording = arguments.report.with_extension("mcap");
-    std::fs::write(&recording, &outcome.recording)
-        .map_err(|error| HostError::file(&recording.display().to_string(), "write", &error))?;
+    OutputFile::write(&recording, &outcome.recording)?;
     let charts = charts(&outcome);
     let mut page = report(&outcome, &charts, &story)?;
     links.pictures(&mut page)?;

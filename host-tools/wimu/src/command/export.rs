@@ -9,7 +9,7 @@ use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportStream};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, HostError, OutputFile, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
 use crate::command::{not_over_input, say_fault};
@@ -78,6 +78,10 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     };
     let file = to.display().to_string();
     if matches!(arguments.format, ExportFormat::Mcap) {
+        if to.symlink_metadata().is_ok() {
+            let exists = std::io::ErrorKind::AlreadyExists.into();
+            return Err(HostError::file(&file, "create", &exists));
+        }
         let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
         for (topic, count) in &decoded.messages {
             output.say(format!("{file}: {count} messages on {topic}"));
@@ -174,7 +178,7 @@ fn calibration(arguments: &Export, output: Output) -> Result<()> {
         .map(|path| path.display().to_string());
     match (&arguments.output, &file) {
         (Some(path), Some(file)) => {
-            std::fs::write(path, &text).map_err(|error| HostError::file(file, "write", &error))?;
+            OutputFile::write(path, &text)?;
             output.say(format!("{file}: {} lines", text.lines().count()));
             for remark in &remarks {
                 output.say(remark);

@@ -1,6 +1,5 @@
 //! `wimu record`.
 
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -90,7 +89,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         }
     }
     let decoded = match arguments.decoded {
-        true => Some(add_topics(&arguments.output)?),
+        true => Some(ros::decode(&arguments.output, &arguments.output, None)?),
         false => None,
     };
     if let Some(decoded) = &decoded {
@@ -124,17 +123,6 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         ended: progress.ended,
     });
     Ok(())
-}
-
-/// Puts the recording with its decoded topics in the place of the one without.
-fn add_topics(path: &Path) -> Result<Decoded> {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".part");
-    let part = PathBuf::from(name);
-    let decoded = ros::decode(path, &part, None)?;
-    std::fs::rename(&part, path)
-        .map_err(|error| HostError::file(&part.display().to_string(), "rename", &error))?;
-    Ok(decoded)
 }
 
 fn summary(progress: &Progress) -> String {

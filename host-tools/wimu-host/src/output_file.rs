@@ -1,0 +1,197 @@
+//! Files that commands write: what stands there stays until the new file is whole.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::{Builder, TempPath};
+
+use crate::{HostError, Result};
+
+/// Symbolic links are followed this often, as Linux does.
+const MOST_LINKS: usize = 40;
+
+/// A file being written: a temporary one in the same folder, until [`finish`](Self::finish) gives it the file's name.
+/// Dropping it removes it. A pipe, a device or an open file of a process (`/dev/stdout`) is written directly.
+#[derive(Debug)]
+pub struct OutputFile {
+    name: String,
+    /// The temporary file, and the file whose place it takes.
+    draft: Option<(TempPath, PathBuf)>,
+}
+
+impl OutputFile {
+    /// Begins a file that replaces the one of its name, and keeps its mode; gives the file that receives the content.
+    ///
+    /// # Errors
+    /// `file_unreadable`, `file_failed`: the file of before is unchanged.
+    pub fn create(path: &Path) -> Result<(Self, File)> {
+        let name = path.display().to_string();
+        let (file, draft) = begun(path).map_err(|e| HostError::file(&name, "create", &e))?;
+        Ok((Self { name, draft }, file))
+    }
+
+    /// Writes a whole file.
+    ///
+    /// # Errors
+    /// Those of [`create`](Self::create) and [`finish`](Self::finish).
+    pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+        let (output, mut file) = Self::create(path)?;
+        let written = file.write_all(content.as_ref());
+        written.map_err(|e| HostError::file(&output.name, "write", &e))?;
+        output.finish()
+    }
+
+    /// What errors call it.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The file that receives the content, for a writer that opens it by its name; it has the extension of the final one.
+    pub fn path(&self) -> &Path {
+        let draft = self.draft.as_ref();
+        draft.map_or(Path::new(&self.name), |(temporary, _)| temporary)
+    }
+
+    /// Brings the content onto the disk, then takes the place of the file of before.
+    ///
+    /// # Errors
+    /// `file_failed`, `file_unreadable`: the file of before is unchanged.
+    pub fn finish(self) -> Result<()> {
+        let Some((temporary, target)) = self.draft else {
+            return Ok(());
+        };
+        let synced = File::options().write(true).open(&temporary);
+        synced
+            .and_then(|file| file.sync_all())
+            .and_then(|()| temporary.persist(target).map_err(|error| error.error))
+            .map_err(|e| HostError::file(&self.name, "write", &e))
+    }
+}
+
+fn begun(path: &Path) -> io::Result<(File, Option<(TempPath, PathBuf)>)> {
+    let Some(target) = resolved(path) else {
+        return Ok((File::create(path)?, None));
+    };
+    // A file that may not be written is not replaced either.
+    let before = match File::options().write(true).open(&target) {
+        Ok(file) if !file.metadata()?.is_file() => return Ok((file, None)),
+        Ok(file) => Some(file.metadata()?),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+        Err(error) => return Err(error),
+    };
+    let extension = target.extension().unwrap_or_default().to_string_lossy();
+    let suffix = format!(".{extension}");
+    let mut builder = Builder::new();
+    builder.prefix(".wimu-").suffix(&suffix);
+    // Less the umask.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let folder = target.parent().filter(|f| !f.as_os_str().is_empty());
+    let draft = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
+    let (file, temporary) = draft.into_parts();
+    if let Some(before) = before {
+        // Only root may give a file away, and some file systems know no modes.
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::{MetadataExt, fchown};
+            let _ = fchown(&file, Some(before.uid()), Some(before.gid()));
+        }
+        let _ = file.set_permissions(before.permissions());
+    }
+    Ok((file, Some((temporary, target))))
+}
+
+/// Where symbolic links lead, also to a file that is yet to be made; `None` for an open file of a process.
+fn resolved(path: &Path) -> Option<PathBuf> {
+    let mut at = path.to_owned();
+    for _ in 0..MOST_LINKS {
+        if at.starts_with("/proc") || at.starts_with("/dev/fd") {
+            return None;
+        }
+        let Ok(link) = std::fs::read_link(&at) else {
+            break;
+        };
+        at = at.parent().unwrap_or(Path::new("")).join(link);
+    }
+    Some(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn folder_with(old: &str) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        fs::write(&path, old).unwrap();
+        (folder, path)
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let name = |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name();
+        entries
+            .map(|entry| name(entry).into_string().unwrap())
+            .collect()
+    }
+
+    #[test]
+    fn what_stood_there_stays_until_the_new_file_is_whole() {
+        let (folder, path) = folder_with("old");
+        let (output, mut file) = OutputFile::create(&path).unwrap();
+        file.write_all(&[b'x'; 100_000]).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        drop(output);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        assert_eq!(names(folder.path()), ["a.json"]);
+        OutputFile::write(&path, "new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        assert_eq!(names(folder.path()), ["a.json"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_keeps_its_mode_and_its_links_and_a_new_one_has_the_usual_mode() {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+        let (folder, path) = folder_with("old");
+        let mode = |path: &Path| fs::metadata(path).unwrap().mode() & 0o777;
+        let usual = mode(&path);
+        let new = folder.path().join("new.json");
+        OutputFile::write(&new, "new").unwrap();
+        assert_eq!(mode(&new), usual);
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        let link = folder.path().join("link.json");
+        symlink("a.json", &link).unwrap();
+        OutputFile::write(&link, "through").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "through");
+        assert_eq!(mode(&path), 0o640);
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        // A link to a file that is yet to be made.
+        symlink("later.json", folder.path().join("hanging.json")).unwrap();
+        OutputFile::write(&folder.path().join("hanging.json"), "made").unwrap();
+        assert_eq!(
+            fs::read_to_string(folder.path().join("later.json")).unwrap(),
+            "made"
+        );
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn pipes_and_devices_are_written_directly() {
+        let (folder, _) = folder_with("");
+        let pipe = folder.path().join("pipe.csv");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read_to_string(pipe).unwrap()
+        });
+        OutputFile::write(&pipe, "through").unwrap();
+        assert_eq!(reader.join().unwrap(), "through");
+        OutputFile::write(Path::new("/dev/null"), "gone").unwrap();
+        assert!(resolved(Path::new("/dev/stdout")).is_none() || !Path::new("/proc").exists());
+    }
+}

@@ -20,6 +20,8 @@ use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
 
 /// Bytes that a line of 921 600 baud carries in a second.
 const LINE_BYTES: usize = 92_160;
+/// Sample period, µs: the samples of a minute fill such a line.
+const PERIOD_US: u64 = 100;
 /// What a command may take at most, KiB.
 const MOST_KIB: u64 = 100_000;
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -65,12 +67,12 @@ const WAYS: [(&str, Way); 10] = [
     ("greetings of ever new devices", |n, out| hello(out, any(n))),
     ("events while a restart is in doubt", |n, out| match n {
         0..100 => telemetry(n + 1000, out),
-        100 => epoch(out, 0, 0, 10_000_000),
+        100 => epoch(out, 0, 0, 1000 * PERIOD_US as u32),
         _ => event(out, n, Event::SensorFound),
     }),
     ("epochs that jump", |n, out| {
         let at = any(n) % 1_000_000_000;
-        epoch(out, at as u32, at * 10_000, 10_000_000);
+        epoch(out, at as u32, at * PERIOD_US, 1000 * PERIOD_US as u32);
         samples(out, at as u32);
     }),
     ("ever new parameters", |n, out| {
@@ -133,7 +135,7 @@ fn samples(out: &mut Vec<u8>, first: u32) {
     let counts: Vec<_> = (0..16)
         .map(|k| Counts([k, (first >> 4) as i16, 16384]))
         .collect();
-    let time = DeviceTimeUs(u64::from(first) * 10_000);
+    let time = DeviceTimeUs(u64::from(first) * PERIOD_US);
     put(out, |frame| batch::encode(first, time, &counts, frame));
 }
 
@@ -141,7 +143,12 @@ fn samples(out: &mut Vec<u8>, first: u32) {
 fn telemetry(n: u64, out: &mut Vec<u8>) {
     let first = 16 * n as u32;
     if n.is_multiple_of(6) {
-        epoch(out, first, u64::from(first) * 10_000, 10_000_000);
+        epoch(
+            out,
+            first,
+            u64::from(first) * PERIOD_US,
+            1000 * PERIOD_US as u32,
+        );
     }
     samples(out, first);
 }
@@ -167,6 +174,7 @@ fn bring(listener: TcpListener, way: Way, bytes: usize, rate: Option<usize>) {
     let (mut host, _) = listener.accept().expect("a host");
     // Nobody is there when it comes back.
     drop(listener);
+    host.set_nodelay(true).expect("a stream");
     let mut heard = host.try_clone().expect("a stream");
     let ears =
         thread::spawn(move || while heard.read(&mut [0; 4096]).is_ok_and(|count| count > 0) {});

@@ -12,7 +12,7 @@ fn main() {
     let seeds: u64 = argument(1).and_then(|a| a.parse().ok()).unwrap_or(500);
     let only = argument(2).unwrap_or_default();
     println!(
-        "{seeds} seeds: valid, %, of all samples and of those in motion | NEES below 7.81, % of the valid samples, of a seed but for a tenth | greatest error of a \
+        "{seeds} seeds: valid, %, of all samples and of those in motion | NEES below 7.81, % of the valid samples in motion, of a seed but for a tenth | greatest error of a \
          seed in deviations, median and most | stillness taken for rests, % | error at the end | way that even motion at the \
          rests may have been, 1 sd"
     );

@@ -220,9 +220,11 @@ impl Default for Recorded {
 /// What a journey showed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Shown {
-    /// Share of the samples that were valid, and of those with a position NEES below 7.81.
+    /// Share of the samples that were valid, and of those at which it moved with a position NEES below 7.81.
     pub valid: f64,
     pub below: f64,
+    /// Share of the samples whose NEES counts.
+    pub judged: f64,
     /// Share of the samples at which it moved that were valid.
     pub moving: f64,
     /// Greatest error of a component in deviations (of at least 3 mm) while valid, and the error in space there, m.
@@ -256,7 +258,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
     );
     let (mut place, mut speed) = ([0.0; 3], [0.0; 3]);
     let mut shown = Shown::default();
-    let (mut count, mut valid, mut below) = (0.0, 0.0, 0.0);
+    let (mut count, mut valid, mut below, mut judged) = (0.0, 0.0, 0.0, 0.0);
     let (mut still, mut found, mut moving) = (0.0, 0.0, 0.0);
     let (mut waited, mut clock_s) = (0.0, 0.0);
     let mut rates: std::collections::VecDeque<[f64; 3]> = Default::default();
@@ -378,7 +380,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                     .rfind(|(at_s, _)| at_s + 0.6 < age_s)
                     .or(rested.first())
                     .map(|(_, at)| *at);
-                (valid, below) = (valid + 1.0, below + 1.0);
+                valid += 1.0;
                 moving += f64::from(u8::from(!resting));
                 continue;
             }
@@ -398,7 +400,8 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
                 .map_or(f64::INFINITY, |inverse| e.dot(&(inverse * e)));
             valid += 1.0;
             moving += f64::from(u8::from(!resting));
-            below += f64::from(u8::from(nees < 7.81));
+            judged += f64::from(u8::from(!resting));
+            below += f64::from(u8::from(!resting && nees < 7.81));
             for i in 0..3 {
                 let sd = p[(i, i)].sqrt().max(0.003);
                 let ratio = error[i].abs() / sd;
@@ -429,7 +432,8 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
         }
     }
     shown.valid = valid / count;
-    shown.below = below / f64::max(valid, 1.0);
+    shown.judged = judged / count;
+    shown.below = if judged > 0.0 { below / judged } else { 1.0 };
     shown.moving = moving / f64::max(count - still, 1.0);
     shown.rests = found / f64::max(still, 1.0);
     shown
@@ -441,7 +445,7 @@ pub struct Journeys {
     /// Mean share of valid samples, and of those at which it moved.
     pub valid: f64,
     pub moving: f64,
-    /// Of the valid samples, those with a NEES below 7.81; and the least of the seeds but for a tenth.
+    /// Of the valid samples at which it moved, those with a NEES below 7.81; and the least of the seeds but for a tenth.
     pub below: f64,
     pub least: f64,
     /// Median of each seed's greatest error in deviations, and the greatest.
@@ -464,7 +468,8 @@ impl Journeys {
         };
         let median = |value: &dyn Fn(&Shown) -> f64| sorted(value)[all.len() / 2];
         let weight: f64 = all.iter().map(|s| s.valid).sum();
-        let below = all.iter().map(|s| s.valid * s.below).sum::<f64>();
+        let judged: f64 = all.iter().map(|s| s.judged).sum();
+        let below = all.iter().map(|s| s.judged * s.below).sum::<f64>();
         let greatest = all.iter().max_by(|a, b| a.worst.total_cmp(&b.worst));
         let greatest = greatest.copied().unwrap_or_default();
         Self {
@@ -503,7 +508,7 @@ impl Journeys {
             ),
             valid: weight / all.len() as f64,
             moving: all.iter().map(|s| s.moving).sum::<f64>() / all.len() as f64,
-            below: below / f64::max(weight, 1e-9),
+            below: if judged > 0.0 { below / judged } else { 1.0 },
             least: sorted(&|s| s.below)[all.len() / 10],
             worst: median(&|s| s.worst),
             greatest: greatest.worst,

@@ -2,7 +2,7 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{compare, heading_rad};
+use super::truth::{compare, heading_rad, moving};
 use super::{Choice, InertialPath, LIKELY, Method, PathPoint};
 use crate::array::{
     Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, mended, navigated,
@@ -160,8 +160,12 @@ fn path_of(
         .push(format!("{field}: heading is that of the body at the start"));
     let mut path = path.checked(&recording.name)?;
     let truth = recording.truth();
-    compare(&mut path, &truth);
-    let valid = |k: &usize| path.points[*k].valid;
+    let true_rate = recording.true_rate_rad_s();
+    let column = recording.other.iter().find(|(name, _)| name == "Moving");
+    let column = column.map(|(_, values)| values.as_slice());
+    let moving = moving(&recording.times_s, column, &truth, &true_rate);
+    compare(&mut path, &truth, &moving);
+    let valid = |k: &usize| path.points[*k].valid && moving.get(*k).is_some_and(|moves| *moves);
     let vector_nees = |truth: &[Option<[f64; 3]>],
                        of: &dyn Fn(usize) -> ([f64; 3], [[f64; 3]; 3])| {
         let of_sample = |k: usize| {
@@ -174,7 +178,7 @@ fn path_of(
             .filter_map(of_sample)
             .collect::<Vec<f64>>()
     };
-    let rate_nees = vector_nees(&recording.true_rate_rad_s(), &|k| {
+    let rate_nees = vector_nees(&true_rate, &|k| {
         (states[k].rate_rad_s, states[k].rate_covariance)
     });
     // The path's heading begins at its own zero.

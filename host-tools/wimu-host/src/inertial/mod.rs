@@ -48,7 +48,7 @@ use wimu_nav::unit::{UnitConfig, UnitSample};
 use crate::motion::MotionRecording;
 use crate::{ErrorCode, HostError, Result};
 use holes::Holes;
-use truth::compare;
+use truth::{compare, moving};
 use unit::{filter, once_each_field};
 
 /// How the path is found.
@@ -114,7 +114,9 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     };
     path.remarks.splice(0..0, recording.remarks.iter().cloned());
     let mut path = path.checked(&recording.name)?;
-    compare(&mut path, &recording.truth);
+    let column = recording.column("Moving");
+    let moving = moving(&recording.times_s, column, &recording.truth, &[]);
+    compare(&mut path, &recording.truth, &moving);
     Ok(path)
 }
 

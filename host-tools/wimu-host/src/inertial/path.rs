@@ -94,10 +94,10 @@ pub struct InertialPath {
     pub remarks: Vec<String>,
     /// Points known no better than this, m, are not valid.
     pub limit_m: f64,
-    /// NEES of the position at each valid sample that has truth, which is taken to be right to 1 mm; both
+    /// NEES of the position at each valid sample that has truth and moves, which is taken to be right to 1 mm; both
     /// begin at the same place and heading.
     pub nees: Vec<f64>,
-    /// NEES of an array's angular rate at each valid sample, where the truth tells it.
+    /// NEES of an array's angular rate at each valid sample that moves, where the truth tells it.
     pub rate_nees: Vec<f64>,
     /// That of its velocity.
     pub velocity_nees: Vec<f64>,
@@ -176,7 +176,7 @@ impl InertialPath {
         self.points.iter().filter(|p| p.valid).count() as f64 / self.points.len().max(1) as f64
     }
 
-    /// Median NEES and the share below 7.81 (95 % of a right covariance), where there is truth.
+    /// Median NEES of the moving samples and the share below 7.81 (95 % of a right covariance), where there is truth.
     pub fn consistency(&self) -> Option<(f64, f64)> {
         consistency(&self.nees)
     }

@@ -19,9 +19,43 @@ pub(super) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
 /// The truth is right to this, m.
 const TRUTH_M: f64 = 0.001;
 
-/// NEES where there is truth: both paths begin at the origin, at the same heading, or at that
+/// A truth that is faster than this moves, m/s over [`OVER_S`].
+const MOVING_MPS: f64 = 0.05;
+const OVER_S: f64 = 0.2;
+/// An array that truly turns faster than this moves, rad/s.
+const TURNING_RAD_S: f64 = 1.0;
+
+/// Which samples move, as the file's column `Moving` says, else by the true positions and angular rates. At rest the
+/// error is that of the last motion, or zero by definition: NEES there says nothing new.
+pub(super) fn moving(
+    times_s: &[f64],
+    column: Option<&[f64]>,
+    truth: &[Option<Truth>],
+    rate_rad_s: &[Option<[f64; 3]>],
+) -> Vec<bool> {
+    if let Some(column) = column {
+        return column.iter().map(|moving| *moving > 0.5).collect();
+    }
+    let square = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>();
+    let turns =
+        |k| rate_rad_s.get(k).copied().flatten().map_or(0.0, square) > TURNING_RAD_S.powi(2);
+    let mut all: Vec<bool> = (0..times_s.len()).map(turns).collect();
+    let known = (0..times_s.len()).filter_map(|k| Some((k, (*truth.get(k)?)?.position_m)));
+    let known: Vec<(usize, [f64; 3])> = known.collect();
+    for (j, (k, _)) in known.iter().enumerate() {
+        let until = |at_s: f64| known.partition_point(|(k, _)| times_s[*k] < at_s);
+        let from = until(times_s[*k] - 0.5 * OVER_S).min(j.saturating_sub(1));
+        let to = until(times_s[*k] + 0.5 * OVER_S).max(j + 1);
+        let ((a, before), (b, after)) = (known[from], known[to.min(known.len() - 1)]);
+        let apart = std::array::from_fn(|i| after[i] - before[i]);
+        all[*k] |= square(apart).sqrt() > MOVING_MPS * (times_s[b] - times_s[a]);
+    }
+    all
+}
+
+/// NEES where there is truth and the unit moves: both paths begin at the origin, at the same heading, or at that
 /// which fits best where the truth has none.
-pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>]) {
+pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>], moving: &[bool]) {
     let usable = |k: &usize| path.points[*k].valid && truth.get(*k).is_some_and(Option::is_some);
     let usable: Vec<usize> = (0..path.points.len()).filter(usable).collect();
     let of_sample = |k: &usize| Some((&path.points[*k], truth[*k]?));
@@ -67,9 +101,84 @@ pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>]) {
             p,
         )
     };
-    let all = both.iter().map(of).collect();
+    let moves = |(k, _): &(&usize, _)| moving.get(**k).is_some_and(|moves| *moves);
+    let moved = usable.iter().zip(&both).filter(moves);
+    let all = moved.map(|(_, both)| of(both)).collect();
     let truth_m = truth.iter().map(|t| Some(in_path(t.as_ref()?))).collect();
     path.heading_fitted = fitted;
     path.truth_m = truth_m;
     path.nees = all;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inertial::Method;
+
+    const STEP_S: f64 = 0.01;
+
+    /// At rest for 10 s, then east at `speed_mps` for 10 s.
+    fn rest_and_move(speed_mps: f64) -> (Vec<f64>, Vec<Option<Truth>>) {
+        let times_s: Vec<f64> = (0..2000).map(|k| f64::from(k) * STEP_S).collect();
+        let truth = |t: &f64| Truth {
+            position_m: [speed_mps * (t - 10.0).max(0.0), 0.0, 0.0],
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+        };
+        let truth = times_s.iter().map(|t| Some(truth(t))).collect();
+        (times_s, truth)
+    }
+
+    #[test]
+    fn the_nees_of_a_rest_does_not_count() {
+        let (times_s, truth) = rest_and_move(1.0);
+        // Right at rest, two deviations off on each axis in motion.
+        let points = times_s.iter().zip(&truth).map(|(time_s, truth)| {
+            let position_m = truth.unwrap().position_m;
+            let off = if *time_s > 10.2 { 0.2 } else { 0.0 };
+            PathPoint {
+                time_s: *time_s,
+                position_m: position_m.map(|p| p + off),
+                velocity_mps: [0.0; 3],
+                quaternion: [1.0, 0.0, 0.0, 0.0],
+                rate_rad_s: [0.0; 3],
+                covariance_m2: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]],
+                resting: *time_s < 10.0,
+                unseen_mps: None,
+                unseen_m: 0.0,
+                valid: true,
+            }
+        });
+        let mut path = InertialPath::new(Method::Tilt, points.collect(), 0, 1.0);
+        let moving = moving(&times_s, None, &truth, &[]);
+        compare(&mut path, &truth, &moving);
+        let (median, below) = path.consistency().unwrap();
+        assert!((median - 12.0).abs() < 0.1, "{median}");
+        assert!(below < 0.05, "{below}");
+        assert!((950..1050).contains(&path.nees.len()));
+        compare(&mut path, &truth, &vec![false; truth.len()]);
+        assert_eq!(path.consistency(), None);
+    }
+
+    #[test]
+    fn what_moves_is_said_by_the_column_else_by_true_speed_or_rate() {
+        let count = |moving: Vec<bool>| moving.iter().filter(|m| **m).count();
+        for (speed_mps, least, most) in [(0.06, 950, 1020), (0.04, 0, 0)] {
+            let (times_s, truth) = rest_and_move(speed_mps);
+            let found = moving(&times_s, None, &truth, &[]);
+            assert!(found[..980].iter().all(|m| !m));
+            assert!((least..=most).contains(&count(found)), "{speed_mps}");
+            // A truth with a tenth of the samples.
+            let sparse = |(k, t): (usize, &Option<Truth>)| t.filter(|_| k % 10 == 0);
+            let sparse: Vec<_> = truth.iter().enumerate().map(sparse).collect();
+            let found = count(moving(&times_s, None, &sparse, &[]));
+            assert!((least / 10..=most / 10 + 1).contains(&found), "{found}");
+            let mut column = vec![0.0; truth.len()];
+            column[3] = 1.0;
+            assert_eq!(count(moving(&times_s, Some(&column), &truth, &[])), 1);
+        }
+        let times_s = [0.0, 0.01, 0.02];
+        let rates = [Some([0.9, 0.0, 0.0]), Some([0.8, 0.8, 0.0]), None];
+        let found = moving(&times_s, None, &[], &rates);
+        assert_eq!(found, [false, true, false]);
+    }
 }

@@ -505,7 +505,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         if let Some((median, share)) = consistency(nees) {
             let _ = writeln!(
                 text,
-                "against the truth{fitted}: {what}NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is \
+                "against the truth{fitted}, while it moves: {what}NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is \
                  right)",
                 100.0 * share
             );

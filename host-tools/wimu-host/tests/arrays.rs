@@ -357,3 +357,43 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
         "{error}"
     );
 }
+
+/// Places and delays are right, but said to be hardly known: what is fitted is noise.
+#[test]
+fn a_refinement_that_predicts_nothing_better_is_rejected() {
+    let mut random = Random(23);
+    let drawn = ArrayGeometry::at(&board_places());
+    let recording = table(&drawn, 100.0, 0.5, &mut random);
+    let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE).unwrap();
+    let options = RefineOptions {
+        place_sd_m: 5e-3,
+        delay_sd_s: 3e-3,
+    };
+    let found = refine(&recording, &drawn, &calibration, &options).unwrap();
+    let rates = |geometry: &ArrayGeometry| {
+        let (states, _) = navigated(&recording, geometry, &calibration, G, Zupt::Stated).unwrap();
+        let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
+        rms_error(&rates, &recording.times_s)
+    };
+    let mut moved = drawn.clone();
+    for (sensor, by) in moved.sensors.iter_mut().zip(&found.moved_m) {
+        for (place, by) in sensor
+            .places_m
+            .iter_mut()
+            .flatten()
+            .zip(by.iter().flatten())
+        {
+            *place += by;
+        }
+    }
+    let (given, rejected) = (rates(&drawn), rates(&moved));
+    println!(
+        "held out: {:?}, residual {:?}; angular rate off by {given:.3} rad/s as given, {rejected:.3} with what was rejected",
+        found.held_out_mps2, found.residual_mps2
+    );
+    assert!(rejected > 1.02 * given);
+    // Where it was fitted it looks better.
+    assert!(found.residual_mps2[1] < found.residual_mps2[0]);
+    assert!(!found.accepted && found.geometry == drawn);
+    assert!(found.held_out_mps2[1] > 0.98 * found.held_out_mps2[0]);
+}

@@ -68,6 +68,7 @@ pub fn calibrate_array(
     }
     let refinement = refine(&arranged, &geometry, &calibration, options);
     match &refinement {
+        Ok(found) if !found.accepted => {}
         Ok(found) => {
             geometry = found.geometry.clone();
             geometry.place_sd_mm = Some(found.known_place_m().hypot(size_sd_m) * 1e3);

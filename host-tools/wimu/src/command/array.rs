@@ -61,6 +61,10 @@ pub struct Refined {
     samples: usize,
     residual_before_mps2: f64,
     residual_after_mps2: f64,
+    /// Whether what one half of the recording shows predicts the other half better, and by how much it differs there.
+    accepted: bool,
+    held_out_given_mps2: f64,
+    held_out_refined_mps2: f64,
     sensors: Vec<RefinedSensor>,
 }
 
@@ -80,6 +84,16 @@ impl Refined {
             "places and delays from {} samples; what no motion explains falls from {:.3} to {:.3} m/s²",
             found.samples, found.residual_mps2[0], found.residual_mps2[1]
         ));
+        let [given, refined] = found.held_out_mps2;
+        output.say(format!(
+            "{}: in parts of the recording that they were not fitted to, the outputs differ from the motion by {refined:.3} m/s² \
+             with them, by {given:.3} as given",
+            if found.accepted {
+                "accepted"
+            } else {
+                "rejected, places and delays stay as given"
+            }
+        ));
         let mm = |all: &[[f64; 3]; 3]| all.map(|place| place.map(|v| v * 1e3));
         let sensors: Vec<RefinedSensor> = (0..found.delay_s.len())
             .map(|k| RefinedSensor {
@@ -89,7 +103,7 @@ impl Refined {
                 delay_sd_us: found.delay_sd_s[k] * 1e6,
             })
             .collect();
-        for (k, sensor) in sensors.iter().enumerate() {
+        for (k, sensor) in sensors.iter().enumerate().filter(|_| found.accepted) {
             let axes = ["X", "Y", "Z"].iter().zip(&sensor.moved_mm);
             let moved: Vec<String> = axes
                 .map(|(name, [x, y, z])| format!("{name} {x:+.2} {y:+.2} {z:+.2}"))
@@ -108,6 +122,9 @@ impl Refined {
             samples: found.samples,
             residual_before_mps2: found.residual_mps2[0],
             residual_after_mps2: found.residual_mps2[1],
+            accepted: found.accepted,
+            held_out_given_mps2: given,
+            held_out_refined_mps2: refined,
             sensors,
         }
     }

@@ -71,16 +71,23 @@ pub fn path(
     let mut refined = None;
     if let Some(file) = &arguments.refine {
         let found = refine(&recording, &geometry, &calibration, &options)?;
+        refined = Some(Refined::of(&found, output));
+        if !found.accepted {
+            return Ok((
+                navigate_array(&recording, &geometry, &calibration, choice)?,
+                refined,
+            ));
+        }
         // What was found is known as well as it was found.
         let (place_sd_m, delay_sd_s) = (found.known_place_m(), found.known_delay_s());
         geometry = found.geometry.clone();
         geometry.place_sd_mm = Some(place_sd_m * 1e3);
         geometry.delay_sd_us = Some(delay_sd_s * 1e6);
         geometry.write(file)?;
-        let mut said = Refined::of(&found, output);
         output.say(format!("{}: written", file.display()));
-        said.file = Some(file.display().to_string());
-        refined = Some(said);
+        if let Some(said) = &mut refined {
+            said.file = Some(file.display().to_string());
+        }
         recording = read.arranged(&geometry)?;
         calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
         calibration.place_sd_m = place_sd_m;

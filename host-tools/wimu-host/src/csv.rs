@@ -36,6 +36,7 @@ use columns::{Columns, Quantity};
 use line::Lines;
 
 use crate::error::{ErrorCode, HostError, Result};
+use crate::foreign;
 
 /// The column that says what the counts of a row are.
 pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
@@ -122,8 +123,11 @@ impl<R: BufRead> CsvReader<R> {
     /// # Errors
     /// `csv_empty`, `csv_no_header`, `csv_missing_column` (an axis whose neighbours are there),
     /// `csv_duplicate_column`, `csv_unknown_unit`, `csv_mixed_units`, `csv_not_utf8`: with the
-    /// column's name.
-    pub fn new(source: R, name: &str) -> Result<Self> {
+    /// column's name; `unknown_format`.
+    pub fn new(mut source: R, name: &str) -> Result<Self> {
+        if let Some(error) = source.fill_buf().ok().and_then(foreign::refused) {
+            return Err(error.at(name));
+        }
         let mut lines = Lines::new(source);
         let mut fields = Vec::new();
         let location = |error: HostError, line: u64| {

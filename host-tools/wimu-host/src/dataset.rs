@@ -3,6 +3,7 @@
 
 mod times;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use wimu_calib::{Datasheet, Pose, find_poses};
@@ -26,6 +27,15 @@ const BEYOND_K: f64 = 5.0;
 const MOST_NAMED: usize = 12;
 /// More rests than anyone holds still for.
 const USUAL_RESTS: usize = 1000;
+/// More rows than this at more than this rate, Hz, are samples and no means over poses: these take seconds each.
+const MOST_POSES: usize = 100;
+const MOST_POSES_HZ: f64 = 5.0;
+
+/// Columns that tell sensors apart, and runs.
+const SENSORS: [&str; 5] = ["imu", "sensor", "device", "unit", "board"];
+const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
+/// A column with more values than this tells nothing apart.
+const MOST_VALUES: usize = 64;
 
 /// What to take from a file.
 #[derive(Clone, Debug, Default)]
@@ -122,6 +132,7 @@ impl Dataset {
         }
         let header = reader.header().clone();
         let name = reader.name().to_owned();
+        one_sensor(path, options)?;
         let sensor = choose(&name, &header, options.accelerometer)?;
         let factor = header.acceleration_unit.mps2().unwrap_or(1.0);
         let weights = header.other.iter().position(|column| column == "Samples");
@@ -164,6 +175,20 @@ impl Dataset {
             }
             None => (ASSUMED_RATE_HZ, RateSource::Assumed),
         };
+        let sampled = rate_source == RateSource::Times
+            && rate_hz > MOST_POSES_HZ
+            && outputs.len() > MOST_POSES;
+        if options.poses && sampled {
+            return Err(HostError::new(
+                ErrorCode::Usage,
+                format!(
+                    "its {} rows look like a continuous recording, not like means over static poses",
+                    outputs.len()
+                ),
+                "leave --poses out: the rests are found in the recording",
+            )
+            .at(name));
+        }
         Ok(Self {
             name,
             unit: match header.acceleration_unit {
@@ -416,6 +441,51 @@ impl Dataset {
             sensor: first.sensor(),
         })
     }
+}
+
+/// Refuses a file whose rows are of several sensors, or of several runs with times that start anew.
+pub(crate) fn one_sensor(path: &Path, options: &LoadOptions) -> Result<()> {
+    let mut reader = CsvReader::open(path)?.with_holes().in_any_order();
+    let names = reader.header().other.clone();
+    let is_one_of = |k: usize, known: &[&str]| known.contains(&names[k].to_lowercase().as_str());
+    let named = (0..names.len()).filter(|k| is_one_of(*k, &SENSORS) || is_one_of(*k, &RUNS));
+    let mut found: Vec<(usize, BTreeSet<String>)> = named.map(|k| (k, BTreeSet::new())).collect();
+    if found.is_empty() {
+        return Ok(());
+    }
+    if let Some(filter) = &options.filter {
+        reader = reader.select(filter)?;
+    }
+    let (mut last_ns, mut anew) = (None, false);
+    // What is wrong with a row is reported where the rows are used.
+    for row in reader.flatten() {
+        anew |= !options.poses && row.time_ns < last_ns;
+        last_ns = row.time_ns;
+        for (k, values) in found.iter_mut().filter(|(_, v)| v.len() <= MOST_VALUES) {
+            values.extend(row.other.get(*k).cloned());
+        }
+    }
+    let (mut said, mut chosen) = (Vec::new(), Vec::new());
+    for (k, values) in found {
+        let several = (2..=MOST_VALUES).contains(&values.len());
+        if several && (anew || is_one_of(k, &SENSORS)) {
+            let values: Vec<String> = values.into_iter().collect();
+            said.push(format!("`{}` is {}", names[k], values.join(", ")));
+            chosen.push(format!("{}={}", names[k], values[0]));
+        }
+    }
+    if said.is_empty() {
+        return Ok(());
+    }
+    let (said, chosen) = (said.join("; "), chosen.join(","));
+    Err(HostError::new(
+        ErrorCode::Usage,
+        format!("its rows are of several sensors or runs: {said}"),
+        format!(
+            "choose with --where \"{chosen}\"; where the command has no --where, leave the other rows out of the file"
+        ),
+    )
+    .at(path.display().to_string()))
 }
 
 /// How many samples a mean is of.

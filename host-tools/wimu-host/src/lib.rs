@@ -14,6 +14,7 @@ pub mod dataset;
 pub mod decode;
 mod error;
 pub mod export;
+mod foreign;
 pub mod history;
 pub mod html;
 pub mod inertial;

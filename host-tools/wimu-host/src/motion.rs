@@ -61,6 +61,8 @@ pub struct MotionRecording {
     pub full_scale_mps2: Option<f64>,
     /// Line of each sample in the file, from 1; empty where it has none.
     lines: Vec<u64>,
+    /// Whether a magnetic field was left out because its magnetometer is not calibrated.
+    pub field_uncalibrated: bool,
     other: Vec<(String, Vec<f64>)>,
 }
 
@@ -81,6 +83,16 @@ impl MotionRecording {
         let line = self.lines.get(index).map(|line| format!(" (line {line})"));
         let time_s = self.times_s.get(index).copied().unwrap_or_default();
         format!("{time_s:.2} s{}", line.unwrap_or_default())
+    }
+
+    /// Why there is no magnetic field, for a remark.
+    pub(crate) fn without_field(&self) -> &'static str {
+        if self.field_uncalibrated {
+            "there is a magnetometer, but it is not calibrated and not used (calibrate it with `wimu calibrate FILE --sensor \
+             magnetometer --with CAL.json -o BOTH.json`, then navigate with --calibration BOTH.json)"
+        } else {
+            "no magnetometer"
+        }
     }
 
     /// Another column of the file.

@@ -215,6 +215,12 @@ pub fn motion(
     let mut recording = MotionRecording::new(name, times_s, samples);
     let range_g = boot.epochs.iter().map(|mark| mark.epoch.range_g).max();
     recording.full_scale_mps2 = range_g.map(|g| f64::from(g) * BEYOND_RANGE);
+    let has_field = boot
+        .environment
+        .iter()
+        .any(|e| e.magnetic_field_nt.is_some());
+    recording.field_uncalibrated =
+        has_field && recording.samples.iter().all(|s| s.field_ut.is_none());
     Ok(recording)
 }
 

@@ -361,7 +361,7 @@ fn dead_and_saturated_sensors_are_left_out_and_said() {
 /// Places and delays are right, but said to be hardly known: what is fitted is noise.
 #[test]
 fn a_refinement_that_predicts_nothing_better_is_rejected() {
-    let mut random = Random(23);
+    let mut random = Random::new(23);
     let drawn = ArrayGeometry::at(&board_places());
     let recording = table(&drawn, 100.0, 0.5, &mut random);
     let calibration = ArrayCalibration::of(&recording, &drawn, Gravity::UNKNOWN_PLACE).unwrap();

@@ -165,12 +165,18 @@ fn memory_is_the_same(test: &str, minutes: [u32; 2]) {
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_does_not_grow_with_the_recording() {
-    memory_is_the_same("long_files::memory_does_not_grow_with_the_recording", [20, 80]);
+    memory_is_the_same(
+        "long_files::memory_does_not_grow_with_the_recording",
+        [20, 80],
+    );
 }
 
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "writes and reads files of 1 and 24 hours"]
 fn memory_is_the_same_for_an_hour_and_for_a_day() {
-    memory_is_the_same("long_files::memory_is_the_same_for_an_hour_and_for_a_day", [60, 1440]);
+    memory_is_the_same(
+        "long_files::memory_is_the_same_for_an_hour_and_for_a_day",
+        [60, 1440],
+    );
 }

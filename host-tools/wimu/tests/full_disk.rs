@@ -1,7 +1,7 @@
 //! What commands leave behind where the disk is full.
 #![cfg(unix)]
 
-mod kit;
+use crate::kit;
 
 use std::fmt::Write;
 use std::fs;

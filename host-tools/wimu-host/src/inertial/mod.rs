@@ -189,6 +189,11 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
                 choice,
                 method,
             );
+            if samples.iter().all(|s| s.field_ut.is_none()) {
+                let why = recording.without_field();
+                let remark = format!("{why}: heading is that of the body at the start");
+                path.remarks.push(remark);
+            }
             path.remarks.extend(late);
             path
         }

@@ -376,8 +376,10 @@ fn east(recording: &MotionRecording, rest: &RestSpan, remarks: &mut Vec<String>)
             "the magnetic field is upright: east is body x, levelled, at the first rest".to_owned(),
         );
     } else {
-        remarks
-            .push("no magnetometer at the first rest: east is body x, levelled, there".to_owned());
+        let why = recording.without_field();
+        remarks.push(format!(
+            "{why}: east is body x, levelled, at the first rest"
+        ));
     }
     [1.0, 0.0, 0.0]
 }

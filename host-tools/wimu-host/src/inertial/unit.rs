@@ -125,9 +125,6 @@ pub(super) fn filter(
         "time",
         "the magnetic field was disturbed: left out",
     );
-    if samples.iter().all(|s| s.field_ut.is_none()) {
-        remarks.push("no magnetometer: heading is that of the body at the start".to_owned());
-    }
     InertialPath {
         remarks,
         ..InertialPath::new(method, points, origin, choice.limit_m)

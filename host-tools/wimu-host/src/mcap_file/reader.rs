@@ -57,7 +57,12 @@ impl RecordingReader<BufReader<File>> {
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
-        Self::new(BufReader::new(file), &name)
+        let mut source = BufReader::new(file);
+        let start = source.fill_buf().unwrap_or_default();
+        if let Some(error) = crate::foreign::refused(start) {
+            return Err(error.at(name));
+        }
+        Self::new(source, &name)
     }
 }
 

@@ -8,6 +8,7 @@ use wimu_nav::unit::UnitSample;
 use super::{FIELD_CALIBRATED, MotionRecording, Truth};
 use crate::calibration::StoredModel;
 use crate::csv::{CsvReader, Header, Row, SENSITIVITY};
+use crate::dataset::{LoadOptions, one_sensor};
 use crate::{ErrorCode, HostError, Result};
 
 /// Two sensitivities that differ by more than this share are of two ranges.
@@ -93,6 +94,7 @@ impl MotionRecording {
     /// with an axis whose neighbours are there; `unknown_format` for counts of unknown sensitivity, a calibration of the
     /// other unit, and units that are not known.
     pub fn from_csv_with(path: &Path, options: &TableOptions) -> Result<Self> {
+        one_sensor(path, &LoadOptions::default())?;
         let mut reader = CsvReader::open(path)?.with_holes();
         let header = reader.header().clone();
         let name = reader.name().to_owned();
@@ -160,12 +162,14 @@ impl MotionRecording {
                 .and_then(|k| value(Some(k)))
                 .map(|flag| flag != 0.0);
             let time = row.time_ns.unwrap_or_default() as f64 * 1e-9;
+            let field_ut = correction.field(&row, is_calibrated);
             recording.samples.push(UnitSample {
                 step_s: time - last.unwrap_or(time),
                 force_mps2: correction.force(&row),
-                field_ut: correction.field(&row, is_calibrated),
+                field_ut,
                 rate_rad_s: all(rate).map(|rate| correction.turned(rate)),
             });
+            recording.field_uncalibrated |= row.magnetic_field_ut.is_some() && field_ut.is_none();
             recording.times_s.push(time);
             recording.lines.push(row.line);
             last = Some(time);

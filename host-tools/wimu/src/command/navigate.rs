@@ -15,7 +15,7 @@ use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
-use wimu_host::{ErrorCode, HostError, Result};
+use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_integrator::Phase;
 
 use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
@@ -104,6 +104,17 @@ impl Track {
 }
 
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
+    let input = arguments.input.to_string_lossy();
+    if let Ok(Input::Link(link)) = Input::parse(&input) {
+        return Err(HostError::new(
+            ErrorCode::Usage,
+            "this is a LINK to a live board, and navigate reads recordings",
+            format!(
+                "record first: `wimu record {link} -o FILE.mcap`, then `wimu navigate FILE.mcap`"
+            ),
+        )
+        .at(input));
+    }
     not_over_input(&arguments.input, arguments.output.as_deref())?;
     let extension = arguments.input.extension();
     let is_table = extension.is_some_and(|e| e.eq_ignore_ascii_case("csv"));

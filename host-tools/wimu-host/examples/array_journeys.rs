@@ -3,6 +3,8 @@
 
 #[path = "../tests/array_journeys/mod.rs"]
 mod array_journeys;
+#[path = "../tests/common/mod.rs"]
+mod common;
 
 use array_journeys::{Case, Kind, Places};
 use wimu_host::inertial::Zupt;

@@ -267,7 +267,7 @@ fn the_detector_computes_the_published_statistic() {
         "this is no rest"
     );
     let still = vec![Vector3::z() * wimu_model::STANDARD_GRAVITY_MPS2; 5];
-    let at_rest = detector.detect(&still, &vec![Vector3::zeros(); 5]);
+    let at_rest = detector.detect(&still, &[Vector3::zeros(); 5]);
     assert_eq!(
         at_rest,
         [false, false, true, false, false],

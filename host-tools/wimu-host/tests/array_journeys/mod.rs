@@ -2,12 +2,9 @@
 //! lies within what it says.
 #![allow(dead_code)] // Shared by the test and the example: each uses its part.
 
-#[path = "../common/mod.rs"]
-mod common;
-
 use std::fmt;
 
-use common::{Random, cross};
+use super::common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::HostError;
 use wimu_host::array::{

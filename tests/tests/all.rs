@@ -12,4 +12,5 @@ mod pushes;
 #[path = "qemu/main.rs"]
 mod qemu;
 mod real_input;
+#[path = "store/main.rs"]
 mod store;

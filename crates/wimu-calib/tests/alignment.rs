@@ -6,6 +6,7 @@ use common::{Random, cross, norm, unit};
 use proptest::prelude::*;
 use wimu_calib::{AlignmentRefusal, KnownDirection, align, straight_move};
 use wimu_model::Alignment;
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn rotation(random: &mut Random) -> Alignment {
     let [w, x, y, z] = [0; 4].map(|_| random.normal());
@@ -71,8 +72,8 @@ proptest! {
 
 #[test]
 fn the_covariance_holds_the_truth_95_percent_of_the_time() {
-    let (mut held, mut axes) = (0, 0);
-    for seed in 0..1000 {
+    let [mut held, mut axes] = [Coverage::default(); 2];
+    for seed in 0..trials(2000) as u64 {
         let mut random = Random::new(seed);
         let truth = rotation(&mut random);
         let sds = [0.3_f64, 1.0].map(f64::to_radians);
@@ -90,15 +91,15 @@ fn the_covariance_holds_the_truth_95_percent_of_the_time() {
         let a = e[0] / l[0];
         let b = (e[1] - l[1] * a) / l[2];
         let c = (e[2] - l[3] * a - l[4] * b) / l[5];
-        held += u32::from(a * a + b * b + c * c <= 7.815);
+        held.count(a * a + b * b + c * c <= 7.815);
         for axis in 0..3 {
-            axes += u32::from(e[axis].abs() <= 1.96 * found.covariance.sd(axis));
+            axes.count(e[axis].abs() <= 1.96 * found.covariance.sd(axis));
         }
     }
-    let (percent, each) = (f64::from(held) / 10.0, f64::from(axes) / 30.0);
-    println!("alignment: {percent:.1} % within the ellipsoid, {each:.1} % of axes");
-    assert!((93.0..=97.0).contains(&percent), "{percent}");
-    assert!((93.0..=97.0).contains(&each), "{each}");
+    let claim = "95 % ellipsoids of an alignment hold the truth";
+    coverage_figure(claim, &[held], 0.93..=0.97);
+    held.assert_can_be(0.95..=0.95, "the ellipsoid");
+    axes.assert_can_be(0.95..=0.95, "axes");
 }
 
 #[test]
@@ -165,8 +166,8 @@ fn push(random: &mut Random, ahead: [f64; 3], up: [f64; 3], crooked: f64) -> Vec
 
 #[test]
 fn a_straight_push_tells_ahead_and_a_crooked_one_is_refused() {
-    let (mut worst, mut held) = (0.0_f64, 0);
-    for seed in 0..200 {
+    let (mut worst, mut held) = (0.0_f64, Coverage::default());
+    for seed in 0..trials(1000) as u64 {
         let mut random = Random::new(seed);
         let up = random.direction();
         let ahead = unit(cross(up, random.direction()));
@@ -180,7 +181,7 @@ fn a_straight_push_tells_ahead_and_a_crooked_one_is_refused() {
         );
         worst = worst.max(off);
         // Two axes across.
-        held += u32::from(off <= 2.45 * sd);
+        held.count(off <= 2.45 * sd);
         let crooked = push(&mut random, ahead, up, 1.0);
         let refused = straight_move(rest, rest, crooked.into_iter(), 100.0);
         assert!(
@@ -189,10 +190,13 @@ fn a_straight_push_tells_ahead_and_a_crooked_one_is_refused() {
         );
     }
     println!(
-        "ahead: worst {:.2}°, {held} of 200 within 95 %",
+        "ahead: worst {:.2}°, within 95 %: {held}",
         worst.to_degrees()
     );
-    assert!(worst < 0.02 && held >= 186, "{worst} {held}");
+    let claim = "95 % intervals of the direction of a straight move hold";
+    coverage_figure(claim, &[held], 0.93..=0.97);
+    assert!(worst < 0.02, "{worst}");
+    held.assert_can_be(0.93..=0.97, "ahead");
     let still = straight_move(
         [0.0, 0.0, 9.8],
         [0.0, 0.0, 9.8],

@@ -5,6 +5,7 @@ use crate::common;
 use common::{G, Random, norm, unit};
 use proptest::prelude::*;
 use wimu_calib::{Pose, PoseFinder, find_poses};
+use wimu_testkit::{figure, trials};
 
 /// A stream of holds with hand motion between them.
 struct Stream {
@@ -170,6 +171,12 @@ fn any_noise_at_any_rate_is_learnt_live_and_from_a_recording() {
         "of {holds} holds {missed} missed, {false_poses} poses in motion; the worst mean is off by \
          {worst:.4} m/s² more than 5 of its standard deviations"
     );
+    figure(
+        "rests that are missed, poses in motion, any noise and rate",
+        format!("{missed}, {false_poses} of {holds}"),
+        "none",
+        missed + false_poses == 0,
+    );
     assert_eq!((missed, false_poses), (0, 0));
     assert!(worst < 0.03);
 }
@@ -180,7 +187,7 @@ fn motion_alone_gives_no_pose() {
     let (mut turns, mut recorded, mut live, mut long) = (0, 0, 0, 0);
     for rate in [10.0, 25.0, 100.0, 400.0] {
         for noise in [0.001, 0.01, 0.1, 0.3] {
-            for seed in 0..100 {
+            for seed in 0..trials(100) as u64 {
                 let mut random = Random::new(seed);
                 let stream = stream(&mut random, rate, noise, 0.0, 6, 0.0);
                 let found = streamed(&mut PoseFinder::new(rate), &stream.samples);
@@ -192,7 +199,12 @@ fn motion_alone_gives_no_pose() {
             }
         }
     }
-    println!("of {turns} turns {recorded} pass for a rest recorded, {live} live; {long} for 1.5 s");
+    figure(
+        "turns without any rest that pass for one: recorded, live, 1.5 s",
+        format!("{recorded}, {live}, {long} of {turns}"),
+        "5, 5, 0",
+        recorded <= 5 && live <= 5 && long == 0,
+    );
     assert!(recorded <= 5 && live <= 5 && long == 0);
 }
 

@@ -4,33 +4,34 @@ use crate::common;
 
 use common::{DIP, FIELD, Random, magnetometer as sensor};
 use wimu_calib::{MagneticPose, MagneticRefusal, MirroredAxes, magnetometer};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 #[test]
 fn intervals_hold_the_truth_95_percent_of_the_time() {
     // Student's t of 31, 9 and 3 degrees of freedom for the iron; of few poses many are refused.
-    for (poses, seeds, least_answers, band) in [
-        (40, 1000, 990, 93.0..=97.0),
-        (18, 500, 400, 93.0..=97.5),
-        (12, 1000, 200, 92.0..=98.5),
-    ] {
-        let (mut hard_held, mut soft_held, mut turned, mut answers, mut lost) = (0, 0, 0, 0, 0);
+    let (mut all_held, mut all_lost) = (Vec::new(), Vec::new());
+    for (poses, least_answers) in [(40, 0.99), (18, 0.8), (12, 0.2)] {
+        let [mut hard_held, mut soft_held, mut turned] = [Coverage::default(); 3];
+        let [mut answered, mut lost] = [Coverage::default(); 2];
+        let seeds = trials(1000) as u64;
         for seed in 0..seeds {
             let mut random = Random::new(seed);
             let (soft, hard, rotation, poses) = sensor(&mut random, poses, 150.0);
-            let Ok(found) = magnetometer(&poses, None) else {
+            let answer = magnetometer(&poses, None);
+            answered.count(answer.is_ok());
+            let Ok(found) = answer else {
                 continue;
             };
-            lost += found.rejected.as_slice().len();
+            (0..poses.len()).for_each(|pose| lost.count(found.rejected.contains(pose)));
             let model = found.model;
-            answers += 1;
             let t = model.terms();
             for (k, half_width) in found.hard_iron_half_width_95_nt().into_iter().enumerate() {
                 let off = (f64::from(t.hard_iron_nt[k]) - hard[k]).abs();
-                hard_held += u32::from(off <= half_width);
+                hard_held.count(off <= half_width);
             }
             for (k, half_width) in found.soft_iron_half_width_95().into_iter().enumerate() {
                 let off = (f64::from(t.soft_iron[k]) - soft[k]).abs();
-                soft_held += u32::from(off <= half_width);
+                soft_held.count(off <= half_width);
             }
             let mounting = t.to_accelerometer.expect("a rotation");
             let mut e = [0.0; 3];
@@ -42,29 +43,30 @@ fn intervals_hold_the_truth_95_percent_of_the_time() {
             }
             let half_width = found.rotation_half_width_95_rad().expect("a rotation");
             for k in 0..3 {
-                turned += u32::from(e[k].abs() <= half_width[k]);
+                turned.count(e[k].abs() <= half_width[k]);
             }
             if poses.len() == 40 {
                 assert!((f64::from(t.field_nt) - FIELD).abs() < 300.0);
                 assert!((f64::from(mounting.dip_rad) - DIP).abs() < 0.01);
             }
         }
-        let percent = |held: u32, each: u32| 100.0 * f64::from(held) / f64::from(each * answers);
-        let found = [
-            percent(hard_held, 3),
-            percent(soft_held, 6),
-            percent(turned, 3),
-        ];
         println!(
-            "{poses} poses: {answers} of {seeds} answered, {lost} good poses left out; held: hard iron, soft iron, \
-             rotation {found:.1?} %"
+            "{poses} poses: answered {answered}, good poses left out {lost}; held: hard iron {hard_held}, soft iron \
+             {soft_held}, rotation {turned}"
         );
-        assert!(lost < 40, "{lost}");
-        assert!(answers >= least_answers, "{answers}");
-        for percent in found {
-            assert!(band.contains(&percent), "{found:?}");
+        let kind = format!("{poses} poses");
+        lost.assert_can_be(0.0..=0.003, &kind);
+        answered.assert_can_be(least_answers..=1.0, &kind);
+        for held in [hard_held, soft_held, turned] {
+            held.assert_can_be(0.93..=0.97, &kind);
+            all_held.push(held);
         }
+        all_lost.push(lost);
     }
+    let claim = "95 % intervals of a magnetometer's iron and rotation hold";
+    coverage_figure(claim, &all_held, 0.93..=0.97);
+    let claim = "good poses of a magnetometer are left out";
+    coverage_figure(claim, &all_lost, 0.0..=0.003);
 }
 
 #[test]
@@ -170,8 +172,8 @@ fn a_negated_or_exchanged_axis_is_named() {
 /// What a magnet or iron that stays beside the board adds in the first poses.
 #[test]
 fn many_disturbed_poses_are_left_out_or_named_as_such() {
-    let (mut left_out, mut named, mut wrong) = (0, 0, 0);
-    for seed in 0..30 {
+    let [mut left_out, mut named, mut wrong] = [Coverage::default(); 3];
+    for seed in 0..trials(300) as u64 {
         let mut random = Random::new(seed);
         let (_, hard, _, clean) = sensor(&mut random, 40, 150.0);
         let push = common::unit([0; 3].map(|_| random.normal())).map(|p| 15_000.0 * p);
@@ -186,42 +188,53 @@ fn many_disturbed_poses_are_left_out_or_named_as_such() {
         };
         let mut off = |found: &wimu_calib::MagneticEstimate| {
             let terms = found.model.terms();
-            wrong += u32::from((0..3).any(|k| {
+            wrong.count((0..3).any(|k| {
                 let off = f64::from(terms.hard_iron_nt[k]) - hard[k];
                 off.abs() > 5.0 * f64::from(terms.hard_iron_sd_nt[k])
             }));
         };
         // As many as may be left out.
-        match disturbed(6) {
-            Ok(found) => {
-                off(&found);
-                left_out += 1;
-            }
+        let answer = disturbed(6);
+        left_out.count(answer.is_ok());
+        match answer {
+            Ok(found) => off(&found),
             Err(MagneticRefusal::FieldNotConstant { .. }) => {}
             other => panic!("seed {seed}: {other:?}"),
         }
         // More than that: named, unless some of them hardly show.
+        let mut is_named = false;
         match disturbed(10) {
             Ok(found) => off(&found),
             Err(MagneticRefusal::FieldNotConstant { disturbed, .. }) => {
                 let poses = disturbed.as_slice();
                 let right = poses.iter().filter(|pose| **pose < 10).count();
-                named += u32::from(right >= 7 && right == poses.len());
+                is_named = right >= 7 && right == poses.len();
             }
             Err(MagneticRefusal::DipNotConstant { .. }) => {}
             other => panic!("seed {seed}: {other:?}"),
         }
+        named.count(is_named);
     }
-    println!(
-        "6 of 40 left out in {left_out} of 30, {wrong} wrong; 10 of 40 named in {named} of 30"
+    coverage_figure(
+        "6 disturbed of 40 poses are left out",
+        &[left_out],
+        0.9..=1.0,
     );
-    assert!(left_out >= 27 && wrong <= 1 && named >= 20);
+    coverage_figure("10 disturbed of 40 poses are named", &[named], 0.67..=1.0);
+    coverage_figure(
+        "hard iron beyond 5 σ where poses are disturbed",
+        &[wrong],
+        0.0..=0.03,
+    );
+    left_out.assert_can_be(0.9..=1.0, "left out");
+    named.assert_can_be(0.67..=1.0, "named");
+    wrong.assert_can_be(0.0..=0.03, "wrong");
 }
 
 #[test]
 fn poses_beside_iron_are_named_as_far_as_they_show() {
-    let (mut all, mut silent) = (0, 0);
-    for seed in 0..100 {
+    let [mut all, mut silent] = [Coverage::default(); 2];
+    for seed in 0..trials(1000) as u64 {
         let mut random = Random::new(seed);
         let (_, hard, _, mut poses) = sensor(&mut random, 30, 150.0);
         // An eighth of the field: along it that is length, across it dip or, in a few, hardly either.
@@ -233,18 +246,18 @@ fn poses_beside_iron_are_named_as_far_as_they_show() {
             named.iter().all(|pose| [3, 17].contains(pose)),
             "seed {seed}: {named:?}"
         );
-        all += u32::from(named.len() == 2);
+        all.count(named.len() == 2);
         // One that stays in shows in the standard deviation, unless it alone is where it is.
         let terms = found.model.terms();
-        silent += u32::from((0..3).any(|axis| {
+        silent.count((0..3).any(|axis| {
             let off = f64::from(terms.hard_iron_nt[axis]) - hard[axis];
             off.abs() > 5.0 * f64::from(terms.hard_iron_sd_nt[axis])
         }));
     }
-    println!("off by more than 5 standard deviations: {silent} of 100");
-    assert!(silent <= 3, "{silent}");
-    println!("both named in {all} of 100");
-    assert!(all >= 80, "{all}");
+    coverage_figure("two of 30 poses beside iron are named", &[all], 0.8..=1.0);
+    coverage_figure("hard iron beyond 5 σ beside iron", &[silent], 0.0..=0.03);
+    all.assert_can_be(0.8..=1.0, "both named");
+    silent.assert_can_be(0.0..=0.03, "off by more than 5 standard deviations");
 }
 
 #[test]

@@ -6,6 +6,7 @@ use crate::common;
 use common::{G, Random, parameters, pose};
 use wimu_calib::{Gravity, Pose, Terms, best_model};
 use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 /// Sensors of a kind, and how they are held.
 #[derive(Clone, Copy)]
@@ -28,42 +29,31 @@ const KIND: Kind = Kind {
     warms: false,
 };
 
+#[derive(Clone, Copy, Default)]
 struct Found {
-    answered: usize,
-    /// Of the intervals of bias, scale factor and misalignment, %.
-    covered: [f64; 3],
+    /// Of the intervals of bias, scale factor and misalignment.
+    held: [Coverage; 3],
     /// Of how many a bias is off by more than twice the half width.
-    far: usize,
+    far: Coverage,
     /// How often with a term.
     terms: usize,
 }
 
 impl std::fmt::Display for Found {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [bias, scale, misalignment] = self.covered;
+        let [bias, scale, misalignment] = self.held;
         write!(
             out,
-            "{bias:.1} {scale:.1} {misalignment:.1}; beyond twice the half width {} of {}, {} with terms",
-            self.far, self.answered, self.terms
+            "{bias}, {scale}, {misalignment}; beyond twice the half width {}, {} with terms",
+            self.far, self.terms
         )
     }
 }
 
-/// Of the intervals of both kinds, %.
-fn together(found: &[Found; 2]) -> [f64; 3] {
-    [0, 1, 2].map(|group| 0.5 * (found[0].covered[group] + found[1].covered[group]))
-}
-
-fn run(kind: Kind, seeds: u64) -> Found {
+fn run(kind: Kind, sensors: usize) -> Found {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let mut held = [[0.0; 2]; 3];
-    let mut found = Found {
-        answered: 0,
-        covered: [0.0; 3],
-        far: 0,
-        terms: 0,
-    };
-    for seed in 0..seeds {
+    let mut found = Found::default();
+    for seed in 0..sensors as u64 {
         let mut random = Random::new(seed * 1000 + kind.poses as u64);
         let mut terms = ErrorTerms::default();
         let mut drift = [0.0; 3];
@@ -96,7 +86,6 @@ fn run(kind: Kind, seeds: u64) -> Found {
         let Ok(estimate) = best_model(&poses, gravity, Terms::NONE, true) else {
             continue;
         };
-        found.answered += 1;
         found.terms += usize::from(estimate.terms != Terms::NONE);
         let (got, truth) = (parameters(&estimate.model), parameters(&truth));
         let mut far = false;
@@ -110,13 +99,11 @@ fn run(kind: Kind, seeds: u64) -> Found {
                 3 | 7 | 11 => 1,
                 _ => 2,
             };
-            held[group][0] += f64::from(error <= half);
-            held[group][1] += 1.0;
+            found.held[group].count(error <= half);
             far |= group == 0 && error > 2.0 * half;
         }
-        found.far += usize::from(far);
+        found.far.count(far);
     }
-    found.covered = held.map(|[inside, all]| 100.0 * inside / f64::max(all, 1.0));
     found
 }
 
@@ -127,30 +114,45 @@ fn intervals_of_the_chosen_model_hold_the_truth_though_the_data_chose_it() {
         drift: 0.02,
         ..KIND
     };
-    // 1002 sensors of each number of poses, with and without drift alike; the bias is that at the end.
+    // As many with as without drift; the bias is that at the end.
+    let (mut each, mut both) = (Vec::new(), Vec::new());
     for poses in [12, 15, 20, 30] {
-        let found = [still, drifting].map(|kind| run(Kind { poses, ..kind }, 501));
-        println!("{poses} poses, held by bias, scale factor, misalignment (%):");
-        for (name, found) in ["no drift", "drift of 20 mm/s²"].into_iter().zip(&found) {
+        let mut all = [Coverage::default(); 3];
+        println!("{poses} poses, held by bias, scale factor, misalignment:");
+        for (name, kind) in [("no drift", still), ("drift of 20 mm/s²", drifting)] {
+            let found = run(Kind { poses, ..kind }, trials(1000));
             println!("  {name}: {found}");
-            // Each kind alone: where the data cannot tell the one from the other, one is a little
-            // wide and the other a little narrow.
-            for percent in found.covered {
-                assert!((91.0..=99.5).contains(&percent), "{name}: {percent}");
+            for (all, held) in all.iter_mut().zip(found.held) {
+                *all += held;
             }
+            each.extend(found.held);
         }
-        let [bias, scale, misalignment] = together(&found);
-        println!("  both: {bias:.1} {scale:.1} {misalignment:.1}");
-        for percent in [bias, scale, misalignment] {
-            assert!((93.0..=97.5).contains(&percent), "{percent}");
-        }
+        let [bias, scale, misalignment] = all;
+        println!("  both: {bias}, {scale}, {misalignment}");
+        both.extend(all);
+    }
+    coverage_figure(
+        "`auto`: 95 % intervals hold the truth, half the sensors drift",
+        &both,
+        0.93..=0.97,
+    );
+    coverage_figure(
+        "`auto`: the same, those that drift and the others apart",
+        &each,
+        0.93..=0.97,
+    );
+    for held in both {
+        held.assert_can_be(0.93..=0.975, "both");
+    }
+    // Where the data cannot tell the one from the other, one is a little wide and the other a little narrow.
+    for held in each {
+        held.assert_can_be(0.91..=0.995, "each kind");
     }
 }
 
 #[test]
 fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors() {
-    // As many misalignments as noise, none, a thermometer; a quarter of the wideness of ±2 σ is wasted
-    // at the most.
+    let (mut held, mut far) = (Vec::new(), Vec::new());
     for (name, kind) in [
         (
             "noise beyond misalignment",
@@ -176,11 +178,21 @@ fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors
         ),
     ] {
         for poses in [8, 10, 24] {
-            let found = run(Kind { poses, ..kind }, 200);
+            let found = run(Kind { poses, ..kind }, trials(400));
             println!("{name}, {poses} poses: {found}");
-            assert!(found.covered[0] >= 90.0 && found.covered[1] >= 90.0);
-            assert!(found.far * 20 <= found.answered);
+            held.extend([found.held[0], found.held[1]]);
+            far.push(found.far);
         }
+    }
+    let claim = "`auto`, other sensors: 95 % intervals of bias and scale factor";
+    coverage_figure(claim, &held, 0.93..=0.97);
+    let claim = "`auto`, other sensors: a bias beyond twice its interval";
+    coverage_figure(claim, &far, 0.0..=0.05);
+    for held in held {
+        held.assert_can_be(0.9..=1.0, "bias or scale factor");
+    }
+    for far in far {
+        far.assert_can_be(0.0..=0.05, "beyond twice the half width");
     }
 }
 
@@ -188,7 +200,8 @@ fn intervals_of_the_chosen_model_hold_the_truth_with_few_poses_and_other_sensors
 fn what_the_chosen_model_leaves_out_is_as_uncertain_as_larger_models_or_datasheets_have_it() {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let (mut few, mut chosen) = (0, 0);
-    for seed in 0..60 {
+    let sensors = trials(200);
+    for seed in 0..sensors as u64 {
         let mut random = Random::new(seed);
         let mut terms = ErrorTerms {
             bias_mps2: [0.1, -0.2, 0.3],
@@ -219,5 +232,5 @@ fn what_the_chosen_model_leaves_out_is_as_uncertain_as_larger_models_or_datashee
         }
     }
     println!("left out: {few} of few poses, {chosen} of many");
-    assert!(few > 20 && chosen > 20);
+    assert!(3 * few > sensors && 3 * chosen > sensors);
 }

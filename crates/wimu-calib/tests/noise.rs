@@ -5,6 +5,7 @@ use crate::common;
 use common::Random;
 use proptest::prelude::*;
 use wimu_calib::{AllanVariance, Measured, NoiseRefusal, UnitHint};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn run(rate_hz: f64, samples: &[[f64; 3]]) -> AllanVariance {
     let mut allan = AllanVariance::new(rate_hz);
@@ -161,31 +162,32 @@ fn noise(random: &mut Random, n: usize, truth: Truth) -> Vec<f64> {
         .collect()
 }
 
-/// Of 95 % intervals: how many there were, and how many held the truth.
-#[derive(Default)]
-struct Held {
-    seen: u32,
-    held: u32,
+/// How often a term was reported, and how often its 95 % interval then held the truth.
+#[derive(Clone, Copy, Default)]
+struct Term {
+    seen: Coverage,
+    held: Coverage,
 }
 
-impl Held {
+impl Term {
     fn take(&mut self, found: Option<Measured>, truth: f64) {
+        self.seen.count(found.is_some());
         if let Some(found) = found {
             let [low, high] = found.interval_95();
-            self.seen += 1;
-            self.held += u32::from((low..=high).contains(&truth));
+            self.held.count((low..=high).contains(&truth));
         }
-    }
-
-    fn percent(&self) -> f64 {
-        100.0 * f64::from(self.held) / f64::from(self.seen.max(1))
     }
 }
 
-/// N, B and K over so many recordings of three axes each.
-fn coverage(recordings: u64, n: usize, truth: Truth) -> [Held; 3] {
-    let mut held: [Held; 3] = Default::default();
-    for seed in 0..recordings {
+/// Simulated recordings, three axes each: `axes` of them in a campaign.
+fn recordings(axes: usize) -> u64 {
+    trials(axes).div_ceil(3) as u64
+}
+
+/// N, B and K of so many axes.
+fn coverage(axes: usize, n: usize, truth: Truth) -> [Term; 3] {
+    let mut terms = [Term::default(); 3];
+    for seed in 0..recordings(axes) {
         let mut random = Random::new(seed + 1_000_003 * n as u64);
         let axes = [0; 3].map(|_| noise(&mut random, n, truth));
         let mut allan = AllanVariance::new(RATE);
@@ -194,23 +196,14 @@ fn coverage(recordings: u64, n: usize, truth: Truth) -> [Held; 3] {
         }
         for found in allan.result().expect("noise") {
             let root = RATE.sqrt();
-            held[0].take(Some(found.velocity_random_walk), truth.white / root);
-            held[1].take(found.bias_instability_mps2, truth.flicker);
-            held[2].take(found.acceleration_random_walk, truth.walk * root);
+            terms[0].take(Some(found.velocity_random_walk), truth.white / root);
+            terms[1].take(found.bias_instability_mps2, truth.flicker);
+            terms[2].take(found.acceleration_random_walk, truth.walk * root);
         }
     }
-    let [n_held, b, k] = &held;
-    println!(
-        "{recordings} recordings of {:.0} s: N held {:.1} % of {}, B {:.1} % of {}, K {:.1} % of {}",
-        n as f64 / RATE,
-        n_held.percent(),
-        n_held.seen,
-        b.percent(),
-        b.seen,
-        k.percent(),
-        k.seen,
-    );
-    held
+    let [white, b, k] = terms.map(|term| term.held);
+    println!("{:.0} s: N held {white}, B {b}, K {k}", n as f64 / RATE);
+    terms
 }
 
 const WHITE: Truth = Truth {
@@ -227,37 +220,51 @@ const WALK: Truth = Truth {
     ..WHITE
 };
 
-/// Whether intervals that are there hold the truth as often as they say, and noise that is not there
-/// is hardly ever claimed.
-fn assert_honest(held: &[Held; 3], truth: Truth, percent: std::ops::RangeInclusive<f64>) {
-    let there = [truth.white, truth.flicker, truth.walk].map(|size| size > 0.0);
-    for (held, there) in held.iter().zip(there) {
-        if there {
-            assert!(percent.contains(&held.percent()), "{} %", held.percent());
+/// Whether intervals of terms that are there hold the truth as often as they say, and a term that is
+/// not there is hardly ever claimed.
+fn assert_consistent(length: &str, axes: usize, kinds: &[(usize, Truth)]) {
+    let (mut held, mut claimed) = (Vec::new(), Vec::new());
+    for &(n, truth) in kinds {
+        let there = [truth.white, truth.flicker, truth.walk].map(|size| size > 0.0);
+        for (term, there) in coverage(axes, n, truth).into_iter().zip(there) {
+            if there {
+                held.push(term.held);
+            } else {
+                claimed.push(term.seen);
+            }
         }
-        assert!(there || held.seen <= 20, "{} claimed", held.seen);
+    }
+    let claim = format!("95 % intervals of N, B and K hold the truth, {length}");
+    coverage_figure(&claim, &held, 0.93..=0.97);
+    let claim = format!("a noise term that is not there is claimed, {length}");
+    coverage_figure(&claim, &claimed, 0.0..=0.01);
+    for held in held {
+        held.assert_can_be(0.93..=0.97, length);
+    }
+    for claimed in claimed {
+        claimed.assert_can_be(0.0..=0.01, length);
     }
 }
 
 #[test]
 fn intervals_hold_the_truth_95_percent_of_the_time() {
-    for (n, truth) in [
+    let kinds = [
         (1_000, WHITE),
         (8_000, WHITE),
         (12_000, FLICKER),
         (12_000, WALK),
-    ] {
-        assert_honest(&coverage(334, n, truth), truth, 93.0..=97.0);
-    }
+    ];
+    assert_consistent("10 to 120 s", 1002, &kinds);
 }
 
 #[test]
 fn a_steady_drift_is_told_as_one_and_as_no_noise() {
-    for drift in [0.01, 0.02, 0.05, 0.1] {
+    let (mut ramps, mut whites, mut claims) = (Vec::new(), Vec::new(), Vec::new());
+    for (drift, least_seen) in [(0.01, 0.0), (0.02, 0.6), (0.05, 0.95), (0.1, 0.95)] {
         let (n, truth) = (30_000, drift / 300.0);
-        let (mut ramp, mut white) = (Held::default(), Held::default());
-        let (mut walk, mut flicker) = (0, 0);
-        for seed in 0..67 {
+        let (mut ramp, mut white) = (Term::default(), Term::default());
+        let mut claimed = Coverage::default();
+        for seed in 0..recordings(1002) {
             let mut random = Random::new(seed);
             let mut allan = AllanVariance::new(RATE);
             for k in 0..n {
@@ -267,22 +274,35 @@ fn a_steady_drift_is_told_as_one_and_as_no_noise() {
             for found in allan.result().expect("noise") {
                 ramp.take(found.ramp_mps3, truth);
                 white.take(Some(found.velocity_random_walk), 0.02 / RATE.sqrt());
-                walk += u32::from(found.acceleration_random_walk.is_some());
-                flicker += u32::from(found.bias_instability_mps2.is_some());
+                claimed.count(found.acceleration_random_walk.is_some());
+                claimed.count(found.bias_instability_mps2.is_some());
             }
         }
+        let Term { seen, held } = ramp;
+        let name = format!("{:.0} mm/s² in 300 s", 1e3 * drift);
         println!(
-            "{:.0} mm/s² in 300 s: R seen {} times of 201, held {:.1} %; N held {:.1} %; K claimed {walk} \
-             times, B {flicker}",
-            1e3 * drift,
-            ramp.seen,
-            ramp.percent(),
-            white.percent()
+            "{name}: R seen {seen}, held {held}; N held {}; K and B claimed {claimed}",
+            white.held
         );
-        assert!(walk + flicker <= 6);
-        assert!((91.0..=99.0).contains(&white.percent()));
-        let least = [0, 120, 190][usize::from(drift > 0.015) + usize::from(drift > 0.03)];
-        assert!(ramp.seen >= least && (least == 0 || ramp.percent() >= 90.0));
+        seen.assert_can_be(least_seen..=1.0, &name);
+        whites.push(white.held);
+        claims.push(claimed);
+        if least_seen > 0.0 {
+            ramps.push(held);
+        }
+    }
+    coverage_figure(
+        "95 % intervals of a drift's rate hold the truth",
+        &ramps,
+        0.93..=0.97,
+    );
+    coverage_figure("95 % intervals of N beside a drift", &whites, 0.93..=0.97);
+    coverage_figure("a drift is taken for K or B", &claims, 0.0..=0.01);
+    for held in ramps.into_iter().chain(whites) {
+        held.assert_can_be(0.93..=0.97, "R, N");
+    }
+    for claimed in claims {
+        claimed.assert_can_be(0.0..=0.01, "K, B");
     }
 }
 
@@ -300,9 +320,10 @@ fn a_sensor_that_warms_up_or_jumps_is_told_as_no_noise() {
         ("jump half way", &|k| jump(k, 0.5)),
         ("jump after a fifth", &|k| jump(k, 0.2)),
     ];
+    let (mut claims, mut all_said) = (Vec::new(), Vec::new());
     for (name, course) in courses {
-        let (mut walk, mut flicker, mut said) = (0, 0, 0);
-        for seed in 0..10 {
+        let (mut claimed, mut said) = (Coverage::default(), Coverage::default());
+        for seed in 0..recordings(300) {
             let mut random = Random::new(seed);
             let mut allan = AllanVariance::new(RATE);
             for k in 0..n {
@@ -310,24 +331,31 @@ fn a_sensor_that_warms_up_or_jumps_is_told_as_no_noise() {
                 allan.push([0.0, 0.0, 9.81].map(|f| f + moved + 0.02 * random.normal()));
             }
             for found in allan.result().expect("noise") {
-                walk += u32::from(found.acceleration_random_walk.is_some());
-                flicker += u32::from(found.bias_instability_mps2.is_some());
-                said += u32::from(found.is_one_event || found.ramp_mps3.is_some());
+                claimed.count(found.acceleration_random_walk.is_some());
+                claimed.count(found.bias_instability_mps2.is_some());
+                said.count(found.is_one_event || found.ramp_mps3.is_some());
             }
         }
-        println!("{name}: K claimed {walk} times of 30, B {flicker}, said of {said}");
-        assert!(walk + flicker <= 1 && said >= 27, "{name}");
+        println!("{name}: K and B claimed {claimed}, said of {said}");
+        claims.push(claimed);
+        all_said.push(said);
+    }
+    coverage_figure("a warm-up or jump is taken for K or B", &claims, 0.0..=0.01);
+    coverage_figure(
+        "a warm-up or jump is reported as such",
+        &all_said,
+        0.9..=1.0,
+    );
+    for (claimed, said) in claims.into_iter().zip(all_said) {
+        claimed.assert_can_be(0.0..=0.01, "claimed");
+        said.assert_can_be(0.9..=1.0, "said");
     }
 }
 
-/// `cargo test --release -p wimu-calib --test all long -- --ignored --nocapture`
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "campaign calibration"]
 fn intervals_of_long_recordings_hold_the_truth() {
-    let found = [WHITE, FLICKER, WALK].map(|truth| (coverage(334, 60_000, truth), truth));
-    for (held, truth) in &found {
-        assert_honest(held, *truth, 93.0..=97.0);
-    }
+    assert_consistent("600 s", 1002, &[WHITE, FLICKER, WALK].map(|t| (60_000, t)));
 }
 
 #[test]
@@ -378,9 +406,11 @@ fn filtered(random: &mut Random, n: usize, stages: usize, cut_off: f64) -> Vec<f
 #[test]
 fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
     let (n, truth) = (30_000, 0.02 / RATE.sqrt());
+    let mut all_held = Vec::new();
     for (stages, cut_off) in [(1, 0.2), (1, 0.1), (1, 0.05), (2, 0.1), (4, 0.1), (4, 0.2)] {
-        let (mut held, mut ratios, mut told) = (Held::default(), Vec::new(), 0);
-        for seed in 0..10 {
+        let (mut white, mut ratios) = (Term::default(), Vec::new());
+        let mut told = Coverage::default();
+        for seed in 0..recordings(300) {
             let mut random = Random::new(seed);
             let axes = [0; 3].map(|_| filtered(&mut random, n, stages, cut_off));
             let mut allan = AllanVariance::new(RATE);
@@ -389,19 +419,26 @@ fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
             }
             for found in allan.result().expect("noise") {
                 let walk = found.velocity_random_walk;
-                held.take(Some(walk), truth);
+                white.take(Some(walk), truth);
                 ratios.push(walk.value / truth);
-                told += usize::from(found.white_from_s.is_some() && found.is_noise());
+                told.count(found.white_from_s.is_some() && found.is_noise());
             }
         }
         ratios.sort_by(f64::total_cmp);
-        let (middle, all) = (ratios[ratios.len() / 2], ratios.len());
+        let middle = ratios[ratios.len() / 2];
+        let name = format!("{stages} stages of {cut_off} of the rate");
         println!(
-            "{stages} stages of {cut_off} of the rate: N {middle:.3} of the true one, held {:.0} %, told {told} times \
-             of {all}",
-            held.percent()
+            "{name}: N {middle:.3} of the true one, held {}, told {told}",
+            white.held
         );
-        assert!((0.95..1.05).contains(&middle) && held.percent() >= 85.0 && told >= all - 3);
+        assert!((0.95..1.05).contains(&middle), "{name}: {middle}");
+        told.assert_can_be(0.9..=1.0, &name);
+        all_held.push(white.held);
+    }
+    let claim = "95 % intervals of N behind low-pass filters hold the truth";
+    coverage_figure(claim, &all_held, 0.93..=0.97);
+    for held in all_held {
+        held.assert_can_be(0.93..=0.97, "N");
     }
 }
 

@@ -5,6 +5,7 @@ use crate::common;
 use common::Random;
 use proptest::prelude::*;
 use wimu_calib::{NoiseFrom, NoiseRatio, ReferenceTransfer, TransferRefusal};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 /// A hand's motion about a tilted gravity, m/s².
 fn motion(k: usize) -> [f64; 3] {
@@ -60,9 +61,13 @@ const PARALLEL: Trial = Trial {
     rests: false,
 };
 
-/// Samples of a sensor, at 20 Hz, and how many sensors.
+/// Samples of a sensor, at 20 Hz.
 const SAMPLES: usize = 640;
-const SENSORS: u64 = 1000;
+
+/// Simulated sensors of three axes each: `axes` of them in a campaign.
+fn sensors(axes: usize) -> u64 {
+    trials(axes).div_ceil(3) as u64
+}
 
 /// Ten orientations anywhere, 2.2 s in each, 1 s from each to the next.
 fn held(random: &mut Random) -> Vec<[f64; 3]> {
@@ -78,11 +83,11 @@ fn held(random: &mut Random) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// How often, %, the 95 % intervals of bias and scale factor hold the truth, and how often an axis is
+/// How often the 95 % intervals of bias and scale factor hold the truth, and how often an axis is
 /// said not to be parallel.
-fn coverage(trial: Trial) -> [f64; 3] {
-    let mut inside = [0; 3];
-    for seed in 0..SENSORS {
+fn coverage(trial: Trial) -> [Coverage; 3] {
+    let mut inside = [Coverage::default(); 3];
+    for seed in 0..sensors(3000) {
         let mut random = Random::new(seed);
         let mut noises: [_; 6] = std::array::from_fn(|_| Noise::new(trial.memory));
         let matrix: [[f64; 3]; 3] = std::array::from_fn(|row| {
@@ -116,16 +121,17 @@ fn coverage(trial: Trial) -> [f64; 3] {
         for (axis, transfer) in found.axes.iter().enumerate() {
             let line = transfer.line.expect("it moved");
             let [b, s] = line.half_widths_95();
-            inside[0] += u64::from((line.bias_mps2 - bias[axis]).abs() <= b);
-            inside[1] += u64::from((line.scale - matrix[axis][axis]).abs() <= s);
-            inside[2] += u64::from(transfer.seen_of != [0.0; 3]);
+            inside[0].count((line.bias_mps2 - bias[axis]).abs() <= b);
+            inside[1].count((line.scale - matrix[axis][axis]).abs() <= s);
+            inside[2].count(transfer.seen_of != [0.0; 3]);
         }
     }
-    inside.map(|count| 100.0 * count as f64 / (3 * SENSORS) as f64)
+    inside
 }
 
 #[test]
 fn intervals_hold_the_truth_of_a_thousand_sensors_be_the_axes_parallel_or_not() {
+    let (mut held, mut detected, mut falsely) = (Vec::new(), Vec::new(), Vec::new());
     for rests in [false, true] {
         for across in [[0.0, 0.0], [0.0, 5e-4], [0.02, 0.02], [0.05, 0.05]] {
             let trial = Trial {
@@ -134,20 +140,40 @@ fn intervals_hold_the_truth_of_a_thousand_sensors_be_the_axes_parallel_or_not() 
                 ..PARALLEL
             };
             let [bias, scale, seen] = coverage(trial);
-            println!(
-                "sees {across:?} of others, rests {rests}: bias {bias:.1} %, scale factor {scale:.1} %, said of \
-                 {seen:.1} %"
-            );
-            assert!((93.0..=97.0).contains(&bias), "{bias}");
-            assert!((93.0..=97.0).contains(&scale), "{scale}");
-            assert!(across[1] > 0.0 || seen <= 2.0, "{seen}");
-            assert!(across[0] < 0.02 || seen >= 96.0, "{seen}");
+            let kind = format!("sees {across:?} of others, rests {rests}");
+            println!("{kind}: bias {bias}, scale factor {scale}, said of {seen}");
+            bias.assert_can_be(0.93..=0.97, &kind);
+            scale.assert_can_be(0.93..=0.97, &kind);
+            held.extend([bias, scale]);
+            if across[1] == 0.0 {
+                seen.assert_can_be(0.0..=0.02, &kind);
+                falsely.push(seen);
+            } else if across[0] >= 0.02 {
+                seen.assert_can_be(0.96..=1.0, &kind);
+                detected.push(seen);
+            }
         }
     }
+    coverage_figure(
+        "95 % intervals against a reference, axes parallel or not",
+        &held,
+        0.93..=0.97,
+    );
+    coverage_figure(
+        "axes that are not parallel are reported",
+        &detected,
+        0.96..=1.0,
+    );
+    coverage_figure(
+        "parallel axes are reported as not parallel",
+        &falsely,
+        0.0..=0.02,
+    );
 }
 
 #[test]
 fn intervals_hold_the_truth_whatever_the_noise() {
+    let mut held = Vec::new();
     for (memory, sd) in [
         (0.0, [0.05, 0.05]),
         (0.0, [0.02, 0.2]),
@@ -163,30 +189,24 @@ fn intervals_hold_the_truth_whatever_the_noise() {
                 rests,
             };
             let [bias, scale, _] = coverage(trial);
-            println!(
-                "noise {sd:?}, memory {memory}, told {told}, rests {rests}: bias {bias:.1} %, scale factor \
-                     {scale:.1} %"
-            );
+            let kind = format!("noise {sd:?}, memory {memory}, told {told}, rests {rests}");
+            println!("{kind}: bias {bias}, scale factor {scale}");
             // Where nothing parts the noises, from bound to bound.
-            let most = if told || memory == 0.0 { 97.0 } else { 100.0 };
-            assert!((93.0..=most).contains(&bias), "{bias}");
-            assert!((93.0..=most).contains(&scale), "{scale}");
+            let most = if told || memory == 0.0 { 0.97 } else { 1.0 };
+            bias.assert_can_be(0.93..=most, &kind);
+            scale.assert_can_be(0.93..=most, &kind);
+            held.extend([bias, scale]);
         }
     }
+    let claim = "95 % intervals against a reference, whatever the noise";
+    coverage_figure(claim, &held, 0.93..=0.97);
 }
 
 /// The same where nobody says whose noise it is, motion of some tones up to `hz` at 100 Hz; and how
 /// often neighbours told.
-fn coverage_of_unknown_noise(
-    seeds: u64,
-    hz: f64,
-    amplitude: f64,
-    sd: [f64; 2],
-    memory: f64,
-) -> [f64; 3] {
-    let mut held = [0; 3];
-    let mut all = 0;
-    for seed in 0..seeds {
+fn coverage_of_unknown_noise(hz: f64, amplitude: f64, sd: [f64; 2], memory: f64) -> [Coverage; 3] {
+    let mut held = [Coverage::default(); 3];
+    for seed in 0..sensors(1002) {
         let mut random = Random::new(seed);
         let mut noises: [_; 6] = std::array::from_fn(|_| Noise::new(memory));
         let truth: [_; 3] =
@@ -213,17 +233,17 @@ fn coverage_of_unknown_noise(
         for (axis, (bias, scale)) in transfer.result().expect("sums").axes.iter().zip(truth) {
             let line = axis.line.expect("it moved");
             let [b, s] = line.half_widths_95();
-            held[0] += usize::from((line.bias_mps2 - bias).abs() <= b);
-            held[1] += usize::from((line.scale - scale).abs() <= s);
-            held[2] += usize::from(line.noise_from == NoiseFrom::Neighbours);
-            all += 1;
+            held[0].count((line.bias_mps2 - bias).abs() <= b);
+            held[1].count((line.scale - scale).abs() <= s);
+            held[2].count(line.noise_from == NoiseFrom::Neighbours);
         }
     }
-    held.map(|held| 100.0 * held as f64 / all as f64)
+    held
 }
 
 #[test]
 fn intervals_hold_the_truth_where_nobody_says_whose_noise_it_is() {
+    let mut held = Vec::new();
     for (amplitude, sd) in [
         (2.0, [0.02, 0.02]),
         (2.0, [0.02, 0.2]),
@@ -231,29 +251,34 @@ fn intervals_hold_the_truth_where_nobody_says_whose_noise_it_is() {
         (0.8, [0.02, 0.4]),
         (0.8, [0.4, 0.02]),
     ] {
-        let [bias, scale, told] = coverage_of_unknown_noise(334, 2.0, amplitude, sd, 0.0);
-        println!(
-            "noise {sd:?}: bias {bias:.1} %, scale factor {scale:.1} %, neighbours {told:.1} %"
-        );
-        assert!((93.0..=97.0).contains(&bias), "{bias}");
-        assert!((93.0..=97.0).contains(&scale), "{scale}");
-        assert!(told > 95.0, "{told}");
+        let [bias, scale, told] = coverage_of_unknown_noise(2.0, amplitude, sd, 0.0);
+        let kind = format!("noise {sd:?}");
+        println!("{kind}: bias {bias}, scale factor {scale}, neighbours {told}");
+        bias.assert_can_be(0.93..=0.97, &kind);
+        scale.assert_can_be(0.93..=0.97, &kind);
+        told.assert_can_be(0.95..=1.0, &kind);
+        held.extend([bias, scale]);
     }
+    let claim = "95 % intervals against a reference of unknown noise";
+    coverage_figure(claim, &held, 0.93..=0.97);
 }
 
 #[test]
 fn where_neighbours_do_not_tell_the_interval_reaches_from_bound_to_bound() {
+    let mut held = Vec::new();
     // Motion as fast as the samples, and noise with a longer memory than neighbours are apart.
     for (hz, memory) in [(40.0, 0.0), (2.0, 10.0)] {
         for sd in [[0.02, 0.4], [0.4, 0.02], [0.3, 0.3]] {
-            let [bias, scale, told] = coverage_of_unknown_noise(120, hz, 0.8, sd, memory);
-            println!(
-                "{hz} Hz, memory {memory}, noise {sd:?}: bias {bias:.1} %, scale factor {scale:.1} %, \
-                 neighbours {told:.1} %"
-            );
-            assert!(bias >= 93.0 && scale >= 93.0, "{bias} {scale}");
+            let [bias, scale, told] = coverage_of_unknown_noise(hz, 0.8, sd, memory);
+            let kind = format!("{hz} Hz, memory {memory}, noise {sd:?}");
+            println!("{kind}: bias {bias}, scale factor {scale}, neighbours {told}");
+            bias.assert_can_be(0.93..=1.0, &kind);
+            scale.assert_can_be(0.93..=1.0, &kind);
+            held.extend([bias, scale]);
         }
     }
+    let claim = "95 % intervals where neighbouring samples cannot tell the noise";
+    coverage_figure(claim, &held, 0.93..=1.0);
 }
 
 /// A transfer of hand motion with noise, what is sensed by each side changed by `changed`.
@@ -414,8 +439,8 @@ proptest! {
 
 #[test]
 fn at_one_static_pose_the_offset_alone_is_known() {
-    let mut held = 0;
-    for seed in 0..500 {
+    let mut held = Coverage::default();
+    for seed in 0..sensors(1500) {
         let mut random = Random::new(seed);
         let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
         for k in 0..3200 {
@@ -430,7 +455,7 @@ fn at_one_static_pose_the_offset_alone_is_known() {
         for (axis, offset) in found.axes.iter().zip([0.2, 0.0, 0.1]) {
             assert_eq!(axis.line, None);
             let error = (axis.offset_mps2 - offset).abs();
-            held += usize::from(error <= 2.064 * axis.offset_sd_mps2);
+            held.count(error <= 2.064 * axis.offset_sd_mps2);
         }
         let model = found.model().expect("a model");
         assert_eq!(
@@ -438,9 +463,12 @@ fn at_one_static_pose_the_offset_alone_is_known() {
             wimu_model::ErrorTerms::default().matrix
         );
     }
-    let percent = 100.0 * f64::from(held as u32) / 1500.0;
-    println!("offsets: {percent:.1} %");
-    assert!((93.0..=97.0).contains(&percent), "{percent}");
+    coverage_figure(
+        "95 % intervals of the offset at one pose hold the truth",
+        &[held],
+        0.93..=0.97,
+    );
+    held.assert_can_be(0.93..=0.97, "offsets");
 }
 
 #[test]

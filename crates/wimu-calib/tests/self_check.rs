@@ -11,6 +11,7 @@ use wimu_calib::{
 use wimu_model::{
     CentiCelsius, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, SpecificForceMps2,
 };
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn noisy(random: &mut Random, model: &ErrorModel, up: [f64; 3], sd: f64) -> Pose {
     let mut pose = pose(model, G, up);
@@ -34,11 +35,10 @@ fn shifted(random: &mut Random, model: &ErrorModel, sd: f64) -> ErrorModel {
 fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
     let ageing = Ageing::default();
     let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let (mut covered, mut held, mut poses) = ([0_u32; 9], 0, 0);
+    let (mut covered, mut contradicted) = ([Coverage::default(); 9], Coverage::default());
     let fitted: Vec<Parameter> = Model::Full9.fitted().iter().collect();
-    const RUNS: u32 = 1000;
-    for seed in 0..RUNS {
-        let mut random = Random::new(u64::from(seed));
+    for seed in 0..trials(2000) as u64 {
+        let mut random = Random::new(seed);
         let truth = random.model(true);
         let first: Vec<Pose> = twelve()
             .into_iter()
@@ -60,36 +60,41 @@ fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
         for _ in 0..12 {
             let up = random.direction();
             let rest = noisy(&mut random, &today, up, ageing.pose_mps2);
-            held += u32::from(check.push(&rest).expect("a pose").holds);
-            poses += 1;
+            contradicted.count(!check.push(&rest).expect("a pose").holds);
         }
         let updated = parameters(&check.model().expect("a model"));
         let sd = check.covariance();
         for (k, parameter) in fitted.iter().enumerate() {
             let i = parameter.index();
             let error = updated[i] - parameters(&today)[i];
-            covered[k] += u32::from(error.abs() < 1.96 * sd.sd(*parameter));
+            covered[k].count(error.abs() < 1.96 * sd.sd(*parameter));
         }
     }
-    let all = f64::from(covered.iter().sum::<u32>()) / f64::from(9 * RUNS);
-    println!("recursive: 95 % intervals cover {:.1} %", 100.0 * all);
-    println!("contradicted by chance: {} of {poses}", poses - held);
+    coverage_figure(
+        "95 % intervals of a stored calibration updated in the next run",
+        &covered,
+        0.93..=0.97,
+    );
+    coverage_figure(
+        "good rests that the self-check contradicts",
+        &[contradicted],
+        0.0..=0.002,
+    );
     for (parameter, covered) in fitted.iter().zip(covered) {
-        let share = f64::from(covered) / f64::from(RUNS);
-        assert!((0.93..=0.97).contains(&share), "{parameter} {share}");
+        covered.assert_can_be(0.93..=0.97, &parameter.to_string());
     }
-    assert!(poses - held < poses / 250);
+    // One rest in a thousand by its threshold.
+    contradicted.assert_can_be(0.0..=0.002, "contradicted by chance");
 }
 
-/// How often, of 1000 turn-ons within the ageing, twelve rests tell that the calibration no longer holds
+/// How often, of turn-ons within the ageing, twelve rests tell that the calibration no longer holds
 /// when the bias jumps by `jump_mps2` after the sixth: at one rest, and as a device tells it, at two in a
-/// row. In percent.
-fn told(jump_mps2: f64) -> [f64; 2] {
+/// row.
+fn told(jump_mps2: f64) -> [Coverage; 2] {
     let ageing = Ageing::default();
     let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let mut counts = [0_u32; 2];
-    const RUNS: u64 = 1000;
-    for seed in 0..RUNS {
+    let mut counts = [Coverage::default(); 2];
+    for seed in 0..trials(2000) as u64 {
         let mut random = Random::new(seed + 77_000);
         let stored = random.model(true);
         let mut known = [[0.0; 12]; 12];
@@ -116,33 +121,33 @@ fn told(jump_mps2: f64) -> [f64; 2] {
             once |= row == 1;
             twice |= row == 2;
         }
-        counts[0] += u32::from(once);
-        counts[1] += u32::from(twice);
+        counts[0].count(once);
+        counts[1].count(twice);
     }
-    counts.map(|count| 100.0 * f64::from(count) / RUNS as f64)
+    counts
 }
 
 #[test]
 fn alarms_are_as_rare_and_jumps_of_the_bias_as_well_seen_as_stated() {
-    let found = [0.0, 0.010, 0.020, 0.030, 0.050, 0.100].map(|jump| {
-        let [once, twice] = told(jump);
-        println!(
-            "jump of {:3.0} mm/s²: told at one rest in {once:.1} %, at two in a row in {twice:.1} % of runs",
-            1e3 * jump
-        );
-        [once, twice]
-    });
-    let [none, _, twenty, thirty, fifty, hundred] = found;
-    // Twelve rests at one in a thousand each.
-    assert!(none[0] < 2.5 && none[1] < 0.3, "{none:?}");
-    assert!(
-        twenty[0] > 30.0 && thirty[0] > 70.0,
-        "{twenty:?} {thirty:?}"
-    );
-    assert!(
-        fifty[0] > 95.0 && hundred[1] > 95.0,
-        "{fifty:?} {hundred:?}"
-    );
+    for (jump, once, twice) in [
+        // Twelve rests at one in a thousand each.
+        (0.0, 0.0..=0.02, 0.0..=0.002),
+        (0.01, 0.0..=1.0, 0.0..=1.0),
+        (0.02, 0.6..=1.0, 0.0..=1.0),
+        (0.03, 0.9..=1.0, 0.5..=1.0),
+        (0.05, 0.98..=1.0, 0.85..=1.0),
+        (0.1, 0.99..=1.0, 0.95..=1.0),
+    ] {
+        let kind = match jump {
+            0.0 => "self-check: false alarms in 12 rests".into(),
+            _ => format!("self-check: a bias jump of {:.0} mm/s² is seen", 1e3 * jump),
+        };
+        let found = told(jump);
+        coverage_figure(&format!("{kind}, at one"), &found[..1], once.clone());
+        coverage_figure(&format!("{kind}, two in a row"), &found[1..], twice.clone());
+        found[0].assert_can_be(once, &kind);
+        found[1].assert_can_be(twice, &kind);
+    }
 }
 
 #[test]

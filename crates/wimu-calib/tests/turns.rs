@@ -8,6 +8,7 @@ use wimu_calib::{
     Gravity, Model, Parameter, Placement, Pose, Refusal, four_angle, multi_position, three_angle,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 proptest! {
     #![proptest_config(common::config())]
@@ -241,6 +242,7 @@ fn turn_off(random: &mut Random, truth: &ErrorModel, count: usize, off: &TurnOff
 #[test]
 fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
     let degree = std::f64::consts::PI / 180.0;
+    let (mut all_answered, mut all_held) = (Vec::new(), Vec::new());
     for (name, axle, step) in [
         ("axle 6° off", 6.0, 0.0),
         ("axle 10° off", 10.0, 0.0),
@@ -251,8 +253,9 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
         ("a step 12° off", 0.0, 12.0),
     ] {
         for steps in [4, 3] {
-            let (mut answered, mut held, mut worst) = (0_u32, 0_u32, 0.0_f64);
-            for seed in 0..300 {
+            let (mut answered, mut held) = (Coverage::default(), Coverage::default());
+            let mut worst = 0.0_f64;
+            for seed in 0..trials(1000) as u64 {
                 let mut random = Random::new(seed);
                 let mut terms = ErrorTerms::default();
                 for axis in 0..3 {
@@ -267,42 +270,58 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
                 off.steps[1] += step * degree;
                 let poses = turn_off(&mut random, &truth, steps, &off);
                 let method = if steps == 4 { four_angle } else { three_angle };
-                let Ok(estimate) = method(&poses, exact(), Placement::BY_HAND) else {
+                let answer = method(&poses, exact(), Placement::BY_HAND);
+                answered.count(answer.is_ok());
+                let Ok(estimate) = answer else {
                     continue;
                 };
-                answered += 1;
                 for axis in 0..2 {
                     let found = estimate.model.terms().matrix[axis][axis];
                     let error = (found - terms.matrix[axis][axis]).abs();
                     let said = estimate.half_width_95(Parameter::ALL[3 + 4 * axis]);
-                    held += u32::from(error <= said);
+                    held.count(error <= said);
                     worst = worst.max(error / said);
                 }
             }
-            let share = f64::from(held) / f64::from(2 * answered);
             println!(
-                "{name}, {steps} steps: answered {answered} of 300, scale factors held {:.0} %, at the worst \
-                 {worst:.1} half widths off",
-                100.0 * share
+                "{name}, {steps} steps: answered {answered}, scale factors held {held}, at the worst \
+                 {worst:.1} half widths off"
             );
             // Of a turn alone a bias may hide the tilt, and what little is answered is where it does.
             let (most, least) = if axle.abs() > 11.0 {
-                (80, 0.0)
+                (0.27, 0.0)
             } else if axle > 7.0 || step > 0.0 {
-                (290, 0.65)
+                (0.97, 0.65)
             } else {
-                (300, 0.4)
+                (1.0, 0.4)
             };
-            assert!(answered <= most && share >= least, "{name}");
+            answered.assert_can_be(0.0..=most, name);
+            if held.total() > 0 {
+                held.assert_can_be(least..=1.0, name);
+                all_held.push(held);
+            }
+            if axle.abs() > 11.0 {
+                all_answered.push(answered);
+            }
         }
     }
+    coverage_figure(
+        "a turn about an axle 12 or 15° off level is answered",
+        &all_answered,
+        0.0..=0.27,
+    );
+    coverage_figure(
+        "turns 6 to 15° off level, steps off: scale factor intervals hold",
+        &all_held,
+        0.93..=1.0,
+    );
 }
 
 #[test]
 fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
     let degree = std::f64::consts::PI / 180.0;
-    let (mut told, mut wrongly, mut held, mut all) = (0, 0, 0, 0);
-    for seed in 0..300 {
+    let [mut told, mut wrongly, mut held] = [Coverage::default(); 3];
+    for seed in 0..trials(1000) as u64 {
         let mut random = Random::new(seed);
         let truth = random.model(false);
         for step in [0.0, 10.0] {
@@ -326,21 +345,28 @@ fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
             };
             let contradicted = estimate.interval_dof.is_some();
             if step == 0.0 {
-                wrongly += u32::from(contradicted);
+                wrongly.count(contradicted);
                 continue;
             }
-            told += u32::from(contradicted);
+            told.count(contradicted);
             for axis in 0..3 {
                 let off = estimate.model.terms().bias_mps2[axis] - truth.terms().bias_mps2[axis];
-                all += 1;
-                held += u32::from(off.abs() <= estimate.half_width_95(Parameter::ALL[axis]));
+                held.count(off.abs() <= estimate.half_width_95(Parameter::ALL[axis]));
             }
         }
     }
-    println!(
-        "a step 10° off: told {told} of {} answers, biases held {held} of {all}; without one told {wrongly} of 300",
-        all / 3
+    println!("a step 10° off: told {told}, biases held {held}; without one told {wrongly}");
+    coverage_figure(
+        "three turns, one step 10° off: 95 % intervals of biases hold",
+        &[held],
+        0.93..=1.0,
+    );
+    coverage_figure(
+        "three good turns are said to contradict",
+        &[wrongly],
+        0.0..=0.04,
     );
     // Errors of a step are in both axes of its turn: a little more often than one in two hundred.
-    assert!(wrongly <= 12 && 100 * held >= 93 * all);
+    wrongly.assert_can_be(0.0..=0.04, "without a wrong step");
+    held.assert_can_be(0.93..=1.0, "biases");
 }

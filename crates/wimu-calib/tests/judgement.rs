@@ -10,7 +10,7 @@ use wimu_calib::{
     three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, figure, trials};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn with(terms: Terms) -> MultiPosition {
     MultiPosition {

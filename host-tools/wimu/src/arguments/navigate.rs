@@ -37,8 +37,8 @@ pub struct Navigate {
     /// The path is that of the sensors' centre, wherever the origin of the places is
     #[arg(long, value_name = "FILE|PRESET")]
     pub geometry: Option<PathBuf>,
-    /// Estimate the places of all axes and the delays of all sensors from this recording, use them and write
-    /// them here
+    /// Estimate the places of all axes and the delays of all sensors from this recording; use them and write them
+    /// here if they predict parts of it that they were not fitted to better than --geometry does
     #[arg(long, value_name = "GEOMETRY.json", requires = "geometry")]
     pub refine: Option<PathBuf>,
     /// How well --geometry knows a place, mm (1 standard deviation), which rate and position hold; without it as

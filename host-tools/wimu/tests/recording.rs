@@ -113,11 +113,12 @@ fn what_a_board_brings_that_does_not_hear_is_in_the_file_as_it_is_in_the_summary
     let relay = hangs_up_once(&board.wireless, 4000, Some(1));
     let recorder = Background::start(&["record", &relay, "-o", file]);
     let recorded = record_until(recorder, file, |link| {
-        link["statistics"]["interruptions"] == 2 && link["raw_samples"].as_u64() > Some(100)
+        link["statistics"]["interruptions"].as_u64() >= Some(2)
+            && link["raw_samples"].as_u64() > Some(100)
     });
     let info = wimu(&["info", file]).succeeds();
     let (said, kept) = (&recorded["links"][0], &info["links"][0]["statistics"]);
-    assert_eq!(kept["interruptions"], 2, "{kept}");
+    assert!(kept["interruptions"].as_u64() >= Some(2), "{kept}");
     for what in ["bytes", "frames", "raw", "interruptions"] {
         assert_eq!(said[what], kept[what], "{what}");
     }

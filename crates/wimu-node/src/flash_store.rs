@@ -118,6 +118,8 @@ pub struct FlashStore<F: NorFlash> {
     /// Nothing counts, and, if it is ruined, something has been written.
     is_empty: bool,
     ruined: bool,
+    /// Which of two copies counts that are equally good.
+    last_counts: bool,
     /// There are pages that are neither erased nor finished.
     waste: bool,
     /// The latest number of a directory, and of a seal.
@@ -166,24 +168,27 @@ impl Shape {
     }
 
     /// How far what ends at `end` can be relied on; `None` if it does not count. `newest` is the latest
-    /// number of a seal: what an unfinished page before that one holds has been moved.
+    /// number of a seal: what an unfinished page before that one holds has been moved, and a directory
+    /// lists what counts of earlier firmware's.
     fn rank(&self, end: u32, newest: u32) -> Option<u32> {
-        let is_told = end <= self.directory;
+        // The only seal may be an interrupted one: it counts if it was there from the first.
+        let is_unseen = self.seals == 1 && self.seal_serial > newest;
         if self.seal == 0 {
-            return self.is_foreign.then_some(if is_told { 2 } else { LISTED });
-        }
-        if !self.is_finished() && self.serial < newest {
+            self.is_foreign
+                .then_some(if newest == 0 { TOLD } else { LISTED })
+        } else if is_unseen || !self.is_finished() && self.serial < newest {
             None
         } else if end <= self.seal {
             Some(SEALED | self.seal_serial.min(SEALED - 1))
         } else {
-            Some(if is_told { 3 } else { LISTED })
+            Some(if end <= self.directory { TOLD } else { LISTED })
         }
     }
 }
 
-/// Ranks: before a seal, and only if a directory lists it.
+/// Ranks: before a seal, before a directory, and only if a directory lists it.
 const SEALED: u32 = 1 << 31;
+const TOLD: u32 = 2;
 const LISTED: u32 = 1;
 
 impl<F: NorFlash> FlashStore<F> {
@@ -209,6 +214,7 @@ impl<F: NorFlash> FlashStore<F> {
             known: false,
             is_empty: true,
             ruined: false,
+            last_counts: true,
             waste: false,
             serial: 0,
             newest: 0,
@@ -419,7 +425,8 @@ impl<F: NorFlash> FlashStore<F> {
         if places {
             let known = directory.entry(item.key);
             let is_the_one = (known.generation, known.stands) == (item.generation, item.stands);
-            if item.key != DIRECTORY && is_the_one && item.rank >= known.rank {
+            let is_better = item.rank > known.rank || item.rank == known.rank && self.last_counts;
+            if item.key != DIRECTORY && is_the_one && is_better {
                 return directory.put(item);
             }
         } else if item.key == DIRECTORY {
@@ -502,7 +509,13 @@ impl<F: NorFlash> FlashStore<F> {
                     least = Some((used, page));
                 }
             }
+            let is_free = |page| self.used_in(page) == 0;
             match least {
+                // Two pages of earlier firmware may hold the same, and one of them all of it.
+                Some(_) if self.last_counts && !self.pages().any(is_free) => {
+                    self.last_counts = false;
+                    self.survey().await?;
+                }
                 Some((_, page)) => self.turn(Some(page)).await?,
                 None => self.survey().await?,
             }

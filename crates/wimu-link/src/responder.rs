@@ -418,7 +418,7 @@ impl Responder {
     }
 
     /// Puts the frame that answers the request that was to be executed into `frame`, of which
-    /// [`MAX_FRAME`](crate::MAX_FRAME) bytes are enough, and returns it. Empty when none was.
+    /// [`MAX_FRAME`] bytes are enough, and returns it. Empty when none was.
     pub fn reply<'f, P: Copy + Serialize>(
         &mut self,
         answer: &Answer<P>,

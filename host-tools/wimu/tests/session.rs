@@ -176,10 +176,11 @@ fn a_calibration_is_kept_in_the_store_file_over_a_restart() {
     assert_eq!(settings["range_g"], 8);
     assert_eq!(wimu(&["info", &board.cable]).succeeds()["boot_count"], 2);
     drop(board);
-    // The count of starts is the latest record in the flash, before the directory of 112 bytes.
+    // The count of starts: key 3, its second generation, two starts.
     let mut bytes = fs::read(&store).unwrap();
-    let end = bytes.iter().rposition(|&byte| byte != 0xFF).unwrap();
-    bytes[end - 112 - 4] ^= 0x10;
+    let record = [3, 2, 0, 0, 0, 2, 0, 0, 0];
+    let at = bytes.windows(record.len()).rposition(|part| part == record);
+    bytes[at.expect("two starts") + 5] ^= 0x10;
     fs::write(&store, &bytes).unwrap();
     let board = Simulator::start(&arguments);
     let settings = wimu(&["settings", "get", &board.wireless]).succeeds();

@@ -55,6 +55,16 @@ impl RecordingReader<BufReader<File>> {
     /// `file_unreadable`, `bad_recording` when it is no MCAP file or was cut off before anything
     /// was recorded.
     pub fn open(path: &Path) -> Result<Self> {
+        Self::open_through(path, |file| file)
+    }
+}
+
+impl<R: Read> RecordingReader<R> {
+    /// Opens a recording and reads it through what `watch` makes of the file, such as a progress bar.
+    ///
+    /// # Errors
+    /// Those of [`open`](RecordingReader::open).
+    pub fn open_through(path: &Path, watch: impl FnOnce(BufReader<File>) -> R) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).map_err(|error| HostError::file(&name, "open", &error))?;
         let mut source = BufReader::new(file);
@@ -62,11 +72,9 @@ impl RecordingReader<BufReader<File>> {
         if let Some(error) = crate::foreign::refused(start) {
             return Err(error.at(name));
         }
-        Self::new(source, &name)
+        Self::new(watch(source), &name)
     }
-}
 
-impl<R: Read> RecordingReader<R> {
     /// Reads from `source`, which errors call `name`.
     ///
     /// # Errors

@@ -133,9 +133,9 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         ));
     }
     let name = arguments.input.display().to_string();
-    let file = Watched::open(&arguments.input, output)
-        .map_err(|error| HostError::file(&name, "open", &error))?;
-    let recording = Recording::read(RecordingReader::new(file, &name)?, &name)?;
+    let watch = |file| Watched::new(file, output);
+    let reader = RecordingReader::open_through(&arguments.input, watch)?;
+    let recording = Recording::read(reader, &name)?;
     output.end_refresh();
     let link = recording.link(arguments.link.map(Into::into))?;
     let starts = link.boots.iter().map(|boot| start(boot, arguments));
@@ -176,15 +176,14 @@ struct Watched {
 }
 
 impl Watched {
-    fn open(path: &Path, output: Output) -> std::io::Result<Self> {
-        let file = File::open(path)?;
-        Ok(Self {
+    fn new(file: BufReader<File>, output: Output) -> Self {
+        Self {
             read: 0,
-            size: file.metadata()?.len(),
-            file: BufReader::new(file),
+            size: file.get_ref().metadata().map_or(0, |data| data.len()),
+            file,
             shown: Instant::now(),
             output,
-        })
+        }
     }
 }
 

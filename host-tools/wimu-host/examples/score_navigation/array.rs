@@ -46,7 +46,7 @@ impl RateScore {
 #[derive(Debug)]
 pub struct ArrayScores {
     pub name: String,
-    /// Samples above 1 rad/s, and those of them that are next to a clipped one: left out, as the reference is wrong there.
+    /// Samples above 1 rad/s, and those of them next to a clipped one: left out, as the reference is wrong there.
     pub moving: usize,
     pub clipped: usize,
     pub methods: Vec<RateScore>,

@@ -1,4 +1,4 @@
-//! The methods that are scored. In a window none of them takes a rest for zero velocity: that would be a prior on speed.
+//! The methods that are scored. In a window none of them takes a rest for zero velocity: that is a prior on speed.
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate};

@@ -204,8 +204,8 @@ impl Frame {
     }
 }
 
-/// Rotation about the vertical, truth to track, that minimises the squared horizontal errors, rad: of the valid samples,
-/// of all if there are none.
+/// Rotation about the vertical, truth to track, rad, that minimises the squared horizontal errors of the valid samples,
+/// or of all if none is valid.
 fn fitted_angle(recording: &Recording, track: &Track) -> Option<f64> {
     let count = track.estimates.len();
     let origin = (track.origin..count).find(|k| recording.position(*k).is_some())?;

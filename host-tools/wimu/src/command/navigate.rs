@@ -5,7 +5,6 @@ mod inertial;
 
 use std::fs::File;
 use std::io::{BufReader, Read};
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;

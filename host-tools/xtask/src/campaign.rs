@@ -48,7 +48,7 @@ pub const CAMPAIGNS: [Campaign; 6] = [
         about: "forged requests, bad lines, pushes, unsigned floods",
         commands: &[
             "test --release -p wimu-link --test all -- --include-ignored",
-            "test --release -p wimu-tests --test all pushes:: noisy_link:: board:: -- --include-ignored",
+            "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::",
         ],
         sources: &[
             "crates/wimu-link",
@@ -59,7 +59,7 @@ pub const CAMPAIGNS: [Campaign; 6] = [
     Campaign {
         name: "storage",
         about: "power cuts at every byte, unstable cells, damaged pages",
-        commands: &["test --release -p wimu-tests --test all store:: -- --include-ignored"],
+        commands: &["test --release -p wimu-tests --test all -- --include-ignored store::"],
         sources: &["crates/wimu-node"],
     },
     Campaign {

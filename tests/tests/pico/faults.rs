@@ -53,15 +53,12 @@ fn a_fault_is_told_with_its_place_in_the_hello_after_the_reset() {
 #[ignore = "`cargo xtask test --only pico` builds the image and runs it"]
 fn a_panic_is_told_with_its_file_and_line_in_the_hello_after_the_reset() {
     let image = Image::read();
-    // What an `unwrap` there would do that finds nothing.
+    // What a second mutable borrow of a `RefCell` there would do.
     let place = image.place_in("adxl345.rs");
-    let unwrap_failed = image.function("4core6option13unwrap_failed");
+    let panics = image.function("4core4cell22panic_already_borrowed");
     let run = run(
         4.0,
-        &[
-            call(1_500, unwrap_failed, place.address),
-            happens(3_000, "reset"),
-        ],
+        &[call(1_500, panics, place.address), happens(3_000, "reset")],
     );
     assert!(place.fault.to_string().contains("adxl345.rs:"));
     assert_eq!(

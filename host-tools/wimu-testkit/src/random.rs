@@ -1,6 +1,7 @@
 //! Seeded random numbers and evenly spread directions.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::SplitMix64;
@@ -9,9 +10,16 @@ use rand_xoshiro::SplitMix64;
 pub struct Random(SplitMix64);
 
 impl Random {
-    /// The generator of a seed.
+    /// The generator of a seed. A campaign's own seed (environment variable `WIMU_SEED`, 0 without it)
+    /// turns it into another sequence.
     pub fn new(seed: u64) -> Self {
-        Self(SplitMix64::seed_from_u64(seed))
+        static CAMPAIGN: LazyLock<u64> = LazyLock::new(|| {
+            let seed = std::env::var("WIMU_SEED").ok();
+            seed.map_or(0, |seed| seed.parse().expect("WIMU_SEED is a number"))
+        });
+        // An odd factor: different seeds of a campaign are far apart.
+        let other = CAMPAIGN.wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(32);
+        Self(SplitMix64::seed_from_u64(seed ^ other))
     }
 
     /// The next 64 bits.

@@ -17,9 +17,14 @@ pub const RESULTS: &str = "docs/validation";
 pub struct Campaign {
     pub name: &'static str,
     pub about: &'static str,
-    /// Arguments of cargo. `{data}` is the folder of recordings.
-    commands: &'static [&'static str],
-    /// Folders whose content the figures depend on.
+    runs: &'static [Run],
+}
+
+/// One command of a campaign.
+struct Run {
+    /// Arguments of cargo. `{data}` is the folder of recordings, `{results}` that of results.
+    command: &'static str,
+    /// Folders and files whose content the figures depend on.
     sources: &'static [&'static str],
 }
 
@@ -27,52 +32,74 @@ pub const CAMPAIGNS: [Campaign; 6] = [
     Campaign {
         name: "calibration",
         about: "intervals, refusals and outliers over simulated sensors; public recordings",
-        commands: &["test --release -p wimu-calib --test all -- --include-ignored"],
-        sources: &["crates/wimu-model", "crates/wimu-calib"],
+        runs: &[Run {
+            command: "test --release -p wimu-calib --test all -- --include-ignored",
+            sources: &["crates/wimu-model", "crates/wimu-calib"],
+        }],
     },
     Campaign {
         name: "navigation",
         about: "errors and consistency on recordings and journeys, beside plain baselines",
-        commands: &[
-            "test --release -p wimu-nav --test all -- --include-ignored",
-            "run --release -p wimu-host --example score_navigation -- {data}",
-        ],
-        sources: &[
-            "crates/wimu-model",
-            "crates/wimu-nav",
-            "host-tools/wimu-host",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-nav --test all -- --include-ignored",
+                sources: &["crates/wimu-model", "crates/wimu-nav"],
+            },
+            Run {
+                command: "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
+                sources: &[
+                    "crates/wimu-model",
+                    "crates/wimu-nav",
+                    "host-tools/wimu-host/src/array",
+                    "host-tools/wimu-host/src/inertial",
+                    "host-tools/wimu-host/src/motion",
+                    "host-tools/wimu-host/examples/score_navigation",
+                ],
+            },
         ],
     },
     Campaign {
         name: "link",
         about: "forged requests, bad lines, pushes, unsigned floods",
-        commands: &[
-            "test --release -p wimu-link --test all -- --include-ignored",
-            "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::",
-        ],
-        sources: &[
-            "crates/wimu-link",
-            "crates/wimu-node",
-            "host-tools/wimu-sim",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-link --test all -- --include-ignored",
+                sources: &["crates/wimu-link"],
+            },
+            Run {
+                command: "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::",
+                sources: &[
+                    "crates/wimu-link",
+                    "crates/wimu-node",
+                    "host-tools/wimu-sim",
+                    "tests",
+                ],
+            },
         ],
     },
     Campaign {
         name: "storage",
         about: "power cuts at every byte, unstable cells, damaged pages",
-        commands: &["test --release -p wimu-tests --test all -- --include-ignored store::"],
-        sources: &["crates/wimu-node"],
+        runs: &[Run {
+            command: "test --release -p wimu-tests --test all -- --include-ignored store::",
+            sources: &["crates/wimu-node", "tests/tests/store"],
+        }],
     },
     Campaign {
         name: "fuzz",
         about: "random and damaged bytes for every decoder",
-        commands: &["run --release -p wimu-tests --example fuzz 10000000 7"],
-        sources: &["crates", "host-tools/wimu-host"],
+        runs: &[Run {
+            command: "run --release -p wimu-tests --example fuzz 10000000 7",
+            sources: &["crates", "tests/src", "tests/examples"],
+        }],
     },
     Campaign {
         name: "clocks",
         about: "clock models of links with jitter; recordings of a day",
-        commands: &["test --release -p wimu-sim --test all -- --include-ignored"],
-        sources: &["host-tools/wimu-sim", "host-tools/wimu-host"],
+        runs: &[Run {
+            command: "test --release -p wimu-sim --test all -- --include-ignored",
+            sources: &["host-tools/wimu-sim", "host-tools/wimu-host/src/clock"],
+        }],
     },
 ];
 
@@ -92,41 +119,123 @@ pub fn names() -> String {
     CAMPAIGNS.map(|campaign| campaign.name).join(", ")
 }
 
-/// Runs a campaign and writes its results.
+/// Runs the commands of a campaign and writes the results of each as it ends: a campaign that was
+/// interrupted goes on with those commands whose results are missing or stale.
 ///
 /// # Errors
-/// Says which command failed; the results of the others are not written then.
-pub fn run(name: &str) -> Result<(), String> {
+/// Says which command failed, or which of its sources are not committed.
+pub fn run(name: &str, seed: u64) -> Result<(), String> {
     let campaign = CAMPAIGNS.iter().find(|campaign| campaign.name == name);
     let campaign = campaign.ok_or("there is no such campaign")?;
-    let problem = |error: std::io::Error| format!("{name}: {error}");
-    let lines = std::env::temp_dir().join(format!("wimu-{name}-{}.jsonl", process::id()));
-    let _ = fs::remove_file(&lines);
-    let start = Instant::now();
-    for command in campaign.commands {
-        cargo(&command.replace("{data}", DATA))
+    fs::create_dir_all(RESULTS).map_err(|error| format!("{RESULTS}: {error}"))?;
+    let file = file(name);
+    let mut done = results(&file)?.unwrap_or_default();
+    if done["seed"] != seed {
+        done = json!({});
+    }
+    for run in campaign.runs {
+        if run.result(&done).is_some_and(|result| run.is_fresh(result)) {
+            println!("{}: already done", run.command);
+            continue;
+        }
+        let result = run.execute(seed)?;
+        let of_run = |of: &Run| match of.command == run.command {
+            true => Some(result.clone()),
+            false => of.result(&done).cloned(),
+        };
+        done = json!({
+            "schema": "wimu.campaign/2",
+            "name": name,
+            "about": campaign.about,
+            "seed": seed,
+            "runs": campaign.runs.iter().filter_map(of_run).collect::<Vec<_>>(),
+        });
+        fs::write(&file, format!("{done:#}\n")).map_err(|e| format!("{}: {e}", file.display()))?;
+    }
+    println!("{}", file.display());
+    Ok(())
+}
+
+impl Campaign {
+    /// Each command that has a result in `done`: the result, and whether its sources are unchanged.
+    pub fn results<'a>(&self, done: &'a Value) -> Vec<(&'a Value, bool)> {
+        let result = |run: &Run| {
+            let result = run.result(done)?;
+            Some((result, run.is_fresh(result)))
+        };
+        self.runs.iter().filter_map(result).collect()
+    }
+}
+
+impl Run {
+    /// The result of this command in a campaign's results.
+    fn result<'a>(&self, done: &'a Value) -> Option<&'a Value> {
+        let runs = done["runs"].as_array()?;
+        runs.iter().find(|run| run["command"] == self.command)
+    }
+
+    /// Whether no source of a result has changed.
+    fn is_fresh(&self, result: &Value) -> bool {
+        result["sources"] == self.hashes()
+    }
+
+    fn execute(&self, seed: u64) -> Result<Value, String> {
+        self.is_committed()?;
+        let lines = std::env::temp_dir().join(format!("wimu-campaign-{}.jsonl", process::id()));
+        let _ = fs::remove_file(&lines);
+        let start = Instant::now();
+        let command = self.command.replace("{data}", DATA);
+        cargo(&command.replace("{results}", RESULTS))
             .with("WIMU_LANE", "campaign")
+            .with("WIMU_SEED", &seed.to_string())
             .with("WIMU_RESULTS", &lines.display().to_string())
             .run()?;
+        let mut figures = read_lines(&fs::read_to_string(&lines).unwrap_or_default())?;
+        let _ = fs::remove_file(&lines);
+        // Parallel tests record in any order.
+        figures.sort_by_key(|figure| [&figure["test"], &figure["claim"]].map(Value::to_string));
+        Ok(json!({
+            "command": self.command,
+            "commit": revision("HEAD").ok_or("this is no git checkout")?,
+            "sources": self.hashes(),
+            "minutes": (start.elapsed().as_secs_f64() / 6.0).round() / 10.0,
+            "figures": figures,
+        }))
     }
-    let mut figures = read_lines(&fs::read_to_string(&lines).unwrap_or_default())?;
-    // Parallel tests record in any order.
-    figures.sort_by_key(|figure| [&figure["test"], &figure["claim"]].map(Value::to_string));
-    let _ = fs::remove_file(&lines);
-    let result = json!({
-        "schema": "wimu.campaign/1",
-        "name": name,
-        "about": campaign.about,
-        "commit": revision("HEAD").ok_or("this is no git checkout")?,
-        "sources": sources(campaign),
-        "minutes": (start.elapsed().as_secs_f64() / 6.0).round() / 10.0,
-        "figures": figures,
-    });
-    fs::create_dir_all(RESULTS).map_err(problem)?;
-    let file = file(name);
-    fs::write(&file, format!("{result:#}\n")).map_err(problem)?;
-    println!("{}: {} figures", file.display(), figures.len());
-    Ok(())
+
+    fn is_committed(&self) -> Result<(), String> {
+        let status = CommandLine::new("git status --porcelain --").words(&self.sources.join(" "));
+        let changed = status.output().ok_or("this is no git checkout")?;
+        match changed.lines().next() {
+            Some(first) => Err(format!(
+                "results are kept with the commit they are of: commit first ({first})"
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Each source with the hash of its content as committed.
+    fn hashes(&self) -> Value {
+        let hash = |source: &&str| {
+            let hash = revision(&format!("HEAD:{source}"));
+            ((*source).to_owned(), hash.into())
+        };
+        Value::Object(self.sources.iter().map(hash).collect())
+    }
+}
+
+/// The content of a file of results, if there is one.
+///
+/// # Errors
+/// Says which file cannot be read.
+pub fn results(file: &Path) -> Result<Option<Value>, String> {
+    match fs::read_to_string(file) {
+        Ok(text) => {
+            let value = serde_json::from_str(&text);
+            value.map_err(|error| format!("{}: {error}", file.display()))
+        }
+        Err(_) => Ok(None),
+    }
 }
 
 /// Where the results of a campaign are.
@@ -139,17 +248,6 @@ fn read_lines(text: &str) -> Result<Vec<Value>, String> {
     text.lines().map(value).collect()
 }
 
-/// The folders that a campaign depends on, each with the hash of its content as committed.
-pub fn sources(campaign: &Campaign) -> Value {
-    let hash = |folder: &&str| {
-        (
-            (*folder).to_owned(),
-            revision(&format!("HEAD:{folder}")).into(),
-        )
-    };
-    Value::Object(campaign.sources.iter().map(hash).collect())
-}
-
 fn revision(of: &str) -> Option<String> {
     let text = CommandLine::new("git rev-parse").word(of).output()?;
     Some(text.trim().to_owned())
@@ -160,11 +258,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_campaign_depends_on_folders_that_there_are() {
+    fn the_sources_of_every_campaign_exist() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         for campaign in &CAMPAIGNS {
-            for folder in campaign.sources {
-                assert!(root.join(folder).is_dir(), "{}: {folder}", campaign.name);
+            for source in campaign.runs.iter().flat_map(|run| run.sources) {
+                assert!(root.join(source).exists(), "{}: {source}", campaign.name);
             }
         }
     }

@@ -25,8 +25,8 @@ enum Task {
     /// Names of the steps to run; all of them when empty.
     Check(Vec<String>),
     Test(Vec<String>),
-    /// The name of a campaign.
-    Campaign(String),
+    /// The name of a campaign, and its seed.
+    Campaign(String, u64),
     Validation,
     /// A folder of recordings.
     Budget(Option<String>),
@@ -65,9 +65,9 @@ fn run(task: Task) -> Result<(), String> {
         Task::Setup => setup::run(),
         Task::Check(only) => test::run(&Workspace::enter()?, &test::CHECK, &only),
         Task::Test(only) => test::run(&Workspace::enter()?, &test::TEST, &only),
-        Task::Campaign(name) => {
+        Task::Campaign(name, seed) => {
             Workspace::enter()?;
-            campaign::run(&name)
+            campaign::run(&name, seed)
         }
         Task::Validation => {
             Workspace::enter()?;
@@ -103,7 +103,11 @@ fn parse(words: &[String]) -> Result<Task, String> {
         ["test"] => Ok(Task::Test(Vec::new())),
         ["test", "--only", names] => steps_named(&test::TEST, names).map(Task::Test),
         ["check" | "test", "--only"] => Err("--only needs the name of a step".into()),
-        ["campaign", name] => campaign::known(name).map(|name| Task::Campaign(name.into())),
+        ["campaign", name] => campaign::known(name).map(|name| Task::Campaign(name.into(), 0)),
+        ["campaign", name, "--seed", seed] => {
+            let seed = seed.parse().map_err(|_| format!("no seed: `{seed}`"))?;
+            campaign::known(name).map(|name| Task::Campaign(name.into(), seed))
+        }
         ["campaign"] => Err(format!("campaign needs a name: {}", campaign::names())),
         ["validation"] => Ok(Task::Validation),
         ["budget"] => Ok(Task::Budget(None)),
@@ -155,7 +159,8 @@ Usage: cargo xtask TASK
   check                 what is run before each commit: some minutes
   test                  everything that must hold before a change is kept
   … --only STEP,…       just these steps of `check` or `test`
-  campaign NAME         statistics in release, to docs/validation/NAME.json
+  campaign NAME         statistics in release, to docs/validation/NAME.json; commands whose results
+                        are there and not stale are left out; --seed N draws other numbers
   validation            render docs/VALIDATION.md from docs/validation
   budget [DATA]         print the measured figures: bytes on the wire, accuracy, instructions per
                         sample in QEMU, and fail where one is past its bar;
@@ -200,7 +205,11 @@ mod tests {
         assert_eq!(parsed("check"), Ok(Task::Check(vec![])));
         assert_eq!(
             parsed("campaign storage"),
-            Ok(Task::Campaign("storage".into()))
+            Ok(Task::Campaign("storage".into(), 0))
+        );
+        assert_eq!(
+            parsed("campaign storage --seed 3"),
+            Ok(Task::Campaign("storage".into(), 3))
         );
         assert_eq!(parsed("validation"), Ok(Task::Validation));
         assert_eq!(parsed("budget"), Ok(Task::Budget(None)));

@@ -174,6 +174,11 @@ pub fn run(workspace: &Workspace, lane: &Lane, only: &[String]) -> Result<(), St
     }
     heading("summary");
     print!("{}", table(&done));
+    if let Ok(load) = std::fs::read_to_string("/proc/loadavg") {
+        let cores = std::thread::available_parallelism().map_or(0, usize::from);
+        let load: Vec<_> = load.split(' ').take(3).collect();
+        println!("load over 1, 5, 15 min: {}; {cores} cores", load.join(", "));
+    }
     outcome
 }
 

@@ -5,51 +5,49 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::campaign::{self, CAMPAIGNS, Campaign, RESULTS};
+use crate::campaign::{self, CAMPAIGNS, RESULTS};
 
 /// Widest line of the document, characters.
 const WIDTH: usize = 120;
 
-/// Writes the document.
+/// Writes the document: `head.md`, a section a campaign, `tail.md`.
 ///
 /// # Errors
-/// Says which file cannot be read or written.
+/// Says which file cannot be read or written, or which row is too wide.
 pub fn write() -> Result<(), String> {
-    let head = format!("{RESULTS}/head.md");
-    let mut text = fs::read_to_string(&head).map_err(|error| format!("{head}: {error}"))?;
+    let part = |name: &str| {
+        let file = format!("{RESULTS}/{name}");
+        fs::read_to_string(&file).map_err(|error| format!("{file}: {error}"))
+    };
+    let mut text = part("head.md")?;
     for campaign in &CAMPAIGNS {
-        let file = campaign::file(campaign.name);
-        let _ = match fs::read_to_string(&file) {
-            Ok(result) => {
-                let result = serde_json::from_str(&result)
-                    .map_err(|error| format!("{}: {error}", file.display()))?;
-                write!(
+        let _ = write!(text, "\n## Campaign {}\n\n", campaign.name);
+        match campaign::results(&campaign::file(campaign.name))? {
+            None => text.push_str("Not run yet.\n"),
+            Some(done) => {
+                let _ = writeln!(
                     text,
-                    "\n{}",
-                    section(campaign, &result, &campaign::sources(campaign))
-                )
+                    "{}. `cargo xtask campaign {}`, seed {}.",
+                    campaign.about, campaign.name, done["seed"]
+                );
+                for (result, fresh) in campaign.results(&done) {
+                    text.push_str(&section(result, fresh)?);
+                }
             }
-            Err(_) => write!(text, "\n## {}\n\nNot run yet.\n", campaign.name),
-        };
+        }
     }
+    let _ = write!(text, "\n{}", part("tail.md")?);
     let document = "docs/VALIDATION.md";
     fs::write(document, text).map_err(|error| format!("{document}: {error}"))
 }
 
-/// The section of a campaign: one row a figure, failures included.
-fn section(campaign: &Campaign, result: &Value, sources: &Value) -> String {
-    let stale = if result["sources"] == *sources {
-        ""
-    } else {
-        ", *stale*"
-    };
-    let commit = result["commit"].as_str().unwrap_or_default();
+/// The table of a command: one row a figure, missed targets included.
+fn section(result: &Value, fresh: bool) -> Result<String, String> {
     let mut text = format!(
-        "## {name}\n\n{about}. `cargo xtask campaign {name}`, {minutes} minutes, commit {commit:.8}{stale}.\n\n\
-         | claim | figure | target |\n|---|---|---|\n",
-        name = campaign.name,
-        about = campaign.about,
-        minutes = result["minutes"],
+        "\n    cargo {}\n\n{} minutes at commit {:.8}.\n\n| claim | figure | target |\n|---|---|---|\n",
+        result["command"].as_str().unwrap_or_default(),
+        result["minutes"],
+        result["commit"].as_str().unwrap_or_default(),
     );
     for figure in result["figures"].as_array().into_iter().flatten() {
         let field = |key: &str| figure[key].as_str().unwrap_or_default().replace('|', "\\|");
@@ -58,12 +56,16 @@ fn section(campaign: &Campaign, result: &Value, sources: &Value) -> String {
         } else {
             ""
         };
-        let (figure, target) = (field("figure"), field("target"));
-        let room = WIDTH.saturating_sub(figure.chars().count() + target.chars().count() + 22);
-        let claim: String = field("claim").chars().take(room).collect();
-        let _ = writeln!(text, "| {claim} | {figure}{missed} | {target} |");
+        let stale = if fresh { "" } else { " *stale*" };
+        let row = [field("claim"), field("figure"), field("target")];
+        let line = format!("| {} | {}{missed}{stale} | {} |", row[0], row[1], row[2]);
+        if line.chars().count() > WIDTH {
+            return Err(format!("a row is wider than {WIDTH} characters: {line}"));
+        }
+        text.push_str(&line);
+        text.push('\n');
     }
-    text
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -72,22 +74,33 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn a_missed_target_and_a_stale_source_are_marked_in_the_same_table() {
-        let result = json!({
-            "commit": "0123456789abcdef", "minutes": 1.5, "sources": { "crates": "a" },
+    fn result(claim: &str) -> Value {
+        json!({
+            "command": "test", "commit": "0123456789abcdef", "minutes": 1.5,
             "figures": [
                 { "claim": "holds", "figure": "95 %", "target": "93 to 97 %", "met": true },
-                { "claim": "|f|", "figure": "9 m", "target": "1 m", "met": false },
+                { "claim": claim, "figure": "9 m", "target": "1 m", "met": false },
             ],
-        });
-        let fresh = section(&CAMPAIGNS[0], &result, &json!({ "crates": "a" }));
+        })
+    }
+
+    #[test]
+    fn a_missed_target_and_a_stale_row_are_marked_in_the_same_table() {
+        let fresh = section(&result("|f|"), true).expect("narrow");
         assert!(fresh.contains("| holds | 95 % | 93 to 97 % |\n"), "{fresh}");
         assert!(
             fresh.contains("| \\|f\\| | 9 m **missed** | 1 m |\n"),
             "{fresh}"
         );
-        assert!(!fresh.contains("stale"), "{fresh}");
-        assert!(section(&CAMPAIGNS[0], &result, &json!({ "crates": "b" })).contains("*stale*"));
+        let stale = section(&result("|f|"), false).expect("narrow");
+        assert!(stale.contains("| 95 % *stale* |"), "{stale}");
+    }
+
+    #[test]
+    fn a_row_that_is_too_wide_is_named_and_not_cut() {
+        let widest = "x".repeat(WIDTH - "|  | 9 m **missed** *stale* | 1 m |".len());
+        assert!(section(&result(&widest), false).is_ok());
+        let wider = format!("{widest}x");
+        assert!(section(&result(&wider), false).is_err_and(|why| why.contains(&wider)));
     }
 }

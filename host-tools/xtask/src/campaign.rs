@@ -13,6 +13,17 @@ use crate::setup::cargo;
 /// Where results are kept.
 pub const RESULTS: &str = "docs/validation";
 
+/// What a device runs.
+const DEVICE: [&str; 7] = [
+    "crates/wimu-model",
+    "crates/wimu-integrator",
+    "crates/wimu-calib",
+    "crates/wimu-link",
+    "crates/wimu-node",
+    "crates/wimu-adxl345",
+    "firmware",
+];
+
 /// Commands whose figures are kept together.
 pub struct Campaign {
     pub name: &'static str,
@@ -28,7 +39,21 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 6] = [
+pub const CAMPAIGNS: [Campaign; 7] = [
+    Campaign {
+        name: "device",
+        about: "flash and RAM of the images, instructions of a sample",
+        runs: &[
+            Run {
+                command: "run -p xtask -- size",
+                sources: &DEVICE,
+            },
+            Run {
+                command: "run -p xtask -- budget",
+                sources: &DEVICE,
+            },
+        ],
+    },
     Campaign {
         name: "calibration",
         about: "intervals, refusals and outliers over simulated sensors; public recordings",

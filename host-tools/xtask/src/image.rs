@@ -2,13 +2,15 @@
 //! for a Pico. Made from the loaded segments of an ELF file.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+use ihex::Record;
+use object::LittleEndian;
+use object::elf::{FileHeader32, PT_LOAD};
+use object::read::elf::{FileHeader, ProgramHeader};
 
 /// Where the files go.
 const FOLDER: &str = "target/firmware";
-
-const SEGMENT_LOADED: u32 = 1;
 
 /// Bytes of a line of a HEX file.
 const HEX_LINE: usize = 16;
@@ -49,9 +51,9 @@ pub fn write(folder: &Path, elf: &Path, format: Format) -> Result<PathBuf, Strin
     let failed =
         |path: &Path, problem: &dyn std::fmt::Display| format!("{}: {problem}", path.display());
     let bytes = std::fs::read(elf).map_err(|problem| failed(elf, &problem))?;
-    let segments = segments(&bytes).ok_or_else(|| failed(elf, &"no ELF file of 32 bits"))?;
+    let segments = segments(&bytes).map_err(|problem| failed(elf, &problem))?;
     let content = match format {
-        Format::Hex => hex(&segments).into_bytes(),
+        Format::Hex => hex(&segments)?.into_bytes(),
         Format::Uf2 => uf2(&segments),
     };
     let name = folder.file_name().unwrap_or_default();
@@ -66,42 +68,25 @@ pub fn write(folder: &Path, elf: &Path, format: Format) -> Result<PathBuf, Strin
 /// A run of bytes at an address of the flash.
 type Segment<'a> = (u32, &'a [u8]);
 
-/// `None` if `elf` is no little-endian ELF file of 32 bits.
-fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
-    let word = |at: usize| Some(u32::from_le_bytes(*elf.get(at..)?.first_chunk()?));
-    let half = |at: usize| Some(u16::from_le_bytes(*elf.get(at..)?.first_chunk()?));
-    if elf.get(..6)? != b"\x7fELF\x01\x01" {
-        return None;
-    }
-    let table = word(0x1c)? as usize;
-    let stride = usize::from(half(0x2a)?);
+/// The loaded segments of a 32-bit little-endian ELF file, at their addresses in the flash.
+fn segments(elf: &[u8]) -> Result<Vec<Segment<'_>>, String> {
+    let damaged = |error: object::Error| error.to_string();
+    let header = FileHeader32::<LittleEndian>::parse(elf).map_err(damaged)?;
+    let endian = header.endian().map_err(damaged)?;
     let mut segments = Vec::new();
-    for index in 0..usize::from(half(0x2c)?) {
-        let at = table + index * stride;
-        let (kind, offset) = (word(at)?, word(at + 4)? as usize);
-        let (address, size) = (word(at + 12)?, word(at + 16)? as usize);
-        if kind == SEGMENT_LOADED && size > 0 {
-            segments.push((address, elf.get(offset..offset.checked_add(size)?)?));
+    for segment in header.program_headers(endian, elf).map_err(damaged)? {
+        if segment.p_type(endian) == PT_LOAD && segment.p_filesz(endian) > 0 {
+            let data = segment.data(endian, elf);
+            let data = data.map_err(|()| "a segment is cut off")?;
+            segments.push((segment.p_paddr(endian), data));
         }
     }
     segments.sort_by_key(|(address, _)| *address);
-    Some(segments)
+    Ok(segments)
 }
 
-fn hex(segments: &[Segment<'_>]) -> String {
-    let mut text = String::new();
-    let mut record = |kind: u8, address: u16, data: &[u8]| {
-        let [high, low] = address.to_be_bytes();
-        let mut bytes = vec![data.len() as u8, high, low, kind];
-        bytes.extend_from_slice(data);
-        let sum = bytes.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
-        bytes.push(sum.wrapping_neg());
-        text.push(':');
-        for byte in bytes {
-            let _ = write!(text, "{byte:02X}");
-        }
-        text.push('\n');
-    };
+fn hex(segments: &[Segment<'_>]) -> Result<String, String> {
+    let mut records = Vec::new();
     let mut upper = None;
     for (start, data) in segments {
         let mut address = *start;
@@ -109,18 +94,22 @@ fn hex(segments: &[Segment<'_>]) -> String {
         while !rest.is_empty() {
             if upper != Some(address >> 16) {
                 upper = Some(address >> 16);
-                record(4, 0, &((address >> 16) as u16).to_be_bytes());
+                records.push(Record::ExtendedLinearAddress((address >> 16) as u16));
             }
             // A line does not cross 64 KiB.
             let room = 0x1_0000 - (address as usize & 0xffff);
             let (line, after) = rest.split_at(rest.len().min(HEX_LINE).min(room));
-            record(0, address as u16, line);
+            records.push(Record::Data {
+                offset: address as u16,
+                value: line.to_vec(),
+            });
             address += line.len() as u32;
             rest = after;
         }
     }
-    record(1, 0, &[]);
-    text
+    records.push(Record::EndOfFile);
+    let text = ihex::create_object_file_representation(&records);
+    text.map_err(|error| error.to_string())
 }
 
 fn uf2(segments: &[Segment<'_>]) -> Vec<u8> {
@@ -158,38 +147,10 @@ fn uf2(segments: &[Segment<'_>]) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// An ELF file with these segments, and one that is not loaded.
-    fn elf(segments: &[Segment<'_>]) -> Vec<u8> {
-        let mut file = b"\x7fELF\x01\x01".to_vec();
-        file.resize(52, 0);
-        file[0x1c] = 52;
-        file[0x2a] = 32;
-        file[0x2c] = segments.len() as u8 + 1;
-        let mut offset = 52 + 32 * (segments.len() + 1);
-        for (address, data) in segments {
-            let size = data.len() as u32;
-            let head = [1, offset as u32, 0x2000_0000, *address, size, size, 0, 4];
-            file.extend(head.iter().flat_map(|word| word.to_le_bytes()));
-            offset += data.len();
-        }
-        file.extend(
-            [7_u32, 0, 0, 0, 99, 0, 0, 0]
-                .iter()
-                .flat_map(|w| w.to_le_bytes()),
-        );
-        for (_, data) in segments {
-            file.extend_from_slice(data);
-        }
-        file
-    }
-
     #[test]
-    fn segments_are_at_their_addresses_in_the_flash() {
-        let file = elf(&[(0x1000_0100, b"code"), (0x1000_0000, b"boot")]);
-        let expected: Vec<Segment<'_>> = vec![(0x1000_0000, b"boot"), (0x1000_0100, b"code")];
-        assert_eq!(segments(&file), Some(expected));
-        for cut in 0..file.len() - 4 {
-            assert_eq!(segments(&file[..cut]), None, "{cut}");
+    fn a_damaged_image_is_refused() {
+        for damaged in [&b""[..], b"\x7fELF\x01\x01", &[0; 64]] {
+            assert!(segments(damaged).is_err());
         }
     }
 
@@ -197,7 +158,10 @@ mod tests {
     fn a_hex_file_is_as_the_format_says() {
         assert_eq!(
             hex(&[(0x1_fffe, &[0x21, 0x46, 0x01, 0x36])]),
-            ":020000040001F9\n:02FFFE0021469A\n:020000040002F8\n:020000000136C7\n:00000001FF\n"
+            Ok(
+                ":020000040001F9\n:02FFFE0021469A\n:020000040002F8\n:020000000136C7\n:00000001FF\n"
+                    .into()
+            )
         );
     }
 

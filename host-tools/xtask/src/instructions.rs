@@ -4,6 +4,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use wimu_testkit::figure;
+
 use crate::command_line::{CommandLine, heading};
 use crate::firmware;
 use crate::setup::{self, Need, ThisMachine};
@@ -133,12 +135,32 @@ pub fn run() -> Result<(), String> {
             .ok_or_else(|| format!("`{run}` failed: run it to see why"))?;
         costs.push(parsed(&text)?);
     }
+    record(&costs);
     heading("instructions per sample: mean (most)");
     print!("{}{}", table(&costs), fits(&costs)?);
     judged(&costs, &setup::embedded_release(source)?)
 }
 
-/// The verdict on costs of code that the compiler of this release has made.
+/// Records the costs that have a bar.
+fn record(costs: &[Costs]) {
+    for row in &ROWS {
+        for (index, (costs, processor)) in costs.iter().zip(&PROCESSORS).enumerate() {
+            let bar = row.bars.map_or(f64::INFINITY, |bars| bars[index]);
+            if let (Some(cost), true) = (costs.get(row.key), bar.is_finite()) {
+                let claim = format!("instructions, {}, {}", processor.name, row.about);
+                let measured = format!("{:.0} on average", cost.mean);
+                figure(
+                    &claim,
+                    measured,
+                    &format!("at most {bar:.0}"),
+                    cost.mean <= bar,
+                );
+            }
+        }
+    }
+}
+
+/// Whether the costs are within their bars, for code made by the compiler of this release.
 fn judged(costs: &[Costs], release: &str) -> Result<(), String> {
     let past_the_bars = exceeded(costs, 1.0);
     if past_the_bars.is_empty() {

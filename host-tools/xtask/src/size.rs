@@ -2,6 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use object::elf::{SHF_ALLOC, SHF_WRITE};
+use object::read::elf::ElfFile32;
+use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SectionFlags, SymbolKind};
+use wimu_testkit::figure;
+
 use crate::command_line::heading;
 use crate::firmware;
 use crate::setup::{self, Need, TARGETS, ThisMachine};
@@ -27,7 +32,10 @@ const MOST: [(&str, u32, u32); 2] = [
     ("wimu-microbit-v2", 110 << 10, 20_900),
     ("wimu-pico-adxl345", 108 << 10, 20_900),
 ];
-/// Where the RAM of Cortex-M begins.
+/// What an image should take, bytes.
+const AIM_FLASH: u32 = 48 << 10;
+const AIM_RAM: u32 = 12 << 10;
+/// Where the RAM of Cortex-M is.
 const RAM: std::ops::Range<u32> = 0x2000_0000..0x4000_0000;
 
 /// Builds every board and prints the sizes of its images.
@@ -39,6 +47,20 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
     for (name, size) in &found {
         heading(name);
         print!("{}", table(size));
+        for (what, bytes, aim) in [
+            ("flash", size.flash, AIM_FLASH),
+            ("RAM without the stack", size.ram, AIM_RAM),
+        ] {
+            let kib = |bytes| f64::from(bytes) / 1024.0;
+            let target = format!("at most {:.0} KiB", kib(aim));
+            let claim = format!("{what} of the image {name}");
+            figure(
+                &claim,
+                format!("{:.1} KiB", kib(bytes)),
+                &target,
+                bytes <= aim,
+            );
+        }
     }
     found.iter().try_for_each(|(name, size)| within(name, size))
 }
@@ -65,8 +87,8 @@ fn built(workspace: &Workspace) -> Result<Vec<(String, Size)>, String> {
                 let Ok(bytes) = std::fs::read(&image) else {
                     continue;
                 };
-                let size = Size::of(&bytes)
-                    .ok_or_else(|| format!("{}: no ELF file of 32 bits", image.display()))?;
+                let size = Size::of(&bytes);
+                let size = size.map_err(|error| format!("{}: {error}", image.display()))?;
                 found.push((program.clone(), size));
             }
         }
@@ -123,92 +145,41 @@ impl Share {
     }
 }
 
-const SECTION_PROGBITS: u32 = 1;
-const SECTION_SYMBOLS: u32 = 2;
-const SECTION_NOBITS: u32 = 8;
-const FLAG_WRITE: u32 = 1;
-const FLAG_ALLOCATED: u32 = 2;
-const SYMBOL_OBJECT: u8 = 1;
-const SYMBOL_FUNCTION: u8 = 2;
-
-/// The fields of an ELF section's header that matter here.
-struct Section {
-    kind: u32,
-    flags: u32,
-    offset: usize,
-    size: u32,
-    link: usize,
-}
-
 impl Size {
-    /// `None` if `elf` is no little-endian ELF file of 32 bits.
-    fn of(elf: &[u8]) -> Option<Self> {
-        if elf.get(..6)? != b"\x7fELF\x01\x01" {
-            return None;
-        }
-        let table = word(elf, 0x20)? as usize;
-        let stride = usize::from(half(elf, 0x2e)?);
-        let sections: Vec<Section> = (0..usize::from(half(elf, 0x30)?))
-            .map(|index| {
-                let at = table + index * stride;
-                Some(Section {
-                    kind: word(elf, at + 4)?,
-                    flags: word(elf, at + 8)?,
-                    offset: word(elf, at + 16)? as usize,
-                    size: word(elf, at + 20)?,
-                    link: word(elf, at + 24)? as usize,
-                })
-            })
-            .collect::<Option<_>>()?;
+    /// Of a 32-bit little-endian ELF file.
+    fn of(elf: &[u8]) -> object::Result<Self> {
+        let elf = ElfFile32::<object::LittleEndian>::parse(elf)?;
         let mut size = Self::default();
-        for section in &sections {
-            let allocated = section.flags & FLAG_ALLOCATED != 0;
-            // Initial values are in flash, and their variables in RAM.
-            if allocated && section.kind != SECTION_NOBITS {
-                size.flash += section.size;
-            }
-            let written = section.flags & FLAG_WRITE != 0;
-            if allocated && written && [SECTION_PROGBITS, SECTION_NOBITS].contains(&section.kind) {
-                size.ram += section.size;
-            }
-            if section.kind == SECTION_SYMBOLS {
-                let names = sections.get(section.link)?.offset;
-                size.add_named(elf, section, names)?;
-            }
-        }
-        Some(size)
-    }
-
-    fn add_named(&mut self, elf: &[u8], symbols: &Section, names: usize) -> Option<()> {
-        for at in (symbols.offset..symbols.offset + symbols.size as usize).step_by(16) {
-            if ![SYMBOL_OBJECT, SYMBOL_FUNCTION].contains(&(elf.get(at + 12)? & 15)) {
+        for section in elf.sections() {
+            let SectionFlags::Elf { sh_flags, .. } = section.flags() else {
+                continue;
+            };
+            let bytes = section.size() as u32;
+            if sh_flags.0 & SHF_ALLOC.0 == 0 {
                 continue;
             }
-            let name = elf.get(names + word(elf, at)? as usize..)?;
-            let name = name.split(|&byte| byte == 0).next()?;
-            let name = std::str::from_utf8(name).ok()?;
-            let of = crate_of(name);
-            let share = self.crates.entry(of).or_default();
-            let (address, bytes) = (word(elf, at + 4)?, word(elf, at + 8)?);
-            if RAM.contains(&address) {
+            // Initial values are in flash, and their variables in RAM.
+            let stored = section.file_range().is_some();
+            size.flash += if stored { bytes } else { 0 };
+            let written = sh_flags.0 & SHF_WRITE.0 != 0;
+            size.ram += if written { bytes } else { 0 };
+        }
+        let named = |kind| [SymbolKind::Text, SymbolKind::Data].contains(&kind);
+        for symbol in elf.symbols().filter(|symbol| named(symbol.kind())) {
+            let name = symbol.name()?;
+            let bytes = symbol.size() as u32;
+            let share = size.crates.entry(crate_of(name)).or_default();
+            if RAM.contains(&(symbol.address() as u32)) {
                 share.ram += bytes;
             } else {
                 share.flash += bytes;
                 if authenticates(name) {
-                    self.authentication += bytes;
+                    size.authentication += bytes;
                 }
             }
         }
-        Some(())
+        Ok(size)
     }
-}
-
-fn half(bytes: &[u8], at: usize) -> Option<u16> {
-    Some(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
-}
-
-fn word(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
 /// The crate in a mangled name: that of its first path, or of the first type in it.
@@ -335,9 +306,9 @@ mod tests {
 
     #[test]
     fn what_is_no_elf_file_has_no_size() {
-        assert_eq!(Size::of(b""), None);
-        assert_eq!(Size::of(b"\x7fELF\x01\x01"), None);
-        assert_eq!(Size::of(&[0; 64]), None);
+        for damaged in [&b""[..], b"\x7fELF\x01\x01", &[0; 64]] {
+            assert!(Size::of(damaged).is_err());
+        }
     }
 
     #[test]

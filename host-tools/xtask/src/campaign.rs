@@ -13,6 +13,41 @@ use crate::setup::cargo;
 /// Where results are kept.
 pub const RESULTS: &str = "docs/validation";
 
+// Sources of commands.
+const ARITHMETIC: [&str; 2] = ["crates/wimu-model", "crates/wimu-integrator"];
+const CALIBRATION: [&str; 2] = ["crates/wimu-model", "crates/wimu-calib"];
+const NAVIGATION: [&str; 2] = ["crates/wimu-model", "crates/wimu-nav"];
+const HOST_NAVIGATION: [&str; 8] = [
+    "crates/wimu-model",
+    "crates/wimu-nav",
+    "host-tools/wimu-host/src/array",
+    "host-tools/wimu-host/src/array.rs",
+    "host-tools/wimu-host/src/inertial",
+    "host-tools/wimu-host/src/motion",
+    "host-tools/wimu-host/src/motion.rs",
+    "host-tools/wimu-host/examples",
+];
+const LINK: [&str; 3] = [
+    "crates/wimu-link",
+    "crates/wimu-node",
+    "host-tools/wimu-sim/src",
+];
+const LOOP: [&str; 6] = [
+    "crates/wimu-model",
+    "crates/wimu-calib",
+    "crates/wimu-integrator",
+    "crates/wimu-link",
+    "crates/wimu-node",
+    "host-tools/wimu-sim/src",
+];
+const STORAGE: [&str; 2] = ["crates/wimu-node", "host-tools/wimu-sim/src/storage.rs"];
+const CLOCKS: [&str; 5] = [
+    "host-tools/wimu-sim/src",
+    "host-tools/wimu-host/src/clock",
+    "host-tools/wimu-host/src/clock.rs",
+    "host-tools/wimu-host/src/compare",
+    "host-tools/wimu-host/src/compare.rs",
+];
 /// What a device runs.
 const DEVICE: [&str; 7] = [
     "crates/wimu-model",
@@ -39,7 +74,25 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 7] = [
+pub const CAMPAIGNS: [Campaign; 9] = [
+    Campaign {
+        name: "arithmetic",
+        about: "corrector and integrator against f64 and exact integers",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-model --test all -- --include-ignored",
+                sources: &ARITHMETIC,
+            },
+            Run {
+                command: "test --release -p wimu-integrator --test behaviour -- --include-ignored",
+                sources: &ARITHMETIC,
+            },
+            Run {
+                command: "run --release -p wimu-integrator --example accuracy",
+                sources: &ARITHMETIC,
+            },
+        ],
+    },
     Campaign {
         name: "device",
         about: "flash and RAM of the images, instructions of a sample",
@@ -57,10 +110,20 @@ pub const CAMPAIGNS: [Campaign; 7] = [
     Campaign {
         name: "calibration",
         about: "intervals, refusals and outliers over simulated sensors; public recordings",
-        runs: &[Run {
-            command: "test --release -p wimu-calib --test all -- --include-ignored",
-            sources: &["crates/wimu-model", "crates/wimu-calib"],
-        }],
+        runs: &[
+            Run {
+                command: "test --release -p wimu-calib --test all -- --include-ignored",
+                sources: &CALIBRATION,
+            },
+            Run {
+                command: "test --release -p wimu-host --lib -- calibration::advice",
+                sources: &["crates/wimu-calib", "host-tools/wimu-host/src/calibration"],
+            },
+            Run {
+                command: "run --release -p wimu-calib --example speed",
+                sources: &CALIBRATION,
+            },
+        ],
     },
     Campaign {
         name: "navigation",
@@ -68,63 +131,111 @@ pub const CAMPAIGNS: [Campaign; 7] = [
         runs: &[
             Run {
                 command: "test --release -p wimu-nav --test all -- --include-ignored",
-                sources: &["crates/wimu-model", "crates/wimu-nav"],
+                sources: &NAVIGATION,
+            },
+            Run {
+                command: "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: slides:: violent::",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-nav --example consistency 500",
+                sources: &NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-nav --example journeys 300",
+                sources: &NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-host --example array_journeys 40",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-host --example bench_nav {data}",
+                sources: &HOST_NAVIGATION,
             },
             Run {
                 command: "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
-                sources: &[
-                    "crates/wimu-model",
-                    "crates/wimu-nav",
-                    "host-tools/wimu-host/src/array",
-                    "host-tools/wimu-host/src/inertial",
-                    "host-tools/wimu-host/src/motion",
-                    "host-tools/wimu-host/examples/score_navigation",
-                ],
+                sources: &HOST_NAVIGATION,
             },
         ],
     },
     Campaign {
         name: "link",
-        about: "forged requests, bad lines, pushes, unsigned floods",
+        about: "bytes of a sample, decoding, forged requests, bad lines, pushes, floods",
         runs: &[
             Run {
                 command: "test --release -p wimu-link --test all -- --include-ignored",
                 sources: &["crates/wimu-link"],
             },
             Run {
-                command: "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::",
-                sources: &[
-                    "crates/wimu-link",
-                    "crates/wimu-node",
-                    "host-tools/wimu-sim",
-                    "tests",
-                ],
+                command: "run --release -p wimu-link --example wire_budget -- {data}",
+                sources: &["crates/wimu-link"],
+            },
+            Run {
+                command: "run --release -p wimu-sim --example link_budget",
+                sources: &LINK,
+            },
+            Run {
+                command: "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::flood --skip pico::",
+                sources: &LINK,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example noisy_link",
+                sources: &LINK,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example decode_rate",
+                sources: &["crates/wimu-link", "host-tools/wimu-host/src/decode"],
             },
         ],
     },
     Campaign {
-        name: "storage",
-        about: "power cuts at every byte, unstable cells, damaged pages",
+        name: "loop",
+        about: "calibration, push, restart, slides and heading on simulated boards",
         runs: &[Run {
-            command: "test --release -p wimu-tests --test all -- --include-ignored store::",
-            sources: &["crates/wimu-node", "tests/tests/store"],
+            command: "test --release -p wimu-tests --test all -- --include-ignored first_light:: board::heading real_input:: --skip pico:: --skip qemu::",
+            sources: &LOOP,
         }],
     },
     Campaign {
+        name: "storage",
+        about: "power cuts at every byte, unstable cells, damaged pages",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-tests --test all -- --include-ignored store:: --skip pico::",
+                sources: &STORAGE,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 20000 7 store",
+                sources: &STORAGE,
+            },
+        ],
+    },
+    Campaign {
         name: "fuzz",
-        about: "random and damaged bytes for every decoder",
+        about: "random, damaged and reordered bytes for every decoder",
         runs: &[Run {
             command: "run --release -p wimu-tests --example fuzz 10000000 7",
-            sources: &["crates", "tests/src", "tests/examples"],
+            sources: &[
+                "crates/wimu-link",
+                "host-tools/wimu-host/src/decode",
+                "tests/src",
+            ],
         }],
     },
     Campaign {
         name: "clocks",
-        about: "clock models of links with jitter; recordings of a day",
-        runs: &[Run {
-            command: "test --release -p wimu-sim --test all -- --include-ignored",
-            sources: &["host-tools/wimu-sim", "host-tools/wimu-host/src/clock"],
-        }],
+        about: "clock models of links with jitter, comparison of links, recordings of a day",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-host --lib -- --include-ignored clock:: compare::",
+                sources: &CLOCKS,
+            },
+            Run {
+                command: "test --release -p wimu-sim --test all -- --include-ignored clocks:: compare:: long_files::",
+                sources: &CLOCKS,
+            },
+        ],
     },
 ];
 

@@ -83,6 +83,17 @@ fn holds_over_many_boards(calibration: Calibration, name: &str) {
         "at most 5",
         zupt_mm <= 5.0,
     );
+    let pushes = || outcomes.iter().map(|outcome| outcome.push_s * 1e3);
+    let longest_ms = pushes().fold(0.0, f64::max);
+    figure(
+        &format!("{name}: signed push over 115,200 baud, session included, ms"),
+        format!(
+            "{:.0} to {longest_ms:.0}",
+            pushes().fold(f64::INFINITY, f64::min)
+        ),
+        "below 200",
+        longest_ms < 200.0,
+    );
     assert!(ratio >= 20.0, "{ratio}");
     // The median of a few boards departs from that of a hundred.
     let most_mm = Lane::current().choose([15.0, 8.0, 5.0]);

@@ -290,7 +290,7 @@ fn lose_power_unstably(
 
 #[test]
 fn unstable_cells_leave_the_old_records_or_the_new_for_good() {
-    let (cuts, stride) = Lane::current().choose([(40, 61), (400, 17), (50_000, 1)]);
+    let (cuts, stride, seed) = Lane::current().choose([(40, 61, 1), (400, 17, 1), (50_000, 1, 2)]);
     for (unit, name) in [(4, "words of 4 bytes"), (256, "pages of 256 bytes")] {
         let (times, stride) = match unit {
             4 => (1, stride),
@@ -298,7 +298,7 @@ fn unstable_cells_leave_the_old_records_or_the_new_for_good() {
         };
         let mut all = CellCounts::default();
         for pages in [2, 4] {
-            let counts = lose_power_unstably([unit, pages], 1, cuts, times, stride);
+            let counts = lose_power_unstably([unit, pages], seed, cuts, times, stride);
             println!("{unit} bytes, {pages} pages: {counts:?}");
             all.cuts += counts.cuts;
             all.kept_old += counts.kept_old;

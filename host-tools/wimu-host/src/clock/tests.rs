@@ -488,6 +488,7 @@ fn best_possible_rates_with_known_laws() {
     for (law, each, name) in [
         (Law::Uniform(50e6), 20.0, "uniform"),
         (Law::Uniform(50e6), 60.0, "uniform"),
+        (Law::Exponential(50e6), 10.0, "exponential"),
         (Law::Exponential(50e6), 20.0, "exponential"),
         (Law::Exponential(50e6), 60.0, "exponential"),
     ] {

@@ -18,6 +18,19 @@ fn every_sample_that_a_bad_link_lost_is_counted_and_none_is_wrong() {
     let found = compared(&session.record()).unwrap();
     let [cable, wireless] = &found.links;
 
+    figure(
+        "samples over a bad link that differ from the cable's",
+        format!("{} of {}", found.pairs - found.identical, found.pairs),
+        "none",
+        found.identical == found.pairs,
+    );
+    let missed = wireless.lost + wireless.before + wireless.under_way;
+    figure(
+        "samples of the cable that a bad link brought or counted as lost",
+        format!("{} of {}", wireless.delivered + missed, cable.delivered),
+        "all",
+        wireless.delivered + missed == cable.delivered,
+    );
     assert_eq!(found.identical, found.pairs);
     assert_eq!(
         (cable.lost, cable.missing_on_both, cable.damaged),

@@ -5,7 +5,7 @@ use wimu_link::hello::{Hello, LinkRole, WhoAreYou};
 use wimu_link::message::{Command, Environment, Request, Settings, Status, Telemetry};
 use wimu_link::{MAX_FRAME, batch, fuzz};
 use wimu_model::{Counts, DeviceTimeUs};
-use wimu_testkit::Random;
+use wimu_testkit::{Random, trials};
 
 /// Up to `longest` bytes. Small numbers look more like messages than even ones do.
 fn message_like(random: &mut Random, longest: usize) -> Vec<u8> {
@@ -45,7 +45,7 @@ fn frames() -> Vec<Vec<u8>> {
 #[test]
 fn random_bytes_find_no_fault() {
     let mut seeded = Random::new(1);
-    for _ in 0..20_000 {
+    for _ in 0..trials(200_000) {
         fuzz::all(&message_like(&mut seeded, 600));
     }
 }
@@ -54,7 +54,7 @@ fn random_bytes_find_no_fault() {
 fn damaged_messages_find_no_fault() {
     let mut seeded = Random::new(2);
     let frames = frames();
-    for _ in 0..20_000 {
+    for _ in 0..trials(200_000) {
         let mut line: Vec<u8> = (0..1 + seeded.below(3))
             .flat_map(|_| frames[seeded.below(frames.len())].clone())
             .collect();

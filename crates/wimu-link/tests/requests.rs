@@ -13,6 +13,7 @@ use wimu_link::requester::{Next, Requester};
 use wimu_link::responder::{Decision, Responder};
 use wimu_link::{Deframer, Kind, MAX_FRAME};
 use wimu_model::{ParameterSet, Sensitivity};
+use wimu_testkit::trials;
 
 const NOW: Duration = Duration::from_secs(5);
 
@@ -596,7 +597,7 @@ fn only_the_reply_to_the_waiting_request_is_taken() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(1000))]
+    #![proptest_config(ProptestConfig::with_cases(trials(10_000) as u32))]
 
     /// Both ends over a line that loses, doubles and delays frames.
     #[test]

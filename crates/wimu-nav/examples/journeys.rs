@@ -6,6 +6,84 @@ mod common;
 
 use common::journeys::{Journey, Journeys, Recorded};
 use wimu_nav::unit::Zupt;
+use wimu_testkit::figure;
+
+/// Kinds that share a row of the results.
+fn group(journey: Journey, how: &Recorded) -> &'static str {
+    let perfect = how.rate_matrix + how.force_matrix + how.late_s + how.glitch_mps2 == 0.0;
+    match journey {
+        _ if !perfect => "errors of scale, axes, delay; a spike",
+        Journey::Moves(_) | Journey::Turns | Journey::Steps => "moves, turns, steps",
+        Journey::Violent(_) => "moves of up to 5 g, clipping",
+        Journey::Slow(_) => "moves in 3 to 8 s",
+        Journey::Cart(_) | Journey::Stairs(_) => "constant velocity after a push",
+        Journey::Push(..) => "constant acceleration for 3 to 6 s",
+        Journey::Carried(_) => "moves with turns of up to 180°",
+        Journey::Vehicle(..) => "vehicle",
+    }
+}
+
+/// Fractions, %, of valid moving samples with a NEES below 7.81, by default, with rests stated and with ZUPT off, and the
+/// largest error by default, σ.
+#[derive(Default)]
+struct Row {
+    below: [Vec<f64>; 3],
+    greatest: f64,
+}
+
+/// Rows in the order in which they first appear.
+#[derive(Default)]
+struct Table(Vec<(String, Row)>);
+
+impl Table {
+    fn add(&mut self, journey: Journey, how: &Recorded, found: &Journeys) {
+        let with = if how.gyroscope {
+            "gyroscope"
+        } else {
+            "no gyroscope"
+        };
+        let name = format!("{with}, {}", group(journey, how));
+        let index = self.0.iter().position(|(known, _)| *known == name);
+        let index = index.unwrap_or_else(|| {
+            self.0.push((name, Row::default()));
+            self.0.len() - 1
+        });
+        let row = &mut self.0[index].1;
+        row.below[how.zupt as usize].push(100.0 * found.below);
+        if how.zupt == Zupt::Assumed {
+            row.greatest = row.greatest.max(found.greatest);
+        }
+    }
+
+    fn record(mut self) {
+        self.0.sort_by(|a, b| a.0.cmp(&b.0));
+        for (name, row) in &self.0 {
+            let range = |all: &Vec<f64>| {
+                let least = all.iter().copied().fold(f64::INFINITY, f64::min);
+                let most = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                format!("{least:.0}–{most:.0}")
+            };
+            let met = row
+                .below
+                .iter()
+                .flatten()
+                .all(|b| (90.0..=98.0).contains(b));
+            let measured = row.below.each_ref().map(range).join(" / ") + " %";
+            figure(&format!("{name}: NEES < 7.81"), measured, "90–98 %", met);
+        }
+        for with in ["gyroscope", "no gyroscope"] {
+            let rows = self.0.iter().filter(|(name, _)| name.starts_with(with));
+            let greatest = rows.map(|(_, row)| row.greatest).fold(0.0, f64::max);
+            let claim = format!("{with}: largest valid error, ZUPT by default");
+            figure(
+                &claim,
+                format!("{greatest:.1} σ"),
+                "at most 5 σ",
+                greatest <= 5.0,
+            );
+        }
+    }
+}
 
 fn main() {
     let argument = |k: usize| std::env::args().nth(k);
@@ -65,6 +143,12 @@ fn main() {
             ..perfect
         },
     ];
+    let mut table = Table::default();
+    let mut show = |kind, how: Recorded| {
+        let found = Journeys::over(kind, how, seeds);
+        println!("{found}");
+        table.add(kind, &how, &found);
+    };
     for kind in kinds {
         if !format!("{kind:?}").contains(&only) {
             continue;
@@ -78,7 +162,7 @@ fn main() {
                 zupt,
                 ..perfect
             };
-            println!("{}", Journeys::over(kind, how, seeds));
+            show(kind, how);
             if matches!(kind, Journey::Carried(_) | Journey::Vehicle(..)) {
                 for sensors in turned {
                     if !gyroscope && (sensors.rate_matrix > 0.0 || sensors.late_s > 0.0) {
@@ -89,14 +173,15 @@ fn main() {
                         zupt,
                         ..sensors
                     };
-                    println!("{}", Journeys::over(kind, how, seeds));
+                    show(kind, how);
                 }
             }
             if matches!(kind, Journey::Violent(_)) {
                 let clips_mps2 = 2.0 * 9.80665;
                 let how = Recorded { clips_mps2, ..how };
-                println!("{}", Journeys::over(kind, how, seeds));
+                show(kind, how);
             }
         }
     }
+    table.record();
 }

@@ -18,8 +18,6 @@ use crate::output::Output;
 
 #[derive(Serialize)]
 struct Contents {
-    schema: &'static str,
-    status: &'static str,
     source: String,
     duration_s: f64,
     #[serde(flatten)]
@@ -43,12 +41,12 @@ struct Link {
     statistics: LinkStatistics,
 }
 
-/// What a device says of its sensor.
+/// Sampling statistics of a device.
 #[derive(Serialize)]
 pub struct Sampling {
-    /// As measured against the device's clock.
+    /// By the device's clock.
     rate_hz: Option<f64>,
-    /// Of the data-ready times, equation (95).
+    /// Jitter of the data-ready times, equation (95).
     jitter_us: Option<f64>,
     samples: u32,
     missed: u32,
@@ -145,13 +143,11 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
         Input::Recording(path) => recording(&path, output),
         Input::Link(_) => {
             #[derive(Serialize)]
-            struct Answer {
-                schema: &'static str,
-                status: &'static str,
+            struct Live {
                 role: String,
                 #[serde(flatten)]
                 device: Device,
-                /// What is wrong with it.
+                /// Events that the device reports.
                 troubles: Vec<String>,
                 sampling: Sampling,
             }
@@ -169,19 +165,18 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
                 }
             }
             output.say(format!("  {}", sampling.text()));
-            output.object(&Answer {
-                schema: "wimu.device/1",
-                status: "ok",
+            let live = Live {
                 role,
                 device,
                 troubles,
                 sampling,
-            });
+            };
+            output.answer("wimu.device/1", &live);
             Ok(())
         }
         Input::Csv(_) => Err(HostError::new(
             ErrorCode::UnknownFormat,
-            "this is no recording",
+            "this is not a recording",
             "give a file written by `wimu record`, or a LINK",
         )
         .at(&arguments.input)),
@@ -212,8 +207,6 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         })
         .collect();
     let contents = Contents {
-        schema: "wimu.info/1",
-        status: "ok",
         source: path.display().to_string(),
         duration_s: recording.duration_ns as f64 * 1e-9,
         wholeness: recording.wholeness,
@@ -248,9 +241,9 @@ fn recording(path: &Path, output: Output) -> Result<()> {
             output.say(format!("         {event}"));
         }
         if link.more_events > 0 {
-            output.say(format!("         and {} events more", link.more_events));
+            output.say(format!("         and {} more events", link.more_events));
         }
     }
-    output.object(&contents);
+    output.answer("wimu.info/1", &contents);
     Ok(())
 }

@@ -14,7 +14,7 @@ use crate::arguments::Params;
 use crate::command::{connect_to_read, connect_to_write};
 use crate::output::Output;
 
-/// What a device corrects with.
+/// Parameters that a device holds.
 #[derive(Serialize)]
 struct Held {
     schema: &'static str,
@@ -22,9 +22,9 @@ struct Held {
     calibrated: bool,
     parameter_id: String,
     parameters: Option<ParameterSet>,
-    /// Whether they are for the range that the device is set to.
+    /// Whether they are for the device's present range.
     in_use: bool,
-    /// Whether the device has signed this; null if this computer has no key of it.
+    /// Whether the device has signed its answers; null if this computer has no key of the device.
     authenticated: Option<bool>,
 }
 
@@ -57,13 +57,13 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
         Params::FactoryReset { link } => {
             let mut client = connect_to_write(link)?;
             client.factory_reset()?;
-            output.say("the device has forgotten its calibration and its settings");
+            output.say("calibration and settings of the device are erased");
             show_written(&mut client, output)
         }
     }
 }
 
-/// Says what changes, pushes a calibration, and makes sure that the device holds it.
+/// Prints what changes, pushes a calibration, and verifies that the device holds it.
 pub fn push<T: Transport>(
     client: &mut Client<T>,
     set: &ParameterSet,
@@ -74,30 +74,33 @@ pub fn push<T: Transport>(
     let unseen = calibration::not_observed(set);
     if !unseen.is_empty() {
         output.say(format!(
-            "not observed, pushed as those of a perfect sensor: {}",
+            "not observed, pushed with the values of a perfect sensor: {}",
             unseen.join(", ")
         ));
     }
     let id = client.push_parameters(set)?;
     let found = client.parameters().map_err(|error| {
-        let message = format!("the device has taken {id}; after that {}", error.message());
+        let message = format!(
+            "the device accepted {id}, but verifying it failed: {}",
+            error.message()
+        );
         HostError::new(error.code(), message, error.remedy()).at(client.name())
     })?;
     if found.id != id.0 {
         return Err(HostError::new(
             ErrorCode::VerifyFailed,
             format!(
-                "the device holds parameters {:08x}, pushed were {id}",
+                "the device holds parameters {:08x} instead of the pushed {id}",
                 found.id
             ),
-            "push again; another computer may be pushing too",
+            "push again; another computer may have pushed at the same time",
         ));
     }
     output.say(format!("pushed {id}"));
     Ok(())
 }
 
-/// What a push changes: only the terms that do.
+/// Prints the terms that a push changes.
 fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
     let Some(before) = before else {
         output.say("the device is uncalibrated");
@@ -105,7 +108,7 @@ fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: O
     };
     let name = |set| wimu_link::message::parameter_id(set);
     if name(before) == name(after) {
-        output.say(format!("the device holds {} already", name(after)));
+        output.say(format!("the device already holds {}", name(after)));
         return;
     }
     output.say(format!("{} → {}", name(before), name(after)));
@@ -172,25 +175,25 @@ pub fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>
         .map_err(|fault| {
             HostError::new(
                 ErrorCode::VerifyFailed,
-                format!("the device holds parameters that are none: {fault}"),
+                format!("the device holds invalid parameters: {fault}"),
                 "calibrate and push again",
             )
         })
 }
 
-/// Writes what a device holds as a file that `params push` reads.
+/// Writes the parameters to a file for `params push`.
 fn save(path: &Path, held: &Held) -> Result<()> {
     if !held.calibrated {
         return Err(HostError::new(
             ErrorCode::DataRefused,
-            "the device is uncalibrated: there is nothing to write",
+            "the device is uncalibrated, so there are no parameters to write",
             "calibrate with `wimu calibrate LINK --push`",
         ));
     }
     calibration::write_report(path, held)
 }
 
-/// Shows what a device holds whose key, if this computer has it, has signed everything.
+/// Shows the parameters after a write; the answers are signed if this computer has the key.
 fn show_written<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
     let authenticated = client.signs().then_some(true);
     show(client, authenticated, output).map(drop)
@@ -237,13 +240,12 @@ fn show<T: Transport>(
     Ok(held)
 }
 
-/// Whether a device set to `range_g` corrects with these parameters; says so if not.
+/// Whether a device set to `range_g` uses these parameters; prints a note if not.
 pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: Output) -> bool {
     match parameters {
         Some(set) if set.range_g != range_g => {
             output.say(format!(
-                "not in use: the parameters are for ±{} g and the device is set to ±{range_g} g; \
-                 it runs uncalibrated",
+                "not in use: the parameters are for ±{} g, the device is set to ±{range_g} g and runs uncalibrated",
                 set.range_g
             ));
             false

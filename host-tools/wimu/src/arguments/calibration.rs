@@ -45,8 +45,8 @@ pub struct Calibrate {
     #[arg(long, value_enum, help_heading = "Input")]
     pub link: Option<Role>,
     /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file the mean of the fit]
-    #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity, help_heading = "Input")]
-    pub sensitivity: Option<Sensitivity>,
+    #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
+    pub sensitivity: Option<f64>,
     /// Full-scale range of a CSV file, ± g [default: that of 16 bits at the sensitivity]
     #[arg(long, value_name = "G", value_parser = value_parser!(u8).range(1..=127), help_heading = "Input")]
     pub range: Option<u8>,

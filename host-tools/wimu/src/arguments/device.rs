@@ -74,10 +74,13 @@ pub enum Settings {
         link: String,
     },
     /// Change settings; those that are not given are kept
-    #[command(after_help = "Examples:
+    #[command(
+        override_usage = "wimu settings set <LINK> <OPTIONS>",
+        after_help = "Examples:
   wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off
-  wimu settings set tcp://127.0.0.1:7100 --wireless raw,navigation --wireless-every 4
-  wimu settings set /dev/ttyACM0 --baud 460800")]
+  wimu settings set /dev/ttyACM0 --wireless raw,navigation --wireless-every 4
+  wimu settings set /dev/ttyACM0 --baud 460800"
+    )]
     Set {
         /// A LINK
         link: String,

@@ -4,10 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use wimu_host::inertial::Zupt;
-use wimu_model::Sensitivity;
 
 use super::Role;
-use super::values::{positive, sensitivity};
+use super::values::positive;
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -45,8 +44,8 @@ pub struct Navigate {
     pub calibration: Vec<PathBuf>,
     /// Sensitivity of counts, LSB/g [default: that of the calibration or of a column `Sensitivity (LSB/g)`; for an array
     /// 2048]
-    #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity, help_heading = "Input")]
-    pub sensitivity: Option<Sensitivity>,
+    #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
+    pub sensitivity: Option<f64>,
 
     /// Navigation method
     #[arg(long, value_enum, default_value_t = NavigateMethod::Auto, help_heading = "Model")]

@@ -65,21 +65,17 @@ const TABLES: [Table; 3] = [
     },
 ];
 
-const CSV: &str = "a CSV file";
-const RECORDING: &str = "a recording";
-const LINK: &str = "a LINK";
-
 /// Options of `align`, `allan`, `calibrate` and `navigate` that one kind of input has.
 const INPUTS: [(&str, &str); 9] = [
-    ("where", CSV),
-    ("poses", CSV),
-    ("accelerometer", CSV),
-    ("range", CSV),
-    ("reference-sensitivity", CSV),
-    ("link", RECORDING),
-    ("count", LINK),
-    ("for", LINK),
-    ("push", LINK),
+    ("where", "a CSV file"),
+    ("poses", "a CSV file"),
+    ("accelerometer", "a CSV file"),
+    ("range", "a CSV file"),
+    ("reference-sensitivity", "a CSV file"),
+    ("link", "a recording"),
+    ("count", "a LINK"),
+    ("for", "a LINK"),
+    ("push", "a LINK"),
 ];
 
 /// Refuses options that the command would ignore.
@@ -150,9 +146,9 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
     let input = matches.get_raw("input").and_then(|mut raw| raw.next());
     let input = input.unwrap_or_default().to_string_lossy();
     let kind = match Input::parse(&input) {
-        Ok(Input::Csv(_)) => CSV,
-        Ok(Input::Recording(_)) => RECORDING,
-        Ok(Input::Link(_)) => LINK,
+        Ok(Input::Csv(_)) => "a CSV file",
+        Ok(Input::Recording(_)) => "a recording",
+        Ok(Input::Link(_)) => "a LINK",
         // The command reports it when it reads the input.
         Err(_) => return Ok(()),
     };

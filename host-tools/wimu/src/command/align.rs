@@ -4,16 +4,14 @@ use std::path::Path;
 
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
-use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::LinkHistory;
-use wimu_host::transport::Transport;
 use wimu_model::ParameterSet;
 
 use crate::arguments::Align;
-use crate::command::calibrate::{read_calibrated, write_answer};
-use crate::command::{live, not_over_input, params};
+use crate::command::calibrate::{finish, read_calibrated};
+use crate::command::{Connection, listen_until, not_over_input, params};
 use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
@@ -64,19 +62,21 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
     )?;
     let report = alignment::alignment(&data, &set, &options);
     let code = report.exit_code();
-    write_answer(&report, code, arguments.output.as_deref(), output)?;
-    if arguments.push
-        && let (Some(client), Some(set)) = (&mut client, &report.parameters)
-    {
-        params::push(client, set, output)?;
-    }
-    output.object(&report);
-    Ok(code)
+    finish(
+        &report,
+        code,
+        arguments.output.as_deref(),
+        output,
+        || match (&mut client, &report.parameters) {
+            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
+            _ => Ok(()),
+        },
+    )
 }
 
 /// Listens until the alignment is known, the time is over, or Ctrl-C.
-fn listen<T: Transport>(
-    client: &mut Client<T>,
+fn listen(
+    client: &mut Connection,
     arguments: &Align,
     set: &ParameterSet,
     options: &AlignOptions,
@@ -93,7 +93,7 @@ fn listen<T: Transport>(
     let name = client.name().to_owned();
     let mut record = LinkHistory::new(client.hello().role);
     let (mut looked, mut asked) = (0, 0);
-    live::listen(client, arguments.seconds, |arrival| {
+    listen_until(client, arguments.seconds, |arrival| {
         record.take(arrival);
         let samples = record.boots.iter().map(|boot| boot.raw.len()).sum();
         let rate_hz = match &arrival.event {

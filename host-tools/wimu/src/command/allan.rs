@@ -7,7 +7,7 @@ use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::{Input, Result};
 
 use crate::arguments::Allan;
-use crate::command::{connect, live, not_over_input};
+use crate::command::{connect, listen_until, not_over_input};
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
@@ -53,7 +53,7 @@ fn listen(arguments: &Allan, output: Output) -> Result<NoiseReport> {
         None => "keep the board at rest; Ctrl-C stops".to_owned(),
     });
     let mut shown = Instant::now();
-    live::listen(&mut client, arguments.seconds, |arrival| {
+    listen_until(&mut client, arguments.seconds, |arrival| {
         meter.take(&arrival.event)?;
         if shown.elapsed() >= PROGRESS {
             shown = Instant::now();

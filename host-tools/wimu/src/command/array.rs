@@ -7,13 +7,12 @@ use wimu_host::Result;
 use wimu_host::array::{
     ArrayGeometry, ArrayRecording, Board, BoardOptions, RefineOptions, Refinement,
 };
-use wimu_model::Sensitivity;
 
 use crate::arguments::Role;
 use crate::output::Output;
 
 /// Default sensitivity of counts, LSB/g (16 bits at ± 16 g).
-const SENSITIVITY_LSB_PER_G: f64 = 2048.0;
+pub const SENSITIVITY_LSB_PER_G: f64 = 2048.0;
 
 /// Uncertainty of positions and delays: that of the options, of the geometry, or the default.
 pub fn prior(
@@ -30,20 +29,15 @@ pub fn prior(
     }
 }
 
-/// The given or the default sensitivity, LSB/g.
-pub fn lsb_per_g(given: Option<Sensitivity>) -> f64 {
-    given.map_or(SENSITIVITY_LSB_PER_G, Sensitivity::lsb_per_g)
-}
-
 /// Reads the recording of an array: one table of all sensors, or one file per board.
 pub fn read(
     input: &Path,
     boards: &[PathBuf],
-    sensitivity: Option<Sensitivity>,
+    sensitivity_lsb_per_g: Option<f64>,
     link: Option<Role>,
     raw: bool,
 ) -> Result<ArrayRecording> {
-    let sensitivity_lsb_per_g = lsb_per_g(sensitivity);
+    let sensitivity_lsb_per_g = sensitivity_lsb_per_g.unwrap_or(SENSITIVITY_LSB_PER_G);
     let is_table = input
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("csv"));

@@ -13,11 +13,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use serde::Serialize;
 use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
 use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
-use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::{LinkHistory, Recording};
-use wimu_host::transport::Transport;
 use wimu_host::{Input, Result};
 use wimu_link::batch::Stream;
 use wimu_link::hello::board;
@@ -40,18 +38,21 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     }
 }
 
-/// Prints a report and writes it to `file`, if it holds an answer.
-pub fn write_answer<R: Display + Serialize>(
+/// Prints a report, writes it to `file` if it holds an answer, and does the rest. Returns the exit code.
+pub fn finish<R: Display + Serialize>(
     report: &R,
     exit_code: u8,
     file: Option<&Path>,
     output: Output,
-) -> Result<()> {
+    rest: impl FnOnce() -> Result<()>,
+) -> Result<u8> {
     output.say(report.to_string());
-    match file {
-        Some(file) if exit_code == 0 => calibration::write_report(file, report),
-        _ => Ok(()),
+    if let Some(file) = file.filter(|_| exit_code == 0) {
+        calibration::write_report(file, report)?;
     }
+    rest()?;
+    output.object(report);
+    Ok(exit_code)
 }
 
 /// Reads the samples of `input` and the calibration that belongs to them: `given`, else that of the recording or of the
@@ -107,29 +108,32 @@ fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
     };
     let report = calibration::calibrate(&data, &options)?;
     let code = report.exit_code();
-    write_answer(&report, code, arguments.output.as_deref(), output)?;
-    if let Some(path) = &arguments.report {
-        report.page()?.write(path)?;
-    }
-    if code == 0
-        && arguments.push
-        && let (Some(client), Some(set)) = (&mut client, &report.parameters)
-    {
-        params::push(client, set, output)?;
-    }
-    output.object(&report);
-    Ok(code)
+    finish(&report, code, arguments.output.as_deref(), output, || {
+        if let Some(path) = &arguments.report {
+            report.page()?.write(path)?;
+        }
+        match (&mut client, &report.parameters) {
+            (Some(client), Some(set)) if arguments.push && code == 0 => {
+                params::push(client, set, output)
+            }
+            _ => Ok(()),
+        }
+    })
 }
 
 /// Calibrates one stream with another of the same motion.
 fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let sensitivity = arguments.sensitivity.map(Sensitivity::from_lsb_per_g);
+    let sensitivity = sensitivity
+        .transpose()
+        .map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
     let data = match Input::parse(&arguments.input)? {
         Input::Csv(path) => Paired::from_csv(
             &path,
             arguments.filter.as_ref(),
             arguments.reference,
             arguments.accelerometer,
-            arguments.sensitivity,
+            sensitivity,
             arguments.reference_sensitivity,
         )?
         .at_range(arguments.range),
@@ -143,9 +147,13 @@ fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
     };
     let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
     let code = report.exit_code();
-    write_answer(&report, code, arguments.output.as_deref(), output)?;
-    output.object(&report);
-    Ok(code)
+    finish(
+        &report,
+        code,
+        arguments.output.as_deref(),
+        output,
+        || Ok(()),
+    )
 }
 
 /// Checks and updates a stored calibration with later rests.
@@ -172,9 +180,13 @@ fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let report = calibration::update(&data, &stored, arguments.gravity, utc_s())?;
     let code = report.exit_code();
-    write_answer(&report, code, arguments.output.as_deref(), output)?;
-    output.object(&report);
-    Ok(code)
+    finish(
+        &report,
+        code,
+        arguments.output.as_deref(),
+        output,
+        || Ok(()),
+    )
 }
 
 /// Now, s since 1970 UTC.
@@ -239,7 +251,7 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         terms,
         sides: arguments.sides.clone(),
         gravity_mps2: arguments.gravity,
-        sensitivity_lsb_per_g: arguments.sensitivity.map(Sensitivity::lsb_per_g),
+        sensitivity_lsb_per_g: arguments.sensitivity,
         range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,
         datasheet: datasheet.map(calibration::datasheet).transpose()?,
@@ -268,8 +280,8 @@ fn skips() -> mpsc::Receiver<()> {
 }
 
 /// Collects a live board's samples until enough poses were captured, or Ctrl-C.
-fn collect<T: Transport>(
-    client: &mut Client<T>,
+fn collect(
+    client: &mut Connection,
     arguments: &Calibrate,
     options: &CalibrateOptions,
     output: Output,

@@ -1,6 +1,5 @@
 //! `wimu compare`.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use wimu_host::compare::{Alignment, Axis, Comparison, LinkReport, align, compare};
@@ -89,13 +88,13 @@ fn text(found: &Comparison) -> String {
         }
     );
     if let Some(fault) = found.wholeness.fault() {
-        let _ = write!(text, "\n  {fault}");
+        text += &format!("\n  {fault}");
     }
     for link in &found.links {
         text += &link_text(link);
     }
     if let Some(clock) = &found.clock {
-        let _ = write!(text, "\nboth     {}", clock_text(clock));
+        text += &format!("\nboth     {}", clock_text(clock));
     }
     match (&found.values, &found.values_reason) {
         (Some(values), _) => {
@@ -103,13 +102,12 @@ fn text(found: &Comparison) -> String {
             text += &axes_text(&values.axes);
         }
         (None, Some(reason)) => {
-            let _ = write!(text, "\nvalues: {reason}");
+            text += &format!("\nvalues: {reason}");
         }
         (None, None) => {}
     }
     if found.without_unit > 0 {
-        let _ = write!(
-            text,
+        text += &format!(
             "\n  {} samples left out of the values: their range is unknown because an epoch was lost",
             found.without_unit
         );
@@ -133,8 +131,7 @@ fn link_text(link: &LinkReport) -> String {
         left_out_text(link.unplaced, link.rejected)
     );
     if link.before + link.under_way > 0 {
-        let _ = write!(
-            text,
+        text += &format!(
             "\n         of the other link's samples, {} precede the first on this link, {} may have been in transit at the end",
             link.before, link.under_way
         );
@@ -148,15 +145,10 @@ fn link_text(link: &LinkReport) -> String {
                 _ => format!("{} × {}-{}", burst.runs, burst.from, burst.to),
             })
             .collect();
-        let _ = write!(
-            text,
-            "\n         runs of missing samples: {}",
-            runs.join(", ")
-        );
+        text += &format!("\n         runs of missing samples: {}", runs.join(", "));
     }
     let latency = &link.latency;
-    let _ = write!(
-        text,
+    text += &format!(
         "\n         latency {:.1} ms median, {:.1} ms (95 %), {:.1} ms (99 %), {:.1} ms at most; jitter {:.1} ms; {:.1} samples/s, {:.0} bytes/s in the {:.1} s that it was open",
         latency.median_ms,
         latency.p95_ms,
@@ -168,11 +160,10 @@ fn link_text(link: &LinkReport) -> String {
         link.open_s
     );
     if let Some(clock) = &link.clock {
-        let _ = write!(text, "\n         {}", clock_text(clock));
+        text += &format!("\n         {}", clock_text(clock));
     }
     if let Some(user) = &link.by_arrival {
-        let _ = write!(
-            text,
+        text += &format!(
             "\n         error if resampled by arrival time: {:.1} mm/s² rms, {:.1} mm/s² after subtracting the median latency",
             user.rms_mps2 * 1e3,
             user.rms_without_latency_mps2 * 1e3
@@ -184,17 +175,15 @@ fn link_text(link: &LinkReport) -> String {
 fn axes_text(axes: &[Axis; 3]) -> String {
     let mut text = String::new();
     for (axis, name) in axes.iter().zip(["X", "Y", "Z"]) {
-        let _ = match &axis.line {
-            Some(line) => write!(
-                text,
+        text += &match &axis.line {
+            Some(line) => format!(
                 "\n  {name}: bias {:+.4} ± {:.4} m/s², scale factor {:.5} ± {:.5}",
                 line.bias_mps2,
                 2.0 * line.bias_sd_mps2,
                 line.scale,
                 2.0 * line.scale_sd
             ),
-            None => write!(
-                text,
+            None => format!(
                 "\n  {name}: offset {:+.4} ± {:.4} m/s² (too little motion for a scale factor)",
                 axis.offset_mps2,
                 2.0 * axis.offset_sd_mps2
@@ -202,8 +191,7 @@ fn axes_text(axes: &[Axis; 3]) -> String {
         };
         let lsb =
             |lsb: Option<u32>| lsb.map_or(String::new(), |lsb| format!(" (at most {lsb} LSB)"));
-        let _ = write!(
-            text,
+        text += &format!(
             "; difference {:.2} mm/s² rms{}, residual {:.2} mm/s² rms{}",
             axis.rms_before_mps2 * 1e3,
             lsb(axis.max_before_lsb),
@@ -238,15 +226,14 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
     );
     for (source, sd) in found.sources.iter().zip(found.unit_sd) {
         if let Some(sd) = sd {
-            let _ = write!(
-                text,
+            text += &format!(
                 "\n{source} is in LSB: its median magnitude is taken as 1 g; all scale factors may be off by {:.0} %",
                 200.0 * sd
             );
         }
     }
     if found.saturated > 0 {
-        let _ = write!(text, "\n{} saturated samples are left out", found.saturated);
+        text += &format!("\n{} saturated samples are left out", found.saturated);
     }
     match (&found.axes, &found.axes_reason) {
         (Some(axes), _) => {
@@ -263,7 +250,7 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
             text += &axes_text(axes);
         }
         (None, Some(reason)) => {
-            let _ = write!(text, "\nvalues: {reason}");
+            text += &format!("\nvalues: {reason}");
         }
         (None, None) => {}
     }

@@ -206,9 +206,8 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         y: "mm/s²".to_owned(),
         log: true,
         y_range: Some((0.01, 2000.0)),
-        bands: Vec::new(),
-        marked: Vec::new(),
         series: vec![tilt(0, "uncorrected"), tilt(1, "corrected on the board")],
+        ..Chart::default()
     };
     let path = |points: &[Point], name: &str| {
         let start = points.first().map_or(0.0, |point| point.time.to_seconds());
@@ -232,15 +231,13 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
             .to_owned(),
         x: "time (s)".to_owned(),
         y: "distance from the start (m)".to_owned(),
-        log: false,
         y_range: Some((0.0, 3.0)),
-        bands: Vec::new(),
-        marked: Vec::new(),
         series: vec![
             path(&outcome.uncalibrated_path, "uncalibrated"),
             path(&outcome.calibrated_path, "calibrated"),
             path(&outcome.zupt_path, "calibrated, zero-velocity updates"),
         ],
+        ..Chart::default()
     };
     [("tilts", tilts), ("slide", slide)]
 }

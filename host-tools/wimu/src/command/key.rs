@@ -1,15 +1,13 @@
 //! `wimu key`.
 
 use serde::Serialize;
-use wimu_host::client::Client;
 use wimu_host::keys::{self, KeyFolder};
-use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::hello::{LinkRole, WriteAccess};
 
 use crate::arguments::Key;
-use crate::command::connect;
+use crate::command::{Connection, connect};
 use crate::output::Output;
 
 /// State of a device's key; never the key itself.
@@ -99,7 +97,7 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
 }
 
 /// Creates a key, saves it in the folder, then stores it on the device.
-fn store_key<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, device: u64) -> Result<()> {
+fn store_key(client: &mut Connection, folder: &KeyFolder, device: u64) -> Result<()> {
     let key: DeviceKey = keys::generate()?;
     folder.prepare(device, &key)?;
     match client.set_key(key) {
@@ -122,12 +120,12 @@ fn store_key<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, device: u
 }
 
 /// Whether the device has a key that it cannot read: it would otherwise accept writes over the cable.
-fn is_lost<T: Transport>(client: &Client<T>) -> bool {
+fn is_lost(client: &Connection) -> bool {
     let hello = client.hello();
     hello.role == LinkRole::Cable && hello.access == WriteAccess::Locked
 }
 
-fn show<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, output: Output) -> Result<()> {
+fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<()> {
     let hello = *client.hello();
     let held = client.key_status()?;
     let known = folder.candidates(hello.device_id)?;

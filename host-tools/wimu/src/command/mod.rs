@@ -10,7 +10,6 @@ pub mod export;
 pub mod flash;
 pub mod info;
 pub mod key;
-mod live;
 pub mod monitor;
 pub mod navigate;
 pub mod params;
@@ -25,6 +24,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use wimu_host::client::{self, Client};
+use wimu_host::decode::Arrival;
 use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::transport::Transport;
@@ -122,4 +122,23 @@ fn deadline(time: Option<Duration>) -> Option<Instant> {
 
 fn is_over(deadline: Option<Instant>, interrupted: &AtomicBool) -> bool {
     interrupted.load(Ordering::Relaxed) || deadline.is_some_and(|end| Instant::now() >= end)
+}
+
+/// Passes arrivals to `take` until it returns false, `time` is over, or Ctrl-C.
+fn listen_until(
+    client: &mut Connection,
+    time: Option<Duration>,
+    mut take: impl FnMut(&Arrival) -> Result<bool>,
+) -> Result<()> {
+    let end = deadline(time);
+    let stop = interrupted()?;
+    while !is_over(end, &stop) {
+        let arrival = client.next_event(Duration::from_millis(100))?;
+        if let Some(arrival) = arrival
+            && !take(&arrival)?
+        {
+            break;
+        }
+    }
+    Ok(())
 }

@@ -15,7 +15,7 @@ use wimu_link::message::Status;
 use crate::arguments::Monitor;
 use crate::command::info::Sampling;
 use crate::command::record::left_out_text;
-use crate::command::{connect, deadline, interrupted, is_over};
+use crate::command::{connect, listen_until};
 use crate::output::Output;
 
 /// Interval between refreshes of a terminal's line.
@@ -145,8 +145,6 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
 }
 
 fn live(arguments: &Monitor, output: Output) -> Result<()> {
-    let end = deadline(arguments.seconds);
-    let stop = interrupted()?;
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
     output.say(format!(
@@ -160,14 +158,9 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
     ));
     let mut readings = Readings::new();
     let mut screen = Screen::new(arguments.rate, output);
-    while !is_over(end, &stop) {
-        let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
-            continue;
-        };
-        if !screen.show(&arrival.event, &mut readings) {
-            break;
-        }
-    }
+    listen_until(&mut client, arguments.seconds, |arrival| {
+        Ok(screen.show(&arrival.event, &mut readings))
+    })?;
     output.end_refresh();
     let statistics = client.statistics();
     output.say(format!(

@@ -16,6 +16,7 @@ use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_integrator::Phase;
+use wimu_model::ParameterSet;
 
 use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
 use crate::command::not_over_input;
@@ -126,7 +127,13 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let recording = Recording::read(reader, &name)?;
     output.end_refresh();
     let link = recording.link(arguments.link.map(Into::into))?;
-    let starts = link.boots.iter().map(|boot| start(boot, arguments));
+    let calibration = arguments.calibration.first();
+    let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
+    let calibration = calibration.as_ref();
+    let starts = link
+        .boots
+        .iter()
+        .map(|boot| start(boot, arguments, calibration));
     let starts = starts.collect::<Result<Vec<Start>>>()?;
     if starts
         .iter()
@@ -139,7 +146,7 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
         )
         .at(&recording.name));
     }
-    let path = path(link, arguments, &recording.name, output)?;
+    let path = path(link, arguments, calibration, &recording.name, output)?;
     for start in &starts {
         start.print(output);
     }
@@ -193,6 +200,7 @@ impl Read for Watched {
 fn path(
     link: &LinkHistory,
     arguments: &Navigate,
+    calibration: Option<&ParameterSet>,
     name: &str,
     output: Output,
 ) -> Result<Option<inertial::Found>> {
@@ -203,12 +211,10 @@ fn path(
     else {
         return Ok(None);
     };
-    let calibration = arguments.calibration.first();
-    let parameters = calibration.map(|file| read_parameters(file)).transpose()?;
     let required = arguments.method != NavigateMethod::Auto
         || arguments.output.is_some()
         || arguments.report.is_some();
-    let found = navigation::motion(name, boot, parameters.as_ref())
+    let found = navigation::motion(name, boot, calibration)
         .and_then(|motion| inertial::one_unit(arguments, &motion, name.to_owned(), output));
     match found {
         Ok(found) => Ok(Some(found)),
@@ -220,9 +226,9 @@ fn path(
     }
 }
 
-fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
+fn start(boot: &Boot, arguments: &Navigate, calibration: Option<&ParameterSet>) -> Result<Start> {
     let device = Track::of(&navigation::device(boot));
-    let as_device = arguments.calibration.is_empty() && arguments.zupt.is_none();
+    let as_device = calibration.is_none() && arguments.zupt.is_none();
     if as_device || boot.epochs.is_empty() {
         return Ok(Start {
             device,
@@ -231,10 +237,8 @@ fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
         });
     }
     let mark = &boot.epochs[boot.epochs.len() - 1];
-    let parameters = match arguments.calibration.first() {
-        Some(path) => read_parameters(path)?,
-        None => boot.parameters_of(&mark.epoch)?,
-    };
+    let recorded = || boot.parameters_of(&mark.epoch);
+    let parameters = calibration.copied().map_or_else(recorded, Ok)?;
     let zupt = arguments
         .zupt
         .map_or(mark.epoch.state.zupt, |zupt| zupt != ZeroVelocity::Off);

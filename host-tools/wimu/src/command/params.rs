@@ -4,14 +4,12 @@ use std::path::Path;
 
 use serde::Serialize;
 use wimu_host::calibration::{self, HELD_SCHEMA, read_parameters};
-use wimu_host::client::Client;
-use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::ActiveParameters;
 use wimu_model::{ParameterId, ParameterSet};
 
 use crate::arguments::Params;
-use crate::command::{connect_to_read, connect_to_write};
+use crate::command::{Connection, connect_to_read, connect_to_write};
 use crate::output::Output;
 
 /// Parameters that a device holds.
@@ -64,11 +62,7 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
 }
 
 /// Prints what changes, pushes a calibration, and verifies that the device holds it.
-pub fn push<T: Transport>(
-    client: &mut Client<T>,
-    set: &ParameterSet,
-    output: Output,
-) -> Result<()> {
+pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Result<()> {
     let before = held(client)?;
     say_difference(before.as_ref(), set, output);
     let unseen = calibration::not_observed(set);
@@ -112,44 +106,9 @@ fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: O
         return;
     }
     output.say(format!("{} → {}", name(before), name(after)));
-    let (old, new) = (before.model.terms(), after.model.terms());
-    let mut vectors = vec![("bias, m/s²", old.bias_mps2, new.bias_mps2)];
-    let rows = ["matrix, row X", "matrix, row Y", "matrix, row Z"];
-    for (row, (old, new)) in rows.into_iter().zip(old.matrix.into_iter().zip(new.matrix)) {
-        vectors.push((row, old, new));
-    }
-    let (warm, warmer) = (old.temperature, new.temperature);
-    vectors.extend([
-        (
-            "bias slope, m/s²/K",
-            warm.bias_mps2_per_k,
-            warmer.bias_mps2_per_k,
-        ),
-        (
-            "bias curvature, m/s²/K²",
-            warm.bias_mps2_per_k2,
-            warmer.bias_mps2_per_k2,
-        ),
-        ("scale slope, 1/K", warm.scale_per_k, warmer.scale_per_k),
-        ("nonlinearity, s²/m", old.nonlinearity, new.nonlinearity),
-    ]);
-    for (name, old, new) in vectors {
+    for ((name, old), (_, new)) in figures(before).into_iter().zip(figures(after)) {
         if old != new {
-            output.say(format!("{name:24} {} → {}", vector(old), vector(new)));
-        }
-    }
-    let numbers = [
-        (
-            "sensitivity, LSB/g",
-            before.sensitivity.lsb_per_g(),
-            after.sensitivity.lsb_per_g(),
-        ),
-        ("range, ± g", before.range_g.into(), after.range_g.into()),
-        ("reference, °C", warm.reference_c, warmer.reference_c),
-    ];
-    for (name, old, new) in numbers {
-        if old != new {
-            output.say(format!("{name:24} {old} → {new}"));
+            output.say(format!("{name:24} {} → {}", numbers(&old), numbers(&new)));
         }
     }
     let others = [
@@ -165,8 +124,27 @@ fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: O
     }
 }
 
+/// The numbers of a parameter set, with their names and units.
+fn figures(set: &ParameterSet) -> Vec<(&'static str, Vec<f64>)> {
+    let terms = set.model.terms();
+    let ([x, y, z], thermal) = (terms.matrix, terms.temperature);
+    vec![
+        ("bias, m/s²", terms.bias_mps2.to_vec()),
+        ("matrix, row X", x.to_vec()),
+        ("matrix, row Y", y.to_vec()),
+        ("matrix, row Z", z.to_vec()),
+        ("bias slope, m/s²/K", thermal.bias_mps2_per_k.to_vec()),
+        ("bias curvature, m/s²/K²", thermal.bias_mps2_per_k2.to_vec()),
+        ("scale slope, 1/K", thermal.scale_per_k.to_vec()),
+        ("nonlinearity, s²/m", terms.nonlinearity.to_vec()),
+        ("sensitivity, LSB/g", vec![set.sensitivity.lsb_per_g()]),
+        ("range, ± g", vec![set.range_g.into()]),
+        ("reference, °C", vec![thermal.reference_c]),
+    ]
+}
+
 /// The parameters that a device holds.
-pub fn held<T: Transport>(client: &mut Client<T>) -> Result<Option<ParameterSet>> {
+pub fn held(client: &mut Connection) -> Result<Option<ParameterSet>> {
     let ActiveParameters { active, .. } = client.parameters()?;
     active
         .as_ref()
@@ -194,16 +172,12 @@ fn save(path: &Path, held: &Held) -> Result<()> {
 }
 
 /// Shows the parameters after a write; the answers are signed if this computer has the key.
-fn show_written<T: Transport>(client: &mut Client<T>, output: Output) -> Result<()> {
+fn show_written(client: &mut Connection, output: Output) -> Result<()> {
     let authenticated = client.signs().then_some(true);
     show(client, authenticated, output).map(drop)
 }
 
-fn show<T: Transport>(
-    client: &mut Client<T>,
-    authenticated: Option<bool>,
-    output: Output,
-) -> Result<Held> {
+fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) -> Result<Held> {
     let parameters = held(client)?;
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
     let id = parameters.map_or(ParameterId::UNCALIBRATED, |set| {
@@ -217,10 +191,10 @@ fn show<T: Transport>(
                 "parameters {id} for ±{} g, {:.2} LSB/g\nbias   {} m/s²",
                 set.range_g,
                 set.sensitivity.lsb_per_g(),
-                vector(terms.bias_mps2)
+                numbers(&terms.bias_mps2)
             ));
             for (name, row) in ["matrix", "", ""].iter().zip(terms.matrix) {
-                output.say(format!("{name:6} {}", vector(row)));
+                output.say(format!("{name:6} {}", numbers(&row)));
             }
             for line in calibration::describe(set) {
                 output.say(line);
@@ -254,7 +228,13 @@ pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: Output) -
     }
 }
 
-fn vector(values: [f64; 3]) -> String {
-    let [x, y, z] = values;
-    format!("{x:+.5} {y:+.5} {z:+.5}")
+fn numbers(values: &[f64]) -> String {
+    match values {
+        [value] => value.to_string(),
+        all => all
+            .iter()
+            .map(|value| format!("{value:+.5}"))
+            .collect::<Vec<_>>()
+            .join(" "),
+    }
 }

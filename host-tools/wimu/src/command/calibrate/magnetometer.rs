@@ -4,7 +4,7 @@ use wimu_host::calibration::{CalibrateOptions, calibrate_magnetometer};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_model::ParameterSet;
 
-use super::{collect, load_options, read_calibrated, write_answer};
+use super::{collect, finish, load_options, read_calibrated};
 use crate::arguments::Calibrate;
 use crate::command::params;
 use crate::output::Output;
@@ -21,17 +21,15 @@ pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
     )?;
     let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
     let code = report.exit_code();
-    write_answer(&report, code, arguments.output.as_deref(), output)?;
-    if let Some(path) = &arguments.report {
-        report.page()?.write(path)?;
-    }
-    if arguments.push
-        && let (Some(client), Some(set)) = (&mut client, &report.parameters)
-    {
-        params::push(client, set, output)?;
-    }
-    output.object(&report);
-    Ok(code)
+    finish(&report, code, arguments.output.as_deref(), output, || {
+        if let Some(path) = &arguments.report {
+            report.page()?.write(path)?;
+        }
+        match (&mut client, &report.parameters) {
+            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
+            _ => Ok(()),
+        }
+    })
 }
 
 /// The accelerometer's calibration. Without one, its bias tilts the measured gravity and changes the dip.

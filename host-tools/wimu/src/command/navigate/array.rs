@@ -41,7 +41,9 @@ pub fn path(
         let recording = ArrayRecording::axes_from_csv(
             &arguments.input,
             &geometry,
-            array::lsb_per_g(arguments.sensitivity),
+            arguments
+                .sensitivity
+                .unwrap_or(array::SENSITIVITY_LSB_PER_G),
         )?;
         return Ok((
             navigate_axes(&recording, &geometry, &options, choice)?,

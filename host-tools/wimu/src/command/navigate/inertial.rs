@@ -1,6 +1,5 @@
 //! `wimu navigate` with its own estimators, on CSV files, recordings and arrays.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use serde::Serialize;
@@ -10,7 +9,6 @@ use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
-use wimu_model::Sensitivity;
 
 use super::array;
 use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
@@ -147,7 +145,7 @@ fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
     let calibration = arguments.calibration.first();
     let options = TableOptions {
         calibration: calibration.map(|file| read_model(file)).transpose()?,
-        sensitivity_lsb_per_g: arguments.sensitivity.map(Sensitivity::lsb_per_g),
+        sensitivity_lsb_per_g: arguments.sensitivity,
     };
     MotionRecording::from_csv_with(file, &options)
 }
@@ -349,10 +347,9 @@ fn headline(path: &InertialPath, choice: &Choice) -> String {
 
 fn text(path: &InertialPath, choice: &Choice) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "{}", headline(path, choice));
-    let _ = writeln!(
-        text,
-        "{:?}, {:.1} s: path {:.3} m over the {:.0} % of samples that are valid (σ below {} m, no gap since the last rest)",
+    text += &format!("{}\n", headline(path, choice));
+    text += &format!(
+        "{:?}, {:.1} s: path {:.3} m over the {:.0} % of samples that are valid (σ below {} m, no gap since the last rest)\n",
         path.method,
         duration(path),
         path.distance_m(),
@@ -362,15 +359,14 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     if path.method != Method::Array
         && let Some(origin) = path.points.get(path.origin)
     {
-        let _ = writeln!(
-            text,
-            "origin: t = {:.2} s (end of the first rest, velocity taken as zero)",
+        text += &format!(
+            "origin: t = {:.2} s (end of the first rest, velocity taken as zero)\n",
             origin.time_s
         );
     }
     for limit in limits(choice) {
         let Some(end) = path.horizon(limit) else {
-            let _ = writeln!(text, "horizon: 1 σ stays below {limit} m");
+            text += &format!("horizon: 1 σ stays below {limit} m\n");
             continue;
         };
         let since = end
@@ -387,11 +383,7 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         } else {
             "at an apparent rest".to_owned()
         };
-        let _ = writeln!(
-            text,
-            "horizon: {what} {motion}, at {:.2} s{since}",
-            end.at_s
-        );
+        text += &format!("horizon: {what} {motion}, at {:.2} s{since}\n", end.at_s);
     }
     if let Some(found) = path.stillness() {
         let so = match choice.zupt {
@@ -401,16 +393,14 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
                 found.unseen_m
             ),
         };
-        let _ = writeln!(
-            text,
-            "rests: {} ({:.1} s in total), velocity taken as zero. Constant velocity up to {:.3} m/s cannot be excluded there; {so}",
+        text += &format!(
+            "rests: {} ({:.1} s in total), velocity taken as zero. Constant velocity up to {:.3} m/s cannot be excluded there; {so}\n",
             found.rests, found.lasted_s, found.unseen_mps,
         );
     }
     for (index, one) in path.moves.iter().enumerate() {
-        let _ = writeln!(
-            text,
-            "move {} from {:.2} to {:.2} s: {}",
+        text += &format!(
+            "move {} from {:.2} to {:.2} s: {}\n",
             index + 1,
             one.from_s,
             one.to_s,
@@ -443,16 +433,15 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         ("velocity, ", &path.velocity_nees),
     ] {
         if let Some((median, share)) = consistency(nees) {
-            let _ = writeln!(
-                text,
+            text += &format!(
                 "against the truth{fitted}, in motion: {what}NEES median {median:.2} (expected 2.37), below 7.81 in {:.0} % (expected \
-                 95 %)",
+                 95 %)\n",
                 100.0 * share
             );
         }
     }
     for remark in &path.remarks {
-        let _ = writeln!(text, "note: {remark}");
+        text += &format!("note: {remark}\n");
     }
     text
 }

@@ -7,7 +7,7 @@ mod relations;
 mod values;
 
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
-pub use device::{Carried, Change, Key, Params, Resolution, Settings};
+pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
 pub use navigate::{Navigate, NavigateMethod, ZeroVelocity};
 pub use relations::check;
 
@@ -76,10 +76,7 @@ pub enum Command {
         action: Settings,
     },
     /// Manage the key that signs writes to a device
-    Key {
-        #[command(subcommand)]
-        action: Key,
-    },
+    Key(Key),
     /// Compare wireless and cable: loss, latency, clock, values
     Compare(Compare),
     /// Compute velocity and position with their uncertainty

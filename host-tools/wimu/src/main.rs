@@ -49,7 +49,7 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Flash(arguments) => command::flash::run(&arguments, output),
         Command::Export(arguments) => command::export::run(&arguments, output),
         Command::Params { action } => command::params::run(&action, output),
-        Command::Key { action } => command::key::run(&action, output),
+        Command::Key(arguments) => command::key::run(&arguments, output),
         Command::Settings { action } => command::settings::run(&action, output),
         Command::Navigate(arguments) => command::navigate::run(&arguments, output),
     }

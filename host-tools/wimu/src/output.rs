@@ -52,7 +52,7 @@ impl Output {
     }
 
     /// Prints human text.
-    pub fn say(self, text: impl AsRef<str>) {
+    pub fn print(self, text: impl AsRef<str>) {
         let text = text.as_ref();
         if self.json {
             let _ = writeln!(io::stderr(), "{text}");
@@ -126,10 +126,9 @@ impl Output {
         if self.json {
             self.object(error);
         }
-        let place = error
-            .location()
-            .map_or(String::new(), |place| format!("{place}: "));
-        let _ = writeln!(io::stderr(), "wimu: {place}{}", error.message());
+        let location = error.location();
+        let location = location.map_or(String::new(), |location| format!("{location}: "));
+        let _ = writeln!(io::stderr(), "wimu: {location}{}", error.message());
         let _ = writeln!(io::stderr(), "      {}", error.remedy());
     }
 }

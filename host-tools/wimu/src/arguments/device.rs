@@ -37,32 +37,29 @@ pub enum Params {
     },
 }
 
-#[derive(Subcommand)]
-pub enum Key {
-    /// Create a key and store it on a device that has none, over the cable
-    #[command(after_help = "Example: wimu key set /dev/ttyACM0")]
-    Set {
-        /// A LINK to the cable
-        link: String,
-    },
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  wimu key set /dev/ttyACM0
+  wimu key status tcp://127.0.0.1:7100")]
+pub struct Key {
+    /// What to do; all actions but `status` need the cable
+    #[arg(value_enum)]
+    pub action: KeyAction,
+    /// A LINK
+    pub link: String,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum KeyAction {
+    /// Create a key and store it on a device that has none
+    Set,
     /// Show whether a device has a key, and whether this computer has the same one
-    #[command(after_help = "Example: wimu key status tcp://127.0.0.1:7100")]
-    Status {
-        /// A LINK
-        link: String,
-    },
-    /// Replace the key of a device by a new one, over the cable
-    #[command(after_help = "Example: wimu key rotate /dev/ttyACM0")]
-    Rotate {
-        /// A LINK to the cable
-        link: String,
-    },
-    /// Erase the key on a device and on this computer, over the cable
-    #[command(after_help = "Example: wimu key forget /dev/ttyACM0")]
-    Forget {
-        /// A LINK to the cable
-        link: String,
-    },
+    Status,
+    /// Replace the key of a device by a new one
+    Rotate,
+    /// Erase the key on a device and on this computer
+    Forget,
 }
 
 #[derive(Subcommand)]

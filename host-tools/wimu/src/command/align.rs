@@ -83,9 +83,9 @@ fn listen(
     output: Output,
 ) -> Result<Dataset> {
     let ask = |rests: usize| match arguments.up.get(rests) {
-        Some(up) => output.say(format!("hold the body still with its {up} axis up")),
+        Some(up) => output.print(format!("hold the body still with its {up} axis up")),
         None if options.forward => {
-            output.say("push the body straight ahead, briskly, and hold it still again");
+            output.print("push the body straight ahead, briskly, and hold it still again");
         }
         None => {}
     };

@@ -27,7 +27,7 @@ pub fn run(arguments: &Allan, output: Output) -> Result<u8> {
         }
         Input::Link(_) => listen(arguments, output)?,
     };
-    output.say(report.to_string());
+    output.print(report.to_string());
     if report.exit_code() == 0
         && let Some(path) = &arguments.report
     {
@@ -48,7 +48,7 @@ fn listen(arguments: &Allan, output: Output) -> Result<NoiseReport> {
         arguments.sensitivity,
         client.hello().sensitivity_known,
     );
-    output.say(match arguments.seconds {
+    output.print(match arguments.seconds {
         Some(time) => format!("keep the board at rest for {} s", time.as_secs_f64()),
         None => "keep the board at rest; Ctrl-C stops".to_owned(),
     });

@@ -82,12 +82,12 @@ struct RefinedSensor {
 impl Refined {
     /// Prints the result; returns its object.
     pub fn of(found: &Refinement, output: Output) -> Self {
-        output.say(format!(
+        output.print(format!(
             "positions and delays from {} samples: residual {:.3} → {:.3} m/s² rms",
             found.samples, found.residual_mps2[0], found.residual_mps2[1]
         ));
         let [given, refined] = found.held_out_mps2;
-        output.say(format!(
+        output.print(format!(
             "{}: the residual in held-out parts of the recording is {refined:.3} m/s² with them, {given:.3} m/s² as given",
             if found.accepted {
                 "accepted"
@@ -110,7 +110,7 @@ impl Refined {
                 .map(|(name, [x, y, z])| format!("{name} {x:+.2} {y:+.2} {z:+.2}"))
                 .collect();
             let sds = sensor.moved_sd_mm.iter().flatten();
-            output.say(format!(
+            output.print(format!(
                 "sensor {k}: axes moved by {} mm (± {:.2} at most), delay {:.0} ± {:.0} µs",
                 moved.join(", "),
                 sds.copied().fold(0.0, f64::max),

@@ -46,7 +46,7 @@ pub fn finish<R: Display + Serialize>(
     output: Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
-    output.say(report.to_string());
+    output.print(report.to_string());
     if let Some(file) = file.filter(|_| exit_code == 0) {
         calibration::write_report(file, report)?;
     }
@@ -298,7 +298,7 @@ fn collect(
             format!("give {fewest} or more, or a smaller --model"),
         ));
     }
-    output.say(if six {
+    output.print(if six {
         "hold the board still with each of its six sides up, in any order; the board's button \
          captures a side at once"
             .to_owned()
@@ -417,7 +417,7 @@ impl LivePoses {
 
     fn captured(&mut self, pose: usize) {
         let side = self.session.poses().get(pose).and_then(Face::of);
-        self.output.say(match side {
+        self.output.print(match side {
             Some(side) => format!("pose {} captured: {}", pose + 1, self.name(side)),
             None => format!("pose {} captured", pose + 1),
         });
@@ -435,13 +435,13 @@ impl LivePoses {
                 let left = Face::ALL.iter().filter(|side| !sides.contains(side));
                 let left: Vec<_> = left.map(|side| self.name(*side)).collect();
                 if !left.is_empty() {
-                    self.output.say(format!("remaining: {}", left.join("; ")));
+                    self.output.print(format!("remaining: {}", left.join("; ")));
                 }
             }
             None => {
                 if let Some(next) = self.session.next() {
                     let how = next.instruction_with(self.names);
-                    self.output.say(format!("suggested next: {how}"));
+                    self.output.print(format!("suggested next: {how}"));
                 }
             }
         }

@@ -16,15 +16,15 @@ pub fn run(arguments: &Compare, output: Output) -> Result<()> {
         (Input::Recording(path), None) => recording(&path, arguments, output),
         (Input::Csv(reference), Some(other)) => {
             let Input::Csv(other) = kind(other)? else {
-                return Err(wrong(other));
+                return Err(unsupported(other));
             };
             tables(&reference, &other, output)
         }
-        _ => Err(wrong(&arguments.input)),
+        _ => Err(unsupported(&arguments.input)),
     }
 }
 
-fn wrong(input: &str) -> HostError {
+fn unsupported(input: &str) -> HostError {
     usage(
         "this input cannot be compared",
         "give one recording of both links, or two CSV files",
@@ -36,7 +36,7 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
     let name = path.display().to_string();
     let found = compare(|| RecordingReader::open(path), &name)?;
     let text = text(&found);
-    output.say(&text);
+    output.print(&text);
     if let Some(file) = &arguments.output {
         let model = found.values.as_ref().map(|values| &values.model);
         let model = model.ok_or_else(|| {
@@ -48,18 +48,18 @@ fn recording(path: &Path, arguments: &Compare, output: Output) -> Result<()> {
             .at(&name)
         })?;
         model.write(file)?;
-        output.say(format!(
+        output.print(format!(
             "wrote {}: the wireless link's error model, for `wimu export --link wireless --link-model`",
             file.display()
         ));
     }
     if let Some(file) = &arguments.report {
         found.page(&text)?.write(file)?;
-        output.say(format!("wrote {}", file.display()));
+        output.print(format!("wrote {}", file.display()));
     }
     if let Some(folder) = &arguments.pictures {
         let files = found.write_pictures(folder)?;
-        output.say(format!(
+        output.print(format!(
             "wrote {} pictures to {}",
             files.len(),
             folder.display()
@@ -254,7 +254,7 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
         }
         (None, None) => {}
     }
-    output.say(&text);
+    output.print(&text);
     output.answer("wimu.compare_tables/1", &found);
     Ok(())
 }

@@ -59,7 +59,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     )?;
     let story = story(&outcome, &links, arguments.seed);
     for line in &story {
-        output.say(line);
+        output.print(line);
     }
     let recording = arguments.report.with_extension("mcap");
     OutputFile::write(&recording, &outcome.recording)?;
@@ -70,7 +70,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     if let Some(folder) = &arguments.pictures {
         chart::write_all(folder, &charts)?;
     }
-    output.say(format!(
+    output.print(format!(
         "{:.0} s of board time in {:.1} s. Pictures: {}; recording: {} (try `wimu navigate --method slide` on it).",
         outcome.duration_s,
         began.elapsed().as_secs_f64(),

@@ -12,7 +12,7 @@ use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, OutputFile, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
-use crate::command::{not_over_input, say_fault};
+use crate::command::{not_over_input, print_fault};
 use crate::output::{Output, usage};
 
 #[derive(Serialize)]
@@ -67,9 +67,9 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         }
         let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
         for (topic, count) in &decoded.messages {
-            output.say(format!("{file}: {count} messages on {topic}"));
+            output.print(format!("{file}: {count} messages on {topic}"));
         }
-        say_left_out(&decoded, output);
+        print_left_out(&decoded, output);
         output.answer("wimu.export_topics/1", &ExportedTopics { file, decoded });
         return Ok(());
     }
@@ -81,14 +81,14 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     let role = arguments.link.map(Into::into);
     let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
     if table.ranges_differ {
-        output.say(format!(
+        output.print(format!(
             "{file}: the range changes; the column `{SENSITIVITY}` has each row's"
         ));
     }
     let (rows, link) = (table.rows, table.role.to_string());
-    output.say(format!("{file}: {rows} rows of the {link} link"));
+    output.print(format!("{file}: {rows} rows of the {link} link"));
     if table.without_unit > 0 {
-        output.say(format!(
+        output.print(format!(
             "  {} raw samples {}: their range is unknown because an epoch was lost",
             table.without_unit,
             match model {
@@ -97,7 +97,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             }
         ));
     }
-    say_fault(table.wholeness, output);
+    print_fault(table.wholeness, output);
     let exported = Exported {
         file,
         link,
@@ -110,7 +110,7 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
 }
 
 /// Prints what decoded topics lack, and what is out of order in them.
-pub fn say_left_out(decoded: &Decoded, output: Output) {
+pub fn print_left_out(decoded: &Decoded, output: Output) {
     let lacks = [
         (
             decoded.without_time,
@@ -124,9 +124,9 @@ pub fn say_left_out(decoded: &Decoded, output: Output) {
         (decoded.unplaced, "batches left out: no epoch places them"),
     ];
     for (count, what) in lacks.into_iter().filter(|(count, _)| *count > 0) {
-        output.say(format!("  {count} {what}"));
+        output.print(format!("  {count} {what}"));
     }
-    say_fault(decoded.wholeness, output);
+    print_fault(decoded.wholeness, output);
 }
 
 /// Writes a calibration for other programs, or prints it.
@@ -150,13 +150,13 @@ fn calibration(arguments: &Export, output: Output) -> Result<()> {
     match (&arguments.output, &file) {
         (Some(path), Some(file)) => {
             OutputFile::write(path, &text)?;
-            output.say(format!("{file}: {} lines", text.lines().count()));
+            output.print(format!("{file}: {} lines", text.lines().count()));
             for remark in &remarks {
-                output.say(remark);
+                output.print(remark);
             }
         }
         // The text itself holds the remarks.
-        _ if !output.is_json() => output.say(text.trim_end()),
+        _ if !output.is_json() => output.print(text.trim_end()),
         _ => {}
     }
     let exported = ExportedCalibration {

@@ -74,14 +74,14 @@ pub fn run(arguments: &Flash, output: Output) -> Result<()> {
 
 fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
     let file = file.unwrap_or_else(|| board.file_and_drive().0.into());
-    let place = file.display().to_string();
+    let location = file.display().to_string();
     let bytes = std::fs::read(&file).map_err(|error| {
         HostError::new(
             ErrorCode::FileUnreadable,
             format!("the image cannot be read: {error}"),
             "build it with `cargo xtask firmware` in the repository, or name one with --image",
         )
-        .at(&place)
+        .at(&location)
     })?;
     let segments = image::segments(&bytes).ok_or_else(|| {
         HostError::new(
@@ -89,7 +89,7 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
             "this is not a complete firmware image",
             "give an ELF file for ARM, an Intel HEX file or a UF2 file; `cargo xtask firmware` builds them",
         )
-        .at(&place)
+        .at(&location)
     })?;
     match image::objection(board, &segments) {
         None => Ok(Image {
@@ -105,7 +105,7 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
                 board.file_and_drive().0
             ),
         )
-        .at(&place)),
+        .at(&location)),
     }
 }
 

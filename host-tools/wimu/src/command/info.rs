@@ -13,7 +13,7 @@ use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
 use crate::command::record::left_out_text;
-use crate::command::{connect, say_fault};
+use crate::command::{connect, print_fault};
 use crate::output::Output;
 
 #[derive(Serialize)]
@@ -154,17 +154,17 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
             let mut client = connect(&arguments.input)?;
             let device = Device::from(client.hello());
             let role = client.hello().role.to_string();
-            output.say(format!("{role} link of {}", device.text()));
+            output.print(format!("{role} link of {}", device.text()));
             let sampling = Sampling::from(&client.status()?);
             let mut troubles = Vec::new();
             while let Some(arrival) = client.next_event(Duration::ZERO)? {
                 if let decode::Event::Device { event, .. } = arrival.event {
                     let trouble = event.to_string();
-                    output.say(format!("  {trouble}"));
+                    output.print(format!("  {trouble}"));
                     troubles.push(trouble);
                 }
             }
-            output.say(format!("  {}", sampling.text()));
+            output.print(format!("  {}", sampling.text()));
             let live = Live {
                 role,
                 device,
@@ -212,10 +212,10 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         wholeness: recording.wholeness,
         links,
     };
-    output.say(format!("{}: {:.1} s", contents.source, contents.duration_s));
-    say_fault(contents.wholeness, output);
+    output.print(format!("{}: {:.1} s", contents.source, contents.duration_s));
+    print_fault(contents.wholeness, output);
     for link in &contents.links {
-        output.say(format!(
+        output.print(format!(
             "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes{}",
             link.role,
             link.raw_samples,
@@ -232,16 +232,16 @@ fn recording(path: &Path, output: Output) -> Result<()> {
             }
         ));
         if let Some(device) = &link.device {
-            output.say(format!("         {}", device.text()));
+            output.print(format!("         {}", device.text()));
         }
         if let Some(sampling) = &link.sampling {
-            output.say(format!("         {}", sampling.text()));
+            output.print(format!("         {}", sampling.text()));
         }
         for event in &link.events {
-            output.say(format!("         {event}"));
+            output.print(format!("         {event}"));
         }
         if link.more_events > 0 {
-            output.say(format!("         and {} more events", link.more_events));
+            output.print(format!("         and {} more events", link.more_events));
         }
     }
     output.answer("wimu.info/1", &contents);

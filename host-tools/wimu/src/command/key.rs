@@ -6,7 +6,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::hello::{LinkRole, WriteAccess};
 
-use crate::arguments::Key;
+use crate::arguments::{Key, KeyAction};
 use crate::command::{Connection, connect};
 use crate::output::Output;
 
@@ -23,12 +23,8 @@ struct Status {
     authenticated: Option<bool>,
 }
 
-pub fn run(action: &Key, output: Output) -> Result<()> {
-    let link = match action {
-        Key::Set { link } | Key::Status { link } | Key::Rotate { link } | Key::Forget { link } => {
-            link
-        }
-    };
+pub fn run(arguments: &Key, output: Output) -> Result<()> {
+    let link = &arguments.link;
     let folder = KeyFolder::of_user()?;
     let mut client = connect(link)?;
     let device = client.hello().device_id;
@@ -38,22 +34,23 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
         None => None,
     };
     client.use_key(ours);
-    match (action, held, ours) {
-        (Key::Status { .. }, ..) => {}
+    let refused = |code, message: &str, remedy| Err(HostError::new(code, message, remedy).at(link));
+    match (arguments.action, held, ours) {
+        (KeyAction::Status, ..) => {}
         (_, None, _) if is_lost(&client) => {
-            return Err(HostError::new(
+            return refused(
                 ErrorCode::DeviceRefused,
                 "the device cannot read its own key and refuses all writes",
                 "erase the key by the gesture on the board's page, then run `wimu key set`",
-            )
-            .at(link.clone()));
+            );
         }
-        (Key::Set { .. }, Some(_), Some(_)) => {
-            output.say("the device already has this computer's key; `wimu key rotate` replaces it");
+        (KeyAction::Set, Some(_), Some(_)) => {
+            output
+                .print("the device already has this computer's key; `wimu key rotate` replaces it");
         }
-        (Key::Forget { .. }, None, _) => {
+        (KeyAction::Forget, None, _) => {
             let file = folder.file(device);
-            output.say(if file.exists() {
+            output.print(if file.exists() {
                 // The answer is not authenticated, so the only copy of the key is kept.
                 let file = file.display();
                 format!("the device has no key; if it was erased at the board, remove {file}")
@@ -68,29 +65,27 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
             } else {
                 "the device has a key that this computer does not have".to_owned()
             };
-            return Err(HostError::new(
+            return refused(
                 ErrorCode::KeyNeeded,
-                what,
+                &what,
                 "use the computer that has it, or erase it by the gesture on the board's page",
-            )
-            .at(link.clone()));
+            );
         }
-        (Key::Rotate { .. }, None, _) => {
-            return Err(HostError::new(
+        (KeyAction::Rotate, None, _) => {
+            return refused(
                 ErrorCode::KeyNeeded,
                 "the device has no key to rotate",
-                "run wimu key set over the cable",
-            )
-            .at(link.clone()));
+                "run `wimu key set` over the cable",
+            );
         }
-        (Key::Forget { .. }, Some(_), Some(_)) => {
+        (KeyAction::Forget, Some(_), Some(_)) => {
             client.forget_key()?;
             folder.forget(device)?;
-            output.say("the key is erased on the device and on this computer");
+            output.print("the key is erased on the device and on this computer");
         }
-        (Key::Set { .. } | Key::Rotate { .. }, ..) => {
+        (KeyAction::Set | KeyAction::Rotate, ..) => {
             store_key(&mut client, &folder, device)?;
-            output.say("the device has a new key; the only copy is in your configuration folder");
+            output.print("the device has a new key; the only copy is in your configuration folder");
         }
     }
     show(&mut client, &folder, output)
@@ -132,7 +127,7 @@ fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<(
     let ours = known.iter().any(|key| Some(key.id()) == held);
     let proved = ours && client.use_key_among(&known).is_ok();
     let authenticated = (!known.is_empty()).then_some(proved);
-    output.say(match (held, ours) {
+    output.print(match (held, ours) {
         (None, _) if is_lost(client) => {
             "the device cannot read its key; all writes are refused".to_owned()
         }
@@ -143,9 +138,9 @@ fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<(
         (Some(id), false) => format!("key {id}, which this computer does not have"),
     });
     if authenticated == Some(false) {
-        output.say("not authenticated: the device has not proved to have a key of this computer");
+        output.print("not authenticated: the device has not proved to have a key of this computer");
     }
-    output.say(format!(
+    output.print(format!(
         "write access on the {} link: {}",
         hello.role, hello.access
     ));

@@ -70,16 +70,16 @@ fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<boo
         Err(error) if error.code() == ErrorCode::LinkLost => Err(error),
         Err(error) => {
             client.use_key(None);
-            output.say(format!("not authenticated: {error}"));
+            output.print(format!("not authenticated: {error}"));
             Ok((client, Some(false)))
         }
     }
 }
 
 /// Prints what is wrong with a recording's file, if anything.
-fn say_fault(wholeness: Wholeness, output: Output) {
+fn print_fault(wholeness: Wholeness, output: Output) {
     if let Some(fault) = wholeness.fault() {
-        output.say(format!("  {fault}"));
+        output.print(format!("  {fault}"));
     }
 }
 

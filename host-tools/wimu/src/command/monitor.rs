@@ -147,7 +147,7 @@ pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
 fn live(arguments: &Monitor, output: Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
-    output.say(format!(
+    output.print(format!(
         "{} with {}, device {:016x}, {} link, parameters {}, last start: {}",
         hello.board.name,
         hello.sensor.name,
@@ -163,7 +163,7 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
     })?;
     output.end_refresh();
     let statistics = client.statistics();
-    output.say(format!(
+    output.print(format!(
         "{} frames, {} damaged{}; {} samples missing",
         statistics.frames,
         statistics.frames_damaged,
@@ -171,7 +171,7 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
     if let Some(status) = &screen.status {
-        output.say(Sampling::from(status).text());
+        output.print(Sampling::from(status).text());
     }
     Ok(())
 }
@@ -246,7 +246,7 @@ impl Screen {
             Event::Device { time, event } => {
                 self.output.end_refresh();
                 self.output
-                    .say(format!("{:8.2} s  {event}", time.to_seconds()));
+                    .print(format!("{:8.2} s  {event}", time.to_seconds()));
             }
             Event::Status(status) => self.status = Some(*status),
             Event::Restart { .. } => {
@@ -256,7 +256,7 @@ impl Screen {
             Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
                 self.output.end_refresh();
                 self.output
-                    .say(format!("the device has restarted: {}", cause(hello)));
+                    .print(format!("the device has restarted: {}", cause(hello)));
             }
             _ => {}
         }
@@ -272,7 +272,7 @@ impl Screen {
             if self.output.is_json() {
                 going = going && self.output.object(&line);
             } else if !self.refreshes {
-                self.output.say(line.text(Output::width()));
+                self.output.print(line.text(Output::width()));
             } else if self.last.is_none_or(|last| last.elapsed() >= REFRESH) {
                 self.last = Some(Instant::now());
                 self.output.refresh(&line.text(Output::width()));

@@ -44,15 +44,15 @@ struct Start {
 impl Start {
     fn print(&self, output: Output) {
         match &self.device {
-            Some(track) => output.say(format!("device:     {}", track.text())),
-            None => output.say("device:     no position sent, or no rest detected"),
+            Some(track) => output.print(format!("device:     {}", track.text())),
+            None => output.print("device:     no position sent, or no rest detected"),
         }
         match &self.recomputed {
-            Some(track) => output.say(format!("recomputed: {}", track.text())),
-            None => output.say("recomputed: no rest detected"),
+            Some(track) => output.print(format!("recomputed: {}", track.text())),
+            None => output.print("recomputed: no rest detected"),
         }
         if let (Some(_), Some(replay)) = (&self.recomputed, &self.replay) {
-            output.say(replay_text(replay));
+            output.print(replay_text(replay));
         }
     }
 }
@@ -220,7 +220,7 @@ fn path(
         Ok(found) => Ok(Some(found)),
         Err(error) if required => Err(error),
         Err(error) => {
-            output.say(format!("no path with uncertainty: {error}"));
+            output.print(format!("no path with uncertainty: {error}"));
             Ok(None)
         }
     }

@@ -45,18 +45,20 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
             let mut client = connect_to_write(link)?;
             if *dry_run {
                 let before = held(&mut client)?;
-                say_difference(before.as_ref(), &set, output);
-                output.say("nothing was written");
+                print_difference(before.as_ref(), &set, output);
+                output.print("nothing was written");
             } else {
                 push(&mut client, &set, output)?;
             }
-            show_written(&mut client, output)
+            let signed = client.signs().then_some(true);
+            show(&mut client, signed, output).map(drop)
         }
         Params::FactoryReset { link } => {
             let mut client = connect_to_write(link)?;
             client.factory_reset()?;
-            output.say("calibration and settings of the device are erased");
-            show_written(&mut client, output)
+            output.print("calibration and settings of the device are erased");
+            let signed = client.signs().then_some(true);
+            show(&mut client, signed, output).map(drop)
         }
     }
 }
@@ -64,10 +66,10 @@ pub fn run(action: &Params, output: Output) -> Result<()> {
 /// Prints what changes, pushes a calibration, and verifies that the device holds it.
 pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Result<()> {
     let before = held(client)?;
-    say_difference(before.as_ref(), set, output);
+    print_difference(before.as_ref(), set, output);
     let unseen = calibration::not_observed(set);
     if !unseen.is_empty() {
-        output.say(format!(
+        output.print(format!(
             "not observed, pushed with the values of a perfect sensor: {}",
             unseen.join(", ")
         ));
@@ -90,25 +92,25 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: Output) -> Resu
             "push again; another computer may have pushed at the same time",
         ));
     }
-    output.say(format!("pushed {id}"));
+    output.print(format!("pushed {id}"));
     Ok(())
 }
 
 /// Prints the terms that a push changes.
-fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
+fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: Output) {
     let Some(before) = before else {
-        output.say("the device is uncalibrated");
+        output.print("the device is uncalibrated");
         return;
     };
     let name = |set| wimu_link::message::parameter_id(set);
     if name(before) == name(after) {
-        output.say(format!("the device already holds {}", name(after)));
+        output.print(format!("the device already holds {}", name(after)));
         return;
     }
-    output.say(format!("{} → {}", name(before), name(after)));
+    output.print(format!("{} → {}", name(before), name(after)));
     for ((name, old), (_, new)) in figures(before).into_iter().zip(figures(after)) {
         if old != new {
-            output.say(format!("{name:24} {} → {}", numbers(&old), numbers(&new)));
+            output.print(format!("{name:24} {} → {}", numbers(&old), numbers(&new)));
         }
     }
     let others = [
@@ -119,7 +121,7 @@ fn say_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: O
     ];
     for (name, changes) in others {
         if changes {
-            output.say(format!("{name:24} changes"));
+            output.print(format!("{name:24} changes"));
         }
     }
 }
@@ -171,12 +173,6 @@ fn save(path: &Path, held: &Held) -> Result<()> {
     calibration::write_report(path, held)
 }
 
-/// Shows the parameters after a write; the answers are signed if this computer has the key.
-fn show_written(client: &mut Connection, output: Output) -> Result<()> {
-    let authenticated = client.signs().then_some(true);
-    show(client, authenticated, output).map(drop)
-}
-
 fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) -> Result<Held> {
     let parameters = held(client)?;
     let in_use = applies(parameters.as_ref(), client.settings()?.range_g, output);
@@ -184,20 +180,20 @@ fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) ->
         wimu_link::message::parameter_id(&set)
     });
     match &parameters {
-        None => output.say("the device is uncalibrated"),
+        None => output.print("the device is uncalibrated"),
         Some(set) => {
             let terms = set.model.terms();
-            output.say(format!(
+            output.print(format!(
                 "parameters {id} for ±{} g, {:.2} LSB/g\nbias   {} m/s²",
                 set.range_g,
                 set.sensitivity.lsb_per_g(),
                 numbers(&terms.bias_mps2)
             ));
             for (name, row) in ["matrix", "", ""].iter().zip(terms.matrix) {
-                output.say(format!("{name:6} {}", numbers(&row)));
+                output.print(format!("{name:6} {}", numbers(&row)));
             }
             for line in calibration::describe(set) {
-                output.say(line);
+                output.print(line);
             }
         }
     }
@@ -218,7 +214,7 @@ fn show(client: &mut Connection, authenticated: Option<bool>, output: Output) ->
 pub fn applies(parameters: Option<&ParameterSet>, range_g: u8, output: Output) -> bool {
     match parameters {
         Some(set) if set.range_g != range_g => {
-            output.say(format!(
+            output.print(format!(
                 "not in use: the parameters are for ±{} g, the device is set to ±{range_g} g and runs uncalibrated",
                 set.range_g
             ));

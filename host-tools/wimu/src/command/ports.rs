@@ -31,7 +31,7 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
         })
         .collect();
     if ports.is_empty() {
-        output.say("no serial ports; `wimu simulate` runs a board without one");
+        output.print("no serial ports; `wimu simulate` runs a board without one");
     }
     for Listed { port, probe } in &ports {
         let usb = port.usb.map_or(String::new(), |usb| format!("  usb {usb}"));
@@ -41,7 +41,7 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
             Some(Err(why)) => format!("  → {why}"),
             None => String::new(),
         };
-        output.say(format!("{}{usb}{board}{answer}", port.path));
+        output.print(format!("{}{usb}{board}{answer}", port.path));
     }
     output.answer("wimu.ports/1", &Listing { ports });
     Ok(())

@@ -11,7 +11,7 @@ use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, LinkUrl, Result};
 
 use crate::arguments::Record;
-use crate::command::export::say_left_out;
+use crate::command::export::print_left_out;
 use crate::command::{deadline, interrupted, is_over};
 use crate::output::Output;
 
@@ -43,7 +43,7 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         .collect::<Result<Vec<_>>>()?;
     let recorder = Recorder::connect(&links)?.with_patience(arguments.reconnect);
     for hello in recorder.hellos() {
-        output.say(format!(
+        output.print(format!(
             "recording the {} link of {} with {}, device {:016x}; Ctrl-C stops",
             hello.role, hello.board.name, hello.sensor.name, hello.device_id
         ));
@@ -69,14 +69,14 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         outcome
     })?;
     output.end_refresh();
-    output.say(format!(
+    output.print(format!(
         "{}: {}",
         arguments.output.display(),
         summary(&progress)
     ));
     for link in &progress.links {
         if let Some(clock) = &link.clock {
-            output.say(format!("{:8} {}", link.role, clock_text(clock)));
+            output.print(format!("{:8} {}", link.role, clock_text(clock)));
         }
     }
     let decoded = match arguments.decoded {
@@ -85,14 +85,14 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
     };
     if let Some(decoded) = &decoded {
         let count: u64 = decoded.messages.values().sum();
-        output.say(format!(
+        output.print(format!(
             "decoded: {count} messages on {} topics",
             decoded.messages.len()
         ));
-        say_left_out(decoded, output);
+        print_left_out(decoded, output);
     }
     if let Some(error) = &progress.ended {
-        output.say(format!(
+        output.print(format!(
             "stopped: all links were lost ({}); the file holds everything received",
             error.message()
         ));

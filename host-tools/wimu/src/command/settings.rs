@@ -40,7 +40,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
             let mut client = connect_to_write(link)?;
             if let Some(baud) = change.baud {
                 client.set_line_rate(baud)?;
-                output.say(format!(
+                output.print(format!(
                     "the link now runs at {baud} baud: add ?baud={baud} to the LINK"
                 ));
             }
@@ -74,7 +74,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         every: [settings.cable.every, settings.wireless.every],
         authenticated,
     };
-    output.say(format!(
+    output.print(format!(
         "range ±{} g, {} Hz, {} resolution\nZUPT {}, local gravity {:.6} m/s²\ncable    {} in batches of {}{}\nwireless {} in batches of {}{}",
         held.range_g,
         held.rate_hz,

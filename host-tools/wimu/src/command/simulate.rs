@@ -76,7 +76,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     let (board, played) = match &arguments.replay {
         Some(path) => {
             let counts = counts_of(arguments, path)?;
-            output.say(format!(
+            output.print(format!(
                 "replaying {} samples of {}",
                 counts.len(),
                 path.display()
@@ -130,7 +130,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         cable: url(LinkRole::Cable)?,
         wireless: url(LinkRole::Wireless)?,
     };
-    output.say(format!(
+    output.print(format!(
         "cable    {}\nwireless {}\nCtrl-C stops it; in another terminal: wimu monitor {}",
         listening.cable, listening.wireless, listening.cable
     ));
@@ -158,7 +158,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         };
         if done && done_at.is_none() {
             done_at = Some(now_us);
-            output.say(match (&played, arguments.exit_when_done) {
+            output.print(match (&played, arguments.exit_when_done) {
                 (Some(_), false) => "the motion starts again",
                 (Some(_), true) => "the motion is over",
                 (None, _) => "the replayed file is over; the sensor has no more data",
@@ -187,7 +187,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     };
     for (name, link) in [("cable", &truth.cable), ("wireless", &truth.wireless)] {
         if let Some(LinkTruth { to_host, .. }) = link {
-            output.say(format!(
+            output.print(format!(
                 "{name}: {} bytes sent, {} lost, {} bits flipped; frames: {} intact, {} damaged, {} lost",
                 to_host.bytes_sent,
                 to_host.bytes_lost + to_host.bytes_overflowed + to_host.bytes_disconnected,

@@ -63,7 +63,7 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: Output) -> Result<()>
     let calibrated = present(&found, arguments, gravity, output);
     if let Some(file) = &arguments.output {
         found.geometry.write(file)?;
-        output.say(format!(
+        output.print(format!(
             "wrote {}, for `wimu navigate … --geometry {}`",
             file.display(),
             file.display()
@@ -81,7 +81,7 @@ fn present(
     output: Output,
 ) -> Calibrated {
     let calibration = &found.calibration;
-    output.say(format!(
+    output.print(format!(
         "{}: {} sensors, {} rests, g = {:.5} m/s²",
         arguments.input,
         found.geometry.sensors.len(),
@@ -100,7 +100,7 @@ fn present(
                 Some(loo) => format!(", {:.2} leave-one-out", mm(loo)),
                 None => String::new(),
             };
-            output.say(format!(
+            output.print(format!(
                 "sensor {k}: bias {x:+.4} {y:+.4} {z:+.4} m/s², scale factors {a:.5} {b:.5} {c:.5}; |f| − g {:.2} mm/s² \
                  rms{left_out}",
                 mm(estimate.rms_mps2)
@@ -113,7 +113,7 @@ fn present(
             loo_rms_mm_s2: estimate.and_then(|e| e.loo_rms_mps2).map(mm),
         });
     }
-    output.say(format!(
+    output.print(format!(
         "corrected sensors differ by {:.4} m/s² rms per axis at the rests",
         calibration.disagreement_mps2
     ));
@@ -130,7 +130,7 @@ fn present(
         }
     };
     for remark in &remarks {
-        output.say(format!("note: {remark}"));
+        output.print(format!("note: {remark}"));
     }
     Calibrated {
         source: arguments.input.clone(),

@@ -43,7 +43,7 @@ pub fn list(output: Output) -> Result<()> {
         .map(Probe::from)
         .collect();
     if probes.is_empty() {
-        output.say("no debug probe is connected");
+        output.print("no debug probe is connected");
     }
     for probe in &probes {
         let access = if probe.accessible {
@@ -51,7 +51,7 @@ pub fn list(output: Output) -> Result<()> {
         } else {
             " (no permission)"
         };
-        output.say(format!("{}  {}{access}", probe.selector, probe.name));
+        output.print(format!("{}  {}{access}", probe.selector, probe.name));
     }
     output.answer("wimu.probes/1", &Probes { probes });
     Ok(())
@@ -86,7 +86,7 @@ pub fn write(image: &Image, arguments: &Flash, output: Output) -> Result<()> {
     outcome.map_err(|error| failed("writing the flash failed", &error))?;
     let started = session.core(0).and_then(|mut core| core.reset());
     started.map_err(|error| failed("the image is written, but the chip did not start", &error))?;
-    output.say(format!(
+    output.print(format!(
         "wrote {bytes} bytes of {} to the {}; `wimu ports` shows its port",
         image.file.display(),
         image.board.name()
@@ -168,7 +168,7 @@ fn udev_rule(vendor: u16) -> String {
 /// Attaches to the chip. Unlocking a locked chip erases it and needs `--erase-all`.
 fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) -> Result<Session> {
     let permissions = if erase_all {
-        output.say("a locked chip is erased now, with its firmware, calibration and key");
+        output.print("a locked chip is erased now, with its firmware, calibration and key");
         Permissions::new().allow_erase_all()
     } else {
         Permissions::new()

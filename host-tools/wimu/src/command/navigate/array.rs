@@ -76,7 +76,7 @@ pub fn path(
         geometry.place_sd_mm = Some(place_sd_m * 1e3);
         geometry.delay_sd_us = Some(delay_sd_s * 1e6);
         geometry.write(file)?;
-        output.say(format!("wrote {}", file.display()));
+        output.print(format!("wrote {}", file.display()));
         if let Some(refined) = &mut refined {
             refined.file = Some(file.display().to_string());
         }

@@ -199,17 +199,17 @@ fn present(
     output: Output,
 ) -> Result<Found> {
     let text = text(path, choice);
-    output.say(text.trim_end());
+    output.print(text.trim_end());
     if let Some(fit) = &settling {
         let ([x, y, z], [sx, sy, sz]) = (fit.rise_m_s2, fit.rise_sd_m_s2);
-        output.say(format!(
+        output.print(format!(
             "bias drift {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s², time constant {:.0} ± {:.0} s",
             fit.time_s, fit.time_sd_s
         ));
     }
     if let Some(file) = &arguments.output {
         path.write_csv(file)?;
-        output.say(format!(
+        output.print(format!(
             "wrote {} rows to {}",
             path.points.len(),
             file.display()
@@ -217,7 +217,7 @@ fn present(
     }
     if let Some(file) = &arguments.report {
         path.report(&source, &text, file)?;
-        output.say(format!("wrote {}", file.display()));
+        output.print(format!("wrote {}", file.display()));
     }
     Ok(found(path, choice, settling, source))
 }

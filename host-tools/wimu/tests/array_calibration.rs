@@ -141,7 +141,7 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     );
     // It never turned fast: places and delays are as given, and it says so.
     assert!(
-        found["refined"].is_null() && remarks(&found).contains("stay as given"),
+        found["refined"].is_null() && remarks(&found).contains("kept as given"),
         "{found}"
     );
     for sensor in 0..4 {

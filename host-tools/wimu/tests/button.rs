@@ -47,7 +47,7 @@ fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
     assert_eq!(captured.len(), 6, "{ran:?}");
     assert!(captured[0].starts_with("pose 1 captured: "), "{ran:?}");
     // Of six sides six are left, then five, …
-    let left = told(&ran, "still to come: ");
+    let left = told(&ran, "remaining: ");
     let counts: Vec<_> = left.iter().map(|line| line.split("; ").count()).collect();
     assert_eq!(counts, [6, 5, 4, 3, 2, 1]);
 }
@@ -57,10 +57,10 @@ fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
 fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
     let board = Simulator::start(&["--motion", "rest", "--exit-when-done", "--press", "3,4"]);
     let calibrating = Background::start(&["calibrate", &board.cable]);
-    let ran = calibrating.says("next, for example: ", 4).signal("-INT");
+    let ran = calibrating.says("suggested next: ", 4).signal("-INT");
     assert_eq!(told(&ran, "pose ").len(), 1, "{ran:?}");
     // At first, after the pose, and after each press.
-    let advice = told(&ran, "next, for example: ");
+    let advice = told(&ran, "suggested next: ");
     let [_, after_the_pose, first, second] = advice[..] else {
         panic!("{ran:?}");
     };

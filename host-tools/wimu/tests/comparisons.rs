@@ -286,7 +286,7 @@ fn what_is_held_at_the_very_end_is_counted_and_said() {
     let folder = folder();
     let brought = [Stretch::default().on_both(), again.on_both()].concat();
     let session = file(folder.path(), brought);
-    let says = "6 batches whose place no epoch tells";
+    let says = "6 batches without an epoch that places them";
     let ran = wimu(&["info", &session]);
     assert!(ran.stderr.contains(says), "{ran:?}");
     let ran = wimu(&["compare", &session]);

@@ -27,7 +27,7 @@ fn readme_shows_what_the_demo_prints_and_draws() {
     let story = ran
         .stderr
         .lines()
-        .take_while(|line| !line.contains("board's life"));
+        .take_while(|line| !line.contains("of board time in"));
     let mut lines = 0;
     for line in story {
         assert!(

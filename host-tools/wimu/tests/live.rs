@@ -36,7 +36,7 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
         assert!(interval[0].as_f64().unwrap() < value && value < interval[1].as_f64().unwrap());
     }
     // Interrupted before there is enough: refused, and said what it lacks.
-    let listening = Background::start(&["allan", &board.cable]).says("leave the board", 1);
+    let listening = Background::start(&["allan", &board.cable]).says("keep the board at rest", 1);
     std::thread::sleep(std::time::Duration::from_millis(1500));
     #[cfg(unix)]
     {

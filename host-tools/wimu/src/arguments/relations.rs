@@ -124,18 +124,18 @@ fn by_value(table: &Table, matches: &ArgMatches, given: &[&str]) -> Result<()> {
     };
     for (option, marks) in table.rows {
         let marks = table.values.iter().zip(marks.split(' '));
-        let goes_with: Vec<&str> = marks
-            .filter_map(|(value, mark)| (mark == "×").then_some(*value))
+        let goes_with: Vec<String> = marks
+            .filter(|(_, mark)| *mark == "×")
+            .map(|(value, _)| name(value))
             .collect();
-        if given.contains(option) && !goes_with.contains(&value) {
-            let all: Vec<String> = goes_with.into_iter().map(name).collect();
+        if given.contains(option) && !goes_with.contains(&name(value)) {
+            let remedy = match value {
+                MAGNETOMETER => "leave one of the two out".to_owned(),
+                _ => format!("leave it out, or use {}", goes_with.join(", ")),
+            };
             return Err(usage(
-                format!(
-                    "--{option} needs {}, and this is {}",
-                    all.join(" or "),
-                    name(value)
-                ),
-                format!("leave out --{option}, or change --{}", table.decided_by),
+                format!("--{option} does not go with {}", name(value)),
+                remedy,
             ));
         }
     }
@@ -160,11 +160,9 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
                 }
                 _ => "leave it out",
             };
-            return Err(usage(
-                format!("--{option} needs {needed}, and this is {kind}"),
-                remedy,
-            )
-            .at(input));
+            return Err(
+                usage(format!("--{option} needs {needed}; this is {kind}"), remedy).at(input),
+            );
         }
     }
     Ok(())

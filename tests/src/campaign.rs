@@ -63,7 +63,7 @@ fn counts(sequence: u32) -> [i16; 3] {
     let bits = Random::new(sequence.into()).bits();
     let phase = (sequence % 1600) as i32 - 800;
     let slow = phase.abs() * 4;
-    let shock = if bits % 1009 == 0 { 12_000 } else { 0 };
+    let shock = if bits.is_multiple_of(1009) { 12_000 } else { 0 };
     let noise = |shift: u32| ((bits >> shift) & 127) as i32 - 64;
     [
         (slow + noise(0)) as i16,

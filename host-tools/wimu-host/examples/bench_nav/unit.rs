@@ -63,7 +63,7 @@ pub fn bench(data: &Path) {
             all.join(" / ")
         };
         figure(
-            &format!("slow A, {short}: median error over low-pass, 1 / 2 / 5 s"),
+            &format!("BROAD slow A, {short}: median error over low-pass, 1 / 2 / 5 s"),
             joined(&ratios, 2),
             &format!("at most {bar}"),
             ratios.iter().all(|ratio| *ratio <= bar),
@@ -71,7 +71,7 @@ pub fn bench(data: &Path) {
         let apart = still.greatest_difference(&moved);
         if gyroscope {
             figure(
-                "slow A: change of errors where 3 m/s is added to all, m",
+                "BROAD slow A: change of errors where 3 m/s is added, m",
                 format!("{apart:.0e}"),
                 "below 1e-9",
                 apart < 1e-9,
@@ -91,13 +91,13 @@ pub fn bench(data: &Path) {
             medians.push(median);
         }
         figure(
-            &format!("slow A, {short}: NEES < 7.81 after 1 / 2 / 5 s"),
+            &format!("BROAD slow A, {short}: NEES < 7.81 after 1 / 2 / 5 s"),
             joined(&shares, 0) + " %",
             "90–98 %",
             shares.iter().all(|share| (90.0..=98.0).contains(share)),
         );
         figure(
-            &format!("slow A, {short}: median NEES after 1 / 2 / 5 s"),
+            &format!("BROAD slow A, {short}: median NEES after 1 / 2 / 5 s"),
             joined(&medians, 2),
             "1.5–3.5",
             medians.iter().all(|median| (1.5..=3.5).contains(median)),

@@ -20,6 +20,7 @@
 
 use core::fmt;
 
+use heapless::{Vec, VecView};
 use hmac::{Hmac, KeyInit, Mac};
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
@@ -326,7 +327,7 @@ pub(crate) struct Sessions {
     /// Those up to this one have ended, but for the ones below.
     ended: u32,
     /// Number and latest id of those that have proved the key, the latest first.
-    proved: [Option<(u32, u32)>; SESSIONS],
+    proved: Vec<(u32, u32), SESSIONS>,
 }
 
 /// What is known of a request's session.
@@ -344,7 +345,7 @@ impl Sessions {
         Self {
             opened: 0,
             ended: 0,
-            proved: [None; SESSIONS],
+            proved: Vec::new(),
         }
     }
 
@@ -355,12 +356,7 @@ impl Sessions {
     }
 
     pub(crate) fn standing(&self, number: u32, id: u32) -> Standing {
-        match self
-            .proved
-            .iter()
-            .flatten()
-            .find(|(known, _)| *known == number)
-        {
+        match self.proved.iter().find(|(known, _)| *known == number) {
             // Ids wrap: the nearer half of them is later.
             Some((_, latest)) if (id.wrapping_sub(*latest) as i32) > 0 => Standing::New,
             Some(_) => Standing::Used,
@@ -372,18 +368,22 @@ impl Sessions {
     /// Takes note of a request whose signature was right: its session goes to the front. Sessions
     /// opened before it that have not been used end, and so does the one not used for longest.
     pub(crate) fn note(&mut self, number: u32, id: u32) {
-        let known = |proved: &Option<(u32, u32)>| proved.is_some_and(|(known, _)| known == number);
-        let place = self.proved.iter().position(known);
-        let place = place.unwrap_or(SESSIONS - 1);
-        put_first(&mut self.proved, place, Some((number, id)));
+        let known = self.proved.iter().position(|(known, _)| *known == number);
+        put_first(&mut self.proved, known, (number, id));
         self.ended = self.ended.max(number);
     }
 }
 
-/// Puts `first` at the front; what was before `place` moves back by one, over what was there.
-pub(crate) fn put_first<T>(list: &mut [T], place: usize, first: T) {
+/// Puts `first` at the front in place of the item at `known`, or of the last one if the list is full.
+pub(crate) fn put_first<T: Copy>(list: &mut VecView<T>, known: Option<usize>, first: T) {
+    if known.is_none() {
+        let _ = list.push(first);
+    }
     let mut next = first;
-    for item in list.iter_mut().take(place + 1) {
+    for item in list
+        .iter_mut()
+        .take(known.map_or(usize::MAX, |known| known + 1))
+    {
         next = core::mem::replace(item, next);
     }
 }

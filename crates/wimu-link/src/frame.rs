@@ -26,6 +26,7 @@
 use core::fmt;
 
 use cobs::{CobsEncoder, DecodeResult, DecoderState};
+use heapless::VecView;
 
 use crate::checksum::{Digest, crc_32c};
 
@@ -139,43 +140,14 @@ impl BodyWriter<'_> {
     }
 }
 
-/// Keeps one frame of at most `N` bytes to send it again.
-#[derive(Debug)]
-pub(crate) struct FrameBuffer<const N: usize> {
-    bytes: [u8; N],
-    length: usize,
-}
-
-impl<const N: usize> FrameBuffer<N> {
-    pub(crate) const fn new() -> Self {
-        Self {
-            bytes: [0; N],
-            length: 0,
-        }
-    }
-
-    /// Keeps what `encode` writes, or nothing if that does not fit.
-    pub(crate) fn fill(&mut self, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) {
-        self.length = encode(&mut self.bytes).unwrap_or(0);
-    }
-
-    /// Keeps `frame`, or nothing if it does not fit.
-    pub(crate) fn keep(&mut self, frame: &[u8]) {
-        self.clear();
-        if let Some(place) = self.bytes.get_mut(..frame.len()) {
-            place.copy_from_slice(frame);
-            self.length = frame.len();
-        }
-    }
-
-    pub(crate) fn clear(&mut self) {
-        self.length = 0;
-    }
-
-    /// The frame; empty before there is one.
-    pub(crate) fn frame(&self) -> &[u8] {
-        self.bytes.get(..self.length).unwrap_or_default()
-    }
+/// Puts the frame that `encode` writes into `kept`, or nothing if it does not fit.
+pub(crate) fn fill(
+    kept: &mut VecView<u8>,
+    encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+) {
+    let _ = kept.resize_default(kept.capacity());
+    let length = encode(kept).unwrap_or(0);
+    kept.truncate(length);
 }
 
 /// A frame that arrived whole.

@@ -2,8 +2,10 @@
 
 use core::time::Duration;
 
+use heapless::Vec;
+
 use crate::auth::Session;
-use crate::frame::{FrameBuffer, MAX_FRAME};
+use crate::frame::{MAX_FRAME, fill};
 use crate::message::{Answer, Command, Head, Payload, Refusal, Request, Signature};
 
 /// Asked once and again every half second, a device has three seconds to answer: enough for it to
@@ -52,7 +54,7 @@ pub struct Requester {
     id: u32,
     /// What requests are signed in, and the latest id there.
     signing: Option<(Session, u32)>,
-    frame: FrameBuffer<MAX_FRAME>,
+    frame: Vec<u8, MAX_FRAME>,
     interval: Duration,
     attempts: u32,
     /// What the request that is waiting for its answer has left.
@@ -106,7 +108,7 @@ impl Requester {
             session,
             id: 0,
             signing: None,
-            frame: FrameBuffer::new(),
+            frame: Vec::new(),
             interval,
             attempts,
             waiting: None,
@@ -164,7 +166,7 @@ impl Requester {
                 }
             }
         };
-        self.frame.fill(|frame| request.encode(frame));
+        fill(&mut self.frame, |frame| request.encode(frame));
         self.waiting = Some(Waiting {
             until: now.saturating_add(self.interval),
             attempts_left: self.attempts.saturating_sub(1),
@@ -182,7 +184,7 @@ impl Requester {
                 _ => |_| false,
             },
         });
-        self.frame.frame()
+        &self.frame
     }
 
     /// What to do at the time `now`.
@@ -203,7 +205,7 @@ impl Requester {
                 waiting.repeated = true;
                 // From now, so that a host that slept does not send all at once.
                 waiting.until = now.saturating_add(self.interval);
-                Next::Send(self.frame.frame())
+                Next::Send(&self.frame)
             }
         }
     }

@@ -1,10 +1,11 @@
 //! The device's side of requests: every request has one effect, however often it is repeated.
 
+use heapless::Vec;
 use serde::Serialize;
 
 use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
 use crate::checksum::crc_32c;
-use crate::frame::{FrameBuffer, MAX_FRAME};
+use crate::frame::{MAX_FRAME, fill};
 use crate::hello::LinkRole;
 use crate::message::{
     Answer, Command, EncodedParameters, Head, Payload, Refusal, Reply, Signature,
@@ -101,14 +102,14 @@ pub enum Decision<'a, 'b> {
 pub struct Responder {
     role: LinkRole,
     /// The latest unsigned request of each session, the latest session first.
-    latest: [Option<Known>; SESSIONS],
+    latest: Vec<Known, SESSIONS>,
     /// The reply to the first of them.
-    reply: FrameBuffer<KEPT_FRAME>,
+    reply: Vec<u8, KEPT_FRAME>,
     sessions: Sessions,
     /// The latest signed request.
     latest_signed: Option<Known>,
     /// The reply to it.
-    signed_reply: FrameBuffer<KEPT_FRAME>,
+    signed_reply: Vec<u8, KEPT_FRAME>,
     executing: Option<Executing>,
     /// When the token bucket of each [`Class`] is full, µs on the device's clock.
     full_at_us: [u64; 4],
@@ -117,7 +118,7 @@ pub struct Responder {
     /// Requests that came again.
     repeated: u32,
     /// A refusal that must replace neither reply.
-    refusal: FrameBuffer<REFUSAL_FRAME>,
+    refusal: Vec<u8, REFUSAL_FRAME>,
 }
 
 /// Session and id at their longest, signature or number of a session, its nonce, answer, refusal, kind,
@@ -175,16 +176,16 @@ impl Responder {
     pub const fn new(role: LinkRole) -> Self {
         Self {
             role,
-            latest: [None; SESSIONS],
-            reply: FrameBuffer::new(),
+            latest: Vec::new(),
+            reply: Vec::new(),
             sessions: Sessions::new(),
             latest_signed: None,
-            signed_reply: FrameBuffer::new(),
+            signed_reply: Vec::new(),
             executing: None,
             full_at_us: [0; 4],
             limited_at_us: None,
             repeated: 0,
-            refusal: FrameBuffer::new(),
+            refusal: Vec::new(),
         }
     }
 
@@ -247,21 +248,17 @@ impl Responder {
         command: &'b [u8],
         lock: &Lock,
     ) -> Decision<'_, 'b> {
-        let known = self
-            .latest
-            .iter()
-            .position(|known| known.is_some_and(|known| known.session == request.session));
-        let latest = known
-            .and_then(|place| self.latest.get(place).copied())
-            .flatten();
+        let mut sessions = self.latest.iter();
+        let known = sessions.position(|latest| latest.session == request.session);
+        let latest = known.and_then(|place| self.latest.get(place).copied());
         let repeats = latest == Some(request) && known == Some(0);
         if repeats {
             self.repeated = self.repeated.wrapping_add(1);
             match self.executing {
                 Some(Executing::Unsigned(..)) => return Decision::Ignore,
-                _ if !self.reply.frame().is_empty() => {
-                    self.spend(class, self.reply.frame().len());
-                    return Decision::Send(self.reply.frame());
+                _ if !self.reply.is_empty() => {
+                    self.spend(class, self.reply.len());
+                    return Decision::Send(&self.reply);
                 }
                 _ => {}
             }
@@ -279,9 +276,7 @@ impl Responder {
         }
 
         if !late {
-            // This session moves to the front; what was before it moves back by one.
-            let moved = known.unwrap_or(SESSIONS - 1);
-            put_first(&mut self.latest, moved, Some(request));
+            put_first(&mut self.latest, known, request);
             self.reply.clear();
         }
 
@@ -302,10 +297,11 @@ impl Responder {
             }
             Err(answer) if late => self.refuse(class, request.answer(&answer)),
             Err(answer) => {
-                self.reply
-                    .fill(|frame| request.answer(&answer).encode(frame));
-                self.spend(class, self.reply.frame().len());
-                Decision::Send(self.reply.frame())
+                fill(&mut self.reply, |frame| {
+                    request.answer(&answer).encode(frame)
+                });
+                self.spend(class, self.reply.len());
+                Decision::Send(&self.reply)
             }
         }
     }
@@ -324,9 +320,9 @@ impl Responder {
                 Some(Executing::Signed(..)) => return Decision::Ignore,
                 _ if self.is_spent(Class::Repeated) => return Decision::Ignore,
                 // What was sent before: nobody learns anything from it.
-                _ if !self.signed_reply.frame().is_empty() => {
-                    self.spend(Class::Repeated, self.signed_reply.frame().len());
-                    return Decision::Send(self.signed_reply.frame());
+                _ if !self.signed_reply.is_empty() => {
+                    self.spend(Class::Repeated, self.signed_reply.len());
+                    return Decision::Send(&self.signed_reply);
                 }
                 _ => {}
             }
@@ -376,9 +372,10 @@ impl Responder {
                 Decision::Execute(command)
             }
             Err(answer) => {
-                self.signed_reply
-                    .fill(|frame| signed(&answer).encode(frame));
-                Decision::Send(self.signed_reply.frame())
+                fill(&mut self.signed_reply, |frame| {
+                    signed(&answer).encode(frame)
+                });
+                Decision::Send(&self.signed_reply)
             }
         }
     }
@@ -391,9 +388,9 @@ impl Responder {
         if self.is_spent(class) {
             return Decision::Ignore;
         }
-        self.refusal.fill(|frame| reply.encode(frame));
-        self.spend(class, self.refusal.frame().len());
-        Decision::Send(self.refusal.frame())
+        fill(&mut self.refusal, |frame| reply.encode(frame));
+        self.spend(class, self.refusal.len());
+        Decision::Send(&self.refusal)
     }
 
     fn open_session(&mut self, lock: &Lock) -> ShortAnswer {
@@ -434,14 +431,19 @@ impl Responder {
         };
         let length = reply.encode(frame).unwrap_or(0);
         let frame = frame.get(..length).unwrap_or_default();
+        // A reply that does not fit is made again when the request is repeated.
         match executing {
             Some(Executing::Unsigned(_, class, late)) => {
-                if !late {
-                    self.reply.keep(frame);
-                }
                 self.spend(class, length);
+                if !late {
+                    self.reply.clear();
+                    let _ = self.reply.extend_from_slice(frame);
+                }
             }
-            _ => self.signed_reply.keep(frame),
+            _ => {
+                self.signed_reply.clear();
+                let _ = self.signed_reply.extend_from_slice(frame);
+            }
         }
         frame
     }

@@ -244,7 +244,7 @@ impl Requester {
     }
 
     /// Whether the latest answer was signed with the device's key.
-    pub fn vouched(&self) -> bool {
+    pub fn is_authenticated(&self) -> bool {
         self.is_authenticated
     }
 

@@ -2,6 +2,9 @@
 //! virtual time, that can also lie, mumble and look away. Golden wire vectors are in `vectors/`.
 
 pub mod campaign;
+#[cfg(unix)]
+pub mod qemu;
+pub mod wire;
 
 use std::collections::HashSet;
 use std::future::Future;
@@ -406,7 +409,7 @@ pub fn fuzz_once(seeded: &mut Random) {
     // Small numbers look more like messages than even ones do.
     let mask = [0xff, 0x7f, 0x0f, 0x03][seeded.below(4)];
     data.iter_mut().for_each(|byte| *byte &= mask);
-    wimu_link::fuzz::all(&data);
+    wire::all(&data);
 
     let mut line = Vec::new();
     let mut rest = data.as_slice();

@@ -484,7 +484,7 @@ fn a_signature_that_is_not_whole_is_none() {
         };
         assert_eq!(owner.requester.on_reply(&replied(&cut)), None);
         assert!(owner.requester.on_reply(&replied(&reply)).is_some());
-        assert!(owner.requester.vouched());
+        assert!(owner.requester.is_authenticated());
     }
 }
 
@@ -698,7 +698,7 @@ fn a_device_that_cannot_read_its_boot_count_takes_a_new_key_over_the_cable_and_n
         let reply = device.hear(LinkRole::Cable, &request).expect("an answer");
         let answer = owner.requester.on_reply(&replied(&reply));
         assert_eq!(answer, Some(Answer::Refused(Refusal::Locked)));
-        assert!(owner.requester.vouched());
+        assert!(owner.requester.is_authenticated());
         recorded.push(request);
     }
     assert_eq!(device.writes, []);

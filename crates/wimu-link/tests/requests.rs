@@ -396,7 +396,7 @@ fn an_answer_to_anybody_serves_who_asks_the_same_in_vain() {
             assert_eq!(requester.on_reply(&useless), None);
         }
         assert_eq!(requester.on_reply(&overheard), Some(fits));
-        assert!(!requester.vouched());
+        assert!(!requester.is_authenticated());
     }
     // What was asked signed is answered signed.
     let mut responder = Responder::new(LinkRole::Wireless);

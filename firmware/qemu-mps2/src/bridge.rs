@@ -9,6 +9,7 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
 use embedded_hal_async::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use embedded_io_async::{Read, Write};
+use heapless::{CapacityError, Vec};
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
@@ -20,20 +21,20 @@ const STATUS_REGISTER: u8 = 0x0A;
 const STATUS_OK: u8 = 0xF0;
 const STATUS_NACK_ADDRESS: u8 = 0xF1;
 const STATUS_NACK_DATA: u8 = 0xF2;
-/// The bridge answers within this time or not at all.
+/// Longest time until the bridge answers, µs.
 const PATIENCE_US: u64 = 1_000_000;
-/// A bridge that has said nothing for so long has answered all that it was asked.
+/// Silence after which the bridge has answered every question, µs.
 const QUIET_US: u64 = 100_000;
 /// Longest message: 16 samples and the status.
 const MESSAGE: usize = 128;
 
-/// The line to the bridge: it takes one question after the other.
+/// The line to the bridge, which answers one question after the other.
 pub struct Bridge {
     reader: Reader,
     writer: Writer,
-    /// Bytes of an answer that nobody waits for any more.
+    /// Bytes still to come of an answer that is no longer awaited.
     owed: usize,
-    /// Whether nobody knows which answers are still to come.
+    /// Whether it is unknown which answers are still to come.
     lost: bool,
 }
 
@@ -48,9 +49,9 @@ impl Bridge {
         }
     }
 
-    /// Sends `question` and waits for as many bytes as `answer` has. If dropped meanwhile, the
-    /// next one swallows what is still to come. In lockstep no other task goes on meanwhile: how
-    /// far it would get depends on how fast the host is.
+    /// Sends `question` and waits for as many bytes as `answer` has. If the future is dropped, the
+    /// next call discards the rest of the answer. In lockstep no other task runs meanwhile, because its
+    /// progress would depend on the speed of the host.
     async fn ask(&mut self, question: &[u8], answer: &mut [u8]) -> Result<(), BridgeError> {
         if is_lockstep() {
             SENSOR_BUS.write_now(question);
@@ -58,7 +59,7 @@ impl Bridge {
             return Ok(());
         }
         if self.lost {
-            self.find().await?;
+            self.resynchronise().await?;
         }
         let deadline = DeviceTimeUs(BoardTimer.now().0 + PATIENCE_US);
         while self.owed > 0 {
@@ -93,9 +94,9 @@ impl Bridge {
         }
     }
 
-    /// After a silence: a bridge that was held up answers every question since then, one that has
-    /// begun anew none of them. Asks once more and waits until it has nothing left to say.
-    async fn find(&mut self) -> Result<(), BridgeError> {
+    /// Resynchronises after a timeout: a delayed bridge answers every question since then, a restarted one
+    /// none of them. Asks once more and discards all answers.
+    async fn resynchronise(&mut self) -> Result<(), BridgeError> {
         let Ok(()) = self.writer.write_all(b"IP").await;
         let mut stale = [0; MESSAGE];
         let mut patience = PATIENCE_US;
@@ -134,6 +135,12 @@ pub enum BridgeError {
     Status(u8),
 }
 
+impl From<CapacityError> for BridgeError {
+    fn from(_: CapacityError) -> Self {
+        Self::TooLong
+    }
+}
+
 impl Error for BridgeError {
     fn kind(&self) -> ErrorKind {
         match self {
@@ -161,7 +168,7 @@ impl I2c for BridgeI2c {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), BridgeError> {
-        let mut question = Message::default();
+        let mut question = Vec::<u8, MESSAGE>::new();
         let mut expected = 1;
         // Neighbours in one direction are one message on the bus.
         let same = |a: &Operation<'_>, b: &Operation<'_>| {
@@ -171,19 +178,19 @@ impl I2c for BridgeI2c {
             let reads = matches!(group, [Operation::Read(_), ..]);
             let length: usize = group.iter().map(length).sum();
             let count = u8::try_from(length).map_err(|_| BridgeError::TooLong)?;
-            question.append(&[b'S', address << 1 | u8::from(reads), count])?;
+            question.extend_from_slice(&[b'S', address << 1 | u8::from(reads), count])?;
             for operation in group {
                 if let Operation::Write(bytes) = operation {
-                    question.append(bytes)?;
+                    question.extend_from_slice(bytes)?;
                 }
             }
             expected += if reads { length } else { 0 };
         }
-        question.append(&[b'P', b'R', STATUS_REGISTER, b'P'])?;
+        question.extend_from_slice(&[b'P', b'R', STATUS_REGISTER, b'P'])?;
 
         let mut answer = [0; MESSAGE];
         let answer = answer.get_mut(..expected).ok_or(BridgeError::TooLong)?;
-        self.0.lock().await.ask(question.bytes(), answer).await?;
+        self.0.lock().await.ask(&question, answer).await?;
         match answer {
             [data @ .., STATUS_OK] => {
                 let mut rest = &*data;
@@ -206,34 +213,5 @@ fn length(operation: &Operation<'_>) -> usize {
     match operation {
         Operation::Read(buffer) => buffer.len(),
         Operation::Write(bytes) => bytes.len(),
-    }
-}
-
-struct Message {
-    bytes: [u8; MESSAGE],
-    length: usize,
-}
-
-impl Default for Message {
-    fn default() -> Self {
-        Self {
-            bytes: [0; MESSAGE],
-            length: 0,
-        }
-    }
-}
-
-impl Message {
-    fn append(&mut self, bytes: &[u8]) -> Result<(), BridgeError> {
-        self.bytes
-            .get_mut(self.length..self.length + bytes.len())
-            .ok_or(BridgeError::TooLong)?
-            .copy_from_slice(bytes);
-        self.length += bytes.len();
-        Ok(())
-    }
-
-    fn bytes(&self) -> &[u8] {
-        &self.bytes[..self.length]
     }
 }

@@ -155,13 +155,14 @@ impl Faults {
         self.0.answered.set(Some(transactions));
     }
 
-    /// Mends everything.
+    /// Removes all faults.
     pub fn clear(&self) {
         self.0.stuck.set(false);
         self.0.answered.set(None);
     }
 
-    pub(crate) fn stuck(&self) -> bool {
+    /// Whether the bus is held low.
+    pub fn stuck(&self) -> bool {
         self.0.stuck.get()
     }
 

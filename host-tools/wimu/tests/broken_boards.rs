@@ -82,7 +82,7 @@ fn what_is_wrong_with_the_sensor_is_told_with_what_to_do_whenever_somebody_begin
         (
             "another chip",
             broken(|board| board.sensor().set_who_am_i(0x44)),
-            "says it is 0x44, expected 0x33; check that the firmware is for this board",
+            "identifies itself as 0x44, expected 0x33; check that the firmware is for this board",
         ),
         (
             "a bus held low",

@@ -7,9 +7,9 @@ use wimu_host::mcap_file::RecordingReader;
 use wimu_link::LinkRole;
 use wimu_sim::board::BehindFaults;
 use wimu_sim::faults::LinkFaults;
-use wimu_sim::qemu::QemuBoard;
 use wimu_sim::scenario::Host;
 use wimu_sim::scene::World;
+use wimu_tests::qemu::QemuBoard;
 
 use super::{folder, machine, sensor};
 

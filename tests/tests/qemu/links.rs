@@ -17,8 +17,8 @@ use wimu_host::transport::{self, Transport};
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result, replay};
 use wimu_link::message::Event as DeviceEvent;
 use wimu_link::{Deframer, Kind, LinkRole, WIRE_VERSION};
-use wimu_sim::qemu::{FreeRunning, Listen};
 use wimu_sim::scene::World;
+use wimu_tests::qemu::{FreeRunning, Listen};
 use wimu_tests::{Random, frame_of, who_are_you};
 
 use super::{folder, machine, sensor};

@@ -11,10 +11,10 @@ use std::time::Duration;
 use wimu_host::ErrorCode;
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
-use wimu_sim::qemu::QemuBoard;
 use wimu_sim::scenario::Host;
 use wimu_sim::scene::{Scene, World};
 use wimu_testkit::{Random, figure};
+use wimu_tests::qemu::QemuBoard;
 
 use super::{folder, machine, memory, parameters, sensor};
 

@@ -76,7 +76,7 @@ impl<T: Transport> Client<T> {
         // What is staged has no effect of its own.
         let has_effect = command.is_write() && !matches!(command, Command::StageParameters(_));
         let signs = self.requester.signs();
-        let certain = answer.is_ok() && (!signs || self.requester.vouched());
+        let certain = answer.is_ok() && (!signs || self.requester.is_authenticated());
         let nobodys = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
         let outcome = match answer {
             Ok(Answer::Accepted(_)) if nobodys => Err(HostError::new(
@@ -141,7 +141,7 @@ impl<T: Transport> Client<T> {
     fn ask(&mut self, command: Command) -> Result<Answer> {
         let mut answer = self.ask_once(command)?;
         for _ in 1..SESSIONS {
-            let stale = answer == Answer::Refused(Refusal::Stale) && !self.requester.vouched();
+            let stale = answer == Answer::Refused(Refusal::Stale) && !self.requester.is_authenticated();
             if !stale || command.is_write() {
                 break;
             }

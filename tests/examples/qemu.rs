@@ -10,10 +10,10 @@ mod running {
 
     use wimu_host::{ErrorCode, HostError, Result};
     use wimu_sim::motion;
-    use wimu_sim::qemu::{FreeRunning, Machine};
     use wimu_sim::scene::{Scene, World};
     use wimu_sim::source::Physics;
     use wimu_sim::truth::{Gauge, SensorTruth};
+    use wimu_tests::qemu::{FreeRunning, Machine};
 
     const USAGE: &str = "\
 Usage: qemu IMAGE [OPTION VALUE]…

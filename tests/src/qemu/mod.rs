@@ -15,21 +15,24 @@ use std::time::{Duration, Instant};
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::LinkRole;
 
-use crate::board::VirtualBoard;
-use crate::bridge::{Bridge, Traffic};
-use crate::clock::VirtualClock;
-use crate::i2c::Faults;
-use crate::sensor::Sensor;
-use crate::source::Source;
+use wimu_sim::board::VirtualBoard;
+use wimu_sim::clock::VirtualClock;
+use wimu_sim::i2c::Faults;
+use wimu_sim::sensor::Sensor;
+use wimu_sim::source::Source;
+
+use self::bridge::{Bridge, Traffic};
+
+mod bridge;
 
 const QEMU: &str = "qemu-system-arm";
-/// How long a start may take, on a machine that has other things to do.
+/// Longest start of QEMU, on a busy machine.
 const START_PATIENCE: Duration = Duration::from_secs(20);
-/// How long a board may compute without asking for anything.
+/// Longest time without a message from the board.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long to wait for one byte before looking around: a link that is full holds the board up.
+/// Longest wait for one byte: a full link stalls the board, so all lines are read in turn.
 const GLANCE: Duration = Duration::from_millis(1);
-/// Bytes that are sent before the board is seen to have taken them.
+/// Bytes sent before waiting until the board has received them.
 const PIECE: usize = 512;
 
 /// How a board in QEMU is made.
@@ -37,13 +40,13 @@ const PIECE: usize = 512;
 pub struct Machine {
     /// The firmware, an ELF file for mps2-an386.
     pub image: PathBuf,
-    /// Where its non-volatile memory is kept; it forgets when it ends if `None`. Made if missing.
+    /// File of its non-volatile memory, created if missing; `None`: content is lost at the end.
     pub memory: Option<PathBuf>,
     /// Where its `defmt` log goes.
     pub log: Option<PathBuf>,
-    /// It loses power when as many words of its flash have been written or erased.
+    /// Power is lost after this many words of flash have been written or erased.
     pub power_loss_after: Option<u32>,
-    /// Writing a word of its flash takes as many cycles of the processor on top.
+    /// Extra processor cycles for each word of flash written.
     pub slow_flash: Option<u32>,
 }
 
@@ -121,34 +124,33 @@ fn escaped(path: &Path) -> String {
     path.display().to_string().replace(',', ",,")
 }
 
-/// QEMU, which ends with us.
+/// The QEMU process; killed when dropped.
 struct Process(Child);
 
 impl Process {
     /// Why it has ended; `None` while it runs.
     fn failure(&mut self) -> Option<HostError> {
         let status = self.0.try_wait().ok()??;
-        let mut said = String::new();
+        let mut message = String::new();
         if let Some(stderr) = &mut self.0.stderr {
-            let _ = stderr.read_to_string(&mut said);
+            let _ = stderr.read_to_string(&mut message);
         }
-        let said = said.trim();
-        let said = if said.is_empty() {
-            "it said nothing"
+        let message = message.trim();
+        let message = if message.is_empty() {
+            "no message"
         } else {
-            said
+            message
         };
         Some(HostError::new(
             ErrorCode::LinkLost,
-            format!("{QEMU} has ended ({status}): {said}"),
-            "3 is the power loss that was asked for, 101 a panic of the firmware and 102 a fault: see its log",
+            format!("{QEMU} has ended ({status}): {message}"),
+            "exit code 3: requested power loss, 101: firmware panic, 102: processor fault; see its log",
         ))
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // As when power goes: whatever it was doing.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -171,7 +173,7 @@ impl Folder {
     fn listen(&self, name: &str) -> Result<Listener> {
         let path = self.0.join(name);
         let failed = |error| HostError::file(&path.display().to_string(), "listen on", &error);
-        // One of the start before.
+        // A socket left from the previous start.
         let _ = fs::remove_file(&path);
         let listener = UnixListener::bind(&path).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
@@ -191,7 +193,7 @@ struct Listener {
 }
 
 impl Listener {
-    /// As QEMU's option says it.
+    /// The value of QEMU's option.
     fn device(&self) -> String {
         format!("path={}", escaped(&self.path))
     }
@@ -214,7 +216,7 @@ impl Listener {
                         "{QEMU} does not connect within {} s",
                         START_PATIENCE.as_secs()
                     ),
-                    "check what else this computer does",
+                    "reduce the load of this computer",
                 ));
             }
             thread::sleep(Duration::from_millis(2));
@@ -417,20 +419,20 @@ impl Lines {
 
     fn answer(&mut self, bytes: &[u8]) -> Result<()> {
         let outcome = self.sensor_bus.write_all(bytes);
-        outcome.map_err(|error| self.why(&error))
+        outcome.map_err(|error| self.cause(&error))
     }
 
     /// Waits for bytes from the sensor's UART; none if none come in time.
     fn hear(&mut self, patience: Duration) -> Result<Vec<u8>> {
         match hear(&mut self.sensor_bus, patience) {
             Ok(Some(bytes)) => Ok(bytes),
-            Ok(None) => Err(self.why(&ErrorKind::UnexpectedEof.into())),
-            Err(error) => Err(self.why(&error)),
+            Ok(None) => Err(self.cause(&ErrorKind::UnexpectedEof.into())),
+            Err(error) => Err(self.cause(&error)),
         }
     }
 
-    /// A line that has failed, because QEMU has ended as a rule.
-    fn why(&mut self, error: &io::Error) -> HostError {
+    /// The cause of a failed line: usually that QEMU has ended.
+    fn cause(&mut self, error: &io::Error) -> HostError {
         let start = Instant::now();
         while start.elapsed() < Duration::from_secs(1) {
             if let Some(failure) = self.process.failure() {
@@ -503,7 +505,7 @@ impl From<SocketAddr> for Listen {
 }
 
 impl Listen {
-    /// As QEMU's option says it.
+    /// The value of QEMU's option.
     fn device(&self) -> String {
         let place = match self {
             Self::Tcp(address) => {

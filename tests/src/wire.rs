@@ -1,21 +1,20 @@
-//! What must hold for any bytes: bodies for fuzzers and for tests with seeded input. Each panics
-//! when it finds a fault.
+//! Properties of `wimu-link` that hold for any input bytes: for fuzzing and for tests with seeded
+//! input. Each function panics when the property is violated.
 
-use core::num::NonZeroU8;
+use std::num::NonZeroU8;
 
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 
-use crate::auth::{DeviceKey, KeyState, Lock, Session};
-use crate::batch::{self, Batch, Stream};
-use crate::checksum::crc_32c;
-use crate::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
-use crate::hello::{self, Hello, LinkRole, WhoAreYou};
-use crate::message::{
+use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
+use wimu_link::batch::{self, Batch, Stream};
+use wimu_link::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
+use wimu_link::hello::{self, Hello, LinkRole, WhoAreYou};
+use wimu_link::message::{
     Answer, Command, Event, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
 };
-use crate::responder::{Decision, Responder};
+use wimu_link::responder::{Decision, Responder};
 
-/// All of them.
+/// Checks all properties.
 pub fn all(data: &[u8]) {
     deframe(data);
     damage(data);
@@ -26,9 +25,8 @@ pub fn all(data: &[u8]) {
     signed_requests(data);
 }
 
-/// Bytes on a line: nothing panics, and the next whole frame is found.
-///
-/// Byte by byte and piece by piece come to the same.
+/// Bytes on a line: decoding does not panic, finds the next intact frame, and gives the same result
+/// byte by byte and in pieces.
 pub fn deframe(data: &[u8]) {
     let mut deframer = Deframer::new();
     let mut in_pieces = Deframer::new();
@@ -60,7 +58,7 @@ pub fn deframe(data: &[u8]) {
     assert_eq!(found, Some(Ok(Kind::Hello)));
 }
 
-/// Two frames with flipped bits, lost, doubled and moved bytes between them: what passes is one of
+/// Two frames with flipped bits and lost, repeated and moved bytes: every accepted frame is one of
 /// the two.
 pub fn damage(data: &[u8]) {
     let mut source = Source(data);
@@ -93,12 +91,12 @@ pub fn damage(data: &[u8]) {
     for &byte in &line[..length] {
         if let Some(Ok(frame)) = deframer.push(byte) {
             assert_eq!(frame.kind, Kind::Batch);
-            assert!(bodies.contains(&frame.body), "a damaged frame passed");
+            assert!(bodies.contains(&frame.body), "a damaged frame was accepted");
         }
     }
 }
 
-/// Any body of any kind: nothing panics, and what is known is written again as the same message.
+/// Any body of any kind: decoding does not panic, and a decoded message encodes to an equal one.
 pub fn bodies(data: &[u8]) {
     for kind in [
         Kind::Hello,
@@ -132,7 +130,7 @@ fn body(frame: &Frame<'_>) {
             let _ = WhoAreYou::decode(frame.body);
         }
         Kind::Batch => batch_body(frame.body),
-        // Compared as bytes, because not-a-number differs from itself.
+        // Compared as bytes, because NaN differs from itself.
         Kind::Telemetry => {
             if let Ok(telemetry) = Telemetry::decode(frame.body)
                 && !matches!(
@@ -176,6 +174,7 @@ fn body(frame: &Frame<'_>) {
                 });
             }
         }
+        kind => unreachable!("{kind:?} is not in `bodies`"),
     }
 }
 
@@ -189,7 +188,7 @@ fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
     panic!("a frame did not end");
 }
 
-/// Any body of a batch: what is read is packed again without loss.
+/// Any body of a batch: a decoded batch is packed again without loss.
 pub fn batch_body(data: &[u8]) {
     let Ok(batch) = Batch::decode(data) else {
         return;
@@ -230,11 +229,11 @@ fn fill<T>(places: &mut [T], values: impl Iterator<Item = T>) -> usize {
         .count()
 }
 
-/// Any samples: they come back.
+/// Any samples: packing and unpacking is lossless.
 pub fn batch_samples(data: &[u8]) {
     let mut source = Source(data);
     let count = 1 + source.below(batch::MAX_BATCH);
-    let start: [u32; 3] = core::array::from_fn(|_| source.word());
+    let start: [u32; 3] = std::array::from_fn(|_| source.word());
     let narrow = source.below(33) as u32;
     let mut raw = [Counts::default(); batch::MAX_BATCH];
     let mut corrected = [SpecificForceQ16::default(); batch::MAX_BATCH];
@@ -277,8 +276,8 @@ const NO_KEY: Lock = Lock {
     entropy: [0; 16],
 };
 
-/// Requests of a few sessions, repeated and reordered, between bytes that are none: each write is carried
-/// out at most once, its repeats get the same bytes, and no write passes a radio.
+/// Unsigned requests of three sessions, repeated and reordered, mixed with other bytes: each write is
+/// executed at most once, repeats get the same reply, and no write is accepted over the wireless link.
 pub fn requests(data: &[u8]) {
     let mut source = Source(data);
     let role = if source.byte() % 2 == 0 {
@@ -289,7 +288,7 @@ pub fn requests(data: &[u8]) {
     let mut responder = Responder::new(role);
     // By session and id.
     let mut executed = [[false; 8]; 3];
-    let mut replied = [[None; 8]; 3];
+    let mut replied = [const { [const { None::<Vec<u8>> }; 8] }; 3];
     let mut pending: Option<(usize, usize)> = None;
     while !source.0.is_empty() {
         if source.byte() % 4 == 0
@@ -299,7 +298,7 @@ pub fn requests(data: &[u8]) {
             let mut frame = [0; MAX_FRAME];
             let frame = responder.reply(&answer, &mut frame);
             assert!(!frame.is_empty());
-            replied[session][id] = Some(crc_32c(frame));
+            replied[session][id] = Some(frame.to_vec());
         }
         if source.byte() % 16 == 0 {
             let garbage = source.slice();
@@ -309,7 +308,7 @@ pub fn requests(data: &[u8]) {
                     Decision::Execute(_)
                 ));
             }
-            // Garbage may have a head that is some session's.
+            // Random bytes may hold a valid head of one of the sessions.
             return;
         }
         let (session, id) = (source.below(3), source.below(8));
@@ -328,7 +327,7 @@ pub fn requests(data: &[u8]) {
         with_body(&line[..length], |body| {
             match responder.accept(body, &NO_KEY) {
                 Decision::Execute(command) => {
-                    // Reads have none.
+                    // Reads may be executed again.
                     let again = executed[session][id] && command.is_write();
                     assert!(!again, "a request had two effects");
                     assert!(role == LinkRole::Cable || !command.is_write());
@@ -337,16 +336,15 @@ pub fn requests(data: &[u8]) {
                     pending = Some((session, id));
                 }
                 Decision::Send(frame) => {
-                    let answer = crc_32c(frame);
                     let stale = {
                         let mut reply = None;
                         with_body(frame, |body| reply = Reply::decode(body).ok());
                         let reply = reply.expect("own reply");
                         assert_eq!((reply.session, reply.id), (request.session, request.id));
-                        reply.answer == Answer::Refused(crate::message::Refusal::Stale)
+                        reply.answer == Answer::Refused(Refusal::Stale)
                     };
-                    if let Some(before) = replied[session][id] {
-                        assert!(stale || before == answer, "two answers to one request");
+                    if let Some(before) = &replied[session][id] {
+                        assert!(stale || before == frame, "two answers to one request");
                     }
                 }
                 Decision::Ignore => assert!(pending.is_some()),
@@ -355,8 +353,8 @@ pub fn requests(data: &[u8]) {
     }
 }
 
-/// What the owner signed, damaged, repeated and out of order, between bytes that are nothing: what
-/// is carried out is what the owner signed, once.
+/// Signed requests, damaged, repeated and reordered, mixed with other bytes: only intact signed writes
+/// are executed, each once.
 pub fn signed_requests(data: &[u8]) {
     const SENT: usize = 6;
     let mut source = Source(data);
@@ -376,7 +374,7 @@ pub fn signed_requests(data: &[u8]) {
         let which = source.below(2);
         let choice = source.byte() % 4;
         if choice == 0 {
-            // Anyone can.
+            // Opening a session takes no signature.
             let number = source.word();
             let request = Request {
                 session: number,
@@ -433,7 +431,7 @@ pub fn signed_requests(data: &[u8]) {
             }
             if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
                 if command.is_write() {
-                    assert!(whole, "what nobody signed was carried out");
+                    assert!(whole, "an unsigned write was executed");
                     assert_eq!(
                         command,
                         Command::CommitParameters {
@@ -448,14 +446,14 @@ pub fn signed_requests(data: &[u8]) {
         } else {
             let garbage = source.slice();
             if let Decision::Execute(command) = responder.accept(garbage, &lock) {
-                assert!(!command.is_write(), "what nobody signed was carried out");
+                assert!(!command.is_write(), "an unsigned write was executed");
                 responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]);
             }
         }
     }
 }
 
-/// Numbers from bytes; zeros when they run out.
+/// Numbers taken from bytes; zeros after the last byte.
 struct Source<'a>(&'a [u8]);
 
 impl<'a> Source<'a> {
@@ -470,10 +468,10 @@ impl<'a> Source<'a> {
     }
 
     fn word(&mut self) -> u32 {
-        u32::from_le_bytes(core::array::from_fn(|_| self.byte()))
+        u32::from_le_bytes(std::array::from_fn(|_| self.byte()))
     }
 
-    /// Less than `limit`, or 0.
+    /// A number below `limit`; 0 for a limit of 0.
     fn below(&mut self, limit: usize) -> usize {
         usize::from(u16::from_le_bytes([self.byte(), self.byte()])) % limit.max(1)
     }

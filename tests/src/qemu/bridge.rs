@@ -22,10 +22,10 @@ use embedded_hal::digital::InputPin;
 use embedded_hal_async::digital::Wait as _;
 use embedded_hal_async::i2c::{I2c, Operation};
 
-use crate::clock::VirtualClock;
-use crate::i2c::{Faults, I2cError, SimI2c, Target};
-use crate::sensor::Sensor;
-use crate::source::Source;
+use wimu_sim::clock::VirtualClock;
+use wimu_sim::i2c::{Faults, I2cError, SimI2c, Target};
+use wimu_sim::sensor::Sensor;
+use wimu_sim::source::Source;
 
 /// Registers of the chip.
 const IO_STATE: u8 = 0x04;
@@ -375,8 +375,8 @@ fn transaction(bytes: &[u8]) -> Parsed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::source::Replay;
     use wimu_model::Counts;
+    use wimu_sim::source::Replay;
 
     /// Turns the accelerometer on: 100 Hz, 12 bits, data-ready on INT1.
     const START: &[u8] = b"S\x32\x02\x22\x10PS\x32\x02\x23\x88PS\x32\x02\x20\x57P";

@@ -14,23 +14,23 @@ const LONGEST_US: u64 = 25_000;
 ///
 /// Controllers wait without a limit while a line of the bus is held low. After the timeout the transaction's
 /// future is dropped; `I2C` must stop then, and work again with the next transaction.
-pub struct PatientBus<I2C, T> {
+pub struct TimeoutBus<I2C, T> {
     bus: I2C,
     timer: T,
 }
 
-impl<I2C, T: Timer> PatientBus<I2C, T> {
+impl<I2C, T: Timer> TimeoutBus<I2C, T> {
     /// Adds the timeout to `bus`.
     pub fn new(bus: I2C, timer: T) -> Self {
         Self { bus, timer }
     }
 }
 
-impl<I2C: ErrorType, T> ErrorType for PatientBus<I2C, T> {
+impl<I2C: ErrorType, T> ErrorType for TimeoutBus<I2C, T> {
     type Error = BusError<I2C::Error>;
 }
 
-impl<I2C: I2c, T: Timer> I2c for PatientBus<I2C, T> {
+impl<I2C: I2c, T: Timer> I2c for TimeoutBus<I2C, T> {
     // `write`, `read` and `write_read` call this one.
     async fn transaction(
         &mut self,
@@ -53,7 +53,7 @@ async fn in_time<E>(
     }
 }
 
-/// Why a transaction of a [`PatientBus`] failed.
+/// Why a transaction of a [`TimeoutBus`] failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BusError<E> {

@@ -31,7 +31,7 @@ use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
 use wimu_node::{
-    Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, PatientBus, Shared, Timer,
+    Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, Shared, TimeoutBus, Timer,
 };
 
 use crate::bus::Bus;
@@ -49,7 +49,7 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// The types of the node.
-type Sensor = Lsm303agr<PatientBus<Bus, BoardTimer>, Line, BoardTimer>;
+type Sensor = Lsm303agr<TimeoutBus<Bus, BoardTimer>, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUarteRx<'static>;
 type Transmitter = BufferedUarteTx<'static>;
@@ -210,7 +210,7 @@ fn start(spawner: Spawner) {
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
-        accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
+        accelerometer: Sensor::new(TimeoutBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
             .mounted(MOUNTING),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),

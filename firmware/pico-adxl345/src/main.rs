@@ -29,7 +29,7 @@ use embassy_rp::{bind_interrupts, pac};
 use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_node::{Adxl345, Board, FlashStore, PatientBus, Shared};
+use wimu_node::{Adxl345, Board, FlashStore, Shared, TimeoutBus};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
@@ -45,7 +45,7 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// The types of the node.
-type Bus = PatientBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
+type Bus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
 type Sensor = Adxl345<Bus, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUartRx;
@@ -106,7 +106,7 @@ fn start(spawner: Spawner) {
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
-        accelerometer: Sensor::new(PatientBus::new(i2c, BoardTimer), line, BoardTimer),
+        accelerometer: Sensor::new(TimeoutBus::new(i2c, BoardTimer), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),

@@ -408,23 +408,21 @@ impl FrameError {
 impl fmt::Display for FrameError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cobs => out.write_str(
-                "a frame was damaged on the link: its COBS code is invalid; check baud rate and wiring if this goes on",
-            ),
-            Self::TooShort => out.write_str(
-                "a frame was damaged on the link: it is shorter than 5 bytes; check baud rate and wiring if this goes on",
-            ),
+            Self::Cobs => damaged(out, "its COBS code is invalid"),
+            Self::TooShort => damaged(out, "it is shorter than 5 bytes"),
             Self::TooLong => write!(
                 out,
                 "a frame was damaged on the link, or the other end is not a wimu device: more than {MAX_FRAME} bytes without a zero"
             ),
-            Self::Crc => out.write_str(
-                "a frame was damaged on the link: its CRC does not match; check baud rate and wiring if this goes on",
-            ),
+            Self::Crc => damaged(out, "its CRC does not match"),
             Self::UnknownVersion { version, kind } => write!(
                 out,
                 "the other end uses wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update {}",
-                if *version < WIRE_VERSION { "the other end" } else { "this end" }
+                if *version < WIRE_VERSION {
+                    "the other end"
+                } else {
+                    "this end"
+                }
             ),
             Self::UnknownKind { version, kind } => write!(
                 out,
@@ -432,6 +430,13 @@ impl fmt::Display for FrameError {
             ),
         }
     }
+}
+
+fn damaged(out: &mut fmt::Formatter<'_>, reason: &str) -> fmt::Result {
+    write!(
+        out,
+        "a frame was damaged on the link: {reason}; check baud rate and wiring if this persists"
+    )
 }
 
 impl core::error::Error for FrameError {}

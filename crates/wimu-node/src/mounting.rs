@@ -1,6 +1,6 @@
-//! How a sensor sits on its board.
+//! Mounting of a sensor on its board.
 
-/// One of a sensor's axes, either way.
+/// An axis of a sensor, with its direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     /// Along x.
@@ -31,8 +31,8 @@ impl Axis {
     }
 }
 
-/// How a sensor sits on its board: which of its axes lies along x, y and z of the board. Some sensors
-/// are left-handed; what a node calibrates and navigates in is right-handed (REP 103).
+/// Mounting of a sensor: which of its axes lies along x, y and z of the board. Some sensors have left-handed
+/// axes; the node uses right-handed ones (REP 103).
 ///
 /// ```
 /// use wimu_node::{Axis, Mounting};
@@ -45,7 +45,7 @@ impl Axis {
 pub struct Mounting([Axis; 3]);
 
 impl Mounting {
-    /// The board's axes are the sensor's.
+    /// The board's axes are those of the sensor.
     pub const STRAIGHT: Self = Self([Axis::X, Axis::Y, Axis::Z]);
 
     /// The sensor's axes along x, y and z of the board.
@@ -56,13 +56,12 @@ impl Mounting {
         let [x, y, z] = axes;
         assert!(
             (1 << x.number() | 1 << y.number() | 1 << z.number()) == 7,
-            "each of a sensor's axes lies along one of its board's"
+            "each axis of the sensor must be used once"
         );
         Self(axes)
     }
 
-    /// What a sensor puts out on its axes, on those of the board. The one number without a negative is
-    /// that of a saturated axis, which stays so.
+    /// Converts a sample from the sensor's axes to the board's. The negative of the lowest value saturates.
     pub fn turned(self, sensor: [i16; 3]) -> [i16; 3] {
         self.0.map(|axis| {
             let along = sensor.get(axis.number()).copied().unwrap_or_default();

@@ -14,7 +14,7 @@ fn solve<const M: usize>(solver: &ArraySolver<f32, M>, output: &[f32; M]) -> Sol
     solver.solve(output)
 }
 
-/// From one sample to ω, ω̇ and s of all roots.
+/// Measures the solution of one sample: ω, ω̇ and s of all roots.
 pub fn measure(counter: &Counter) -> Result<(), &'static str> {
     let refused = |_| "the geometry is refused";
     measure_one(counter, "array-four", &|| {

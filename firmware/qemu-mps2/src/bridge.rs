@@ -2,7 +2,7 @@
 //!
 //! The chip's commands are used as its data sheet has them: `S address length [bytes] … P` is a
 //! transaction, `R register P` reads one of its registers, `I P` its port. Two things differ: a
-//! read that nobody answers gives 0xFF bytes, as an idle bus does, and the sensor's data-ready
+//! read without an acknowledgement gives 0xFF bytes, as an idle bus does, and the sensor's data-ready
 //! line is bit 0 of the port.
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;

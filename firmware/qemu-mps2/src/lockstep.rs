@@ -1,24 +1,23 @@
-//! Lockstep: time passes only while everybody waits, and the bridge says how much.
+//! Lockstep: time advances only when all tasks wait, by an amount that the bridge determines.
 //!
-//! When no task has anything to do, the board asks the bridge to let time pass until the next
-//! deadline, or until the sensor has data. Nothing else waits: what is sent goes out at once, and
-//! the sensor's bus takes no time in which another task could go on. What the board computes then
-//! depends on what it is sent and when on its own clock, and on nothing else: not on how fast the
-//! host is. A byte that comes in on a link ends the wait.
+//! When no task is ready, the board asks the bridge to advance the time to the next deadline, or until the
+//! sensor has data. Nothing else takes time: bytes are sent immediately, and no other task runs during a bus
+//! transfer. So the board's results depend only on its inputs and their times on its own clock, not on the
+//! speed of the host. A byte received on a link ends the wait.
 //!
 //! `T flags wait cable-in wireless-in cable-out wireless-out P`: bit 0 of the flags asks for
 //! data-ready; the wait is in µs from the last answer, 32 bits, all ones without a deadline; how
 //! many bytes have come in and gone out on each link tells the host whether each side has seen
 //! everything, 16 bits each. A lone `P` ends the wait. The answer: the low 32 bits of the time
-//! since the board's start, µs, and flags, bit 0 data-ready. All lowest byte first. The chip that
-//! the bridge resembles has no such command.
+//! since the board's start, µs, and flags, bit 0 data-ready. All lowest byte first. The real chip has
+//! no such command.
 
 use crate::uart::{CABLE, SENSOR_BUS, Traffic, WIRELESS};
 use crate::{clock, data_ready};
 
 const NO_DEADLINE: u32 = u32::MAX;
 
-/// The time as the bridge said last, µs.
+/// The latest time from the bridge, µs.
 pub struct Lockstep {
     now_us: u64,
 }
@@ -29,7 +28,7 @@ impl Lockstep {
         Self { now_us: 0 }
     }
 
-    /// Lets time pass: to be called when no task has anything to do.
+    /// Advances the time. To be called when no task is ready.
     pub fn pass_time(&mut self) {
         let traffic = traffic();
         let wait = clock::next_deadline().map_or(NO_DEADLINE, |deadline| {

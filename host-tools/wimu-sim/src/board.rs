@@ -18,7 +18,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
-use wimu_node::{Accelerometer, DataReady, PatientBus, RateKeeper, Shared, Timer};
+use wimu_node::{Accelerometer, DataReady, RateKeeper, Shared, TimeoutBus, Timer};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
@@ -300,7 +300,7 @@ fn boot(
         },
         ..Hello::new(LinkRole::Cable)
     };
-    let i2c = PatientBus::new(i2c, timer.clone());
+    let i2c = TimeoutBus::new(i2c, timer.clone());
     let storage = config.storage.clone();
     let links = [
         (cable_reader, cable_writer),

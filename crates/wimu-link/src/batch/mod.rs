@@ -348,7 +348,7 @@ impl Batch {
 pub enum BatchError {
     /// The body ends before its samples do.
     TooShort,
-    /// The body goes on after its samples.
+    /// The body is longer than its samples.
     TooLong,
     /// It is marked as decimated, but by 0 or 1.
     Decimation,
@@ -361,7 +361,7 @@ impl fmt::Display for BatchError {
         out.write_str("a batch of samples cannot be read: ")?;
         out.write_str(match self {
             Self::TooShort => "it ends before its samples do",
-            Self::TooLong => "it goes on after its samples",
+            Self::TooLong => "it is longer than its samples",
             Self::Decimation => "it is marked as decimated, but by 0 or 1",
             Self::Value => "it holds an invalid coding or residual",
         })?;

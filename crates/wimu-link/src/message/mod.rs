@@ -127,7 +127,7 @@ impl Flavor for Sink<'_> {
 pub enum MessageError {
     /// The body ends before the message does.
     TooShort,
-    /// The body goes on after the message.
+    /// The body is longer than the message.
     TooLong {
         /// Bytes after the message.
         extra: usize,

@@ -408,7 +408,7 @@ impl fmt::Display for Refusal {
                 "writing on this link takes a key, and the device has none; run `wimu key set` once over the cable",
             ),
             Self::Locked => out.write_str(
-                "nobody may write on this link: the device cannot read its key or how often it has started; run `wimu key rotate` over the cable, or where that is refused too erase the key at the board (docs/SECURITY.md, lost key)",
+                "nobody may write on this link: the device cannot read its key or how often it has started; run `wimu key rotate` over the cable, or, if that is refused as well, erase the key at the board (docs/SECURITY.md, lost key)",
             ),
             Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
             Self::WrongRange {

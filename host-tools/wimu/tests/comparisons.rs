@@ -1,12 +1,11 @@
-//! `wimu compare` on recordings that leave something to be desired. Their frames are made here, as a
-//! board sends them.
+//! `wimu compare` on recordings with faults. Their frames are made here, as a board sends them.
 
 use crate::kit;
 
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, wimu};
+use kit::{Transcript, folder, wimu};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
@@ -132,14 +131,6 @@ fn file(folder: &Path, mut brought: Brought) -> String {
     path.to_str().unwrap().to_owned()
 }
 
-/// That `wimu compare` refuses it with exit code 3, naming this.
-fn is_refused(brought: Brought, named: &str) {
-    let folder = folder();
-    let failure = wimu(&["compare", &file(folder.path(), brought)]).fails(3, "data_refused");
-    let message = failure["message"].as_str().unwrap();
-    assert!(message.contains(named), "{message}");
-}
-
 /// What `wimu compare` finds, all pairs identical.
 fn is_compared(brought: Brought) -> serde_json::Value {
     let folder = folder();
@@ -150,30 +141,35 @@ fn is_compared(brought: Brought) -> serde_json::Value {
 }
 
 #[test]
-fn a_recording_of_one_link_is_refused_naming_the_other() {
-    is_refused(Stretch::default().on(CABLE), "the wireless link is missing");
-    is_refused(Stretch::default().on(WIRELESS), "the cable link is missing");
-    is_refused(Vec::new(), "missing");
-}
-
-#[test]
-fn links_of_two_boards_are_refused_naming_them() {
+fn recordings_without_two_links_of_one_board_at_once_are_refused() {
+    let first = Stretch::default();
     let stranger = Stretch {
         device_id: 0xabcd,
-        ..Stretch::default()
+        ..first
     };
-    let brought = [Stretch::default().on(CABLE), stranger.on(WIRELESS)].concat();
-    is_refused(brought, "000000000000abcd");
-}
-
-#[test]
-fn links_that_were_never_there_at_once_are_refused() {
     let later = Stretch {
         batches: (200, 260),
-        ..Stretch::default()
+        ..first
     };
-    let brought = [Stretch::default().on(CABLE), later.on(WIRELESS)].concat();
-    is_refused(brought, "no sample in common");
+    let mut texts = Transcript::default();
+    for (case, brought) in [
+        ("cable alone", first.on(CABLE)),
+        ("wireless alone", first.on(WIRELESS)),
+        ("neither", Vec::new()),
+        (
+            "two boards",
+            [first.on(CABLE), stranger.on(WIRELESS)].concat(),
+        ),
+        (
+            "one after the other",
+            [first.on(CABLE), later.on(WIRELESS)].concat(),
+        ),
+    ] {
+        let folder = folder();
+        let ran = wimu(&["compare", &file(folder.path(), brought)]);
+        texts.fails(case, &ran, 3, "data_refused");
+    }
+    texts.check("compare_refusals");
 }
 
 #[test]
@@ -255,10 +251,12 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
             "{link}"
         );
     }
+    let mut texts = Transcript::default();
     let ran = wimu(&["info", &session]);
-    assert!(ran.stderr.contains("2 starts of the board"), "{ran:?}");
     assert_eq!(ran.succeeds()["links"][1]["starts"], 2);
-    // Where the cable knows the start that a sample of the wireless link is of, so does a calibration.
+    texts.text("info", &ran);
+    texts.check("info_two_starts");
+    // Where the cable shows which start a sample of the wireless link belongs to, a calibration uses it.
     let found = wimu(&["calibrate", &session, "--method", "reference"]).object();
     assert_eq!(found["samples"], 2560, "{found}");
     // Times go on over the restart, the first start's from 1 s on, the second's from 31 s.
@@ -276,7 +274,7 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
 }
 
 #[test]
-fn what_is_held_at_the_very_end_is_counted_and_said() {
+fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
     // A second of a new start that nothing announces: not enough to know that it is one.
     let again = Stretch {
         batches: (0, 6),
@@ -286,15 +284,16 @@ fn what_is_held_at_the_very_end_is_counted_and_said() {
     let folder = folder();
     let brought = [Stretch::default().on_both(), again.on_both()].concat();
     let session = file(folder.path(), brought);
-    let says = "6 batches whose place no epoch tells";
-    let ran = wimu(&["info", &session]);
-    assert!(ran.stderr.contains(says), "{ran:?}");
+    let mut texts = Transcript::default();
+    texts.text("info", &wimu(&["info", &session]));
     let ran = wimu(&["compare", &session]);
-    assert!(ran.stderr.contains(says), "{ran:?}");
     assert_eq!(ran.succeeds()["links"][0]["unplaced"], 6);
+    texts.text("compare", &ran);
     let output = folder.path().join("decoded.mcap").display().to_string();
     let ran = wimu(&["export", &session, "--format", "mcap", "-o", &output]);
-    assert!(ran.stderr.contains("12 batches left out"), "{ran:?}");
+    ran.succeeds();
+    texts.text("export", &ran);
+    texts.check("unplaced_batches");
 }
 
 #[test]
@@ -357,7 +356,11 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
     // The other in g, half as fast, begun 1.3 s later, 2 % more sensitive.
     let scale = 5.0 * 1.02 / 9.80665;
     let other = table(&folder.path().join("b.csv"), "g", scale, 50.0, 1.3);
-    let found = wimu(&["compare", &reference, &other]).succeeds();
+    let ran = wimu(&["compare", &reference, &other]);
+    let found = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("compare FILE FILE", &ran);
+    texts.check("compare_two_tables");
     for axis in found["axes"].as_array().unwrap() {
         let scale = axis["line"]["scale"].as_f64().unwrap();
         assert!((scale - 1.02).abs() < 0.005, "{found}");
@@ -374,7 +377,7 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
 }
 
 #[test]
-fn which_of_two_tables_is_the_noisier_does_not_bend_the_scale_factor() {
+fn the_noisier_of_two_tables_does_not_bias_the_scale_factor() {
     let folder = folder();
     let mut state = 1_u64;
     // Uniform, 0.6 m/s² (1 σ), on the motion's 4.

@@ -1,4 +1,4 @@
-//! What a broken or hostile link may bring: `monitor` and `record` take it in bounded memory.
+//! Input from a broken or hostile link: `monitor` and `record` take it in bounded memory.
 #![cfg(target_os = "linux")]
 
 use crate::kit;
@@ -17,6 +17,7 @@ use wimu_link::message::{
 };
 use wimu_link::{Answer, Hello, LinkRole, MAX_FRAME, Telemetry, batch, frame::EncodeError};
 use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
+use wimu_testkit::Lane;
 
 /// Bytes that a line of 921 600 baud carries in a second.
 const LINE_BYTES: usize = 92_160;
@@ -254,17 +255,21 @@ fn survives(command: &str, name: &str, way: Way, bytes: usize, rate: Option<usiz
 }
 
 fn all_stay_small(command: &str, rate: Option<usize>) {
-    let minute = 60 * LINE_BYTES;
+    let seconds = match Lane::current() {
+        Lane::Check => 20,
+        Lane::Test | Lane::Campaign => 60,
+    };
+    let bytes = seconds * LINE_BYTES;
     let peaks: Vec<_> = match rate {
         None => WAYS
             .iter()
-            .map(|(name, way)| (*name, survives(command, name, *way, minute, rate)))
+            .map(|(name, way)| (*name, survives(command, name, *way, bytes, rate)))
             .collect(),
         Some(_) => thread::scope(|scope| {
             let all = WAYS.map(|(name, way)| {
                 (
                     name,
-                    scope.spawn(move || survives(command, name, way, minute, rate)),
+                    scope.spawn(move || survives(command, name, way, bytes, rate)),
                 )
             });
             all.into_iter()

@@ -1,4 +1,4 @@
-//! `wimu record`: links that end, come back or are cut off, and what others read in its files.
+//! `wimu record`: links that end, come back or are cut off, and its files as other programs read them.
 
 use crate::kit;
 
@@ -9,6 +9,7 @@ use std::path::Path;
 
 use kit::{Background, Simulator, folder, record_until, wimu};
 use serde_json::Value;
+use wimu_testkit::Lane;
 
 #[cfg(unix)]
 #[test]
@@ -105,7 +106,7 @@ fn hangs_up_once(link: &str, after: usize, deaf: Option<usize>) -> String {
 }
 
 #[test]
-fn what_a_board_brings_that_does_not_hear_is_in_the_file_as_it_is_in_the_summary() {
+fn samples_of_a_board_that_receives_nothing_are_counted_alike_in_file_and_summary() {
     let folder = folder();
     let path = folder.path().join("deaf.mcap");
     let file = path.to_str().unwrap();
@@ -270,6 +271,10 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
     assert_eq!(decoded["messages"]["/cable/imu/data_raw"], raw);
 
+    if Lane::current() == Lane::Check {
+        println!("skipped: `rosbags` is installed in the larger lanes only");
+        return;
+    }
     let Some(python) = python_with_rosbags() else {
         return;
     };

@@ -1,11 +1,11 @@
-//! Arrays of single axes, and geometries that have a name.
+//! Arrays of single axes, and named geometries.
 
 use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, noise, wimu};
+use kit::{Transcript, folder, noise, wimu};
 use serde_json::{Value, json};
 
 const G: f64 = 9.80665;
@@ -109,14 +109,10 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
         "-o",
         &out.display().to_string(),
     ]);
-    let found = ran.succeeds();
-    let said = found["remarks"].to_string();
-    assert!(
-        said.contains("do not show the angular rate itself"),
-        "{said}"
-    );
+    let mut texts = Transcript::default();
+    let found = texts.remarks("cube:100mm", &ran);
     let turned = heading(&out);
-    println!("turned by {turned:.3} rad of {:.3}; {said}", turn(10.0)[0]);
+    println!("turned by {turned:.3} rad of {:.3}", turn(10.0)[0]);
     assert!(apart(turned, turn(10.0)[0]) < 0.05, "{turned}");
     assert!(
         found["nees"]["share"]
@@ -148,17 +144,19 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
     ])
     .succeeds();
     assert!(apart(heading(&out), turn(10.0)[0]) < 0.05);
-    // What is missing is said, with its column.
-    let refused = wimu(&["navigate", &at("faces.csv"), "--geometry", "cube:100mm"]);
-    let error = refused.fails(2, "csv_missing_column");
-    assert!(error["remedy"].to_string().contains("column"), "{error}");
-    for wrong in ["cube:100", "cube:-1mm", "board:9.5mm", "four:"] {
-        let error = wimu(&["navigate", &at("cube.csv"), "--geometry", wrong]).fails(2, "usage");
-        assert!(
-            error["remedy"].to_string().contains("cube:100mm"),
-            "{error}"
-        );
+    let ran = wimu(&["navigate", &at("faces.csv"), "--geometry", "cube:100mm"]);
+    texts.fails("other columns", &ran, 2, "csv_missing_column");
+    for wrong in [
+        "cube:100",
+        "cube:-1mm",
+        "board:9.5mm",
+        "four:",
+        "hexagon:3mm",
+    ] {
+        let ran = wimu(&["navigate", &at("cube.csv"), "--geometry", wrong]);
+        texts.fails(wrong, &ran, 2, "usage");
     }
+    texts.check("navigate_single_axes");
 }
 
 #[test]
@@ -214,12 +212,8 @@ fn an_axis_that_never_moves_is_named() {
     };
     let lines: Vec<String> = text.lines().enumerate().map(dead).collect();
     fs::write(&file, lines.join("\n")).unwrap();
-    let refused = wimu(&["navigate", &file, "--geometry", "cube:100mm"]).fails(3, "data_refused");
-    let message = refused["message"].as_str().unwrap();
-    assert!(
-        message.contains("`Accelerometer 2` never moves"),
-        "{message}"
-    );
-    let none = wimu(&["navigate", &file, "--geometry", "hexagon:3mm"]).fails(2, "usage");
-    assert!(none["remedy"].as_str().unwrap().contains("octahedron:ARM"));
+    let ran = wimu(&["navigate", &file, "--geometry", "cube:100mm"]);
+    let mut texts = Transcript::default();
+    texts.fails("constant axis", &ran, 3, "data_refused");
+    texts.check("navigate_single_axes_dead");
 }

@@ -11,7 +11,7 @@ use kit::{Transcript, folder, remarks, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
-const PLACES_MM: [[f64; 3]; 4] = [
+const POSITIONS_MM: [[f64; 3]; 4] = [
     [50.0, 50.0, 50.0],
     [50.0, -50.0, -50.0],
     [-50.0, 50.0, -50.0],
@@ -51,8 +51,8 @@ fn table(seconds: f64, motion: impl Fn(f64) -> ([f64; 3], f64, f64), unit: &str)
         let t = f64::from(k) / 100.0;
         let (force, rate, turn) = motion(t);
         write!(text, "{t:.2}").unwrap();
-        for (sensor, place) in PLACES_MM.into_iter().enumerate() {
-            let [x, y, _] = place.map(|c| c * 1e-3);
+        for (sensor, position) in POSITIONS_MM.into_iter().enumerate() {
+            let [x, y, _] = position.map(|c| c * 1e-3);
             let f = [
                 force[0] - turn * y - rate * rate * x,
                 force[1] + turn * x - rate * rate * y,
@@ -106,12 +106,12 @@ fn written(folder: &Path, name: &str, text: &str) -> String {
     path.display().to_string()
 }
 
-fn places(folder: &Path) -> String {
+fn positions(folder: &Path) -> String {
     let mut text = "X (mm),Y (mm),Z (mm)\n".to_owned();
-    for [x, y, z] in PLACES_MM {
+    for [x, y, z] in POSITIONS_MM {
         writeln!(text, "{x},{y},{z}").unwrap();
     }
-    written(folder, "places.csv", &text)
+    written(folder, "positions.csv", &text)
 }
 
 /// Bias that the navigation allows for, m/s², from the remark that states it.
@@ -124,11 +124,11 @@ fn allowed_bias(object: &Value) -> f64 {
 #[test]
 fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     let folder = folder();
-    let places = places(folder.path());
+    let positions = positions(folder.path());
     let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "m/s²"));
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
-    let ran = wimu(&["calibrate", &rests, "--geometry", &places, "-o", &array]);
+    let ran = wimu(&["calibrate", &rests, "--geometry", &positions, "-o", &array]);
     let found = ran.succeeds();
     let mut texts = Transcript::default();
     texts.text("calibrate --geometry", &ran);
@@ -149,7 +149,7 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     }
     let ran = wimu(&["navigate", &later, "--geometry", &array]);
     let with = texts.remarks("navigate, calibrated", &ran);
-    let ran = wimu(&["navigate", &later, "--geometry", &places]);
+    let ran = wimu(&["navigate", &later, "--geometry", &positions]);
     let without = texts.remarks("navigate, not calibrated", &ran);
     assert!(allowed_bias(&with) < 0.2 * allowed_bias(&without));
     texts.check("calibrate_array");
@@ -158,7 +158,7 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
 #[test]
 fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
     let folder = folder();
-    let places = places(folder.path());
+    let positions = positions(folder.path());
     // Counts: each model is by the sensitivity of its own fit.
     let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "LSB"));
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "LSB"));
@@ -175,7 +175,7 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
         })
         .collect();
     let navigate = |order: &[usize]| {
-        let mut arguments = vec!["navigate", &later, "--geometry", &places];
+        let mut arguments = vec!["navigate", &later, "--geometry", &positions];
         arguments.extend(["--sensitivity", "4096"]);
         for k in order {
             arguments.extend(["--calibration", &files[*k]]);
@@ -189,20 +189,20 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
     texts.remarks("two swapped", &navigate(&[3, 1, 2, 0]));
     texts.fails("two of four", &navigate(&[0, 1]), 2, "usage");
     texts.check("navigate_calibrations_one_by_one");
-    // Without their places they are no array.
+    // Without their positions they are no array.
     wimu(&["navigate", &later, "--calibration", &files[0]]).fails(2, "csv_missing_column");
 }
 
 #[test]
 fn what_does_not_make_an_arrays_calibration_is_refused() {
     let folder = folder();
-    let places = places(folder.path());
+    let positions = positions(folder.path());
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
     let calibrate = |more: &[&str]| {
         wimu(
             &[
-                &["calibrate", &later, "--geometry", &places, "-o", &array],
+                &["calibrate", &later, "--geometry", &positions, "-o", &array],
                 more,
             ]
             .concat(),
@@ -227,8 +227,8 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
     texts.check("calibrate_array_refusals");
     // Geometries by hand.
     let sensor = |model: Value| {
-        let place = [0.01, 0.0, 0.0];
-        serde_json::json!({ "places_m": [place, place, place], "model": model })
+        let position = [0.01, 0.0, 0.0];
+        serde_json::json!({ "places_m": [position, position, position], "model": model })
     };
     for model in [
         serde_json::json!({ "bias_m_s2": [0, 0, 0], "matrix": [[0, 0, 0], [0, 1, 0], [0, 0, 1]] }),
@@ -247,7 +247,7 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
         "navigate",
         &later,
         "--geometry",
-        &places,
+        &positions,
         "--calibration",
         &other,
     ];
@@ -280,17 +280,17 @@ fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
     let both = table(45.0, poses_and_turns, "m/s²");
     let both = written(folder.path(), "both.csv", &both);
     let array = folder.path().join("ARRAY.json").display().to_string();
-    let calibrate = |places: &[[f64; 3]]| {
+    let calibrate = |positions: &[[f64; 3]]| {
         let mut text = "X (mm),Y (mm),Z (mm)\n".to_owned();
-        for [x, y, z] in places {
+        for [x, y, z] in positions {
             writeln!(text, "{x},{y},{z}").unwrap();
         }
-        let places = written(folder.path(), "tried.csv", &text);
-        wimu(&["calibrate", &both, "--geometry", &places, "-o", &array])
+        let positions = written(folder.path(), "tried.csv", &text);
+        wimu(&["calibrate", &both, "--geometry", &positions, "-o", &array])
     };
-    let [a, b, c, d] = PLACES_MM;
+    let [a, b, c, d] = POSITIONS_MM;
     let mut texts = Transcript::default();
-    for (case, places) in [
+    for (case, positions) in [
         ("two swapped", [d, b, c, a]),
         ("all at one position", [a, a, a, a]),
         (
@@ -298,10 +298,10 @@ fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
             [-3.0, -1.0, 1.0, 3.0].map(|x| [10.0 * x, 0.0, 0.0]),
         ),
     ] {
-        texts.fails(case, &calibrate(&places), 3, "data_refused");
+        texts.fails(case, &calibrate(&positions), 3, "data_refused");
         assert!(!Path::new(&array).exists());
     }
     // The shaking is that of the sensors, not of one rigid body.
-    texts.remarks("right", &calibrate(&PLACES_MM));
+    texts.remarks("right", &calibrate(&POSITIONS_MM));
     texts.check("calibrate_array_geometries");
 }

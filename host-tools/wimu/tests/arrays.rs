@@ -10,20 +10,20 @@ use kit::{
     Background, Ran, Simulator, Transcript, folder, line_number, record_until, remarks, wimu,
 };
 
-const PLACES: [[f64; 3]; 4] = [
+const POSITIONS: [[f64; 3]; 4] = [
     [0.05, 0.05, 0.05],
     [0.05, -0.05, -0.05],
     [-0.05, 0.05, -0.05],
     [-0.05, -0.05, 0.05],
 ];
 
-/// A table of places.
-fn geometry(folder: &Path, places: &[[f64; 3]]) -> String {
+/// A table of positions.
+fn geometry(folder: &Path, positions: &[[f64; 3]]) -> String {
     let mut text = "X (m),Y (m),Z (m)\n".to_owned();
-    for [x, y, z] in places {
+    for [x, y, z] in positions {
         writeln!(text, "{x},{y},{z}").unwrap();
     }
-    written(folder, "places.csv", &text)
+    written(folder, "positions.csv", &text)
 }
 
 fn written(folder: &Path, name: &str, text: &str) -> String {
@@ -62,11 +62,11 @@ fn navigate(recording: &str, geometry: &str) -> Ran {
 #[test]
 fn an_array_at_rest_is_navigated_with_its_horizon() {
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |_, _| true);
     let path = folder.path().join("path.csv");
     let path = path.to_str().unwrap();
-    let geometry = ["--geometry", &places, "-o", path];
+    let geometry = ["--geometry", &positions, "-o", path];
     let ran = wimu(&[&["navigate", &board, "--method", "array"][..], &geometry].concat());
     let object = ran.succeeds();
     let mut texts = Transcript::default();
@@ -76,7 +76,7 @@ fn an_array_at_rest_is_navigated_with_its_horizon() {
     assert!(object["horizon"]["to_1_m_s"].is_null() && object["valid_share"].as_f64() > Some(0.8));
     let table = fs::read_to_string(path).unwrap();
     assert!(table.starts_with("Time (s),Position E (m)") && table.lines().count() == 401);
-    // Without ZUPT the stillness at the start is the alignment, but nothing holds velocity.
+    // Without ZUPT the rest at the start gives the alignment, but nothing constrains the velocity.
     let with = |zupt: &str| {
         let arguments = ["navigate", &board, "--zupt", zupt];
         let object = wimu(&[&arguments[..], &geometry[..2]].concat()).succeeds();
@@ -96,7 +96,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
     let board = recording(folder.path(), |_, _| true);
     let mut texts = Transcript::default();
     let cases: [(&str, &[[f64; 3]], i32, &str); 4] = [
-        ("3 of 4", &PLACES[..3], 2, "usage"),
+        ("3 of 4", &POSITIONS[..3], 2, "usage"),
         ("one position", &[[0.1, 0.0, 0.0]; 4], 3, "data_refused"),
         (
             "one line",
@@ -106,9 +106,9 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
         ),
         ("empty", &[], 2, "usage"),
     ];
-    for (case, places, exit, code) in cases {
-        let places = geometry(folder.path(), places);
-        texts.fails(case, &navigate(&board, &places), exit, code);
+    for (case, positions, exit, code) in cases {
+        let positions = geometry(folder.path(), positions);
+        texts.fails(case, &navigate(&board, &positions), exit, code);
     }
     for (text, code) in [
         ("X (m),Y (m),Z (m)\n0.01,zero,0\n", "csv_bad_number"),
@@ -127,24 +127,25 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
         let wrong = written(folder.path(), "wrong.txt", text);
         texts.fails(format_args!("{text:?}"), &navigate(&board, &wrong), 2, code);
     }
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     wimu(&["navigate", &board, "--method", "array"]).fails(2, "usage");
     wimu(&["navigate", &board, &board]).fails(2, "usage");
     wimu(&[
         "navigate",
         &board,
         "--geometry",
-        &places,
+        &positions,
         "--method",
         "tilt",
     ])
     .fails(2, "usage");
-    let refine = ["--refine", &places];
-    wimu(&[&["navigate", &board, "--geometry", &places][..], &refine].concat()).fails(2, "usage");
+    let refine = ["--refine", &positions];
+    wimu(&[&["navigate", &board, "--geometry", &positions][..], &refine].concat())
+        .fails(2, "usage");
     // At rest nothing shows where the sensors are.
     let out = folder.path().join("refined.json");
     let refine = ["--refine", out.to_str().unwrap()];
-    let ran = wimu(&[&["navigate", &board, "--geometry", &places][..], &refine].concat());
+    let ran = wimu(&[&["navigate", &board, "--geometry", &positions][..], &refine].concat());
     texts.fails("--refine at rest", &ran, 3, "data_refused");
     assert!(!out.exists());
     texts.check("navigate_geometries_that_are_refused");
@@ -154,7 +155,7 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
 fn dead_saturated_and_missing_sensors_are_reported() {
     let mut texts = Transcript::default();
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     // Three others are in a plane and suffice for ω̇ and s.
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[7..10] {
@@ -162,7 +163,7 @@ fn dead_saturated_and_missing_sensors_are_reported() {
         }
         true
     });
-    texts.remarks("sensor 2 at 0", &navigate(&board, &places));
+    texts.remarks("sensor 2 at 0", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if (200..210).contains(&k) {
             fields[4] = "1000000".to_owned();
@@ -170,12 +171,18 @@ fn dead_saturated_and_missing_sensors_are_reported() {
         true
     });
     let case = "10 outputs beyond full scale";
-    texts.remarks(case, &navigate(&board, &places));
+    texts.remarks(case, &navigate(&board, &positions));
     // In counts the limit is known.
     let counts = fs::read_to_string(&board).unwrap();
     fs::write(&board, counts.replace("(m/s²)", "(LSB)")).unwrap();
     let of_counts = ["--sensitivity", "9.80665"];
-    let ran = wimu(&[&["navigate", &board, "--geometry", &places], &of_counts[..]].concat());
+    let ran = wimu(
+        &[
+            &["navigate", &board, "--geometry", &positions],
+            &of_counts[..],
+        ]
+        .concat(),
+    );
     texts.remarks("the same in counts", &ran);
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[4..] {
@@ -183,7 +190,7 @@ fn dead_saturated_and_missing_sensors_are_reported() {
         }
         true
     });
-    let ran = navigate(&board, &places);
+    let ran = navigate(&board, &positions);
     texts.fails("three of four sensors at 0", &ran, 3, "data_refused");
     texts.check("navigate_array_dead_sensors");
 }
@@ -192,16 +199,16 @@ fn dead_saturated_and_missing_sensors_are_reported() {
 fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
     let mut texts = Transcript::default();
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |k, _| !(150..200).contains(&k));
-    texts.remarks("gap", &navigate(&board, &places));
+    texts.remarks("gap", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[0] = "0.5".to_owned();
         }
         true
     });
-    let object = navigate(&board, &places).fails(2, "csv_time_backwards");
+    let object = navigate(&board, &positions).fails(2, "csv_time_backwards");
     assert_eq!(line_number(&object), Some(102), "{object}");
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
@@ -209,7 +216,7 @@ fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
         }
         true
     });
-    let object = navigate(&board, &places).fails(2, "csv_bad_number");
+    let object = navigate(&board, &positions).fails(2, "csv_bad_number");
     assert_eq!(line_number(&object), Some(102), "{object}");
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
@@ -217,7 +224,7 @@ fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
         }
         true
     });
-    texts.remarks("a time twice", &navigate(&board, &places));
+    texts.remarks("a time twice", &navigate(&board, &positions));
     // It never rests.
     let board = recording(folder.path(), |k, fields| {
         for (i, field) in fields[1..].iter_mut().enumerate() {
@@ -225,7 +232,7 @@ fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
         }
         true
     });
-    let ran = navigate(&board, &places);
+    let ran = navigate(&board, &positions);
     texts.fails("no rest", &ran, 3, "data_refused");
     texts.check("navigate_array_gaps");
 }
@@ -249,9 +256,9 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
             link["raw_samples"].as_u64() > Some(450)
         });
     }
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let (a, b) = (files[0].as_str(), files[1].as_str());
-    let ran = wimu(&["navigate", a, b, a, b, "--geometry", &places]);
+    let ran = wimu(&["navigate", a, b, a, b, "--geometry", &positions]);
     let object = ran.succeeds();
     assert_eq!(object["method"], "array");
     assert!(object["duration_s"].as_f64().unwrap() > 3.0, "{object}");
@@ -263,17 +270,17 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
         assert_eq!(clocks.count(), 2, "{object}");
     }
     // A calibration of them as one array reads the raw samples of both; one side up does not suffice.
-    let calibrate = ["calibrate", a, b, a, b, "--geometry", &places];
+    let calibrate = ["calibrate", a, b, a, b, "--geometry", &positions];
     wimu(&calibrate).fails(3, "data_refused");
     wimu(&["navigate", a, b]).fails(2, "usage");
-    wimu(&["navigate", a, b, "--geometry", &places]).fails(2, "usage");
+    wimu(&["navigate", a, b, "--geometry", &positions]).fails(2, "usage");
 }
 
 #[test]
 fn missing_samples_and_spikes_of_one_sensor_are_left_out() {
     let mut texts = Transcript::default();
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |k, fields| {
         // A bias, which must not make the mean jump where the sensor is absent.
         let y: f64 = fields[5].parse().unwrap();
@@ -286,14 +293,14 @@ fn missing_samples_and_spikes_of_one_sensor_are_left_out() {
         }
         true
     });
-    texts.remarks("missing samples", &navigate(&board, &places));
+    texts.remarks("missing samples", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k % 17 == 3 {
             fields[10 + k % 3] = format!("{}", 40.0 + k as f64);
         }
         true
     });
-    let object = texts.remarks("spikes", &navigate(&board, &places));
+    let object = texts.remarks("spikes", &navigate(&board, &positions));
     assert_eq!(object["final_valid"], true);
     texts.check("navigate_array_missing_samples");
 }
@@ -303,7 +310,7 @@ fn delays_that_the_geometry_gives_are_not_remarked() {
     let folder = folder();
     let board = recording(folder.path(), |_, _| true);
     let sensors: Vec<serde_json::Value> = (0..4)
-        .map(|k| serde_json::json!({"places_m": [PLACES[k], PLACES[k], PLACES[k]], "delay_us": 250.0 * k as f64}))
+        .map(|k| serde_json::json!({"places_m": [POSITIONS[k], POSITIONS[k], POSITIONS[k]], "delay_us": 250.0 * k as f64}))
         .collect();
     let known = serde_json::json!({"schema": "wimu.array/1", "sensors": sensors}).to_string();
     let known = written(folder.path(), "known.json", &known);
@@ -318,9 +325,9 @@ fn the_reference_point_of_a_path_and_unchecked_positions_are_remarked() {
     let folder = folder();
     let board = recording(folder.path(), |_, _| true);
     let mut texts = Transcript::default();
-    let centred = geometry(folder.path(), &PLACES);
+    let centred = geometry(folder.path(), &POSITIONS);
     texts.remarks("origin at the centre", &navigate(&board, &centred));
-    let beside = PLACES.map(|[x, y, z]| [x + 0.1, y, z]);
+    let beside = POSITIONS.map(|[x, y, z]| [x + 0.1, y, z]);
     let beside = geometry(folder.path(), &beside);
     texts.remarks("origin 100 mm beside", &navigate(&board, &beside));
     texts.check("navigate_array_reference_point");

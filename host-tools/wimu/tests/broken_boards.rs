@@ -30,7 +30,7 @@ impl Serving {
     fn start(board: impl FnOnce() -> Board + Send + 'static) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
-        let (tell, told) = mpsc::channel();
+        let (sender, receiver) = mpsc::channel();
         let thread = thread::spawn(move || {
             let any = "127.0.0.1:0".parse().expect("an address");
             let server = Server::bind(board(), any, any);
@@ -38,12 +38,13 @@ impl Serving {
                 panic!("cannot listen");
             };
             let address = server.address(LinkRole::Cable).expect("it listens");
-            tell.send(format!("tcp://{address}"))
+            sender
+                .send(format!("tcp://{address}"))
                 .expect("somebody waits");
             server.run(|_| stopped.load(Ordering::Relaxed));
         });
         Self {
-            link: told.recv().expect("it listens"),
+            link: receiver.recv().expect("it listens"),
             stop,
             thread: Some(thread),
         }

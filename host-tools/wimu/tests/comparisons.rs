@@ -16,9 +16,9 @@ const WIRELESS: LinkRole = LinkRole::Wireless;
 /// Samples of a batch.
 const BATCH: u32 = 16;
 
-/// A stretch of a board's life: a second of samples and more.
+/// A part of a session, at least a second of samples.
 #[derive(Clone, Copy)]
-struct Stretch {
+struct Part {
     device_id: u64,
     boot: u32,
     /// Batches from and to.
@@ -29,11 +29,11 @@ struct Stretch {
     began_s: f64,
     /// Added to every value, LSB.
     bias_lsb: i16,
-    /// Every so many batches the two next ones change places.
+    /// Whether some neighbouring batches are swapped.
     swaps: bool,
 }
 
-impl Default for Stretch {
+impl Default for Part {
     fn default() -> Self {
         Self {
             device_id: 0x5157_0001,
@@ -48,26 +48,26 @@ impl Default for Stretch {
     }
 }
 
-/// What a link brought, with host times, ns.
-type Brought = Vec<(LinkRole, u64, Vec<u8>)>;
+/// Frames of a link with their host times, ns.
+type Frames = Vec<(LinkRole, u64, Vec<u8>)>;
 
-impl Stretch {
-    fn on(&self, role: LinkRole) -> Brought {
+impl Part {
+    fn on(&self, role: LinkRole) -> Frames {
         let mut frame = [0; MAX_FRAME];
-        let mut brought = Vec::new();
+        let mut frames = Vec::new();
         let hello = Hello {
             boot_count: self.boot,
             device_id: self.device_id,
             ..Hello::new(role)
         };
-        let late_ns = if role == CABLE { 200_000 } else { 20_000_000 };
-        let host_ns = |time_us: u64| (self.began_s * 1e9) as u64 + time_us * 1000 + late_ns;
+        let delay_ns = if role == CABLE { 200_000 } else { 20_000_000 };
+        let host_ns = |time_us: u64| (self.began_s * 1e9) as u64 + time_us * 1000 + delay_ns;
         let period_us = 1_000_000 / u64::from(self.rate_hz);
         let time_us = |batch: u32| 1_000_000 + u64::from(batch * BATCH) * period_us;
         let (from, to) = self.batches;
         let length = hello.encode(&mut frame).unwrap();
         let start_ns = host_ns(time_us(from));
-        brought.push((role, start_ns, frame[..length].to_vec()));
+        frames.push((role, start_ns, frame[..length].to_vec()));
         for number in from..to {
             let first = number * BATCH;
             if number == from || number % 6 == 0 {
@@ -85,7 +85,7 @@ impl Stretch {
                     state: WireState::default(),
                 });
                 let length = epoch.encode(&mut frame).unwrap();
-                brought.push((role, host_ns(time_us(number)), frame[..length].to_vec()));
+                frames.push((role, host_ns(time_us(number)), frame[..length].to_vec()));
             }
             let samples: [Counts; BATCH as usize] = std::array::from_fn(|k| {
                 let phase = f64::from(first + k as u32) * 0.11;
@@ -96,26 +96,26 @@ impl Stretch {
             let time = DeviceTimeUs(time_us(number));
             let length = batch::encode(first, time, &samples, &mut frame).unwrap();
             let at_ns = host_ns(time_us(number + 1));
-            brought.push((role, at_ns, frame[..length].to_vec()));
+            frames.push((role, at_ns, frame[..length].to_vec()));
         }
         if self.swaps {
-            for pair in brought[8..].chunks_exact_mut(9) {
+            for pair in frames[8..].chunks_exact_mut(9) {
                 let [(.., one), (.., other)] = &mut pair[..2] else {
                     continue;
                 };
                 std::mem::swap(one, other);
             }
         }
-        brought
+        frames
     }
 
-    fn on_both(&self) -> Brought {
+    fn on_both(&self) -> Frames {
         [self.on(CABLE), self.on(WIRELESS)].concat()
     }
 }
 
 /// A recording of it, in `folder`.
-fn file(folder: &Path, mut brought: Brought) -> String {
+fn file(folder: &Path, mut frames: Frames) -> String {
     let path = folder.join("made.mcap");
     let _ = fs::remove_file(&path);
     let anchor = ClockAnchor {
@@ -123,8 +123,8 @@ fn file(folder: &Path, mut brought: Brought) -> String {
         utc_ns: 1_795_222_920_000_000_000,
     };
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
-    brought.sort_by_key(|(_, host_ns, _)| *host_ns);
-    for (role, host_ns, bytes) in brought {
+    frames.sort_by_key(|(_, host_ns, _)| *host_ns);
+    for (role, host_ns, bytes) in frames {
         writer.append(role, host_ns, &bytes).unwrap();
     }
     writer.finish().unwrap();
@@ -132,9 +132,9 @@ fn file(folder: &Path, mut brought: Brought) -> String {
 }
 
 /// What `wimu compare` finds, all pairs identical.
-fn is_compared(brought: Brought) -> serde_json::Value {
+fn compared(frames: Frames) -> serde_json::Value {
     let folder = folder();
-    let found = wimu(&["compare", &file(folder.path(), brought)]).succeeds();
+    let found = wimu(&["compare", &file(folder.path(), frames)]).succeeds();
     assert_eq!(found["schema"], "wimu.compare/1");
     assert_eq!(found["pairs"], found["identical"], "{found}");
     found
@@ -142,17 +142,17 @@ fn is_compared(brought: Brought) -> serde_json::Value {
 
 #[test]
 fn recordings_without_two_links_of_one_board_at_once_are_refused() {
-    let first = Stretch::default();
-    let stranger = Stretch {
+    let first = Part::default();
+    let stranger = Part {
         device_id: 0xabcd,
         ..first
     };
-    let later = Stretch {
+    let later = Part {
         batches: (200, 260),
         ..first
     };
     let mut texts = Transcript::default();
-    for (case, brought) in [
+    for (case, frames) in [
         ("cable alone", first.on(CABLE)),
         ("wireless alone", first.on(WIRELESS)),
         ("neither", Vec::new()),
@@ -166,7 +166,7 @@ fn recordings_without_two_links_of_one_board_at_once_are_refused() {
         ),
     ] {
         let folder = folder();
-        let ran = wimu(&["compare", &file(folder.path(), brought)]);
+        let ran = wimu(&["compare", &file(folder.path(), frames)]);
         texts.fails(case, &ran, 3, "data_refused");
     }
     texts.check("compare_refusals");
@@ -174,12 +174,12 @@ fn recordings_without_two_links_of_one_board_at_once_are_refused() {
 
 #[test]
 fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_other() {
-    let again = Stretch {
+    let again = Part {
         boot: 2,
         began_s: 30.0,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let found = is_compared([Stretch::default().on_both(), again.on_both()].concat());
+    let found = compared([Part::default().on_both(), again.on_both()].concat());
     assert_eq!(
         (&found["starts"], &found["pairs"]),
         (&2.into(), &3200.into())
@@ -191,11 +191,11 @@ fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_oth
 
 #[test]
 fn samples_out_of_order_make_no_wrong_pair() {
-    let swapped = Stretch {
+    let swapped = Part {
         swaps: true,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let found = is_compared([Stretch::default().on(CABLE), swapped.on(WIRELESS)].concat());
+    let found = compared([Part::default().on(CABLE), swapped.on(WIRELESS)].concat());
     // What comes late is paired all the same.
     let wireless = &found["links"][1];
     let late = wireless["late"].as_u64().unwrap();
@@ -210,9 +210,9 @@ fn samples_out_of_order_make_no_wrong_pair() {
 
 #[test]
 fn samples_out_of_order_are_all_in_the_decoded_topics() {
-    let swapped = Stretch {
+    let swapped = Part {
         swaps: true,
-        ..Stretch::default()
+        ..Part::default()
     };
     let folder = folder();
     let recorded = file(folder.path(), swapped.on(WIRELESS));
@@ -228,11 +228,11 @@ fn samples_out_of_order_are_all_in_the_decoded_topics() {
 
 #[test]
 fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
-    let first = Stretch {
+    let first = Part {
         boot: 0,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let again = Stretch {
+    let again = Part {
         batches: (0, 60),
         began_s: 30.0,
         ..first
@@ -276,14 +276,14 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
 #[test]
 fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
     // A second of a new start that nothing announces: not enough to know that it is one.
-    let again = Stretch {
+    let again = Part {
         batches: (0, 6),
         began_s: 30.0,
-        ..Stretch::default()
+        ..Part::default()
     };
     let folder = folder();
-    let brought = [Stretch::default().on_both(), again.on_both()].concat();
-    let session = file(folder.path(), brought);
+    let frames = [Part::default().on_both(), again.on_both()].concat();
+    let session = file(folder.path(), frames);
     let mut texts = Transcript::default();
     texts.text("info", &wimu(&["info", &session]));
     let ran = wimu(&["compare", &session]);
@@ -298,14 +298,14 @@ fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
 
 #[test]
 fn range_and_rate_may_change_on_the_way() {
-    let first = Stretch::default();
-    let wider = Stretch {
+    let first = Part::default();
+    let wider = Part {
         batches: (100, 160),
         range_g: 8,
         ..first
     };
     // 100 batches at 100 Hz took 16 s; the next 60 at 400 Hz begin where they ended.
-    let faster = Stretch {
+    let faster = Part {
         batches: (160, 320),
         rate_hz: 400,
         began_s: 25.6 - 6.4,
@@ -313,7 +313,7 @@ fn range_and_rate_may_change_on_the_way() {
         ..first
     };
     let parts = [first, wider, faster].map(|part| part.on_both());
-    let found = is_compared(parts.concat());
+    let found = compared(parts.concat());
     assert!(found["pairs"].as_u64().unwrap() >= 2560, "{found}");
     let values = &found["values"]["axes"][0];
     assert!(
@@ -403,7 +403,7 @@ fn the_noisier_of_two_tables_does_not_bias_the_scale_factor() {
 #[test]
 fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
     let folder = folder();
-    let session = file(folder.path(), Stretch::default().on_both());
+    let session = file(folder.path(), Part::default().on_both());
     let pictures = folder.path().join("pictures");
     let page = folder.path().join("page.html");
     wimu(&[
@@ -435,12 +435,12 @@ fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
 #[test]
 fn a_link_model_takes_off_what_the_comparison_found() {
     let folder = folder();
-    let other = Stretch {
+    let other = Part {
         bias_lsb: 40,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let brought = [Stretch::default().on(CABLE), other.on(WIRELESS)].concat();
-    let session = file(folder.path(), brought);
+    let frames = [Part::default().on(CABLE), other.on(WIRELESS)].concat();
+    let session = file(folder.path(), frames);
     let model = folder.path().join("link.json").display().to_string();
     wimu(&["compare", &session, "-o", &model]).succeeds();
     // The first accelerometer value of each row, LSB.

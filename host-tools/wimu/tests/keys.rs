@@ -9,7 +9,7 @@ use std::path::Path;
 use kit::{Background, Simulator, Transcript, folder};
 
 #[test]
-fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
+fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     use std::os::unix::fs::PermissionsExt;
 
     let folder = folder();
@@ -135,8 +135,8 @@ fn a_device_that_cannot_read_its_own_key_reports_it_until_the_key_is_erased() {
     let mut image = fs::read(&store).unwrap();
     // A zero is stored otherwise: some four bytes of the key have none.
     let mut pieces = key_bytes.windows(4).filter(|piece| !piece.contains(&0));
-    let place = pieces.find_map(|piece| image.windows(4).position(|bytes| bytes == piece));
-    image[place.expect("the key in the store")] ^= 1;
+    let offset = pieces.find_map(|piece| image.windows(4).position(|bytes| bytes == piece));
+    image[offset.expect("the key in the store")] ^= 1;
     fs::write(&store, image).unwrap();
 
     let board = Simulator::start(&arguments);

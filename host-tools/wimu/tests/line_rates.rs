@@ -21,11 +21,11 @@ use wimu_sim::truth::{Gauge, SensorTruth};
 /// A board's link on a serial port; it hears nothing at the rates that `deaf` names. Runs until the
 /// test ends; returns the port.
 fn port(role: LinkRole, deaf: fn(u32) -> bool) -> String {
-    let (tell, told) = mpsc::channel();
+    let (sender, receiver) = mpsc::channel();
     thread::spawn(move || {
         let (mut ours, theirs) = TTYPort::pair().expect("a pseudo-terminal");
         ours.set_timeout(Duration::ZERO).expect("ours");
-        let _ = tell.send(theirs.name().expect("a name"));
+        let _ = sender.send(theirs.name().expect("a name"));
         drop(theirs);
         let scene = Scene::new(World::default());
         scene.play(0.0, motion::named("rest", 1).expect("a known motion"));
@@ -46,13 +46,13 @@ fn port(role: LinkRole, deaf: fn(u32) -> bool) -> String {
                 link.push(&bytes[..count]);
             }
             board.run_until(start.elapsed().as_micros() as u64);
-            let said = board.link(role).pull();
+            let bytes = board.link(role).pull();
             // Nobody may have opened the port.
-            let _ = ours.write_all(&said);
+            let _ = ours.write_all(&bytes);
             thread::sleep(Duration::from_millis(1));
         }
     });
-    told.recv().expect("a port")
+    receiver.recv().expect("a port")
 }
 
 /// Pseudo-terminals are numbered.

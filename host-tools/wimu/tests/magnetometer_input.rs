@@ -156,14 +156,14 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     // An axis that the driver negates, and the same readings south of the magnetic equator.
     let negated = changed(&|_, field| field[1] = -field[1]);
     texts.refuses("axis Y negated", &run(&negated, "µT", &page));
-    let dipping = |place: &str| {
+    let dipping = |dip: &str| {
         let with = [
             "--sensor",
             "magnetometer",
             "--with",
             &accelerometer,
             "--dip",
-            place,
+            dip,
         ];
         wimu(&[&of[..], &[both.as_str()], &with].concat())
     };

@@ -93,7 +93,7 @@ fn a_stream_against_a_reference_has_bias_and_scale_where_it_moves() {
 
 #[test]
 fn the_noise_ratio_comes_from_the_data_or_is_given_or_widens_the_answer() {
-    // The second accelerometer is twenty times as noisy; no rest tells.
+    // The second accelerometer is twenty times as noisy; there is no rest.
     let noisy = |fast: bool| {
         let mut text = two_accelerometers().lines().next().unwrap().to_owned();
         let mut state = 7_u64;

@@ -20,7 +20,7 @@ use wimu_model::ParameterSet;
 
 /// What the attacker does, who knows no key. He answers unsigned requests himself, as the host expects.
 #[derive(Clone, Copy, Debug)]
-enum Way {
+enum Attack {
     /// The board "has no key".
     NoKey,
     /// Writes that have an effect, and what is asked after them, are "refused": the board has no key.
@@ -30,7 +30,7 @@ enum Way {
 }
 
 /// Listens for one host after the other, for as long as the test runs; returns the link.
-fn middleman(board: &str, way: Way) -> String {
+fn middleman(board: &str, attack: Attack) -> String {
     let board = board.trim_start_matches("tcp://").to_owned();
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = listener.local_addr().expect("an address");
@@ -48,7 +48,7 @@ fn middleman(board: &str, way: Way) -> String {
                 let _ = std::io::copy(&mut from, &mut to);
                 let _ = to.shutdown(std::net::Shutdown::Both);
             });
-            let _ = carry(host, &board, way);
+            let _ = carry(host, &board, attack);
             let _ = board.shutdown(std::net::Shutdown::Both);
             let _ = down.join();
         }
@@ -57,7 +57,7 @@ fn middleman(board: &str, way: Way) -> String {
 }
 
 /// Forwards the host's requests except those that the attacker keeps.
-fn carry(mut host: TcpStream, mut board: &TcpStream, way: Way) -> std::io::Result<()> {
+fn carry(mut host: TcpStream, mut board: &TcpStream, attack: Attack) -> std::io::Result<()> {
     let mut deframer = Deframer::new();
     let (mut set, mut settings, mut begun) = (None, Settings::default(), false);
     let (mut bytes, mut frame) = ([0; 4096], Vec::new());
@@ -87,10 +87,10 @@ fn carry(mut host: TcpStream, mut board: &TcpStream, way: Way) -> std::io::Resul
                     _ => {}
                 }
                 let unsigned = request.signature == Signature::NONE;
-                let answer = match way {
-                    Way::Cut => None,
-                    _ if unsigned => pleasing(&request.command, way, &set, settings),
-                    Way::Refused if begun => Some(Answer::Refused(Refusal::KeyNeeded)),
+                let answer = match attack {
+                    Attack::Cut => None,
+                    _ if unsigned => forged(&request.command, attack, &set, settings),
+                    Attack::Refused if begun => Some(Answer::Refused(Refusal::KeyNeeded)),
                     _ => None,
                 };
                 answer.map(|answer| Reply {
@@ -108,7 +108,7 @@ fn carry(mut host: TcpStream, mut board: &TcpStream, way: Way) -> std::io::Resul
                 }
                 None => board.write_all(&whole)?,
             }
-            if begun && matches!(way, Way::Cut) {
+            if begun && matches!(attack, Attack::Cut) {
                 return Ok(());
             }
         }
@@ -116,16 +116,16 @@ fn carry(mut host: TcpStream, mut board: &TcpStream, way: Way) -> std::io::Resul
 }
 
 /// The answer that the host expects.
-fn pleasing(
+fn forged(
     command: &Command,
-    way: Way,
+    attack: Attack,
     set: &Option<WireParameters>,
     settings: Settings,
 ) -> Option<Answer> {
     let id =
         |set: &WireParameters| ParameterSet::try_from(set).map_or(0, |set| parameter_id(&set).0);
-    Some(Answer::Accepted(match (command, way) {
-        (Command::GetKeyStatus, Way::NoKey) => Payload::KeyStatus { key: None },
+    Some(Answer::Accepted(match (command, attack) {
+        (Command::GetKeyStatus, Attack::NoKey) => Payload::KeyStatus { key: None },
         (Command::StageParameters(set), _) => Payload::Staged { hash: id(set) },
         (Command::GetParameters, _) => Payload::Parameters(ActiveParameters {
             active: *set,
@@ -171,30 +171,30 @@ fn no_answer_of_an_attacker_counts_as_a_write_done() {
     ];
     run_as(&user, &[&["calibrate", poses][..], &flags].concat()).succeeds();
 
-    for way in [Way::NoKey, Way::Refused, Way::Cut] {
+    for attack in [Attack::NoKey, Attack::Refused, Attack::Cut] {
         for link in [&board.wireless, &board.cable] {
-            let stranger = middleman(link, way);
+            let stranger = middleman(link, attack);
             for write in [
                 &["params", "push", &stranger, held][..],
                 &["settings", "set", &stranger, "--rate", "200"],
                 &["params", "factory-reset", &stranger],
             ] {
                 let ran = run_as(&user, write);
-                let (exit, code) = match way {
-                    Way::NoKey => (4, "key_needed"),
-                    Way::Refused => (1, "no_answer"),
-                    Way::Cut => (1, "link_lost"),
+                let (exit, code) = match attack {
+                    Attack::NoKey => (4, "key_needed"),
+                    Attack::Refused => (1, "no_answer"),
+                    Attack::Cut => (1, "link_lost"),
                 };
                 // Both links alike.
                 if link == &board.wireless {
-                    let case = format!("{way:?}, {} {}", write[0], write[1]);
+                    let case = format!("{attack:?}, {} {}", write[0], write[1]);
                     texts.fails(case, &ran, exit, code);
                 } else {
                     ran.fails(exit, code);
                 }
             }
         }
-        if !matches!(way, Way::Cut) {
+        if !matches!(attack, Attack::Cut) {
             let got = run_as(&user, &["params", "get", &board.cable]).succeeds();
             assert_eq!(got["calibrated"], false);
             let got = run_as(&user, &["settings", "get", &board.cable]).succeeds();
@@ -211,7 +211,7 @@ fn reads_report_whether_the_board_has_authenticated_them() {
     let [user, other] = ["user", "other"].map(|name| folder.path().join(name));
     let board = Simulator::start(&["--motion", "rest"]);
     run_as(&user, &["key", "set", &board.cable]).succeeds();
-    let stranger = middleman(&board.wireless, Way::NoKey);
+    let stranger = middleman(&board.wireless, Attack::NoKey);
     for read in ["params", "settings"] {
         let get = |user: &Path, link: &str| run_as(user, &[read, "get", link]);
         assert_eq!(get(&user, &board.cable).succeeds()["authenticated"], true);

@@ -124,33 +124,36 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
         let arguments = ["navigate", &csv, "--method", method, "--limit", "0.5"];
         let files = ["-o", &out, "--report", &page];
         let ran = wimu(&[&arguments[..], &files].concat());
-        let said = ran.succeeds();
-        assert_eq!(said["schema"], "wimu.path/1");
+        let report = ran.succeeds();
+        assert_eq!(report["schema"], "wimu.path/1");
         assert_eq!(
-            (said["status"].as_str(), said["method"].as_str()),
+            (report["status"].as_str(), report["method"].as_str()),
             (Some("ok"), Some(found))
         );
-        assert!((number(&said, "/duration_s") - 7.99).abs() < 1e-9);
+        assert!((number(&report, "/duration_s") - 7.99).abs() < 1e-9);
         // Over the samples that are known to the limit.
-        assert!((0.1..1.5).contains(&number(&said, "/distance_m")), "{said}");
+        assert!(
+            (0.1..1.5).contains(&number(&report, "/distance_m")),
+            "{report}"
+        );
         for axis in 0..3 {
-            number(&said, &format!("/final_position_m/{axis}"));
-            assert!(number(&said, &format!("/final_sigma_m/{axis}")) >= 0.0);
+            number(&report, &format!("/final_position_m/{axis}"));
+            assert!(number(&report, &format!("/final_sigma_m/{axis}")) >= 0.0);
         }
-        assert!(said["final_valid"].is_boolean());
-        assert!((0.0..=1.0).contains(&number(&said, "/valid_share")));
-        assert_eq!(number(&said, "/horizon/limit_m"), 0.5);
+        assert!(report["final_valid"].is_boolean());
+        assert!((0.0..=1.0).contains(&number(&report, "/valid_share")));
+        assert_eq!(number(&report, "/horizon/limit_m"), 0.5);
         for key in ["to_0_1_m_s", "to_1_m_s", "to_limit_s"] {
-            let value = &said["horizon"][key];
+            let value = &report["horizon"][key];
             assert!(
                 value.is_null() || value.as_f64().is_some_and(|s| s > 0.0),
-                "{said}"
+                "{report}"
             );
         }
-        assert!(number(&said, "/nees/samples") > 100.0);
-        assert!(number(&said, "/nees/share_below_7_81") > 0.85, "{said}");
-        number(&said, "/nees/median");
-        assert!(said["remarks"].is_array() && said["drift"].is_null());
+        assert!(number(&report, "/nees/samples") > 100.0);
+        assert!(number(&report, "/nees/share_below_7_81") > 0.85, "{report}");
+        number(&report, "/nees/median");
+        assert!(report["remarks"].is_array() && report["drift"].is_null());
         if method != "auto" {
             texts.text(format_args!("navigate --method {method}"), &ran);
         }
@@ -177,9 +180,9 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
             assert!((length - 1.0).abs() < 1e-4);
         }
         if method == "slide" {
-            let length = number(&said, "/moves/0/length_m");
-            let sd = number(&said, "/moves/0/length_sd_m");
-            assert!((length - 0.5).abs() < 2.0 * sd && sd < 0.05, "{said}");
+            let length = number(&report, "/moves/0/length_m");
+            let sd = number(&report, "/moves/0/length_sd_m");
+            assert!((length - 0.5).abs() < 2.0 * sd && sd < 0.05, "{report}");
         }
         let page = fs::read_to_string(&page).unwrap();
         assert!(
@@ -195,12 +198,12 @@ fn zero_velocity_updates_follow_their_option_and_so_does_the_covariance() {
     let folder = folder();
     let csv = PLAIN.write(folder.path(), "in.csv");
     let found = |zupt: &[&str], name: &str| {
-        let said = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
-        assert_eq!(said["zupt"], name);
+        let report = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
+        assert_eq!(report["zupt"], name);
         let sigma = (0..3)
-            .map(|i| number(&said, &format!("/final_sigma_m/{i}")))
+            .map(|i| number(&report, &format!("/final_sigma_m/{i}")))
             .sum::<f64>();
-        (sigma, said["final_position_m"].clone())
+        (sigma, report["final_position_m"].clone())
     };
     let (cautious, cautious_m) = found(&["--zupt", "cautious"], "cautious");
     let (on, on_m) = found(&["--zupt", "on"], "on");
@@ -236,8 +239,8 @@ fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_reported() {
     let csv = shaken.write(folder.path(), "shaken.csv");
     let ran = wimu(&["navigate", &csv, "--method", "tilt"]);
     if ran.code == 0 {
-        let said = ran.succeeds();
-        assert!(number(&said, "/horizon/to_1_m_s") < 5.0, "{said}");
+        let report = ran.succeeds();
+        assert!(number(&report, "/horizon/to_1_m_s") < 5.0, "{report}");
     } else {
         ran.fails(3, "data_refused");
     }
@@ -258,8 +261,8 @@ fn gaps_and_repeated_times_are_reported_and_damaged_files_refused_with_their_lin
         path.display().to_string()
     };
     let gap = write("gap.csv", &[&lines[..320], &lines[370..]].concat());
-    let said = texts.remarks("gap of 0.5 s", &wimu(&["navigate", &gap]));
-    assert!(number(&said, "/valid_share") < 0.95);
+    let report = texts.remarks("gap of 0.5 s", &wimu(&["navigate", &gap]));
+    assert!(number(&report, "/valid_share") < 0.95);
     let still = write("still.csv", &[&lines[..320], &lines[319..]].concat());
     texts.remarks("a time twice", &wimu(&["navigate", &still]));
 
@@ -340,17 +343,17 @@ fn how_the_bias_settles_is_fitted_to_a_recording_at_rest_and_taken_out() {
     write(0.08);
     let ran = wimu(&["navigate", &csv, "--drift", &path]);
     let mut texts = Transcript::default();
-    let said = texts.remarks("bias drift of 0.08 m/s²", &ran);
+    let report = texts.remarks("bias drift of 0.08 m/s²", &ran);
     let (rise, sd) = (
-        number(&said, "/drift/rise_m_s2/0"),
-        number(&said, "/drift/rise_sd_m_s2/0"),
+        number(&report, "/drift/rise_m_s2/0"),
+        number(&report, "/drift/rise_sd_m_s2/0"),
     );
-    assert!((rise - 0.08).abs() < 4.0 * sd && sd < 0.01, "{said}");
+    assert!((rise - 0.08).abs() < 4.0 * sd && sd < 0.01, "{report}");
     let (time, sd) = (
-        number(&said, "/drift/time_s"),
-        number(&said, "/drift/time_sd_s"),
+        number(&report, "/drift/time_s"),
+        number(&report, "/drift/time_sd_s"),
     );
-    assert!((time - 90.0).abs() < 4.0 * sd && sd < 30.0, "{said}");
+    assert!((time - 90.0).abs() < 4.0 * sd && sd < 30.0, "{report}");
     write(0.0);
     let ran = wimu(&["navigate", &csv, "--drift", &path]);
     texts.fails("no drift", &ran, 3, "data_refused");
@@ -364,15 +367,15 @@ fn a_boards_recording_is_navigated_by_every_method_that_it_supports() {
     let out = folder.path().join("path.csv").display().to_string();
     let page = folder.path().join("page.html").display().to_string();
     record_motion("slide", 4, &session);
-    let said = wimu(&["navigate", &session]).succeeds();
-    assert!(said["starts"][0]["replay"].is_object(), "{said}");
-    assert_eq!(said["path"]["method"], "tilt");
+    let report = wimu(&["navigate", &session]).succeeds();
+    assert!(report["starts"][0]["replay"].is_object(), "{report}");
+    assert_eq!(report["path"]["method"], "tilt");
     for method in ["tilt", "slide"] {
         let files = ["-o", &out, "--report", &page];
         let arguments = ["navigate", &session, "--method", method];
-        let said = wimu(&[&arguments[..], &files].concat()).succeeds();
-        assert_eq!(said["path"]["method"], method);
-        assert!(number(&said, "/path/duration_s") > 3.0);
+        let report = wimu(&[&arguments[..], &files].concat()).succeeds();
+        assert_eq!(report["path"]["method"], method);
+        assert!(number(&report, "/path/duration_s") > 3.0);
         let text = fs::read_to_string(&out).unwrap();
         assert!(text.starts_with("Time (s),Position E (m)"), "{text}");
         assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
@@ -381,7 +384,7 @@ fn a_boards_recording_is_navigated_by_every_method_that_it_supports() {
     assert_eq!(number(&limits, "/path/horizon/limit_m"), 0.3);
     wimu(&["navigate", &session, "--method", "strapdown"]).fails(3, "data_refused");
     wimu(&["navigate", &session, "--method", "array"]).fails(2, "usage");
-    // A path says nothing of where boards sit on their body.
+    // A path holds no positions of boards on their body.
     wimu(&["navigate", &session, "--geometry", &out]).fails(2, "csv_missing_column");
 }
 
@@ -395,12 +398,12 @@ fn the_librarys_example_finds_the_same_numbers() {
     for gyroscope in [true, false] {
         let made = Made { gyroscope, ..PLAIN };
         let csv = made.write(folder.path(), "in.csv");
-        let said = wimu(&["navigate", &csv]).succeeds();
+        let report = wimu(&["navigate", &csv]).succeeds();
         let path = example::path_of(Path::new(&csv)).unwrap();
         let last = path.points[path.points.len() - 1];
         // JSON's decimals are read back to the last bit but one.
         let same = |key: &str, value: f64| {
-            let found = number(&said, key);
+            let found = number(&report, key);
             assert!(
                 (found - value).abs() <= 1e-12 * value.abs(),
                 "{key}: {found} {value}"
@@ -413,7 +416,7 @@ fn the_librarys_example_finds_the_same_numbers() {
         }
         match path.horizon_s(0.1) {
             Some(seconds) => same("/horizon/to_0_1_m_s", seconds),
-            None => assert!(said["horizon"]["to_0_1_m_s"].is_null()),
+            None => assert!(report["horizon"]["to_0_1_m_s"].is_null()),
         }
         let (median, below) = path.consistency().unwrap();
         same("/nees/median", median);
@@ -431,12 +434,12 @@ fn the_sequence_in_readme_ends_with_the_length_of_the_simulated_slide() {
     wimu(&["calibrate", &session, "-o", &cal]).succeeds();
     let corrected = ["navigate", &session, "--calibration", &cal];
     let ran = wimu(&[&corrected[..], &["--method", "slide"]].concat());
-    let said = ran.succeeds();
-    let moves = said["path"]["moves"].as_array().unwrap();
-    assert_eq!(moves.len(), 1, "{said}");
+    let report = ran.succeeds();
+    let moves = report["path"]["moves"].as_array().unwrap();
+    assert_eq!(moves.len(), 1, "{report}");
     // The truth is 1 m.
     let [length, sd] = ["/length_m", "/length_sd_m"].map(|key| number(&moves[0], key));
-    assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{said}");
+    assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{report}");
     let mut texts = Transcript::default();
     texts.text("navigate RECORDING --method slide", &ran);
     texts.check("navigate_recording");

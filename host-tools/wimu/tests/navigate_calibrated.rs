@@ -84,8 +84,8 @@ fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
             &model,
         ];
         let case = format!("{other}, calibrated in {unit}");
-        let said = texts.remarks(case, &wimu(&run));
-        let length = said["moves"][0]["length_m"].as_f64().unwrap();
+        let report = texts.remarks(case, &wimu(&run));
+        let length = report["moves"][0]["length_m"].as_f64().unwrap();
         assert!((length - 0.4).abs() < 0.003, "{unit} {other}: {length}");
         let ran = wimu(&["navigate", &csv, "--calibration", &model]);
         texts.remarks("the same, tilt", &ran);
@@ -93,8 +93,8 @@ fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
     // Without it the scale factor is 2 % off, and gravity 2.5 %.
     let csv = write(folder.path(), "slide.csv", "m/s²", &slide());
     let ran = wimu(&["navigate", &csv, "--method", "slide"]);
-    let said = texts.remarks("not calibrated", &ran);
-    let length = said["moves"][0]["length_m"].as_f64().unwrap();
+    let report = texts.remarks("not calibrated", &ran);
+    let length = report["moves"][0]["length_m"].as_f64().unwrap();
     assert!((length - 0.4).abs() > 0.006, "{length}");
     texts.check("navigate_calibrated");
 }
@@ -149,8 +149,8 @@ fn what_a_calibration_leaves_unknown_is_in_the_paths_deviation() {
             "--calibration",
             &model,
         ];
-        let said = wimu(&run).succeeds();
-        said["final_sigma_m"][2].as_f64().unwrap()
+        let report = wimu(&run).succeeds();
+        report["final_sigma_m"][2].as_f64().unwrap()
     };
     let known = sigma();
     // The same model from a worse session.

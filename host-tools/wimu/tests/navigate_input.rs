@@ -22,7 +22,7 @@ fn noise(k: u32) -> f64 {
     ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// A sample: time, force, angular rate, place.
+/// A sample: time, force, angular rate, position along x.
 #[derive(Clone, Copy)]
 struct Sample {
     t: f64,
@@ -31,23 +31,23 @@ struct Sample {
     x: f64,
 }
 
-/// Moves along x, `way` m in `last` s each, to and fro, with rests of 1.5 s between, from 2 s on, at 100 Hz.
-fn moves(way: f64, last: f64) -> Vec<Sample> {
+/// Moves of `length_m` along x in `last` s each, to and fro, with rests of 1.5 s between, from 2 s on, at 100 Hz.
+fn moves(length_m: f64, last: f64) -> Vec<Sample> {
     let period = last + 1.5;
     let count = ((2.0 + 3.0 * period) * 100.0) as u32;
     let sample = |k: u32| {
         let t = f64::from(k) * 0.01;
-        let (mut x, mut push) = (0.0, 0.0);
+        let (mut x, mut acceleration) = (0.0, 0.0);
         for n in 0..3 {
             let tau = ((t - 2.0 - f64::from(n) * period) / last).clamp(0.0, 1.0);
-            let sign = if n % 2 == 0 { way } else { -way };
+            let sign = if n % 2 == 0 { length_m } else { -length_m };
             x += sign * tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
-            push += sign * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (last * last);
+            acceleration += sign * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (last * last);
         }
         let n = |i: u32| 0.08 * noise(6 * k + i);
         Sample {
             t,
-            force: [0.03 + push + n(0), -0.02 + n(1), G + n(2)],
+            force: [0.03 + acceleration + n(0), -0.02 + n(1), G + n(2)],
             rate: [3, 4, 5].map(|i| 0.004 + 0.1 * n(i)),
             x,
         }
@@ -125,8 +125,8 @@ fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
     let csv = write(folder.path(), &header, &samples);
     for method in ["strapdown", "slide"] {
         let ran = wimu(&["navigate", &csv, "--method", method]);
-        let said = texts.remarks(format_args!("accelerometer Y, {method}"), &ran);
-        assert!(number(&said, "/valid_share") < 0.4, "{said}");
+        let report = texts.remarks(format_args!("accelerometer Y, {method}"), &ran);
+        assert!(number(&report, "/valid_share") < 0.4, "{report}");
     }
     // Shaken about y from the first move on, the gyroscope's z stuck.
     let mut samples = moves(0.4, 1.0);
@@ -137,14 +137,14 @@ fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
     }
     let csv = write(folder.path(), &header, &samples);
     let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
-    let said = texts.remarks("gyroscope Z", &ran);
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    let report = texts.remarks("gyroscope Z", &ran);
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
     // Laid on its side at the end, and all of the gyroscope silent.
     let mut samples = moves(0.4, 1.0);
     let from = samples.len() - 250;
-    for (place, sample) in samples.iter_mut().enumerate() {
+    for (k, sample) in samples.iter_mut().enumerate() {
         sample.rate = [0.0; 3];
-        if place >= from {
+        if k >= from {
             let [x, y, z] = sample.force;
             sample.force = [x, -z, y];
         }
@@ -169,9 +169,9 @@ fn a_frozen_accelerometer_is_invalid_and_coarse_steps_and_held_samples_are_not_f
     for sample in &mut samples[241..] {
         sample.force = last;
     }
-    let said = texts.remarks("frozen", &ran(&samples));
-    assert!(number(&said, "/valid_share") < 241.0 / 950.0, "{said}");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    let report = texts.remarks("frozen", &ran(&samples));
+    assert!(number(&report, "/valid_share") < 241.0 / 950.0, "{report}");
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
     // Steps larger than the noise at rest.
     let mut samples = moves(0.4, 1.0);
     for sample in &mut samples {
@@ -203,8 +203,8 @@ fn columns_that_are_nearly_right_are_refused_or_remarked() {
     let rpm = ran(&RATE.replace("Z (rad/s)", "Z (rpm)"), "");
     texts.fails("rpm", &rpm, 2, "unknown_format");
     let gyro = ran(&RATE.replace("Gyroscope", "Gyro "), "");
-    let said = texts.remarks("Gyro for Gyroscope", &gyro);
-    assert_eq!(said["method"], "tilt");
+    let report = texts.remarks("Gyro for Gyroscope", &gyro);
+    assert_eq!(report["method"], "tilt");
     texts.check("navigate_columns");
     // Each axis has its own unit.
     let mut samples = samples.clone();
@@ -212,8 +212,8 @@ fn columns_that_are_nearly_right_are_refused_or_remarked() {
         sample.rate[0] = sample.rate[0].to_degrees();
     }
     let header = format!("{FORCE}{}{TRUTH}", RATE.replace("X (rad/s)", "X (deg/s)"));
-    let said = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    let report = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
 }
 
 #[test]
@@ -229,9 +229,9 @@ fn without_a_rest_at_the_start_the_origin_is_the_first_rest() {
     );
     for method in ["strapdown", "tilt"] {
         let ran = wimu(&["navigate", &csv, "--method", method]);
-        let said = texts.remarks(method, &ran);
-        let below = number(&said, "/nees/share_below_7_81");
-        assert!(method == "tilt" || below > 0.9, "{said}");
+        let report = texts.remarks(method, &ran);
+        let below = number(&report, "/nees/share_below_7_81");
+        assert!(method == "tilt" || below > 0.9, "{report}");
     }
     let zupt = ["navigate", &csv, "--method", "strapdown", "--zupt", "off"];
     texts.fails("--zupt off", &wimu(&zupt), 3, "data_refused");
@@ -251,20 +251,20 @@ fn constant_velocity_after_an_acceleration_is_tracked_with_a_gyroscope() {
             let tau = (sample.t - from).clamp(0.0, 1.0);
             2.0 * (std::f64::consts::PI * tau).sin().powi(2)
         };
-        let push = ramp(3.0) - ramp(12.0);
-        sample.force[0] += push;
-        v += 0.01 * push;
+        let acceleration = ramp(3.0) - ramp(12.0);
+        sample.force[0] += acceleration;
+        v += 0.01 * acceleration;
         x += 0.01 * v;
         sample.x = x;
     }
     let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
     let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
     let mut texts = Transcript::default();
-    let said = texts.remarks("1 m/s for 8 s", &ran);
+    let report = texts.remarks("1 m/s for 8 s", &ran);
     texts.check("navigate_constant_velocity");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.95, "{said}");
-    let end = number(&said, "/final_position_m/0");
-    assert!((end - 9.0).abs() < 1.0, "{said}");
+    assert!(number(&report, "/nees/share_below_7_81") > 0.95, "{report}");
+    let end = number(&report, "/final_position_m/0");
+    assert!((end - 9.0).abs() < 1.0, "{report}");
 }
 
 #[test]
@@ -320,14 +320,17 @@ fn undetected_velocity_at_rests_is_reported_and_clipped_samples_are_invalid() {
     fs::write(&csv, text).unwrap();
     for method in ["strapdown", "tilt"] {
         let cautious = ["navigate", &csv, "--method", method, "--zupt", "cautious"];
-        let said = wimu(&cautious).succeeds();
-        let off = (number(&said, "/final_position_m/0") - last).abs();
-        assert!(number(&said, "/stillness/unseen_m") > off / 2.0, "{said}");
-        assert!(number(&said, "/nees/share_below_7_81") > 0.97, "{said}");
+        let report = wimu(&cautious).succeeds();
+        let off = (number(&report, "/final_position_m/0") - last).abs();
+        assert!(
+            number(&report, "/stillness/unseen_m") > off / 2.0,
+            "{report}"
+        );
+        assert!(number(&report, "/nees/share_below_7_81") > 0.97, "{report}");
         let on = ["navigate", &csv, "--method", method, "--zupt", "on"];
         let stated = wimu(&on).succeeds();
         assert!(number(&stated, "/nees/share_below_7_81") < 0.5, "{stated}");
-        assert!(number(&said, "/stillness/unseen_m_s") > 0.02, "{said}");
+        assert!(number(&report, "/stillness/unseen_m_s") > 0.02, "{report}");
         let off = wimu(&["navigate", &csv, "--method", method, "--zupt", "off"]).succeeds();
         assert!(off["stillness"].is_null(), "{off}");
     }
@@ -338,8 +341,8 @@ fn undetected_velocity_at_rests_is_reported_and_clipped_samples_are_invalid() {
     }
     let ran = wimu(&["navigate", &write(folder.path(), &header, &samples)]);
     let mut texts = Transcript::default();
-    let said = texts.remarks("6 samples at 2 g", &ran);
-    assert!(number(&said, "/valid_share") < 0.95, "{said}");
+    let report = texts.remarks("6 samples at 2 g", &ran);
+    assert!(number(&report, "/valid_share") < 0.95, "{report}");
     texts.check("navigate_clipped");
 }
 
@@ -359,10 +362,10 @@ fn a_short_failure_of_the_gyroscope_is_bridged_and_reported() {
     fs::write(&csv, text.lines().enumerate().map(cut).collect::<String>()).unwrap();
     let mut texts = Transcript::default();
     let ran = wimu(&["navigate", &csv, "--zupt", "on"]);
-    let said = texts.remarks("20 samples missing", &ran);
+    let report = texts.remarks("20 samples missing", &ran);
     texts.check("navigate_gyroscope_fails");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
-    assert!(number(&said, "/valid_share") > 0.8, "{said}");
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
+    assert!(number(&report, "/valid_share") > 0.8, "{report}");
 }
 
 #[test]
@@ -384,19 +387,19 @@ fn samples_that_are_no_numbers_count_as_missing_and_many_of_them_are_refused() {
     for method in ["strapdown", "tilt", "slide"] {
         // Single samples, as if their lines were missing.
         let ran = run(&|k| k % 97 == 50, method);
-        let said = texts.remarks(format_args!("one of 97, {method}"), &ran);
-        assert!(number(&said, "/valid_share") > 0.5, "{said}");
+        let report = texts.remarks(format_args!("one of 97, {method}"), &ran);
+        assert!(number(&report, "/valid_share") > 0.5, "{report}");
         assert!(
-            number(&said, "/nees/share_below_7_81") > 0.9,
-            "{method} {said}"
+            number(&report, "/nees/share_below_7_81") > 0.9,
+            "{method} {report}"
         );
         // From then on none: it is not valid there.
-        let said = run(&|k| k > 600, method).succeeds();
-        assert_eq!(said["final_valid"], false, "{said}");
+        let report = run(&|k| k > 600, method).succeeds();
+        assert_eq!(report["final_valid"], false, "{report}");
         // Too long to be bridged.
         let ran = run(&|k| (230..270).contains(&k), method);
-        let said = texts.remarks(format_args!("0.4 s, {method}"), &ran);
-        assert!(number(&said, "/valid_share") < 0.97, "{said}");
+        let report = texts.remarks(format_args!("0.4 s, {method}"), &ran);
+        assert!(number(&report, "/valid_share") < 0.97, "{report}");
     }
     let ran = run(&|k| k > 300, "tilt");
     texts.fails("from 3.01 s on", &ran, 3, "data_refused");
@@ -421,9 +424,9 @@ fn outliers_are_left_out_and_a_recording_of_outliers_is_refused() {
     for method in ["strapdown", "tilt", "slide"] {
         for value in [65_536.0, 1e308] {
             let ran = run(&|k| k == 300, value, method);
-            let said = texts.remarks(format_args!("{value:e}, {method}"), &ran);
-            assert!(number(&said, "/distance_m") < 5.0, "{said}");
-            assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+            let report = texts.remarks(format_args!("{value:e}, {method}"), &ran);
+            assert!(number(&report, "/distance_m") < 5.0, "{report}");
+            assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
         }
         let ran = run(&|k| k % 3 != 0, 3000.0, method);
         texts.fails(
@@ -450,11 +453,11 @@ fn a_coarse_axis_that_repeats_itself_is_not_dead() {
                 *force = ((*force + lies + fine) / step).round() * step;
             }
         }
-        let said = wimu(&["navigate", &write(folder.path(), FORCE, &samples)]).succeeds();
+        let report = wimu(&["navigate", &write(folder.path(), FORCE, &samples)]).succeeds();
         // A dead axis would be a remark more.
-        let count = remarks(&said).len();
-        assert_eq!(*expected.get_or_insert(count), count, "{seed}: {said}");
-        assert!(number(&said, "/valid_share") > 0.0, "{seed}: {said}");
+        let count = remarks(&report).len();
+        assert_eq!(*expected.get_or_insert(count), count, "{seed}: {report}");
+        assert!(number(&report, "/valid_share") > 0.0, "{seed}: {report}");
     }
 }
 
@@ -498,14 +501,14 @@ fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
         let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &all);
         let ran = wimu(&["navigate", &csv, "--method", "strapdown", "--zupt", "on"]);
         let case = format!("{warms} °/s, rest of {rest_s} s");
-        let said = texts.remarks(case, &ran);
+        let report = texts.remarks(case, &ran);
         assert!(
-            number(&said, "/nees/share_below_7_81") > 0.9,
-            "{rest_s} {warms} {said}"
+            number(&report, "/nees/share_below_7_81") > 0.9,
+            "{rest_s} {warms} {report}"
         );
         assert!(
-            number(&said, "/valid_share") > 0.9,
-            "{rest_s} {warms} {said}"
+            number(&report, "/valid_share") > 0.9,
+            "{rest_s} {warms} {report}"
         );
     }
     texts.check("navigate_gyroscope_warms_up");

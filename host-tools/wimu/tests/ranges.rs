@@ -105,10 +105,10 @@ fn file(folder: &Path, links: &[Vec<(LinkRole, u64, Vec<u8>)>]) -> String {
     path.to_str().unwrap().to_owned()
 }
 
-/// The magnitudes of `imu/data_raw` by link, m/s², and what the command said.
+/// The magnitudes of `imu/data_raw` by link, m/s², and the report of the command.
 fn decoded(session: &str, folder: &Path) -> (BTreeMap<String, Vec<f64>>, serde_json::Value) {
     let output = folder.join("decoded.mcap").display().to_string();
-    let said = wimu(&["export", session, "--format", "mcap", "-o", &output]).succeeds();
+    let report = wimu(&["export", session, "--format", "mcap", "-o", &output]).succeeds();
     let bytes = fs::read(output).unwrap();
     let mut found: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).unwrap() {
@@ -125,7 +125,7 @@ fn decoded(session: &str, folder: &Path) -> (BTreeMap<String, Vec<f64>>, serde_j
             found.entry(link.to_owned()).or_default().push(magnitude);
         }
     }
-    (found, said)
+    (found, report)
 }
 
 fn are_one_g(magnitudes: &[f64]) {
@@ -142,12 +142,12 @@ fn samples_that_epochs_overtake_keep_their_own_range() {
     let folder = folder();
     let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 700, &[])];
     let session = file(folder.path(), &links);
-    let (found, said) = decoded(&session, folder.path());
+    let (found, report) = decoded(&session, folder.path());
     for link in ["/cable", "/wireless"] {
         assert_eq!(found[link].len(), SAMPLES as usize);
         are_one_g(&found[link]);
     }
-    assert_eq!(said["without_unit"], 0, "{said}");
+    assert_eq!(report["without_unit"], 0, "{report}");
     let compared = wimu(&["compare", &session]).succeeds();
     assert_eq!(compared["without_unit"], 0, "{compared}");
     for link in compared["links"].as_array().unwrap() {
@@ -160,21 +160,21 @@ fn samples_that_epochs_overtake_keep_their_own_range() {
 fn where_the_epoch_of_a_change_is_lost_samples_are_left_out_and_counted() {
     let folder = folder();
     let session = file(folder.path(), &[link(ROLES[1], 300, &[480])]);
-    let (found, said) = decoded(&session, folder.path());
+    let (found, report) = decoded(&session, folder.path());
     // From after the last epoch of the old range to the first of the new one.
     let unknown = 560 - 400 - 1;
-    assert_eq!(said["without_unit"], unknown, "{said}");
+    assert_eq!(report["without_unit"], unknown, "{report}");
     assert_eq!(found["/wireless"].len(), (SAMPLES - unknown) as usize);
     are_one_g(&found["/wireless"]);
 }
 
 #[test]
-fn what_one_link_has_lost_the_other_tells() {
+fn an_epoch_lost_on_one_link_is_taken_from_the_other() {
     let folder = folder();
     let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 300, &[480, 960])];
     let session = file(folder.path(), &links);
-    let (found, said) = decoded(&session, folder.path());
-    assert_eq!(said["without_unit"], 0, "{said}");
+    let (found, report) = decoded(&session, folder.path());
+    assert_eq!(report["without_unit"], 0, "{report}");
     are_one_g(&found["/wireless"]);
     let compared = wimu(&["compare", &session]).succeeds();
     assert_eq!(compared["without_unit"], 0, "{compared}");
@@ -192,7 +192,7 @@ fn pairs_of_an_unknown_range_are_left_out_of_the_values() {
 #[test]
 fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range() {
     let folder = folder();
-    // The wireless link has lost a change, which the cable tells.
+    // The wireless link has lost a change, which the cable has.
     let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 300, &[960])];
     let session = file(folder.path(), &links);
     let found = wimu(&["calibrate", &session, "--method", "reference"]).succeeds();
@@ -237,8 +237,8 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
 fn samples_before_the_first_epoch_are_decoded() {
     let folder = folder();
     let session = file(folder.path(), &[link(ROLES[1], 0, &[0])]);
-    let (found, said) = decoded(&session, folder.path());
-    assert_eq!(said["without_unit"], 0, "{said}");
+    let (found, report) = decoded(&session, folder.path());
+    assert_eq!(report["without_unit"], 0, "{report}");
     assert_eq!(found["/wireless"].len(), SAMPLES as usize);
 }
 
@@ -250,9 +250,9 @@ fn a_table_of_counts_gives_the_unit_of_each_row_and_is_read_for_one_range() {
     let table = folder.path().join("a.csv").display().to_string();
     let ran = wimu(&["export", &session, "-o", &table]);
     texts.text("export", &ran);
-    let said = ran.succeeds();
+    let report = ran.succeeds();
     assert_eq!(
-        (&said["rows"], &said["without_unit"]),
+        (&report["rows"], &report["without_unit"]),
         (&SAMPLES.into(), &159.into())
     );
     let text = fs::read_to_string(&table).unwrap();

@@ -69,7 +69,7 @@ fn a_link_that_ends_while_recording_keeps_what_it_brought() {
     assert!(info["links"][0]["raw_samples"].as_u64().unwrap() > 100);
 }
 
-/// A relay to a board's link that hangs up once, after so many bytes, and of which the connection numbered
+/// A relay to a board's link that hangs up once, after `after` bytes, and of which the connection numbered
 /// `deaf` carries nothing to the board; its LINK.
 fn hangs_up_once(link: &str, after: usize, deaf: Option<usize>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -115,14 +115,18 @@ fn samples_of_a_board_that_receives_nothing_are_counted_alike_in_file_and_summar
     let recorder = Background::start(&["record", &relay, "-o", file]);
     let recorded = record_until(recorder, file, |link| {
         link["statistics"]["interruptions"].as_u64() >= Some(2)
-            && link["raw_samples"].as_u64() > Some(100)
+            // More than the first two connections bring: the third is open.
+            && link["raw_samples"].as_u64() > Some(700)
     });
     let info = wimu(&["info", file]).succeeds();
-    let (said, kept) = (&recorded["links"][0], &info["links"][0]["statistics"]);
+    let (report, kept) = (&recorded["links"][0], &info["links"][0]["statistics"]);
     assert!(kept["interruptions"].as_u64() >= Some(2), "{kept}");
-    for what in ["bytes", "frames", "raw", "interruptions"] {
-        assert_eq!(said[what], kept[what], "{what}");
+    for what in ["bytes", "frames", "raw"] {
+        assert_eq!(report[what], kept[what], "{what}");
     }
+    // The file leaves out an attempt that brought nothing.
+    let count = |of: &Value| of["interruptions"].as_u64();
+    assert!(count(report) >= count(kept), "{report} {kept}");
     assert!(kept["raw"]["missing"].as_u64().unwrap() > 0, "{kept}");
 }
 
@@ -157,7 +161,7 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
                 count(&statistics["frames_damaged"]) <= damaged,
                 "{statistics}"
             );
-            // It brought more afterwards than before.
+            // Most of the samples arrived after the interruption.
             assert!(count(&statistics["raw"]["received"]) > 400, "{statistics}");
         }
     }
@@ -171,7 +175,7 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
     }
 }
 
-/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason said, without one.
+/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason printed, without one.
 fn python_with_rosbags() -> Option<std::path::PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
     let python = folder.join("bin/python");
@@ -246,14 +250,14 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
         file,
         "--decoded",
     ];
-    let said = record_until(Background::start(&arguments), file, |link| {
+    let report = record_until(Background::start(&arguments), file, |link| {
         link["raw_samples"].as_u64() > Some(500)
     });
-    let decoded = &said["decoded"];
+    let decoded = &report["decoded"];
     assert_eq!(
         (&decoded["without_unit"], &decoded["late"]),
         (&0.into(), &0.into()),
-        "{said}"
+        "{report}"
     );
     // It is still a recording, and decodes again to the same.
     let info = wimu(&["info", file]).succeeds();

@@ -42,8 +42,6 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
 
     let ran = wimu(&["info", &live]);
     let info = ran.succeeds();
-    texts.text("info RECORDING", &ran);
-    texts.text("info LINK", &wimu(&["info", &board.cable]));
     assert_eq!(info["schema"], "wimu.info/1");
     assert_eq!(info["truncated"], false);
     assert_eq!(info["links"].as_array().unwrap().len(), 2);
@@ -57,6 +55,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
 
     // A longer session of the same board.
     record_motion("twelve-poses,slide", 1, &session);
+    texts.text("info RECORDING", &wimu(&["info", &session]));
     let ran = wimu(&["export", &session, "-o", &table]);
     let exported = ran.succeeds();
     texts.text("export", &ran);
@@ -165,6 +164,8 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     }
     assert_eq!(lines[lines.len() - 1]["corrected"], true);
 
+    // By now its rate is measured.
+    texts.text("info LINK", &wimu(&["info", &board.cable]));
     let ran = wimu(&["params", "factory-reset", &board.cable]);
     assert_eq!(ran.succeeds()["calibrated"], false);
     texts.text("params factory-reset", &ran);

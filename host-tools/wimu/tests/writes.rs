@@ -13,7 +13,7 @@ use kit::{Background, Simulator, Transcript, folder, record_motion_of, wimu};
 use serde_json::Value;
 use wimu_sim::board::SensorPart;
 
-/// Pose means of a sensor whose bias on X is so many LSB, 16384 LSB/g.
+/// Pose means of a sensor whose bias on X is `bias` LSB, 16384 LSB/g.
 fn poses(bias: i32) -> String {
     let mut text = "Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)\n".to_owned();
     let axes = [
@@ -151,7 +151,7 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     let mcap = mcap.to_str().expect("text");
     let recording =
         Background::start_as(&user, &["record", &board.wireless, "-o", mcap, "--decoded"]);
-    let mut said = Vec::new();
+    let mut outputs = Vec::new();
     let mut keys = Vec::new();
     let mut file = None;
     for action in ["set", "status", "rotate", "status"] {
@@ -163,7 +163,7 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
         );
         let path = user.join(name);
         keys.push(fs::read_to_string(&path).expect("a key").trim().to_owned());
-        said.extend([ran.stdout.into_bytes(), ran.stderr.into_bytes()]);
+        outputs.extend([ran.stdout.into_bytes(), ran.stderr.into_bytes()]);
         file = Some(path);
     }
     let file = file.expect("a key's file");
@@ -187,21 +187,21 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     let recorded = recording.signal("-INT");
     recorded.succeeds();
     for ran in [set, open, long, forgotten, recorded] {
-        said.extend([ran.stdout.into_bytes(), ran.stderr.into_bytes()]);
+        outputs.extend([ran.stdout.into_bytes(), ran.stderr.into_bytes()]);
     }
-    said.push(fs::read(mcap).expect("a recording"));
+    outputs.push(fs::read(mcap).expect("a recording"));
     for key in &keys {
         for form in forms_of(key) {
-            for said in &said {
-                let told = said.windows(form.len()).any(|bytes| bytes == form);
-                assert!(!told, "{}", String::from_utf8_lossy(said));
+            for output in &outputs {
+                let found = output.windows(form.len()).any(|bytes| bytes == form);
+                assert!(!found, "{}", String::from_utf8_lossy(output));
             }
         }
     }
 }
 
 #[test]
-fn two_hosts_that_push_at_once_are_both_told_the_truth() {
+fn two_hosts_that_push_at_once_get_consistent_answers() {
     let folder = folder();
     let user = folder.path().join("user");
     let board = Simulator::start(&["--motion", "rest"]);
@@ -218,15 +218,15 @@ fn two_hosts_that_push_at_once_are_both_told_the_truth() {
             .collect();
         let outcomes: Vec<_> = pushes.into_iter().map(Background::finish).collect();
         let held = wimu(&["params", "get", &board.cable]).succeeds()["parameter_id"].clone();
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for (ran, (_, id)) in outcomes.iter().zip(&sets) {
             match ran.code {
-                0 => told.push(id.clone()),
-                // The other's set was staged, or is in use now: said so.
+                0 => reported.push(id.clone()),
+                // The other's set was staged, or is in use now.
                 code => assert!([1, 4].contains(&code), "{ran:?}"),
             }
         }
-        assert!(told.contains(&held), "{outcomes:?}");
+        assert!(reported.contains(&held), "{outcomes:?}");
     }
 }
 
@@ -252,7 +252,7 @@ fn a_host_or_a_board_that_is_killed_while_it_pushes_leaves_the_old_set_or_the_ne
         }
         let held = wimu(&["params", "get", &board.wireless]).succeeds()["parameter_id"].clone();
         assert!(ids.contains(&held), "{held} after round {round}");
-        // And nobody is in the way of the next.
+        // The next push is not blocked.
         let again = wimu(&["params", "push", &board.cable, cal]).succeeds();
         assert_eq!(again["parameter_id"], ids[(round as usize + 1) % 2]);
     }

@@ -24,7 +24,7 @@ use wimu_sim::truth::{Gauge, SensorTruth};
 pub use wimu_testkit::spread;
 
 /// Time limit of a command: far beyond what a busy machine needs, so that only a hang reaches it.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIME_LIMIT: Duration = Duration::from_secs(300);
 
 /// Result of a command.
 #[derive(Debug)]
@@ -171,10 +171,10 @@ pub fn line_number(failure: &Value) -> Option<usize> {
     digits.parse().ok()
 }
 
-/// Compares text with `snapshots/NAME.snap`. What differs between machines and runs is replaced, by `more`
-/// and by [`FILTERS`].
+/// Compares text with `snapshots/NAME.snap`. What differs between machines and runs is replaced, by
+/// [`FILTERS`] and then by `more`.
 pub fn snapshot(name: &str, text: &str, more: &[(&str, &str)]) {
-    compare(name, text, more.iter().chain(FILTERS));
+    compare(name, text, FILTERS.iter().chain(more));
 }
 
 /// Compares text with `snapshots/NAME.snap` as it is.
@@ -296,7 +296,7 @@ impl Background {
 
     /// Waits for its end.
     pub fn finish(mut self) -> Ran {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIME_LIMIT;
         let child = &mut self.child;
         let (stdout, read) = (&mut self.stdout, &mut self.read);
         let status = thread::scope(|scope| {
@@ -483,7 +483,7 @@ pub fn in_folder(name: &str) -> (String, tempfile::TempDir) {
 
 /// Waits until a condition holds.
 pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIME_LIMIT;
     while !holds() {
         assert!(Instant::now() < until, "{what}: not in time");
         thread::sleep(Duration::from_millis(20));

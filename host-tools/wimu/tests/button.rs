@@ -7,13 +7,13 @@ use std::fs;
 
 use kit::{Background, Ran, Simulator, Transcript, in_folder, wimu};
 
-/// Start of the line that advises a pose.
-const ADVICE: &str = "next, for example: ";
+/// Only a line that advises a pose holds this word.
+const ADVICE: &str = "next";
 
-/// The poses that were advised.
+/// The lines that advise a pose.
 fn advice(ran: &Ran) -> Vec<&str> {
     let lines = ran.stderr.lines().map(str::trim);
-    lines.filter(|line| line.starts_with(ADVICE)).collect()
+    lines.filter(|line| line.contains(ADVICE)).collect()
 }
 
 /// Each side up for 1.3 s, which is too short to be taken by itself, and half a second of motion

@@ -23,6 +23,9 @@ const TOGETHER: Duration = Duration::from_micros(250);
 const FEW_BYTES: usize = 512;
 /// A client that takes nothing for so long reads slowly.
 const WRITE_PATIENCE: Duration = Duration::from_millis(1);
+/// A client that comes while another is there is turned away after this time: on a busy machine the end
+/// of the one before is noticed a little later.
+const GRACE: Duration = Duration::from_millis(100);
 
 /// A board that listens. Each port takes one client at a time, as a serial port does; what the
 /// board says while nobody listens is lost.
@@ -206,6 +209,8 @@ struct Port {
     role: LinkRole,
     listener: TcpListener,
     client: Option<Connected>,
+    /// One that came while `client` was there, and when.
+    waiting: Option<(TcpStream, Instant)>,
     /// Clients so far.
     clients: u64,
     /// When it last looked for one.
@@ -240,6 +245,7 @@ impl Port {
             role,
             listener,
             client: None,
+            waiting: None,
             clients: 0,
             looked: Instant::now(),
             connection: Some(0),
@@ -276,8 +282,14 @@ impl Port {
             return;
         }
         self.looked = Instant::now();
-        if let Ok((stream, _)) = self.listener.accept()
-            && self.client.is_none()
+        if self.waiting.is_none() {
+            let accepted = self.listener.accept().ok();
+            self.waiting = accepted.map(|(stream, _)| (stream, self.looked));
+        }
+        let free = self.client.is_none();
+        let decided = |(_, since): &mut (_, Instant)| free || since.elapsed() >= GRACE;
+        if let Some((stream, _)) = self.waiting.take_if(decided)
+            && free
             && self.connection.is_some()
             && let Ok(ear) = stream.try_clone()
             && stream.set_nonblocking(false).is_ok()

@@ -16,9 +16,8 @@ pub const RESULTS: &str = "docs/validation";
 // Sources of commands.
 const ARITHMETIC: [&str; 2] = ["crates/wimu-model", "crates/wimu-integrator"];
 const CALIBRATION: [&str; 2] = ["crates/wimu-model", "crates/wimu-calib"];
-const NAVIGATION: [&str; 2] = ["crates/wimu-model", "crates/wimu-nav"];
-const HOST_NAVIGATION: [&str; 8] = [
-    "crates/wimu-model",
+const NAVIGATION: [&str; 1] = ["crates/wimu-nav"];
+const HOST_NAVIGATION: [&str; 7] = [
     "crates/wimu-nav",
     "host-tools/wimu-host/src/array",
     "host-tools/wimu-host/src/array.rs",

@@ -193,7 +193,7 @@ fn a_straight_push_tells_ahead_and_a_crooked_one_is_refused() {
         "ahead: worst {:.2}°, within 95 %: {held}",
         worst.to_degrees()
     );
-    // The interval is conservative: it includes a curvature that a straight move does not have.
+    // Conservative: σ takes shaking as correlated over eight samples, and here it is white noise.
     let claim = "95 % intervals of the direction of a straight move hold (conservative)";
     coverage_figure(claim, &[held], 0.93..=1.0);
     assert!(worst < 0.02, "{worst}");

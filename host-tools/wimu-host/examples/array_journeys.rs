@@ -266,8 +266,13 @@ fn main() {
         for case in cases {
             let found = case.over(seeds);
             println!("{found}");
-            below[0].push(found.position());
-            below[1].push(found.rate());
+            // Bodies that do not rotate have no rate that is scored.
+            if found.outcomes.iter().any(|o| !o.position.is_empty()) {
+                below[0].push(found.position());
+            }
+            if found.outcomes.iter().any(|o| !o.rate.is_empty()) {
+                below[1].push(found.rate());
+            }
             refused += found.refused;
         }
         let range = |all: &Vec<f64>| {

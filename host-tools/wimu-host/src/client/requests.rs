@@ -141,7 +141,8 @@ impl<T: Transport> Client<T> {
     fn ask(&mut self, command: Command) -> Result<Answer> {
         let mut answer = self.ask_once(command)?;
         for _ in 1..SESSIONS {
-            let stale = answer == Answer::Refused(Refusal::Stale) && !self.requester.is_authenticated();
+            let stale =
+                answer == Answer::Refused(Refusal::Stale) && !self.requester.is_authenticated();
             if !stale || command.is_write() {
                 break;
             }

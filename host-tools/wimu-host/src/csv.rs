@@ -3,13 +3,13 @@
 //! `Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²),Magnetometer X (µT),…,Temperature (°C)`.
 //! Several accelerometers are `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …. A byte order
 //! mark, CRLF, quotes and both µ characters are accepted. Other columns are kept as text. A column
-//! `Sensitivity (LSB/g)` says what counts are: a table is read as long as that stays the same, and rows
+//! `Sensitivity (LSB/g)` is the unit of counts: a table is read as long as it stays the same, and rows
 //! where it is empty, whose unit is unknown, are left out.
 //!
-//! Other programs' files are read where they leave no doubt: `Acceleration x (m/s^2)`, `acc_x [g]`,
-//! `AccelX (mg)`, `Timestamp (ms)`, `Magnetic field x (µT)` and the like, always with a unit and only where
-//! no column of ours holds the same; semicolons or tabs between the fields, then with decimal commas too;
-//! lines that begin with `#` are left out.
+//! Files of other programs are read where their columns are unambiguous: `Acceleration x (m/s^2)`, `acc_x [g]`,
+//! `AccelX (mg)`, `Timestamp (ms)`, `Magnetic field x (µT)` and the like, always with a unit, and only where
+//! no column with a name of this format has the same quantity. Fields may be separated by semicolons or tabs, then with
+//! decimal commas too. Lines that begin with `#` are skipped.
 //!
 //! ```
 //! use wimu_host::csv::CsvReader;
@@ -38,7 +38,7 @@ use line::Lines;
 use crate::error::{ErrorCode, HostError, Result};
 use crate::foreign;
 
-/// The column that says what the counts of a row are.
+/// The column with the sensitivity of the counts of a row.
 pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
 
 /// One line of a file.
@@ -46,7 +46,7 @@ pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
 pub struct Row {
     /// Its line in the file, from 1; not written.
     pub line: u64,
-    /// Time, ns, on whatever clock the file has; `None` without a time column.
+    /// Time, ns, on the clock of the file; `None` without a time column.
     pub time_ns: Option<i64>,
     /// X, Y, Z per accelerometer, in the order and unit of the header.
     pub accelerations: Vec<[f64; 3]>,
@@ -90,16 +90,16 @@ pub struct CsvReader<R> {
     fields: Vec<String>,
     header: Header,
     columns: Columns,
-    /// Field to compare, and with what.
+    /// Index of a column and the value that it must have.
     filter: Vec<(usize, String)>,
     ordered: bool,
-    /// Whether fields of sensors may hold no number.
+    /// Whether sensor fields may be empty.
     with_holes: bool,
-    /// The field of a table of counts that says its row's sensitivity.
+    /// Index of the sensitivity column of a table of counts.
     sensitivity: Option<usize>,
     /// The sensitivity of the rows so far, as written.
     unit: Option<String>,
-    /// What stands before decimals, where a number has shown it.
+    /// The decimal mark, once a number has one.
     decimal_mark: Option<char>,
     /// Time and line of the last row.
     last: Option<(i64, u64)>,
@@ -155,7 +155,7 @@ impl<R: BufRead> CsvReader<R> {
                 HostError::new(
                     ErrorCode::CsvNoHeader,
                     "the fields are separated by '|'",
-                    "write commas, semicolons or tabs between the fields",
+                    "separate the fields by commas, semicolons or tabs",
                 ),
                 lines.number,
             ));
@@ -199,15 +199,14 @@ impl<R: BufRead> CsvReader<R> {
         Ok(self)
     }
 
-    /// Accepts rows in any order of time: for rows that are no time series, such as pose means.
+    /// Accepts rows in any order of time: for pose means, which are not a time series.
     #[must_use]
     pub fn in_any_order(mut self) -> Self {
         self.ordered = false;
         self
     }
 
-    /// Accepts fields of sensors that are empty or `NaN`: of an accelerometer as not a number, of a magnetometer or
-    /// thermometer as absent.
+    /// Accepts empty sensor fields and `NaN`: as NaN for an accelerometer, as absent for a magnetometer or thermometer.
     #[must_use]
     pub fn with_holes(mut self) -> Self {
         self.with_holes = true;
@@ -224,7 +223,7 @@ impl<R: BufRead> CsvReader<R> {
         &self.name
     }
 
-    /// The next row, `None` at the end.
+    /// The next row; `None` at the end.
     ///
     /// # Errors
     /// `csv_bad_number`, `csv_field_count`, `csv_time_backwards`, `csv_mixed_units` where the
@@ -242,10 +241,7 @@ impl<R: BufRead> CsvReader<R> {
             if fields != self.columns.len() {
                 return Err(HostError::new(
                     ErrorCode::CsvFieldCount,
-                    format!(
-                        "{fields} fields where the header has {}",
-                        self.columns.len()
-                    ),
+                    format!("{fields} fields, but the header has {}", self.columns.len()),
                     "complete the line or remove it",
                 )
                 .at(self.location(None)));
@@ -267,7 +263,7 @@ impl<R: BufRead> CsvReader<R> {
         })
     }
 
-    /// Whether it is known what the counts of the line are.
+    /// Whether the unit of the counts of the line is known.
     fn has_unit(&mut self) -> Result<bool> {
         let Some(index) = self.sensitivity else {
             return Ok(true);
@@ -279,10 +275,10 @@ impl<R: BufRead> CsvReader<R> {
         match &self.unit {
             Some(unit) if unit != field => Err(HostError::new(
                 ErrorCode::CsvMixedUnits,
-                format!("the range was changed: from here on 1 g is {field} LSB, before {unit}"),
+                    format!("the range changes here: 1 g is {field} LSB, before {unit} LSB"),
                 format!(
-                    "take the rows of one range, with --where \"{SENSITIVITY}={unit}\" where the command has \
-                     that; or record at one range"
+                        "select the rows of one range with --where \"{SENSITIVITY}={unit}\" (where the command has it), or record \
+                         at one range"
                 ),
             )
             .at(self.location(Some(index)))),
@@ -294,7 +290,7 @@ impl<R: BufRead> CsvReader<R> {
         }
     }
 
-    /// Decimal points for decimal commas, where no comma parts the fields.
+    /// Replaces decimal commas by points, where the fields are not separated by commas.
     fn write_points(&mut self) -> Result<()> {
         if self.lines.separator() == ',' {
             return Ok(());
@@ -314,8 +310,8 @@ impl<R: BufRead> CsvReader<R> {
             if thousands || *self.decimal_mark.get_or_insert(mark) != mark {
                 return Err(HostError::new(
                     ErrorCode::CsvBadNumber,
-                    format!("the comma or point in `{text}` may be of decimals or of thousands"),
-                    "write a point before decimals, and nothing between thousands",
+                    format!("`{text}` is ambiguous: decimal comma or thousands separator"),
+                    "use a decimal point and no thousands separators",
                 )
                 .at(self.location(Some(index))));
             }
@@ -405,8 +401,8 @@ impl<R: BufRead> CsvReader<R> {
                     "time goes back by {} s after line {last_line}",
                     last.abs_diff(time) as f64 / 1e9
                 ),
-                "sort the rows; if the file holds several runs, choose one with --where; if its rows are means \
-                 over static poses, add --poses",
+                    "sort the rows; if the file contains several runs, select one with --where; if its rows are means \
+                     over static poses, add --poses",
             )
             .at(self.location(None)));
         }
@@ -414,7 +410,7 @@ impl<R: BufRead> CsvReader<R> {
         Ok(())
     }
 
-    /// The line last read, and a column of it.
+    /// Location of the line last read, and of a column of it.
     fn location(&self, column: Option<usize>) -> String {
         let column = column
             .and_then(|index| self.columns.names().get(index))
@@ -455,7 +451,7 @@ impl<W: Write> CsvWriter<W> {
         Ok(writer)
     }
 
-    /// Writes one row; what the header has and the row has not is left empty.
+    /// Writes one row; fields of the header that the row does not have are left empty.
     ///
     /// # Errors
     /// `file_failed`.

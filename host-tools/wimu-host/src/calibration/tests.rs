@@ -256,7 +256,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     )
     .unwrap();
     for (text, part) in [
-        ("{".to_owned(), "no calibration"),
+        ("{".to_owned(), "not a calibration"),
         ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
         (
             good.replace("calibration/1", "calibration/9"),
@@ -470,7 +470,7 @@ fn a_navigation_grade_sensor_needs_nine_parameters() {
     let nine = fit(ModelChoice::default());
     assert!(
         nine.to_string()
-            .contains("worst poses (from 0), mm/s²: 28 "),
+            .contains("largest residuals, poses (from 0), mm/s²: 28 "),
         "{nine}"
     );
     let [nine, six, auto] = [

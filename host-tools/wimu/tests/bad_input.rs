@@ -305,9 +305,7 @@ fn recordings_in_motion_and_broken_files_say_so() {
         .collect();
     let object = calibrate(&scaled, &[]).succeeds();
     assert!(
-        object["remarks"]
-            .to_string()
-            .contains("is their unit right"),
+        object["remarks"].to_string().contains("check their unit"),
         "{object}"
     );
 }
@@ -383,7 +381,10 @@ fn each_parameter_stands_beside_its_datasheets_limit() {
     assert_eq!(limits[0]["verdict"], "within");
     assert!((limits[1]["value"].as_f64().unwrap() + 51.0).abs() < 0.5);
     assert_eq!(limits[2]["limit"], 80.0);
-    assert!(ran.stderr.contains("beside the datasheet"), "{ran:?}");
+    assert!(
+        ran.stderr.contains("compared with the datasheet"),
+        "{ran:?}"
+    );
     calibrate(
         &table("m/s²", &poses(20)),
         &["--poses", "--sensor-model", "abacus"],

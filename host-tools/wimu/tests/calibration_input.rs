@@ -45,12 +45,12 @@ fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
     let coarse = run(at_rest(|f| (f / 0.04).round() * 0.04, "m/s²")).succeeds();
     assert_eq!(coarse["axes"][2]["is_coarse"], true, "{coarse}");
     let said = coarse["remarks"][0].as_str().unwrap();
-    assert!(said.contains("noise of rounding"), "{coarse}");
+    assert!(said.contains("those of the quantisation"), "{coarse}");
 
     let clipped = run(at_rest(|f| f.min(9.81), "m/s²")).succeeds();
     let said = clipped["remarks"].to_string();
     assert!(
-        said.contains("Z: ") && said.contains("it is clipped"),
+        said.contains("Z: ") && said.contains("are clipped"),
         "{clipped}"
     );
 }

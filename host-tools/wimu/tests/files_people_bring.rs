@@ -149,7 +149,7 @@ fn a_range_that_nobody_said_is_said_to_be_a_guess() {
     let guessed = wimu(&of).succeeds();
     assert_eq!(guessed["range_source"], "sixteen_bits");
     assert!(
-        remarks(&guessed).contains("the range is not known"),
+        remarks(&guessed).contains("the range is unknown"),
         "{guessed}"
     );
     assert!(remarks(&guessed).contains("--range"), "{guessed}");
@@ -157,7 +157,7 @@ fn a_range_that_nobody_said_is_said_to_be_a_guess() {
     let export = ["export", &cal, "--format", "c", "-o", &header];
     let exported = wimu(&export).succeeds();
     assert!(
-        remarks(&exported).contains("range is not known"),
+        remarks(&exported).contains("range is unknown"),
         "{exported}"
     );
 
@@ -228,7 +228,7 @@ fn poses_count_by_their_samples_where_these_make_a_difference() {
             fs::write(&csv, table(&mut rough, column)).unwrap();
             let report = wimu(&of).succeeds();
             *(if column { &mut with } else { &mut without }) += bias(&report).powi(2);
-            let weighted = remarks(&report).contains("count by it");
+            let weighted = remarks(&report).contains("weighted by it");
             assert!(column || !weighted, "{report}");
             told += u32::from(weighted);
         }

@@ -187,7 +187,7 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     let south = dipping("-60").succeeds();
     assert_eq!(south["remarks"].as_array().unwrap().len(), 0, "{south}");
     let bent = dipping("-30").succeeds();
-    assert!(bent["remarks"][0].as_str().unwrap().contains("bends"));
+    assert!(bent["remarks"][0].as_str().unwrap().contains("distorts"));
     assert_eq!(dipping("60").code, 3);
     dipping("100").fails(2, "usage");
 

@@ -138,7 +138,7 @@ fn poses_of_a_continuous_recording_are_refused() {
             failure["remedy"]
                 .as_str()
                 .unwrap()
-                .contains("leave --poses out")
+                .contains("leave out --poses")
         );
     }
     for (rows, step_s) in [(100, 0.01), (101, 0.21), (1001, 5.0)] {

@@ -271,7 +271,7 @@ fn the_noise_of_a_sensor_at_rest_is_told_and_motion_is_refused() {
     );
     // A random walk that was not seen in so short a rest has a bound: Kalibr refuses 0.
     assert!(report["axes"][0]["acceleration_random_walk_m_s2_rts"].is_null());
-    assert!(text.contains("# Not seen in the recording"), "{text}");
+    assert!(text.contains("# Not observed in the recording"), "{text}");
     let walk = text
         .lines()
         .find_map(|line| line.strip_prefix("accelerometer_random_walk: "));

@@ -187,7 +187,7 @@ fn a_stranger_on_the_way_has_no_write_taken_for_done() {
                 let message = failure["message"].as_str().expect("text");
                 let sent = !matches!(way, Way::NoKey);
                 assert_eq!(
-                    message.contains("may have done"),
+                    message.contains("may have been executed"),
                     sent,
                     "{way:?}: {message}"
                 );

@@ -58,7 +58,7 @@ fn at_one_pose_the_offset_alone_is_told_and_that_it_is() {
         assert_eq!(report["model"]["matrix"][axis][axis], 1.0);
     }
     assert!(
-        said.contains("bias and scale factor cannot be told apart"),
+        said.contains("bias and scale factor not separable"),
         "{said}"
     );
 }

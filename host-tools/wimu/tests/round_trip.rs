@@ -225,7 +225,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     let refused = wimu(&update);
     assert_eq!(refused.code, 3, "{refused:?}");
     let reason = refused.object()["reason"].to_string();
-    assert!(reason.contains("does not hold any more"), "{reason}");
+    assert!(reason.contains("no longer valid"), "{reason}");
     // One rest of six, 2 % off: it is named, and to be held again.
     let text = table(&many()[..6]);
     let knocked = text.lines().enumerate().map(|(k, line)| {

@@ -1,5 +1,5 @@
 use proptest::prelude::*;
-use wimu_link::MAX_FRAME;
+use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{EpochReason, WireState};
 use wimu_model::Counts;

@@ -38,8 +38,7 @@ impl std::str::FromStr for BodyAxis {
             .iter()
             .position(|name| name.eq_ignore_ascii_case(axis))
             .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::Usage,
+                ErrorCode::Usage.error(
                     format!("`{text}` is not an axis of the body"),
                     "name the body axis that points up at each rest: x, -x, y, -y, z or -z",
                 )

@@ -11,7 +11,7 @@ use crate::calibration::mps2_per_unit;
 use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, RateSource};
 use crate::decode::Event;
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::html::Report;
 
 /// A number and its standard deviation, 1 σ.
@@ -195,7 +195,7 @@ impl NoiseMeter {
             Event::Restart { .. } => self.next_sequence = None,
             Event::Epoch { epoch, .. } => {
                 let refused = |message: &str, remedy: &str| {
-                    HostError::new(ErrorCode::DataRefused, message, remedy).at(&self.name)
+                    ErrorCode::DataRefused.error(message, remedy).at(&self.name)
                 };
                 if let Some((rate_hz, _, range_g)) = self.running {
                     let rate = 1e9 / f64::from(epoch.period_ns.max(1));
@@ -267,12 +267,12 @@ impl NoiseMeter {
     /// `no_rows` when the link carried no raw samples.
     pub fn report(&self) -> Result<NoiseReport> {
         if self.allan.samples() == 0 {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "no raw samples came over the link",
-                "switch the raw stream on with `wimu settings set`, or use the other link",
-            )
-            .at(&self.name));
+            return Err(ErrorCode::NoRows
+                .error(
+                    "no raw samples came over the link",
+                    "switch the raw stream on with `wimu settings set`, or use the other link",
+                )
+                .at(&self.name));
         }
         let source = RateSource::Device;
         Ok(NoiseReport::new(

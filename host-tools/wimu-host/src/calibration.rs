@@ -41,7 +41,7 @@ use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::csv::AccelerationUnit;
 use crate::dataset::{Dataset, OutputUnit};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use advice::{advice, next_poses};
 pub(crate) use input::mps2_per_unit;
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
@@ -127,9 +127,8 @@ pub struct CalibrateOptions {
 /// # Errors
 /// `usage` when an option is out of bounds.
 pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<CalibrationReport> {
-    let usage = |message: String, flag: &str| {
-        HostError::new(ErrorCode::Usage, message, format!("check {flag}"))
-    };
+    let usage =
+        |message: String, flag: &str| ErrorCode::Usage.error(message, format!("check {flag}"));
     let (gravity, gravity_source) = match options.gravity_mps2 {
         Some(mps2) => (
             Gravity::new(mps2, 0.0).map_err(|e| usage(e.to_string(), "--gravity"))?,

@@ -139,12 +139,12 @@ impl Chart {
                 drop(area);
                 output.finish()
             }
-            _ => Err(HostError::new(
-                ErrorCode::Usage,
-                "a chart is written as SVG or PNG",
-                "give a name that ends in .svg or .png",
-            )
-            .at(name)),
+            _ => Err(ErrorCode::Usage
+                .error(
+                    "a chart is written as SVG or PNG",
+                    "give a name that ends in .svg or .png",
+                )
+                .at(name)),
         }
     }
 
@@ -192,8 +192,7 @@ impl Chart {
             }
         });
         drawn.map_err(|reason| {
-            HostError::new(
-                ErrorCode::FileFailed,
+            ErrorCode::FileFailed.error(
                 format!("the chart cannot be drawn: {reason}"),
                 "check the file's folder; if it exists, report this as a fault of wimu",
             )

@@ -90,11 +90,7 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
         let transport = transport::open(link)?;
         return Client::connect(transport, &link.to_string(), ConnectOptions::default());
     }
-    let mut outcome = Err(HostError::new(
-        ErrorCode::LinkAbsent,
-        "no port to try",
-        "plug the board in",
-    ));
+    let mut outcome = Err(ErrorCode::LinkAbsent.error("no port to try", "plug the board in"));
     for candidate in transport::candidates()? {
         outcome = transport::open(&candidate).and_then(|transport| {
             Client::connect(transport, &candidate.to_string(), ConnectOptions::probe())
@@ -108,9 +104,7 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
 
 /// The error that the baud rate of a radio link is set at the adapter, with the adapter's commands.
 pub fn adapter_decides(link: &str, baud: u32) -> HostError {
-    HostError::new(
-        ErrorCode::Usage,
-        "the baud rate of a radio link is set at its adapter, not here",
+    ErrorCode::Usage.error("the baud rate of a radio link is set at its adapter, not here",
         format!(
             "set the adapter itself in its command mode (HC-05: AT+UART={baud},0,0; HC-06: AT+BAUD8 for 115200; others alike); \
              the board finds 115200, 9600 and 38400 by itself, and others after `wimu settings set CABLE --wireless-baud {baud}`"
@@ -194,12 +188,12 @@ impl<T: Transport> Client<T> {
                 Err(_) => transport = client.transport,
             }
         }
-        Err(HostError::new(
-            ErrorCode::NotAWimuBoard,
-            format!("no wimu board answers at any of {USUAL_BAUDS:?} baud"),
-            "check that the board is powered and runs wimu, and that TX and RX are not swapped",
-        )
-        .at(name))
+        Err(ErrorCode::NotAWimuBoard
+            .error(
+                format!("no wimu board answers at any of {USUAL_BAUDS:?} baud"),
+                "check that the board is powered and runs wimu, and that TX and RX are not swapped",
+            )
+            .at(name))
     }
 
     /// Changes the baud rate at both ends, and stores it on the board.
@@ -237,12 +231,12 @@ impl<T: Transport> Client<T> {
         self.decoder.interrupt();
         // The board returns to the old rate after 5 s without a request.
         self.greet(FALL_BACK_PATIENCE)?;
-        Err(HostError::new(
-            ErrorCode::NoAnswer,
-            format!("the board does not answer at {baud} baud; it is back at {before}"),
-            "the cable or adapter may not support this rate: choose a lower one",
-        )
-        .at(&self.name))
+        Err(ErrorCode::NoAnswer
+            .error(
+                format!("the board does not answer at {baud} baud; it is back at {before}"),
+                "the cable or adapter may not support this rate: choose a lower one",
+            )
+            .at(&self.name))
     }
 
     /// Continues with a new transport to the same board after the old one was lost; counters and
@@ -262,15 +256,15 @@ impl<T: Transport> Client<T> {
         if greeted.is_ok() && (hello.device_id, hello.role) != (known, role) {
             self.hello.device_id = known;
             self.hello.role = role;
-            return Err(HostError::new(
-                ErrorCode::LinkLost,
-                format!(
-                    "the {} link of device {:016x} answers now",
-                    hello.role, hello.device_id
-                ),
-                "reconnect the first board, or make another recording",
-            )
-            .at(&self.name));
+            return Err(ErrorCode::LinkLost
+                .error(
+                    format!(
+                        "the {} link of device {:016x} answers now",
+                        hello.role, hello.device_id
+                    ),
+                    "reconnect the first board, or make another recording",
+                )
+                .at(&self.name));
         }
         greeted
     }
@@ -325,12 +319,12 @@ impl<T: Transport> Client<T> {
         if error.code() != ErrorCode::LinkLost || self.decoder.statistics().bytes > 0 {
             return error;
         }
-        HostError::new(
-            ErrorCode::LinkBusy,
-            "the other end closed the link at once",
-            "another program may be using it: close it; else check the address",
-        )
-        .at(&self.name)
+        ErrorCode::LinkBusy
+            .error(
+                "the other end closed the link at once",
+                "another program may be using it: close it; else check the address",
+            )
+            .at(&self.name)
     }
 
     /// The error for a board of another wire version.
@@ -339,9 +333,7 @@ impl<T: Transport> Client<T> {
             Ordering::Less => "the board's firmware",
             _ => "wimu on this computer",
         };
-        HostError::new(
-            ErrorCode::ProtocolVersion,
-            format!(
+        ErrorCode::ProtocolVersion.error(format!(
                 "the board uses version {version} of the protocol, this wimu version {WIRE_VERSION}"
             ),
             format!("update {older}, which is the older one"),
@@ -376,7 +368,9 @@ impl<T: Transport> Client<T> {
                 "check the line from this computer to the board (TX of this side)",
             )
         };
-        HostError::new(ErrorCode::NotAWimuBoard, message, remedy).at(&self.name)
+        ErrorCode::NotAWimuBoard
+            .error(message, remedy)
+            .at(&self.name)
     }
 
     /// The board's latest identification.

@@ -258,7 +258,7 @@ pub fn compare<R: Read>(
 }
 
 fn refused(name: &str, message: impl Into<String>, remedy: &str) -> HostError {
-    HostError::new(ErrorCode::DataRefused, message, remedy).at(name)
+    ErrorCode::DataRefused.error(message, remedy).at(name)
 }
 
 fn index_of(role: LinkRole) -> usize {

@@ -72,8 +72,7 @@ impl std::str::FromStr for Filter {
                 Some((column, value)) if !column.trim().is_empty() => {
                     Ok((column.trim().to_owned(), value.trim().to_owned()))
                 }
-                _ => Err(HostError::new(
-                    ErrorCode::Usage,
+                _ => Err(ErrorCode::Usage.error(
                     format!("`{pair}` in the row filter is not COLUMN=VALUE"),
                     "write for example --where \"Run=2,IMU=0\"",
                 )),
@@ -141,19 +140,18 @@ impl<R: BufRead> CsvReader<R> {
             .next_fields(&mut fields)
             .map_err(|error| location(error, lines.number))?;
         if found.is_none() {
-            return Err(HostError::new(
-                ErrorCode::CsvEmpty,
-                "the file is empty",
-                "a CSV file starts with a line of column names and units",
-            )
-            .at(name));
+            return Err(ErrorCode::CsvEmpty
+                .error(
+                    "the file is empty",
+                    "a CSV file starts with a line of column names and units",
+                )
+                .at(name));
         }
         if let [only] = fields.as_slice()
             && only.contains('|')
         {
             return Err(location(
-                HostError::new(
-                    ErrorCode::CsvNoHeader,
+                ErrorCode::CsvNoHeader.error(
                     "the fields are separated by '|'",
                     "separate the fields by commas, semicolons or tabs",
                 ),
@@ -187,12 +185,12 @@ impl<R: BufRead> CsvReader<R> {
     pub fn select(mut self, filter: &Filter) -> Result<Self> {
         for (column, value) in &filter.0 {
             let index = self.columns.find(column).ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvMissingColumn,
-                    format!("there is no column `{column}` to filter by"),
-                    format!("choose from: {}", self.columns.names().join(", ")),
-                )
-                .at(format!("{} line 1", self.name))
+                ErrorCode::CsvMissingColumn
+                    .error(
+                        format!("there is no column `{column}` to filter by"),
+                        format!("choose from: {}", self.columns.names().join(", ")),
+                    )
+                    .at(format!("{} line 1", self.name))
             })?;
             self.filter.push((index, value.clone()));
         }
@@ -239,12 +237,12 @@ impl<R: BufRead> CsvReader<R> {
             }
             let fields = self.fields.len();
             if fields != self.columns.len() {
-                return Err(HostError::new(
-                    ErrorCode::CsvFieldCount,
-                    format!("{fields} fields, but the header has {}", self.columns.len()),
-                    "complete the line or remove it",
-                )
-                .at(self.location(None)));
+                return Err(ErrorCode::CsvFieldCount
+                    .error(
+                        format!("{fields} fields, but the header has {}", self.columns.len()),
+                        "complete the line or remove it",
+                    )
+                    .at(self.location(None)));
             }
             if self.passes_filter() && self.has_unit()? {
                 self.write_points()?;
@@ -273,9 +271,7 @@ impl<R: BufRead> CsvReader<R> {
             return Ok(false);
         }
         match &self.unit {
-            Some(unit) if unit != field => Err(HostError::new(
-                ErrorCode::CsvMixedUnits,
-                    format!("the range changes here: 1 g is {field} LSB, before {unit} LSB"),
+            Some(unit) if unit != field => Err(ErrorCode::CsvMixedUnits.error(format!("the range changes here: 1 g is {field} LSB, before {unit} LSB"),
                 format!(
                         "select the rows of one range with --where \"{SENSITIVITY}={unit}\" (where the command has it), or record \
                          at one range"
@@ -308,12 +304,12 @@ impl<R: BufRead> CsvReader<R> {
                 && matches!(quantity, Quantity::Acceleration { .. });
             let thousands = mark == ',' && counts && number::has_thousands(text);
             if thousands || *self.decimal_mark.get_or_insert(mark) != mark {
-                return Err(HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    format!("`{text}` is ambiguous: decimal comma or thousands separator"),
-                    "use a decimal point and no thousands separators",
-                )
-                .at(self.location(Some(index))));
+                return Err(ErrorCode::CsvBadNumber
+                    .error(
+                        format!("`{text}` is ambiguous: decimal comma or thousands separator"),
+                        "use a decimal point and no thousands separators",
+                    )
+                    .at(self.location(Some(index))));
             }
             if mark == ',' {
                 self.fields[index] = text.replacen(',', ".", 1);
@@ -333,24 +329,24 @@ impl<R: BufRead> CsvReader<R> {
             let is_hole = self.with_holes && number::is_none(text);
             let number = || {
                 number::finite(text).ok_or_else(|| {
-                    HostError::new(
-                        ErrorCode::CsvBadNumber,
-                        format!("`{text}` is not a finite number"),
-                        "correct the field or remove the line",
-                    )
-                    .at(self.location(Some(index)))
+                    ErrorCode::CsvBadNumber
+                        .error(
+                            format!("`{text}` is not a finite number"),
+                            "correct the field or remove the line",
+                        )
+                        .at(self.location(Some(index)))
                 })
             };
             match self.columns.quantity(index) {
                 Quantity::Time { exponent } => {
                     number()?;
                     let time = number::decimal(text, exponent).ok_or_else(|| {
-                        HostError::new(
-                            ErrorCode::CsvBadNumber,
-                            format!("the time `{text}` does not fit 64 bits of nanoseconds"),
-                            "check the column's unit",
-                        )
-                        .at(self.location(Some(index)))
+                        ErrorCode::CsvBadNumber
+                            .error(
+                                format!("the time `{text}` does not fit 64 bits of nanoseconds"),
+                                "check the column's unit",
+                            )
+                            .at(self.location(Some(index)))
                     })?;
                     row.time_ns = Some(time);
                 }
@@ -377,12 +373,12 @@ impl<R: BufRead> CsvReader<R> {
             [None, None, None] => None,
             _ if self.with_holes => None,
             _ => {
-                return Err(HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    "some axes of the magnetometer are empty, others are not",
-                    "fill in all three or none",
-                )
-                .at(self.location(None)));
+                return Err(ErrorCode::CsvBadNumber
+                    .error(
+                        "some axes of the magnetometer are empty, others are not",
+                        "fill in all three or none",
+                    )
+                    .at(self.location(None)));
             }
         };
         Ok(row)
@@ -395,9 +391,7 @@ impl<R: BufRead> CsvReader<R> {
         if let Some((last, last_line)) = self.last
             && time < last
         {
-            return Err(HostError::new(
-                ErrorCode::CsvTimeBackwards,
-                format!(
+            return Err(ErrorCode::CsvTimeBackwards.error(format!(
                     "time goes back by {} s after line {last_line}",
                     last.abs_diff(time) as f64 / 1e9
                 ),

@@ -14,7 +14,7 @@ use wimu_model::{
 };
 
 use crate::csv::{AccelerationUnit, CsvReader, Filter};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::plural::counted;
 pub(crate) use selection::one_sensor;
 use selection::{choose, samples_of};
@@ -148,15 +148,15 @@ impl Dataset {
             });
         }
         if outputs.is_empty() {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                match options.filter {
-                    Some(_) => "no row passes the filter",
-                    None => "there are no rows below the header",
-                },
-                "check the file and --where",
-            )
-            .at(name));
+            return Err(ErrorCode::NoRows
+                .error(
+                    match options.filter {
+                        Some(_) => "no row passes the filter",
+                        None => "there are no rows below the header",
+                    },
+                    "check the file and --where",
+                )
+                .at(name));
         }
         let (rate_hz, rate_source) = match times.rate_and_gaps() {
             Some((rate, gaps)) => {
@@ -172,15 +172,15 @@ impl Dataset {
             && rate_hz > MAX_POSE_RATE_HZ
             && outputs.len() > MAX_POSES;
         if options.poses && sampled {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                format!(
-                    "its {} rows look like a continuous recording, not means over static poses",
-                    outputs.len()
-                ),
-                "leave out --poses: the rests are found in the recording",
-            )
-            .at(name));
+            return Err(ErrorCode::Usage
+                .error(
+                    format!(
+                        "its {} rows look like a continuous recording, not means over static poses",
+                        outputs.len()
+                    ),
+                    "leave out --poses: the rests are found in the recording",
+                )
+                .at(name));
         }
         Ok(Self {
             name,
@@ -314,22 +314,22 @@ impl Dataset {
     /// `unknown_format` when they are not counts; `csv_bad_number` when one does not fit 16 bits.
     pub fn counts(&self) -> Result<Vec<Counts>> {
         if self.unit == OutputUnit::Mps2 {
-            return Err(HostError::new(
-                ErrorCode::UnknownFormat,
-                "its accelerations are not raw counts",
-                "give a file whose accelerometer columns are in LSB",
-            )
-            .at(&self.name));
+            return Err(ErrorCode::UnknownFormat
+                .error(
+                    "its accelerations are not raw counts",
+                    "give a file whose accelerometer columns are in LSB",
+                )
+                .at(&self.name));
         }
         let count = |value: f64| {
             let exact = value.trunc() == value && (-32768.0..=32767.0).contains(&value);
             exact.then_some(value as i16).ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    format!("{value} is not a count of a 16-bit sensor"),
-                    "raw counts are whole numbers from -32768 to 32767",
-                )
-                .at(&self.name)
+                ErrorCode::CsvBadNumber
+                    .error(
+                        format!("{value} is not a count of a 16-bit sensor"),
+                        "raw counts are whole numbers from -32768 to 32767",
+                    )
+                    .at(&self.name)
             })
         };
         self.outputs

@@ -19,7 +19,7 @@ use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{ErrorCode, OutputFile, Result};
 
 /// The column with the standard deviation of the heading, empty where it is uncalibrated.
 const HEADING_SD: &str = "Heading SD (deg)";
@@ -85,9 +85,7 @@ pub fn to_csv(
         ExportStream::Navigation => boot.navigation,
     };
     if link.boots.iter().map(count).sum::<usize>() == 0 {
-        return Err(HostError::new(
-            ErrorCode::NoRows,
-            format!("the {role} link carried no such samples"),
+        return Err(ErrorCode::NoRows.error(format!("the {role} link carried no such samples"),
             "export another stream or the other link, or switch the stream on with `wimu settings set`",
         ));
     }

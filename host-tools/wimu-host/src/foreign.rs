@@ -26,8 +26,7 @@ pub(crate) fn refused(start: &[u8]) -> Option<HostError> {
     let (_, name, how) = FORMATS
         .iter()
         .find(|(magic, ..)| start.starts_with(magic))?;
-    Some(HostError::new(
-        ErrorCode::UnknownFormat,
+    Some(ErrorCode::UnknownFormat.error(
         format!("this is {name}, not a CSV file"),
         format!("{how}; then name the columns `Time (s),Accelerometer X (m/s²),…`"),
     ))

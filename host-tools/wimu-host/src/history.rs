@@ -13,7 +13,7 @@ use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity, Senso
 
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics, TimedSample, sequence_order};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 use crate::overview::{Listen, choose, listen};
 use crate::walk::Start;
@@ -92,8 +92,7 @@ impl Boot {
     /// `bad_recording` when they were not sent or are invalid.
     pub fn parameters_of(&self, epoch: &Epoch) -> Result<ParameterSet> {
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadRecording,
+            ErrorCode::BadRecording.error(
                 message,
                 "record from the connection on: the device then sends its parameters",
             )
@@ -116,8 +115,7 @@ impl Boot {
             })?;
         let set = ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))?;
         if wimu_link::message::parameter_id(&set).0 != epoch.parameters {
-            return Err(HostError::new(
-                ErrorCode::BadRecording,
+            return Err(ErrorCode::BadRecording.error(
                 format!(
                     "the parameters {:08x} have terms unknown to this version of wimu",
                     epoch.parameters

@@ -40,8 +40,7 @@ impl KeyFolder {
         };
         base.map(|base| Self(base.join("wimu").join("keys")))
             .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::Usage,
+                ErrorCode::Usage.error(
                     "this user has no folder for configuration, where keys are kept",
                     "set HOME or XDG_CONFIG_HOME",
                 )
@@ -166,12 +165,12 @@ impl KeyFolder {
         if let Ok(found) = fs::metadata(&self.0) {
             let mode = std::os::unix::fs::PermissionsExt::mode(&found.permissions());
             if mode & 0o022 != 0 {
-                return Err(HostError::new(
-                    ErrorCode::FileUnreadable,
-                    "others can change this folder of keys",
-                    "set its mode to 700 (chmod 700)",
-                )
-                .at(self.0.display().to_string()));
+                return Err(ErrorCode::FileUnreadable
+                    .error(
+                        "others can change this folder of keys",
+                        "set its mode to 700 (chmod 700)",
+                    )
+                    .at(self.0.display().to_string()));
             }
         }
         Ok(())
@@ -216,8 +215,7 @@ pub fn generate() -> Result<DeviceKey> {
 /// Fills `bytes` from the random source of the operating system.
 pub(crate) fn random(bytes: &mut [u8]) -> Result<()> {
     getrandom::fill(bytes).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
+        ErrorCode::FileFailed.error(
             format!("no random numbers from the operating system: {error}"),
             "run wimu on a system with a random source",
         )
@@ -263,9 +261,7 @@ fn read(path: &Path) -> Result<Found> {
             .permissions()
             .mode();
         if mode & 0o077 != 0 {
-            return Err(HostError::new(
-                ErrorCode::FileUnreadable,
-                "others can read this key",
+            return Err(ErrorCode::FileUnreadable.error("others can read this key",
                 "set its mode to 600 (chmod 600), and give the device a new one: wimu key rotate",
             )
             .at(name));
@@ -279,9 +275,7 @@ fn read(path: &Path) -> Result<Found> {
     Ok(match key.try_into() {
         Ok(key) if digits.len() == 2 * DeviceKey::LENGTH => Found::Key(DeviceKey::new(key)),
         _ => Found::Damaged(
-            HostError::new(
-                ErrorCode::FileUnreadable,
-                format!(
+            ErrorCode::FileUnreadable.error(format!(
                         "a key is {} hexadecimal digits, but the {} bytes of this file are not",
                     2 * DeviceKey::LENGTH,
                     digits.len()

@@ -43,9 +43,7 @@ impl FromStr for LinkUrl {
 
     fn from_str(text: &str) -> Result<Self> {
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadLink,
-                message,
+            ErrorCode::BadLink.error(message,
                 "write serial:///dev/ttyACM0?baud=115200, COM5, /dev/ttyACM0, tcp://127.0.0.1:7100 or auto",
             )
             .at(text)
@@ -60,12 +58,12 @@ impl FromStr for LinkUrl {
             return parse_tcp(rest).map_err(bad);
         }
         if text.starts_with("ble://") {
-            return Err(HostError::new(
-                ErrorCode::LinkKindMissing,
-                "Bluetooth Low Energy is not built into this wimu",
-                "use a Bluetooth serial (SPP) adapter through its serial port, or a cable",
-            )
-            .at(text));
+            return Err(ErrorCode::LinkKindMissing
+                .error(
+                    "Bluetooth Low Energy is not built into this wimu",
+                    "use a Bluetooth serial (SPP) adapter through its serial port, or a cable",
+                )
+                .at(text));
         }
         if let Some((scheme, _)) = text.split_once("://") {
             return Err(bad(format!("`{scheme}` is not a kind of link")));
@@ -177,9 +175,7 @@ impl Input {
             return match text.parse() {
                 Ok(link) => Ok(Self::Link(link)),
                 Err(error) if text.contains("://") => Err(error),
-                Err(_) => Err(HostError::new(
-                    ErrorCode::FileUnreadable,
-                    "there is no such file, and it is not a LINK",
+                Err(_) => Err(ErrorCode::FileUnreadable.error("there is no such file, and it is not a LINK",
                     "name a recording (.mcap), a CSV file, or a LINK such as /dev/ttyACM0 or tcp://127.0.0.1:7100",
                 )
                 .at(text)),

@@ -11,7 +11,7 @@ use wimu_nav::unit::UnitSample;
 use crate::history::Boot;
 use crate::motion::MotionRecording;
 use crate::replay::{Replay, Step};
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, Result};
 
 /// Largest specific force after correction per *g* of full-scale range, m/s²: 1.5 g.
 const BEYOND_RANGE: f64 = 1.5 * wimu_model::STANDARD_GRAVITY_MPS2;
@@ -77,18 +77,13 @@ pub fn replayed(boot: &Boot) -> Vec<Point> {
 /// `no_rows` without an epoch; `data_refused` when the parameters cannot be compiled.
 pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<Vec<Point>> {
     let Some(first) = boot.epochs.first() else {
-        return Err(HostError::new(
-            ErrorCode::NoRows,
+        return Err(ErrorCode::NoRows.error(
             "the recording has no epoch, so the sample period is unknown",
             "record for longer than a second",
         ));
     };
     let refused = |message: String| {
-        HostError::new(
-            ErrorCode::DataRefused,
-            message,
-            "give the calibration of this sensor",
-        )
+        ErrorCode::DataRefused.error(message, "give the calibration of this sensor")
     };
     let temperature = boot
         .environment
@@ -150,11 +145,8 @@ pub fn motion(
                 .find_map(|e| e.temperature_centi_c)
                 .map(CentiCelsius);
             let corrector = Corrector::compile(parameters, temperature).map_err(|error| {
-                HostError::new(
-                    ErrorCode::DataRefused,
-                    error.to_string(),
-                    "give the calibration of this sensor",
-                )
+                ErrorCode::DataRefused
+                    .error(error.to_string(), "give the calibration of this sensor")
             })?;
             let counts = boot
                 .raw
@@ -177,12 +169,12 @@ pub fn motion(
             .collect(),
     };
     if forces.len() < 2 {
-        return Err(HostError::new(
-            ErrorCode::NoRows,
-            "fewer than two samples can be corrected",
-            "record for longer than a second",
-        )
-        .at(name));
+        return Err(ErrorCode::NoRows
+            .error(
+                "fewer than two samples can be corrected",
+                "record for longer than a second",
+            )
+            .at(name));
     }
     let mut fields = boot
         .environment

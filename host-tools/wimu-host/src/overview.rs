@@ -11,7 +11,7 @@ use wimu_model::ParameterId;
 
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::units::RawUnits;
 use crate::walk::{Start, Step, Walker};
@@ -260,9 +260,7 @@ pub(crate) fn listen<R: Read, L: Listen>(
     if !links.is_empty()
         && let Some(versions) = links.iter().map(foreign).collect::<Option<Vec<&u8>>>()
     {
-        return Err(HostError::new(
-            ErrorCode::BadRecording,
-            format!(
+        return Err(ErrorCode::BadRecording.error(format!(
                 "the board uses version {} of the protocol, this wimu reads version {WIRE_VERSION}",
                 versions[0]
             ),
@@ -294,8 +292,7 @@ pub(crate) fn choose<L>(
     };
     found.ok_or_else(|| {
         let what = role.map_or("any link".to_owned(), |role| format!("the {role} link"));
-        HostError::new(
-            ErrorCode::NoRows,
+        ErrorCode::NoRows.error(
             format!("nothing was recorded on {what}"),
             "record again, or name the other link",
         )

@@ -78,8 +78,7 @@ impl Recorder {
                 } else {
                     continue;
                 };
-                return Err(HostError::new(
-                    ErrorCode::Usage,
+                return Err(ErrorCode::Usage.error(
                     format!("{} and {} {trouble}", other.name(), client.name()),
                     "give the wireless link and the cable of one board",
                 ));

@@ -81,9 +81,7 @@ struct Running {
 impl Running {
     fn from_epoch(boot: &Boot, mark: &EpochMark) -> Result<Self> {
         if !mark.epoch.state.is_ours() {
-            return Err(HostError::new(
-                ErrorCode::BadRecording,
-                format!(
+            return Err(ErrorCode::BadRecording.error(format!(
                     "the device uses revision {} of the arithmetic, this wimu {ARITHMETIC_REVISION}: a bit-exact replay is not possible",
                     mark.epoch.state.revision
                 ),
@@ -130,8 +128,7 @@ fn most_samples(mark: &EpochMark) -> u64 {
 }
 
 fn unusable(error: impl std::error::Error) -> HostError {
-    HostError::new(
-        ErrorCode::BadRecording,
+    ErrorCode::BadRecording.error(
         format!("an epoch cannot be replayed: {error}"),
         "update firmware and wimu to one version",
     )

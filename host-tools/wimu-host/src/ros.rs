@@ -22,7 +22,7 @@ use crate::history::Boot;
 use crate::mcap_file::{RecordingReader, RecordingWriter, Topic, Wholeness};
 use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, Walker, walk};
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{ErrorCode, OutputFile, Result};
 
 const FRAME_ID: &str = "imu_link";
 /// ROS's separator between a message's definition and those of its parts.
@@ -125,12 +125,12 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     let clocks = clocks.models();
     let mut reader = RecordingReader::open(from)?;
     let Some(anchor) = reader.anchor()? else {
-        return Err(HostError::new(
-            ErrorCode::BadRecording,
-            "it has no anchor from the host's clock to UTC",
-            "give a file written by `wimu record`",
-        )
-        .at(from.display().to_string()));
+        return Err(ErrorCode::BadRecording
+            .error(
+                "it has no anchor from the host's clock to UTC",
+                "give a file written by `wimu record`",
+            )
+            .at(from.display().to_string()));
     };
     let (output, file) = OutputFile::create(to)?;
     let mut decoder = Writer {

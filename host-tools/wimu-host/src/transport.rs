@@ -45,8 +45,7 @@ pub trait Transport {
     /// # Errors
     /// `usage` for a link without a baud rate; `link_lost` when the port refuses it.
     fn set_baud(&mut self, baud: u32) -> Result<()> {
-        Err(HostError::new(
-            ErrorCode::Usage,
+        Err(ErrorCode::Usage.error(
             format!("this link has no baud rate to set to {baud}"),
             "name a serial port",
         ))
@@ -91,12 +90,12 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
             [only] => open(only),
             several => {
                 let names: Vec<_> = several.iter().map(LinkUrl::to_string).collect();
-                Err(HostError::new(
-                    ErrorCode::BadLink,
-                    format!("several ports may be a board: {}", names.join(", ")),
-                    "name one of them instead of `auto`",
-                )
-                .at("auto"))
+                Err(ErrorCode::BadLink
+                    .error(
+                        format!("several ports may be a board: {}", names.join(", ")),
+                        "name one of them instead of `auto`",
+                    )
+                    .at("auto"))
             }
         },
     }
@@ -117,9 +116,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
         })
         .collect();
     if found.is_empty() {
-        Err(HostError::new(
-            ErrorCode::LinkAbsent,
-                "no serial port has the USB id of a known board",
+        Err(ErrorCode::LinkAbsent.error("no serial port has the USB id of a known board",
             "plug the board in, or name its port: `wimu ports` lists them; `wimu simulate` needs none",
         )
         .at("auto"))
@@ -186,8 +183,7 @@ const KNOWN_BOARDS: [(u16, Option<u16>, &str); 6] = [
 /// `link_absent` when the operating system does not list them.
 pub fn ports() -> Result<Vec<Port>> {
     let found = serialport::available_ports().map_err(|error| {
-        HostError::new(
-            ErrorCode::LinkAbsent,
+        ErrorCode::LinkAbsent.error(
             format!("the operating system does not list its serial ports: {error}"),
             "name the port",
         )
@@ -280,29 +276,21 @@ fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> HostError {
         })
     };
     let failure = match error.kind() {
-        _ if !exists => HostError::new(
-            ErrorCode::LinkAbsent,
-            "there is no such serial port",
+        _ if !exists => ErrorCode::LinkAbsent.error("there is no such serial port",
             "plug in the board or adapter (bind a paired Bluetooth adapter: `sudo rfcomm bind 0 ADDRESS`); `wimu ports` lists the ports",
         ),
-        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => HostError::new(
-            ErrorCode::LinkPermission,
-            "no permission to open the port",
+        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => ErrorCode::LinkPermission.error("no permission to open the port",
             "join the port's group (`sudo usermod -aG dialout $USER`, on Arch `uucp`) and log in again, or put \
              `SUBSYSTEM==\"tty\", ATTRS{idVendor}==\"0d28\", TAG+=\"uaccess\"` with the adapter's own id into \
              /etc/udev/rules.d/70-wimu.rules and plug it in again",
         ),
         // Windows calls a port that is open elsewhere a denied access.
         Kind::NoDevice | Kind::Io(ErrorKind::PermissionDenied | ErrorKind::WouldBlock) => {
-            HostError::new(
-                ErrorCode::LinkBusy,
-                "another program has the port open",
+            ErrorCode::LinkBusy.error("another program has the port open",
                 "close the other terminal, monitor or modem manager",
             )
         }
-        _ => HostError::new(
-            ErrorCode::LinkAbsent,
-            format!("the port does not open at {baud} baud: {error}"),
+        _ => ErrorCode::LinkAbsent.error(format!("the port does not open at {baud} baud: {error}"),
             "check that it is a serial port and that it supports this baud rate",
         ),
     };
@@ -319,12 +307,12 @@ impl TcpLink {
     fn open(link: &LinkUrl, host: &str, port: u16) -> Result<Self> {
         let name = link.to_string();
         let addresses = (host, port).to_socket_addrs().map_err(|error| {
-            HostError::new(
-                ErrorCode::LinkAbsent,
-                format!("unknown host `{host}`: {error}"),
-                "check the name and the network",
-            )
-            .at(&name)
+            ErrorCode::LinkAbsent
+                .error(
+                    format!("unknown host `{host}`: {error}"),
+                    "check the name and the network",
+                )
+                .at(&name)
         })?;
         let mut last = io::Error::from(ErrorKind::AddrNotAvailable);
         for address in addresses {
@@ -345,13 +333,11 @@ impl TcpLink {
             }
         }
         Err(match last.kind() {
-            ErrorKind::ConnectionRefused => HostError::new(
-                ErrorCode::LinkRefused,
+            ErrorKind::ConnectionRefused => ErrorCode::LinkRefused.error(
                 "nothing listens at this address",
                 "start `wimu simulate` first, or check the port",
             ),
-            _ => HostError::new(
-                ErrorCode::LinkAbsent,
+            _ => ErrorCode::LinkAbsent.error(
                 format!("the host does not answer: {last}"),
                 "check the address and the network",
             ),
@@ -405,12 +391,12 @@ fn lost(name: &str, error: &io::Error) -> HostError {
         }
         _ => format!("the link failed: {error}"),
     };
-    HostError::new(
-        ErrorCode::LinkLost,
-        message,
-        "check the cable, the adapter's power and its range, then connect again",
-    )
-    .at(name)
+    ErrorCode::LinkLost
+        .error(
+            message,
+            "check the cable, the adapter's power and its range, then connect again",
+        )
+        .at(name)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 use wimu_calib::{Datasheet, Estimate, Finding, Quantity, Verdict};
 
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 
 /// The datasheet of the sensor called `name`.
 ///
@@ -13,8 +13,7 @@ use crate::error::{ErrorCode, HostError, Result};
 /// `usage` when it is unknown; the remedy lists the known ones.
 pub fn datasheet(name: &str) -> Result<&'static Datasheet> {
     Datasheet::of(name).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::Usage,
+        ErrorCode::Usage.error(
             format!("no datasheet is known for the sensor {name:?}"),
             format!(
                 "known sensors: {}; for others leave out --sensor-model",

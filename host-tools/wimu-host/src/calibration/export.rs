@@ -37,12 +37,12 @@ impl KalibrNoise {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
         let bad = || {
-            HostError::new(
-                ErrorCode::BadCalibration,
-                "this is not a noise report",
-                "make it with `wimu allan --json rest.mcap > NOISE.json`",
-            )
-            .at(&name)
+            ErrorCode::BadCalibration
+                .error(
+                    "this is not a noise report",
+                    "make it with `wimu allan --json rest.mcap > NOISE.json`",
+                )
+                .at(&name)
         };
         let report: Value = serde_json::from_str(&text).map_err(|_| bad())?;
         if report["schema"] != NoiseReport::SCHEMA || report["status"] != "ok" {

@@ -31,8 +31,7 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         sensitivity_lsb_per_g: Option<f64>,
     }
     let name = path.display().to_string();
-    let bad =
-        |message: String, remedy: &str| HostError::new(ErrorCode::BadCalibration, message, remedy);
+    let bad = |message: String, remedy: &str| ErrorCode::BadCalibration.error(message, remedy);
     let held = |file: &File| file.schema.as_deref() == Some(HELD_SCHEMA);
     let make = "make it with `wimu calibrate … -o CAL.json`";
     let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
@@ -191,8 +190,7 @@ pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
 /// `file_failed`, `file_unreadable`.
 pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
     let json = serde_json::to_string_pretty(report).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
+        ErrorCode::FileFailed.error(
             format!("the report cannot be written as JSON: {error}"),
             "report this as a fault of wimu",
         )

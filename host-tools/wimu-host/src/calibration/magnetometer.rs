@@ -14,7 +14,7 @@ use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, OutputUnit, RateSource};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::html::Report;
 
 /// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu params push` reads.
@@ -181,14 +181,10 @@ pub fn calibrate_magnetometer(
 fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
     if data.outputs.iter().all(|o| o.magnetic_field_nt.is_none()) {
         let error = match data.rate_source {
-            RateSource::Device => HostError::new(
-                ErrorCode::DataRefused,
-                "the link carried no magnetic field: the board has no magnetometer, or does not send it",
+            RateSource::Device => ErrorCode::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
                 "use a board that has one, and have its link carry `environment`: see `wimu settings set --help`",
             ),
-            _ => HostError::new(
-                ErrorCode::CsvMissingColumn,
-                "the file has no magnetometer",
+            _ => ErrorCode::CsvMissingColumn.error("the file has no magnetometer",
                 "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
             ),
         };
@@ -198,9 +194,7 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
         OutputUnit::Counts {
             range_g: Some(range_g),
             ..
-        } if range_g != set.range_g => Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!(
+        } if range_g != set.range_g => Err(ErrorCode::DataRefused.error(format!(
                     "the data were recorded at ±{range_g} g, the accelerometer's calibration is for ±{} g",
                 set.range_g
             ),

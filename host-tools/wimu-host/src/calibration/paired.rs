@@ -11,7 +11,7 @@ use super::numbers::MAX_POSES;
 use crate::csv::{CsvReader, Filter};
 use crate::dataset::{Dataset, LoadOptions, OutputUnit};
 use crate::decode::sequence_order;
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::history::Recording;
 use crate::units::RawUnits;
 
@@ -66,9 +66,8 @@ impl Paired {
             all.iter().copied().flatten().collect()
         };
         let name = path.display().to_string();
-        let usage = |message: String, remedy: String| {
-            HostError::new(ErrorCode::Usage, message, remedy).at(&name)
-        };
+        let usage =
+            |message: String, remedy: String| ErrorCode::Usage.error(message, remedy).at(&name);
         let list = || {
             sensors
                 .iter()
@@ -228,12 +227,12 @@ impl Paired {
             }
         }
         let Some((sensitivity, range_g, rate_hz)) = known.filter(|_| !pairs.is_empty()) else {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "no raw sample came over both links",
-                "record both at once with `wimu record LINK --cable LINK`, raw samples on both",
-            )
-            .at(&recording.name));
+            return Err(ErrorCode::NoRows
+                .error(
+                    "no raw sample came over both links",
+                    "record both at once with `wimu record LINK --cable LINK`, raw samples on both",
+                )
+                .at(&recording.name));
         };
         Ok(Self {
             name: recording.name.clone(),

@@ -15,7 +15,7 @@ use super::input::{magnitude, median};
 use super::paired::Paired;
 use super::range::Range;
 use super::{CalibrationReport, Source};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::plural::counted;
 
 /// An axis in a [`ReferenceReport`].
@@ -122,9 +122,7 @@ pub fn compare_with_reference(
 ) -> Result<ReferenceReport> {
     let given = |ratio: f64| {
         NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
-            HostError::new(
-                ErrorCode::Usage,
-                    format!("a noise ratio of {ratio} is not possible"),
+            ErrorCode::Usage.error(format!("a noise ratio of {ratio} is not possible"),
                     "give --noise-ratio, the noise of the output over that of the reference: 2 if it is twice as noisy",
             )
         })

@@ -10,7 +10,7 @@ use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, 
 use super::CalibrationReport;
 use super::input::poses;
 use crate::dataset::{Dataset, OutputUnit};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 
 /// A rest compared with the stored calibration.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -80,15 +80,13 @@ pub fn update(
     utc_s: Option<u64>,
 ) -> Result<UpdateReport> {
     let gravity = match gravity_mps2 {
-        Some(mps2) => Gravity::new(mps2, 0.0).map_err(|error| {
-            HostError::new(ErrorCode::Usage, error.to_string(), "check --gravity")
-        })?,
+        Some(mps2) => Gravity::new(mps2, 0.0)
+            .map_err(|error| ErrorCode::Usage.error(error.to_string(), "check --gravity"))?,
         None => Gravity::UNKNOWN_PLACE,
     };
     let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
+        return Err(ErrorCode::DataRefused.error(
             "the stored calibration has no standard deviations",
             "give one that was written by `wimu calibrate … -o CAL.json`, with --with CAL.json",
         ));

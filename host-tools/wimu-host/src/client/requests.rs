@@ -57,7 +57,7 @@ impl<T: Transport> Client<T> {
                  cable with `wimu key set`",
             ),
         };
-        HostError::new(ErrorCode::KeyNeeded, message, remedy).at(&self.name)
+        ErrorCode::KeyNeeded.error(message, remedy).at(&self.name)
     }
 
     /// Sends a request and waits for the answer, repeating it if necessary. Writes are signed if there
@@ -77,9 +77,7 @@ impl<T: Transport> Client<T> {
         let certain = answer.is_ok() && (!signs || self.requester.vouched());
         let unsigned_write = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
         let outcome = match answer {
-            Ok(Answer::Accepted(_)) if unsigned_write => Err(HostError::new(
-                ErrorCode::KeyNeeded,
-                "an unsigned write was accepted on this link: the answer is not from a wimu board",
+            Ok(Answer::Accepted(_)) if unsigned_write => Err(ErrorCode::KeyNeeded.error("an unsigned write was accepted on this link: the answer is not from a wimu board",
                 "write over the cable, or set a key there with `wimu key set`",
             )
             .at(&self.name)),
@@ -174,12 +172,9 @@ impl<T: Transport> Client<T> {
                     continue;
                 }
                 Next::Idle | Next::TimedOut => {
-                    return Err(HostError::new(
-                        ErrorCode::NoAnswer,
-                        "the board does not answer",
-                        "check the line to the board",
-                    )
-                    .at(&self.name));
+                    return Err(ErrorCode::NoAnswer
+                        .error("the board does not answer", "check the line to the board")
+                        .at(&self.name));
                 }
             };
             self.poll(wait)?;
@@ -190,12 +185,12 @@ impl<T: Transport> Client<T> {
         match answer {
             Answer::Accepted(payload) => Ok(payload),
             Answer::Refused(refusal) => Err(self.refused(refusal)),
-            Answer::Unknown => Err(HostError::new(
-                ErrorCode::DeviceRefused,
-                "the board does not know this command",
-                "update its firmware",
-            )
-            .at(&self.name)),
+            Answer::Unknown => Err(ErrorCode::DeviceRefused
+                .error(
+                    "the board does not know this command",
+                    "update its firmware",
+                )
+                .at(&self.name)),
         }
     }
 
@@ -225,12 +220,12 @@ impl<T: Transport> Client<T> {
     }
 
     fn unexpected(&self) -> HostError {
-        HostError::new(
-            ErrorCode::ProtocolVersion,
-            "the board's answer does not match the request",
-            "update the older of firmware and wimu",
-        )
-        .at(&self.name)
+        ErrorCode::ProtocolVersion
+            .error(
+                "the board's answer does not match the request",
+                "update the older of firmware and wimu",
+            )
+            .at(&self.name)
     }
 
     /// Id of the board's key; `None` if it has none.
@@ -265,12 +260,12 @@ impl<T: Transport> Client<T> {
         let held = self.open_session().and_then(|()| self.key_status());
         match held.map_err(|error| possibly_done(&error))? {
             Some(id) if id == key.id() => Ok(()),
-            _ => Err(HostError::new(
-                ErrorCode::VerifyFailed,
-                "the board has a key other than the one that was set",
-                "set the key again; another computer may be setting one too",
-            )
-            .at(&self.name)),
+            _ => Err(ErrorCode::VerifyFailed
+                .error(
+                    "the board has a key other than the one that was set",
+                    "set the key again; another computer may be setting one too",
+                )
+                .at(&self.name)),
         }
     }
 
@@ -289,15 +284,15 @@ impl<T: Transport> Client<T> {
         if self.hello.role == LinkRole::Cable {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::KeyNeeded,
-            format!(
-                "this is the {} link, and keys are sent over the cable only",
-                self.hello.role
-            ),
-            "connect the cable and name its port",
-        )
-        .at(&self.name))
+        Err(ErrorCode::KeyNeeded
+            .error(
+                format!(
+                    "this is the {} link, and keys are sent over the cable only",
+                    self.hello.role
+                ),
+                "connect the cable and name its port",
+            )
+            .at(&self.name))
     }
 
     /// The parameters in use.
@@ -384,8 +379,7 @@ impl<T: Transport> Client<T> {
         let wire = WireParameters::from(set);
         let id = parameter_id(set);
         let differs = |when: &str, found: u32| {
-            HostError::new(
-                ErrorCode::VerifyFailed,
+            ErrorCode::VerifyFailed.error(
                 format!("{when} {found:08x} instead of {id}"),
                 "push again; if it repeats, update firmware and wimu to one version",
             )

@@ -61,8 +61,7 @@ impl LinkModel {
         if id == self.device_id {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
+        Err(ErrorCode::DataRefused.error(
             format!(
                 "the link model is of device {}, the data of {id}",
                 self.device_id
@@ -79,8 +78,7 @@ impl LinkModel {
         if self.is_of(role) {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
+        Err(ErrorCode::DataRefused.error(
             format!("the link model is of the {} link", self.link),
             format!("choose it with --link {}", self.link),
         ))
@@ -113,12 +111,9 @@ impl LinkModel {
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadCalibration,
-                message,
-                "give a file written by `wimu compare -o`",
-            )
-            .at(&name)
+            ErrorCode::BadCalibration
+                .error(message, "give a file written by `wimu compare -o`")
+                .at(&name)
         };
         let text = std::fs::read_to_string(path)
             .map_err(|error| HostError::file(&name, "read", &error))?;

@@ -142,9 +142,7 @@ enum Kind {
 /// Parses the fields of the header; the location of an error is the column's name alone.
 pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
     if !names.is_empty() && names.iter().all(|name| name.parse::<f64>().is_ok()) {
-        return Err(HostError::new(
-            ErrorCode::CsvNoHeader,
-            "the first line holds numbers, not column names",
+        return Err(ErrorCode::CsvNoHeader.error("the first line holds numbers, not column names",
             "put a header first, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
         ));
     }
@@ -167,12 +165,12 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
             .iter()
             .all(|earlier| !split_unit(earlier).0.eq_ignore_ascii_case(bare));
         if !is_first && !bare.is_empty() {
-            return Err(HostError::new(
-                ErrorCode::CsvDuplicateColumn,
-                format!("the column `{bare}` occurs twice"),
-                "rename or remove one",
-            )
-            .at(name));
+            return Err(ErrorCode::CsvDuplicateColumn
+                .error(
+                    format!("the column `{bare}` occurs twice"),
+                    "rename or remove one",
+                )
+                .at(name));
         }
         let kind = meaning(names, bare, unit);
         quantities.push(match kind {
@@ -221,12 +219,12 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
             }
         });
         if kind != Kind::Other && kinds.contains(&kind) {
-            return Err(HostError::new(
-                ErrorCode::CsvDuplicateColumn,
-                "another column has the same quantity",
-                "rename or remove one",
-            )
-            .at(name));
+            return Err(ErrorCode::CsvDuplicateColumn
+                .error(
+                    "another column has the same quantity",
+                    "rename or remove one",
+                )
+                .at(name));
         }
         kinds.push(kind);
     }
@@ -380,29 +378,28 @@ fn lookup<T: Copy>(name: &str, unit: Option<&str>, known: &[(&str, T)]) -> Resul
             None => "the unit is missing".to_owned(),
         };
         let known: Vec<_> = known.iter().map(|(text, _)| *text).collect();
-        HostError::new(
-            ErrorCode::CsvUnknownUnit,
-            message,
-            format!("write one of {} in parentheses", known.join(", ")),
-        )
-        .at(name)
+        ErrorCode::CsvUnknownUnit
+            .error(
+                message,
+                format!("write one of {} in parentheses", known.join(", ")),
+            )
+            .at(name)
     })
 }
 
 fn mixed_units(name: &str, first: &str) -> HostError {
-    HostError::new(
-        ErrorCode::CsvMixedUnits,
-        format!("its unit differs from that of `{first}`"),
-        "convert the columns to one unit",
-    )
-    .at(name)
+    ErrorCode::CsvMixedUnits
+        .error(
+            format!("its unit differs from that of `{first}`"),
+            "convert the columns to one unit",
+        )
+        .at(name)
 }
 
 fn all_axes(sensor: &str, unit: &str, has: impl Fn(usize) -> bool) -> Result<()> {
     match (0..3).find(|axis| !has(*axis)) {
         None => Ok(()),
-        Some(axis) => Err(HostError::new(
-            ErrorCode::CsvMissingColumn,
+        Some(axis) => Err(ErrorCode::CsvMissingColumn.error(
             format!("there is no column `{sensor} {} ({unit})`", AXES[axis]),
             "all three axes are needed: add it, or rename the others if they are something else",
         )),

@@ -43,11 +43,8 @@ impl<R: BufRead> Lines<R> {
             }
             self.number += 1;
             let text = std::str::from_utf8(&self.bytes).map_err(|_| {
-                HostError::new(
-                    ErrorCode::CsvNotUtf8,
-                    "the text is not UTF-8",
-                    "save the file with UTF-8 encoding",
-                )
+                ErrorCode::CsvNotUtf8
+                    .error("the text is not UTF-8", "save the file with UTF-8 encoding")
             })?;
             let text = text
                 .strip_prefix('\u{feff}')
@@ -80,8 +77,7 @@ fn split(line: &str, separator: char, fields: &mut Vec<String>) -> Result<()> {
         let field;
         if let Some(quoted) = start.strip_prefix('"') {
             (field, rest) = unquote(quoted, separator).ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvFieldCount,
+                ErrorCode::CsvFieldCount.error(
                     "a quoted field does not end on its line, or is followed by text",
                     "double a quote inside quotes, and put a separator after the closing one",
                 )

@@ -8,7 +8,7 @@ use wimu_link::message::Environment;
 use wimu_model::DeviceTimeUs;
 
 use super::{ASSUMED_RATE_HZ, Dataset, LoadOptions, Output, OutputUnit, RateSource};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::history::{Boot, LinkHistory, Recording};
 
 impl Dataset {
@@ -32,12 +32,12 @@ impl Dataset {
             .filter(|boot| !boot.raw.is_empty())
             .collect();
         let Some(first) = boots.first() else {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                format!("no raw samples came over the {} link", link.role),
-                "switch the raw stream on with `wimu settings set`, or use the other link",
-            )
-            .at(name));
+            return Err(ErrorCode::NoRows
+                .error(
+                    format!("no raw samples came over the {} link", link.role),
+                    "switch the raw stream on with `wimu settings set`, or use the other link",
+                )
+                .at(name));
         };
         let range_g = first.epochs.first().map(|mark| mark.epoch.range_g);
         let changed = boots
@@ -45,17 +45,17 @@ impl Dataset {
             .flat_map(|boot| &boot.epochs)
             .find(|mark| Some(mark.epoch.range_g) != range_g);
         if let Some(mark) = changed {
-            return Err(HostError::new(
-                ErrorCode::DataRefused,
-                format!(
-                    "the range changes from ±{} g to ±{} g at sample {}",
-                    range_g.unwrap_or_default(),
-                    mark.epoch.range_g,
-                    mark.epoch.sequence
-                ),
-                "record at one range: a calibration is valid at one range only",
-            )
-            .at(name));
+            return Err(ErrorCode::DataRefused
+                .error(
+                    format!(
+                        "the range changes from ±{} g to ±{} g at sample {}",
+                        range_g.unwrap_or_default(),
+                        mark.epoch.range_g,
+                        mark.epoch.sequence
+                    ),
+                    "record at one range: a calibration is valid at one range only",
+                )
+                .at(name));
         }
         let rate_hz = match (first.settings.first(), first.epochs.first()) {
             (Some(settings), _) => f64::from(settings.rate_hz),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::LoadOptions;
 use crate::csv::{CsvReader, Header};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 
 /// Largest number of columns that an error lists.
 const MAX_NAMED: usize = 12;
@@ -50,9 +50,7 @@ pub(crate) fn one_sensor(path: &Path, options: &LoadOptions) -> Result<()> {
         return Ok(());
     }
     let (several, selected) = (several.join("; "), selected.join(","));
-    Err(HostError::new(
-            ErrorCode::Usage,
-            format!("the rows are of several sensors or runs: {several}"),
+    Err(ErrorCode::Usage.error(format!("the rows are of several sensors or runs: {several}"),
             format!(
                 "select one with --where \"{selected}\"; where the command has no --where, remove the other rows"
         ),
@@ -67,9 +65,7 @@ pub(super) fn samples_of(field: Option<&String>, line: u64, name: &str) -> Resul
     let number = text.parse::<f64>().ok();
     let whole = number.filter(|n| n.trunc() == *n && (1.0..=f64::from(u32::MAX)).contains(n));
     whole.map(|n| n as u32).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::CsvBadNumber,
-                format!("`{text}` is not a number of samples"),
+        ErrorCode::CsvBadNumber.error(format!("`{text}` is not a number of samples"),
                 "write the number of samples in the mean, a whole number from 1 on, or remove the column",
         )
         .at(format!("{name} line {line}, column `Samples`"))
@@ -84,9 +80,7 @@ pub(super) fn choose(name: &str, header: &Header, wanted: Option<u32>) -> Result
         numbers.join(", ")
     };
     match (sensors, wanted) {
-        ([], _) => Err(HostError::new(
-            ErrorCode::CsvMissingColumn,
-            match header.other.as_slice() {
+        ([], _) => Err(ErrorCode::CsvMissingColumn.error(match header.other.as_slice() {
                     [] => "there is no accelerometer in it".to_owned(),
                 others => format!(
                     "there is no accelerometer with a unit among its columns: {}{}",
@@ -99,18 +93,14 @@ pub(super) fn choose(name: &str, header: &Header, wanted: Option<u32>) -> Result
         )
         .at(format!("{name} line 1"))),
         ([_], None) => Ok(0),
-        (_, None) => Err(HostError::new(
-            ErrorCode::Usage,
-            format!("it has {} accelerometers", sensors.len()),
+        (_, None) => Err(ErrorCode::Usage.error(format!("it has {} accelerometers", sensors.len()),
             format!(
                     "choose one with --accelerometer: {}; the accelerometers of an array are calibrated together with --geometry",
                 list()
             ),
         )
         .at(name)),
-        ([None], Some(number)) => Err(HostError::new(
-            ErrorCode::Usage,
-                format!("its only accelerometer has no number and is not accelerometer {number}"),
+        ([None], Some(number)) => Err(ErrorCode::Usage.error(format!("its only accelerometer has no number and is not accelerometer {number}"),
                 "leave out --accelerometer",
         )
         .at(name)),
@@ -118,9 +108,7 @@ pub(super) fn choose(name: &str, header: &Header, wanted: Option<u32>) -> Result
             .iter()
             .position(|sensor| *sensor == Some(number))
             .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::Usage,
-                    format!("it has no accelerometer {number}"),
+                ErrorCode::Usage.error(format!("it has no accelerometer {number}"),
                     format!("choose from: {}", list()),
                 )
                 .at(name)

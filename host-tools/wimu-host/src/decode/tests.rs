@@ -1,7 +1,7 @@
 use proptest::prelude::*;
-use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{EpochReason, WireState};
+use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::Counts;
 
 use super::anchor::MAX_AHEAD_US;

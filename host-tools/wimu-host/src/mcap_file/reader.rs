@@ -139,12 +139,12 @@ impl<R: Read> RecordingReader<R> {
             }
             if self.done {
                 if self.channels.is_empty() {
-                    return Err(HostError::new(
-                        ErrorCode::NoWimuTopics,
-                        "the file has neither `/wireless/bytes` nor `/cable/bytes`",
-                        "give a file written by `wimu record`",
-                    )
-                    .at(&self.name));
+                    return Err(ErrorCode::NoWimuTopics
+                        .error(
+                            "the file has neither `/wireless/bytes` nor `/cable/bytes`",
+                            "give a file written by `wimu record`",
+                        )
+                        .at(&self.name));
                 }
                 return Ok(None);
             }
@@ -225,15 +225,15 @@ impl<R: Read> RecordingReader<R> {
             Record::Chunk { header, data } => {
                 if !header.compression.is_empty() {
                     self.done = true;
-                    return Err(HostError::new(
-                        ErrorCode::BadRecording,
-                        format!(
-                            "it is compressed with {}, which wimu does not support",
-                            header.compression
-                        ),
-                        "decompress it with `mcap decompress`",
-                    )
-                    .at(&self.name));
+                    return Err(ErrorCode::BadRecording
+                        .error(
+                            format!(
+                                "it is compressed with {}, which wimu does not support",
+                                header.compression
+                            ),
+                            "decompress it with `mcap decompress`",
+                        )
+                        .at(&self.name));
                 }
                 // A chunk is one second at most: it is used only if it is complete and undamaged.
                 let records = mcap::read::LinearReader::sans_magic(&data);
@@ -331,8 +331,7 @@ impl<R: Read> Iterator for RecordingReader<R> {
 }
 
 fn bad_recording(message: &str) -> HostError {
-    HostError::new(
-        ErrorCode::BadRecording,
+    ErrorCode::BadRecording.error(
         format!("this recording cannot be read: {message}"),
         "give a file written by `wimu record`",
     )

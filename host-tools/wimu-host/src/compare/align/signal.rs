@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::csv::{AccelerationUnit, CsvReader};
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, Result};
 
 /// Assumed rate of a table without times, Hz.
 const ASSUMED_RATE_HZ: f64 = 100.0;
@@ -85,9 +85,7 @@ impl Signal {
         let name = reader.name().to_owned();
         let unit = reader.header().acceleration_unit;
         if reader.header().accelerometers.len() != 1 {
-            return Err(HostError::new(
-                ErrorCode::CsvMissingColumn,
-                format!(
+            return Err(ErrorCode::CsvMissingColumn.error(format!(
                     "it has {} accelerometers",
                     reader.header().accelerometers.len()
                 ),
@@ -115,12 +113,9 @@ impl Signal {
             }
         }
         if signal.times.len() < 2 {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "the table has fewer than two rows",
-                "give a recording",
-            )
-            .at(name));
+            return Err(ErrorCode::NoRows
+                .error("the table has fewer than two rows", "give a recording")
+                .at(name));
         }
         let factor = match unit {
             AccelerationUnit::Lsb => {

@@ -104,7 +104,7 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
 
 /// The error that the baud rate of a radio link is set at the adapter, with the adapter's commands.
 pub fn adapter_decides(link: &str, baud: u32) -> HostError {
-    ErrorCode::Usage.error("the baud rate of a radio link is set at its adapter, not here",
+    ErrorCode::Usage.error("the radio adapter sets the baud rate of this link: it cannot be changed here",
         format!(
             "set the adapter itself in its command mode (HC-05: AT+UART={baud},0,0; HC-06: AT+BAUD8 for 115200; others alike); \
              the board finds 115200, 9600 and 38400 by itself, and others after `wimu settings set CABLE --wireless-baud {baud}`"

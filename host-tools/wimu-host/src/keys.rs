@@ -280,7 +280,7 @@ fn read(path: &Path) -> Result<Found> {
                     2 * DeviceKey::LENGTH,
                     digits.len()
                 ),
-                    "restore the file; if it is lost, remove it, erase the board's key (see the board's page), and run `wimu key set`",
+                    "restore the file; if it is lost, remove it, erase the board's key (gesture on its page), and run `wimu key set`",
             )
             .at(name),
         ),

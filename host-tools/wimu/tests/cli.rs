@@ -102,7 +102,7 @@ fn stranger(speech: Option<&'static [u8]>) -> String {
 #[test]
 fn what_is_no_wimu_board_is_called_so() {
     for (speech, tell_tale) in [
-        (None, "nothing answers"),
+        (None, "no answer"),
         (
             Some(&b"HTTP/1.1 400 Bad Request\r\n\r\n\0"[..]),
             "bytes arrived",

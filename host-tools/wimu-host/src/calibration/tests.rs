@@ -74,7 +74,7 @@ fn the_error_model_comes_back() {
     assert_eq!(report.parameters, None);
     let text = report.to_string();
     assert!(
-        text.contains("bias +0.5000") && text.contains("left out"),
+        text.contains("bias +0.5000") && text.contains("leave-one-out"),
         "{text}"
     );
 }

@@ -1,6 +1,7 @@
 //! The kit of wimu's end-to-end tests (`tests/`): a simulated board with a host on both links, in
 //! virtual time, that can also lie, mumble and look away. Golden wire vectors are in `vectors/`.
 
+pub mod behind_faults;
 pub mod campaign;
 #[cfg(unix)]
 pub mod qemu;

@@ -18,13 +18,13 @@ use wimu_host::{ErrorCode, replay};
 use wimu_link::LinkRole;
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
 use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
-use wimu_sim::board::BehindFaults;
 use wimu_sim::motion;
 use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
 use wimu_sim::scene::{Scene, Temperature, World};
 use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
 use wimu_testkit::figure;
+use wimu_tests::behind_faults::BehindFaults;
 use wimu_tests::qemu::{Machine, QemuBoard};
 
 /// A board whose memory and log are in `folder`.

@@ -1,27 +1,26 @@
-//! Poses that would help.
+//! Recommended poses.
 
 use wimu_calib::{Face, Guide, Orientation, Pose, Refusal};
 
 use super::{CalibrateOptions, MethodChoice, NextPose, wanted};
 
-/// Most orientations that are advised at once.
-const MOST_ADVISED: usize = 6;
-/// Until there are so many more poses than parameters they are planned together: one by one, each the best at
-/// its time, they are not the best of as many.
-const SPARE: usize = 3;
+/// Largest number of orientations recommended at once.
+const MAX_ADVISED: usize = 6;
+/// Up to this many more poses than parameters are planned together: chosen one by one they would not be the best set.
+const PLANNED_BEYOND: usize = 3;
 
-/// Poses that would help against this refusal.
+/// Poses that would resolve this refusal.
 pub(super) fn next_poses(
     refusal: &Refusal,
     poses: &[Pose],
     options: &CalibrateOptions,
 ) -> Vec<NextPose> {
     match *refusal {
-        // The same orientation once more tells little: it may have the same error again.
+        // A repeated orientation adds little: its error may be the same.
         Refusal::NotObservable { .. }
         | Refusal::Confounded { .. }
         | Refusal::PoorPrediction { .. } => advice(poses, options, 1),
-        // One in place of the bad one, and one to tell it from.
+        // One that replaces the disturbed pose, and one that identifies it.
         Refusal::PoseContradicted { .. } => advice(poses, options, 2),
         Refusal::PoseMissing { .. } => Face::ALL
             .into_iter()
@@ -35,14 +34,14 @@ pub(super) fn next_poses(
     }
 }
 
-/// The orientations that add most to these poses, as many as are worth it, `least` in any case.
+/// The orientations that improve the fit of these poses most: all worthwhile ones, at least `least`.
 pub(super) fn advice(poses: &[Pose], options: &CalibrateOptions, least: usize) -> Vec<NextPose> {
     if options.method != MethodChoice::MultiPosition {
         return Vec::new();
     }
     let mut guide = Guide::after(wanted(options), poses);
-    let count = guide.worth(|_| true).min(MOST_ADVISED).max(least);
-    let enough = wanted(options).fitted().iter().count() + SPARE;
+    let count = guide.worth(|_| true).min(MAX_ADVISED).max(least);
+    let enough = wanted(options).fitted().iter().count() + PLANNED_BEYOND;
     let planned = count.max(enough.saturating_sub(poses.len()));
     let next = |remaining| {
         let next = guide.next_of(remaining, |_| true)?;

@@ -75,7 +75,7 @@ fn the_error_model_comes_back() {
     assert_eq!(report.parameters, None);
     let text = report.to_string();
     assert!(
-        text.contains("bias +0.5000") && text.contains("left out"),
+        text.contains("bias +0.5000") && text.contains("leave-one-out"),
         "{text}"
     );
 }
@@ -257,7 +257,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     )
     .unwrap();
     for (text, part) in [
-        ("{".to_owned(), "no calibration"),
+        ("{".to_owned(), "not a calibration"),
         ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
         (
             good.replace("calibration/1", "calibration/9"),
@@ -469,7 +469,7 @@ fn a_navigation_grade_sensor_needs_nine_parameters() {
     let nine = fit(ModelChoice::default());
     assert!(
         nine.to_string()
-            .contains("worst poses (from 0), mm/s²: 28 "),
+            .contains("largest residuals, poses (from 0), mm/s²: 28 "),
         "{nine}"
     );
     let [nine, six, auto] = [

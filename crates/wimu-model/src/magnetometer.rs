@@ -111,11 +111,6 @@ impl MagnetometerModel {
         soft_iron(&self.0)
     }
 
-    /// Whether the field can be given in the accelerometer's axes, and so a heading.
-    pub fn knows_rotation(&self) -> bool {
-        self.0.to_accelerometer.is_some()
-    }
-
     /// The field, nT, from what the sensor put out: S⁻¹ (m − h), in magnetometer axes. Equation
     /// (55).
     pub fn correct(&self, output: MagneticFieldNt) -> [f64; 3] {

@@ -88,13 +88,6 @@ impl PositionNm {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagneticFieldNt(pub [i32; 3]);
 
-impl MagneticFieldNt {
-    /// The same field in µT.
-    pub fn to_ut(self) -> [f64; 3] {
-        self.0.map(|nt| nt as f64 * 1e-3)
-    }
-}
-
 /// Temperature in hundredths of a degree Celsius, −327.68..=327.67 °C.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

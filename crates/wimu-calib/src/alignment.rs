@@ -2,10 +2,12 @@
 
 use core::fmt;
 
-use nalgebra::{Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
+use nalgebra::allocator::Allocator;
+use nalgebra::{
+    Const, DefaultAllocator, DimDiff, DimSub, Matrix3, Quaternion, SMatrix, SVector,
+    UnitQuaternion, Vector3,
+};
 use wimu_model::{Alignment, RotationCovariance};
-
-use crate::linear::eigen;
 
 /// Directions nearer to one line than this tell no rotation about it, rad: 10°.
 const LEAST_ANGLE_RAD: f64 = 0.175;
@@ -251,9 +253,16 @@ fn from_line(line: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
 }
 
 /// The eigenvector of the largest eigenvalue of a symmetric matrix.
-fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N> {
-    let (values, vectors) = eigen(matrix);
-    vectors.column(values.imax()).into_owned()
+fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N>
+where
+    Const<N>: DimSub<Const<1>>,
+    DefaultAllocator: Allocator<DimDiff<Const<N>, Const<1>>>,
+{
+    let eigen = matrix.symmetric_eigen();
+    eigen
+        .eigenvectors
+        .column(eigen.eigenvalues.imax())
+        .into_owned()
 }
 
 /// The direction of a straight move from rest to rest, in sensor axes, and its standard deviation,

@@ -3,7 +3,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::least_squares::Fit;
-use crate::linear::{Cholesky, Real, double};
+use crate::linear::{Real, Scaled, double};
 use crate::terms::{PERFECT, Slot, Term};
 use crate::weights::Rejected;
 
@@ -49,27 +49,16 @@ pub(crate) fn evidence<R: Real, const N: usize>(
         }
         known[(i, i)] += usual * usual;
     }
-    let (Some((volume, _)), Some((spread, square))) = (
-        factored(&inverse, &SVector::zeros()),
-        factored(&known, &off),
-    ) else {
+    let (Some(posterior), Some(prior)) = (Scaled::new(&inverse, 0.0), Scaled::new(&known, 0.0))
+    else {
         return f64::NEG_INFINITY;
     };
+    let square = off.dot(&prior.solve(&off).0);
     let terms = free.iter().filter_map(|slot| slot.term());
     let terms: f64 = terms.map(|term| beforehand(term) / 3.0).sum();
     let bad = rejected.count() as f64 * BAD_POSE;
     libm::lgamma(half_dof) - half_dof * libm::log(core::f64::consts::PI * cost)
-        + 0.5 * (volume - constants - spread - square)
+        + 0.5 * (posterior.ln_det() - constants - prior.ln_det() - square)
         + bad
         + terms
-}
-
-/// ln det m and xᵀ m⁻¹ x of a positive definite matrix.
-fn factored<const N: usize>(m: &SMatrix<f64, N, N>, x: &SVector<f64, N>) -> Option<(f64, f64)> {
-    let unit = m.diagonal().map(|d| 1.0 / libm::sqrt(d));
-    let scaled = SMatrix::from_fn(|r, c| m[(r, c)] * unit[r] * unit[c]);
-    let factor = Cholesky::new(&scaled)?;
-    let x = x.component_mul(&unit);
-    let ln_det = factor.ln_det() - 2.0 * unit.map(libm::log).sum();
-    Some((ln_det, x.dot(&factor.solve(&x))))
 }

@@ -4,7 +4,7 @@ use nalgebra::{SMatrix, SVector};
 
 use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
-use crate::linear::{Cholesky, Real, double, real, times};
+use crate::linear::{Real, Scaled, double, real};
 use crate::terms::{Slot, Theta};
 use crate::visits::Visits;
 use crate::weights::{FarOff, Rejected, Weighting};
@@ -37,61 +37,17 @@ pub(crate) enum Without {
 #[derive(Clone)]
 pub(crate) struct Normal<R: Real, const N: usize> {
     /// The lower triangle counts.
-    information: SMatrix<R, N, N>,
+    pub information: SMatrix<R, N, N>,
     gradient: SVector<R, N>,
     cost: R,
     poses: usize,
 }
 
 impl<R: Real, const N: usize> Normal<R, N> {
-    /// 1 / |column of J|, which makes the diagonal of the scaled information 1.
-    fn scale(&self) -> Option<SVector<R, N>> {
-        let scale = self.information.diagonal().map(|d| R::one() / d.sqrt());
-        scale.iter().all(|s| s.is_finite()).then_some(scale)
-    }
-
-    pub fn scaled(&self, scale: &SVector<R, N>) -> SMatrix<R, N, N> {
-        SMatrix::from_fn(|r, c| self.information[(r.max(c), r.min(c))] * scale[r] * scale[c])
-    }
-
-    /// The damped Gauss-Newton step: equation (14).
-    fn step(&self, damping: f64) -> Option<Step<R, N>> {
-        let scale = self.scale()?;
-        let mut information = self.scaled(&scale);
-        for i in 0..N {
-            information[(i, i)] += real(damping);
-        }
-        let factor = Cholesky::new(&information)?;
-        let step = -factor.solve(&self.gradient.component_mul(&scale));
-        Some(Step {
-            change_mps2: libm::sqrt(double(step.norm_squared()) / self.poses as f64),
-            by: step.component_mul(&scale),
-            scale,
-            factor,
-        })
-    }
-
+    /// (JᵀWJ)⁻¹.
     pub fn inverse(&self) -> Option<SMatrix<R, N, N>> {
-        let scale = self.scale()?;
-        Some(unscaled(&Cholesky::new(&self.scaled(&scale))?, &scale))
+        Some(Scaled::new(&self.information, R::zero())?.inverse())
     }
-}
-
-/// A step, and what it was computed with.
-struct Step<R: Real, const N: usize> {
-    by: SVector<R, N>,
-    /// The change of residual that it means, m/s² rms.
-    change_mps2: f64,
-    scale: SVector<R, N>,
-    factor: Cholesky<R, N>,
-}
-
-fn unscaled<R: Real, const N: usize>(
-    factor: &Cholesky<R, N>,
-    scale: &SVector<R, N>,
-) -> SMatrix<R, N, N> {
-    let inverse = factor.inverse();
-    SMatrix::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c])
 }
 
 /// The fit of some parameters to |f| = g over static poses: equations (12) to (17), (40), (41).
@@ -270,26 +226,26 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         let mut normal = normal_at(&theta)?;
         let mut damping = 0.0;
         for _ in 0..MOST_ITERATIONS {
-            let Some(step) = normal.step(damping) else {
+            // The damped Gauss-Newton step: equation (14).
+            let Some(factor) = Scaled::new(&normal.information, real(damping)) else {
                 if damping > 1.0 {
                     return None;
                 }
                 damping = more(damping);
                 continue;
             };
-            let mut trial = theta;
-            for (slot, by) in self.free.iter().zip(step.by.iter()) {
-                trial[slot.index()] += *by;
-            }
-            if damping < LEAST_DAMPING && step.change_mps2 <= last_step {
-                // The step lowers the cost by its own square.
-                let gained = step.change_mps2 * step.change_mps2 * normal.poses as f64;
+            let (step, change) = factor.solve(&normal.gradient);
+            let trial = self.moved(&theta, &step, -R::one());
+            // The step lowers the cost by the square of the change of the residuals.
+            let gained = double(change * change);
+            let change_mps2 = libm::sqrt(gained / normal.poses as f64);
+            if damping < LEAST_DAMPING && change_mps2 <= last_step {
                 return Some(Fit {
                     theta: trial,
                     inverse: if damping > 0.0 {
                         normal.inverse()?
                     } else {
-                        unscaled(&step.factor, &step.scale)
+                        factor.inverse()
                     },
                     cost: (double(normal.cost) - gained).max(0.0),
                     normal,
@@ -355,10 +311,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
     pub fn predicted<R: Real>(&self, fit: &Fit<R, N>, pose: usize) -> Option<(f64, f64)> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let (residual, row) = self.row(&at, self.poses.get(pose)?);
-        Some((
-            double(residual),
-            double(row.dot(&times(&fit.inverse, &row))),
-        ))
+        Some((double(residual), double(row.dot(&(fit.inverse * row)))))
     }
 
     /// The parameters without one orientation.
@@ -372,7 +325,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 continue;
             }
             let (residual, row) = self.weighted_row(&at, pose);
-            leverage += row.dot(&times(&fit.inverse, &row));
+            leverage += row.dot(&(fit.inverse * row));
             pull += row * residual;
             rest.information -= row * row.transpose();
         }
@@ -380,14 +333,17 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             let refit = self.solve(&fit.theta, Without::Orientation(group));
             return refit.map(|without| without.theta);
         }
-        let scale = rest.scale()?;
-        let factor = Cholesky::new(&rest.scaled(&scale))?;
-        let step = factor.solve(&pull.component_mul(&scale));
-        let mut theta = fit.theta;
-        for (i, slot) in self.free.iter().enumerate() {
-            theta[slot.index()] += step[i] * scale[i];
+        let (step, _) = Scaled::new(&rest.information, R::zero())?.solve(&pull);
+        Some(self.moved(&fit.theta, &step, R::one()))
+    }
+
+    /// `theta` with `factor` times `step` added to the fitted parameters.
+    fn moved<R: Real>(&self, theta: &Theta<R>, step: &SVector<R, N>, factor: R) -> Theta<R> {
+        let mut moved = *theta;
+        for (slot, step) in self.free.iter().zip(step.iter()) {
+            moved[slot.index()] += *step * factor;
         }
-        Some(theta)
+        moved
     }
 
     /// Goes over all poses with the residual of each and the one under the fit to all others:
@@ -404,18 +360,14 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 continue;
             }
             let weight: R = real(self.weighting.of(pose));
-            let step = times(&fit.inverse, &row);
+            let step = fit.inverse * row;
             let leverage = weight * row.dot(&step);
             let left_out = if few && double(leverage) > MOST_LEVERAGE {
                 self.solve(&fit.theta, Without::Pose(k))
                     .and_then(|without| self.residual(&without.theta, pose))
             } else {
                 let by = weight * residual / (R::one() - leverage);
-                let mut theta = fit.theta;
-                for (slot, along) in self.free.iter().zip(step.iter()) {
-                    theta[slot.index()] += *along * by;
-                }
-                self.residual(&theta, pose)
+                self.residual(&self.moved(&fit.theta, &step, by), pose)
             };
             let left_out = left_out.filter(|r| r.is_finite());
             take(k, double(residual), left_out.unwrap_or(f64::INFINITY));

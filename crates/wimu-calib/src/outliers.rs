@@ -2,7 +2,7 @@
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::{Real, double, times};
+use crate::linear::{Real, double};
 use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
 use crate::weights::{FarOff, Rejected, Weighting};
 use crate::{Model, Pose, student};
@@ -162,16 +162,20 @@ fn suspects<R: Real, const N: usize>(
             continue;
         }
         let (residual, row) = problem.weighted_row(&at, pose);
-        let left = 1.0 - double(row.dot(&times(&fit.inverse, &row)));
+        let left = 1.0 - double(row.dot(&(fit.inverse * row)));
         let residual = double(residual);
-        let mut candidate = (residual * residual / left.max(0.0), Some(k));
-        for place in &mut worst {
-            if candidate.0 > place.0 {
-                core::mem::swap(place, &mut candidate);
-            }
-        }
+        keep_largest(&mut worst, (residual * residual / left.max(0.0), Some(k)));
     }
     worst.map(|(_, pose)| pose)
+}
+
+/// Inserts `candidate` into a list in descending order, from which the smallest drops out.
+fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
+    for entry in largest {
+        if candidate.0 > entry.0 {
+            core::mem::swap(entry, &mut candidate);
+        }
+    }
 }
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of that prediction.
@@ -295,12 +299,10 @@ fn farthest<R: Real, const N: usize>(
 ) -> Rejected {
     let mut worst = [(0.0, 0); Rejected::MOST];
     problem.residuals(theta, |k, residual| {
-        let mut candidate = (residual.abs(), k);
-        for place in worst.iter_mut().take(most) {
-            if candidate.0 > place.0 {
-                core::mem::swap(place, &mut candidate);
-            }
-        }
+        keep_largest(
+            worst.get_mut(..most).unwrap_or_default(),
+            (residual.abs(), k),
+        );
     });
     worst
         .iter()

@@ -2,6 +2,8 @@
 
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
+use crate::force;
+use crate::linear::{double, real};
 use crate::terms::{self, Theta};
 use crate::{Covariance, Gravity, Parameter, Pose, Scalar};
 
@@ -154,22 +156,6 @@ impl SelfCheck {
     ) -> Self {
         Self::start(stored, covariance, gravity, ageing)
     }
-
-    /// A check of what a device holds; `None` where the set does not say how good it is.
-    ///
-    /// Where its model has a temperature term of the bias, what ages with temperature is that term's
-    /// uncertainty, as far as it was seen; beyond those temperatures, and without a term, it is
-    /// [`Ageing::per_kelvin_mps2`].
-    pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
-        Self::start_of(set, gravity, ageing)
-    }
-}
-
-impl SelfCheck<f32> {
-    /// [`SelfCheck::of`] in f32.
-    pub fn of_f32(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
-        Self::start_of(set, gravity, ageing)
-    }
 }
 
 impl<R: Scalar> SelfCheck<R> {
@@ -188,8 +174,8 @@ impl<R: Scalar> SelfCheck<R> {
         }
         Self {
             stored: *stored,
-            theta: theta.map(R::of),
-            covariance: covariance.matrix().map(|row| row.map(R::of)),
+            theta: theta.map(real),
+            covariance: covariance.matrix().map(|row| row.map(real)),
             gravity,
             ageing,
             slopes: Slopes::unknown(ageing.per_kelvin_mps2),
@@ -199,7 +185,12 @@ impl<R: Scalar> SelfCheck<R> {
         }
     }
 
-    fn start_of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
+    /// A check of the calibration that a device stores; `None` if it has no quality record.
+    ///
+    /// If its model has a temperature term of the bias, the ageing with temperature is the standard
+    /// deviation of that term within the calibrated temperatures. Outside them, and without such a
+    /// term, it is [`Ageing::per_kelvin_mps2`].
+    pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         let quality = set.quality.as_ref()?.terms();
         let mut check = Self::start(&set.model, &quality.covariance.matrix(), gravity, ageing);
         check.warming = quality
@@ -227,11 +218,12 @@ impl<R: Scalar> SelfCheck<R> {
             output[axis] -= terms.bias_mps2_per_k2[axis] * warmer * warmer;
         }
         let g = self.gravity.mps2();
-        let (force, row) =
-            R::magnitude(&self.theta, output.map(R::of), R::of(warmer)).filter(|(force, _)| {
-                let force: f64 = (*force).into();
+        let (force, row) = force::magnitude(&self.theta, output.map(real), real(warmer)).filter(
+            |(force, _)| {
+                let force = double(*force);
                 (0.5 * g..1.5 * g).contains(&force)
-            })?;
+            },
+        )?;
 
         if let Some(now) = celsius {
             let warming = self.warming.get_or_insert(Warming::from(now));
@@ -242,28 +234,28 @@ impl<R: Scalar> SelfCheck<R> {
                     by * by
                 };
                 let more = moved(warming.began_c, now) - moved(warming.began_c, before);
-                self.covariance[axis][axis] += R::of(more.max(0.0));
+                self.covariance[axis][axis] += real(more.max(0.0));
             }
         }
 
-        let residual = force - R::of(g);
+        let residual = force - real(g);
         let product = |a: &[R; Parameter::COUNT]| {
-            let mut sum = R::default();
+            let mut sum = R::zero();
             for (a, b) in a.iter().zip(&row) {
                 sum += *a * *b;
             }
             sum
         };
         let along: [R; Parameter::COUNT] = core::array::from_fn(|i| product(&self.covariance[i]));
-        let known: f64 = product(&along).into();
+        let known = double(product(&along));
         let apart = self.ageing.pose_mps2 * self.ageing.pose_mps2 + pose.mean_noise();
         let variance = known + apart;
         let expected = libm::sqrt(variance);
-        let residual_mps2: f64 = residual.into();
+        let residual_mps2 = double(residual);
         let holds = residual_mps2.abs() <= MOST_DEVIATIONS * expected;
         self.poses = self.poses.saturating_add(1);
         if holds && variance > 0.0 {
-            let per_variance = R::of(1.0 / variance);
+            let per_variance = real(1.0 / variance);
             let gain = along.map(|along| along * per_variance);
             for (theta, gain) in self.theta.iter_mut().zip(gain) {
                 *theta -= gain * residual;
@@ -299,7 +291,7 @@ impl<R: Scalar> SelfCheck<R> {
     /// [`ModelError`] when that is no accelerometer's any more.
     pub fn model(&self) -> Result<ErrorModel, ModelError> {
         let mut updated = *self.stored.terms();
-        let theta = self.theta.map(Into::into);
+        let theta = self.theta.map(double);
         updated.bias_mps2 = terms::bias(&theta);
         updated.matrix = terms::matrix(&theta);
         ErrorModel::new(updated)
@@ -307,9 +299,8 @@ impl<R: Scalar> SelfCheck<R> {
 
     /// Covariance of its 12 parameters, that of gravity included.
     pub fn covariance(&self) -> Covariance {
-        let mut covariance =
-            Covariance::from_matrix(&self.covariance.map(|row| row.map(Into::into)));
-        covariance.add_gravity(&self.theta.map(Into::into), self.gravity);
+        let mut covariance = Covariance::from_matrix(&self.covariance.map(|row| row.map(double)));
+        covariance.add_gravity(&self.theta.map(double), self.gravity);
         covariance
     }
 }

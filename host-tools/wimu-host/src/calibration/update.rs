@@ -85,7 +85,7 @@ pub fn update(
         })?,
         None => Gravity::UNKNOWN_PLACE,
     };
-    let check = SelfCheck::of(stored, gravity, Ageing::default());
+    let check = SelfCheck::<f64>::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
         return Err(HostError::new(
             ErrorCode::DataRefused,

@@ -1,5 +1,7 @@
 //! The model that the data choose, and what the choice adds to its uncertainty: equation (49).
 
+use nalgebra::{SMatrix, SVector, Vector3};
+
 use crate::multi_position::{Fitted, with_terms};
 use crate::terms::{Slot, Terms, Theta, theta_of};
 use crate::visits::Visits;
@@ -50,7 +52,7 @@ pub fn best_model(
     let mut best: Option<(Fitted, f64)> = None;
     // What nine parameters alone came to: a refusal, and whether the poses tell all nine.
     let mut nine = None;
-    let mut average = Average::NOTHING;
+    let mut average = Average::new();
     let mut nine_known = false;
     for terms in Terms::every().filter(|terms| terms.include(least)) {
         // A scale factor that the poses do not show passes for a drift or for a bent output.
@@ -126,37 +128,41 @@ struct Average {
     most: f64,
     weight: f64,
     /// Of 1 / the degrees of freedom: of the residuals, and of the intervals.
-    per_dof: [f64; 2],
+    per_dof: SVector<f64, 2>,
     /// Of the parameters, and of their products with the covariance added.
-    first: Theta<f64>,
-    second: [[f64; Parameter::COUNT]; Parameter::COUNT],
+    first: SVector<f64, { Slot::COUNT }>,
+    second: Covariances,
     /// Of the models that fit a parameter: weight, parameter, and its square with the variance added.
-    fitting: [[f64; 3]; Parameter::COUNT],
-    /// The same of the terms' squares.
-    squares: Theta<f64>,
+    fitting: SMatrix<f64, 3, { Parameter::COUNT }>,
+    /// Of the squares of all parameters, each with its variance added.
+    squares: SVector<f64, { Slot::COUNT }>,
 }
 
+type Covariances = SMatrix<f64, { Parameter::COUNT }, { Parameter::COUNT }>;
+
 impl Average {
-    const NOTHING: Self = Self {
-        most: f64::NEG_INFINITY,
-        weight: 0.0,
-        per_dof: [0.0; 2],
-        first: [0.0; Slot::COUNT],
-        second: [[0.0; Parameter::COUNT]; Parameter::COUNT],
-        fitting: [[0.0; 3]; Parameter::COUNT],
-        squares: [0.0; Slot::COUNT],
-    };
+    fn new() -> Self {
+        Self {
+            most: f64::NEG_INFINITY,
+            weight: 0.0,
+            per_dof: SVector::zeros(),
+            first: SVector::zeros(),
+            second: SMatrix::zeros(),
+            fitting: SMatrix::zeros(),
+            squares: SVector::zeros(),
+        }
+    }
 
     fn add(&mut self, fitted: &Fitted) {
         let (estimate, evidence) = (&fitted.estimate, fitted.evidence);
         if evidence > self.most {
             let shrink = libm::exp(self.most - evidence);
             self.weight *= shrink;
-            self.per_dof = self.per_dof.map(|sum| sum * shrink);
-            self.first = self.first.map(|sum| sum * shrink);
-            self.second = self.second.map(|row| row.map(|sum| sum * shrink));
-            self.fitting = self.fitting.map(|sums| sums.map(|sum| sum * shrink));
-            self.squares = self.squares.map(|sum| sum * shrink);
+            self.per_dof *= shrink;
+            self.first *= shrink;
+            self.second *= shrink;
+            self.fitting *= shrink;
+            self.squares *= shrink;
             self.most = evidence;
         }
         let weight = libm::exp(evidence - self.most);
@@ -165,28 +171,21 @@ impl Average {
         }
         let theta = all_of(estimate);
         self.weight += weight;
-        for (sum, dof) in self.per_dof.iter_mut().zip(freedoms(fitted)) {
-            *sum += weight / dof;
-        }
-        for i in 0..Slot::COUNT {
+        self.per_dof += SVector::from(freedoms(fitted).map(|dof| weight / dof));
+        for (i, slot) in Slot::ALL.into_iter().enumerate() {
+            let sd = estimate.term_sd.get(slot);
             self.first[i] += weight * theta[i];
-            let sd = estimate.term_sd.get(Slot::ALL[i]);
             self.squares[i] += weight * (sd * sd + theta[i] * theta[i]);
         }
         for parameter in estimate.fitted.iter() {
             let i = parameter.index();
             let variance = estimate.covariance.get(parameter, parameter);
-            let own = [1.0, theta[i], variance + theta[i] * theta[i]];
-            for (sum, own) in self.fitting[i].iter_mut().zip(own) {
-                *sum += weight * own;
-            }
+            let own = Vector3::new(1.0, theta[i], variance + theta[i] * theta[i]);
+            self.fitting.column_mut(i).axpy(weight, &own, 1.0);
         }
-        for i in 0..Parameter::COUNT {
-            for j in 0..Parameter::COUNT {
-                let covariance = estimate.covariance.matrix()[i][j];
-                self.second[i][j] += weight * (covariance + theta[i] * theta[j]);
-            }
-        }
+        self.second += Covariances::from_fn(|i, j| {
+            weight * (estimate.covariance.matrix()[i][j] + theta[i] * theta[j])
+        });
     }
 
     /// Gives `best` the spread of all about it.
@@ -199,8 +198,9 @@ impl Average {
         let theta = all_of(best);
         for i in 0..Parameter::COUNT {
             for j in 0..Parameter::COUNT {
-                let about = self.second[i][j] - theta[i] * self.first[j] - theta[j] * self.first[i]
-                    + theta[i] * theta[j] * self.weight;
+                let about =
+                    self.second[(i, j)] - theta[i] * self.first[j] - theta[j] * self.first[i]
+                        + theta[i] * theta[j] * self.weight;
                 let (a, b) = (Parameter::ALL[i], Parameter::ALL[j]);
                 best.covariance.set(a, b, about / self.weight);
             }
@@ -208,7 +208,7 @@ impl Average {
         // What was not fitted is as the larger models say; where there is none, as datasheets have it.
         for parameter in best.not_observed().iter() {
             let i = parameter.index();
-            let [weight, first, square] = self.fitting[i];
+            let [weight, first, square] = [0, 1, 2].map(|k| self.fitting[(k, i)]);
             if weight > 1e-9 * self.weight {
                 let about = square - 2.0 * theta[i] * first + theta[i] * theta[i] * weight;
                 let most = best

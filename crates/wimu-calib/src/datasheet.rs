@@ -183,99 +183,101 @@ impl Datasheet {
         estimate: &Estimate,
         scale: Option<f64>,
         range_g: Option<f64>,
-    ) -> impl Iterator<Item = Finding> {
-        let model = *estimate.model.terms();
-        let fitted = estimate.fitted;
-        let terms = estimate.terms;
+    ) -> impl Iterator<Item = Finding> + use<> {
+        let model = estimate.model.terms();
         let mg = 1e3 / STANDARD_GRAVITY_MPS2;
-        let term_sd = estimate.term_sd;
         let quantile = student::two_sided(0.05, estimate.interval_dof.unwrap_or(f64::INFINITY));
-        let half = Parameter::ALL.map(|parameter| estimate.half_width_95(parameter));
-        let this = *self;
-
-        let offsets = (0..3).filter_map(move |axis| {
-            let fitted = fitted.contains(Parameter::ALL[axis]);
-            Some(Finding {
-                quantity: Quantity::ZeroGOffset,
-                subject: AXES[axis],
-                value: model.bias_mps2[axis] * mg,
-                half_width_95: half[axis] * mg,
-                limit: this.zero_g_offset[axis].filter(|_| fitted)?,
-            })
-        });
-        let scales = (0..3).filter_map(move |axis| {
-            let parameter = Parameter::ALL[3 + 4 * axis];
-            let scale = scale.filter(|_| fitted.contains(parameter))?;
-            Some(Finding {
-                quantity: Quantity::Sensitivity,
-                subject: AXES[axis],
-                value: (model.matrix[axis][axis] * scale - 1.0) * 100.0,
-                half_width_95: half[3 + 4 * axis] * scale * 100.0,
-                limit: this.sensitivity?,
-            })
-        });
-        // What a rotation of the whole sensor leaves: the sum of the two that a pair of axes has.
-        let covariance = estimate.covariance;
-        let pairs = [(0, 1), (0, 2), (1, 2)].into_iter().zip(PAIRS);
-        let crosses = pairs.filter_map(move |((a, b), subject)| {
+        let mut findings = heapless::Vec::<Finding, 18>::new();
+        let mut add = |quantity, subject, value, half_width_95, limit: Option<Limit>| {
+            let finding = limit.map(|limit| Finding {
+                quantity,
+                subject,
+                value,
+                half_width_95,
+                limit,
+            });
+            findings.extend(finding);
+        };
+        // A limit, if the parameter was fitted.
+        let fitted = |parameter: Parameter, limit: Option<Limit>| {
+            limit.filter(|_| estimate.fitted.contains(parameter))
+        };
+        for (axis, parameter) in Parameter::BIAS.into_iter().enumerate() {
+            add(
+                Quantity::ZeroGOffset,
+                AXES[axis],
+                model.bias_mps2[axis] * mg,
+                estimate.half_width_95(parameter) * mg,
+                fitted(parameter, self.zero_g_offset[axis]),
+            );
+        }
+        for (axis, parameter) in Parameter::SCALE.into_iter().enumerate() {
+            let limit = fitted(parameter, self.sensitivity).filter(|_| scale.is_some());
+            let scale = scale.unwrap_or(1.0);
+            add(
+                Quantity::Sensitivity,
+                AXES[axis],
+                (model.matrix[axis][axis] * scale - 1.0) * 100.0,
+                estimate.half_width_95(parameter) * scale * 100.0,
+                limit,
+            );
+        }
+        // Invariant under a rotation of the whole sensor: the sum of the two misalignments of a pair.
+        for ((a, b), subject) in [(0, 1), (0, 2), (1, 2)].into_iter().zip(PAIRS) {
             let [ab, ba] = [Parameter::ALL[3 + 3 * b + a], Parameter::ALL[3 + 3 * a + b]];
-            let limit = this.cross_axis.filter(|_| fitted.contains(ab))?;
+            let covariance = &estimate.covariance;
             let variance =
                 covariance.get(ab, ab) + covariance.get(ba, ba) + 2.0 * covariance.get(ab, ba);
-            Some(Finding {
-                quantity: Quantity::CrossAxis,
+            add(
+                Quantity::CrossAxis,
                 subject,
-                value: (model.matrix[a][b] + model.matrix[b][a]) * 100.0,
-                half_width_95: quantile * libm::sqrt(variance.max(0.0)) * 100.0,
-                limit: Limit {
+                (model.matrix[a][b] + model.matrix[b][a]) * 100.0,
+                quantile * libm::sqrt(variance.max(0.0)) * 100.0,
+                fitted(ab, self.cross_axis).map(|limit| Limit {
                     most: 2.0 * limit.most,
                     ..limit
-                },
-            })
-        });
-        let of_term = move |term: Term, quantity, values: [f64; 3], sd: [f64; 3], unit: f64| {
-            (0..3).filter_map(move |axis| {
-                let limit = match quantity {
-                    Quantity::OffsetPerKelvin => this.offset_per_kelvin[axis],
-                    Quantity::SensitivityPerKelvin => this.sensitivity_per_kelvin,
-                    _ => this.nonlinearity,
-                };
-                Some(Finding {
-                    quantity,
-                    subject: AXES[axis],
-                    value: values[axis] * unit,
-                    half_width_95: quantile * sd[axis] * unit,
-                    limit: limit.filter(|_| terms.contains(term) && unit > 0.0)?,
-                })
-            })
-        };
-        let temperature = model.temperature;
+                }),
+            );
+        }
+        let (temperature, sd) = (&model.temperature, &estimate.term_sd);
         // A parabola departs from its best line by half of what it adds at full scale.
         let full_scale = range_g.map_or(0.0, |g| g * STANDARD_GRAVITY_MPS2);
-        offsets
-            .chain(scales)
-            .chain(crosses)
-            .chain(of_term(
+        let terms = [
+            (
                 Term::BiasTemperature,
                 Quantity::OffsetPerKelvin,
-                temperature.bias_mps2_per_k,
-                term_sd.bias_mps2_per_k,
-                mg,
-            ))
-            .chain(of_term(
+                self.offset_per_kelvin,
+                (temperature.bias_mps2_per_k, sd.bias_mps2_per_k, mg),
+            ),
+            (
                 Term::ScaleTemperature,
                 Quantity::SensitivityPerKelvin,
-                temperature.scale_per_k,
-                term_sd.scale_per_k,
-                100.0,
-            ))
-            .chain(of_term(
+                [self.sensitivity_per_kelvin; 3],
+                (temperature.scale_per_k, sd.scale_per_k, 100.0),
+            ),
+            (
                 Term::Quadratic,
                 Quantity::Nonlinearity,
-                model.nonlinearity,
-                term_sd.nonlinearity,
-                0.5 * full_scale * 100.0,
-            ))
+                [self.nonlinearity; 3],
+                (
+                    model.nonlinearity,
+                    sd.nonlinearity,
+                    0.5 * full_scale * 100.0,
+                ),
+            ),
+        ];
+        for (term, quantity, limits, (values, sd, unit)) in terms {
+            for axis in 0..3 {
+                add(
+                    quantity,
+                    AXES[axis],
+                    values[axis] * unit,
+                    quantile * sd[axis] * unit,
+                    limits[axis].filter(|_| estimate.terms.contains(term) && unit > 0.0),
+                );
+            }
+        }
+        findings.into_iter()
     }
 }
 

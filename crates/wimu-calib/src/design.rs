@@ -47,19 +47,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// Poses planned together.
-struct Plan {
-    poses: [Orientation; Guide::MOST_PLANNED],
-    count: usize,
-}
-
-impl Plan {
-    fn contains(&self, orientation: Orientation) -> bool {
-        self.poses
-            .iter()
-            .take(self.count)
-            .any(|o| *o == orientation)
-    }
-}
+type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
 
 /// Says which orientation to take next: the one that adds most to what is known of the
 /// parameters (D-optimal), given those taken so far, whether or not they suffice for an answer yet.
@@ -159,7 +147,7 @@ impl Guide {
             }
         }
         let (_, plan) = best?;
-        self.next(|orientation| plan.contains(orientation))
+        self.next(|orientation| plan.contains(&orientation))
     }
 
     /// Of how many poses a plan is made at the most.
@@ -174,20 +162,17 @@ impl Guide {
         reachable: impl Fn(Orientation) -> bool,
     ) -> Option<(f64, Plan)> {
         let mut guide = self.clone();
-        let mut plan = Plan {
-            poses: [Orientation::ALL[0]; Self::MOST_PLANNED],
-            count,
-        };
+        let mut plan = Plan::new();
         let mut known = 0.0;
-        for place in plan.poses.iter_mut().take(count) {
+        for _ in 0..count {
             let next = guide.next(&start)?;
             known += libm::log(1.0 + guide.variance(next.up()));
             guide.take(next.up());
-            *place = next;
+            let _ = plan.push(next);
         }
         for _ in 0..MOST_EXCHANGES {
             let mut better = false;
-            for place in plan.poses.iter_mut().take(count) {
+            for place in &mut plan {
                 let old = place.up();
                 guide.change(old, -1.0);
                 let without = guide.variance(old);

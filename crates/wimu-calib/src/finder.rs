@@ -1,34 +1,21 @@
 //! Static poses in a continuous recording: equation (10).
 
+mod moments;
+
 use crate::Pose;
+pub use moments::Noise;
+use moments::{Block, Moments};
 
 /// Blocks in the shortest hold.
 const BLOCKS: usize = 8;
 /// The shortest hold, s.
 const HOLD_S: f64 = 0.75;
-/// A window is still when its variance is below this many times the least one seen.
-const VARIANCE_RATIO: f64 = 9.0;
-/// A window is still when none of its block means departs from theirs by more than the root of
-/// this times the least scatter of block means seen.
-const SCATTER_RATIO: f64 = 60.0;
-/// What a still window may show beyond the sensor's noise before its quietest is known, (m/s²)²:
-/// the variance, 0.17 m/s² rms an axis, and the departure of a block mean, 1.2° of gravity.
-const QUIET_VARIANCE: f64 = 0.09;
-const QUIET_DEPARTURE: f64 = 0.04;
-/// And per variance of the noise from one sample to the next, which motion hardly adds to: the
-/// variance, and the departure of a block mean of one sample. The largest of thousands of blocks
-/// departs by 8 times the variance of a mean, and the least of it that was seen is below it.
-const VARIANCE_PER_NOISE: f64 = 6.0;
-const DEPARTURE_PER_NOISE: f64 = 10.0;
 /// Means of blocks that scatter by more than this many times what the noise within the blocks makes of
 /// them move: of a steady turn it is a hundred times.
 const MOST_SCATTER_PER_NOISE: f64 = 6.0;
 /// A line through the block means of a window, over what scatters about it: beyond, chance makes it once
 /// in a million windows (F of 3 and 18 degrees of freedom).
 const STEADY_TURN: f64 = 25.7;
-/// What is noisier from sample to sample than this over three axes is moved, (m/s²)²: 0.32 m/s²
-/// rms an axis.
-const MOST_NOISE: f64 = 0.3;
 /// A hold ends when a block mean departs from the mean of the hold by 0.5° of gravity, m/s².
 const HOLD_DEPARTURE_MPS2: f64 = 0.085;
 /// Two holds closer than 2° of gravity, m/s², without motion between are one hold, disturbed.
@@ -37,184 +24,6 @@ const SAME_POSE_MPS2: f64 = 0.34;
 const MOVED_MPS2: f64 = 1.7;
 /// when so many follow each other; a knock is shorter.
 const MOVED_BLOCKS: u8 = 2;
-
-/// How quiet a sensor is at rest, learnt from its own output.
-///
-/// What a [`PoseFinder`] judges stillness by: the least seen over windows as long as the shortest
-/// hold, so that the quietest part of a recording sets the measure.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Noise {
-    /// Least variance of a window, summed over the axes, (m/s²)².
-    variance: f64,
-    /// Least variance of the block means of a window, summed over the axes, (m/s²)².
-    scatter: f64,
-    /// Least variance within a window that is new from each sample to the next, half the mean square
-    /// of their difference, summed over the axes, (m/s²)².
-    new: f64,
-    /// Smallest step of the output, m/s²: one count, where the output is in counts.
-    step: f64,
-}
-
-impl Noise {
-    pub(crate) const NOTHING_SEEN: Self = Self {
-        variance: f64::INFINITY,
-        scatter: f64::INFINITY,
-        new: f64::INFINITY,
-        step: f64::INFINITY,
-    };
-
-    /// Standard deviation of a sample at rest, m/s² rms over the axes; low by up to a third, being
-    /// the least seen. Infinite before anything was.
-    pub fn sd_mps2(&self) -> f64 {
-        libm::sqrt(self.variance / 3.0)
-    }
-
-    /// The step of the output, m/s²; 0 where none was seen, or one that is no count's.
-    fn step(&self) -> f64 {
-        if self.step < 1.0 { self.step } else { 0.0 }
-    }
-
-    /// Variance of rounding to the output's step, over three axes.
-    fn rounding(&self) -> f64 {
-        self.step() * self.step() / 4.0
-    }
-
-    fn most_variance(&self) -> f64 {
-        let seen = VARIANCE_RATIO * self.variance.max(self.rounding());
-        seen.min(QUIET_VARIANCE.max(VARIANCE_PER_NOISE * self.new.min(MOST_NOISE)))
-    }
-
-    /// Of the means of blocks of this many samples; more than the quiet one only where they scatter
-    /// no more than noise `explains`.
-    fn most_departure(&self, block_samples: u32, explains: bool) -> f64 {
-        let seen = SCATTER_RATIO * self.scatter.max(self.rounding());
-        let of_a_mean = self.new.min(MOST_NOISE) / f64::from(block_samples);
-        let noisy = if explains {
-            DEPARTURE_PER_NOISE * of_a_mean
-        } else {
-            0.0
-        };
-        seen.min(QUIET_DEPARTURE.max(noisy))
-    }
-}
-
-/// Count, mean and summed squared deviations of samples.
-#[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Moments {
-    samples: u32,
-    mean: [f64; 3],
-    squares: [f64; 3],
-    /// Squared differences of successive samples, summed over the axes.
-    differences: f64,
-    celsius: f64,
-    celsius_samples: u32,
-    first: u64,
-}
-
-impl Moments {
-    fn merge(&mut self, other: &Self) {
-        if self.samples == 0 {
-            *self = *other;
-            return;
-        }
-        let (n, m) = (f64::from(self.samples), f64::from(other.samples));
-        for axis in 0..3 {
-            let apart = other.mean[axis] - self.mean[axis];
-            self.mean[axis] += apart * m / (n + m);
-            self.squares[axis] += other.squares[axis] + apart * apart * n * m / (n + m);
-        }
-        self.samples = self.samples.saturating_add(other.samples);
-        self.differences += other.differences;
-        self.celsius += other.celsius;
-        self.celsius_samples = self.celsius_samples.saturating_add(other.celsius_samples);
-    }
-
-    /// Variance of a sample summed over the axes.
-    fn variance(&self) -> f64 {
-        self.squares.iter().sum::<f64>() / f64::from(self.samples.saturating_sub(1).max(1))
-    }
-
-    fn departure(&self, from: &[f64; 3]) -> f64 {
-        (0..3)
-            .map(|axis| self.mean[axis] - from[axis])
-            .map(|apart| apart * apart)
-            .sum()
-    }
-
-    /// Equation (59) says what rounding to the sensor's step leaves in the mean.
-    fn pose(&self, rate_hz: f64, noise: &Noise) -> Pose {
-        let freedom = f64::from(self.samples.saturating_sub(1).max(1));
-        let step = noise.step() * noise.step();
-        Pose {
-            mean_mps2: self.mean,
-            sd_mps2: self.squares.map(|s| libm::sqrt(s / freedom)),
-            rounding_sd_mps2: self
-                .squares
-                .map(|s| libm::sqrt((step / 12.0 - s / freedom / 3.0).max(0.0))),
-            samples: self.samples,
-            temperature_c: (self.celsius_samples > 0)
-                .then(|| self.celsius / f64::from(self.celsius_samples)),
-            first_sample: self.first,
-            time_s: (self.first as f64 + 0.5 * f64::from(self.samples)) / rate_hz,
-        }
-    }
-}
-
-/// The block that is being filled: sums of deviations from its first sample, which need no
-/// division per sample and lose nothing to a large mean.
-#[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Block {
-    samples: u32,
-    origin: [f64; 3],
-    sum: [f64; 3],
-    squares: [f64; 3],
-    differences: f64,
-    celsius: f64,
-    celsius_samples: u32,
-    first: u64,
-}
-
-impl Block {
-    /// With the squared difference from the sample before.
-    fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
-        if self.samples == 0 {
-            self.origin = output;
-        }
-        self.differences += difference;
-        for axis in 0..3 {
-            let apart = output[axis] - self.origin[axis];
-            self.sum[axis] += apart;
-            self.squares[axis] += apart * apart;
-        }
-        self.samples += 1;
-        if let Some(celsius) = celsius {
-            self.celsius += celsius;
-            self.celsius_samples += 1;
-        }
-    }
-
-    fn moments(&self) -> Moments {
-        let n = f64::from(self.samples);
-        let mut moments = Moments {
-            samples: self.samples,
-            differences: self.differences,
-            celsius: self.celsius,
-            celsius_samples: self.celsius_samples,
-            first: self.first,
-            ..Moments::default()
-        };
-        for axis in 0..3 {
-            let (origin, sum) = (self.origin[axis], self.sum[axis]);
-            let mean = sum / n;
-            moments.mean[axis] = origin + mean;
-            moments.squares[axis] = (self.squares[axis] - sum * mean).max(0.0);
-        }
-        moments
-    }
-}
 
 /// Finds the static poses in a stream of samples.
 ///
@@ -300,12 +109,6 @@ impl PoseFinder {
         self.celsius = celsius.filter(|c| c.is_finite());
     }
 
-    /// How many samples the sensor has been held still, 0 while it moves: a hold that long is a
-    /// pose, even if it ends now.
-    pub fn held_samples(&self) -> u32 {
-        self.rest().map_or(0, |hold| hold.inner.samples)
-    }
-
     /// The hold under way as a pose, if it ended now; `None` while the sensor moves.
     pub fn held(&self) -> Option<Pose> {
         self.rest()
@@ -337,11 +140,11 @@ impl PoseFinder {
                 }
             }
         }
-        if self.block.samples == 0 {
-            self.block.first = index;
+        if self.block.rest.samples == 0 {
+            self.block.rest.first = index;
         }
         self.block.add(output_mps2, difference, self.celsius);
-        if self.block.samples < self.block_samples {
+        if self.block.rest.samples < self.block_samples {
             return None;
         }
         let block = core::mem::take(&mut self.block).moments();

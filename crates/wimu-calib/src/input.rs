@@ -43,14 +43,7 @@ const TURNS: f64 = 0.1;
 
 /// The axis that is nearly all of the magnitude in every pose while another turns: stuck at full scale.
 fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> Option<usize> {
-    let ends = |axis: usize| {
-        poses
-            .clone()
-            .map(move |pose| pose.mean_mps2[axis])
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
-                [low.min(y), high.max(y)]
-            })
-    };
+    let ends = |axis: usize| extremes(poses.clone().map(|pose| pose.mean_mps2[axis]));
     let spread = |axis: usize| {
         let [low, high] = ends(axis);
         (high - low) / mean_mps2
@@ -113,8 +106,7 @@ const CORNERS: usize = 5;
 fn nothing_between<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
     let two = |axis: usize| {
         let readings = || poses.clone().map(move |pose| pose.mean_mps2[axis]);
-        let low = readings().fold(f64::INFINITY, f64::min);
-        let high = readings().fold(f64::NEG_INFINITY, f64::max);
+        let [low, high] = extremes(readings());
         low < high && readings().all(|y| y == low || y == high)
     };
     let silent =
@@ -160,9 +152,7 @@ pub(crate) fn stuck_axis(poses: &[Pose]) -> Option<usize> {
 /// that was never turned leaves |y| as it is. Or that reads more than gravity, or does so without the noise of the
 /// others.
 pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
-    let [low, high] = magnitudes(poses).fold([f64::INFINITY, 0.0_f64], |[low, high], size| {
-        [low.min(size), high.max(size)]
-    });
+    let [low, high] = extremes(magnitudes(poses));
     stuck_axis(poses).filter(|&axis| {
         let [_, most] = ends(poses, axis).map(f64::abs);
         let silent =
@@ -212,10 +202,12 @@ pub(crate) fn clipped_axis(poses: &[Pose]) -> Option<usize> {
 
 /// The lowest and the highest reading of an axis.
 fn ends(poses: &[Pose], axis: usize) -> [f64; 2] {
-    poses
-        .iter()
-        .map(|pose| pose.mean_mps2[axis])
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
-            [low.min(y), high.max(y)]
-        })
+    extremes(poses.iter().map(|pose| pose.mean_mps2[axis]))
+}
+
+/// Minimum and maximum.
+pub(crate) fn extremes(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+        [low.min(value), high.max(value)]
+    })
 }

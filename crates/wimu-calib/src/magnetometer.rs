@@ -9,7 +9,7 @@ pub use refusal::{Disturbed, MagneticRefusal, MirroredAxes};
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::MagnetometerModel;
 
-use crate::{Rejected, student};
+use crate::{Rejected, input, student};
 
 /// Parameters of hard and soft iron, and of the rotation with the dip.
 const IRON: u32 = 9;
@@ -210,20 +210,14 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), M
 
 /// Whether the output can be that of a magnetometer turned in the Earth's field.
 fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
-    let mut low = [f64::INFINITY; 3];
-    let mut high = [f64::NEG_INFINITY; 3];
-    for pose in poses {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(pose.output_nt[axis]);
-            high[axis] = high[axis].max(pose.output_nt[axis]);
-        }
-    }
-    let span: [f64; 3] = core::array::from_fn(|axis| high[axis] - low[axis]);
-    let widest = span.iter().fold(0.0, |most: f64, span| most.max(*span));
-    let largest = low
-        .iter()
-        .chain(&high)
-        .fold(0.0, |most: f64, v| most.max(v.abs()));
+    let limits = [0, 1, 2].map(|axis| input::extremes(poses.iter().map(|p| p.output_nt[axis])));
+    let span = limits.map(|[low, high]| high - low);
+    let widest = span.into_iter().fold(0.0, f64::max);
+    let largest = limits
+        .into_iter()
+        .flatten()
+        .map(f64::abs)
+        .fold(0.0, f64::max);
     let (fewest, most) = (EARTHS_NT.start(), EARTHS_NT.end());
     if largest < 0.1 * fewest || widest > 10.0 * most {
         return Err(MagneticRefusal::NotEarths {
@@ -233,7 +227,7 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
     if let Some(axis) = (0..3).find(|axis| span[*axis] < LEAST_SHARE * widest) {
         return Err(MagneticRefusal::Dead { axis });
     }
-    for (axis, limit) in (0..3).flat_map(|axis| [(axis, low[axis]), (axis, high[axis])]) {
+    for (axis, limit) in (0..3).flat_map(|axis| limits[axis].map(|limit| (axis, limit))) {
         let at = || poses.iter().filter(|pose| pose.output_nt[axis] == limit);
         // An axis that hardly moves has few values.
         if span[axis] < 0.3 * widest {

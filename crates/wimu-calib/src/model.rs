@@ -25,22 +25,11 @@ impl Model {
 
     /// The parameters that are fitted.
     pub fn fitted(self) -> Parameters {
-        use Parameter::{
-            BiasX, BiasY, BiasZ, MisalignmentXy, MisalignmentXz, MisalignmentYz, ScaleX, ScaleY,
-            ScaleZ,
-        };
-        let all = [
-            BiasX,
-            BiasY,
-            BiasZ,
-            ScaleX,
-            ScaleY,
-            ScaleZ,
-            MisalignmentXy,
-            MisalignmentXz,
-            MisalignmentYz,
-        ];
-        all.into_iter().take(self.parameters()).collect()
+        use Parameter::{MisalignmentXy, MisalignmentXz, MisalignmentYz};
+        let below = [MisalignmentXy, MisalignmentXz, MisalignmentYz];
+        let all = [Parameter::BIAS, Parameter::SCALE, below];
+        let all = all.into_iter().flatten();
+        all.take(self.parameters()).collect()
     }
 
     /// How many parameters are fitted.

@@ -1,6 +1,5 @@
 //! Calibration from the magnitude of gravity alone: any orientations, none of them known.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
@@ -9,13 +8,13 @@ use crate::force::Conditions;
 use crate::knowledge::Knowledge;
 use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
-use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
+use crate::terms::{self, PERFECT, Term, Terms};
 use crate::unfitted::Unfitted;
 use crate::visits::Visits;
 use crate::weights::{Rejected, Weighting};
 use crate::{
-    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, input,
-    outliers, pose,
+    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, ellipsoid,
+    input, outliers, pose,
 };
 
 /// Beyond, in standard deviations of a residual, a pose left out is not predicted: some pose
@@ -75,10 +74,7 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
             Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, false),
         }
     };
-    match of(model) {
-        Ok(fitted) => Ok(fitted.alone()),
-        Err(refusal) => Err(refusal.advise(|smaller| of(smaller).is_ok())),
-    }
+    advised(model, of)
 }
 
 /// The same with terms on top, and with bad poses left out where that is asked for. Equations (41)
@@ -99,9 +95,17 @@ pub fn multi_position_with(
         let what = MultiPosition { model, ..what };
         with_terms(poses, &visits, gravity, what, false)
     };
-    match of(what.model) {
+    advised(what.model, of)
+}
+
+/// The estimate of `model`, or its refusal with the largest smaller model that is supported.
+fn advised(
+    model: Model,
+    estimate: impl Fn(Model) -> Result<Fitted, Refusal>,
+) -> Result<Estimate, Refusal> {
+    match estimate(model) {
         Ok(fitted) => Ok(fitted.alone()),
-        Err(refusal) => Err(refusal.advise(|smaller| of(smaller).is_ok())),
+        Err(refusal) => Err(refusal.advise(|smaller| estimate(smaller).is_ok())),
     }
 }
 
@@ -185,12 +189,9 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
 
 /// Least and largest of what every pose has; `None` if one has none or it is no number.
 fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2]> {
-    poses
-        .iter()
-        .try_fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], pose| {
-            let value = value(pose).filter(|v| v.is_finite())?;
-            Some([low.min(value), high.max(value)])
-        })
+    let values = || poses.iter().map(&value);
+    let complete = values().all(|value| value.is_some_and(f64::is_finite));
+    complete.then(|| input::extremes(values().flatten()))
 }
 
 fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
@@ -224,7 +225,7 @@ fn fit<R: Real, const N: usize>(
     };
     let perfect = PERFECT.map(real::<R>);
     let ellipsoid = match what.model {
-        Model::Full9 => ellipsoid::<R>(poses, gravity.mps2()),
+        Model::Full9 => ellipsoid::start::<R>(poses, gravity.mps2()),
         Model::Bias3 | Model::BiasScale6 => None,
     };
     let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
@@ -515,50 +516,4 @@ fn at_perfect<R: Real, const N: usize>(
         theta,
         normal,
     })
-}
-
-/// The start: the ellipsoid yᵀQy + 2pᵀy = 1 by linear least squares, equation (11).
-///
-/// `None` when the points are on no ellipsoid.
-fn ellipsoid<R: Real>(poses: &[Pose], gravity_mps2: f64) -> Option<Theta<R>> {
-    let mut information = SMatrix::<R, 9, 9>::zeros();
-    let mut right = SVector::<R, 9>::zeros();
-    let two: R = real(2.0);
-    for pose in poses {
-        let [x, y, z] = pose.mean_mps2.map(|c| real::<R>(c / gravity_mps2));
-        let row = [
-            x * x,
-            y * y,
-            z * z,
-            two * x * y,
-            two * x * z,
-            two * y * z,
-            two * x,
-            two * y,
-            two * z,
-        ];
-        for c in 0..9 {
-            right[c] += row[c];
-            for r in c..9 {
-                information[(r, c)] += row[r] * row[c];
-            }
-        }
-    }
-    let s = nalgebra::Cholesky::new(information)?.solve(&right);
-    let q = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
-    let p = Vector3::new(s[6], s[7], s[8]);
-    let inverse = q.try_inverse()?;
-    let centre = -(inverse * p);
-    let size = R::one() - p.dot(&centre);
-    // y = c + A u with |u| = 1 gives A Aᵀ = size Q⁻¹; its Cholesky factor is the triangular A.
-    let a = nalgebra::Cholesky::new(inverse * size)?.unpack();
-    let c = centre * real::<R>(gravity_mps2);
-    let mut theta = [R::zero(); Slot::COUNT];
-    for row in 0..3 {
-        theta[row] = c[row];
-        for column in 0..=row {
-            theta[3 + 3 * row + column] = a[(row, column)];
-        }
-    }
-    theta.iter().all(|t| t.is_finite()).then_some(theta)
 }

@@ -3,18 +3,18 @@
 mod course;
 mod curve;
 mod ends;
+mod refusal;
 mod rest;
-
-use core::fmt;
 
 use course::Course;
 use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
 pub use ends::stops_at_limit;
+pub use refusal::NoiseRefusal;
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::{UnitHint, input};
+use crate::input;
 
 /// Octaves of averaging time.
 const LEVELS: usize = 26;
@@ -137,103 +137,17 @@ impl AxisNoise {
     }
 }
 
-/// Why a recording tells no noise.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum NoiseRefusal {
-    /// Too few samples.
-    TooShort {
-        /// How many there are.
-        have: u64,
-        /// How many are needed.
-        need: u64,
-    },
-    /// The sensor was not at rest.
-    NotAtRest {
-        /// When, s from the first sample.
-        at_s: f64,
-        /// 0 = X.
-        axis: usize,
-    },
-    /// An axis says the same all the time.
-    Dead {
-        /// 0 = X.
-        axis: usize,
-    },
-    /// The mean output is not gravity in m/s².
-    UnexpectedMagnitude {
-        /// Its size, m/s² if the unit were right.
-        mean_mps2: f64,
-        /// What the numbers look like.
-        hint: UnitHint,
-    },
-}
+/// The latest values of the running sum at one level, every 2^level-th sample.
+type Level = heapless::Deque<[f64; 3], KEPT>;
 
-impl fmt::Display for NoiseRefusal {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
-        match *self {
-            Self::TooShort { have, need } => write!(
-                out,
-                "{have} samples at rest without a gap, {need} are needed: record for longer; ten \
-                 minutes tell the noise density, an hour or more the bias instability"
-            ),
-            Self::NotAtRest { at_s, axis } => write!(
-                out,
-                "the sensor was not at rest: axis {} moved about {at_s:.0} s after the start; leave \
-                 it on a firm floor, and record again or cut that part out",
-                name(axis)
-            ),
-            Self::Dead { axis } => write!(
-                out,
-                "axis {} says the same all the time: it is dead or saturated, or its noise is below \
-                 one count; choose a smaller range or a higher resolution",
-                name(axis)
-            ),
-            Self::UnexpectedMagnitude { mean_mps2, hint } => {
-                write!(out, "the mean output is {mean_mps2:.4}, {hint}")
-            }
-        }
-    }
-}
-
-impl core::error::Error for NoiseRefusal {}
-
-/// Every 2^level-th value of the running sum, the latest few.
-#[derive(Clone, Copy, Debug)]
-struct Level {
-    kept: [[f64; 3]; KEPT],
-    next: usize,
-    /// How many are kept.
-    held: usize,
-}
-
-impl Level {
-    const EMPTY: Self = Self {
-        kept: [[0.0; 3]; KEPT],
-        next: 0,
-        held: 0,
-    };
-
-    fn take(&mut self, sum: [f64; 3]) {
-        if let Some(place) = self.kept.get_mut(self.next) {
-            *place = sum;
-        }
-        self.next = (self.next + 1) % KEPT;
-        self.held = (self.held + 1).min(KEPT);
-    }
-
-    /// Second difference of the sum over the latest two clusters of `m` steps.
-    fn difference(&self, m: usize) -> Option<[f64; 3]> {
-        let back = |by: usize| self.kept.get((self.next + KEPT - 1 - by) % KEPT);
-        let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
-        let clusters = |axis: usize| {
-            let (late, early) = (last[axis] - middle[axis], middle[axis] - first[axis]);
-            late - early
-        };
-        (self.held > 2 * m).then(|| core::array::from_fn(clusters))
-    }
+/// Second difference of the running sum over the latest two clusters of `m` steps.
+fn second_difference(level: &Level, m: usize) -> Option<[f64; 3]> {
+    let back = |by: usize| level.get(level.len().checked_sub(1 + by)?);
+    let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
+    Some([0, 1, 2].map(|axis: usize| {
+        let (late, early) = (last[axis] - middle[axis], middle[axis] - first[axis]);
+        late - early
+    }))
 }
 
 /// Second differences of one averaging time.
@@ -329,7 +243,7 @@ impl AllanVariance {
             samples: 0,
             run: 0,
             longest_run: 0,
-            levels: [Level::EMPTY; LEVELS],
+            levels: [const { Level::new() }; LEVELS],
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz),
             course: Course::new(),
@@ -382,7 +296,7 @@ impl AllanVariance {
     fn start(&mut self) {
         self.sum = [0.0; 3];
         for level in &mut self.levels {
-            level.held = 0;
+            level.clear();
         }
         self.keep();
     }
@@ -392,7 +306,10 @@ impl AllanVariance {
             if self.run & ((1 << octave) - 1) != 0 {
                 break;
             }
-            level.take(self.sum);
+            if level.is_full() {
+                level.pop_front();
+            }
+            let _ = level.push_back(self.sum);
             let shorter: &[usize] = if octave == 0 { &[1, 2, 4] } else { &[] };
             let first = if octave == 0 { 0 } else { octave + 3 };
             for (m, squares) in shorter
@@ -401,7 +318,7 @@ impl AllanVariance {
                 .chain([LENGTH])
                 .zip(self.squares.iter_mut().skip(first))
             {
-                if let Some(difference) = level.difference(m) {
+                if let Some(difference) = second_difference(level, m) {
                     squares.take(difference);
                 }
             }

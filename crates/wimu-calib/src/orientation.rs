@@ -4,6 +4,11 @@ use core::fmt;
 
 use crate::Pose;
 
+/// Name of axis 0, 1 or 2.
+pub(crate) fn axis_name(axis: usize) -> &'static str {
+    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
+}
+
 /// Which side of the sensor is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -53,19 +58,12 @@ impl Face {
 
     /// The axis that stands upright: 0 = X, 1 = Y, 2 = Z.
     pub fn axis(self) -> usize {
-        match self {
-            Self::XUp | Self::XDown => 0,
-            Self::YUp | Self::YDown => 1,
-            Self::ZUp | Self::ZDown => 2,
-        }
+        self as usize / 2
     }
 
     /// 1 when the axis points up, −1 when it points down.
     pub fn sign(self) -> f64 {
-        match self {
-            Self::XUp | Self::YUp | Self::ZUp => 1.0,
-            Self::XDown | Self::YDown | Self::ZDown => -1.0,
-        }
+        if self as usize % 2 == 0 { 1.0 } else { -1.0 }
     }
 }
 

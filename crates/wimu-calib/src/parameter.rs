@@ -53,6 +53,7 @@ impl Parameter {
     ];
 
     pub(crate) const BIAS: [Self; 3] = [Self::BiasX, Self::BiasY, Self::BiasZ];
+    pub(crate) const SCALE: [Self; 3] = [Self::ScaleX, Self::ScaleY, Self::ScaleZ];
 
     /// Its place in [`Parameter::ALL`], 0..12.
     pub const fn index(self) -> usize {
@@ -79,57 +80,20 @@ impl fmt::Display for Parameter {
     }
 }
 
-/// Some of the 12 parameters.
+/// A set of the 12 parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Parameters(u16);
 
+crate::set::set!(Parameters(u16) of Parameter);
+
 impl Parameters {
-    /// Whether `parameter` is one of them.
-    pub fn contains(self, parameter: Parameter) -> bool {
-        self.0 >> parameter.index() & 1 == 1
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(self) -> bool {
-        self.0 == 0
-    }
-
-    /// Those that are not in `others`.
-    #[must_use]
-    pub fn without(self, others: Self) -> Self {
-        Self(self.0 & !others.0)
-    }
-
     /// All 12.
     pub const ALL: Self = Self((1 << Parameter::COUNT) - 1);
 
-    /// Those of them that are in the set, in the order of [`Parameter::ALL`].
-    pub fn iter(self) -> impl Iterator<Item = Parameter> {
-        Parameter::ALL
-            .into_iter()
-            .filter(move |&parameter| self.contains(parameter))
-    }
-}
-
-impl FromIterator<Parameter> for Parameters {
-    fn from_iter<I: IntoIterator<Item = Parameter>>(parameters: I) -> Self {
-        Self(
-            parameters
-                .into_iter()
-                .fold(0, |bits, parameter| bits | 1 << parameter.index()),
-        )
-    }
-}
-
-impl fmt::Display for Parameters {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, parameter) in self.iter().enumerate() {
-            if place > 0 {
-                out.write_str(", ")?;
-            }
-            parameter.fmt(out)?;
-        }
-        Ok(())
+    /// The members that are not in `others`.
+    #[must_use]
+    pub fn without(self, others: Self) -> Self {
+        Self(self.0 & !others.0)
     }
 }

@@ -5,7 +5,7 @@ use wimu_model::{
     TermDeviations,
 };
 
-use crate::{Estimate, Method, Pose};
+use crate::{Estimate, Method, Pose, input};
 
 impl Estimate {
     /// What the estimate says of itself, for a parameter set: made at `utc_s`, s since 1970 UTC, from
@@ -13,9 +13,8 @@ impl Estimate {
     ///
     /// `None` when a figure is beyond the bounds of [`QualityTerms`], which no sound estimate is.
     pub fn quality(&self, utc_s: Option<u64>, poses: &[Pose]) -> Option<CalibrationQuality> {
-        let temperatures = || poses.iter().filter_map(|pose| pose.temperature_c);
-        let lowest = temperatures().fold(f64::INFINITY, f64::min);
-        let highest = temperatures().fold(f64::NEG_INFINITY, f64::max);
+        let temperatures = poses.iter().filter_map(|pose| pose.temperature_c);
+        let [lowest, highest] = input::extremes(temperatures);
         let temperature = self.temperature_c.map(|mean| CalibratedTemperature {
             mean_c: mean as f32,
             lowest_c: lowest.min(mean) as f32,

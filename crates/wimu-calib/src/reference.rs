@@ -1,17 +1,19 @@
 //! Calibration against a reference: one stream against another of the same motion.
 
 mod ends;
+mod refusal;
 mod row;
 mod sums;
 
-use core::fmt;
-
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
+use crate::blocks::Blocks;
 use crate::{UnitHint, input, student};
 use ends::Ends;
+use nalgebra::Vector3;
+pub use refusal::TransferRefusal;
 use row::{Fitting, How};
-use sums::{Jackknife, Recent, Sums};
+use sums::{Pair, Recent, Sums};
 
 /// Most blocks that sums are kept for; two become one when they are full.
 const BLOCKS: usize = 32;
@@ -160,105 +162,6 @@ impl Transfer {
     }
 }
 
-/// Why two streams say nothing about each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum TransferRefusal {
-    /// Fewer pairs of samples than 8.
-    TooFewSamples {
-        /// How many there are.
-        have: u64,
-    },
-    /// The size of a stream cannot be that of specific force in m/s².
-    UnexpectedMagnitude {
-        /// Whether it is the reference's.
-        reference: bool,
-        /// Its root mean square, m/s² if the unit were right.
-        rms_mps2: f64,
-        /// What the numbers look like.
-        hint: UnitHint,
-    },
-    /// The axes move, but not together.
-    NotTheSameMotion {
-        /// 0 = X.
-        axis: usize,
-        /// Their correlation.
-        correlation: f64,
-    },
-    /// One part of the motion alone decides the scale factor.
-    OneMotionOnly {
-        /// 0 = X.
-        axis: usize,
-    },
-    /// A stream stops at one reading where the other goes on.
-    Saturated {
-        /// Whether it is the reference.
-        reference: bool,
-        /// 0 = X.
-        axis: usize,
-        /// The reading, m/s².
-        at_mps2: f64,
-        /// How many samples are at it.
-        samples: u64,
-    },
-}
-
-/// Streams correlated by less than this show the same motion with the other sign.
-const NEGATED: f64 = -0.9;
-
-impl fmt::Display for TransferRefusal {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
-        match *self {
-            Self::TooFewSamples { have } => write!(
-                out,
-                "{have} samples are on both streams, 8 are needed: record both at the same time"
-            ),
-            Self::UnexpectedMagnitude {
-                reference,
-                rms_mps2,
-                hint,
-            } => {
-                let which = if reference { "reference" } else { "output" };
-                write!(out, "the {which} is {rms_mps2:.4} rms, {hint}")
-            }
-            Self::NotTheSameMotion { axis, correlation } if correlation < NEGATED => write!(
-                out,
-                "axis {} of one stream is that of the other negated (correlated by {correlation:.2}): turn its \
-                 sign in one of them, or check how the sensors are mounted",
-                name(axis)
-            ),
-            Self::NotTheSameMotion { axis, correlation } => write!(
-                out,
-                "axis {} of the two streams is correlated by {correlation:.2} only: they show \
-                 different motions; check that samples are paired in time, and axes and their signs",
-                name(axis)
-            ),
-            Self::OneMotionOnly { axis } => write!(
-                out,
-                "all motion of axis {} is in one short part of the recording, which decides alone: \
-                 move it more than once, or hold it in several orientations",
-                name(axis)
-            ),
-            Self::Saturated {
-                reference,
-                axis,
-                at_mps2,
-                samples,
-            } => write!(
-                out,
-                "axis {} of the {} stops at {at_mps2:.3} m/s² in {samples} samples while the other goes \
-                 on: it is saturated; choose a larger range, or move it less",
-                name(axis),
-                if reference { "reference" } else { "output" }
-            ),
-        }
-    }
-}
-
-impl core::error::Error for TransferRefusal {}
-
 /// Takes pairs of samples and says what one stream is against the other, both noisy: of every axis
 /// that moves bias, scale factor and what it sees of the other two.
 /// Equations (50) and (51) of docs/EQUATIONS.md.
@@ -290,15 +193,10 @@ pub struct ReferenceTransfer {
     /// Whether no axis sees another.
     parallel: bool,
     /// The first pair: sums are of what differs from it.
-    origin: Option<[[f64; 2]; 3]>,
+    origin: Option<Pair>,
     recent: Recent,
-    blocks: [Sums; BLOCKS],
+    blocks: Blocks<Sums, BLOCKS>,
     ends: [Ends; 3],
-    /// Full blocks.
-    full: usize,
-    /// Samples of a full block, and of the one that is filled.
-    length: u64,
-    filled: u64,
     samples: u64,
     not_finite: u64,
 }
@@ -320,12 +218,9 @@ impl ReferenceTransfer {
             ratio,
             parallel: false,
             origin: None,
-            recent: Recent::none(),
-            blocks: [Sums::NONE; BLOCKS],
+            recent: Recent::new(),
+            blocks: Blocks::new(),
             ends: [Ends::none(); 3],
-            full: 0,
-            length: 1,
-            filled: 0,
             samples: 0,
             not_finite: 0,
         }
@@ -345,35 +240,17 @@ impl ReferenceTransfer {
         let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
         if !finite(reference_mps2) || !finite(output_mps2) {
             self.not_finite += 1;
-            self.recent = Recent::none();
+            self.recent.clear();
             return;
         }
-        let [x, y, z] = reference_mps2;
-        let [u, v, w] = output_mps2;
-        let pairs = [[x, u], [y, v], [z, w]];
-        let origin = *self.origin.get_or_insert(pairs);
-        if self.full == BLOCKS {
-            for k in 0..BLOCKS / 2 {
-                self.blocks[k] = self.blocks[2 * k].plus(&self.blocks[2 * k + 1], 1.0);
-            }
-            for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
-                *block = Sums::NONE;
-            }
-            self.full = BLOCKS / 2;
-            self.length *= 2;
+        let pair = [reference_mps2, output_mps2].map(Vector3::from);
+        let origin = *self.origin.get_or_insert(pair);
+        let [x, y] = [pair[0] - origin[0], pair[1] - origin[1]];
+        for (axis, ends) in self.ends.iter_mut().enumerate() {
+            ends.take([x[axis], y[axis]]);
         }
-        let about = |axis: usize| [0, 1].map(|side: usize| pairs[axis][side] - origin[axis][side]);
-        let about = [0, 1, 2].map(about);
-        for (ends, pair) in self.ends.iter_mut().zip(about) {
-            ends.take(pair);
-        }
-        if let Some(block) = self.blocks.get_mut(self.full) {
-            block.take(about, &mut self.recent);
-            self.filled += 1;
-            if self.filled >= self.length {
-                self.full += 1;
-                self.filled = 0;
-            }
+        if let Some(block) = self.blocks.next(|a, b| a.plus(b, 1.0)) {
+            block.take([x, y], &mut self.recent);
         }
         self.samples += 1;
     }
@@ -386,9 +263,11 @@ impl ReferenceTransfer {
         let (Some(origin), FEWEST..) = (self.origin, self.samples) else {
             return Err(TransferRefusal::TooFewSamples { have: self.samples });
         };
-        let origin = origin.map(|pair| pair.map(Into::into));
-        let used = self.full + usize::from(self.filled > 0);
-        for (side, rms_mps2) in self.sizes(&origin, used).into_iter().enumerate() {
+        let all = self.all();
+        let central = all.central();
+        let sides = [(central.x, central.xx.diagonal()), (central.y, central.yy)];
+        for (side, (mean, variance)) in sides.into_iter().enumerate() {
+            let rms_mps2 = libm::sqrt((origin[side] + mean).norm_squared() + variance.sum());
             // Motion makes it larger than gravity by any factor that is not another unit's.
             let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
             if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
@@ -399,49 +278,43 @@ impl ReferenceTransfer {
                 });
             }
         }
-        let mut axes = [None; 3];
-        for (axis, found) in axes.iter_mut().enumerate() {
-            *found = Some(self.axis(axis, origin, used)?);
-        }
-        let [Some(x), Some(y), Some(z)] = axes else {
-            return Err(TransferRefusal::TooFewSamples { have: self.samples });
-        };
+        let axis = |axis| self.axis(axis, origin, &all);
         Ok(Transfer {
-            axes: [x, y, z],
+            axes: [axis(0)?, axis(1)?, axis(2)?],
             samples: self.samples,
             not_finite: self.not_finite,
-            dof: used - 1,
+            dof: self.blocks.all().len() - 1,
         })
     }
 
     fn axis(
         &self,
         axis: usize,
-        origins: [[f64; 2]; 3],
-        used: usize,
+        origins: Pair,
+        all: &Sums,
     ) -> Result<AxisTransfer, TransferRefusal> {
-        let origin = origins[axis];
-        let all = self.all(used);
-        let without = || {
-            let blocks = self.blocks.iter().take(used);
-            blocks.map(|block| all.plus(block, -1.0))
-        };
+        let origin = origins.map(|origin| origin[axis]);
+        let blocks = self.blocks.all().iter();
         let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
         let delta = ratio * ratio;
-        let spread = all.spread();
+        let spread = all.central();
         let moments = spread.axis(axis);
         let offset = origin[1] - origin[0] + moments.y - moments.x;
-        let mut offset_sd = Jackknife::<1>::default();
-        for sums in without() {
-            let left = sums.axis(axis).moments();
-            offset_sd.take([left.y - left.x]);
+        // Jackknife over the blocks: equation (51).
+        let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
+        for block in blocks.clone() {
+            let rest = all.plus(block, -1.0).axis(axis).moments();
+            let step = rest.y - rest.x - mean;
+            count += 1.0;
+            mean += step / count;
+            squares += step * (rest.y - rest.x - mean);
         }
         let slope = moments.slope(delta);
         let motion = slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0)));
         let mut transfer = AxisTransfer {
             at_mps2: origin[0] + moments.x,
             offset_mps2: offset,
-            offset_sd_mps2: libm::sqrt(offset_sd.covariance()[0][0]),
+            offset_sd_mps2: libm::sqrt((count - 1.0) / count * squares),
             motion_mps2: motion,
             rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
@@ -467,19 +340,19 @@ impl ReferenceTransfer {
         let fitting = Fitting::new(axis, origins, &spread, LEAST_MOTION_MPS2, self.parallel);
         let how = match self.ratio {
             Some(_) => How::Deming(delta),
-            None => fitting.how(&all),
+            None => fitting.how(all),
         };
         let refusal = TransferRefusal::OneMotionOnly { axis };
-        let row = fitting.find(&all, how).ok_or(refusal)?;
-        let blocks = self.blocks.iter().take(used).map(|block| {
+        let row = fitting.find(all, how).ok_or(refusal)?;
+        let blocks = blocks.map(|block| {
             let left = all.plus(block, -1.0);
             let moves = left.axis(axis).moments().xx > moments.xx * 0.1;
             (*block, fitting.find(&left, how).filter(|_| moves))
         });
-        let (scatter, dof) = fitting.scatter(&row, &all, blocks).ok_or(refusal)?;
+        let (scatter, dof) = fitting.scatter(&row, all, blocks).ok_or(refusal)?;
         let mut covariance = scatter;
         fitting
-            .add_unseen(&mut covariance, &all, how, self.parallel)
+            .add_unseen(&mut covariance, all, how, self.parallel)
             .ok_or(refusal)?;
         let sees = [1, 2, 3].map(|i: usize| row[i]);
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
@@ -507,24 +380,8 @@ impl ReferenceTransfer {
     }
 
     /// Sums over all blocks.
-    fn all(&self, used: usize) -> Sums {
-        let blocks = self.blocks.iter().take(used);
-        blocks.fold(Sums::NONE, |sums, block| sums.plus(block, 1.0))
-    }
-
-    /// Root mean square of the reference and of the output, m/s².
-    fn sizes(&self, origins: &[[f64; 2]; 3], used: usize) -> [f64; 2] {
-        let spread = self.all(used).spread();
-        let mut squares = [0.0; 2];
-        for (axis, origin) in origins.iter().enumerate() {
-            let m = spread.axis(axis);
-            for (square, (mean, spread)) in squares
-                .iter_mut()
-                .zip([(origin[0] + m.x, m.xx), (origin[1] + m.y, m.yy)])
-            {
-                *square += mean * mean + spread;
-            }
-        }
-        squares.map(libm::sqrt)
+    fn all(&self) -> Sums {
+        let blocks = self.blocks.all().iter();
+        blocks.fold(Sums::default(), |sums, block| sums.plus(block, 1.0))
     }
 }

@@ -4,6 +4,7 @@ use core::fmt;
 
 use wimu_model::ModelError;
 
+use crate::orientation::axis_name;
 use crate::{Face, Model, Orientation, Parameters, Term, Terms};
 
 /// Why the poses do not support an answer.
@@ -419,10 +420,6 @@ impl fmt::Display for Refusal {
             ),
         }
     }
-}
-
-fn axis_name(axis: usize) -> &'static str {
-    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
 }
 
 fn undetermined(

@@ -60,8 +60,7 @@ pub enum Phase {
 pub struct Session<const POSES: usize> {
     finder: PoseFinder,
     guide: Guide,
-    poses: [Pose; POSES],
-    count: usize,
+    poses: heapless::Vec<Pose, POSES>,
     wanted: usize,
     capture_samples: u32,
     /// Whether the hold under way is the last pose's.
@@ -77,8 +76,7 @@ impl<const POSES: usize> Session<POSES> {
         Self {
             finder: PoseFinder::new(rate_hz),
             guide: Guide::new(model),
-            poses: [Pose::default(); POSES],
-            count: 0,
+            poses: heapless::Vec::new(),
             wanted: wanted.min(POSES),
             // Not a number becomes 0 here.
             capture_samples: ((CAPTURE_S * rate_hz) as u32).max(1),
@@ -101,12 +99,12 @@ impl<const POSES: usize> Session<POSES> {
             return self.waiting(Phase::WaitingForStillness);
         };
         if self.taken {
-            if let Some(pose) = self.last_mut() {
+            if let Some(pose) = self.poses.last_mut() {
                 *pose = hold;
             }
             return self.waiting(Phase::WaitingForMotion);
         }
-        if self.count >= self.wanted {
+        if self.poses.len() >= self.wanted {
             return Phase::Done;
         }
         if self.is_again(&hold) {
@@ -126,7 +124,7 @@ impl<const POSES: usize> Session<POSES> {
     /// index. `None` if the sensor is not still, this pose is taken already, or there are enough.
     pub fn capture(&mut self) -> Option<usize> {
         let hold = self.finder.held()?;
-        let is_new = !self.taken && !self.is_again(&hold) && self.count < self.wanted;
+        let is_new = !self.taken && !self.is_again(&hold) && self.poses.len() < self.wanted;
         is_new.then(|| self.take(hold))
     }
 
@@ -138,12 +136,9 @@ impl<const POSES: usize> Session<POSES> {
     }
 
     fn take(&mut self, hold: Pose) -> usize {
-        let pose = self.count;
-        self.count += 1;
+        let pose = self.poses.len();
         self.taken = true;
-        if let Some(place) = self.last_mut() {
-            *place = hold;
-        }
+        let _ = self.poses.push(hold);
         self.guide.take(hold.mean_mps2);
         pose
     }
@@ -151,7 +146,10 @@ impl<const POSES: usize> Session<POSES> {
     /// The orientation to take next, the rest being planned with it; `None` when there are poses
     /// enough, or none that can be reached adds any. A plan is 0.5 million operations: ask once a pose.
     pub fn next(&self) -> Option<Orientation> {
-        let remaining = self.wanted.checked_sub(self.count).filter(|n| *n > 0)?;
+        let remaining = self
+            .wanted
+            .checked_sub(self.poses.len())
+            .filter(|n| *n > 0)?;
         let reachable = |o: Orientation| self.unreachable >> o.index() & 1 == 0;
         self.guide.next_of(remaining, reachable)
     }
@@ -165,15 +163,11 @@ impl<const POSES: usize> Session<POSES> {
 
     /// The poses taken so far.
     pub fn poses(&self) -> &[Pose] {
-        self.poses.get(..self.count).unwrap_or(&[])
-    }
-
-    fn last_mut(&mut self) -> Option<&mut Pose> {
-        self.poses.get_mut(self.count.checked_sub(1)?)
+        &self.poses
     }
 
     fn waiting(&self, phase: Phase) -> Phase {
-        if self.count >= self.wanted {
+        if self.poses.len() >= self.wanted {
             Phase::Done
         } else {
             phase

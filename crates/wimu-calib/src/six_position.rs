@@ -1,21 +1,17 @@
 //! Calibration from six known orientations: each side of the sensor up once.
 
-use core::fmt;
-
-use wimu_model::{ErrorModel, ErrorTerms, ModelError};
+use wimu_model::{ErrorModel, ErrorTerms};
 
 use crate::estimate::{Misplaced, Residuals, TermDeviations};
 
+use crate::placement::MOST_PLACEMENT_RAD;
 use crate::pose::mean_temperature;
-use crate::terms::{PERFECT, Terms, Theta};
+use crate::terms::{self, Terms};
 use crate::weights::Rejected;
 use crate::{
-    Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Pose, Refusal, design,
-    force, input, student,
+    Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal,
+    design, force, input, student,
 };
-
-/// Placement error beyond which the sides were not squared at all, rad: 5°, 0.4 % of scale factor.
-const MOST_PLACEMENT_RAD: f64 = 0.0873;
 
 /// Degrees of freedom in which six sides show their placement error.
 const PLACEMENT_DOF: usize = 6;
@@ -35,64 +31,6 @@ const PAIR_MISPLACED: f64 = 12.8;
 const OF_FOUR: f64 = 2.7;
 /// The off-axis readings of the side that was misplaced are so many times those of its opposite.
 const ONE_OF_TWO: f64 = 2.0;
-
-/// How well the sensor was squared when it was put down.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Placement {
-    sd_rad: f64,
-}
-
-impl Placement {
-    /// 1°, 1 σ about each level axis: by hand, on a table, in a box with square corners.
-    pub const BY_HAND: Self = Self {
-        sd_rad: core::f64::consts::PI / 180.0,
-    };
-
-    /// Standard deviation of the tilt about each level axis, rad, 0..=0.0873 (5°).
-    ///
-    /// # Errors
-    /// [`PlacementError`] when it is outside.
-    pub fn new(sd_rad: f64) -> Result<Self, PlacementError> {
-        if (0.0..=MOST_PLACEMENT_RAD).contains(&sd_rad) {
-            Ok(Self { sd_rad })
-        } else {
-            Err(PlacementError { sd_rad })
-        }
-    }
-
-    /// Standard deviation of the tilt about each level axis, rad.
-    pub fn sd_rad(self) -> f64 {
-        self.sd_rad
-    }
-}
-
-impl Default for Placement {
-    fn default() -> Self {
-        Self::BY_HAND
-    }
-}
-
-/// A placement error outside 0..=0.0873 rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct PlacementError {
-    /// What was given, rad.
-    pub sd_rad: f64,
-}
-
-impl fmt::Display for PlacementError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "the placement's standard deviation, {} rad, is outside 0 to {MOST_PLACEMENT_RAD} rad \
-             (5°): square the sensor better, or use multi-position",
-            self.sd_rad
-        )
-    }
-}
-
-impl core::error::Error for PlacementError {}
 
 /// Estimates all 12 parameters from poses with one axis upright each, told apart by their dominant
 /// component. Equations (18) and (19) of docs/EQUATIONS.md.
@@ -277,15 +215,17 @@ fn estimate<'a>(
         }
     }
     let (bias, a) = solve(&sides, g);
-    let model = model(&bias, &a).map_err(Refusal::OutOfBounds)?;
+    let model = ErrorModel::new(ErrorTerms {
+        bias_mps2: bias,
+        matrix: a,
+        ..ErrorTerms::default()
+    })
+    .map_err(Refusal::OutOfBounds)?;
+    let theta = terms::theta_of(&model);
     let shown = pairs_show(&sides, &bias, &a, g);
-    let all_shown = shown[0] + shown[1] + shown[2];
-    let seen = libm::sqrt(all_shown / PLACEMENT_DOF as f64);
-    let seen_rad = seen;
-    if seen_rad > MOST_PLACEMENT_RAD {
-        return Err(Refusal::NotSquared {
-            placement_rad: seen_rad,
-        });
+    let placement_rad = libm::sqrt(shown.iter().sum::<f64>() / PLACEMENT_DOF as f64);
+    if placement_rad > MOST_PLACEMENT_RAD {
+        return Err(Refusal::NotSquared { placement_rad });
     }
     let Squareness {
         placement_sd_rad,
@@ -293,7 +233,7 @@ fn estimate<'a>(
         contradicted,
         misplaced,
     } = Squareness::of(&sides, &bias, shown, placement, g);
-    let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, seen * g);
+    let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, placement_rad * g);
     let covariance_with = |extra: f64| covariance(&sides, &a, g, tilts, extra);
     let mut covariance = covariance_with(revisits.variance);
     let known = covariance_with(0.0);
@@ -306,11 +246,7 @@ fn estimate<'a>(
             f64::INFINITY
         }
     };
-    let diagonal = Parameter::BIAS.into_iter().chain([
-        Parameter::ScaleX,
-        Parameter::ScaleY,
-        Parameter::ScaleZ,
-    ]);
+    let diagonal = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
     let interval_dof = diagonal.map(dof_of).fold(
         if contradicted {
             PLACEMENT_DOF as f64
@@ -319,11 +255,11 @@ fn estimate<'a>(
         },
         f64::min,
     );
-    let worst_sd_mps2 = force::worst_sd(&theta(&bias, &a), &covariance, gravity.mps2());
-    covariance.add_gravity(&theta(&bias, &a), gravity);
+    let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
+    covariance.add_gravity(&theta, gravity);
 
     let all = poses.clone().map(|(_, pose)| pose);
-    let residuals = Residuals::of(&theta(&bias, &a), all, gravity.mps2());
+    let residuals = Residuals::of(&theta, all, g);
     let rejected = (0..)
         .zip(poses)
         .filter(|(_, (face, _))| face.is_none())
@@ -336,7 +272,7 @@ fn estimate<'a>(
                 let mut others = sides;
                 others[side].add(pose, -1.0);
                 let (bias, a) = solve(&others, g);
-                let left = force::residual(&theta(&bias, &a), pose, gravity.mps2());
+                let left = force::residual(&terms::theta(bias, a), pose, g);
                 left * left
             })
             .sum();
@@ -346,7 +282,7 @@ fn estimate<'a>(
         model,
         method: Method::SixPosition {
             placement_sd_rad,
-            declared_sd_rad: placement.sd_rad,
+            declared_sd_rad: placement.sd_rad(),
             misplaced,
             revisit_sd_mps2: libm::sqrt(revisits.variance),
             revisits: revisits.seen,
@@ -370,32 +306,11 @@ fn estimate<'a>(
         // Half sums and half differences of pairs: their design is orthogonal.
         condition: 1.0,
         worst_sd_mps2,
-        coverage: coverage(&sides),
+        coverage: design::coverage(&sides.map(|side| Pose::from_mean(side.mean()))),
         temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
         temperature_range_c: None,
         drift: None,
     })
-}
-
-fn coverage(sides: &Sides) -> f64 {
-    design::coverage(&sides.each_ref().map(|side| Pose::from_mean(side.mean())))
-}
-
-fn model(bias: &[f64; 3], a: &Matrix) -> Result<ErrorModel, ModelError> {
-    ErrorModel::new(ErrorTerms {
-        bias_mps2: *bias,
-        matrix: a.map(|row| row),
-        ..ErrorTerms::default()
-    })
-}
-
-fn theta(bias: &[f64; 3], a: &Matrix) -> Theta<f64> {
-    let mut theta = PERFECT;
-    for axis in 0..3 {
-        theta[axis] = bias[axis];
-        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&a[axis]);
-    }
-    theta
 }
 
 /// The squared placement error that each pair of sides shows in two degrees of freedom, rad²: its other
@@ -431,7 +346,7 @@ struct Squareness {
 impl Squareness {
     /// Of what the pairs show, rad².
     fn of(sides: &Sides, bias: &[f64; 3], shown: [f64; 3], placement: Placement, g: f64) -> Self {
-        let declared = placement.sd_rad * placement.sd_rad;
+        let declared = placement.sd_rad() * placement.sd_rad();
         let all: f64 = shown.iter().sum();
         let worst = (1..3).fold(
             0,
@@ -530,10 +445,10 @@ impl Revisits {
         let beyond = (squares - dof * explained).max(0.0);
         let seen = dof as usize;
         let more = (REVISIT_DOF * (1.0 - dof * sixth)).max(0.0);
-        let most = (student::chi_squared_half_percent(seen.max(1))) * explained;
+        let most = student::chi_squared_half_percent(seen.max(1)) * explained;
         Self {
             variance: (beyond + more * taken) / (dof + more),
-            dof: (dof + more),
+            dof: dof + more,
             seen,
             unexplained: seen > 0 && squares > most,
         }

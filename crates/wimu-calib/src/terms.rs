@@ -90,13 +90,21 @@ pub(crate) const PERFECT: Theta<f64> = {
 
 pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
     let terms = model.terms();
-    let mut theta = PERFECT;
+    let mut theta = theta(terms.bias_mps2, terms.matrix);
     for axis in 0..3 {
-        theta[axis] = terms.bias_mps2[axis];
-        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&terms.matrix[axis]);
         theta[15 + axis] = terms.temperature.bias_mps2_per_k[axis];
         theta[18 + axis] = terms.temperature.scale_per_k[axis];
         theta[21 + axis] = terms.nonlinearity[axis];
+    }
+    theta
+}
+
+/// Of bias `bias` and matrix `a`, without further terms.
+pub(crate) fn theta(bias: [f64; 3], a: [[f64; 3]; 3]) -> Theta<f64> {
+    let mut theta = PERFECT;
+    for axis in 0..3 {
+        theta[axis] = bias[axis];
+        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&a[axis]);
     }
     theta
 }
@@ -154,25 +162,16 @@ impl fmt::Display for Term {
     }
 }
 
-/// Some of the terms.
+/// A set of terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Terms(u8);
 
+crate::set::set!(Terms(u8) of Term);
+
 impl Terms {
     /// None of them.
     pub const NONE: Self = Self(0);
-
-    /// With one more.
-    #[must_use]
-    pub const fn with(self, term: Term) -> Self {
-        Self(self.0 | 1 << term as u8)
-    }
-
-    /// Whether `term` is one of them.
-    pub const fn contains(self, term: Term) -> bool {
-        self.0 >> term as u8 & 1 == 1
-    }
 
     /// Whether all of `others` are among them.
     pub const fn include(self, others: Self) -> bool {
@@ -183,13 +182,6 @@ impl Terms {
         self.contains(Term::BiasTemperature) || self.contains(Term::ScaleTemperature)
     }
 
-    /// Those of them that are in the set, in the order of [`Term::ALL`].
-    pub fn iter(self) -> impl Iterator<Item = Term> {
-        Term::ALL
-            .into_iter()
-            .filter(move |&term| self.contains(term))
-    }
-
     /// How many parameters they are.
     pub fn parameters(self) -> usize {
         3 * self.0.count_ones() as usize
@@ -198,23 +190,5 @@ impl Terms {
     /// Every set of terms.
     pub(crate) fn every() -> impl Iterator<Item = Self> {
         (0..1 << Term::ALL.len()).map(Self)
-    }
-}
-
-impl FromIterator<Term> for Terms {
-    fn from_iter<I: IntoIterator<Item = Term>>(terms: I) -> Self {
-        terms.into_iter().fold(Self::NONE, Self::with)
-    }
-}
-
-impl fmt::Display for Terms {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, term) in self.iter().enumerate() {
-            if place > 0 {
-                out.write_str(", ")?;
-            }
-            term.fmt(out)?;
-        }
-        Ok(())
     }
 }

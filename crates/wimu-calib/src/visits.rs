@@ -10,49 +10,42 @@ const FIFTH: usize = 5;
 /// Orientations that are kept; where there are more, a pose counts to the nearest.
 pub(crate) const MOST: usize = 256;
 
-/// The poses by orientation: each goes with the first that is alike.
+/// The poses by orientation: each belongs to the first orientation within 10°.
 pub(crate) struct Visits {
-    first: [[f32; 3]; MOST],
-    count: usize,
-    /// The group of each of the first poses.
-    group: [u8; MOST],
+    /// Direction of the first pose of each orientation.
+    first: heapless::Vec<[f32; 3], MOST>,
+    /// Orientation of each of the first poses.
+    group: heapless::Vec<u8, MOST>,
 }
 
 impl Visits {
     pub fn of(poses: &[Pose]) -> Self {
         let mut visits = Self {
-            first: [[0.0; 3]; MOST],
-            count: 0,
-            group: [0; MOST],
+            first: heapless::Vec::new(),
+            group: heapless::Vec::new(),
         };
-        for (k, pose) in poses.iter().enumerate() {
+        for pose in poses {
             let up = direction(pose);
             let group = visits.alike(up).unwrap_or_else(|| {
-                let new = visits.count;
-                match visits.first.get_mut(new) {
-                    Some(place) => {
-                        *place = up;
-                        visits.count += 1;
-                        new
-                    }
-                    None => visits.nearest(up),
+                let new = visits.first.len();
+                match visits.first.push(up) {
+                    Ok(()) => new,
+                    Err(_) => visits.nearest(up),
                 }
             });
-            if let Some(place) = visits.group.get_mut(k) {
-                *place = group as u8;
-            }
+            let _ = visits.group.push(group as u8);
         }
         visits
     }
 
-    /// How many orientations there are.
+    /// Number of orientations.
     pub fn orientations(&self) -> usize {
-        self.count
+        self.first.len()
     }
 
     /// How many of `poses` poses are evidence of their own.
     pub fn apart(&self, poses: usize) -> usize {
-        apart(poses, self.count)
+        apart(poses, self.first.len())
     }
 
     /// The group of pose `k`, which is `pose`.
@@ -69,8 +62,9 @@ impl Visits {
     /// The first group that is alike.
     #[inline(always)]
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
-        let known = self.first.get(..self.count)?;
-        known.iter().position(|first| cosine(up, *first) > ALIKE)
+        self.first
+            .iter()
+            .position(|first| cosine(up, *first) > ALIKE)
     }
 
     fn nearest(&self, up: [f32; 3]) -> usize {

@@ -9,6 +9,7 @@ use wimu_model::{
 
 use super::{EARTHS_NT, MagneticPose, MagneticRefusal};
 
+use crate::ellipsoid::ellipsoid;
 use crate::{Rejected, student};
 
 /// Beyond, the poses do not tell the model.
@@ -228,25 +229,8 @@ pub(super) fn model(
 
 /// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
 pub(super) fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<Iron> {
-    let mut information = SMatrix::<f64, 9, 9>::zeros();
-    let mut right = Iron::zeros();
-    for m in points {
-        let row = Iron::from_fn(|k, _| match k {
-            0..3 => 2.0 * m[k],
-            k => {
-                let (r, c) = PLACES[k - 3];
-                let product = m[r] * m[c];
-                if r == c { product } else { 2.0 * product }
-            }
-        });
-        information.ger(1.0, &row, &row, 1.0);
-        right += row;
-    }
-    let solution = Cholesky::new(information)?.solve(&right);
-    let q = inverse_soft(&solution);
-    let centre = -(q.try_inverse()? * hard(&solution));
-    let size = 1.0 + centre.dot(&(q * centre));
-    let eigen = (q / size).symmetric_eigen();
+    let (centre, q) = ellipsoid(points)?;
+    let eigen = q.symmetric_eigen();
     let positive = eigen.eigenvalues.iter().all(|value| *value > 0.0);
     let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| libm::sqrt(v.max(0.0))));
     let w = eigen.eigenvectors * roots * eigen.eigenvectors.transpose();

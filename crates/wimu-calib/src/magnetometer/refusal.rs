@@ -5,6 +5,7 @@ use core::fmt;
 use wimu_model::MagnetometerError;
 
 use crate::Rejected;
+use crate::orientation::axis_name as name;
 
 /// Why there is no model of a magnetometer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,10 +136,6 @@ impl fmt::Display for MirroredAxes {
             }
         }
     }
-}
-
-fn name(axis: usize) -> &'static str {
-    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
 }
 
 impl fmt::Display for MagneticRefusal {

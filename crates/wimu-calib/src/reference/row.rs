@@ -4,7 +4,7 @@ use core::array::from_fn;
 
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
-use super::sums::{LAGS, Spread, Sums};
+use super::sums::{Central, LAGS, Pair, Sums};
 use crate::terms::USUAL_ACROSS;
 
 /// Neighbouring samples show the same motion where they are correlated at least this much as each
@@ -27,7 +27,7 @@ pub(super) type Row = Vector4<f64>;
 pub(super) struct Fitting {
     pub axis: usize,
     /// What sums are about: reference, output.
-    pub origins: [[f64; 2]; 3],
+    pub origins: Pair,
     pub with: [bool; 3],
 }
 
@@ -45,13 +45,7 @@ pub(super) enum How {
 impl Fitting {
     /// To the axes that move by `least` or more on their own, without what goes along with those
     /// that are in; to its own alone if they are `parallel`.
-    pub fn new(
-        axis: usize,
-        origins: [[f64; 2]; 3],
-        spread: &Spread,
-        least: f64,
-        parallel: bool,
-    ) -> Self {
+    pub fn new(axis: usize, origins: Pair, spread: &Central, least: f64, parallel: bool) -> Self {
         let mut fitting = Self {
             axis,
             origins,
@@ -72,14 +66,14 @@ impl Fitting {
     }
 
     /// How much `other`, which is not in, goes along with each that is.
-    fn along(&self, spread: &Spread, other: usize) -> Option<Vector3<f64>> {
+    fn along(&self, spread: &Central, other: usize) -> Option<Vector3<f64>> {
         self.solve(spread, [0.0; 3], |i| spread.xx[(i, other)])
     }
 
     /// (xx − diag `noise`)⁻¹ `right` over the axes that are in.
     fn solve(
         &self,
-        spread: &Spread,
+        spread: &Central,
         noise: [f64; 3],
         right: impl Fn(usize) -> f64,
     ) -> Option<Vector3<f64>> {
@@ -93,21 +87,21 @@ impl Fitting {
     }
 
     /// Covariance of the reference with output less reference.
-    fn apart(&self, spread: &Spread, i: usize) -> f64 {
-        spread.xy[i][self.axis] - spread.xx[(i, self.axis)]
+    fn apart(&self, spread: &Central, i: usize) -> f64 {
+        spread.xy[(i, self.axis)] - spread.xx[(i, self.axis)]
     }
 
     /// What these leave of the output, squared.
-    pub fn left(&self, spread: &Spread, sees: &Vector3<f64>) -> f64 {
+    pub fn left(&self, spread: &Central, sees: &Vector3<f64>) -> f64 {
         let own = self.axis;
-        let apart = spread.yy[own] - 2.0 * spread.xy[own][own] + spread.xx[(own, own)];
+        let apart = spread.yy[own] - 2.0 * spread.xy[(own, own)] + spread.xx[(own, own)];
         let with = Vector3::from_fn(|i, _| self.apart(spread, i));
         apart - 2.0 * sees.dot(&with) + sees.dot(&(spread.xx * sees))
     }
 
     /// Least squares whose residual's variance is told apart as δ to the output and `shares` to the
     /// axes of the reference, Newton's rule for their common factor.
-    fn deming(&self, spread: &Spread, delta: f64, shares: [f64; 3]) -> Option<Vector3<f64>> {
+    fn deming(&self, spread: &Central, delta: f64, shares: [f64; 3]) -> Option<Vector3<f64>> {
         let own = Vector3::from_fn(|i, _| f64::from(u8::from(i == self.axis)));
         let (mut last, mut factor) = (0.0, 0.0_f64);
         let mut best = None;
@@ -132,20 +126,24 @@ impl Fitting {
     }
 
     /// With b: the line goes through the means.
-    fn row(&self, spread: &Spread, sees: Vector3<f64>) -> Row {
-        let [x, y] = self.origins[self.axis];
+    fn row(&self, spread: &Central, sees: Vector3<f64>) -> Row {
+        let [x, y] = self.origins.map(|origin| origin[self.axis]);
         let apart = (y - x) + (spread.y[self.axis] - spread.x[self.axis]);
-        let mean = Vector3::from(self.means(spread));
-        Vector4::new(apart - sees.dot(&mean), sees[0], sees[1], sees[2])
+        Vector4::new(
+            apart - sees.dot(&self.means(spread)),
+            sees[0],
+            sees[1],
+            sees[2],
+        )
     }
 
     /// Of the reference.
-    fn means(&self, spread: &Spread) -> [f64; 3] {
-        from_fn(|i| self.origins[i][0] + spread.x[i])
+    fn means(&self, spread: &Central) -> Vector3<f64> {
+        self.origins[0] + spread.x
     }
 
     /// From all noise on the output to all on the axis of the reference.
-    fn bounds(&self, spread: &Spread) -> Option<[Row; 2]> {
+    fn bounds(&self, spread: &Central) -> Option<[Row; 2]> {
         let low = self.deming(spread, 1.0, [0.0; 3])?;
         let own = from_fn(|i| f64::from(u8::from(i == self.axis)));
         let high = self.deming(spread, 0.0, own)?;
@@ -154,7 +152,7 @@ impl Fitting {
 
     /// The row.
     pub fn find(&self, sums: &Sums, how: How) -> Option<Row> {
-        let spread = sums.spread();
+        let spread = sums.central();
         let shares = self.with.map(|with| f64::from(u8::from(with)));
         let row = match how {
             How::Deming(delta) => self.row(&spread, self.deming(&spread, delta, shares)?),
@@ -171,11 +169,11 @@ impl Fitting {
 
     /// By the farthest neighbours that share the motion and not what is left of it.
     pub fn how(&self, sums: &Sums) -> How {
-        let (spread, own) = (sums.spread(), self.axis);
+        let (spread, own) = (sums.central(), self.axis);
         let white = WHITE.max(WHITE_DEVIATIONS / libm::sqrt(spread.n));
         let told = |lag: &usize| {
             let shared = sums.lagged(*lag)?;
-            if shared.xy[own][own] < LEAST_SHARED * spread.xy[own][own] {
+            if shared.xy[(own, own)] < LEAST_SHARED * spread.xy[(own, own)] {
                 return None;
             }
             let shares = self.with.map(|with| f64::from(u8::from(with)));
@@ -229,7 +227,7 @@ impl Fitting {
 
     /// What samples tell of a row, per variance of one: sums of products of 1 and the axes that are in.
     fn information(&self, sums: &Sums) -> Matrix4<f64> {
-        let spread = sums.spread();
+        let spread = sums.central();
         let mean = self.means(&spread);
         let with = |i: usize| i == 0 || self.with[i - 1];
         Matrix4::from_fn(|i, j| match (i, j) {
@@ -249,7 +247,7 @@ impl Fitting {
         how: How,
         parallel: bool,
     ) -> Option<()> {
-        let spread = sums.spread();
+        let spread = sums.central();
         match how {
             How::Deming(_) => {}
             How::Neighbours(lag) => {
@@ -259,7 +257,7 @@ impl Fitting {
                 let alike = self.left(&shared, &sees);
                 let own = |i: usize| if i == self.axis { alike } else { 0.0 };
                 let off = self.solve(&shared, [0.0; 3], own)?;
-                let bias = -off.dot(&Vector3::from(self.means(&spread)));
+                let bias = -off.dot(&self.means(&spread));
                 let off = Vector4::new(bias, off[0], off[1], off[2]);
                 *covariance += off * off.transpose();
             }
@@ -279,7 +277,7 @@ impl Fitting {
             // Its mean passes for bias, and what goes along for what is seen of the others.
             let along = self.along(&spread, other)?;
             let means = self.means(&spread);
-            let mean = means[other] - along.dot(&Vector3::from(means));
+            let mean = means[other] - along.dot(&means);
             let mut off = Vector4::new(mean, along[0], along[1], along[2]);
             off[1 + other] = -1.0;
             *covariance += USUAL_ACROSS * USUAL_ACROSS * off * off.transpose();

@@ -1,4 +1,4 @@
-//! How probable poses are under a model: equation (49).
+//! Marginal likelihood of a model: equation (49).
 
 use nalgebra::{SMatrix, SVector};
 
@@ -7,20 +7,20 @@ use crate::linear::{Real, Scaled, double};
 use crate::terms::{PERFECT, Slot, Term};
 use crate::weights::Rejected;
 
-/// ln of how likely a term is there, per not there, before the poses are seen: one in four; of the
-/// quadratic one, which 1 g hardly shows, one in fifty.
+/// ln of the prior odds of a term: one in four; one in fifty for the quadratic term, which is
+/// hardly observable at 1 g.
 const fn beforehand(term: Term) -> f64 {
     match term {
         Term::Drift | Term::BiasTemperature | Term::ScaleTemperature => -1.4,
         Term::Quadratic => -3.9,
     }
 }
-/// ln of the probability of a pose that is bad, per m/s².
+/// ln of the probability density of an outlier, per m/s².
 const BAD_POSE: f64 = -4.6;
-/// Residuals below, (m/s²)², are rounding.
+/// Smallest sum of squared residuals, (m/s²)²: less is rounding.
 const LEAST_SQUARE: f64 = 1e-12;
 
-/// ln p(y | model) with the usual spread of its parameters as what is known beforehand.
+/// ln p(y | model), with the prior of the parameters from typical datasheets.
 pub(crate) fn evidence<R: Real, const N: usize>(
     fit: &Fit<R, N>,
     free: &[Slot; N],
@@ -28,13 +28,13 @@ pub(crate) fn evidence<R: Real, const N: usize>(
     telling: f64,
     rejected: Rejected,
 ) -> f64 {
-    // Visits of one orientation that share their error are less than as many poses.
+    // Poses of one orientation with a common error count as fewer poses.
     let share = telling / kept;
     let half_dof = 0.5 * (telling - N as f64).max(1.0);
     let cost = share * fit.cost.max(LEAST_SQUARE);
     let variance = 0.5 * cost / half_dof;
     let inverse = fit.inverse.map(double) / share;
-    // About a perfect sensor; what is not known beforehand has no part in it.
+    // About a perfect sensor. Parameters with a flat prior do not contribute.
     let mut known = SMatrix::<f64, N, N>::identity();
     let mut off = SVector::<f64, N>::zeros();
     let mut constants = 0.0;

@@ -1,4 +1,4 @@
-//! What a set of poses can tell about parameters: equation (17).
+//! Observability of the parameters: equation (17).
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -10,19 +10,19 @@ use crate::terms::{Slot, Theta};
 use crate::weights::Weighting;
 use crate::{MultiPosition, Orientation, Refusal};
 
-/// Beyond, some orientation is predicted so badly that the model is of no use there. Twelve well
-/// spread poses give 1 to 2, twelve random ones 4.
+/// Largest amplification of an error from the poses to other orientations. Twelve well distributed
+/// poses give 1 to 2, twelve random ones 4.
 const MOST_AMPLIFICATION: f64 = 10.0;
-/// What a set of poses can tell about parameters.
+/// Observability of the fitted parameters.
 pub(crate) struct Knowledge<R: Real, const N: usize> {
-    /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub condition: f64,
-    /// Standard deviation of |f| − g in the worst of 26 orientations, per unit of the residuals'.
+    /// Standard deviation of |f| − g in the worst of 26 orientations, relative to that of the
+    /// residuals.
     pub amplification: f64,
-    /// That orientation: a pose there adds most.
+    /// That orientation: a pose there adds most information.
     pub poorest: Orientation,
-    /// Variance of each parameter, as the error that it makes at 1 g, for residuals of unit
-    /// variance.
+    /// Variance of each parameter for residuals of unit variance, in terms of the error at 1 g.
     pub variance: SVector<R, N>,
 }
 
@@ -70,7 +70,7 @@ impl<const N: usize> Magnitude<'_, N> {
         amplification * libm::sqrt(shared.variance)
     }
 
-    /// What the poses' orientations tell of the parameters that were fitted.
+    /// Observability of the fitted parameters.
     pub fn knowledge<R: Real>(&self, fit: &Fit<R, N>) -> Option<Knowledge<R, N>> {
         if self.weighting.is_equal() {
             let at = Evaluated::new(&fit.theta, self.terms)?;
@@ -80,7 +80,7 @@ impl<const N: usize> Magnitude<'_, N> {
         }
     }
 
-    /// The same at `theta`, converged or not.
+    /// Observability at `theta`, which need not be a solution.
     pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
         let at = Evaluated::new(theta, self.terms)?;
         let normal = self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)?;
@@ -98,7 +98,7 @@ impl<const N: usize> Magnitude<'_, N> {
         Some(self.at_inverse(&at, &normal, &rescaled(&inverse, &units)))
     }
 
-    /// Every parameter as the error that it makes at 1 g, m/s².
+    /// Value of each parameter that causes an error of 1 m/s² at 1 g.
     fn units<R: Real>(&self) -> SVector<R, N> {
         SVector::from_fn(|i, _| real(self.free[i].per_mps2(self.gravity_mps2)))
     }
@@ -141,7 +141,8 @@ impl<const N: usize> Magnitude<'_, N> {
                 see(row.dot(&(inverse * row)), orientation);
             }
         } else {
-            // Opposite orientations differ in the sign of the bias's derivatives, the first three.
+            // Opposite orientations differ only in the sign of the derivatives of the bias, the
+            // first three.
             let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
             for (&one, &other) in opposites.take(Orientation::ALL.len() / 2) {
                 let mut rest = row(one);

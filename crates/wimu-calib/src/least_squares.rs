@@ -9,34 +9,34 @@ use crate::terms::{Slot, Theta};
 use crate::visits::Visits;
 use crate::weights::{FarOff, Rejected, Weighting};
 
-/// Iterations after which a fit counts as not converged; a good one takes 3 to 6.
+/// Largest number of iterations; a fit that needs more has not converged. Typical: 3 to 6.
 const MOST_ITERATIONS: usize = 100;
-/// A step that changes the residuals by less than this, m/s² rms, is the last: what a Gauss-Newton
-/// step leaves is smaller than it by a factor of the residuals per gravity, 10⁻³ or less.
+/// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
+/// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
 const LAST_STEP_MPS2: f64 = 1e-6;
-/// Of an information matrix with unit diagonal: below, the step counts as undamped.
+/// Smallest damping other than 0, relative to the unit diagonal of the information matrix.
 const LEAST_DAMPING: f64 = 1e-6;
-/// Beyond, no step descends.
+/// Largest damping; the fit fails when even this step does not reduce the cost.
 const MOST_DAMPING: f64 = 1e8;
-/// Up to this many poses, one of great leverage is left out by a true refit.
+/// Largest number of poses for which poses of high leverage are left out by a complete refit.
 const MOST_REFITS: usize = 256;
-/// Leverage up to which the first step of the refit is the refit: what it leaves is of second
-/// order in the step, which grows with 1 / (1 − h).
+/// Leverage above which a pose or orientation is left out by a complete refit instead of one step.
+/// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
 
-/// What a fit is made without, beside the poses that are rejected.
+/// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Without {
     Nothing,
     Pose(usize),
-    /// All visits of one.
+    /// All poses of one orientation.
     Orientation(usize),
 }
 
-/// Sums over poses: JᵀWJ, JᵀWr and rᵀWr.
+/// The normal equations: JᵀWJ, JᵀWr and rᵀWr summed over the poses.
 #[derive(Clone)]
 pub(crate) struct Normal<R: Real, const N: usize> {
-    /// The lower triangle counts.
+    /// Only the lower triangle is used.
     pub information: SMatrix<R, N, N>,
     gradient: SVector<R, N>,
     cost: R,
@@ -50,7 +50,8 @@ impl<R: Real, const N: usize> Normal<R, N> {
     }
 }
 
-/// The fit of some parameters to |f| = g over static poses: equations (12) to (17), (40), (41).
+/// Least-squares problem: some parameters fitted to |f| = g over static poses. Equations (12) to
+/// (17), (40), (41).
 pub(crate) struct Magnitude<'a, const N: usize> {
     pub poses: &'a [Pose],
     pub visits: &'a Visits,
@@ -58,11 +59,11 @@ pub(crate) struct Magnitude<'a, const N: usize> {
     pub conditions: Conditions,
     pub weighting: Weighting,
     pub rejected: Rejected,
-    /// What is rejected beside those that are named.
+    /// Rule that rejects further poses, when there are too many to list.
     pub far: Option<FarOff>,
-    /// The parameters that are fitted; the others stay as they start.
+    /// The fitted parameters; the others keep their starting values.
     pub free: [Slot; N],
-    /// Whether some of them are terms.
+    /// Whether the fitted parameters include terms beyond the first twelve.
     pub terms: bool,
 }
 
@@ -84,7 +85,7 @@ impl<R: Real, const N: usize> Fit<R, N> {
 }
 
 impl<'a, const N: usize> Magnitude<'a, N> {
-    /// The same poses with bias and scale factors alone.
+    /// The same problem with bias and scale factors only.
     pub fn smaller(&self) -> Magnitude<'a, 6> {
         Magnitude {
             poses: self.poses,
@@ -122,14 +123,14 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         SVector::from_fn(|i, _| all[self.free[i].index()])
     }
 
-    /// The same times the root of the pose's weight.
+    /// Residual and derivatives, multiplied by the square root of the weight.
     pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
         let root: R = real(libm::sqrt(self.weighting.of(pose)));
         let (residual, row) = self.row(at, pose);
         (residual * root, row * root)
     }
 
-    /// Whether pose `k`, which is `pose`, is rejected.
+    /// Whether `pose`, the k-th, is rejected.
     #[inline(always)]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
         self.rejected.contains(k) || (self.far.is_some() && self.is_far_off(pose))
@@ -144,7 +145,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         })
     }
 
-    /// Whether pose `k` has no part in a fit.
+    /// Whether `pose`, the k-th, is left out of a fit.
     #[inline(always)]
     pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
         self.is_rejected(k, pose)
@@ -159,7 +160,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         self.weighted_normal(theta, without, &self.weighting, None)
     }
 
-    /// With `cauchy`, m/s², each residual counts as cauchy² ln(1 + (r/cauchy)²) instead of r².
+    /// Normal equations at `theta`. With `cauchy`, a scale in m/s², the cost of a residual r is
+    /// cauchy² ln(1 + (r/cauchy)²) instead of r².
     pub fn weighted_normal<R: Real>(
         &self,
         theta: &Theta<R>,
@@ -201,13 +203,14 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         normal.cost.is_finite().then_some(normal)
     }
 
-    /// Damped Gauss-Newton from `start`. `None` when it does not converge
-    /// or a parameter is not determined at all.
+    /// Levenberg-Marquardt from `start`. `None` when it does not converge or a parameter is not
+    /// determined.
     pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R, N>> {
         self.minimise(start, |theta| self.normal(theta, without))
     }
 
-    /// The fit that large residuals pull on ever less, beyond `cauchy`, m/s².
+    /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
+    /// influence.
     pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R, N>> {
         let normal = |theta: &Theta<R>| {
             self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, Some(cauchy))
@@ -252,7 +255,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 });
             }
             let cost = double(normal.cost);
-            // That of a sum of squares.
+            // Rounding error of the cost.
             let rounding =
                 20.0 * epsilon * self.gravity_mps2 * libm::sqrt(cost * normal.poses as f64);
             match normal_at(&trial) {
@@ -272,7 +275,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         None
     }
 
-    /// The poses that are fitted: derivatives by what is fitted and by everything, and the weight.
+    /// For each fitted pose: derivatives with respect to the fitted and to all parameters, and the
+    /// weight.
     pub fn rows<'b, R: Real>(
         &'b self,
         at: &'b Evaluated<'b, R>,
@@ -295,7 +299,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         ))
     }
 
-    /// Goes over the poses with the residual of each under `theta`, m/s².
+    /// Calls `take` with the index and the residual, m/s², of every pose under `theta`.
     pub fn residuals<R: Real>(&self, theta: &Theta<R>, mut take: impl FnMut(usize, f64)) {
         let Some(at) = Evaluated::new(theta, self.terms) else {
             return;
@@ -306,15 +310,15 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         }
     }
 
-    /// Residual of a pose that was left out, m/s², and the variance of its prediction per that of a
-    /// residual.
+    /// Residual of a pose that was left out, m/s², and the variance of its prediction relative to
+    /// that of a residual.
     pub fn predicted<R: Real>(&self, fit: &Fit<R, N>, pose: usize) -> Option<(f64, f64)> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let (residual, row) = self.row(&at, self.poses.get(pose)?);
         Some((double(residual), double(row.dot(&(fit.inverse * row)))))
     }
 
-    /// The parameters without one orientation.
+    /// The parameters fitted without one orientation.
     pub fn solve_without<R: Real>(&self, fit: &Fit<R, N>, group: usize) -> Option<Theta<R>> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let mut rest = fit.normal.clone();
@@ -346,8 +350,9 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         moved
     }
 
-    /// Goes over all poses with the residual of each and the one under the fit to all others:
-    /// equation (16); infinite for a pose that cannot be spared.
+    /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
+    /// all other poses: equation (16). The latter is infinite if the others do not determine the
+    /// parameters.
     pub fn leave_out<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, f64, f64)) {
         let Some(at) = Evaluated::new(&fit.theta, self.terms) else {
             return;

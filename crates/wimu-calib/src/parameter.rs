@@ -1,4 +1,4 @@
-//! The parameters of the error model by name.
+//! Names of the parameters of the error model.
 
 use core::fmt;
 
@@ -14,29 +14,30 @@ pub enum Parameter {
     BiasZ,
     /// S_x.
     ScaleX,
-    /// m_yx: what Y adds to the output of X.
+    /// m_yx: cross-axis sensitivity, output of X per force along Y.
     MisalignmentYx,
-    /// m_zx: what Z adds to the output of X.
+    /// m_zx: cross-axis sensitivity, output of X per force along Z.
     MisalignmentZx,
-    /// m_xy: what X adds to the output of Y.
+    /// m_xy: cross-axis sensitivity, output of Y per force along X.
     MisalignmentXy,
     /// S_y.
     ScaleY,
-    /// m_zy: what Z adds to the output of Y.
+    /// m_zy: cross-axis sensitivity, output of Y per force along Z.
     MisalignmentZy,
-    /// m_xz: what X adds to the output of Z.
+    /// m_xz: cross-axis sensitivity, output of Z per force along X.
     MisalignmentXz,
-    /// m_yz: what Y adds to the output of Z.
+    /// m_yz: cross-axis sensitivity, output of Z per force along Y.
     MisalignmentYz,
     /// S_z.
     ScaleZ,
 }
 
 impl Parameter {
-    /// How many there are.
+    /// Number of parameters.
     pub const COUNT: usize = 12;
 
-    /// All of them in the order of [`Covariance`](crate::Covariance): the bias, then A row by row.
+    /// All parameters in the order of [`Covariance`](crate::Covariance): the bias, then A row by
+    /// row.
     pub const ALL: [Self; Self::COUNT] = [
         Self::BiasX,
         Self::BiasY,
@@ -55,7 +56,7 @@ impl Parameter {
     pub(crate) const BIAS: [Self; 3] = [Self::BiasX, Self::BiasY, Self::BiasZ];
     pub(crate) const SCALE: [Self; 3] = [Self::ScaleX, Self::ScaleY, Self::ScaleZ];
 
-    /// Its place in [`Parameter::ALL`], 0..12.
+    /// Index in [`Parameter::ALL`], 0..12.
     pub const fn index(self) -> usize {
         self as usize
     }

@@ -5,7 +5,7 @@ use core::fmt;
 /// Largest accepted placement error, rad: 5°, which changes the scale factor by 0.4 %.
 pub(crate) const MOST_PLACEMENT_RAD: f64 = 0.0873;
 
-/// How well the sensor was squared when it was put down.
+/// Placement error of the sensor in known orientations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Placement {
@@ -13,12 +13,12 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// 1°, 1 σ about each level axis: by hand, on a table, in a box with square corners.
+    /// 1° (1 σ) about each horizontal axis: by hand, on a table, in a box with square corners.
     pub const BY_HAND: Self = Self {
         sd_rad: core::f64::consts::PI / 180.0,
     };
 
-    /// Standard deviation of the tilt about each level axis, rad, 0..=0.0873 (5°).
+    /// Standard deviation of the tilt about each horizontal axis, rad, 0..=0.0873 (5°).
     ///
     /// # Errors
     /// [`PlacementError`] when it is outside.
@@ -30,7 +30,7 @@ impl Placement {
         }
     }
 
-    /// Standard deviation of the tilt about each level axis, rad.
+    /// Standard deviation of the tilt about each horizontal axis, rad.
     pub fn sd_rad(self) -> f64 {
         self.sd_rad
     }
@@ -46,7 +46,7 @@ impl Default for Placement {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PlacementError {
-    /// What was given, rad.
+    /// The given standard deviation, rad.
     pub sd_rad: f64,
 }
 
@@ -54,8 +54,8 @@ impl fmt::Display for PlacementError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
-            "the placement's standard deviation, {} rad, is outside 0 to {MOST_PLACEMENT_RAD} rad \
-             (5°): square the sensor better, or use multi-position",
+            "the standard deviation of the placement, {} rad, is outside 0 to {MOST_PLACEMENT_RAD} rad \
+             (5°): place the sensor more accurately, or use multi-position",
             self.sd_rad
         )
     }

@@ -1,4 +1,4 @@
-//! Calibration against a reference: one stream against another of the same motion.
+//! Calibration against a reference: two streams of the same motion.
 
 mod ends;
 mod refusal;
@@ -15,32 +15,34 @@ pub use refusal::TransferRefusal;
 use row::{Fitting, How};
 use sums::{Pair, Recent, Sums};
 
-/// Most blocks that sums are kept for; two become one when they are full.
+/// Largest number of blocks; full blocks are then merged in pairs.
 const BLOCKS: usize = 32;
-/// Fewest samples for a standard deviation that means something.
+/// Smallest number of samples.
 const FEWEST: u64 = 8;
-/// An axis that moves less than this, m/s² rms, could be two sensors that warm up together: their
-/// drifts would pass for a scale factor.
+/// Smallest motion for a scale factor, m/s² rms: the drifts of two sensors during warm-up would
+/// look like one.
 const LEAST_MOTION_MPS2: f64 = 0.5;
-/// Streams of one motion are correlated at least this much where there is motion.
+/// Smallest correlation of two streams of the same motion.
 const LEAST_CORRELATION: f64 = 0.9;
 
-/// What an axis sees of another is no chance beyond so many standard deviations.
+/// Significance threshold of a cross-axis sensitivity, standard deviations.
 const SEEN_DEVIATIONS: f64 = 4.0;
 
-/// Noise of the output per noise of the reference (standard deviations), within 10⁻³..=10³.
+/// Ratio of the noise of the output to the noise of the reference (standard deviations), within
+/// 10⁻³..=10³.
 ///
-/// A wrong ratio moves the scale factor by at most the share of noise in the variance of the motion.
+/// A wrong ratio changes the scale factor by at most the fraction of noise in the variance of the
+/// motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoiseRatio(f64);
 
 impl NoiseRatio {
-    /// Both are as noisy: two sensors of a kind.
+    /// Equal noise: two sensors of the same type.
     pub const EQUAL: Self = Self(1.0);
 
-    /// From the two standard deviations of one sample, m/s²; `None` when either is not positive and
-    /// finite. A ratio beyond 10³ is taken as 10³.
+    /// From the standard deviations of one sample, m/s²; `None` when either is not positive and
+    /// finite. The ratio is limited to 10⁻³..=10³.
     pub fn new(output_sd_mps2: f64, reference_sd_mps2: f64) -> Option<Self> {
         let ratio = output_sd_mps2 / reference_sd_mps2;
         let sound = output_sd_mps2 > 0.0 && reference_sd_mps2 > 0.0 && ratio.is_finite();
@@ -59,46 +61,47 @@ impl Default for NoiseRatio {
     }
 }
 
-/// What tells how much of an axis's noise is whose.
+/// Source of the noise ratio of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NoiseFrom {
-    /// The ratio that was given.
+    /// The given ratio.
     Ratio,
-    /// Neighbouring samples, which share the motion and not the noise.
+    /// Lagged products: successive samples have the motion in common, but not the noise.
     Neighbours,
-    /// Nothing: the motion is too fast for the sample rate, or the noise not white. The scale factor
-    /// is somewhere between what it is if all noise is the reference's and if all is the output's; its
-    /// standard deviation includes that.
+    /// Unknown: the motion is too fast for the sample rate, or the noise is not white. The scale
+    /// factor is the mean of its bounds (all noise in the reference, all in the output), and its
+    /// standard deviation includes them.
     Bounds,
 }
 
-/// An axis of the output by those of the reference, y = b + A x, A being this axis's row.
+/// Regression of an axis of the output on the axes of the reference: y = b + A x, where A is the
+/// row of this axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Line {
     /// b, m/s².
     pub bias_mps2: f64,
-    /// Scale factor S, what it sees of its own axis.
+    /// Scale factor S, sensitivity to its own axis.
     pub scale: f64,
-    /// What it sees of X, Y, Z; 0 of an axis that is not fitted.
+    /// Sensitivity to X, Y, Z; 0 for an axis that is not fitted.
     pub row: [f64; 3],
-    /// Which of them are fitted: its own, and those that move on their own.
+    /// Fitted axes: its own, and those with independent motion.
     pub fitted: [bool; 3],
-    /// Covariance of b and the row. Of an axis that is not fitted, two sensors are taken to see 2 %
-    /// (1 σ), and what that makes of the others is in theirs; of one sensor, nothing.
+    /// Covariance of b and the row. For two sensors it includes the effect of axes that are not
+    /// fitted, with a cross-axis sensitivity of 2 % (1 σ).
     pub covariance: [[f64; 4]; 4],
-    /// Degrees of freedom of the standard deviations of b and of S: fewer where few parts of the motion
-    /// decide.
+    /// Degrees of freedom of the standard deviations of b and S: few if short parts of the motion
+    /// dominate.
     pub dof: [f64; 2],
-    /// What parted the noises.
+    /// Source of the noise ratio.
     pub noise_from: NoiseFrom,
 }
 
 impl Line {
-    /// Half widths of the 95 % intervals of b, m/s², and of S, Student's.
+    /// Half widths of the 95 % confidence intervals of b, m/s², and S, by Student's t.
     pub fn half_widths_95(&self) -> [f64; 2] {
-        // S is what an axis sees most of.
+        // The largest element is S.
         let own = (0..3).max_by(|&a, &b| self.row[a].abs().total_cmp(&self.row[b].abs()));
         let variances = [0, own.map_or(0, |own| 1 + own)].map(|i| self.covariance[i][i]);
         [0, 1].map(|i: usize| student::two_sided(0.05, self.dof[i]) * libm::sqrt(variances[i]))
@@ -109,44 +112,44 @@ impl Line {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisTransfer {
-    /// Mean of the reference, m/s²: where the offset holds.
+    /// Mean of the reference, m/s², at which the offset holds.
     pub at_mps2: f64,
-    /// Mean of output less reference, m/s².
+    /// Mean of output minus reference, m/s².
     pub offset_mps2: f64,
     /// Its standard deviation, m/s².
     pub offset_sd_mps2: f64,
-    /// Motion of the axis, m/s² rms about its mean, without noise.
+    /// Motion of the axis, m/s² rms about its mean, noise removed.
     pub motion_mps2: f64,
-    /// What the answer leaves of output less reference, m/s² rms.
+    /// Residual of output minus reference, m/s² rms.
     pub rms_mps2: f64,
-    /// What the axis sees of the other two of the reference, as a share, where that is beyond chance: the
-    /// streams' axes are not parallel.
+    /// Significant sensitivity to the other axes of the reference: the axes of the streams are not
+    /// parallel.
     pub seen_of: [f64; 3],
-    /// Bias and scale factor; `None` where the axis moved less than 0.5 m/s² rms, so that only
-    /// their sum, the offset, is known.
+    /// Bias and scale factor; `None` if the axis moved less than 0.5 m/s² rms, so that only the
+    /// offset is observable.
     pub line: Option<Line>,
 }
 
-/// What a stream is against the reference.
+/// Result of a comparison with the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Transfer {
     /// X, Y, Z.
     pub axes: [AxisTransfer; 3],
-    /// Pairs of samples.
+    /// Number of sample pairs.
     pub samples: u64,
-    /// Pairs left out because a value was not finite.
+    /// Number of pairs with a value that is not finite.
     pub not_finite: u64,
     /// Degrees of freedom of the standard deviations, for Student's intervals.
     pub dof: usize,
 }
 
 impl Transfer {
-    /// The error model that makes the reference of the output; an axis of which only the offset is
-    /// known has scale factor 1 and the offset as bias.
+    /// The error model of the output with respect to the reference. An axis without
+    /// [`AxisTransfer::line`] has scale factor 1 and the offset as bias.
     ///
     /// # Errors
-    /// [`ModelError`] when that is no accelerometer's.
+    /// [`ModelError`] when the values are outside the bounds of an accelerometer.
     pub fn model(&self) -> Result<ErrorModel, ModelError> {
         let mut terms = ErrorTerms::default();
         for (axis, transfer) in self.axes.iter().enumerate() {
@@ -162,11 +165,10 @@ impl Transfer {
     }
 }
 
-/// Takes pairs of samples and says what one stream is against the other, both noisy: of every axis
-/// that moves bias, scale factor and what it sees of the other two.
-/// Equations (50) and (51) of docs/EQUATIONS.md.
+/// Compares two noisy streams of the same motion: bias, scale factor and cross-axis sensitivity of
+/// every axis that moves. Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 40 KB: sums over blocks whose length grows with the data.
+/// Memory is fixed (45 KB): sums over blocks whose length grows with the recording.
 ///
 /// ```
 /// use wimu_calib::{NoiseRatio, ReferenceTransfer};
@@ -190,9 +192,9 @@ impl Transfer {
 #[derive(Clone, Debug)]
 pub struct ReferenceTransfer {
     ratio: Option<NoiseRatio>,
-    /// Whether no axis sees another.
+    /// Whether cross-axis sensitivity is excluded.
     parallel: bool,
-    /// The first pair: sums are of what differs from it.
+    /// The first pair: sums are of differences from it.
     origin: Option<Pair>,
     recent: Recent,
     blocks: Blocks<Sums, BLOCKS>,
@@ -202,13 +204,13 @@ pub struct ReferenceTransfer {
 }
 
 impl ReferenceTransfer {
-    /// Nothing taken yet; the ratio of the noises is known.
+    /// An empty comparison with a known noise ratio.
     pub fn new(ratio: NoiseRatio) -> Self {
         Self::with(Some(ratio))
     }
 
-    /// Nothing taken yet; whose noise it is has to show: where motion is slow for the sample rate,
-    /// neighbouring samples share it and not the noise. [`Line::noise_from`] says whether they did.
+    /// An empty comparison that estimates the noise ratio from lagged products, which requires
+    /// motion that is slow for the sample rate. [`Line::noise_from`] says whether it did.
     pub fn of_unknown_noise() -> Self {
         Self::with(None)
     }
@@ -226,7 +228,7 @@ impl ReferenceTransfer {
         }
     }
 
-    /// Both streams are of one sensor, over two links: their axes are the same.
+    /// Declares that both streams come from one sensor over two links: their axes are identical.
     #[must_use]
     pub fn of_one_sensor(self) -> Self {
         Self {
@@ -235,7 +237,7 @@ impl ReferenceTransfer {
         }
     }
 
-    /// Takes the next sample of both streams, m/s², taken at the same time.
+    /// Adds a sample of both streams, m/s², taken at the same time.
     pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
         let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
         if !finite(reference_mps2) || !finite(output_mps2) {
@@ -255,7 +257,7 @@ impl ReferenceTransfer {
         self.samples += 1;
     }
 
-    /// What the pairs taken so far say.
+    /// The result for the pairs so far.
     ///
     /// # Errors
     /// [`TransferRefusal`].
@@ -268,7 +270,7 @@ impl ReferenceTransfer {
         let sides = [(central.x, central.xx.diagonal()), (central.y, central.yy)];
         for (side, (mean, variance)) in sides.into_iter().enumerate() {
             let rms_mps2 = libm::sqrt((origin[side] + mean).norm_squared() + variance.sum());
-            // Motion makes it larger than gravity by any factor that is not another unit's.
+            // Motion increases it by any factor that does not indicate another unit.
             let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
             if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
                 return Err(TransferRefusal::UnexpectedMagnitude {
@@ -320,7 +322,7 @@ impl ReferenceTransfer {
             line: None,
             seen_of: [0.0; 3],
         };
-        // What moves at all decides whether the streams can be compared.
+        // Without motion the streams cannot be compared.
         let moves = libm::sqrt(moments.xx.max(moments.yy / delta.max(1.0))) >= LEAST_MOTION_MPS2;
         if !moves {
             return Ok(transfer);

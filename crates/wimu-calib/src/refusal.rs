@@ -1,4 +1,4 @@
-//! Why there is no answer, and what to do about it.
+//! Reasons why poses do not support an estimate, and what to do.
 
 use core::fmt;
 
@@ -7,16 +7,16 @@ use wimu_model::ModelError;
 use crate::orientation::axis_name;
 use crate::{Face, Model, Orientation, Parameters, Term, Terms};
 
-/// Why the poses do not support an answer.
+/// Why the poses do not support an estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Refusal {
     /// Fewer poses than the model needs.
     TooFewPoses {
-        /// How many there are.
+        /// Number of poses.
         have: usize,
-        /// How many are needed.
+        /// Required number of poses.
         need: usize,
         /// The model asked for.
         model: Model,
@@ -25,7 +25,7 @@ pub enum Refusal {
     },
     /// No pose has this side up.
     PoseMissing {
-        /// Which side.
+        /// The side.
         face: Face,
     },
     /// A pose has a value that is infinite or not a number.
@@ -37,7 +37,7 @@ pub enum Refusal {
     UnexpectedMagnitude {
         /// The mean of |y|, m/s² if the unit were right.
         mean_mps2: f64,
-        /// What the numbers look like.
+        /// The probable unit.
         hint: UnitHint,
     },
     /// The poses do not determine some parameters.
@@ -46,72 +46,72 @@ pub enum Refusal {
         model: Model,
         /// The parameters that are poorly determined.
         parameters: Parameters,
-        /// The terms that are.
+        /// The terms that are poorly determined.
         terms: Terms,
         /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
         condition: f64,
-        /// How much an error in the poses grows in the worst orientation.
+        /// Amplification of an error from the poses to the worst orientation.
         amplification: f64,
         /// A pose in this orientation would help most.
         add: Orientation,
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
-    /// What the model leaves out, as large as it usually is, would pass for what it fits.
+    /// Typical values of the parameters that the model leaves out would bias those it fits.
     Confounded {
         /// The model asked for.
         model: Model,
         /// The parameters that are not determined.
         parameters: Parameters,
-        /// The terms that are not.
+        /// The terms that are not determined.
         terms: Terms,
         /// A pose in this orientation would help most.
         add: Orientation,
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
-    /// An axis reads the same in every pose, though the others turn.
+    /// An axis has the same reading in every pose, although the others change.
     AxisStuck {
         /// 0 = X.
         axis: usize,
     },
-    /// Poses end at one and the same reading of an axis: its limit.
+    /// An axis is clipped in several poses.
     Saturated {
         /// 0 = X.
         axis: usize,
     },
-    /// Nothing in the poses tells of a term: they have no times or temperatures, or all the same.
+    /// A term is not observable: the poses have no times or temperatures, or equal ones.
     TermNotShown {
         /// The term asked for.
         term: Term,
     },
-    /// Poses are not successive steps of turns about a level axis.
+    /// Poses are not successive steps of rotations about a horizontal axis.
     NotATurn {
-        /// Index of the first pose of the turn.
+        /// Index of the first pose of the rotation.
         pose: usize,
-        /// Steps of a turn: 3 or 4.
+        /// Steps of a rotation: 3 or 4.
         steps: usize,
     },
-    /// The steps of a turn were not equal.
+    /// The steps of a rotation are unequal.
     StepsUnequal {
-        /// Index of the first pose of the turn.
+        /// Index of the first pose of the rotation.
         pose: usize,
-        /// Steps of a turn: 3 or 4.
+        /// Steps of a rotation: 3 or 4.
         steps: usize,
-        /// How unequal, rad rms, at the least.
+        /// Lower bound on the step error, rad rms.
         off_rad: f64,
     },
-    /// A turn was not about a level axis, or not about one of the sensor's.
+    /// The axis of rotation is not horizontal, or not an axis of the sensor.
     TurnTilted {
-        /// Index of the first pose of the turn.
+        /// Index of the first pose of the rotation.
         pose: usize,
-        /// Steps of a turn: 3 or 4.
+        /// Steps of a rotation: 3 or 4.
         steps: usize,
-        /// How far, rad; where it may be the bias of the axis turned about, what that would be in g.
+        /// Tilt, rad; if it may be bias, the bias in g.
         off_rad: f64,
     },
-    /// Left-out poses are predicted far worse than the fitted ones are fitted: some pose decides
-    /// alone, and nothing would show an error in it.
+    /// The leave-one-out error is much larger than the residuals: a single pose dominates the fit,
+    /// and an error in it would not show.
     PoorPrediction {
         /// The model asked for.
         model: Model,
@@ -119,77 +119,77 @@ pub enum Refusal {
         loo_rms_mps2: f64,
         /// In-sample error, m/s² rms.
         rms_mps2: f64,
-        /// The pose that the others predict worst, its index.
+        /// Index of the pose with the largest leave-one-out error.
         pose: usize,
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
-    /// The others contradict a pose beyond chance, and cannot spare it, or another could be the bad one
-    /// as well.
+    /// A pose is an outlier, but cannot be rejected: too few remain, or another one may be the
+    /// outlier.
     PoseContradicted {
-        /// The pose that fits worst to the others, its index.
+        /// Index of the pose with the largest residual.
         pose: usize,
-        /// Another one without which the rest would agree as well.
+        /// Another pose that may be the outlier instead.
         or: Option<usize>,
-        /// |f| − g of the pose under the model fitted without it, m/s².
+        /// Residual of the pose under the model fitted without it, m/s².
         off_mps2: f64,
     },
-    /// No error model makes these poses of one magnitude.
+    /// No error model fits the poses.
     PoorFit {
         /// In-sample error, m/s² rms.
         rms_mps2: f64,
         /// The pose that fits worst, its index.
         pose: usize,
     },
-    /// The fit found no minimum.
+    /// The fit did not converge.
     NotConverged,
-    /// Some poses are nine to eleven times shorter than others: g among m/s².
+    /// Some poses are in g, the others in m/s².
     MixedUnits {
         /// Index of the first of them.
         pose: usize,
     },
-    /// The result is no accelerometer's error model.
+    /// A parameter is outside the bounds of an accelerometer.
     OutOfBounds(ModelError),
-    /// What was noted makes the sensor left-handed.
+    /// The recorded sides describe a left-handed sensor.
     Mirrored,
-    /// Every axis that was said to be up reads down.
+    /// Every axis recorded as up reads down.
     Inverted,
-    /// A pose reads another side up than was noted.
+    /// The readings of a pose show another side up than was recorded.
     AxesSwapped {
-        /// The side that was said to be up.
+        /// The recorded side.
         face: Face,
         /// The side that reads up.
         reads: Face,
     },
-    /// A pose that was said to have an axis upright has none.
+    /// A pose recorded with a vertical axis has none.
     NotUpright {
-        /// The side that was said to be up.
+        /// The recorded side.
         face: Face,
     },
-    /// The six sides were not at right angles.
+    /// The placement error of the six sides is too large.
     NotSquared {
-        /// The placement error that the poses show, rad rms.
+        /// Placement error, rad rms.
         placement_rad: f64,
     },
 }
 
-/// What numbers that are not m/s² look like.
+/// The probable unit of values that are not m/s².
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum UnitHint {
     /// g.
     G,
-    /// m/s² that were multiplied by 9.80665 once more.
+    /// m/s² multiplied by 9.80665 again.
     Mps2TakenForG,
     /// mg, or counts of a sensor with about 1000 LSB/g.
     MilliGOrCounts,
     /// Raw counts.
     Counts,
-    /// Nothing that is gravity in any known unit.
+    /// Not gravity in any known unit.
     NotGravity,
 }
 
-/// What it looks like, and what to do.
+/// The probable unit, and what to do.
 impl fmt::Display for UnitHint {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
@@ -444,8 +444,7 @@ fn smaller(out: &mut fmt::Formatter<'_>, instead: Option<Model>) -> fmt::Result 
 }
 
 impl Refusal {
-    /// Tells which smaller model the poses support, where one might mend it: the first that `supported`
-    /// answers yes to.
+    /// Adds the largest smaller model that `supported` accepts.
     pub(crate) fn advise(mut self, supported: impl Fn(Model) -> bool) -> Self {
         if let Self::TooFewPoses { model, instead, .. }
         | Self::NotObservable { model, instead, .. }

@@ -1,4 +1,4 @@
-//! Scalar types of what a device holds for as long as it runs.
+//! Scalar types of structures that a device keeps in memory.
 
 use crate::linear::Real;
 

@@ -1,4 +1,4 @@
-//! Does a stored calibration still hold? The recursive form: equation (48).
+//! Verification and recursive update of a stored calibration: equation (48).
 
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
@@ -7,21 +7,21 @@ use crate::linear::{double, real};
 use crate::terms::{self, Theta};
 use crate::{Covariance, Gravity, Parameter, Pose, Scalar};
 
-/// What makes a calibration age, as standard deviations.
+/// Standard deviations of the changes of a sensor since its calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ageing {
-    /// By how much the bias differs from one run to the next, m/s² an axis.
+    /// Turn-on bias repeatability, m/s² per axis.
     pub turn_on_mps2: f64,
-    /// By how much the bias moves with temperature beyond what the model says, m/s² per K an axis.
+    /// Bias temperature sensitivity beyond the model, m/s² per K per axis.
     pub per_kelvin_mps2: f64,
-    /// What differs from pose to pose and is no noise, m/s².
+    /// Deviation between poses besides noise, m/s².
     pub pose_mps2: f64,
 }
 
 impl Default for Ageing {
-    /// 15 mm/s² from run to run (ten to twenty were seen on MPU-9150), 5 mm/s² per K (½ mg, as
-    /// datasheets have it), 3 mm/s² from pose to pose.
+    /// Turn-on bias 15 mm/s² (MPU-9150: 10 to 20), 5 mm/s² per K (½ mg, from datasheets), 3 mm/s²
+    /// between poses.
     fn default() -> Self {
         Self {
             turn_on_mps2: 0.015,
@@ -31,14 +31,14 @@ impl Default for Ageing {
     }
 }
 
-/// How uncertain it is what the bias does with temperature.
+/// Uncertainty of the temperature dependence of the bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Slopes {
-    /// Standard deviation of the model's slopes, m/s² per K, within the temperatures they were seen at.
+    /// Standard deviation of the slopes, m/s² per K, within the calibrated temperatures `seen_c`.
     sd: [f64; 3],
     seen_c: [f64; 2],
-    /// The same elsewhere.
+    /// Standard deviation outside them.
     beyond: f64,
 }
 
@@ -51,7 +51,7 @@ impl Slopes {
         }
     }
 
-    /// Grows with temperature by what becomes uncertain of the bias, m/s².
+    /// Integral of the standard deviation over temperature, m/s².
     fn at(&self, axis: usize, celsius: f64) -> f64 {
         let [low, high] = self.seen_c;
         let within = celsius.max(low).min(high);
@@ -60,7 +60,7 @@ impl Slopes {
     }
 }
 
-/// A run of temperatures in one direction: within it what slopes are off by adds up.
+/// A monotonic temperature change, within which the slope error accumulates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Warming {
@@ -76,7 +76,8 @@ impl Warming {
         }
     }
 
-    /// Goes on to `now`, or begins anew where it turns back; the temperature before.
+    /// Moves to `now`, or starts again when the direction changes. Returns the previous
+    /// temperature.
     fn to(&mut self, now: f64) -> f64 {
         let before = self.last_c;
         if (now - before) * (before - self.began_c) < 0.0 {
@@ -87,32 +88,32 @@ impl Warming {
     }
 }
 
-/// What a pose says about a calibration.
+/// Result of a check with one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Check {
-    /// |f| − g before the pose was taken into account, m/s².
+    /// Residual |f| − g before the update, m/s².
     pub residual_mps2: f64,
-    /// Its standard deviation if the calibration holds, m/s².
+    /// Standard deviation of the residual if the calibration holds, m/s².
     pub expected_sd_mps2: f64,
-    /// Whether it holds as far as this pose tells: a good calibration fails once in a thousand
-    /// poses. A pose that contradicts changes nothing.
+    /// Whether the calibration holds at this pose: significance level 10⁻³. A pose that contradicts
+    /// it is not used for the update.
     pub holds: bool,
 }
 
-/// Normal deviate of that chance.
+/// Quantile of the normal distribution, two-sided, 10⁻³.
 const MOST_DEVIATIONS: f64 = 3.2905;
 
-/// A stored calibration that is checked, and brought up to date, by every rest.
+/// A stored calibration that is verified and updated at every rest.
 ///
-/// With the default ageing, of 1000 runs of twelve rests each that differ by 15 mm/s² an axis from the
-/// calibration, 0.8 % contradict it at a rest and none at two in a row, which is when a device tells.
-/// Once six rests of a run are in, a bias that jumps by 20 mm/s² is contradicted in 72 % of the runs by
-/// the next six and told by a device in 25 %, by 30 in 96 and 67 %, by 50 in 100 and 92 %; by 10 mm/s²,
-/// as the next run may differ anyway, in 9 and 0.4 %.
+/// Measured with the default ageing, 1000 runs of twelve rests, turn-on bias 15 mm/s² per axis: 0.8
+/// % of the runs contradict the calibration at a rest, none at two successive rests, which a device
+/// requires for a report. A bias step after six rests is contradicted within the next six, and
+/// reported by a device, in 9 and 0.4 % of the runs for 10 mm/s², in 72 and 25 % for 20, in 96 and
+/// 67 % for 30, and in 100 and 92 % for 50.
 ///
-/// `SelfCheck<f32>` holds its parameters and their covariance in f32: half the memory, and no f64 in
-/// what a rest asks for but a few numbers. It says the same to 0.005 of a standard deviation.
+/// `SelfCheck<f32>` stores parameters and covariance in f32: half the memory, and few f64
+/// operations at a rest. Results agree to 0.005 standard deviations.
 ///
 /// ```
 /// use wimu_calib::{Ageing, Covariance, Gravity, Pose, SelfCheck};
@@ -125,7 +126,7 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 /// assert!(check.push(&at_rest).is_some_and(|check| check.holds));
 /// let knocked = Pose::from_mean([0.0, 0.010, 9.950]);
 /// assert!(check.push(&knocked).is_some_and(|check| !check.holds));
-/// // What the rest told is in the model from now on.
+/// // The rest updated the model.
 /// assert!(check.model()?.terms().bias_mps2[2] > 0.0);
 /// # Ok::<(), wimu_model::ModelError>(())
 /// ```
@@ -134,7 +135,7 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 pub struct SelfCheck<R: Scalar = f64> {
     stored: ErrorModel,
     theta: Theta<R>,
-    /// That of gravity taken out.
+    /// Without the uncertainty of gravity.
     covariance: [[R; Parameter::COUNT]; Parameter::COUNT],
     gravity: Gravity,
     ageing: Ageing,
@@ -146,8 +147,8 @@ pub struct SelfCheck<R: Scalar = f64> {
 
 impl SelfCheck {
     /// A check of `stored`, whose 12 parameters have `covariance` (in the order of
-    /// [`Parameter::ALL`]), made at `gravity` and used there: what is not known of gravity is in
-    /// the covariance and is taken out of it again, because it changes no |f| − g.
+    /// [`Parameter::ALL`]), calibrated and used at `gravity`. The uncertainty of gravity is removed
+    /// from the covariance, because it does not affect |f| − g.
     pub fn new(
         stored: &ErrorModel,
         covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
@@ -208,7 +209,8 @@ impl<R: Scalar> SelfCheck<R> {
         Some(check)
     }
 
-    /// Takes a rest into account. `None` where it is no pose: not finite, or nowhere near gravity.
+    /// Checks a rest and updates the model. `None` if the pose is not finite, or |f| differs from
+    /// gravity by more than half.
     pub fn push(&mut self, pose: &Pose) -> Option<Check> {
         let terms = self.stored.terms().temperature;
         let celsius = pose.temperature_c.filter(|celsius| celsius.is_finite());
@@ -275,20 +277,20 @@ impl<R: Scalar> SelfCheck<R> {
         })
     }
 
-    /// How many poses were taken.
+    /// Number of poses.
     pub fn poses(&self) -> u32 {
         self.poses
     }
 
-    /// How many of them contradicted the calibration.
+    /// Number of poses that contradicted the calibration.
     pub fn contradictions(&self) -> u32 {
         self.contradictions
     }
 
-    /// The model brought up to date.
+    /// The updated model.
     ///
     /// # Errors
-    /// [`ModelError`] when that is no accelerometer's any more.
+    /// [`ModelError`] when a parameter is outside the bounds of an accelerometer.
     pub fn model(&self) -> Result<ErrorModel, ModelError> {
         let mut updated = *self.stored.terms();
         let theta = self.theta.map(double);
@@ -297,7 +299,7 @@ impl<R: Scalar> SelfCheck<R> {
         ErrorModel::new(updated)
     }
 
-    /// Covariance of its 12 parameters, that of gravity included.
+    /// Covariance of the 12 parameters, including the uncertainty of gravity.
     pub fn covariance(&self) -> Covariance {
         let mut covariance = Covariance::from_matrix(&self.covariance.map(|row| row.map(double)));
         covariance.add_gravity(&self.theta.map(double), self.gravity);

@@ -1,4 +1,4 @@
-//! What may be fitted beyond bias, scale factor and misalignment, and where each parameter is kept.
+//! Further terms of the error model, and the vector of all parameters.
 
 use core::fmt;
 
@@ -10,7 +10,7 @@ use crate::Parameter;
 /// (m/s² from the first pose to the last), b₁, s₁ and q.
 pub(crate) type Theta<R> = [R; Slot::COUNT];
 
-/// A place in [`Theta`].
+/// An index into [`Theta`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slot(usize);
 
@@ -36,18 +36,18 @@ impl Slot {
         self.0
     }
 
-    /// The parameter among the first twelve.
+    /// The parameter, for the first twelve.
     pub fn parameter(self) -> Option<Parameter> {
         Parameter::ALL.get(self.0).copied()
     }
 
-    /// The term that it belongs to beyond those.
+    /// The term that it belongs to, for the others.
     pub fn term(self) -> Option<Term> {
         Term::ALL.get(self.0.checked_sub(12)? / 3).copied()
     }
 
-    /// How far it usually is from that of a perfect sensor, 1 σ, as datasheets have it; `None` of the
-    /// bias, of which anything is as likely.
+    /// Prior standard deviation about a perfect sensor, from typical datasheets; `None` for the
+    /// bias, which has a flat prior.
     pub fn usual_sd(self) -> Option<f64> {
         match self.0 {
             0..3 => None,
@@ -61,7 +61,8 @@ impl Slot {
         }
     }
 
-    /// How much of it makes an error of 1 m/s² at 1 g, over 10 K where it goes with temperature.
+    /// Value that causes an error of 1 m/s² at 1 g (for temperature terms, 10 K from the
+    /// reference).
     pub fn per_mps2(self, gravity_mps2: f64) -> f64 {
         match self.0 {
             0..3 | 12..15 => 1.0,
@@ -73,9 +74,9 @@ impl Slot {
     }
 }
 
-/// Zero-g offset of a usual sensor, m/s², 1 σ: 50 mg.
+/// Zero-g offset of a typical sensor, m/s², 1 σ: 50 mg, from datasheets.
 pub(crate) const USUAL_BIAS_MPS2: f64 = 0.5;
-/// What datasheets make likely, 1 σ: of a sensitivity, and across the axes.
+/// Sensitivity error and cross-axis sensitivity of a typical sensor, 1 σ, from datasheets.
 pub(crate) const USUAL_SCALE: f64 = 0.03;
 pub(crate) const USUAL_ACROSS: f64 = 0.02;
 
@@ -117,23 +118,23 @@ pub(crate) fn matrix(theta: &Theta<f64>) -> [[f64; 3]; 3] {
     [triple(theta, 3), triple(theta, 6), triple(theta, 9)]
 }
 
-/// Three of them, from `first` on.
+/// Three elements, from `first` on.
 pub(crate) fn triple(theta: &Theta<f64>, first: usize) -> [f64; 3] {
     [theta[first], theta[first + 1], theta[first + 2]]
 }
 
-/// What can be fitted with [`multi_position_with`](crate::multi_position_with) on top of a
-/// [`Model`](crate::Model); three parameters each, one an axis.
+/// A term that [`multi_position_with`](crate::multi_position_with) can fit in addition to a
+/// [`Model`](crate::Model); three parameters each, one per axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Term {
-    /// The bias moves in proportion to time over the session.
+    /// Linear drift of the bias over the session.
     Drift,
-    /// The bias moves in proportion to temperature: b₁.
+    /// Linear temperature dependence of the bias: b₁.
     BiasTemperature,
-    /// The scale factors move in proportion to temperature: s₁.
+    /// Linear temperature dependence of the scale factors: s₁.
     ScaleTemperature,
-    /// The output bends with the force: q.
+    /// Quadratic nonlinearity: q.
     Quadratic,
 }
 
@@ -170,10 +171,10 @@ pub struct Terms(u8);
 crate::set::set!(Terms(u8) of Term);
 
 impl Terms {
-    /// None of them.
+    /// The empty set.
     pub const NONE: Self = Self(0);
 
-    /// Whether all of `others` are among them.
+    /// Whether all of `others` are in the set.
     pub const fn include(self, others: Self) -> bool {
         self.0 & others.0 == others.0
     }
@@ -182,7 +183,7 @@ impl Terms {
         self.contains(Term::BiasTemperature) || self.contains(Term::ScaleTemperature)
     }
 
-    /// How many parameters they are.
+    /// Number of parameters of the terms.
     pub fn parameters(self) -> usize {
         3 * self.0.count_ones() as usize
     }

@@ -1,13 +1,13 @@
-//! Which poses are visits of one orientation.
+//! Grouping of poses by orientation.
 
 use crate::Pose;
 
-/// cos 10°: poses whose outputs point less apart are visits of one orientation.
+/// cos 10°: poses whose outputs differ by less have the same orientation.
 const ALIKE: f32 = 0.984_8;
-/// Orientations come again where so many of the poses, at least, are of one that is there: of random ones a
-/// few are near to each other, and no two of these tell how visits of one differ.
+/// Repetition counts as such when at least one pose in five repeats an orientation: a few random
+/// poses may be close to each other, and they do not show how repeated poses differ.
 const FIFTH: usize = 5;
-/// Orientations that are kept; where there are more, a pose counts to the nearest.
+/// Largest number of orientations; further poses belong to the nearest one.
 pub(crate) const MOST: usize = 256;
 
 /// The poses by orientation: each belongs to the first orientation within 10°.
@@ -43,12 +43,12 @@ impl Visits {
         self.first.len()
     }
 
-    /// How many of `poses` poses are evidence of their own.
+    /// Number of independent observations among `poses` poses.
     pub fn apart(&self, poses: usize) -> usize {
         apart(poses, self.first.len())
     }
 
-    /// The group of pose `k`, which is `pose`.
+    /// Orientation of `pose`, the k-th.
     pub fn group(&self, k: usize, pose: &Pose) -> usize {
         match self.group.get(k) {
             Some(&group) => usize::from(group),
@@ -59,7 +59,7 @@ impl Visits {
         }
     }
 
-    /// The first group that is alike.
+    /// The first orientation within 10°.
     #[inline(always)]
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
         self.first

@@ -2,37 +2,36 @@
 
 use crate::Pose;
 
-/// A window is still when its variance is below this many times the least one seen.
+/// Stationarity threshold: variance of a window over the smallest one seen.
 const VARIANCE_RATIO: f64 = 9.0;
-/// A window is still when none of its block means departs from theirs by more than the root of
-/// this times the least scatter of block means seen.
+/// Stationarity threshold: largest squared departure of a block mean over the smallest variance of
+/// block means seen.
 const SCATTER_RATIO: f64 = 60.0;
-/// What a still window may show beyond the sensor's noise before its quietest is known, (m/s²)²:
-/// the variance, 0.17 m/s² rms an axis, and the departure of a block mean, 1.2° of gravity.
+/// Upper bounds at rest before the noise is known, (m/s²)²: the variance (0.17 m/s² rms per axis),
+/// and the squared departure of a block mean (1.2° of gravity).
 const QUIET_VARIANCE: f64 = 0.09;
 const QUIET_DEPARTURE: f64 = 0.04;
-/// And per variance of the noise from one sample to the next, which motion hardly adds to: the
-/// variance, and the departure of a block mean of one sample. The largest of thousands of blocks
-/// departs by 8 times the variance of a mean, and the least of it that was seen is below it.
+/// The same bounds relative to the sample-to-sample noise, which motion hardly affects: variance,
+/// and squared departure of a block mean over the variance of a mean. The largest departure of
+/// thousands of blocks is 8 times that variance.
 const VARIANCE_PER_NOISE: f64 = 6.0;
 const DEPARTURE_PER_NOISE: f64 = 10.0;
-/// What is noisier from sample to sample than this over three axes is moved, (m/s²)²: 0.32 m/s²
-/// rms an axis.
+/// Largest sample-to-sample noise at rest over three axes, (m/s²)²: 0.32 m/s² rms per axis.
 const MOST_NOISE: f64 = 0.3;
 
-/// How quiet a sensor is at rest, learnt from its own output.
+/// Noise of a sensor at rest, estimated from its output.
 ///
-/// What a [`PoseFinder`] judges stillness by: the least seen over windows as long as the shortest
-/// hold, so that the quietest part of a recording sets the measure.
+/// Scale of the stationarity detector of [`PoseFinder`](super::PoseFinder): the smallest values
+/// over windows as long as the shortest hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Noise {
-    /// Least variance of a window, summed over the axes, (m/s²)².
+    /// Smallest variance of a window, summed over the axes, (m/s²)².
     pub(super) variance: f64,
-    /// Least variance of the block means of a window, summed over the axes, (m/s²)².
+    /// Smallest variance of the block means of a window, summed over the axes, (m/s²)².
     pub(super) scatter: f64,
-    /// Least variance within a window that is new from each sample to the next, half the mean square
-    /// of their difference, summed over the axes, (m/s²)².
+    /// Smallest sample-to-sample variance of a window, half the mean squared difference, summed
+    /// over the axes, (m/s²)².
     pub(super) new: f64,
     /// Smallest step of the output, m/s²: one count, where the output is in counts.
     pub(super) step: f64,
@@ -46,18 +45,18 @@ impl Noise {
         step: f64::INFINITY,
     };
 
-    /// Standard deviation of a sample at rest, m/s² rms over the axes; low by up to a third, being
-    /// the least seen. Infinite before anything was.
+    /// Standard deviation of a sample at rest, m/s² rms over the axes. As the smallest value seen
+    /// it is up to a third low. Infinite before any window.
     pub fn sd_mps2(&self) -> f64 {
         libm::sqrt(self.variance / 3.0)
     }
 
-    /// The step of the output, m/s²; 0 where none was seen, or one that is no count's.
+    /// Quantisation step of the output, m/s²; 0 if none was found.
     pub(super) fn step(&self) -> f64 {
         if self.step < 1.0 { self.step } else { 0.0 }
     }
 
-    /// Variance of rounding to the output's step, over three axes.
+    /// Bound on the quantisation variance, over three axes, (m/s²)².
     pub(super) fn rounding(&self) -> f64 {
         self.step() * self.step() / 4.0
     }
@@ -67,8 +66,8 @@ impl Noise {
         seen.min(QUIET_VARIANCE.max(VARIANCE_PER_NOISE * self.new.min(MOST_NOISE)))
     }
 
-    /// Of the means of blocks of this many samples; more than the quiet one only where they scatter
-    /// no more than noise `explains`.
+    /// Largest squared departure of the mean of a block of this many samples. The bound for noisy
+    /// sensors applies only if noise explains the variance of the block means.
     pub(super) fn most_departure(&self, block_samples: u32, explains: bool) -> f64 {
         let seen = SCATTER_RATIO * self.scatter.max(self.rounding());
         let of_a_mean = self.new.min(MOST_NOISE) / f64::from(block_samples);
@@ -125,7 +124,7 @@ impl Moments {
             .sum()
     }
 
-    /// Equation (59) says what rounding to the sensor's step leaves in the mean.
+    /// Quantisation error of the mean: equation (59).
     pub(super) fn pose(&self, rate_hz: f64, noise: &Noise) -> Pose {
         let freedom = f64::from(self.samples.saturating_sub(1).max(1));
         let step = noise.step() * noise.step();

@@ -1,15 +1,15 @@
-//! Whether what looks like noise of long times is one event: a sensor that warms up, or a jump.
+//! Whether a single event explains the noise at long averaging times: warm-up, or a jump.
 
 use crate::blocks::Blocks;
 
-/// Most blocks; two become one when they are full.
+/// Largest number of blocks.
 const BLOCKS: usize = 32;
-/// Fewest steps between blocks that tell a course.
+/// Smallest number of differences between blocks.
 const FEWEST: usize = 8;
-/// The share of the squares of J steps that one course takes is above this per √J once in a hundred random
-/// walks: 0.64 of 15 steps, 0.54 of 22, 0.46 of 31.
+/// Significance threshold times √J of the fraction of the sum of squares of J differences that one
+/// event explains: exceeded by 1 % of random walks (0.64 for J = 15, 0.54 for 22, 0.46 for 31).
 const CHANCE: f64 = 2.7;
-/// A course falls from step to step by these: 0 is a jump, 1 a steady drift.
+/// Decay factors of an event from one difference to the next: 0 is a jump, 1 a linear drift.
 const DECAYS: [f64; 14] = [
     0.0, 0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.0,
 ];
@@ -30,8 +30,9 @@ impl Course {
         }
     }
 
-    /// Whether the steps between the blocks' means are those of one course, more than chance makes of
-    /// a random walk: a jump or a decaying drift from any time on. `beside_ramp`: besides a steady one.
+    /// Whether a single event, a jump or a decaying drift that starts at any time, explains
+    /// significantly more of the differences between block means than in a random walk. With
+    /// `beside_ramp`, a linear drift is removed first.
     pub(super) fn is_one(&self, axis: usize, beside_ramp: bool) -> bool {
         let steps = self.0.complete().windows(2);
         let mut steps: heapless::Vec<f64, BLOCKS> =
@@ -62,7 +63,7 @@ impl Course {
                 } else {
                     square
                 };
-                // A steady drift has nothing beside itself.
+                // A linear drift was removed already.
                 if own > 1e-6 * square {
                     share = share.max(product * product / own);
                 }

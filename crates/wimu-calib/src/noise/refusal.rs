@@ -5,35 +5,35 @@ use core::fmt;
 use crate::UnitHint;
 use crate::orientation::axis_name;
 
-/// Why a recording tells no noise.
+/// Why a recording does not support a noise model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum NoiseRefusal {
     /// Too few samples.
     TooShort {
-        /// How many there are.
+        /// Samples without a gap.
         have: u64,
-        /// How many are needed.
+        /// Required samples.
         need: u64,
     },
     /// The sensor was not at rest.
     NotAtRest {
-        /// When, s from the first sample.
+        /// Time, s from the first sample.
         at_s: f64,
         /// 0 = X.
         axis: usize,
     },
-    /// An axis says the same all the time.
+    /// An axis has constant output.
     Dead {
         /// 0 = X.
         axis: usize,
     },
     /// The mean output is not gravity in m/s².
     UnexpectedMagnitude {
-        /// Its size, m/s² if the unit were right.
+        /// Its magnitude, m/s² if the unit were right.
         mean_mps2: f64,
-        /// What the numbers look like.
+        /// The probable unit.
         hint: UnitHint,
     },
 }

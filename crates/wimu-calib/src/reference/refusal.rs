@@ -5,38 +5,38 @@ use core::fmt;
 use crate::UnitHint;
 use crate::orientation::axis_name;
 
-/// Why two streams say nothing about each other.
+/// Why two streams cannot be compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum TransferRefusal {
     /// Fewer pairs of samples than 8.
     TooFewSamples {
-        /// How many there are.
+        /// Number of pairs.
         have: u64,
     },
-    /// The size of a stream cannot be that of specific force in m/s².
+    /// The magnitude of a stream cannot be specific force in m/s².
     UnexpectedMagnitude {
         /// Whether it is the reference's.
         reference: bool,
         /// Its root mean square, m/s² if the unit were right.
         rms_mps2: f64,
-        /// What the numbers look like.
+        /// The probable unit.
         hint: UnitHint,
     },
-    /// The axes move, but not together.
+    /// The motions of the two streams differ.
     NotTheSameMotion {
         /// 0 = X.
         axis: usize,
-        /// Their correlation.
+        /// Correlation coefficient.
         correlation: f64,
     },
-    /// One part of the motion alone decides the scale factor.
+    /// A single part of the motion determines the scale factor.
     OneMotionOnly {
         /// 0 = X.
         axis: usize,
     },
-    /// A stream stops at one reading where the other goes on.
+    /// A stream is clipped while the other one continues.
     Saturated {
         /// Whether it is the reference.
         reference: bool,
@@ -44,12 +44,12 @@ pub enum TransferRefusal {
         axis: usize,
         /// The reading, m/s².
         at_mps2: f64,
-        /// How many samples are at it.
+        /// Number of samples at it.
         samples: u64,
     },
 }
 
-/// Streams correlated by less than this show the same motion with the other sign.
+/// Correlation below which one stream is the negated other.
 const NEGATED: f64 = -0.9;
 
 impl fmt::Display for TransferRefusal {

@@ -56,7 +56,7 @@ pub use magnetometer::{
 };
 pub use model::{Model, MultiPosition};
 pub use multi_position::{multi_position, multi_position_f32, multi_position_with};
-pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, stops_at_limit};
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, is_clipped};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use placement::{Placement, PlacementError};

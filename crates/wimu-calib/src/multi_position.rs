@@ -82,7 +82,7 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
 /// With [`Term::Drift`] the bias of the model is the bias at the last pose.
 ///
 /// # Errors
-/// [`Refusal`]; [`Refusal::TermNotShown`] when the poses lack the times or temperatures that a term
+/// [`Refusal`]; [`Refusal::TermNotObservable`] when the poses lack the times or temperatures that a term
 /// needs.
 pub fn multi_position_with(
     poses: &[Pose],
@@ -182,7 +182,7 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
             Term::Quadratic => true,
         };
         if !shown {
-            return Err(Refusal::TermNotShown { term });
+            return Err(Refusal::TermNotObservable { term });
         }
     }
     Ok(())

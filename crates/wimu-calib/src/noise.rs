@@ -9,7 +9,7 @@ mod rest;
 use course::Course;
 use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
-pub use ends::stops_at_limit;
+pub use ends::is_clipped;
 pub use refusal::NoiseRefusal;
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;

@@ -124,7 +124,7 @@ pub struct AxisTransfer {
     pub rms_mps2: f64,
     /// Significant sensitivity to the other axes of the reference: the axes of the streams are not
     /// parallel.
-    pub seen_of: [f64; 3],
+    pub cross_axis: [f64; 3],
     /// Bias and scale factor; `None` if the axis moved less than 0.5 m/s² rms, so that only the
     /// offset is observable.
     pub line: Option<Line>,
@@ -320,7 +320,7 @@ impl ReferenceTransfer {
             motion_mps2: motion,
             rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
-            seen_of: [0.0; 3],
+            cross_axis: [0.0; 3],
         };
         // Without motion the streams cannot be compared.
         let moves = libm::sqrt(moments.xx.max(moments.yy / delta.max(1.0))) >= LEAST_MOTION_MPS2;
@@ -360,7 +360,7 @@ impl ReferenceTransfer {
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
             let variance = scatter[(1 + other, 1 + other)];
             if sees[other].abs() > SEEN_DEVIATIONS * libm::sqrt(variance) + 1e-6 {
-                transfer.seen_of[other] = sees[other];
+                transfer.cross_axis[other] = sees[other];
             }
         }
         transfer.rms_mps2 = libm::sqrt(fitting.left(&spread, &sees.into()).max(0.0));

@@ -81,7 +81,7 @@ pub enum Refusal {
         axis: usize,
     },
     /// A term is not observable: the poses have no times or temperatures, or equal ones.
-    TermNotShown {
+    TermNotObservable {
         /// The term asked for.
         term: Term,
     },
@@ -298,7 +298,7 @@ impl fmt::Display for Refusal {
                  range and take the poses again",
                 axis_name(axis)
             ),
-            Self::TermNotShown { term } => write!(
+            Self::TermNotObservable { term } => write!(
                 out,
                 "nothing tells of {term}: {}",
                 match term {

@@ -13,7 +13,7 @@ const SAME_POSE_MPS2: f64 = 0.34;
 pub enum Phase {
     /// The sensor moves: put it down as [`Session::next`] recommends, or in any other orientation,
     /// and hold it still.
-    WaitingForStillness,
+    WaitingForRest,
     /// The sensor is at rest.
     Collecting {
         /// Samples of the hold.
@@ -96,7 +96,7 @@ impl<const POSES: usize> Session<POSES> {
         self.finder.push(output_mps2);
         let Some(hold) = self.finder.held() else {
             self.taken = false;
-            return self.waiting(Phase::WaitingForStillness);
+            return self.waiting(Phase::WaitingForRest);
         };
         if self.taken {
             if let Some(pose) = self.poses.last_mut() {

@@ -6,7 +6,7 @@ use crate::attitude::{Attitude, unit};
 use crate::compass::MagneticHeading;
 use crate::segment::{Segment, billionth, product};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
-use crate::stillness::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
+use crate::stationarity::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
 
 /// Cosine of the largest change of the direction of gravity within a leg: 1°.
 const TURN_COSINE: f64 = 0.999_847_695;
@@ -138,7 +138,7 @@ impl Integrator {
                 .iter()
                 .any(|sum| sum.unsigned_abs() > 1 << 48)
         {
-            return Err(StateError::Stillness);
+            return Err(StateError::Stationarity);
         }
         Ok(integrator)
     }

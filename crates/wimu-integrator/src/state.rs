@@ -5,7 +5,7 @@ use core::fmt;
 use wimu_model::PeriodNs;
 
 use crate::segment::Segment;
-use crate::stillness::{Run, Window};
+use crate::stationarity::{Run, Window};
 
 /// Configuration of the integrator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -178,7 +178,7 @@ pub enum StateError {
     /// The mean specific force at rest is zero or beyond ±2³⁷ LSB (32 m/s²).
     Attitude,
     /// The window of the stationarity detector is impossible.
-    Stillness,
+    Stationarity,
 }
 
 impl fmt::Display for StateError {
@@ -186,7 +186,7 @@ impl fmt::Display for StateError {
         match self {
             Self::Config(error) => write!(out, "the integrator's state: {error}"),
             Self::Attitude => out.write_str("the integrator's state has no attitude"),
-            Self::Stillness => out.write_str("the integrator's state has an impossible window"),
+            Self::Stationarity => out.write_str("the integrator's state has an impossible window"),
         }
     }
 }

@@ -15,10 +15,10 @@ const LEAST_STEPS: f64 = 1.0;
 ///
 /// ```
 /// // 40 of the samples read 32767, two 32766; the noise is 20 counts.
-/// assert!(wimu_calib::stops_at_limit(40, 2, 20.0));
-/// assert!(!wimu_calib::stops_at_limit(1, 2, 20.0));
+/// assert!(wimu_calib::is_clipped(40, 2, 20.0));
+/// assert!(!wimu_calib::is_clipped(1, 2, 20.0));
 /// ```
-pub fn stops_at_limit(at_end: u64, next: u64, noise_steps: f64) -> bool {
+pub fn is_clipped(at_end: u64, next: u64, noise_steps: f64) -> bool {
     let more = at_end.saturating_sub(next);
     let chance = DEVIATIONS * DEVIATIONS * at_end.saturating_add(next);
     let is_no_chance = at_end / PER_NEXT >= next || more.saturating_mul(more) > chance;
@@ -60,7 +60,7 @@ impl Ends {
     /// Number of clipped samples of an axis, for noise in quantisation steps.
     pub(super) fn clipped(&self, axis: usize, noise_steps: f64) -> u64 {
         let ends = self.0.get(axis).into_iter().flatten();
-        ends.filter(|end| stops_at_limit(end.samples, end.next_samples, noise_steps))
+        ends.filter(|end| is_clipped(end.samples, end.next_samples, noise_steps))
             .map(|end| end.samples)
             .sum()
     }

@@ -460,7 +460,7 @@ pub fn compare_with_reference(
     };
     let names = ["X", "Y", "Z"];
     for (axis, transfer) in names.into_iter().zip(&found.axes) {
-        for (other, seen) in names.into_iter().zip(transfer.seen_of) {
+        for (other, seen) in names.into_iter().zip(transfer.cross_axis) {
             if seen != 0.0 {
                 report.remarks.push(format!(
                     "{axis} of the output sees {:+.1} % of {other} of the reference: their axes are not \

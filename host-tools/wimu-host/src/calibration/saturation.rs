@@ -1,6 +1,6 @@
 //! Axes that stood at their limit.
 
-use wimu_calib::{Pose, stops_at_limit};
+use wimu_calib::{Pose, is_clipped};
 
 /// The axis that stood at its limit in some poses, all the time or when its noise took it there.
 pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
@@ -39,7 +39,7 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
                     None => break,
                 }
             }
-            stops_at_limit(counts[0], counts[1], usual / step)
+            is_clipped(counts[0], counts[1], usual / step)
         };
         at_limit(&mut values.iter().copied()) || at_limit(&mut values.iter().rev().copied())
     })

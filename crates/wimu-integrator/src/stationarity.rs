@@ -8,11 +8,11 @@ use crate::segment::Segment;
 /// the axes, m/s².
 ///
 /// Noise of an LSM303AGR in high resolution: 0.03 m/s² at 100 Hz, 0.10 at 1344 Hz.
-pub const STILL_SPREAD_MPS2: f64 = SPREAD_LSB as f64 / 1024.0;
+pub const REST_SD_MPS2: f64 = SPREAD_LSB as f64 / 1024.0;
 
 /// Largest difference between the means of windows of a rest, per axis, m/s², in addition to twice
 /// the standard error.
-pub const STILL_SHIFT_MPS2: f64 = SHIFT_LSB as f64 / 65536.0;
+pub const REST_MEAN_TOLERANCE_MPS2: f64 = SHIFT_LSB as f64 / 65536.0;
 
 /// Number of windows of a rest in the attitude of the previous rest: 0.5 s.
 pub(crate) const REST_WINDOWS: u16 = 4;
@@ -23,7 +23,7 @@ pub(crate) const TURNED_REST_WINDOWS: u16 = 16;
 /// followed.
 const LONGEST_RUN: u16 = 128;
 
-/// [`STILL_SPREAD_MPS2`], 2⁻¹⁰ m/s².
+/// [`REST_SD_MPS2`], 2⁻¹⁰ m/s².
 const SPREAD_LSB: u64 = 128;
 /// 2⁻¹⁶ m/s².
 const SHIFT_LSB: u64 = 1638;
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_spread_at_the_limit_is_quiet_and_one_above_is_not() {
-        let limit = (STILL_SPREAD_MPS2 * 65536.0) as i32;
+        let limit = (REST_SD_MPS2 * 65536.0) as i32;
         let swing = |amplitude: i32| {
             window_of((0..64).map(move |k| if k % 2 == 0 { amplitude } else { -amplitude }))
         };

@@ -195,7 +195,7 @@ impl fmt::Display for UnitHint {
         out.write_str(match self {
             Self::G => "which looks like g, not m/s²: multiply by 9.80665",
             Self::Mps2TakenForG => {
-                "which looks like m/s² that were taken for g: say m/s² where it says g; or the \
+                "which looks like m/s² converted as if it were g: declare the unit as m/s²; or the \
                  sensitivity is ten times too small"
             }
             Self::MilliGOrCounts => {
@@ -229,7 +229,7 @@ impl fmt::Display for Refusal {
             } => {
                 write!(
                     out,
-                    "{have} static pose{}, the {model} needs {need} at the least: add poses in other \
+                    "{have} static pose{}, the {model} needs at least {need}: add poses in other \
                      orientations",
                     if have == 1 { "" } else { "s" }
                 )?;
@@ -256,8 +256,8 @@ impl fmt::Display for Refusal {
                 undetermined(out, model, parameters, terms)?;
                 write!(
                     out,
-                    "scale factors and misalignments as they usually are, which it leaves out, would \
-                     pass for them; add a pose with {add}, and others unlike those you have"
+                    "typical scale factors and misalignments, which it leaves out, would bias them; \
+                     add a pose with {add}, and others unlike those you have"
                 )?;
                 smaller(out, instead)
             }
@@ -289,18 +289,18 @@ impl fmt::Display for Refusal {
             Self::AxisStuck { axis } => write!(
                 out,
                 "axis {} reads the same in every pose: it is dead or stuck at full scale, or was \
-                 never turned; check it, and hold it up and down",
+                 never rotated; check it, and hold it up and down",
                 axis_name(axis)
             ),
             Self::Saturated { axis } => write!(
                 out,
-                "axis {} stops at one reading in some poses: it is saturated; choose a larger \
-                 range and take the poses again",
+                "axis {} has the same extreme reading in several poses: it is saturated; choose a \
+                 larger range and repeat the poses",
                 axis_name(axis)
             ),
             Self::TermNotObservable { term } => write!(
                 out,
-                "nothing tells of {term}: {}",
+                "the term {term} is not observable: {}",
                 match term {
                     Term::Drift => "the poses have no times, or all the same",
                     _ => "a pose has no temperature, or all have the same within 1 K: warm or cool the sensor \
@@ -309,7 +309,7 @@ impl fmt::Display for Refusal {
             ),
             Self::NotATurn { pose, steps } => write!(
                 out,
-                "poses {pose} to {} (from 0) are not {steps} steps of {}° about a level axis: turn \
+                "poses {pose} to {} (from 0) are not {steps} steps of {}° about a horizontal axis: rotate \
                  about one axis of the sensor, in one direction, and hold it still at each step",
                 pose + steps - 1,
                 360 / steps.max(1)
@@ -320,8 +320,9 @@ impl fmt::Display for Refusal {
                 off_rad,
             } => write!(
                 out,
-                "poses {pose} to {} (from 0): the steps are {:.0}° from {}° each, rms, or more; turn by a \
-                 square or a protractor, or use multi-position, which needs no known orientation",
+                "poses {pose} to {} (from 0): the steps are at least {:.0}° rms from equal steps of {}°; turn \
+                 the sensor by a square or a protractor, or use multi-position, which needs no known \
+                 orientation",
                 pose + steps - 1,
                 off_rad.to_degrees(),
                 360 / steps.max(1)
@@ -332,9 +333,9 @@ impl fmt::Display for Refusal {
                 off_rad,
             } => write!(
                 out,
-                "poses {pose} to {} (from 0): by what the axis turned about reads, it is {:.0}° from level \
-                 or from the axis of rotation; square the sensor and level the axis, or use multi-position, \
-                 which needs neither",
+                "poses {pose} to {} (from 0): according to the reading of the axis of rotation, it is {:.0}° \
+                 from level or from the axis of the sensor; square the sensor and level the axis, or use multi-position, which \
+                 needs neither",
                 pose + steps - 1,
                 off_rad.to_degrees()
             ),
@@ -351,13 +352,13 @@ impl fmt::Display for Refusal {
                     rms_mps2 * 1e3
                 )?;
                 if loo_rms_mps2.is_finite() {
-                    write!(out, "predicts one left out to {:.2} only", loo_rms_mps2 * 1e3)?;
+                    write!(out, "predicts a pose left out only to {:.2}", loo_rms_mps2 * 1e3)?;
                 } else {
-                    out.write_str("cannot predict one left out")?;
+                    out.write_str("cannot predict a pose left out")?;
                 }
                 write!(
                     out,
-                    ": pose {pose} (from 0) decides alone; add poses in other orientations, unlike \
+                    ": pose {pose} (from 0) dominates the fit; add poses in other orientations, unlike \
                      those you have"
                 )?;
                 smaller(out, instead)
@@ -365,15 +366,15 @@ impl fmt::Display for Refusal {
             Self::PoseContradicted { pose, or, off_mps2 } => {
                 write!(
                     out,
-                    "pose {pose} (from 0) is {:.0} mm/s² from what the others say, which is no chance",
+                    "pose {pose} (from 0) differs significantly, by {:.0} mm/s², from the fit of the others",
                     off_mps2.abs() * 1e3
                 )?;
                 if let Some(other) = or {
-                    write!(out, "; or pose {other} is the bad one, which too few poses tell apart")?;
+                    write!(out, "; or pose {other} is the outlier, too few poses distinguish them")?;
                 }
                 out.write_str(
-                    ": the sensor was moved, touched or at its limit then; hold it so again, or leave that \
-                     pose out, and add two in other orientations",
+                    ": the sensor was moved, touched or saturated there; repeat that pose, or leave it \
+                     out, and add two in other orientations",
                 )
             }
             Self::PoorFit { rms_mps2, pose } => write!(
@@ -383,7 +384,7 @@ impl fmt::Display for Refusal {
                 rms_mps2 * 1e3
             ),
             Self::NotConverged => out.write_str(
-                "no error model makes these poses of one magnitude: check that the sensor was still, \
+                "no error model gives these poses equal magnitude: check that the sensor was still, \
                  not saturated, and that every axis works",
             ),
             Self::MixedUnits { pose } => write!(
@@ -392,29 +393,29 @@ impl fmt::Display for Refusal {
             ),
             Self::OutOfBounds(error) => write!(
                 out,
-                "the result is no accelerometer's: {error}; check the unit, the sensitivity and that \
+                "the result is not plausible for an accelerometer: {error}; check the unit, the sensitivity and that \
                  no pose is saturated or moving"
             ),
             Self::Mirrored => out.write_str(
-                "the orientations noted make the sensor left-handed: the sides of one axis were \
-                 mixed up, or the driver negates or swaps an axis",
+                "the recorded orientations describe a left-handed sensor: the sides of one axis were \
+                 exchanged, or the driver negates or swaps an axis",
             ),
             Self::Inverted => out.write_str(
-                "every axis noted as up reads down: the output is minus the specific force; negate \
-                 it, or note the side that is down",
+                "every axis recorded as up reads down: the output is minus the specific force; negate \
+                 it, or record the opposite side",
             ),
             Self::AxesSwapped { face, reads } => write!(
                 out,
-                "a pose noted as {face} reads {reads}: check which side was up, and that the driver \
+                "a pose recorded as {face} reads {reads}: check which side was up, and that the driver \
                  keeps the axes in order"
             ),
             Self::NotUpright { face } => write!(
                 out,
-                "a pose noted as {face} has no axis within 20° of upright: take it again"
+                "a pose recorded as {face} has no axis within 20° of the vertical: repeat it"
             ),
             Self::NotSquared { placement_rad } => write!(
                 out,
-                "the six sides are {:.1}° from square: use a box with square corners, or \
+                "the placement error of the six sides is {:.1}°: use a box with square corners, or \
                  multi-position, which needs no known orientation",
                 placement_rad.to_degrees()
             ),

@@ -147,7 +147,7 @@ impl fmt::Display for MagneticRefusal {
             ),
             Self::NotFinite { pose } => write!(
                 out,
-                "pose {pose} (from 0) has a field or a direction that is none: remove it"
+                "pose {pose} (from 0) has a field or a direction that is zero or not finite: remove it"
             ),
             Self::NotEarths { field_nt } => write!(
                 out,
@@ -201,25 +201,28 @@ impl fmt::Display for MagneticRefusal {
             }
             Self::PoorPrediction { share } => write!(
                 out,
-                "a pose left out is missed by {:.2} % of the field rms, far more than those that are fitted: one \
-                 decides alone; add orientations",
+                "the leave-one-out error is {:.2} % of the field rms, far above the residual: a single \
+                 pose dominates the fit; add orientations",
                 share * 100.0
             ),
             Self::DipNotConstant { spread_rad, pose } => write!(
                 out,
                 "the dip is not the same in all poses ({:.1}° rms, most in pose {pose} from 0): the \
-                 field was disturbed, or field and direction are not of the same time; take the poses \
-                 again away from iron, currents and phones",
+                 field was disturbed, or field and direction are of different times; repeat the poses \
+                 away from iron, currents and phones",
                 spread_rad.to_degrees()
             ),
             Self::Mirrored { dip_rad, axes } => write!(
                 out,
-                "the field's dip seems to be {:+.0}°, opposite to that of the place: {axes}; mend the \
-                 order and signs of its axes where they are read, or say the dip of the place where \
-                 that is no error (negative south of the magnetic equator)",
+                "the field's dip seems to be {:+.0}°, opposite to that of the location: {axes}; correct \
+                 the order and signs of its axes in the driver or, if they are right, give the dip of \
+                 the location (negative south of the magnetic equator)",
                 dip_rad.to_degrees()
             ),
-            Self::OutOfBounds(error) => write!(out, "the result is no magnetometer's: {error}"),
+            Self::OutOfBounds(error) => write!(
+                out,
+                "the result is not plausible for a magnetometer: {error}"
+            ),
         }
     }
 }

@@ -44,7 +44,7 @@ impl fmt::Display for NoiseRefusal {
             Self::TooShort { have, need } => write!(
                 out,
                 "{have} samples at rest without a gap, {need} are needed: record for longer; ten \
-                 minutes tell the noise density, an hour or more the bias instability"
+                 minutes give the noise density, an hour or more the bias instability"
             ),
             Self::NotAtRest { at_s, axis } => write!(
                 out,
@@ -54,7 +54,7 @@ impl fmt::Display for NoiseRefusal {
             ),
             Self::Dead { axis } => write!(
                 out,
-                "axis {} says the same all the time: it is dead or saturated, or its noise is below \
+                "axis {} has constant output: it is dead or saturated, or its noise is below \
                  one count; choose a smaller range or a higher resolution",
                 axis_name(axis)
             ),

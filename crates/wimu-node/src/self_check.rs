@@ -52,7 +52,7 @@ impl CalibrationCheck {
         if !current {
             self.contradictions = 0;
             self.check = gravity(gravity_um_s2)
-                .and_then(|gravity| SelfCheck::of_f32(set, gravity, Ageing::default()))
+                .and_then(|gravity| SelfCheck::of(set, gravity, Ageing::default()))
                 .map(|check| (id, gravity_um_s2, check));
         }
         let Some((_, _, check)) = &mut self.check else {

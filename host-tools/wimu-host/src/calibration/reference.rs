@@ -194,7 +194,7 @@ pub fn compare_with_reference(
     };
     let names = ["X", "Y", "Z"];
     for (axis, transfer) in names.into_iter().zip(&found.axes) {
-        for (other, seen) in names.into_iter().zip(transfer.seen_of) {
+        for (other, seen) in names.into_iter().zip(transfer.cross_axis) {
             if seen != 0.0 {
                 report.remarks.push(format!(
                         "cross-axis sensitivity of {axis} to {other} of the reference: {:+.1} % (axes not parallel); included in the model",

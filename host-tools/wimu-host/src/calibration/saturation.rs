@@ -1,6 +1,6 @@
 //! Detection of saturated axes.
 
-use wimu_calib::{Pose, stops_at_limit};
+use wimu_calib::{Pose, is_clipped};
 
 /// The axis whose noise is cut off at the limit of its output in some poses.
 pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
@@ -39,7 +39,7 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
                     None => break,
                 }
             }
-            stops_at_limit(counts[0], counts[1], usual / step)
+            is_clipped(counts[0], counts[1], usual / step)
         };
         at_limit(&mut values.iter().copied()) || at_limit(&mut values.iter().rev().copied())
     })

@@ -1,38 +1,39 @@
-//! Stillness from windows of samples: equation (9) of docs/EQUATIONS.md.
+//! Stationarity detector on windows of samples: equation (9) of docs/EQUATIONS.md.
 
 use wimu_model::{PeriodNs, SpecificForceQ16, root};
 
 use crate::segment::Segment;
 
-/// A window is quiet when its samples spread less than this about their mean: root of the summed
-/// variance of the three axes, m/s².
+/// Largest standard deviation of the samples of a window at rest, root of the variance summed over
+/// the axes, m/s².
 ///
-/// Three axes of an LSM303AGR in high resolution spread 0.03 m/s² at 100 Hz and 0.10 at 1344 Hz.
-pub const STILL_SPREAD_MPS2: f64 = SPREAD_LSB as f64 / 1024.0;
+/// Noise of an LSM303AGR in high resolution: 0.03 m/s² at 100 Hz, 0.10 at 1344 Hz.
+pub const REST_SD_MPS2: f64 = SPREAD_LSB as f64 / 1024.0;
 
-/// Windows of one rest agree in their mean within this, and twice its standard error, per axis,
-/// m/s².
-pub const STILL_SHIFT_MPS2: f64 = SHIFT_LSB as f64 / 65536.0;
+/// Largest difference between the means of windows of a rest, per axis, m/s², in addition to twice
+/// the standard error.
+pub const REST_MEAN_TOLERANCE_MPS2: f64 = SHIFT_LSB as f64 / 65536.0;
 
-/// Windows that make a rest in the attitude of the rest before: 0.5 s.
+/// Number of windows of a rest in the attitude of the previous rest: 0.5 s.
 pub(crate) const REST_WINDOWS: u16 = 4;
-/// Windows that make a rest in another attitude, which the slow crest of a motion resembles: 2 s.
+/// Number of windows of a rest in another attitude, which the slow crest of a motion resembles: 2
+/// s.
 pub(crate) const TURNED_REST_WINDOWS: u16 = 16;
-/// At this many windows (16 s) the older half of a rest begins to be forgotten, so that a drifting
-/// bias is followed.
+/// Number of windows (16 s) after which the sums of a rest are halved, so that a drifting bias is
+/// followed.
 const LONGEST_RUN: u16 = 128;
 
-/// In the window's own unit, 2⁻¹⁰ m/s².
+/// [`REST_SD_MPS2`], 2⁻¹⁰ m/s².
 const SPREAD_LSB: u64 = 128;
 /// 2⁻¹⁶ m/s².
 const SHIFT_LSB: u64 = 1638;
 /// 2⁻¹⁶ m/s².
 const HALF_G_LSB: u64 = 321_344;
-/// Beyond this distance from the window's first sample the spread is large enough to know: 16 m/s²
-/// in 2⁻¹⁰ m/s². Keeps a square within 32 bits.
+/// Limit of the difference from the first sample of a window, 2⁻¹⁰ m/s²: 16 m/s², certainly not at
+/// rest. Its square fits 32 bits.
 const FAR_LSB: i32 = 1 << 14;
 
-/// Steps of one window at `period`: as many as make 0.125 s, 8 to 1024.
+/// Number of steps of a window at `period`: 0.125 s, 8 to 1024.
 pub fn window_steps(period: PeriodNs) -> u16 {
     (125_000_000 / period.0.max(1)).clamp(8, 1024) as u16
 }
@@ -41,20 +42,20 @@ pub fn window_steps(period: PeriodNs) -> u16 {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Window {
-    /// The segment as it stood when the window began.
+    /// The segment at the start of the window.
     pub start: Segment,
-    /// Samples so far.
+    /// Number of samples.
     pub samples: u16,
     /// The window's first sample, 2⁻¹⁶ m/s².
     pub reference: [i32; 3],
-    /// Σ of the samples less the reference, 2⁻¹⁰ m/s².
+    /// Sum of the samples minus the reference, 2⁻¹⁰ m/s².
     pub sum: [i32; 3],
-    /// Σ of their squares over all axes, 2⁻²⁰ m²/s⁴.
+    /// Sum of their squares over all axes, 2⁻²⁰ m²/s⁴.
     pub squares: u64,
 }
 
 impl Window {
-    /// A window that begins where `segment` stands.
+    /// A window that starts at the end of `segment`.
     pub(crate) fn starting_at(segment: &Segment) -> Self {
         Self {
             start: *segment,
@@ -62,7 +63,7 @@ impl Window {
         }
     }
 
-    /// Adds a sample; returns how many the window has now.
+    /// Adds a sample; returns the number of samples.
     #[inline]
     pub(crate) fn add(&mut self, force: SpecificForceQ16) -> u16 {
         if self.samples == 0 {
@@ -88,18 +89,18 @@ impl Window {
         (self.squares * u64::from(self.samples)).saturating_sub(of_mean)
     }
 
-    /// Whether the samples spread little about a mean that can be gravity, given this window's
-    /// Σ (f_k + f_k+1): a unit in free fall and a dead sensor are quiet too.
+    /// Whether the variance is small and the mean, from Σ (f_k + f_k+1) of this window, can be
+    /// gravity: free fall and a dead sensor have a small variance, too.
     pub(crate) fn is_quiet(&self, total: [i64; 3]) -> bool {
         let n = u64::from(self.samples.max(1));
-        // What is cut off is too much already.
+        // Clamped values are out of range already.
         let mean = |sum: i64| (sum / (2 * n as i64)).unsigned_abs().min(4 * HALF_G_LSB);
         let square: u64 = total.iter().map(|&sum| mean(sum).pow(2)).sum();
         self.scatter() <= (SPREAD_LSB * n).pow(2)
             && (HALF_G_LSB.pow(2)..=(3 * HALF_G_LSB).pow(2)).contains(&square)
     }
 
-    /// How far Σ (f_k + f_k+1) of two windows of one rest may be apart.
+    /// Largest difference between Σ (f_k + f_k+1) of two windows of a rest.
     pub(crate) fn tolerance(&self) -> u64 {
         let n = u64::from(self.samples.max(1));
         // Twice the standard error of the mean is 2 √(scatter / n³); the sum is 2n times the mean,
@@ -108,22 +109,22 @@ impl Window {
     }
 }
 
-/// Quiet windows in a row that agree.
+/// Successive quiet windows with equal means.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Run {
-    /// How many windows, at least one.
+    /// Number of windows, at least one.
     pub windows: u16,
     /// Σ (f_k + f_k+1) over all of them but the latest, 2⁻¹⁶ m/s².
     pub sum: [i64; 3],
-    /// Σ (f_k + f_k+1) over the latest, in which motion may have begun unnoticed, 2⁻¹⁶ m/s².
+    /// Σ (f_k + f_k+1) over the latest window, in which motion may have begun, 2⁻¹⁶ m/s².
     pub latest: [i64; 3],
-    /// The segment as it stood when the first window ended.
+    /// The segment at the end of the first window.
     pub start: Segment,
 }
 
 impl Run {
-    /// A run of one window that ends where `segment` stands.
+    /// A run of one window that ends at the end of `segment`.
     pub(crate) fn starting_with(total: [i64; 3], segment: &Segment) -> Self {
         Self {
             windows: 1,
@@ -133,7 +134,7 @@ impl Run {
         }
     }
 
-    /// Whether a window with this total has the run's mean.
+    /// Whether a window with this sum has the mean of the run.
     pub(crate) fn agrees(&self, total: [i64; 3], tolerance: u64) -> bool {
         let windows = u64::from(self.windows.max(1));
         (0..3).all(|axis| {
@@ -180,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_spread_at_the_limit_is_quiet_and_one_above_is_not() {
-        let limit = (STILL_SPREAD_MPS2 * 65536.0) as i32;
+        let limit = (REST_SD_MPS2 * 65536.0) as i32;
         let swing = |amplitude: i32| {
             window_of((0..64).map(move |k| if k % 2 == 0 { amplitude } else { -amplitude }))
         };

@@ -142,6 +142,26 @@ pub struct Demo {
 
 #[derive(Args)]
 #[command(after_help = "\
+FAULTS is a list of presets and faults:
+  none                    no faults
+  bluetooth               serial adapter in range, 115200 baud
+  noisy                   2 % of the bytes lost, 1e-4 of the bits flipped, 50 ms of jitter, stalls
+  other-unit              samples with other bias, scale factor and noise than on the cable
+  baud=115200             rate of the simulated UART, bits/s
+  latency=20ms            delay of every byte
+  jitter=50ms             further delay of each packet, uniform from 0; exp:50ms exponential, mean 50 ms
+  loss=2%                 fraction of the bytes lost, in runs
+  burst=20                mean length of a run of lost bytes, bytes
+  bits=1e-4               fraction of the bits flipped
+  splice=1e-5             probability per byte that an earlier piece is inserted
+  duplicate=1e-5          probability per byte that the latest bytes are repeated
+  stall=3s@30s/60s        nothing passes for 3 s from 30 s on, every 60 s (without /60s once)
+  disconnect=3s@30s/60s   likewise; both ends lose the connection and the bytes under way
+  buffer=4096             bytes held during latency and stalls; a UART loses further ones, TCP waits
+  bias=10/-5/3mg          added to the samples of X/Y/Z; one number for all axes
+  scale=0.5/0/-0.5%       scale factor error of X/Y/Z, in % or ppm; one number for all axes
+  noise=2mg               standard deviation of noise added to each axis
+
 Examples:
   wimu simulate --motion twelve-poses,slide --seed 3
   wimu simulate --replay recording.csv --speed 10 --exit-when-done
@@ -180,9 +200,7 @@ pub struct Simulate {
     /// Address of the wireless link
     #[arg(long, default_value = "127.0.0.1:7101", value_name = "ADDRESS")]
     pub wireless: SocketAddr,
-    /// Link faults, of the wireless link unless preceded by `cable:`. Presets: none, bluetooth, noisy,
-    /// other-unit. Faults: baud, latency, jitter, loss, burst, bits, splice, duplicate, stall,
-    /// disconnect, buffer, bias, scale, noise
+    /// Link faults, see FAULTS below; of the wireless link unless preceded by `cable:`
     #[arg(long, value_name = "[LINK:]FAULT=VALUE,…")]
     pub faults: Vec<String>,
     /// Rate error of the board's clock, ppm, positive if it is fast; at most ± 10000
@@ -234,7 +252,7 @@ pub struct Monitor {
 Example: wimu record tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100 -o session.mcap
 Ctrl-C ends the recording.")]
 pub struct Record {
-    /// A LINK
+    /// Serial port, tcp://HOST:PORT or `auto`
     pub link: String,
     /// A second link of the same board, recorded with the first
     #[arg(long, value_name = "LINK")]

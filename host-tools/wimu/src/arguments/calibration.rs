@@ -18,7 +18,7 @@ Examples:
   wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
   wimu calibrate session.csv --model auto+drift --report report.html
   wimu calibrate sides.csv --method six-position --sides x,-x,y,-y,z,-z
-  wimu calibrate turns.csv --method four-angle --placement-sd 0.5
+  wimu calibrate rotation.csv --method four-angle --placement-sd 0.5
   wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
   wimu calibrate later.csv --method update --with CAL.json -o NOW.json
   wimu calibrate session.mcap --method reference
@@ -44,10 +44,10 @@ pub struct Calibrate {
     /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum, help_heading = "Input")]
     pub link: Option<Role>,
-    /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file the mean of the fit]
+    /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file the mean scale factor of the fit]
     #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
     pub sensitivity: Option<f64>,
-    /// Full-scale range of a CSV file, ± g [default: that of 16 bits at the sensitivity]
+    /// Full-scale range of a CSV file, ± g [default: 32768 / sensitivity, rounded down to a power of two]
     #[arg(long, value_name = "G", value_parser = value_parser!(u8).range(1..=127), help_heading = "Input")]
     pub range: Option<u8>,
     /// For method reference: number of the accelerometer of a CSV file that is the reference [default: the first]
@@ -72,7 +72,7 @@ pub struct Calibrate {
     /// four-angle and three-angle have 6]
     #[arg(long, value_name = "3|6|9|12|auto[+TERM…]", help_heading = "Model")]
     pub model: Option<String>,
-    /// Local gravity, m/s² [default: 9.80665 ± 0.015]
+    /// Local gravity, m/s² [default: 9.80665 m/s², uncertainty ± 0.015 m/s² (1 σ)]
     #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
     pub gravity: Option<f64>,
     /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
@@ -135,8 +135,8 @@ Examples:
       rests level (body z up), then on its tail (body x up)
   wimu align rests.mcap --up z,x --rests 0,2
       ignores the second of three rests
-  wimu align push.mcap --forward --calibration CAL.json -o ALIGNED.json
-      rests level, is pushed straight ahead, rests again
+  wimu align move.mcap --forward --calibration CAL.json -o ALIGNED.json
+      rests level, moves straight ahead, rests again
   wimu align tcp://127.0.0.1:7100 --up z,x --push
       listens until both rests were found
 Push a written result with `wimu params push LINK CAL.json`.")]

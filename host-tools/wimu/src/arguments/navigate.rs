@@ -38,8 +38,9 @@ pub struct Navigate {
     /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum, help_heading = "Input")]
     pub link: Option<Role>,
-    /// Calibration that `wimu calibrate -o` wrote, made from data in the unit of the input: LSB, or m/s² and g. For a
-    /// recording it replaces the device's own; for an array give one for each sensor, in the order of --geometry
+    /// Calibration that `wimu calibrate -o` wrote. Counts need a calibration made from counts; m/s² or g need one made from
+    /// m/s² or g. It replaces the calibration in a recording. For an array, give one for each sensor, in the order of
+    /// --geometry
     #[arg(long, value_name = "CAL.json", help_heading = "Input")]
     pub calibration: Vec<PathBuf>,
     /// Sensitivity of counts, LSB/g [default: that of the calibration or of a column `Sensitivity (LSB/g)`; for an array
@@ -50,7 +51,7 @@ pub struct Navigate {
     /// Navigation method
     #[arg(long, value_enum, default_value_t = NavigateMethod::Auto, help_heading = "Model")]
     pub method: NavigateMethod,
-    /// Zero-velocity updates at rests [default: on; the device's own path stays as computed]
+    /// Zero-velocity updates at rests [default: on]. The path that the device itself has computed does not change
     #[arg(long, value_enum, help_heading = "Model")]
     pub zupt: Option<ZeroVelocity>,
     /// Fit the bias drift after power-on to this recording of the same unit at rest, from its power-on
@@ -102,7 +103,7 @@ pub struct Navigate {
 pub enum ZeroVelocity {
     /// Velocity is zero at each rest; σ assumes that the unit was at rest
     On,
-    /// Velocity is zero at each rest; σ includes a constant velocity that the sensor cannot show
+    /// Velocity is zero at each rest; σ includes a constant velocity that the sensor cannot exclude
     Cautious,
     /// Velocity is zero at the first rest only
     Off,

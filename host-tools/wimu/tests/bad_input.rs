@@ -106,7 +106,11 @@ fn fewer_poses_than_parameters_are_refused_with_what_to_add() {
         &["--poses", "--method", "six-position"],
         "no pose has",
     );
-    refused(&six, &["--poses", "--method", "four-angle"], "not 4 steps");
+    refused(
+        &six,
+        &["--poses", "--method", "four-angle"],
+        "instead of 4 steps",
+    );
     refused(&six, &["--poses", "--method", "three-angle"], "not 3 steps");
     // What auto makes of them says what it is.
     let ran = calibrate(&six, &["--poses", "--model", "auto"]);

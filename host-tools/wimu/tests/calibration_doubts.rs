@@ -187,7 +187,7 @@ fn a_turn_that_comes_back_to_its_beginning_counts_and_misalignment_leaves_no_dou
             assert!(apart.abs() < 0.01, "{apart}");
         }
         let said = reason(&turn(steps, steps + 2), &flags);
-        let named = format!("poses {steps} to {} (from 0) are not", steps + 1);
+        let named = format!("poses {steps} to {} (from 0) are 2 instead of", steps + 1);
         assert!(said.contains(&named), "{said}");
     }
 }
@@ -270,7 +270,7 @@ fn two_poses_in_g_are_left_out_and_said_to_be_in_g() {
     let report = run(&text, &["--poses"]).succeeds();
     let remarks = report["remarks"].to_string();
     assert!(
-        remarks.contains("look like g among poses in m/s²"),
+        remarks.contains("appear to be in g, the others in m/s²"),
         "{remarks}"
     );
     let mut left_out: Vec<u64> = report["rejected_poses"]

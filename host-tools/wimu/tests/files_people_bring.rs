@@ -74,7 +74,7 @@ fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
             assert!((change - truth).abs() < 0.004, "{change} {truth} {pause_s}");
         }
         assert!(report["rms_mm_s2"].as_f64().unwrap() < 2.0, "{report}");
-        let told = remarks(&report).contains("missing in 1 place, 1200.0 s");
+        let told = remarks(&report).contains("missing: 1 gap, 1200.0 s");
         assert_eq!(told, pause_s > 0.0, "{report}");
         let first = poses[12]["first_sample"].as_u64().unwrap();
         assert!((2400..2430).contains(&first), "{first}");
@@ -116,7 +116,7 @@ fn the_noise_is_not_taken_across_a_pause() {
         assert!((a - b).abs() < 1e-6, "{a} {b}");
     }
     let told = remarks(&moved);
-    assert!(told.contains("missing in 1 place, 100.0 s"), "{told}");
+    assert!(told.contains("missing: 1 gap, 100.0 s"), "{told}");
     assert!((moved["rate_hz"].as_f64().unwrap() - 100.0).abs() < 1e-6);
 }
 

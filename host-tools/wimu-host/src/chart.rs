@@ -75,9 +75,8 @@ impl Series {
     }
 }
 
+/// Result of drawing.
 type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
-
-/// A chart of some series over one x axis.
 
 /// A chart of some series over one x axis.
 #[derive(Clone, Debug, Default)]

@@ -8,14 +8,14 @@ mod times;
 use std::path::Path;
 
 use wimu_calib::{Datasheet, Pose, find_poses};
-use wimu_link::LinkRole;
 use wimu_model::{
     CentiCelsius, Counts, ParameterSet, Sensitivity, SensorId, SpecificForceMps2, TemperatureTerms,
 };
 
-use crate::csv::{AccelerationUnit, CsvReader, Filter};
+use crate::csv::{AccelerationUnit, CsvReader};
 use crate::error::{ErrorCode, Result};
 use crate::plural::counted;
+pub use selection::LoadOptions;
 pub(crate) use selection::one_sensor;
 use selection::{choose, samples_of};
 use times::RowTimes;
@@ -29,19 +29,6 @@ const USUAL_RESTS: usize = 1000;
 /// More rows than this at a higher rate than this, Hz, are samples, not means over poses, which take seconds each.
 const MAX_POSES: usize = 100;
 const MAX_POSE_RATE_HZ: f64 = 5.0;
-
-/// Options of reading a file.
-#[derive(Clone, Debug, Default)]
-pub struct LoadOptions {
-    /// Rows of a CSV file to keep.
-    pub filter: Option<Filter>,
-    /// The accelerometer of a CSV file with several.
-    pub accelerometer: Option<u32>,
-    /// Whether the rows of a CSV file are static-pose means, not a time series.
-    pub poses: bool,
-    /// Link of a recording; see [`Recording::link`](crate::history::Recording::link).
-    pub role: Option<LinkRole>,
-}
 
 /// Unit of [`Output::value`].
 #[derive(Clone, Copy, Debug, PartialEq)]

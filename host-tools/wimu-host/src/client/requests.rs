@@ -48,8 +48,8 @@ impl<T: Transport> Client<T> {
             None => (
                 "this computer has a key of this device, but the device answers that it has none"
                     .into(),
-                "if its memory was erased (or `wimu simulate` started without its `--store`), give it a new key over the cable \
-                 with `wimu key set`; otherwise something between may be answering",
+                "if `wimu simulate` was started without its `--store`, or the board's memory was erased, set a new key over the \
+             cable with `wimu key set`; else something in between is answering",
             ),
             Some(id) => (
                 format!("the device's key is {id}, this computer has another one"),

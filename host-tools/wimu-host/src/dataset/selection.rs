@@ -3,9 +3,23 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::LoadOptions;
-use crate::csv::{CsvReader, Header};
+use wimu_link::LinkRole;
+
+use crate::csv::{CsvReader, Filter, Header};
 use crate::error::{ErrorCode, Result};
+
+/// Options of reading a file.
+#[derive(Clone, Debug, Default)]
+pub struct LoadOptions {
+    /// Rows of a CSV file to keep.
+    pub filter: Option<Filter>,
+    /// The accelerometer of a CSV file with several.
+    pub accelerometer: Option<u32>,
+    /// Whether the rows of a CSV file are static-pose means, not a time series.
+    pub poses: bool,
+    /// Link of a recording; see [`Recording::link`](crate::history::Recording::link).
+    pub role: Option<LinkRole>,
+}
 
 /// Largest number of columns that an error lists.
 const MAX_NAMED: usize = 12;

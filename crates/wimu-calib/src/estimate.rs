@@ -70,6 +70,41 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// An estimate of all 12 parameters without terms from an orthogonal design, whose covariance
+    /// and counts are still to be set.
+    pub(crate) fn orthogonal(
+        model: ErrorModel,
+        method: Method,
+        gravity: Gravity,
+        residuals: &Residuals,
+    ) -> Self {
+        Self {
+            model,
+            method,
+            terms: Terms::NONE,
+            fitted: Parameters::ALL,
+            covariance: Covariance::ZERO,
+            term_sd: TermDeviations::default(),
+            gravity,
+            poses: 0,
+            orientations: 0,
+            dof: 0,
+            interval_dof: None,
+            rms_mps2: residuals.rms_mps2(),
+            max_mps2: residuals.largest_mps2,
+            worst_pose: residuals.worst_pose,
+            loo_rms_mps2: None,
+            loo_orientation_rms_mps2: None,
+            rejected: Rejected::default(),
+            condition: 1.0,
+            worst_sd_mps2: 0.0,
+            coverage: 0.0,
+            temperature_c: None,
+            temperature_range_c: None,
+            drift: None,
+        }
+    }
+
     /// The parameters that were not observed: the model has those of a perfect sensor, the
     /// covariance the tolerances of typical datasheets. Not included are the three that are 0 by
     /// convention because gravity alone does not determine a rotation.
@@ -237,27 +272,25 @@ pub struct TermDeviations {
 
 impl TermDeviations {
     /// Standard deviation of one parameter; 0 if it does not belong to a term.
-    pub(crate) fn get(&self, slot: Slot) -> f64 {
-        let group = match slot.term() {
-            None => return 0.0,
-            Some(terms::Term::Drift) => &self.drift_mps2,
-            Some(terms::Term::BiasTemperature) => &self.bias_mps2_per_k,
-            Some(terms::Term::ScaleTemperature) => &self.scale_per_k,
-            Some(terms::Term::Quadratic) => &self.nonlinearity,
-        };
-        group[slot.index() % 3]
+    pub(crate) fn get(mut self, slot: Slot) -> f64 {
+        self.get_mut(slot).map_or(0.0, |sd| *sd)
     }
 
     /// Sets the standard deviation of one parameter, if it belongs to a term.
     pub(crate) fn set(&mut self, slot: Slot, sd: f64) {
-        let Some(term) = slot.term() else { return };
-        let group = match term {
+        if let Some(place) = self.get_mut(slot) {
+            *place = sd;
+        }
+    }
+
+    fn get_mut(&mut self, slot: Slot) -> Option<&mut f64> {
+        let group = match slot.term()? {
             terms::Term::Drift => &mut self.drift_mps2,
             terms::Term::BiasTemperature => &mut self.bias_mps2_per_k,
             terms::Term::ScaleTemperature => &mut self.scale_per_k,
             terms::Term::Quadratic => &mut self.nonlinearity,
         };
-        group[slot.index() % 3] = sd;
+        group.get_mut(slot.index() % 3)
     }
 }
 

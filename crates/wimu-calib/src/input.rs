@@ -76,6 +76,11 @@ pub(crate) fn different(poses: &[Pose], enough: usize) -> usize {
 /// Number of samples that, with noise, cannot all be equal.
 const MANY_SAMPLES: u32 = 30;
 
+/// Whether an axis is constant within a pose.
+fn silent(pose: &Pose, axis: usize) -> bool {
+    pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0
+}
+
 /// The axis that is constant within the pose of its highest or lowest reading, although two poses
 /// in three show noise.
 fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
@@ -86,7 +91,7 @@ fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Optio
         let mut high = (f64::NEG_INFINITY, false);
         for pose in poses.clone() {
             let (mean, sd) = (pose.mean_mps2[axis], pose.sd_mps2[axis]);
-            let silent = sd <= 0.0 && pose.samples >= MANY_SAMPLES;
+            let silent = silent(pose, axis);
             count += 1;
             noisy += usize::from(sd > 0.0 && pose.rounding_sd_mps2[axis] <= 0.0);
             if mean < low.0 {
@@ -110,10 +115,13 @@ fn nothing_between<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<
         let [low, high] = extremes(readings());
         low < high && readings().all(|y| y == low || y == high)
     };
-    let silent =
-        |pose: &Pose| pose.samples >= MANY_SAMPLES && pose.sd_mps2.iter().all(|sd| *sd <= 0.0);
     let count = poses.clone().count();
-    (count > CORNERS && poses.clone().all(silent) && (0..3).all(two)).then_some(0)
+    (count > CORNERS
+        && poses
+            .clone()
+            .all(|pose| (0..3).all(|axis| silent(pose, axis)))
+        && (0..3).all(two))
+    .then_some(0)
 }
 
 /// The probable unit of a mean magnitude that cannot be gravity in m/s².
@@ -156,8 +164,6 @@ pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
     let [low, high] = extremes(magnitudes(poses));
     stuck_axis(poses).filter(|&axis| {
         let [_, most] = ends(poses, axis).map(f64::abs);
-        let silent =
-            |pose: &Pose, axis: usize| pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0;
         let others = || (0..3).filter(move |other| *other != axis);
         let alone = poses.iter().all(|pose| silent(pose, axis))
             && others().any(|other| poses.iter().all(|pose| !silent(pose, other)));

@@ -117,13 +117,9 @@ impl<const N: usize> Magnitude<'_, N> {
                 row *= real::<R>(f64::from(m)).sqrt();
             }
             let m: R = real(f64::from(m));
-            for c in 0..N {
-                for r in 0..N {
-                    let product = row[r] * row[c];
-                    rows[(r, c)] += product;
-                    weighted[(r, c)] += m * product;
-                }
-            }
+            let product = row * row.transpose();
+            rows += product;
+            weighted += product * m;
         }
         let together: f64 = sums.iter().map(|sum| sum * sum).sum();
         let gain = fit.inverse * rows;

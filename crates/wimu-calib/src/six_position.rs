@@ -2,15 +2,15 @@
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use crate::estimate::{Misplaced, Residuals, TermDeviations};
+use crate::estimate::{Misplaced, Residuals};
 
 use crate::placement::MOST_PLACEMENT_RAD;
 use crate::pose::mean_temperature;
-use crate::terms::{self, Terms};
+use crate::terms;
 use crate::weights::Rejected;
 use crate::{
-    Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal,
-    design, force, input, student,
+    Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Refusal, design,
+    force, input, student,
 };
 
 /// Degrees of freedom of the placement error that six sides show.
@@ -279,38 +279,26 @@ fn estimate<'a>(
             .sum();
         libm::sqrt(squares / fitted as f64)
     });
+    let method = Method::SixPosition {
+        placement_sd_rad,
+        declared_sd_rad: placement.sd_rad(),
+        misplaced,
+        revisit_sd_mps2: libm::sqrt(revisits.variance),
+        revisits: revisits.seen,
+        unexplained: revisits.unexplained,
+    };
     Ok(Estimate {
-        model,
-        method: Method::SixPosition {
-            placement_sd_rad,
-            declared_sd_rad: placement.sd_rad(),
-            misplaced,
-            revisit_sd_mps2: libm::sqrt(revisits.variance),
-            revisits: revisits.seen,
-            unexplained: revisits.unexplained,
-        },
-        terms: Terms::NONE,
-        fitted: Parameters::ALL,
         covariance,
-        term_sd: TermDeviations::default(),
-        gravity,
         poses: fitted,
         orientations: 6,
         dof: 3 * fitted - Parameter::COUNT,
         interval_dof: Some(interval_dof).filter(|dof| dof.is_finite()),
-        rms_mps2: residuals.rms_mps2(),
-        max_mps2: residuals.largest_mps2,
-        worst_pose: residuals.worst_pose,
         loo_rms_mps2,
-        loo_orientation_rms_mps2: None,
         rejected,
-        // The design is orthogonal: half sums and half differences of pairs.
-        condition: 1.0,
         worst_sd_mps2,
         coverage: design::coverage(&sides.map(|side| Pose::from_mean(side.mean()))),
         temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
-        temperature_range_c: None,
-        drift: None,
+        ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
 }
 

@@ -4,11 +4,10 @@ use core::f64::consts::{PI, TAU};
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use crate::estimate::{Residuals, TermDeviations};
+use crate::estimate::Residuals;
 
-use crate::terms::{self, PERFECT, Terms, USUAL_BIAS_MPS2};
+use crate::terms::{self, PERFECT, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
-use crate::weights::Rejected;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal, design,
     force, input, pose, student,
@@ -333,30 +332,16 @@ fn turns<const N: usize>(
     covariance.take_for_granted(Parameters::ALL.without(fitted));
     let residuals = Residuals::of(&terms::theta_of(&model), poses.iter(), g);
     Ok(Estimate {
-        model,
-        method,
-        terms: Terms::NONE,
         fitted,
         worst_sd_mps2: force::worst_sd(&PERFECT, &covariance, g),
         covariance,
-        term_sd: TermDeviations::default(),
-        gravity,
         poses: poses.len(),
         orientations: Visits::of(poses).orientations(),
         dof: checks,
         interval_dof: contradicted.then_some(checks as f64),
-        rms_mps2: residuals.rms_mps2(),
-        max_mps2: residuals.largest_mps2,
-        worst_pose: residuals.worst_pose,
-        loo_rms_mps2: None,
-        loo_orientation_rms_mps2: None,
-        rejected: Rejected::default(),
-        // The design is orthogonal: mean and first harmonic of equal steps.
-        condition: 1.0,
         coverage: design::coverage(poses),
         temperature_c: pose::mean_temperature(poses.iter()),
-        temperature_range_c: None,
-        drift: None,
+        ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
 }
 

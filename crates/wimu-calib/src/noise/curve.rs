@@ -18,7 +18,18 @@ const SEEN_BESIDE_RAMP: f64 = 1.0;
 /// Number of noise terms: Q, N, B, K.
 const NOISES: usize = 4;
 /// Pairs of them.
-const PRODUCTS: usize = NOISES * (NOISES + 1) / 2;
+const PAIRS: [(usize, usize); 10] = [
+    (0, 0),
+    (0, 1),
+    (0, 2),
+    (0, 3),
+    (1, 1),
+    (1, 2),
+    (1, 3),
+    (2, 2),
+    (2, 3),
+    (3, 3),
+];
 /// Number of terms: the noise terms and the ramp R.
 const TERMS: usize = 5;
 const QUANTISATION: usize = 0;
@@ -91,7 +102,7 @@ fn covariances(t: i64) -> [f64; NOISES] {
 pub(super) struct Spans {
     /// Indexed by the shorter averaging time, the number of octaves to the longer one, and the pair
     /// of terms.
-    sums: [[[f64; PRODUCTS]; OCTAVES]; POINTS],
+    sums: [[[f64; PAIRS.len()]; OCTAVES]; POINTS],
 }
 
 impl Spans {
@@ -105,7 +116,7 @@ impl Spans {
             let left = samples - 2 * cluster(place) as i64;
             if left < 0 { 0 } else { left / step(place) + 1 }
         };
-        let mut sums = [[[0.0; PRODUCTS]; OCTAVES]; POINTS];
+        let mut sums = [[[0.0; PAIRS.len()]; OCTAVES]; POINTS];
         for octaves in 0..OCTAVES {
             // Beyond 8 samples, averaging times differ only by a scale.
             for like in 0..4.min(POINTS) {
@@ -146,14 +157,10 @@ impl Spans {
                 let runs = n[1] / all.max(1.0);
                 let scale = m / cluster(place.min(3)) as f64;
                 let per = runs / (2.0 * m * m * long * long * n[0] * n[1]);
-                let mut pair = 0;
-                for a in 0..NOISES {
-                    for b in a..NOISES {
-                        let power = libm::pow(scale, (a + b) as f64);
-                        let twice = if a == b { 1.0 } else { 2.0 };
-                        sums[pair] *= twice * power * per;
-                        pair += 1;
-                    }
+                for (sum, (a, b)) in sums.iter_mut().zip(PAIRS) {
+                    let power = libm::pow(scale, (a + b) as f64);
+                    let twice = if a == b { 1.0 } else { 2.0 };
+                    *sum *= twice * power * per;
                 }
             }
         }
@@ -163,20 +170,16 @@ impl Spans {
     /// Covariance of the Allan variances at two averaging times.
     fn covariance(&self, short: usize, long: usize, terms: &[f64; NOISES]) -> f64 {
         let sums = self.sums.get(short).and_then(|s| s.get(long - short));
-        let mut products = sums.into_iter().flatten();
-        let mut covariance = 0.0;
-        for a in 0..NOISES {
-            for b in a..NOISES {
-                covariance += terms[a] * terms[b] * products.next().unwrap_or(&0.0);
-            }
-        }
-        covariance
+        let products = sums.into_iter().flatten().zip(PAIRS);
+        products.fold(0.0, |sum, (product, (a, b))| {
+            sum + terms[a] * terms[b] * product
+        })
     }
 }
 
 /// Products of the covariances of two second differences, of `short` and `long` samples at a lag of
 /// `lag`, for each pair of terms.
-fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
+fn products(lag: i64, short: i64, long: i64) -> [f64; PAIRS.len()] {
     const WEIGHTS: [f64; 3] = [1.0, -2.0, 1.0];
     let mut found = [0.0; NOISES];
     for (i, a) in (0..).zip(WEIGHTS) {
@@ -187,15 +190,7 @@ fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
             }
         }
     }
-    let mut products = [0.0; PRODUCTS];
-    let mut pair = 0;
-    for a in 0..NOISES {
-        for b in a..NOISES {
-            products[pair] = found[a] * found[b];
-            pair += 1;
-        }
-    }
-    products
+    PAIRS.map(|(a, b)| found[a] * found[b])
 }
 
 /// The points of an axis.

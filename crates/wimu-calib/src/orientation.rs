@@ -63,7 +63,11 @@ impl Face {
 
     /// 1 when the axis points up, −1 when it points down.
     pub fn sign(self) -> f64 {
-        if self as usize % 2 == 0 { 1.0 } else { -1.0 }
+        if (self as usize).is_multiple_of(2) {
+            1.0
+        } else {
+            -1.0
+        }
     }
 }
 

@@ -92,11 +92,9 @@ pub(crate) const PERFECT: Theta<f64> = {
 pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
     let terms = model.terms();
     let mut theta = theta(terms.bias_mps2, terms.matrix);
-    for axis in 0..3 {
-        theta[15 + axis] = terms.temperature.bias_mps2_per_k[axis];
-        theta[18 + axis] = terms.temperature.scale_per_k[axis];
-        theta[21 + axis] = terms.nonlinearity[axis];
-    }
+    theta[15..18].copy_from_slice(&terms.temperature.bias_mps2_per_k);
+    theta[18..21].copy_from_slice(&terms.temperature.scale_per_k);
+    theta[21..].copy_from_slice(&terms.nonlinearity);
     theta
 }
 

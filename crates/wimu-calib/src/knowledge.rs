@@ -1,10 +1,10 @@
 //! Observability of the parameters: equation (17).
 
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::{Cholesky, SMatrix, SVector, Vector3};
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Normal, Without};
-use crate::linear::{Real, Scaled, double, eigenvalue_range, real, rescaled};
+use crate::linear::{Real, double, eigenvalue_range, real, rescaled};
 use crate::shared::Shared;
 use crate::terms::{Slot, Theta};
 use crate::weights::Weighting;
@@ -13,6 +13,10 @@ use crate::{MultiPosition, Orientation, Refusal};
 /// Largest amplification of an error from the poses to other orientations. Twelve well distributed
 /// poses give 1 to 2, twelve random ones 4.
 const MOST_AMPLIFICATION: f64 = 10.0;
+/// Largest number of attempts to invert a singular information matrix, each with four times the
+/// diagonal.
+const MOST_REGULARISATIONS: usize = 10;
+
 /// Observability of the fitted parameters.
 pub(crate) struct Knowledge<R: Real, const N: usize> {
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
@@ -87,14 +91,15 @@ impl<const N: usize> Magnitude<'_, N> {
         if let Some(inverse) = normal.inverse() {
             return Some(self.at_inverse(&at, &normal, &inverse));
         }
-        // Singular: a diagonal at the level of rounding makes it invertible.
+        // Singular: the smallest diagonal at the level of rounding that makes it invertible.
         let units = self.units();
-        let mut information = rescaled(&normal.information, &units);
-        let rounding = information.diagonal().max() * R::default_epsilon() * real(8.0);
-        for i in 0..N {
-            information[(i, i)] += rounding;
-        }
-        let inverse = Scaled::new(&information, R::zero())?.inverse();
+        let information = rescaled(&normal.information, &units);
+        let mut rounding = information.diagonal().max() * R::default_epsilon();
+        let inverse = (0..MOST_REGULARISATIONS).find_map(|_| {
+            let regular = information + SMatrix::from_diagonal_element(rounding);
+            rounding *= real(4.0);
+            Some(Cholesky::new(regular)?.inverse())
+        })?;
         Some(self.at_inverse(&at, &normal, &rescaled(&inverse, &units)))
     }
 

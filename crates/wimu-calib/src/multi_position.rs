@@ -229,20 +229,20 @@ fn fit<R: Real, const N: usize>(
         Model::Full9 => ellipsoid::start::<R>(poses, gravity.mps2()),
         Model::Bias3 | Model::BiasScale6 => None,
     };
-    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
+    let defect = || {
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
-        input::mixed_units(poses)
-            .or_else(dead)
-            .unwrap_or_else(|| knowledge.refusal(what, &problem.free))
+        input::mixed_units(poses).or_else(dead)
     };
-    let not_converged = || input::mixed_units(poses).unwrap_or(Refusal::NotConverged);
+    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
+        defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free))
+    };
     let unsolved = |problem: &Magnitude<N>| {
         // Observability near the solution: at the bias and scale factors that fit best.
         let smaller = problem.smaller().solve(&perfect, Without::Nothing);
         let near = smaller.map_or(perfect, |fit| fit.theta);
         match problem.knowledge_at(&near) {
             Some(knowledge) if !knowledge.suffices() => not_observable(&knowledge, problem),
-            _ => not_converged(),
+            _ => defect().unwrap_or(Refusal::NotConverged),
         }
     };
     let squares = [ellipsoid, Some(perfect)]
@@ -255,11 +255,16 @@ fn fit<R: Real, const N: usize>(
     let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
         return Err(unsolved(&problem));
     };
-    let fit = refine(&mut problem, first, what)?;
+    let fit = refine(&mut problem, first, what).map_err(|refusal| match refusal {
+        Refusal::NotConverged => defect().unwrap_or(refusal),
+        refusal => refusal,
+    })?;
     if !converged && problem.rejected.count() == 0 {
         return Err(unsolved(&problem));
     }
-    let knowledge = problem.knowledge(&fit).ok_or(Refusal::NotConverged)?;
+    let knowledge = problem
+        .knowledge(&fit)
+        .ok_or_else(|| defect().unwrap_or(Refusal::NotConverged))?;
     if !knowledge.suffices() {
         return Err(not_observable(&knowledge, &problem));
     }

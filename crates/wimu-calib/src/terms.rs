@@ -94,7 +94,7 @@ pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
     let mut theta = theta(terms.bias_mps2, terms.matrix);
     theta[15..18].copy_from_slice(&terms.temperature.bias_mps2_per_k);
     theta[18..21].copy_from_slice(&terms.temperature.scale_per_k);
-    theta[21..24].copy_from_slice(&terms.nonlinearity);
+    theta[21..].copy_from_slice(&terms.nonlinearity);
     theta
 }
 

@@ -6,12 +6,15 @@ use crate::accelerometer::Batch;
 
 /// Capacity of the FIFO of each supported sensor, samples.
 pub(crate) const DEPTH: u8 = 32;
-/// Highest watermark, samples: half of the FIFO is left for the latency of a read.
+/// Maximum watermark, samples: half of the FIFO, so that the other half covers the latency of a read.
 pub(crate) const MAX_WATERMARK: u8 = 16;
-/// Time of the samples at the watermark, ns, if [`MAX_WATERMARK`] allows.
+/// Target duration of the samples at the watermark, ns; the watermark is limited to [`MAX_WATERMARK`]. It limits
+/// the latency of samples at low rates.
 const LATENCY_NS: u32 = 40_000_000;
-/// Delay of the data-ready line after which the FIFO is read without it: sample periods, and µs on top.
+/// First part of the delay of the data-ready edge after which the FIFO is read without it, sample periods: allows
+/// for a rate below the nominal one.
 const LATE_PERIODS: u64 = 3;
+/// Second part of that delay, µs: margin for the latency of interrupts and tasks.
 const LATE_US: u64 = 20_000;
 
 /// Watermark and sample times of a FIFO.

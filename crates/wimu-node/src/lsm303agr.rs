@@ -132,7 +132,8 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         self.mounting.turned(sent.map(i16::from_le_bytes))
     }
 
-    /// Reads samples, oldest first. In a burst the samples follow one another.
+    /// Reads samples, oldest first. A burst read wraps from OUT_Z_H to OUT_X_L, so it returns successive
+    /// samples.
     async fn drain(&mut self, counts: &mut [Counts]) -> Result<(), SensorFault> {
         let mut bytes = [0; MAX_WATERMARK as usize * SAMPLE];
         for places in counts.chunks_mut(MAX_WATERMARK.into()) {

@@ -83,7 +83,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         Err(refusal) => Answer::Refused(refusal),
                     };
                     self.answer(role, Some(&answer)).await;
-                    // The keeper of the line sends the answer at the old rate first.
+                    // If the request came on this line, `RateKeeper` changes the rate after the answer has been
+                    // sent.
                     if let Ok((line, order)) = outcome {
                         self.shared.rate_signals(line).order.signal(order);
                     }
@@ -143,7 +144,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    /// The order that a request on the link `role` gives to a line.
+    /// Checks a `SetLineRate` request from link `role`; returns the line and its rate order. The rate of
+    /// another line is stored at once.
     async fn set_rate(
         &mut self,
         role: LinkRole,

@@ -18,10 +18,10 @@ use crate::timer::Timer;
 const MAX_READ: usize = 32;
 /// Interval between navigation messages, ns.
 const NAVIGATION_NS: u32 = 100_000_000;
-/// Age of the latest epoch from which the end of a detector window, where the state is short, begins a new
-/// one, µs.
+/// Minimum age of an epoch, µs, after which the next end of a detector window begins a new one. The state is
+/// shortest there.
 const EPOCH_DUE_US: u64 = 800_000;
-/// Age of the latest epoch at which any sample begins a new one, µs: less than the 1 s that hosts expect.
+/// Age of an epoch, µs, from which any sample begins a new one: less than the 1 s that hosts expect.
 const EPOCH_LATEST_US: u64 = 950_000;
 /// Interval between reads of magnetic field and temperature, µs.
 const SURROUNDINGS_US: u64 = 500_000;

@@ -63,7 +63,7 @@ struct LinkShared<M: RawMutex> {
     responder: AsyncMutex<M, Slot<Responder>>,
     heard: Mutex<M, Cell<Heard>>,
     rate: RateSignals<M>,
-    /// The nearest rate that the line can run at, if it can be set.
+    /// The line's supported rates; `None` if the rate cannot be set.
     nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
 }
 
@@ -84,7 +84,7 @@ impl<M: RawMutex> LinkShared<M> {
     }
 }
 
-/// The rate nearest to one, bits/s, that a line can run at.
+/// Returns the supported rate nearest to the argument, bit/s.
 type NearestRate = fn(u32) -> u32;
 
 /// Signals to the [`RateKeeper`](crate::RateKeeper) of a line.
@@ -96,12 +96,13 @@ pub(crate) struct RateSignals<M: RawMutex> {
     pub(crate) noise: Signal<M, ()>,
 }
 
-/// An order to change the rate of a line, bits/s.
+/// An order to change the rate of a line.
 #[derive(Clone, Copy)]
 pub(crate) enum RateOrder {
-    /// Use the stored rate.
+    /// Use this stored rate, bit/s; `None`: nothing is stored, keep the opening rate. A wireless link then
+    /// detects the adapter's rate, this one first.
     Use(Option<u32>),
-    /// Change to this rate, and back if no host is heard.
+    /// Change to this rate, bit/s, and back if no frame from a host is received.
     Try(u32),
 }
 
@@ -235,7 +236,7 @@ impl<M: RawMutex> Shared<M> {
             .lock(|known| known.set(Some(nearest)));
     }
 
-    /// The rate nearest to `baud` that a link's line can run at; `None` if it cannot be set.
+    /// The supported rate of a link's line nearest to `baud`, bit/s; `None` if the rate cannot be set.
     pub(crate) fn nearest_rate(&self, role: LinkRole, baud: u32) -> Option<u32> {
         let nearest = self.link(role).nearest_rate.lock(Cell::get)?;
         Some(nearest(baud))

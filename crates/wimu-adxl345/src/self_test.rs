@@ -4,18 +4,19 @@ use embedded_hal_async::i2c::I2c;
 use crate::registers::*;
 use crate::{Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
 
-/// ±16 *g* at full resolution, as the datasheet ("Using self-test") recommends: 256 LSB/*g*.
+/// ±16 *g* at full resolution: 256 LSB/*g*, the sensitivity that [`LIMITS`] are for.
 const FORMAT: DataFormat = DataFormat {
     range: Range::G16,
     resolution: Resolution::Full,
     justify: Justify::Right,
 };
+/// Output data rate: the lowest one for which the datasheet's limits are valid.
 const RATE: Rate = Rate::Hz100;
 /// A sample period with a tolerance of 10 %, µs.
 const PERIOD_US: u32 = 11_000;
-/// Samples discarded after a change. The output settles within about four (datasheet, "Using self-test").
+/// Samples discarded after a change, while the output settles.
 const SETTLING: u32 = 5;
-/// Samples averaged: 0.1 s at 100 Hz (datasheet, "Using self-test").
+/// Samples averaged: 0.1 s at 100 Hz.
 const AVERAGED: i32 = 10;
 
 /// Shift at 2.5 V: minimum and maximum, LSB at 256 LSB/*g*, positive on x and z, negative on y (ADXL345

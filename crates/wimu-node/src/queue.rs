@@ -293,7 +293,7 @@ mod tests {
 
     #[test]
     fn what_a_host_needs_at_once_has_room_at_its_longest() {
-        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each trouble.
+        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each fault.
         const FRAMING: usize = 1 + 4 + 4 + 1;
         let frames = [540, 110, 48, 180, 40, 40, 40, 40, 40, 40].map(|body| body + FRAMING + 2);
         assert!(frames.iter().sum::<usize>() <= KEPT_BYTES);

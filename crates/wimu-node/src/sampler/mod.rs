@@ -11,7 +11,7 @@ use wimu_model::{Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs};
 use self::batches::Lane;
 use self::clock::SampleClock;
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
-use crate::shared::{Correction, Message, Order, ROLES, Shared, Trouble};
+use crate::shared::{Correction, Message, Order, PersistentFault, ROLES, Shared};
 use crate::timer::Timer;
 
 /// Most samples in one read.
@@ -164,7 +164,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     /// Processes samples, oldest first.
     fn process(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
         if self.reported.take().is_some() {
-            self.shared.trouble(Trouble::Sensor, self.timer.now(), None);
+            self.shared
+                .set_fault(PersistentFault::Sensor, self.timer.now(), None);
             self.shared.report(self.timer.now(), Event::SensorFound);
         }
         let missed = running.clock.missed_before(&read, counts.len());
@@ -343,7 +344,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             }
         };
         let now = self.timer.now();
-        self.shared.trouble(Trouble::Sensor, now, Some(event));
+        self.shared
+            .set_fault(PersistentFault::Sensor, now, Some(event));
         self.shared.report(now, event);
     }
 

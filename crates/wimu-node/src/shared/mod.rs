@@ -130,7 +130,7 @@ impl Heard {
 
 /// Persistent faults of a device.
 #[derive(Clone, Copy)]
-pub(crate) enum Trouble {
+pub(crate) enum PersistentFault {
     Sensor,
     BootCount,
     Settings,
@@ -140,7 +140,7 @@ pub(crate) enum Trouble {
     Calibration,
 }
 
-impl Trouble {
+impl PersistentFault {
     /// The number of variants.
     const COUNT: usize = 6;
 }
@@ -171,8 +171,8 @@ pub(crate) struct Published {
     pub(crate) sensor: SensorStatus,
     pub(crate) measured_period_ns: Option<u32>,
     pub(crate) jitter_ns: Option<u32>,
-    /// Present faults by [`Trouble`], and when each began.
-    troubles: [Option<(DeviceTimeUs, Event)>; Trouble::COUNT],
+    /// Present faults by [`PersistentFault`], and when each began.
+    faults: [Option<(DeviceTimeUs, Event)>; PersistentFault::COUNT],
     /// Whether the store has been read; before that nothing is sent.
     pub(crate) ready: bool,
 }
@@ -187,7 +187,7 @@ impl Published {
             sensor: SensorStatus::default(),
             measured_period_ns: None,
             jitter_ns: None,
-            troubles: [None; Trouble::COUNT],
+            faults: [None; PersistentFault::COUNT],
             ready: false,
         }
     }
@@ -304,9 +304,14 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// Notes that a fault has begun, or ended, for later listeners.
-    pub(crate) fn trouble(&self, trouble: Trouble, now: DeviceTimeUs, event: Option<Event>) {
+    pub(crate) fn set_fault(
+        &self,
+        fault: PersistentFault,
+        now: DeviceTimeUs,
+        event: Option<Event>,
+    ) {
         self.publish(|published| {
-            if let Some(known) = published.troubles.get_mut(trouble as usize) {
+            if let Some(known) = published.faults.get_mut(fault as usize) {
                 *known = event.map(|event| (now, event));
             }
         });
@@ -332,7 +337,7 @@ impl<M: RawMutex> Shared<M> {
             Health {
                 samples: published.sensor.samples,
                 sensor_lost: matches!(
-                    published.troubles.get(Trouble::Sensor as usize),
+                    published.faults.get(PersistentFault::Sensor as usize),
                     Some(Some(_))
                 ),
                 calibrated: published.parameters != ParameterId::UNCALIBRATED,

@@ -110,7 +110,7 @@ impl<M: RawMutex> Shared<M> {
         self.send(role, &Telemetry::Settings(published.settings));
         self.send_parameters(role);
         self.send(role, &Telemetry::Status(self.status(now)));
-        for &(since, event) in published.troubles.iter().flatten() {
+        for &(since, event) in published.faults.iter().flatten() {
             let time_us = since.0;
             self.send(role, &Telemetry::Event { time_us, event });
         }

@@ -129,7 +129,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     /// x, y, z of either sensor from its registers.
     fn axes(&self, &[x0, x1, y0, y1, z0, z1]: &[u8; SAMPLE]) -> [i16; 3] {
         let sent = [[x0, x1], [y0, y1], [z0, z1]];
-        self.mounting.turned(sent.map(i16::from_le_bytes))
+        self.mounting.to_board(sent.map(i16::from_le_bytes))
     }
 
     /// Reads samples, oldest first. A burst read wraps from OUT_Z_H to OUT_X_L, so it returns successive

@@ -4,23 +4,26 @@ use embedded_hal_async::i2c::I2c;
 use crate::registers::*;
 use crate::{Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
 
-/// ±16 *g* at full resolution, for which the datasheet states its limits.
+/// ±16 *g* at full resolution: 256 LSB/*g*, the sensitivity that [`LIMITS`] are for.
 const FORMAT: DataFormat = DataFormat {
     range: Range::G16,
     resolution: Resolution::Full,
     justify: Justify::Right,
 };
+/// Output data rate: the lowest one for which the datasheet's limits are valid.
 const RATE: Rate = Rate::Hz100;
 /// A sample period with a tolerance of 10 %, µs.
 const PERIOD_US: u32 = 11_000;
-/// Samples discarded after a change.
+/// Samples discarded after a change, while the output settles.
 const SETTLING: u32 = 5;
-/// Samples averaged.
+/// Samples averaged: 0.1 s at 100 Hz.
 const AVERAGED: i32 = 10;
 
-/// Shift at 2.5 V (datasheet): minimum and maximum, LSB at 256 LSB/*g*, positive on x and z, negative on y.
+/// Shift at 2.5 V: minimum and maximum, LSB at 256 LSB/*g*, positive on x and z, negative on y (ADXL345
+/// datasheet, revision E, table 15).
 const LIMITS: [(i32, i32); 3] = [(50, 540), (50, 540), (75, 875)];
-/// Scale of the limits by supply voltage (datasheet): mV, then percent for x and y, and for z.
+/// Scale of the limits by supply voltage: mV, then percent for x and y, and for z (ADXL345 datasheet,
+/// revision E, table 14).
 const SCALES: [(i32, i32, i32); 4] = [
     (2000, 64, 80),
     (2500, 100, 100),

@@ -89,8 +89,8 @@ impl DataFormat {
     }
 }
 
-/// Output data rate; the bandwidth is half of it. It follows the chip's oscillator, which deviates by percents:
-/// measure it.
+/// Output data rate; the bandwidth is half of it. The actual rate deviates from the nominal one by several
+/// percent; measure it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Rate {
@@ -152,7 +152,7 @@ impl Rate {
     }
 
     /// The fastest rate that the datasheet recommends on an I²C bus of `bus_hz`: 800 Hz at
-    /// 400 kHz, and in proportion; `None` below 3.125 kHz. Faster, samples may be lost or noisier.
+    /// 400 kHz, and in proportion; `None` below 3 kHz. At higher rates samples may be lost or noisier.
     pub fn fastest_on_i2c(bus_hz: u32) -> Option<Self> {
         let fits =
             |rate: &Self| 1_000_000_000 / u64::from(rate.period_ns()) <= u64::from(bus_hz) / 500;

@@ -126,7 +126,7 @@ pub enum KeyState {
     None,
     /// This key is set.
     Set(DeviceKey),
-    /// The stored key cannot be read: no writes are accepted.
+    /// The stored key cannot be read: all writes are refused.
     #[default]
     Unreadable,
 }
@@ -139,7 +139,8 @@ pub struct Lock {
     pub key: KeyState,
     /// The device's id, as in [`Hello`](crate::Hello).
     pub device_id: u64,
-    /// Number of starts; `None` if it cannot be read: then only a new key is accepted, over the cable.
+    /// Number of starts; `None` if it cannot be read or stored. A device with a key then accepts only a new
+    /// key, over the cable; one without a key still accepts all writes over the cable.
     pub boot_count: Option<u32>,
     /// Unpredictable bits, new at each start; zeros without an entropy source.
     pub entropy: [u8; 16],
@@ -330,7 +331,7 @@ pub(crate) struct Sessions {
 
 /// The state of a request's session.
 pub(crate) enum Standing {
-    /// The id is the next one.
+    /// The id is later than the latest one of the session, or the session has no authenticated request yet.
     New,
     /// The id has been used.
     Used,

@@ -186,9 +186,9 @@ impl<'a> BitReader<'a> {
         self.take(count)
     }
 
-    /// A number as [`BitWriter::push_rice`] writes it. It exceeds `width` bits if its quotient does. k is
-    /// below `width`. Call [`refill`](Self::refill) before; it provides 57 bits, of which an escape takes
-    /// `escape` + k.
+    /// Reads a number written by [`BitWriter::push_rice`]; k is below `width`. The result may exceed `width`
+    /// bits; the caller checks it. Call [`refill`](Self::refill) before; it provides 57 bits. A code without
+    /// escape takes at most `escape` + k of them; an escape refills.
     #[inline(always)]
     pub(crate) fn take_rice(&mut self, k: u32, escape: u32, width: u32) -> u64 {
         let held = self.held;

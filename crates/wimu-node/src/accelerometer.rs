@@ -47,7 +47,8 @@ pub struct Surroundings {
 
 /// A three-axis accelerometer.
 ///
-/// Counts are 16-bit in sensor axes, left-justified if the sensor has fewer bits.
+/// Counts are 16-bit and left-justified, in right-handed axes: the sensor's, or the board's after
+/// [`Mounting`](crate::Mounting).
 #[allow(async_fn_in_trait)] // Nodes are polled where they are built; nothing needs `Send`.
 pub trait Accelerometer {
     /// Whether it can measure the magnetic field. If not, the code for headings is left out.

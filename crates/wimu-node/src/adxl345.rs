@@ -9,7 +9,7 @@ use wimu_model::{Counts, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, Look, SensorFifo};
+use crate::fifo::{DEPTH, FifoState, SensorFifo};
 use crate::timer::Timer;
 
 /// Ranges, ± g.
@@ -78,18 +78,18 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
     }
 
     /// Waits for the watermark or a timeout, and reads the state of the FIFO.
-    async fn look(&mut self) -> Result<Look, Error<I2C::Error>> {
+    async fn read_state(&mut self) -> Result<FifoState, Error<I2C::Error>> {
         let deadline = self.fifo.deadline(self.timer.now());
-        let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+        let edge = self.timer.before(deadline, self.data_ready.ready()).await;
         let woken = self.timer.now();
-        let waiting = self.device.fifo_level().await?.samples;
+        let level = self.device.fifo_level().await?.samples;
         let at = self.timer.now();
         let overrun =
-            waiting >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
-        Ok(Look {
-            rose: rose.flatten().unwrap_or(woken),
+            level >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
+        Ok(FifoState {
+            edge_time: edge.flatten().unwrap_or(woken),
             at,
-            waiting,
+            level,
             overrun,
         })
     }
@@ -147,22 +147,22 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
         let mut lost = false;
         loop {
-            let look = self.look().await.map_err(fault)?;
-            lost |= look.overrun;
-            let count = counts.len().min(look.waiting.into());
+            let state = self.read_state().await.map_err(fault)?;
+            lost |= state.overrun;
+            let count = counts.len().min(state.level.into());
             if count == 0 {
                 return Err(SensorFault::NoData);
             }
             for sample in counts.iter_mut().take(count) {
                 *sample = Counts(self.device.sample().await.map_err(fault)?);
             }
-            if self.fifo.kept_up(&look, self.timer.now()) {
-                let unread = look.waiting - count as u8;
-                let look = Look {
+            if self.fifo.kept_up(&state, self.timer.now()) {
+                let unread = state.level - count as u8;
+                let state = FifoState {
                     overrun: lost,
-                    ..look
+                    ..state
                 };
-                return Ok(self.fifo.read(look, count, unread));
+                return Ok(self.fifo.read(state, count, unread));
             }
             lost = true;
         }

@@ -6,12 +6,15 @@ use crate::accelerometer::Batch;
 
 /// Capacity of the FIFO of each supported sensor, samples.
 pub(crate) const DEPTH: u8 = 32;
-/// Highest watermark, samples: half of the FIFO is left for the latency of a read.
+/// Maximum watermark, samples: half of the FIFO, so that the other half covers the latency of a read.
 pub(crate) const MAX_WATERMARK: u8 = 16;
-/// Time of the samples at the watermark, ns, if [`MAX_WATERMARK`] allows.
+/// Target duration of the samples at the watermark, ns; the watermark is limited to [`MAX_WATERMARK`]. It limits
+/// the latency of samples at low rates.
 const LATENCY_NS: u32 = 40_000_000;
-/// Delay of the data-ready line after which the FIFO is read without it: sample periods, and µs on top.
+/// First part of the delay of the data-ready edge after which the FIFO is read without it, sample periods: allows
+/// for a rate below the nominal one.
 const LATE_PERIODS: u64 = 3;
+/// Second part of that delay, µs: margin for the latency of interrupts and tasks.
 const LATE_US: u64 = 20_000;
 
 /// Watermark and sample times of a FIFO.
@@ -26,13 +29,13 @@ pub(crate) struct SensorFifo {
 
 /// State of the FIFO before a read.
 #[derive(Clone, Copy)]
-pub(crate) struct Look {
+pub(crate) struct FifoState {
     /// Time of the data-ready edge, or of the wake-up without a captured edge.
-    pub rose: DeviceTimeUs,
+    pub edge_time: DeviceTimeUs,
     /// Time at which the FIFO level was read.
     pub at: DeviceTimeUs,
     /// Samples in the FIFO.
-    pub waiting: u8,
+    pub level: u8,
     /// Whether earlier samples were lost.
     pub overrun: bool,
 }
@@ -64,45 +67,45 @@ impl SensorFifo {
         DeviceTimeUs((now.0).saturating_add(self.micros(self.watermark) + late))
     }
 
-    /// Whether the samples read by `now` are those counted at `look`: if the read was delayed for long, newer
+    /// Whether the samples read by `now` are those counted in `state`: if the read was delayed for long, newer
     /// samples have overwritten them.
-    pub(crate) fn kept_up(&self, look: &Look, now: DeviceTimeUs) -> bool {
-        let took = now.0.saturating_sub(look.at.0);
-        let expected = u64::from(look.waiting).saturating_add(1) * self.transfer_us;
+    pub(crate) fn kept_up(&self, state: &FifoState, now: DeviceTimeUs) -> bool {
+        let took = now.0.saturating_sub(state.at.0);
+        let expected = u64::from(state.level).saturating_add(1) * self.transfer_us;
         let more = took.saturating_sub(expected) / self.micros(1).max(1);
-        u64::from(look.waiting) + more <= look.waiting.max(DEPTH).into()
+        u64::from(state.level) + more <= state.level.max(DEPTH).into()
     }
 
     /// The result of a read of `count` samples, with `unread` newer ones left in the FIFO.
-    pub(crate) fn read(&mut self, look: Look, count: usize, unread: u8) -> Batch {
-        let newest = self.newest(look).0;
+    pub(crate) fn read(&mut self, state: FifoState, count: usize, unread: u8) -> Batch {
+        let newest = self.newest(state).0;
         let last_time = DeviceTimeUs(newest.saturating_sub(self.micros(unread)));
         self.last = Some(last_time);
         Batch {
             count,
             last_time,
-            overrun: look.overrun,
+            overrun: state.overrun,
             queued: true,
         }
     }
 
     /// Time of the newest sample in the FIFO.
-    fn newest(&self, look: Look) -> DeviceTimeUs {
+    fn newest(&self, state: FifoState) -> DeviceTimeUs {
         let period = self.micros(1);
-        let oldest = look.at.0.saturating_sub(period);
-        let by_line =
-            (look.rose.0).saturating_add(self.micros(look.waiting.saturating_sub(self.watermark)));
+        let oldest = state.at.0.saturating_sub(period);
+        let by_line = (state.edge_time.0)
+            .saturating_add(self.micros(state.level.saturating_sub(self.watermark)));
         // The edge is not used if it is implausible: the wake-up was delayed, or another chip drives a shared
         // line.
-        let believable = oldest.saturating_sub(period / 4)..=look.at.0;
-        if look.waiting >= self.watermark && believable.contains(&by_line) {
+        let believable = oldest.saturating_sub(period / 4)..=state.at.0;
+        if state.level >= self.watermark && believable.contains(&by_line) {
             return DeviceTimeUs(by_line);
         }
         let expected = match self.last {
-            Some(last) if !look.overrun => last.0.saturating_add(self.micros(look.waiting)),
+            Some(last) if !state.overrun => last.0.saturating_add(self.micros(state.level)),
             // Half a period ago on average.
-            _ => look.at.0.saturating_sub(period / 2),
+            _ => state.at.0.saturating_sub(period / 2),
         };
-        DeviceTimeUs(expected.clamp(oldest, look.at.0))
+        DeviceTimeUs(expected.clamp(oldest, state.at.0))
     }
 }

@@ -11,7 +11,7 @@ use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, Look, MAX_WATERMARK, SensorFifo};
+use crate::fifo::{DEPTH, FifoState, MAX_WATERMARK, SensorFifo};
 use crate::mounting::Mounting;
 use crate::timer::Timer;
 
@@ -129,10 +129,11 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     /// x, y, z of either sensor from its registers.
     fn axes(&self, &[x0, x1, y0, y1, z0, z1]: &[u8; SAMPLE]) -> [i16; 3] {
         let sent = [[x0, x1], [y0, y1], [z0, z1]];
-        self.mounting.turned(sent.map(i16::from_le_bytes))
+        self.mounting.to_board(sent.map(i16::from_le_bytes))
     }
 
-    /// Reads samples, oldest first. In a burst the samples follow one another.
+    /// Reads samples, oldest first. A burst read wraps from OUT_Z_H to OUT_X_L, so it returns successive
+    /// samples.
     async fn drain(&mut self, counts: &mut [Counts]) -> Result<(), SensorFault> {
         let mut bytes = [0; MAX_WATERMARK as usize * SAMPLE];
         for places in counts.chunks_mut(MAX_WATERMARK.into()) {
@@ -146,27 +147,27 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     }
 
     /// Waits for the watermark or a timeout, and reads the state of the FIFO.
-    async fn look(&mut self) -> Result<Look, SensorFault> {
+    async fn read_state(&mut self) -> Result<FifoState, SensorFault> {
         let deadline = self.fifo.deadline(self.timer.now());
         loop {
-            let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+            let edge = self.timer.before(deadline, self.data_ready.ready()).await;
             let woken = self.timer.now();
             let mut source = [0];
             self.read(ACCELEROMETER, FIFO_SRC, &mut source).await?;
             let [source] = source;
             let at = self.timer.now();
             let overrun = source & FIFO_SRC_FULL != 0;
-            let waiting = if overrun {
+            let level = if overrun {
                 DEPTH
             } else {
                 source & FIFO_SRC_LEVEL
             };
-            let missing = self.fifo.watermark().saturating_sub(waiting);
+            let missing = self.fifo.watermark().saturating_sub(level);
             if missing == 0 || at >= deadline {
-                return Ok(Look {
-                    rose: rose.flatten().unwrap_or(woken),
+                return Ok(FifoState {
+                    edge_time: edge.flatten().unwrap_or(woken),
                     at,
-                    waiting,
+                    level,
                     overrun,
                 });
             }
@@ -271,27 +272,27 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
         let mut lost = false;
         loop {
-            let look = self.look().await?;
-            if look.overrun {
+            let state = self.read_state().await?;
+            if state.overrun {
                 // A full FIFO overwrites its oldest sample, possibly while it is read. That sample is discarded.
                 let mut oldest = [0; SAMPLE];
                 self.read(ACCELEROMETER, OUT_X_L, &mut oldest).await?;
                 lost = true;
                 continue;
             }
-            let count = counts.len().min(look.waiting.into());
+            let count = counts.len().min(state.level.into());
             if count == 0 {
                 return Err(SensorFault::NoData);
             }
             self.drain(counts.get_mut(..count).unwrap_or_default())
                 .await?;
-            if self.fifo.kept_up(&look, self.timer.now()) {
-                let unread = look.waiting - count as u8;
-                let look = Look {
+            if self.fifo.kept_up(&state, self.timer.now()) {
+                let unread = state.level - count as u8;
+                let state = FifoState {
                     overrun: lost,
-                    ..look
+                    ..state
                 };
-                return Ok(self.fifo.read(look, count, unread));
+                return Ok(self.fifo.read(state, count, unread));
             }
             lost = true;
         }

@@ -39,7 +39,7 @@ impl Axis {
 ///
 /// /// The chip lies upside down, its x to the board's left.
 /// const MOUNTING: Mounting = Mounting::new([Axis::Y, Axis::X, Axis::MinusZ]);
-/// assert_eq!(MOUNTING.turned([1, 2, 3]), [2, 1, -3]);
+/// assert_eq!(MOUNTING.to_board([1, 2, 3]), [2, 1, -3]);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mounting([Axis; 3]);
@@ -62,7 +62,7 @@ impl Mounting {
     }
 
     /// Converts a sample from the sensor's axes to the board's. The negative of the lowest value saturates.
-    pub fn turned(self, sensor: [i16; 3]) -> [i16; 3] {
+    pub fn to_board(self, sensor: [i16; 3]) -> [i16; 3] {
         self.0.map(|axis| {
             let along = sensor.get(axis.number()).copied().unwrap_or_default();
             if axis.is_against() {
@@ -93,14 +93,14 @@ mod tests {
             ([1000, 0, 0], [0, 1000, 0]), // button A
             ([-1000, 0, 0], [0, -1000, 0]),
         ] {
-            assert_eq!(MICROBIT.turned(chip), board);
-            assert_eq!(Mounting::STRAIGHT.turned(chip), chip);
+            assert_eq!(MICROBIT.to_board(chip), board);
+            assert_eq!(Mounting::STRAIGHT.to_board(chip), chip);
         }
     }
 
     #[test]
     fn a_left_handed_chip_is_right_handed_on_its_board() {
-        let [x, y, z] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|axis| MICROBIT.turned(axis));
+        let [x, y, z] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|axis| MICROBIT.to_board(axis));
         let cross = [0, 1, 2].map(|k| {
             let (a, b) = ((k + 1) % 3, (k + 2) % 3);
             x[a] * y[b] - x[b] * y[a]
@@ -110,8 +110,8 @@ mod tests {
 
     #[test]
     fn a_saturated_axis_stays_saturated() {
-        let turned = MICROBIT.turned([0, i16::MIN, i16::MAX]);
-        assert_eq!(turned, [i16::MAX, 0, -i16::MAX]);
-        assert!(Counts(turned).saturated(0x7FF0));
+        let board = MICROBIT.to_board([0, i16::MIN, i16::MAX]);
+        assert_eq!(board, [i16::MAX, 0, -i16::MAX]);
+        assert!(Counts(board).saturated(0x7FF0));
     }
 }

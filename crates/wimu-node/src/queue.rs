@@ -1,8 +1,8 @@
 //! Queue of frames for a link.
 
-/// Room for frames that may be shed when the link is too slow, bytes.
+/// Room for telemetry, of which the oldest frames are dropped when the link is too slow, bytes.
 const TELEMETRY_BYTES: usize = 1024;
-/// Room for frames that may not be shed, bytes: the longest reply, epoch and Hello together, or everything
+/// Room for kept frames, bytes: the longest reply, epoch and Hello together, or everything
 /// sent to a new listener except the parameters, which are queued when there is room.
 const KEPT_BYTES: usize = 1600 + SIGNED_BYTES;
 /// Room that unsigned replies leave free, bytes: the longest signed reply to a write, and its length.
@@ -10,12 +10,12 @@ const SIGNED_BYTES: usize = 80 + 2;
 /// Bytes of a frame that are taken at once.
 pub(crate) const PIECE: usize = 64;
 
-/// The frames queued for one link: telemetry, of which the oldest is shed when there is no room, and kept
-/// frames, which are sent first.
+/// The frames queued for one link: telemetry, of which the oldest is dropped when there is no room, and kept
+/// frames, which are sent first and dropped only when the link has stalled.
 pub(crate) struct FrameQueue {
     kept: Ring<[u8; KEPT_BYTES]>,
     telemetry: Ring<[u8; TELEMETRY_BYTES]>,
-    /// Telemetry frames shed so far.
+    /// Frames dropped because the link was too slow; after a stall, kept frames too.
     pub(crate) shed: u32,
     pub(crate) frames_sent: u32,
     pub(crate) bytes_sent: u64,
@@ -38,7 +38,7 @@ impl FrameQueue {
         }
     }
 
-    /// Queues a frame that may be shed.
+    /// Queues a telemetry frame; drops the oldest ones if there is no room.
     pub(crate) fn push_telemetry(&mut self, frame: &[u8]) {
         let telemetry: &mut Ring<[u8]> = &mut self.telemetry;
         while !telemetry.push(frame) {
@@ -49,7 +49,7 @@ impl FrameQueue {
         }
     }
 
-    /// Queues a frame that may not be shed. If there is no room, the link has stalled: all queued frames
+    /// Queues a kept frame. If there is no room, the link has stalled: all queued frames
     /// are dropped and counted.
     pub(crate) fn push_kept(&mut self, frame: &[u8]) {
         let kept: &mut Ring<[u8]> = &mut self.kept;
@@ -64,7 +64,7 @@ impl FrameQueue {
         kept.push(frame);
     }
 
-    /// Queues a frame that may not be shed if there is room without dropping others.
+    /// Queues a kept frame if there is room without dropping others; returns whether there was.
     pub(crate) fn push_kept_if_room(&mut self, frame: &[u8]) -> bool {
         let kept: &mut Ring<[u8]> = &mut self.kept;
         kept.push(frame)
@@ -293,7 +293,7 @@ mod tests {
 
     #[test]
     fn what_a_host_needs_at_once_has_room_at_its_longest() {
-        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each trouble.
+        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each fault.
         const FRAMING: usize = 1 + 4 + 4 + 1;
         let frames = [540, 110, 48, 180, 40, 40, 40, 40, 40, 40].map(|body| body + FRAMING + 2);
         assert!(frames.iter().sum::<usize>() <= KEPT_BYTES);

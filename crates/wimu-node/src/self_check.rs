@@ -6,12 +6,13 @@ use wimu_model::{
     Alignment, CentiCelsius, ErrorModel, ErrorTerms, ParameterId, ParameterSet, SpecificForceMps2,
 };
 
-/// Consecutive contradicting rests that are reported. A valid calibration is contradicted at one rest in
-/// a thousand.
+/// Number of consecutive contradicting rests after which the fault is reported. False-alarm probability per
+/// rest: 10⁻³ (3.29 σ, [`SelfCheck`]).
 const CONTRADICTIONS: u8 = 2;
 /// Unit of a mean specific force, m/s².
 const MPS2_PER_LSB: f64 = 1.0 / (1_u64 << 32) as f64;
-/// Standard deviation of the local gravity that a user has set, m/s².
+/// Standard deviation of the local gravity that a user has set, m/s². Assumed: gravity anomalies, which
+/// formulas of latitude and height omit, rarely exceed 1 mm/s² (100 mGal).
 const GRAVITY_SD_MPS2: f64 = 0.001;
 /// Default gravity, µm/s²: the user has not set it.
 const STANDARD_UM_S2: u32 = 9_806_650;

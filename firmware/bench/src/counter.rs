@@ -95,15 +95,15 @@ fn ticks(code: impl FnOnce()) -> u32 {
 
 /// A function, so that every loop has the same instructions around it.
 #[inline(never)]
-fn ticks_of_loop(turns: u32) -> u32 {
-    ticks(|| spin(turns))
+fn ticks_of_loop(iterations: u32) -> u32 {
+    ticks(|| spin(iterations))
 }
 
-/// Twice as many instructions as `turns`, and a few.
+/// Executes two instructions per iteration, and a constant number of others.
 #[inline(always)]
-fn spin(turns: u32) {
+fn spin(iterations: u32) {
     // SAFETY: counts a register down to zero and touches nothing else.
     unsafe {
-        asm!("2:", "subs {0}, {0}, #1", "bne 2b", inout(reg) turns => _, options(nomem, nostack));
+        asm!("2:", "subs {0}, {0}, #1", "bne 2b", inout(reg) iterations => _, options(nomem, nostack));
     }
 }

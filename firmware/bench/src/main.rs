@@ -26,10 +26,15 @@ use wimu_model::{
 
 use counter::Counter;
 
+/// Samples measured per function.
 const SAMPLES: usize = 256;
+/// Samples per batch.
 const BATCH: usize = 16;
+/// Sample period: 10 ms.
 const PERIOD: PeriodNs = PeriodNs(10_000_000);
+/// Positive full scale of the 12-bit LSM303AGR, LSB of the left-justified 16-bit counts.
 const FULL_SCALE: i16 = 32752;
+/// Gravity, 2⁻¹⁶ m/s², body axes.
 const GRAVITY: [i32; 3] = [1_234, -567, 642_689];
 
 // One function each, so that call and return are counted too.

@@ -8,8 +8,8 @@ type Picture = [u8; 5];
 
 /// A question mark: the sensor does not answer.
 const NO_SENSOR: Picture = [0b01110, 0b00010, 0b00100, 0b00000, 0b00100];
-/// Three dots: no samples yet.
-const SEARCHING: Picture = [0b00000, 0b00000, 0b10101, 0b00000, 0b00000];
+/// Three dots: no samples in the last second.
+const NO_SAMPLES: Picture = [0b00000, 0b00000, 0b10101, 0b00000, 0b00000];
 /// A cross: samples, but no calibration.
 const UNCALIBRATED: Picture = [0b10001, 0b01010, 0b00100, 0b01010, 0b10001];
 /// A tick: samples and a calibration.
@@ -24,7 +24,7 @@ pub fn picture(before: &Health, now: &Health) -> Picture {
     let mut picture = if now.sensor_lost {
         NO_SENSOR
     } else if now.samples == before.samples {
-        SEARCHING
+        NO_SAMPLES
     } else if now.calibrated {
         CALIBRATED
     } else {

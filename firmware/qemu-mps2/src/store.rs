@@ -13,8 +13,9 @@ use crate::semihosting;
 
 /// The machine's PSRAM.
 const BASE: usize = 0x2100_0000;
-/// As on an nRF52.
+/// Page (erase) size, bytes, as on an nRF52.
 const PAGE: usize = 4096;
+/// Write granularity, bytes.
 const WORD: usize = 4;
 const RANGE: Range<u32> = 0..4 * PAGE as u32;
 

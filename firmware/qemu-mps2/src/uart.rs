@@ -112,14 +112,14 @@ impl Uart {
         }
     }
 
-    /// Waits until `buffer` is full, without letting any task go on; calls `look` at every
-    /// interrupt meanwhile.
-    pub fn read_now(&self, buffer: &mut [u8], mut look: impl FnMut()) {
+    /// Blocks until `buffer` is full: no other task runs. Calls `poll` first and after each interrupt.
+    pub fn read_now(&self, buffer: &mut [u8], mut poll: impl FnMut()) {
         let mut count = 0;
         loop {
-            // With interrupts off none slips in between looking and sleeping; one still wakes.
+            // Interrupts are disabled so that none is handled between the check and `wfi`; a pending one
+            // still wakes the processor.
             let full = cortex_m::interrupt::free(|_| {
-                look();
+                poll();
                 count += self.take(&mut buffer[count..]);
                 let full = count == buffer.len();
                 if !full {
@@ -139,7 +139,7 @@ impl Uart {
             self.register(INTERRUPT).write(INTERRUPT_RX);
             while self.register(STATE).read() & STATE_RX_FULL != 0 {
                 if state.received.is_full() {
-                    // The byte stays in the UART until there is room: the other end waits.
+                    // The byte stays in the UART until there is room: the sender waits.
                     self.listen(false);
                     break;
                 }
@@ -193,14 +193,13 @@ impl Uart {
         });
     }
 
-    /// Takes what has been received, without waiting; returns how many bytes.
+    /// Moves received bytes to `buffer` without waiting; returns their number.
     fn take(&self, buffer: &mut [u8]) -> usize {
         self.with(|state| self.take_from(state, buffer))
     }
 
-    /// Hands over as much as there is room for, without waiting; returns how many bytes. In lockstep
-    /// everything goes out at once, however long the other end takes: tasks then never go on in
-    /// another order because it was slow.
+    /// Queues as many bytes as there is room for, without waiting; returns their number. In lockstep it waits
+    /// until all bytes are sent, so that the receiver's speed does not change the order of tasks.
     fn put(&self, bytes: &[u8]) -> usize {
         if clock::is_lockstep() {
             self.write_now(bytes);

@@ -217,8 +217,7 @@ impl Packer<'_> {
             }
         }
 
-        // The best Rice parameter is the logarithm of the mean residual, or one less for a bit or
-        // two.
+        // k = floor(log2 of the mean residual). k − 1 is sometimes better, by one or two bits.
         let average = sum / (residuals.len() as u32).max(1);
         let k = average.max(1).ilog2().min(stream.largest_k());
         let (code, code_bits) = k_code(stream, k, self.latest_k);

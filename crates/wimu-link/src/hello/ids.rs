@@ -99,11 +99,12 @@ numbered! {
 numbered! {
     /// Who may write on a link.
     WriteAccess, other: "access" {
-        /// Anyone, without a signature: number 0.
+        /// Number 0: anyone, without a signature.
         Open = 0, "open";
-        /// Only who has the device's key: number 1. Nobody while the device has no key.
+        /// Number 1: only requests signed with the device's key; no writes while the device has no key.
         Key = 1, "key";
-        /// Nobody: number 2. Only a new key, signed with the old one, is accepted over the cable.
+        /// Number 2: no writes. If the stored key is readable, a new key signed with it is still accepted
+        /// over the cable.
         Locked = 2, "locked";
     }
 }

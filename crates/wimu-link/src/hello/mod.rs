@@ -8,7 +8,7 @@
 //! | offset | size | field of `Hello` (frame kind 1) |
 //! |---|---|---|
 //! | 0 | 4 | `WIMU` in ASCII |
-//! | 4 | 1 | length of the fixed part, this field and the four before it included: 80 or more |
+//! | 4 | 1 | length of the fixed part, bytes, from offset 0: 80 or more |
 //! | 5 | 1 | wire version of the device |
 //! | 6 | 1 | role of this link: [`LinkRole`] |
 //! | 7 | 1 | write access on this link: [`WriteAccess`] |
@@ -33,7 +33,7 @@
 //! | offset | size | field of `WhoAreYou` (frame kind 2) |
 //! |---|---|---|
 //! | 0 | 4 | `WIMU` in ASCII |
-//! | 4 | 1 | length of the fixed part: 6 or more |
+//! | 4 | 1 | length of the fixed part, bytes, from offset 0: 6 or more |
 //! | 5 | 1 | wire version of the host |
 
 use core::fmt;
@@ -110,7 +110,7 @@ pub struct Hello {
 }
 
 impl Hello {
-    /// A device of which only the role of this link is known; nobody may write.
+    /// A device of which only the role of this link is known; writes are locked.
     pub const fn new(role: LinkRole) -> Self {
         Self {
             wire_version: WIRE_VERSION,

@@ -208,7 +208,7 @@ impl fmt::Display for ParameterFault {
             Self::Magnetometer(fault) => MagnetometerError::from(fault).fmt(out),
             Self::OtherSensor { parameters, device } => write!(
                 out,
-                "they were made for sensor {parameters} ({}), the device has {device} ({})",
+                "made for sensor {parameters} ({}), but the device has {device} ({})",
                 sensor::name(parameters),
                 sensor::name(device)
             ),

@@ -55,7 +55,7 @@ pub struct WireParameters {
     pub nonlinearity: [f64; 3],
     /// Sensor axes to body axes, quaternion W, X, Y, Z.
     pub alignment_wxyz: [f64; 4],
-    /// Covariance of the alignment's error, rad², as the Cholesky factor, row by row.
+    /// Cholesky factor (lower triangular) of the covariance of the alignment error, rad, row by row.
     pub alignment_factor: Option<[f32; 6]>,
     /// Method and quality of the calibration.
     pub quality: Option<WireQuality>,
@@ -128,7 +128,7 @@ impl WireParameters {
         )
     }
 
-    /// Takes the rotations of `set`, which was made from it and has quaternions of norm 1.
+    /// Replaces the quaternions by the normalised ones of `set`, which was decoded from `self`.
     pub fn take_rotations(&mut self, set: &ParameterSet) {
         self.alignment_wxyz = set.alignment.quaternion();
         let theirs = set.magnetometer.as_ref();

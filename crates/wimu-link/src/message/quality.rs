@@ -42,9 +42,10 @@ pub struct WireQuality {
     pub loo_rms_mps2: Option<f32>,
     /// Condition number of the fit.
     pub condition: Option<f32>,
-    /// Covariance of the bias, then A row by row, as the Cholesky factor, row by row: 78 numbers.
+    /// Cholesky factor (lower triangular, 12 rows, 78 numbers) of the covariance of b₀ and A, row by row. Rows
+    /// 1 to 3: b₀, m/s². Rows 4 to 12: A row by row, dimensionless.
     pub covariance_factor: [[f32; 13]; 6],
-    /// Standard deviations of b₁, b₂, s₁ and q.
+    /// Standard deviations: b₁, m/s² per K; b₂, m/s² per K²; s₁, 1/K; q, s²/m.
     pub other_sd: [[f32; 3]; 4],
 }
 
@@ -80,7 +81,7 @@ pub struct WireMagnetometer {
 pub struct WireMagnetometerRotation {
     /// Magnetometer axes to accelerometer axes, quaternion W, X, Y, Z.
     pub rotation_wxyz: [f64; 4],
-    /// Covariance of its error, rad², as the Cholesky factor, row by row.
+    /// Cholesky factor (lower triangular) of the covariance of the rotation's error, rad, row by row.
     pub factor: [f32; 6],
     /// Magnetic dip (inclination), rad.
     pub dip_rad: f32,

@@ -340,7 +340,7 @@ pub enum Payload<P = WireParameters> {
 pub enum Refusal {
     /// Writes on this link need a key, and the device has none.
     KeyNeeded,
-    /// Nobody may write on this link.
+    /// Writes on this link are locked: the device cannot read its key or boot count.
     Locked,
     /// The parameters are invalid.
     InvalidParameters(ParameterFault),
@@ -358,7 +358,7 @@ pub enum Refusal {
         /// The id of the staged parameters.
         staged: u32,
     },
-    /// The sensor does not support these settings.
+    /// The device does not support these settings.
     UnsupportedSettings {
         /// The nearest supported settings.
         nearest: Settings,
@@ -408,7 +408,7 @@ impl fmt::Display for Refusal {
                 "writing on this link takes a key, and the device has none; run `wimu key set` once over the cable",
             ),
             Self::Locked => out.write_str(
-                "nobody may write on this link: the device cannot read its key or how often it has started; run `wimu key rotate` over the cable, or, if that is refused as well, erase the key at the board (docs/SECURITY.md, lost key)",
+                "writes are locked: the device cannot read its key or boot count. Run `wimu key rotate` over the cable; if refused, see docs/SECURITY.md (lost key)",
             ),
             Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
             Self::WrongRange {
@@ -427,12 +427,15 @@ impl fmt::Display for Refusal {
             ),
             Self::UnsupportedSettings { nearest } => write!(
                 out,
-                "the sensor does not support these settings; the nearest are ±{} g at {} Hz, {:?} resolution, batches of {} and {}",
+                "the device does not support these settings; nearest: ±{} g at {} Hz, {} resolution, batch cable {} / wireless {}, every {} / {}, gravity {} m/s²",
                 nearest.range_g,
                 nearest.rate_hz,
                 nearest.resolution,
                 nearest.cable.batch,
-                nearest.wireless.batch
+                nearest.wireless.batch,
+                nearest.cable.every,
+                nearest.wireless.every,
+                f64::from(nearest.gravity_um_s2) / 1e6
             ),
             Self::StoreFailed => out.write_str(
                 "the device could not write its store and is unchanged; try again, then replace the device",

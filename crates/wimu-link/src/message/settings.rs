@@ -1,5 +1,7 @@
 //! Settings of a device.
 
+use core::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// The streams of a link.
@@ -45,6 +47,16 @@ pub enum Resolution {
     Normal,
     /// Lowest noise (12 bits).
     High,
+}
+
+impl fmt::Display for Resolution {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::LowPower => "low",
+            Self::Normal => "normal",
+            Self::High => "high",
+        })
+    }
 }
 
 /// Settings of a device.

@@ -160,7 +160,7 @@ pub struct WireSegment {
     pub velocity_sum: [i64; 3],
     /// Position, 2⁻¹⁸·Δt² m, body axes.
     pub position_sum: [i64; 3],
-    /// The latest sample, 2⁻¹⁶ m/s².
+    /// Latest sample minus gravity (rounded to 2⁻¹⁶ m/s²), 2⁻¹⁶ m/s².
     pub previous: Option<[i32; 3]>,
 }
 
@@ -186,9 +186,9 @@ pub struct WireWindow {
 pub struct WireRun {
     /// Number of windows.
     pub windows: u16,
-    /// Sum over all windows except the latest, 2⁻¹⁶ m/s².
+    /// Σ (f_k + f_k+1) over all windows except the latest, 2⁻¹⁶ m/s².
     pub sum: [i64; 3],
-    /// Sum over the latest, 2⁻¹⁶ m/s².
+    /// Σ (f_k + f_k+1) over the latest window, 2⁻¹⁶ m/s².
     pub latest: [i64; 3],
     /// The segment at the end of the first window.
     pub start: WireSegment,

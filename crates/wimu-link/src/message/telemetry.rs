@@ -156,7 +156,7 @@ impl<'de> Deserialize<'de> for EpochReason {
 
 /// The complete state that determines the device's corrected samples, velocities and positions from a sample
 /// on. A host that runs the same crates over the raw samples reproduces them bit for bit, until the next
-/// epoch or a missing sample. Never shed.
+/// epoch or a missing sample. Kept: dropped only when the link has stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Epoch {
@@ -173,7 +173,8 @@ pub struct Epoch {
     pub period_ns: u32,
     /// Full-scale range, ± *g*.
     pub range_g: u8,
-    /// Nominal sensitivity of the sensor at that range, LSB/*g*. With parameter id 0 there is no other calibration.
+    /// Nominal sensitivity of the sensor at that range, LSB/*g*. With parameter id 0 samples are corrected with
+    /// this sensitivity only.
     pub sensitivity_lsb_per_g: f64,
     /// Positive full scale of the counts, LSB: at or beyond it an axis is saturated.
     pub full_scale: i16,
@@ -277,7 +278,7 @@ pub struct LinkStatus {
     pub frames_sent: u32,
     /// Bytes sent.
     pub bytes_sent: u64,
-    /// Frames of telemetry and samples dropped because the link was too slow.
+    /// Frames dropped because the link was too slow; after a stall, kept frames too.
     pub telemetry_shed: u32,
     /// Damaged frames received.
     pub frames_damaged: u32,

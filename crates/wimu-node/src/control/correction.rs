@@ -11,7 +11,7 @@ use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
 
 use super::Control;
 use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{Correction, Order, Staged, Trouble};
+use crate::shared::{Correction, Order, PersistentFault, Staged};
 use crate::store::Store;
 use crate::timer::Timer;
 
@@ -70,12 +70,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         if let Some(set) = committed {
             match self.compiled(set) {
                 Ok((correction, of)) if of == range_g => {
-                    self.clear_trouble(Trouble::Parameters);
+                    self.clear_fault(PersistentFault::Parameters);
                     return Ok(correction);
                 }
                 Err(Refusal::InvalidParameters(fault)) => {
                     let event = Event::ModelRejected(fault);
-                    self.trouble(Trouble::Parameters, event);
+                    self.set_fault(PersistentFault::Parameters, event);
                     self.shared.report(self.timer.now(), event);
                 }
                 _ => {}
@@ -177,10 +177,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .rest(set.as_ref(), gravity_um_s2, self.latched, mean)
         {
             crate::self_check::Finding::Contradicted(event) => {
-                self.trouble(Trouble::Calibration, event);
+                self.set_fault(PersistentFault::Calibration, event);
                 self.shared.report(self.timer.now(), event);
             }
-            crate::self_check::Finding::Holds => self.clear_trouble(Trouble::Calibration),
+            crate::self_check::Finding::Holds => self.clear_fault(PersistentFault::Calibration),
             crate::self_check::Finding::Unknown => {}
         }
     }

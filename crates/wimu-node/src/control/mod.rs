@@ -16,7 +16,9 @@ use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
 use self::records::parameters_record;
 use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{Message, Order, ROLES, RateOrder, Shared, Staged, Trouble, active_parameters};
+use crate::shared::{
+    Message, Order, PersistentFault, ROLES, RateOrder, Shared, Staged, active_parameters,
+};
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
 use crate::timer::Timer;
@@ -83,7 +85,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                         Err(refusal) => Answer::Refused(refusal),
                     };
                     self.answer(role, Some(&answer)).await;
-                    // The keeper of the line sends the answer at the old rate first.
+                    // If the request came on this line, `RateKeeper` changes the rate after the answer has been
+                    // sent.
                     if let Ok((line, order)) = outcome {
                         self.shared.rate_signals(line).order.signal(order);
                     }
@@ -143,7 +146,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    /// The order that a request on the link `role` gives to a line.
+    /// Checks a `SetLineRate` request from link `role`; returns the line and its rate order. The rate of
+    /// another line is stored at once.
     async fn set_rate(
         &mut self,
         role: LinkRole,
@@ -217,8 +221,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 self.shared.activate(None);
                 self.shared
                     .publish(|published| published.settings = new.settings);
-                self.clear_trouble(Trouble::Settings);
-                self.clear_trouble(Trouble::Parameters);
+                self.clear_fault(PersistentFault::Settings);
+                self.clear_fault(PersistentFault::Parameters);
                 self.announce(&Message::Settings(new.settings));
                 self.announce_parameters();
                 Ok(Payload::None)
@@ -245,7 +249,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.activate(self.set_at(&parameters));
             self.shared
                 .publish(|published| published.settings = new.settings);
-            self.clear_trouble(Trouble::Settings);
+            self.clear_fault(PersistentFault::Settings);
         }
         self.use_key(KeyState::None);
     }
@@ -265,7 +269,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 published.lock.boot_count = boot_count;
             });
             if boot_count.is_some() {
-                self.clear_trouble(Trouble::BootCount);
+                self.clear_fault(PersistentFault::BootCount);
             }
         }
         self.use_key(KeyState::Set(key));
@@ -275,7 +279,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
     /// Uses this key from now on, and announces it.
     fn use_key(&mut self, key: KeyState) {
         self.shared.publish(|published| published.lock.key = key);
-        self.clear_trouble(Trouble::DeviceKey);
+        self.clear_fault(PersistentFault::DeviceKey);
         for role in ROLES {
             self.shared.introduce(role, self.timer.now());
         }
@@ -329,7 +333,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         shared.activate(Some(set));
         *id = None;
         self.parameters_changed = true;
-        self.clear_trouble(Trouble::Parameters);
+        self.clear_fault(PersistentFault::Parameters);
         shared.orders.room().await;
         let correction = self.compiled(set)?.0;
         shared.orders.give(Order::Correct(correction));
@@ -353,7 +357,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         put(plan, &new);
         self.shared
             .publish(|published| published.settings = new.settings);
-        self.clear_trouble(Trouble::Settings);
+        self.clear_fault(PersistentFault::Settings);
         self.announce(&Message::Settings(new.settings));
         if other_range {
             // The staged set is for the previous range.
@@ -376,12 +380,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         self.shared.announce(message, [true; 2]);
     }
 
-    fn trouble(&self, trouble: Trouble, event: Event) {
-        self.shared.trouble(trouble, self.timer.now(), Some(event));
+    fn set_fault(&self, fault: PersistentFault, event: Event) {
+        self.shared.set_fault(fault, self.timer.now(), Some(event));
     }
 
-    fn clear_trouble(&self, trouble: Trouble) {
-        self.shared.trouble(trouble, self.timer.now(), None);
+    fn clear_fault(&self, fault: PersistentFault) {
+        self.shared.set_fault(fault, self.timer.now(), None);
     }
 }
 

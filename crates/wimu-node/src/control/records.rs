@@ -9,7 +9,7 @@ use wimu_link::{Kind, LinkRole, frame};
 
 use super::{Control, plan};
 use crate::accelerometer::{Accelerometer, Plan};
-use crate::shared::{Message, ROLES, RateOrder, Trouble};
+use crate::shared::{Message, PersistentFault, ROLES, RateOrder};
 use crate::store::{Key, Store, StoreFault};
 use crate::timer::Timer;
 
@@ -26,14 +26,14 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Err(StoreFault) => None,
         };
         if boot_count.is_none() {
-            self.trouble(Trouble::BootCount, Event::StoreUnreadable);
+            self.set_fault(PersistentFault::BootCount, Event::StoreUnreadable);
         }
         let mut key = [0; DeviceKey::LENGTH];
         let key = match self.load_raw(Key::DeviceKey, &mut key).await {
             Ok(false) => KeyState::None,
             Ok(true) => KeyState::Set(DeviceKey::new(key)),
             Err(StoreFault) => {
-                self.trouble(Trouble::DeviceKey, Event::StoreUnreadable);
+                self.set_fault(PersistentFault::DeviceKey, Event::StoreUnreadable);
                 KeyState::Unreadable
             }
         };
@@ -42,14 +42,14 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Ok(Some(Ok(Record::Settings(settings)))) => settings,
             Ok(None) => Settings::default(),
             _ => {
-                self.trouble(Trouble::Settings, Event::StoreUnreadable);
+                self.set_fault(PersistentFault::Settings, Event::StoreUnreadable);
                 Settings::default()
             }
         };
         let plan = match plan::for_settings::<A>(&wanted) {
             Ok(plan) => Some(plan),
             Err(nearest) => {
-                self.trouble(Trouble::Settings, Event::SettingsAdjusted);
+                self.set_fault(PersistentFault::Settings, Event::SettingsAdjusted);
                 plan::for_settings::<A>(&nearest).ok()
             }
         };
@@ -86,7 +86,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         let place = match loaded {
             Ok(place) => place,
             Err(StoreFault) => {
-                self.trouble(Trouble::Parameters, Event::StoreUnreadable);
+                self.set_fault(PersistentFault::Parameters, Event::StoreUnreadable);
                 return None;
             }
         };
@@ -105,7 +105,8 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             Some(_) => Some(Event::StoreUnreadable),
         };
         let now = self.timer.now();
-        self.shared.trouble(Trouble::Parameters, now, fault);
+        self.shared
+            .set_fault(PersistentFault::Parameters, now, fault);
         if fault.is_some() { None } else { place }
     }
 

@@ -41,7 +41,8 @@ impl<F: NorFlash> FlashStore<F> {
             let source = self.unfinished_page().await?;
             let is_free = |page| self.used_in(page) == 0;
             match source {
-                // Two foreign pages may hold the same records, and one of them all of them.
+                // Two pages of earlier firmware may hold copies of the same records, and one of the pages all
+                // records: prefer the first copy, so that the other page becomes free.
                 Some(_) if self.prefers_last && !self.pages().any(is_free) => {
                     self.prefers_last = false;
                     self.survey().await?;
@@ -54,7 +55,7 @@ impl<F: NorFlash> FlashStore<F> {
     }
 
     /// The unfinished page to copy next: the one with the fewest bytes in use, one without any only if
-    /// there is no other. Pages in which nothing counts are erased.
+    /// there is no other. Pages without accepted items are erased.
     async fn unfinished_page(&mut self) -> Result<Option<u32>, StoreFault> {
         let mut best = None;
         for page in self.pages() {
@@ -65,8 +66,8 @@ impl<F: NorFlash> FlashStore<F> {
             let used = self.used_in(page).wrapping_sub(1);
             let is_unused = used == usize::MAX;
             let is_copied = is_unused && state.seal == 0 && (self.newest_seal > 0 || self.is_empty);
-            if is_copied || !state.counts(self.newest_seal) {
-                // The page does not count, even if this fails.
+            if is_copied || !state.is_accepted(self.newest_seal) {
+                // The page's items are not accepted, even if this fails.
                 let _ = self.erase(page).await;
             } else if best.is_none_or(|(least, _)| used < least) {
                 best = Some((used, page));
@@ -75,8 +76,8 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(best.map(|(_, page)| page))
     }
 
-    /// Begins a page and copies the records in use into it: those of `source`, or of the next page, which
-    /// is the next one to be erased.
+    /// Begins a page and copies the records in use of `source` into it; by default of the page that will be
+    /// erased next. Records elsewhere that no seal follows are copied too.
     pub(super) async fn compact(&mut self, source: Option<u32>) -> Result<(), StoreFault> {
         let begun = self.begin_page(source.or(self.page)).await?;
         let source = source.unwrap_or_else(|| self.after(begun));
@@ -85,7 +86,7 @@ impl<F: NorFlash> FlashStore<F> {
             Self::page_of(entry.at) != source && !matches!(entry.rank, Rank::Sealed(_))
         })
         .await?;
-        // Beyond the number of a directory whose write was interrupted and that cannot be read.
+        // Skip one number: an interrupted directory may have used it.
         self.serial = self.serial.saturating_add(1);
         self.append_directories(REMOVAL_DIRECTORIES).await?;
         self.seal().await?;
@@ -115,7 +116,7 @@ impl<F: NorFlash> FlashStore<F> {
         for _ in self.pages() {
             if kept != Some(page) {
                 let state = self.page_state(page).await?;
-                let is_unfinished = !state.is_settled() && state.counts(self.newest_seal);
+                let is_unfinished = !state.is_settled() && state.is_accepted(self.newest_seal);
                 let is_needed = is_unfinished || self.page == Some(page);
                 let cost = 2 * self.used_in(page) + usize::from(is_needed);
                 if best.is_none_or(|(least, _)| cost < least) {

@@ -80,13 +80,13 @@ impl<F: NorFlash> FlashLayout<F> {
 ///   or not the seal stays readable.
 /// - The valid part of an unfinished page is copied to another page, and the page is erased, before any
 ///   record is read from it. A change that was found once stays, one that was not found never appears.
-/// - A page is erased when it is begun, and only if it holds no record in use. A new page counts from
+/// - A page is erased when it is begun, and only if it holds no record in use. A new page is accepted from
 ///   its first seal on, so the source of a copy exists until the copy is complete.
-/// - Erased words may be an interrupted header. The first change after a restart overwrites them with
+/// - Words that read as erased may be a partly written header. The first change after a restart overwrites them with
 ///   zeros and appends behind them.
 ///
 /// Every written word and every erased page is read back, so a worn-out flash is an error and never
-/// loses an old record. Any content of the flash can be written to: if damage leaves no page without a
+/// loses an old record. The store can be written whatever the flash contains: if damage leaves no page without a
 /// record in use, the page with the fewest is erased, and its records are errors from then on. No word
 /// is written twice, and an unchanged record is not written again.
 ///
@@ -118,19 +118,21 @@ pub struct FlashStore<F: NorFlash> {
     directory: Directory,
     /// The directory and the fields below describe the flash.
     is_known: bool,
-    /// No item counts.
+    /// No accepted item was found.
     is_empty: bool,
-    /// No item counts although the flash has been written.
+    /// No accepted item was found, but more than one page has been written.
     is_corrupt: bool,
     /// Of two equally reliable copies of a record the last one is used.
     prefers_last: bool,
     /// There are pages that are neither empty nor finished.
     has_unfinished: bool,
-    /// Latest number of a directory, and of a seal.
+    /// Latest number of an accepted directory or seal.
     serial: u32,
+    /// Latest number of a seal.
     newest_seal: u32,
-    /// The page with the newest seal if it is finished, and the end of its items: where items are appended.
+    /// The page where items are appended: the one with the newest seal, if it is finished.
     page: Option<u32>,
+    /// Address at which the next item is appended: the end of the items of `page`.
     end: u32,
     /// The page with the newest seal, finished or not, if it has only one seal.
     single_seal: Option<u32>,
@@ -148,7 +150,8 @@ impl<F: NorFlash> FlashStore<F> {
     };
     const PAGE: u32 = F::ERASE_SIZE as u32;
     const HEADER: usize = HEADER.next_multiple_of(Self::UNIT);
-    /// Bytes that a new page keeps free for its directories and for seals.
+    /// Bytes that a page keeps free when records are copied into it: for two directories with their seal, and
+    /// for five more seals. One of them ends the copying, the others are for repairs after a restart.
     const OPENING: usize = Self::overhead(REMOVAL_DIRECTORIES) + 5 * Self::overhead(0);
 
     /// The records that `flash` holds. `pause_ms` is the longest time to erase a page and write it, ms,
@@ -261,7 +264,7 @@ impl<F: NorFlash> FlashStore<F> {
 
     /// Makes room for a change of `length` bytes where items are appended.
     async fn make_room(&mut self, length: usize) -> Result<(), StoreFault> {
-        // An unfinished page would no longer count if another page got a newer directory.
+        // Items of an unfinished page would no longer be accepted if another page got a newer directory.
         if self.page.is_none() && self.newest_seal > 0 {
             return Err(StoreFault);
         }

@@ -12,7 +12,7 @@ use crate::store::StoreFault;
 pub(super) enum Rank {
     /// There is no item.
     None,
-    /// It counts only if a directory lists its generation.
+    /// It is accepted only if a directory lists its generation.
     Listed,
     /// A directory follows it in its page.
     Directory,
@@ -22,15 +22,19 @@ pub(super) enum Rank {
 
 /// What a page holds.
 pub(super) struct PageState {
-    /// Start of its items, and end of the last byte written.
+    /// Address at which its items start.
     pub(super) begin: u32,
+    /// End of the last byte written.
     pub(super) end: u32,
-    /// End of its last directory, and of its last seal; 0 for none.
+    /// End of its last directory; 0 without one.
     directory: u32,
+    /// End of its last seal; 0 without one.
     pub(super) seal: u32,
-    /// Latest number of its directories, and of its seals.
+    /// Latest number of its directories.
     serial: u32,
+    /// Latest number of its seals.
     seal_serial: u32,
+    /// Number of its seals.
     seals: u32,
     /// Written by firmware that used `sequential-storage`, or not written.
     is_foreign: bool,
@@ -46,11 +50,11 @@ impl PageState {
         self.end == self.begin || self.is_finished()
     }
 
-    /// Reliability of an item that ends at `end`; `None` if it does not count. `newest_seal` is the latest
+    /// Reliability of an item that ends at `end`; `None` if it is not accepted. `newest_seal` is the latest
     /// number of a seal. An unfinished page older than that has been copied. Of a foreign page, the items
-    /// that a directory lists count.
+    /// that a directory lists are accepted.
     pub(super) fn rank(&self, end: u32, newest_seal: u32) -> Option<Rank> {
-        // The only seal of a page may be an interrupted write: it counts if the first survey has read it.
+        // A page's only seal may be a partly written item. It is accepted only if the latest survey also read it.
         let is_unconfirmed = self.seals == 1 && self.seal_serial > newest_seal;
         if self.seal == 0 {
             let rank = if newest_seal == 0 {
@@ -70,8 +74,8 @@ impl PageState {
         }
     }
 
-    /// Whether anything in the page counts.
-    pub(super) fn counts(&self, newest_seal: u32) -> bool {
+    /// Whether items of the page are accepted.
+    pub(super) fn is_accepted(&self, newest_seal: u32) -> bool {
         self.rank(0, newest_seal).is_some()
     }
 }
@@ -144,7 +148,7 @@ impl<F: NorFlash> FlashStore<F> {
         Ok(())
     }
 
-    /// Calls `note` for every item that counts.
+    /// Calls `note` for every accepted item.
     async fn survey_items(
         &mut self,
         note: fn(&mut Self, Entry) -> Result<(), StoreFault>,

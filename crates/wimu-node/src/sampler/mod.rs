@@ -11,17 +11,17 @@ use wimu_model::{Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs};
 use self::batches::Lane;
 use self::clock::SampleClock;
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
-use crate::shared::{Correction, Message, Order, ROLES, Shared, Trouble};
+use crate::shared::{Correction, Message, Order, PersistentFault, ROLES, Shared};
 use crate::timer::Timer;
 
 /// Most samples in one read.
 const MAX_READ: usize = 32;
 /// Interval between navigation messages, ns.
 const NAVIGATION_NS: u32 = 100_000_000;
-/// Age of the latest epoch from which the end of a detector window, where the state is short, begins a new
-/// one, µs.
+/// Minimum age of an epoch, µs, after which the next end of a detector window begins a new one. The state is
+/// shortest there.
 const EPOCH_DUE_US: u64 = 800_000;
-/// Age of the latest epoch at which any sample begins a new one, µs: less than the 1 s that hosts expect.
+/// Age of an epoch, µs, from which any sample begins a new one: less than the 1 s that hosts expect.
 const EPOCH_LATEST_US: u64 = 950_000;
 /// Interval between reads of magnetic field and temperature, µs.
 const SURROUNDINGS_US: u64 = 500_000;
@@ -164,7 +164,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
     /// Processes samples, oldest first.
     fn process(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
         if self.reported.take().is_some() {
-            self.shared.trouble(Trouble::Sensor, self.timer.now(), None);
+            self.shared
+                .set_fault(PersistentFault::Sensor, self.timer.now(), None);
             self.shared.report(self.timer.now(), Event::SensorFound);
         }
         let missed = running.clock.missed_before(&read, counts.len());
@@ -343,7 +344,8 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             }
         };
         let now = self.timer.now();
-        self.shared.trouble(Trouble::Sensor, now, Some(event));
+        self.shared
+            .set_fault(PersistentFault::Sensor, now, Some(event));
         self.shared.report(now, event);
     }
 

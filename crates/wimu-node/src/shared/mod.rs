@@ -63,7 +63,7 @@ struct LinkShared<M: RawMutex> {
     responder: AsyncMutex<M, Slot<Responder>>,
     heard: Mutex<M, Cell<Heard>>,
     rate: RateSignals<M>,
-    /// The nearest rate that the line can run at, if it can be set.
+    /// The line's supported rates; `None` if the rate cannot be set.
     nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
 }
 
@@ -84,7 +84,7 @@ impl<M: RawMutex> LinkShared<M> {
     }
 }
 
-/// The rate nearest to one, bits/s, that a line can run at.
+/// Returns the supported rate nearest to the argument, bit/s.
 type NearestRate = fn(u32) -> u32;
 
 /// Signals to the [`RateKeeper`](crate::RateKeeper) of a line.
@@ -96,12 +96,13 @@ pub(crate) struct RateSignals<M: RawMutex> {
     pub(crate) noise: Signal<M, ()>,
 }
 
-/// An order to change the rate of a line, bits/s.
+/// An order to change the rate of a line.
 #[derive(Clone, Copy)]
 pub(crate) enum RateOrder {
-    /// Use the stored rate.
+    /// Use this stored rate, bit/s; `None`: nothing is stored, keep the opening rate. A wireless link then
+    /// detects the adapter's rate, this one first.
     Use(Option<u32>),
-    /// Change to this rate, and back if no host is heard.
+    /// Change to this rate, bit/s, and back if no frame from a host is received.
     Try(u32),
 }
 
@@ -129,7 +130,7 @@ impl Heard {
 
 /// Persistent faults of a device.
 #[derive(Clone, Copy)]
-pub(crate) enum Trouble {
+pub(crate) enum PersistentFault {
     Sensor,
     BootCount,
     Settings,
@@ -139,7 +140,7 @@ pub(crate) enum Trouble {
     Calibration,
 }
 
-impl Trouble {
+impl PersistentFault {
     /// The number of variants.
     const COUNT: usize = 6;
 }
@@ -170,8 +171,8 @@ pub(crate) struct Published {
     pub(crate) sensor: SensorStatus,
     pub(crate) measured_period_ns: Option<u32>,
     pub(crate) jitter_ns: Option<u32>,
-    /// Present faults by [`Trouble`], and when each began.
-    troubles: [Option<(DeviceTimeUs, Event)>; Trouble::COUNT],
+    /// Present faults by [`PersistentFault`], and when each began.
+    faults: [Option<(DeviceTimeUs, Event)>; PersistentFault::COUNT],
     /// Whether the store has been read; before that nothing is sent.
     pub(crate) ready: bool,
 }
@@ -186,7 +187,7 @@ impl Published {
             sensor: SensorStatus::default(),
             measured_period_ns: None,
             jitter_ns: None,
-            troubles: [None; Trouble::COUNT],
+            faults: [None; PersistentFault::COUNT],
             ready: false,
         }
     }
@@ -235,7 +236,7 @@ impl<M: RawMutex> Shared<M> {
             .lock(|known| known.set(Some(nearest)));
     }
 
-    /// The rate nearest to `baud` that a link's line can run at; `None` if it cannot be set.
+    /// The supported rate of a link's line nearest to `baud`, bit/s; `None` if the rate cannot be set.
     pub(crate) fn nearest_rate(&self, role: LinkRole, baud: u32) -> Option<u32> {
         let nearest = self.link(role).nearest_rate.lock(Cell::get)?;
         Some(nearest(baud))
@@ -303,9 +304,14 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// Notes that a fault has begun, or ended, for later listeners.
-    pub(crate) fn trouble(&self, trouble: Trouble, now: DeviceTimeUs, event: Option<Event>) {
+    pub(crate) fn set_fault(
+        &self,
+        fault: PersistentFault,
+        now: DeviceTimeUs,
+        event: Option<Event>,
+    ) {
         self.publish(|published| {
-            if let Some(known) = published.troubles.get_mut(trouble as usize) {
+            if let Some(known) = published.faults.get_mut(fault as usize) {
                 *known = event.map(|event| (now, event));
             }
         });
@@ -331,7 +337,7 @@ impl<M: RawMutex> Shared<M> {
             Health {
                 samples: published.sensor.samples,
                 sensor_lost: matches!(
-                    published.troubles.get(Trouble::Sensor as usize),
+                    published.faults.get(PersistentFault::Sensor as usize),
                     Some(Some(_))
                 ),
                 calibrated: published.parameters != ParameterId::UNCALIBRATED,

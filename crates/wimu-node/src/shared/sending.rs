@@ -9,8 +9,8 @@ use wimu_model::DeviceTimeUs;
 use super::{Message, ROLES, Shared, active_parameters};
 use crate::queue::{FrameQueue, PIECE};
 
-/// Longest message that may be shed (a status) in its frame, bytes.
-const MAX_SHED: usize = 192;
+/// Longest telemetry message (a status) in its frame, bytes.
+const MAX_TELEMETRY: usize = 192;
 
 impl<M: RawMutex> Shared<M> {
     fn with_outbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut FrameQueue) -> R) -> R {
@@ -20,24 +20,24 @@ impl<M: RawMutex> Shared<M> {
         result
     }
 
-    /// Queues an encoded frame that is never shed.
+    /// Queues an encoded frame that is kept: dropped only when the link has stalled.
     pub(crate) fn keep(&self, role: LinkRole, frame: &[u8]) {
         self.with_outbox(role, |outbox| outbox.push_kept(frame));
     }
 
-    /// Queues an encoded frame that is never shed, if room for a signed reply remains.
+    /// Queues an encoded frame that is kept, if room for a signed reply remains.
     pub(crate) fn keep_if_room(&self, role: LinkRole, frame: &[u8]) {
         self.with_outbox(role, |outbox| outbox.push_unsigned(frame));
     }
 
-    /// Queues a message that is shed when the link is too slow, on the links that want it.
+    /// Queues a message that is dropped when the link is too slow, on the links that want it.
     pub(crate) fn stream(&self, roles: [bool; 2], message: &Message, wanted: fn(&Streams) -> bool) {
-        let mut frame = [0; MAX_SHED];
+        let mut frame = [0; MAX_TELEMETRY];
         let length = message.encode(&mut frame).unwrap_or(0);
         self.stream_frame(roles, frame.get(..length).unwrap_or_default(), wanted);
     }
 
-    /// Queues an encoded frame that is shed when the link is too slow, on the links that want it.
+    /// Queues an encoded frame that is dropped when the link is too slow, on the links that want it.
     pub(crate) fn stream_frame(
         &self,
         roles: [bool; 2],
@@ -56,7 +56,8 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// Queues a message that is never shed on the chosen links, in the order of [`ROLES`].
+    /// Queues a message that is kept on the chosen links, in the order of [`ROLES`]: dropped only when a link
+    /// has stalled.
     pub(crate) fn announce(&self, message: &Message, roles: [bool; 2]) {
         let mut frame = [0; MAX_FRAME];
         if let Ok(length) = message.encode(&mut frame) {
@@ -66,7 +67,7 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// Queues a message that is never shed on one link.
+    /// Queues a message that is kept on one link.
     fn send(&self, role: LinkRole, message: &Message) {
         self.announce(message, ROLES.map(|other| other == role));
     }
@@ -109,7 +110,7 @@ impl<M: RawMutex> Shared<M> {
         self.send(role, &Telemetry::Settings(published.settings));
         self.send_parameters(role);
         self.send(role, &Telemetry::Status(self.status(now)));
-        for &(since, event) in published.troubles.iter().flatten() {
+        for &(since, event) in published.faults.iter().flatten() {
             let time_us = since.0;
             self.send(role, &Telemetry::Event { time_us, event });
         }
@@ -142,7 +143,7 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// Whether every frame that is never shed has been sent on a link.
+    /// Whether every kept frame has been sent on a link.
     pub(crate) fn is_drained(&self, role: LinkRole) -> bool {
         self.link(role)
             .outbox

@@ -14,11 +14,11 @@ use crate::setup::cargo;
 pub const RESULTS: &str = "docs/validation";
 
 // Sources of commands.
-const ARITHMETIC: [&str; 2] = ["crates/wimu-model", "crates/wimu-integrator"];
-const CALIBRATION: [&str; 2] = ["crates/wimu-model", "crates/wimu-calib"];
-const NAVIGATION: [&str; 1] = ["crates/wimu-nav"];
+const ARITHMETIC: [&str; 2] = ["crates/wimu-model/src", "crates/wimu-integrator/src"];
+const CALIBRATION: [&str; 2] = ["crates/wimu-model/src", "crates/wimu-calib/src"];
+const NAVIGATION: [&str; 1] = ["crates/wimu-nav/src"];
 const HOST_NAVIGATION: [&str; 7] = [
-    "crates/wimu-nav",
+    "crates/wimu-nav/src",
     "host-tools/wimu-host/src/array",
     "host-tools/wimu-host/src/array.rs",
     "host-tools/wimu-host/src/inertial",
@@ -27,19 +27,19 @@ const HOST_NAVIGATION: [&str; 7] = [
     "host-tools/wimu-host/examples",
 ];
 const LINK: [&str; 3] = [
-    "crates/wimu-link",
-    "crates/wimu-node",
+    "crates/wimu-link/src",
+    "crates/wimu-node/src",
     "host-tools/wimu-sim/src",
 ];
 const LOOP: [&str; 6] = [
-    "crates/wimu-model",
-    "crates/wimu-calib",
-    "crates/wimu-integrator",
-    "crates/wimu-link",
-    "crates/wimu-node",
+    "crates/wimu-model/src",
+    "crates/wimu-calib/src",
+    "crates/wimu-integrator/src",
+    "crates/wimu-link/src",
+    "crates/wimu-node/src",
     "host-tools/wimu-sim/src",
 ];
-const STORAGE: [&str; 2] = ["crates/wimu-node", "host-tools/wimu-sim/src/storage.rs"];
+const STORAGE: [&str; 2] = ["crates/wimu-node/src", "host-tools/wimu-sim/src/storage.rs"];
 const CLOCKS: [&str; 5] = [
     "host-tools/wimu-sim/src",
     "host-tools/wimu-host/src/clock",
@@ -49,12 +49,12 @@ const CLOCKS: [&str; 5] = [
 ];
 /// What a device runs.
 const DEVICE: [&str; 7] = [
-    "crates/wimu-model",
-    "crates/wimu-integrator",
-    "crates/wimu-calib",
-    "crates/wimu-link",
-    "crates/wimu-node",
-    "crates/wimu-adxl345",
+    "crates/wimu-model/src",
+    "crates/wimu-integrator/src",
+    "crates/wimu-calib/src",
+    "crates/wimu-link/src",
+    "crates/wimu-node/src",
+    "crates/wimu-adxl345/src",
     "firmware",
 ];
 
@@ -116,7 +116,10 @@ pub const CAMPAIGNS: [Campaign; 9] = [
             },
             Run {
                 command: "test --release -p wimu-host --lib -- calibration::advice",
-                sources: &["crates/wimu-calib", "host-tools/wimu-host/src/calibration"],
+                sources: &[
+                    "crates/wimu-calib/src",
+                    "host-tools/wimu-host/src/calibration",
+                ],
             },
             Run {
                 command: "run --release -p wimu-calib --example speed",
@@ -164,11 +167,11 @@ pub const CAMPAIGNS: [Campaign; 9] = [
         runs: &[
             Run {
                 command: "test --release -p wimu-link --test all -- --include-ignored",
-                sources: &["crates/wimu-link"],
+                sources: &["crates/wimu-link/src"],
             },
             Run {
                 command: "run --release -p wimu-link --example wire_budget -- {data}",
-                sources: &["crates/wimu-link"],
+                sources: &["crates/wimu-link/src"],
             },
             Run {
                 command: "run --release -p wimu-sim --example link_budget",
@@ -184,7 +187,7 @@ pub const CAMPAIGNS: [Campaign; 9] = [
             },
             Run {
                 command: "run --release -p wimu-tests --example decode_rate",
-                sources: &["crates/wimu-link", "host-tools/wimu-host/src/decode"],
+                sources: &["crates/wimu-link/src", "host-tools/wimu-host/src/decode"],
             },
         ],
     },
@@ -216,7 +219,7 @@ pub const CAMPAIGNS: [Campaign; 9] = [
         runs: &[Run {
             command: "run --release -p wimu-tests --example fuzz 10000000 7",
             sources: &[
-                "crates/wimu-link",
+                "crates/wimu-link/src",
                 "host-tools/wimu-host/src/decode",
                 "tests/src",
             ],
@@ -255,10 +258,11 @@ pub fn names() -> String {
 }
 
 /// Runs the commands of a campaign and writes the results of each as it ends: a campaign that was
-/// interrupted goes on with those commands whose results are missing or stale.
+/// interrupted goes on with those commands whose results are missing or stale. The figures of a command
+/// that fails are kept, and marked.
 ///
 /// # Errors
-/// Says which command failed, or which of its sources are not committed.
+/// Says which commands failed, or which of their sources are not committed.
 pub fn run(name: &str, seed: u64) -> Result<(), String> {
     let campaign = CAMPAIGNS.iter().find(|campaign| campaign.name == name);
     let campaign = campaign.ok_or("there is no such campaign")?;
@@ -288,7 +292,15 @@ pub fn run(name: &str, seed: u64) -> Result<(), String> {
         fs::write(&file, format!("{done:#}\n")).map_err(|e| format!("{}: {e}", file.display()))?;
     }
     println!("{}", file.display());
-    Ok(())
+    let failed = campaign.results(&done).into_iter();
+    let failed = failed.filter(|(result, _)| result["passed"] == false);
+    let failed: Vec<_> = failed
+        .map(|(result, _)| result["command"].to_string())
+        .collect();
+    match failed.is_empty() {
+        true => Ok(()),
+        false => Err(format!("failed: {}", failed.join(", "))),
+    }
 }
 
 impl Campaign {
@@ -320,11 +332,11 @@ impl Run {
         let _ = fs::remove_file(&lines);
         let start = Instant::now();
         let command = self.command.replace("{data}", DATA);
-        cargo(&command.replace("{results}", RESULTS))
+        let outcome = cargo(&command.replace("{results}", RESULTS))
             .with("WIMU_LANE", "campaign")
             .with("WIMU_SEED", &seed.to_string())
             .with("WIMU_RESULTS", &lines.display().to_string())
-            .run()?;
+            .run();
         let mut figures = read_lines(&fs::read_to_string(&lines).unwrap_or_default())?;
         let _ = fs::remove_file(&lines);
         // Parallel tests record in any order.
@@ -334,6 +346,7 @@ impl Run {
             "commit": revision("HEAD").ok_or("this is no git checkout")?,
             "sources": self.hashes(),
             "minutes": (start.elapsed().as_secs_f64() / 6.0).round() / 10.0,
+            "passed": outcome.is_ok(),
             "figures": figures,
         }))
     }

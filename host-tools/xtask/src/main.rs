@@ -160,7 +160,7 @@ Usage: cargo xtask TASK
   test                  everything that must hold before a change is kept
   … --only STEP,…       just these steps of `check` or `test`
   campaign NAME         statistics in release, to docs/validation/NAME.json; commands whose results
-                        are there and not stale are left out; --seed N draws other numbers
+                        are there and not stale, and passed, are left out; --seed N draws other numbers
   validation            render docs/VALIDATION.md from docs/validation
   budget [DATA]         print the measured figures: bytes on the wire, accuracy, instructions per
                         sample in QEMU, and fail where one is past its bar;

@@ -7,7 +7,7 @@ use crate::{Bus, Error, Power, Setup};
 /// Interval and number of looks at the reset bit: 10 ms; the chip takes 50 µs.
 const RESET_POLL_US: u32 = 100;
 const RESET_POLLS: u32 = 100;
-/// From power-down until the gyroscope measures (DS12140 §4.2: 70 ms at most), with reserve.
+/// From power-down until the gyroscope measures (70 ms by ST's AN5192), with reserve.
 const TURN_ON_US: u32 = 80_000;
 /// Samples that the filters take to settle after that.
 const SETTLING: u32 = 2;

@@ -14,7 +14,7 @@ const TIMESTAMP: u8 = 4;
 
 /// A word of `sensor` in sample `slot`, with the slot's number on every axis.
 fn word(sensor: u8, slot: i16) -> [u8; 7] {
-    let tag = sensor << 3 | (slot & 3) as u8 * 2;
+    let tag = sensor << 3 | ((slot & 3) as u8) << 1;
     let tag = tag | (tag.count_ones() % 2) as u8;
     let [low, high] = slot.to_le_bytes();
     [tag, low, high, low, high, low, high]

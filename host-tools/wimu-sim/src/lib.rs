@@ -10,6 +10,7 @@ pub mod clock;
 pub mod faults;
 pub mod i2c;
 pub mod lsm303agr;
+pub mod lsm6dso;
 pub mod motion;
 pub mod pipe;
 #[cfg(unix)]
@@ -21,5 +22,6 @@ pub mod scene;
 pub mod sensor;
 pub mod server;
 pub mod source;
+pub mod spi;
 pub mod storage;
 pub mod truth;

@@ -1,6 +1,6 @@
 use embedded_hal_async::delay::DelayNs;
 
-use crate::fifo::{Batch, DEPTH, Item, Pairing, Sample, WORD, axes};
+use crate::fifo::{Batch, DEPTH, Pairing, Sample, WORD, axes};
 use crate::registers::*;
 use crate::{Bus, Error, Power, Setup};
 
@@ -106,7 +106,6 @@ impl<B: Bus> Lsm6dso<B> {
         let registers = [
             (CTRL6_C, on(low_power, CTRL6_LOW_POWER)),
             (CTRL7_G, on(low_power, CTRL7_LOW_POWER)),
-            (CTRL10_C, on(setup.timestamps, CTRL10_TIMESTAMP)),
             (INT1_CTRL, INT1_CTRL_FIFO_TH),
             (FIFO_CTRL1, watermark_low),
             (FIFO_CTRL2, watermark_high),
@@ -119,9 +118,7 @@ impl<B: Bus> Lsm6dso<B> {
         }
         let settling_us = SETTLING * (setup.rate.period_ns() / 1000);
         delay.delay_us(TURN_ON_US + settling_us).await;
-        let fifo = FIFO_CTRL4_CONTINUOUS
-            | on(setup.temperature, FIFO_CTRL4_TEMPERATURE)
-            | on(setup.timestamps, FIFO_CTRL4_TIMESTAMP);
+        let fifo = FIFO_CTRL4_CONTINUOUS | on(setup.temperature, FIFO_CTRL4_TEMPERATURE);
         self.write(FIFO_CTRL4, fifo).await?;
         self.pairing = Pairing::default();
         self.continuous = true;
@@ -186,16 +183,13 @@ impl<B: Bus> Lsm6dso<B> {
             self.pairing = Pairing::default();
         }
         for word in bytes.as_chunks().0 {
-            match self.pairing.take(*word) {
-                Ok(Some(Item::Sample(sample))) => {
-                    if let Some(next) = samples.get_mut(batch.count) {
+            match self.pairing.take(*word, &mut batch.temperature) {
+                Ok(sample) => {
+                    if let (Some(sample), Some(next)) = (sample, samples.get_mut(batch.count)) {
                         *next = sample;
                         batch.count += 1;
                     }
                 }
-                Ok(Some(Item::Temperature(lsb))) => batch.temperature = Some(lsb),
-                Ok(Some(Item::Timestamp(lsb))) => batch.timestamp = Some(lsb),
-                Ok(None) => {}
                 Err(fault) => {
                     batch.fault = Some(fault);
                     batch.count = 0;

@@ -54,8 +54,6 @@ pub struct Batch {
     pub words_left: u16,
     /// Newest temperature in the burst, LSB of 1/256 K from 25 °C.
     pub temperature: Option<i16>,
-    /// Newest timestamp in the burst, nominally 25 µs/LSB.
-    pub timestamp: Option<u32>,
 }
 
 /// Why words of the FIFO could not be used.
@@ -97,14 +95,6 @@ impl fmt::Display for FifoFault {
 
 impl core::error::Error for FifoFault {}
 
-/// What a word completed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Item {
-    Sample(Sample),
-    Temperature(i16),
-    Timestamp(u32),
-}
-
 /// Joins the two words of a sample, which carry the same tag counter and follow each other in
 /// either order.
 ///
@@ -126,11 +116,15 @@ struct Half {
 }
 
 impl Pairing {
-    /// Takes the next word.
+    /// Takes the next word; returns the sample that it completes.
     ///
     /// # Errors
     /// [`FifoFault`]. Samples that are completed later do not follow those before without a gap.
-    pub(crate) fn take(&mut self, word: [u8; WORD]) -> Result<Option<Item>, FifoFault> {
+    pub(crate) fn take(
+        &mut self,
+        word: [u8; WORD],
+        temperature: &mut Option<i16>,
+    ) -> Result<Option<Sample>, FifoFault> {
         let [tag, data @ ..] = word;
         if tag.count_ones() % 2 != 0 {
             *self = Self::default();
@@ -142,11 +136,12 @@ impl Pairing {
                 counter: tag >> 1 & 0b11,
                 axes: axes(data),
             }),
-            TEMPERATURE => Ok(Some(Item::Temperature(axes(data)[0]))),
-            TIMESTAMP => {
-                let [a, b, c, d, ..] = data;
-                Ok(Some(Item::Timestamp(u32::from_le_bytes([a, b, c, d]))))
+            TEMPERATURE => {
+                *temperature = Some(axes(data)[0]);
+                Ok(None)
             }
+            // Its oscillator is that of the samples: it says no more than their number.
+            TIMESTAMP => Ok(None),
             _ => {
                 *self = Self::default();
                 Err(FifoFault::UnknownTag { tag })
@@ -154,7 +149,7 @@ impl Pairing {
         }
     }
 
-    fn join(&mut self, new: Half) -> Result<Option<Item>, FifoFault> {
+    fn join(&mut self, new: Half) -> Result<Option<Sample>, FifoFault> {
         match self.half.take() {
             Some(first) if first.counter == new.counter && first.sensor != new.sensor => {
                 self.last = Some(new.counter);
@@ -162,10 +157,10 @@ impl Pairing {
                     ACCELEROMETER => (new.axes, first.axes),
                     _ => (first.axes, new.axes),
                 };
-                Ok(Some(Item::Sample(Sample {
+                Ok(Some(Sample {
                     acceleration,
                     angular_rate,
-                })))
+                }))
             }
             Some(first) => {
                 self.half = Some(new);

@@ -15,7 +15,6 @@ pub(crate) const CTRL5_C: u8 = 0x14;
 pub(crate) const CTRL6_C: u8 = 0x15;
 pub(crate) const CTRL7_G: u8 = 0x16;
 pub(crate) const CTRL9_XL: u8 = 0x18;
-pub(crate) const CTRL10_C: u8 = 0x19;
 pub(crate) const OUT_TEMP_L: u8 = 0x20;
 pub(crate) const OUTX_L_G: u8 = 0x22;
 pub(crate) const FIFO_STATUS1: u8 = 0x3A;
@@ -24,8 +23,6 @@ pub(crate) const FIFO_DATA_OUT_TAG: u8 = 0x78;
 pub(crate) const FIFO_CTRL4_CONTINUOUS: u8 = 0b110;
 /// Temperature in the FIFO at 1.6 Hz (ODR_T_BATCH).
 pub(crate) const FIFO_CTRL4_TEMPERATURE: u8 = 0b01 << 4;
-/// A timestamp in the FIFO with every sample (DEC_TS_BATCH).
-pub(crate) const FIFO_CTRL4_TIMESTAMP: u8 = 0b01 << 6;
 pub(crate) const INT1_CTRL_FIFO_TH: u8 = 1 << 3;
 pub(crate) const CTRL3_SW_RESET: u8 = 1;
 pub(crate) const CTRL3_IF_INC: u8 = 1 << 2;
@@ -39,7 +36,6 @@ pub(crate) const CTRL6_LOW_POWER: u8 = 1 << 4;
 pub(crate) const CTRL7_LOW_POWER: u8 = 1 << 7;
 /// The register's default value with I3C_disable set.
 pub(crate) const CTRL9_I3C_DISABLE: u8 = 0xE0 | 1 << 1;
-pub(crate) const CTRL10_TIMESTAMP: u8 = 1 << 5;
 pub(crate) const FIFO_STATUS2_OVERRUN: u8 = 1 << 6;
 pub(crate) const FIFO_STATUS2_OVERRUN_LATCHED: u8 = 1 << 3;
 pub(crate) const FIFO_STATUS2_LEVEL: u8 = 0b11;

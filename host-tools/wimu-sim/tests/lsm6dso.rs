@@ -44,7 +44,6 @@ const SETUP: Setup = Setup {
     power: Power::High,
     watermark: 8,
     temperature: false,
-    timestamps: false,
 };
 /// 10 MHz.
 const SPI_HZ: u32 = 10_000_000;
@@ -513,7 +512,7 @@ fn a_start_works_from_any_state() {
 }
 
 #[test]
-fn temperatures_and_timestamps_come_through_the_fifo() {
+fn temperatures_come_through_the_fifo() {
     let world = World {
         temperature: Temperature::Constant(-10.5),
         ..World::default()
@@ -522,27 +521,21 @@ fn temperatures_and_timestamps_come_through_the_fifo() {
     bench.on_i2c(async |driver| {
         let setup = Setup {
             temperature: true,
-            timestamps: true,
             ..SETUP
         };
         driver.start(&setup, &mut bench.clock.clone()).await?;
-        let (mut temperatures, mut stamps) = (Vec::new(), Vec::new());
+        let mut temperatures = Vec::new();
         while bench.clock.now() < 4_000_000 {
             bench.wait_us(19_200).await;
             let (batches, _) = drain(driver).await?;
             assert!(batches.iter().all(|batch| batch.fault.is_none()));
             temperatures.extend(batches.iter().filter_map(|batch| batch.temperature));
-            stamps.extend(batches.iter().filter_map(|batch| batch.timestamp));
         }
         // 1.6 Hz over 4 s.
         assert!((5..=8).contains(&temperatures.len()), "{temperatures:?}");
         let lsb = -9088; // 25 °C - 35.5 K
         assert!(temperatures.iter().all(|found| *found == lsb));
         assert_eq!(driver.temperature().await?, lsb);
-        assert!(stamps.windows(2).all(|pair| pair[0] < pair[1]));
-        // From the start, after the reset of 0.1 ms; the newest word is at most two samples old.
-        let newest_us = u64::from(stamps[stamps.len() - 1]) * 25;
-        assert!(bench.clock.now() - newest_us < 15_000, "{newest_us}");
         Ok(())
     });
 }

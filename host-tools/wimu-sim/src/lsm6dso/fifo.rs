@@ -9,7 +9,6 @@ pub(super) const WORDS: usize = 512;
 pub(super) const GYROSCOPE: u8 = 1;
 pub(super) const ACCELEROMETER: u8 = 2;
 pub(super) const TEMPERATURE: u8 = 3;
-pub(super) const TIMESTAMP: u8 = 4;
 
 #[derive(Debug, Default)]
 pub(super) struct Fifo {

@@ -3,12 +3,12 @@
 //! Modelled: identity, both addresses, I2C_disable, output data rates 12.5 Hz to 6.66 kHz with both
 //! sensors on one oscillator, ranges, turn-on time of the gyroscope (full scale until it has passed),
 //! output registers with block data update, the FIFO of 512 tagged words (bypass, continuous) with
-//! batch rates, temperatures and timestamps, watermark, overrun and its latch, data-ready, watermark,
-//! overrun and full on INT1 of either polarity, timestamp counter, self-test,
-//! software reset, access to the embedded functions' registers, which hides all others. Other
-//! registers keep what is written to them and do nothing: filters, compression, embedded functions,
-//! I3C, INT2. Low power changes no noise. The order of the words of one instant (gyroscope,
-//! accelerometer, temperature, timestamp) and the content of an empty FIFO are not in the datasheet.
+//! batch rates and temperatures, watermark, overrun and its latch, data-ready, watermark, overrun and
+//! full on INT1 of either polarity, self-test, software reset, access to the embedded functions'
+//! registers, which hides all others. Other registers keep what is written to them and do nothing:
+//! timestamps, filters, compression, embedded functions, I3C, INT2. Low power changes no noise. The
+//! order of the words of one instant (gyroscope, accelerometer, temperature) and the content of an
+//! empty FIFO are not in the datasheet.
 
 mod fifo;
 mod gyroscope;
@@ -26,7 +26,7 @@ use crate::sampling::SampleClock;
 use crate::sensor::Sensor;
 use crate::source::{Conversion, Source, quantise};
 use crate::spi;
-use fifo::{ACCELEROMETER, Fifo, GYROSCOPE, TEMPERATURE, TIMESTAMP, WORDS};
+use fifo::{ACCELEROMETER, Fifo, GYROSCOPE, TEMPERATURE, WORDS};
 
 const FUNC_CFG_ACCESS: u8 = 0x01;
 const FIFO_CTRL1: u8 = 0x07;
@@ -41,15 +41,12 @@ const CTRL3_C: u8 = 0x12;
 const CTRL4_C: u8 = 0x13;
 const CTRL5_C: u8 = 0x14;
 const CTRL9_XL: u8 = 0x18;
-const CTRL10_C: u8 = 0x19;
 const ALL_INT_SRC: u8 = 0x1A;
 const STATUS: u8 = 0x1E;
 const OUT_TEMP_L: u8 = 0x20;
 const OUTZ_H_A: u8 = 0x2D;
 const FIFO_STATUS1: u8 = 0x3A;
 const FIFO_STATUS2: u8 = 0x3B;
-const TIMESTAMP0: u8 = 0x40;
-const TIMESTAMP3: u8 = 0x43;
 const FIFO_TAG: u8 = 0x78;
 const FIFO_Z_H: u8 = 0x7E;
 
@@ -58,7 +55,6 @@ const IF_INC: u8 = 1 << 2;
 const ACTIVE_LOW: u8 = 1 << 5;
 const BDU: u8 = 1 << 6;
 const I2C_DISABLE: u8 = 1 << 2;
-const TIMESTAMP_EN: u8 = 1 << 5;
 
 /// Rate of code 10, the fastest, Hz; each code below halves it.
 const FASTEST_HZ: f64 = 20_000.0 / 3.0;
@@ -104,8 +100,6 @@ struct Lsm6dso {
     now: u64,
     reset_until: u64,
     gyroscope_on_us: u64,
-    timestamps_from_us: u64,
-    period_error_ppm: f64,
     /// At the faster of both rates; the slower one is a power of two below it.
     sampling: Option<SampleClock>,
     /// Samples of the gyroscope and of the accelerometer.
@@ -170,13 +164,6 @@ impl Lsm6dso {
         watermark > 0 && self.fifo.len() >= watermark
     }
 
-    fn timestamp(&self, time_us: f64) -> [u8; 4] {
-        let elapsed_us = time_us - self.timestamps_from_us as f64;
-        let lsb = elapsed_us / (25.0 * (1.0 + self.period_error_ppm * 1e-6));
-        let runs = self.is_set(CTRL10_C, TIMESTAMP_EN);
-        (if runs { lsb as u64 as u32 } else { 0 }).to_le_bytes()
-    }
-
     fn tick(&mut self, time_s: f64, source: &mut dyn Source) {
         if source.waits_for_reader() && self.above_watermark() {
             return;
@@ -192,7 +179,7 @@ impl Lsm6dso {
         self.output[0] = quantise(256.0 * (source.temperature_c(time_s) - 25.0), 16);
         self.fresh |= 0b100;
         if self.register(FIFO_CTRL4) & 0b111 != 0 {
-            self.batch(time_s, rate, force);
+            self.batch(rate, force);
         }
         self.ticks += 1;
     }
@@ -244,32 +231,25 @@ impl Lsm6dso {
     }
 
     /// Puts the words of this tick into the FIFO.
-    fn batch(&mut self, time_s: f64, rate: bool, force: bool) {
+    fn batch(&mut self, rate: bool, force: bool) {
         let codes = self.codes();
         let batched = self.register(FIFO_CTRL3);
         let rate = rate && self.is_due(codes[0].min(batched >> 4));
         let force = force && self.is_due(codes[1].min(batched & 0xF));
         self.slot = self.slot.wrapping_add(u8::from(rate || force));
-        let every = |ticks: u64| self.ticks.is_multiple_of(ticks);
         let control = self.register(FIFO_CTRL4);
         // At 1.6 Hz (an eighth of code 1), 12.5 Hz, 52 Hz.
         let temperature = match control >> 4 & 0b11 {
             0b00 => false,
-            0b01 => every(8 << (self.fastest_code() - 1)),
+            0b01 => self.ticks.is_multiple_of(8 << (self.fastest_code() - 1)),
             0b10 => self.is_due(1),
             _ => self.is_due(3),
         };
-        let timestamp = match control >> 6 {
-            0b00 => false,
-            decimation => every([1, 8, 32][usize::from(decimation) - 1]),
-        };
         let [t, gx, gy, gz, ax, ay, az] = self.output.map(i16::to_le_bytes);
-        let [t0, t1, t2, t3] = self.timestamp(time_s * 1e6);
         for (is_due, sensor, data) in [
             (rate, GYROSCOPE, [gx, gy, gz]),
             (force, ACCELEROMETER, [ax, ay, az]),
             (temperature, TEMPERATURE, [t, [0; 2], [0; 2]]),
-            (timestamp, TIMESTAMP, [[t0, t1], [t2, t3], [0; 2]]),
         ] {
             if is_due {
                 self.fifo.push(sensor, self.slot, data);
@@ -336,7 +316,6 @@ impl Chip for Lsm6dso {
     }
 
     fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        self.period_error_ppm = period_error_ppm;
         if std::mem::take(&mut self.expects_register) {
             self.pointer = byte & 0x7F;
             return;
@@ -345,19 +324,18 @@ impl Chip for Lsm6dso {
         self.pointer = self.after(register);
         let read_only = matches!(
             register,
-            WHO_AM_I | ALL_INT_SRC..=OUTZ_H_A | FIFO_STATUS1..=TIMESTAMP3 | FIFO_TAG..
+            WHO_AM_I | ALL_INT_SRC..=OUTZ_H_A | FIFO_STATUS1 | FIFO_STATUS2 | FIFO_TAG..
         );
         if self.is_hidden(register) || read_only {
             return;
         }
-        let (codes, timestamps) = (self.codes(), self.is_set(CTRL10_C, TIMESTAMP_EN));
+        let codes = self.codes();
         self.registers[usize::from(register)] = byte;
         match register {
             CTRL3_C if byte & SW_RESET != 0 => {
                 self.reset();
                 self.reset_until = now + RESET_US;
             }
-            CTRL10_C if !timestamps => self.timestamps_from_us = now,
             FIFO_CTRL4 if byte & 0b111 == 0 => self.fifo = Fifo::default(),
             _ => {}
         }
@@ -383,9 +361,6 @@ impl Chip for Lsm6dso {
             OUT_TEMP_L..=OUTZ_H_A => self.read_output(usize::from(register - OUT_TEMP_L)),
             FIFO_STATUS1 => self.fifo.len() as u8,
             FIFO_STATUS2 => u8::from(self.above_watermark()) << 7 | self.fifo.status2(),
-            TIMESTAMP0..=TIMESTAMP3 => {
-                self.timestamp(self.now as f64)[usize::from(register - TIMESTAMP0)]
-            }
             FIFO_TAG..=FIFO_Z_H => self.fifo.read(usize::from(register - FIFO_TAG)),
             _ => self.register(register),
         }

@@ -1,7 +1,7 @@
 //! Linker arguments, and the memory of the machine that runs the target.
 
-use std::path::Path;
-use std::{env, fs};
+#[path = "../shared/link.rs"]
+mod link;
 
 /// QEMU's mps2-an386: Cortex-M4F.
 const MPS2_AN386: &str = "
@@ -18,17 +18,11 @@ MEMORY {
 }";
 
 fn main() {
-    let target = env::var("TARGET").expect("cargo sets TARGET");
-    let folder = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
+    let target = std::env::var("TARGET").expect("cargo sets TARGET");
     let memory = if target.starts_with("thumbv6m") {
         MICROBIT
     } else {
         MPS2_AN386
     };
-    fs::write(Path::new(&folder).join("memory.x"), memory).expect("OUT_DIR can be written");
-    println!("cargo::rustc-link-search={folder}");
-    // Here and not in .cargo/config.toml, where RUSTFLAGS in the environment would replace it.
-    println!("cargo::rustc-link-arg-bins=-Tlink.x");
-    println!("cargo::rustc-link-arg-bins=--nmagic");
-    println!("cargo::rerun-if-changed=build.rs");
+    link::link(memory, &["-Tlink.x", "--nmagic"]);
 }

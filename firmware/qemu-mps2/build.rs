@@ -3,6 +3,9 @@
 use std::path::Path;
 use std::{env, fs};
 
+#[path = "../shared/link.rs"]
+mod link;
+
 const MEMORY: &str = "
 MEMORY {
   FLASH : ORIGIN = 0x00000000, LENGTH = 4M
@@ -11,16 +14,7 @@ MEMORY {
 
 fn main() {
     let folder = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
-    let file = |name: &str, content: &str| {
-        fs::write(Path::new(&folder).join(name), content).expect("OUT_DIR can be written");
-    };
-    file("memory.x", MEMORY);
-    // Every interrupt that is used has its handler in the table of `interrupts`.
-    file("device.x", "");
-    println!("cargo::rustc-link-search={folder}");
-    // Here and not in .cargo/config.toml, where RUSTFLAGS in the environment would replace it.
-    for argument in ["-Tlink.x", "-Tdefmt.x", "--nmagic"] {
-        println!("cargo::rustc-link-arg-bins={argument}");
-    }
-    println!("cargo::rerun-if-changed=build.rs");
+    // Empty: the module `interrupts` has the table of interrupt handlers.
+    fs::write(Path::new(&folder).join("device.x"), "").expect("OUT_DIR can be written");
+    link::link(MEMORY, &["-Tlink.x", "-Tdefmt.x", "--nmagic"]);
 }

@@ -1,4 +1,4 @@
-//! Where the firmware stopped, kept over the reset that follows: the next Hello tells.
+//! Record of a panic or fault, kept over the reset that follows and reported in the next Hello.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
@@ -10,16 +10,16 @@ use cortex_m_rt::{ExceptionFrame, exception};
 use defmt_rtt as _;
 use wimu_link::hello::Fault;
 
-/// Tells a note from what memory holds by chance.
+/// Marks a valid note in uninitialised memory.
 const MAGIC: u32 = 0x5749_4d55;
 
-/// In memory that nobody clears at a start.
+/// The record, in memory that is not cleared at a start.
 #[derive(Clone, Copy)]
 #[repr(C)]
 struct Note {
     magic: u32,
     line: u32,
-    /// The end of a file's name, zeros behind it.
+    /// The end of the file's name, padded with zeros.
     file: [u8; 15],
     length: u8,
     check: u32,
@@ -35,10 +35,10 @@ fn check(note: &Note) -> u32 {
     })
 }
 
-/// What was noted before the last start, once.
+/// Returns the record from before the last start, and clears it.
 pub fn take() -> Option<Fault> {
-    // SAFETY: it is called before there are tasks, and the handlers below never return; any bits
-    // are a note, and the check tells whether it is one of ours.
+    // SAFETY: called before tasks run, and the handlers below never return. Any bits are a valid `Note`; the
+    // check sum decides whether it was written.
     let note = unsafe {
         let note = addr_of!(NOTE).cast::<Note>().read_volatile();
         addr_of_mut!(NOTE).cast::<u32>().write_volatile(0);
@@ -51,7 +51,7 @@ pub fn take() -> Option<Fault> {
     Some(Fault::panic(file, note.line))
 }
 
-fn leave(fault: &Fault) -> ! {
+fn record_and_restart(fault: &Fault) -> ! {
     cortex_m::interrupt::disable();
     let mut note = Note {
         magic: MAGIC,
@@ -65,7 +65,7 @@ fn leave(fault: &Fault) -> ! {
         note.length += 1;
     }
     note.check = check(&note);
-    // SAFETY: interrupts are off for good, nobody else looks.
+    // SAFETY: interrupts stay disabled, so there is no other access.
     unsafe { addr_of_mut!(NOTE).cast::<Note>().write_volatile(note) };
     crate::restart()
 }
@@ -75,12 +75,12 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     #[cfg(feature = "defmt")]
     defmt::error!("{}", defmt::Display2Format(info));
     let place = info.location();
-    leave(&place.map_or(Fault::default(), |place| {
+    record_and_restart(&place.map_or(Fault::default(), |place| {
         Fault::panic(place.file(), place.line())
     }))
 }
 
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    leave(&Fault::processor("hard fault", frame.pc()))
+    record_and_restart(&Fault::processor("hard fault", frame.pc()))
 }

@@ -1,13 +1,12 @@
-//! Copying and filling memory, in a tenth of the flash that the compiler's own take: those unroll
-//! their loops for speed that no board of wimu needs.
+//! Small memcpy and memset: a tenth of the flash of the compiler's own, which unroll their loops.
 //!
-//! The names and what they do are those of the [run-time ABI for the Arm architecture][rtabi], 4.3.4;
-//! the compiler's own, which are weak, give way to them. Whole words when both ends lie at one, as
-//! they nearly always do. Instructions of Armv6-M, which all Cortex-M have.
+//! Names and semantics are those of the [run-time ABI for the Arm architecture][rtabi], 4.3.4. They replace
+//! the compiler's own, which are weak symbols. They copy whole words when both ends are aligned. Instructions
+//! of Armv6-M, which all Cortex-M support.
 //!
 //! [rtabi]: https://github.com/ARM-software/abi-aa/blob/main/rtabi32/rtabi32.rst
 
-// Loops in Rust would be made into calls of these very functions.
+// The compiler would turn loops in Rust into calls of these functions.
 core::arch::global_asm!(
     ".syntax unified",
     ".section .text.wimu_memcpy,\"ax\",%progbits",

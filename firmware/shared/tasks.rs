@@ -1,7 +1,7 @@
 //! The node's tasks, as every board with priorities runs them.
 //!
-//! The board says what they are made of: `Sensor`, `BoardTimer`, `Memory`, the halves of its UARTs
-//! `Receiver` and `Transmitter`, and their `Rate`.
+//! The board defines the types `Sensor`, `BoardTimer`, `Memory`, the halves of its UARTs `Receiver` and
+//! `Transmitter`, and their `Rate`.
 
 use embassy_executor::{SendSpawner, Spawner, task};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
@@ -12,7 +12,7 @@ use wimu_node::{Control, LinkReader, LinkWriter, RateKeeper, Sampler, Shared};
 
 use crate::{BoardTimer, Memory, Rate, Receiver, Sensor, Transmitter};
 
-/// The tasks run at two priorities.
+/// The mutex for tasks at two priorities.
 pub type M = CriticalSectionRawMutex;
 /// The board's node.
 pub type Node = wimu_node::Node<
@@ -33,20 +33,20 @@ type Keeper = RateKeeper<'static, Rate, BoardTimer, M>;
 /// The rate at which the UARTs are opened, bits/s, 8N1.
 pub const BAUD: u32 = 115_200;
 
-/// The node of a board, where its tasks find it.
+/// Builds the node of a board in a `static`.
 pub fn place(board: Board, shared: &'static Shared<M>) -> &'static mut Node {
     static NODE: StaticCell<Node> = StaticCell::new();
     NODE.init_with(|| board.split(shared))
 }
 
-/// Spawns the node's tasks: the sampler above all others.
+/// Spawns the node's tasks, the sampler at the higher priority.
 pub fn spawn(
     node: &'static mut Node,
     [cable, wireless]: [Keeper; 2],
     above: SendSpawner,
     others: Spawner,
 ) {
-    // Each is spawned as often as it has room for.
+    // No task is spawned more often than its pool allows.
     above.spawn(sample(&mut node.sampler).unwrap());
     others.spawn(control(&mut node.control).unwrap());
     others.spawn(listen(&mut node.cable_reader).unwrap());
@@ -57,7 +57,7 @@ pub fn spawn(
     others.spawn(keep(wireless).unwrap());
 }
 
-/// Who keeps the rates of the UARTs, the cable's first: to be made before the node runs.
+/// The rate keepers of the UARTs, the cable's first. To be made before the node runs.
 pub fn keepers([cable, wireless]: [Rate; 2], shared: &'static Shared<M>) -> [Keeper; 2] {
     [(LinkRole::Cable, cable), (LinkRole::Wireless, wireless)]
         .map(|(role, line)| RateKeeper::new(role, line, BAUD, BoardTimer, shared))
@@ -88,7 +88,7 @@ async fn keep(mut keeper: Keeper) -> ! {
     keeper.run().await
 }
 
-/// Who a device is that has sample times from its hardware and a store, and these as well.
+/// The identity of a device with captured sample times, a store, and the given capabilities.
 pub fn hello(
     device_id: u64,
     (reset_reason, fault): (ResetReason, Option<Fault>),

@@ -6,14 +6,16 @@
 use std::error::Error;
 use std::time::Instant;
 
-use wimu_tests::{Seeded, fuzz_once, fuzz_store};
+use wimu_testkit::figure;
+use wimu_tests::{Random, fuzz_once, fuzz_store};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let executions: u64 = arguments.next().map_or(Ok(10_000_000), |n| n.parse())?;
     let seed: u64 = arguments.next().map_or(Ok(1), |n| n.parse())?;
-    let body = match arguments.next().as_deref() {
-        None => |seeded: &mut Seeded| {
+    let which = arguments.next();
+    let body = match which.as_deref() {
+        None => |seeded: &mut Random| {
             fuzz_once(seeded);
             1
         },
@@ -21,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(other) => return Err(format!("`{other}` is no fuzz body: store, or nothing").into()),
     };
     let start = Instant::now();
-    let mut seeded = Seeded(seed);
+    let mut seeded = Random::new(seed);
     let (mut done, mut tell) = (0, 0);
     while done < executions {
         if done >= tell {
@@ -33,9 +35,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         done += body(&mut seeded);
     }
-    println!(
-        "{done} executions from seed {seed}, no fault, {:.0} s",
-        start.elapsed().as_secs_f64()
-    );
+    println!("seed {seed}, {:.0} s", start.elapsed().as_secs_f64());
+    let claim = match which {
+        None => "faults in random, damaged and reordered frames, all decoders",
+        Some(_) => "faults of the store on damaged images of flash",
+    };
+    figure(claim, format!("0 of {done}"), "none", true);
     Ok(())
 }

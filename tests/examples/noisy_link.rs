@@ -5,6 +5,7 @@ use std::error::Error;
 use std::time::Instant;
 
 use wimu_sim::faults::LinkFaults;
+use wimu_testkit::figure;
 use wimu_tests::campaign;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -44,8 +45,39 @@ fn main() -> Result<(), Box<dyn Error>> {
         "longest    {} undamaged frame(s) in a row not read after damage; {} restarts seen",
         outcome.longest_resynchronisation, outcome.restarts
     );
+    let wrong = format!("{} of {}", outcome.wrong, outcome.accepted);
+    figure(
+        "wrong samples accepted from a bad link",
+        wrong,
+        "none",
+        outcome.wrong == 0,
+    );
+    figure(
+        "lost samples of a bad link that are counted as lost",
+        format!("{} of {}", outcome.counted_lost(), outcome.lost),
+        "all",
+        outcome.counted_lost() == outcome.lost,
+    );
+    figure(
+        "samples accepted of those that arrived whole",
+        format!("{} of {}", outcome.accepted, outcome.samples_whole),
+        "all",
+        outcome.accepted == outcome.samples_whole,
+    );
+    figure(
+        "undamaged frames not read after a damaged one",
+        format!("at most {}", outcome.longest_resynchronisation),
+        "at most 1",
+        outcome.longest_resynchronisation <= 1,
+    );
     if let (Some(before), Some(after)) = (memory, peak_memory_kib()) {
-        println!("memory     {before} KiB at most after a tenth, {after} KiB in the end");
+        let [before, after] = [before, after].map(|kib| kib as f64 / 1024.0);
+        figure(
+            "memory after a tenth of a bad link's frames, and in the end",
+            format!("{before:.1} / {after:.1} MiB"),
+            "1 MiB more at most",
+            after < before + 1.0,
+        );
     }
     println!("took       {:.0} s", start.elapsed().as_secs_f64());
     Ok(())

@@ -10,6 +10,7 @@ use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 use wimu_sim::faults::{Channel, Fate, FaultCounts, FrameTruth, LinkFaults};
+use wimu_testkit::Random;
 
 /// 800 samples a second: raw and corrected batches of 16 then nearly fill 115,200 baud.
 const PERIOD_US: u64 = 1250;
@@ -59,12 +60,10 @@ impl Outcome {
 
 /// The counts of a sample: a slow motion, noise of 60 LSB, and now and then a shock.
 fn counts(sequence: u32) -> [i16; 3] {
-    let mut bits = (u64::from(sequence) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    bits ^= bits >> 32;
+    let bits = Random::new(sequence.into()).bits();
     let phase = (sequence % 1600) as i32 - 800;
     let slow = phase.abs() * 4;
-    let shock = if bits % 1009 == 0 { 12_000 } else { 0 };
+    let shock = if bits.is_multiple_of(1009) { 12_000 } else { 0 };
     let noise = |shift: u32| ((bits >> shift) & 127) as i32 - 64;
     [
         (slow + noise(0)) as i16,

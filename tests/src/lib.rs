@@ -1,7 +1,11 @@
 //! The kit of wimu's end-to-end tests (`tests/`): a simulated board with a host on both links, in
 //! virtual time, that can also lie, mumble and look away. Golden wire vectors are in `vectors/`.
 
+pub mod behind_faults;
 pub mod campaign;
+#[cfg(unix)]
+pub mod qemu;
+pub mod wire;
 
 use std::collections::HashSet;
 use std::future::Future;
@@ -29,6 +33,7 @@ use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::{Physics, Source};
 use wimu_sim::storage::Storage;
 use wimu_sim::truth::{Gauge, SensorTruth};
+pub use wimu_testkit::Random;
 
 /// Both links, the cable first.
 pub const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
@@ -368,53 +373,28 @@ pub fn frame_of(version: u8, kind: u8, body: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// Random numbers that are the same in every run: SplitMix64.
-#[derive(Clone)]
-pub struct Seeded(pub u64);
+/// A record for a store.
+fn record(random: &mut Random) -> Vec<u8> {
+    let length = 1 + random.below(400);
+    random.bytes(length)
+}
 
-impl Seeded {
-    /// The next 64 bits.
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// 0..`limit`; 0 for no limit.
-    pub fn below(&mut self, limit: usize) -> usize {
-        (self.bits() % limit.max(1) as u64) as usize
-    }
-
-    /// `length` bytes.
-    pub fn bytes(&mut self, length: usize) -> Vec<u8> {
-        (0..length).map(|_| self.bits() as u8).collect()
-    }
-
-    /// A record for a store.
-    fn record(&mut self) -> Vec<u8> {
-        let length = 1 + self.below(400);
-        self.bytes(length)
-    }
-
-    /// Damages `bytes`: a flipped bit, a piece lost, a piece doubled, or a piece of noise.
-    pub fn damage(&mut self, bytes: &mut Vec<u8>) {
-        let at = self.below(bytes.len());
-        let run = self.below((bytes.len() - at).min(32));
-        match self.below(4) {
-            _ if bytes.is_empty() => {}
-            0 => bytes[at] ^= 1 << self.below(8),
-            1 => drop(bytes.drain(at..at + run)),
-            2 => {
-                let piece = bytes[at..at + run].to_vec();
-                let to = self.below(bytes.len());
-                bytes.splice(to..to, piece);
-            }
-            _ => {
-                let noise = self.bytes(run);
-                bytes.splice(at..at + run, noise);
-            }
+/// Damages `bytes`: a flipped bit, a piece lost, a piece doubled, or a piece of noise.
+pub fn damage(random: &mut Random, bytes: &mut Vec<u8>) {
+    let at = random.below(bytes.len());
+    let run = random.below((bytes.len() - at).min(32));
+    match random.below(4) {
+        _ if bytes.is_empty() => {}
+        0 => bytes[at] ^= 1 << random.below(8),
+        1 => drop(bytes.drain(at..at + run)),
+        2 => {
+            let piece = bytes[at..at + run].to_vec();
+            let to = random.below(bytes.len());
+            bytes.splice(to..to, piece);
+        }
+        _ => {
+            let noise = random.bytes(run);
+            bytes.splice(at..at + run, noise);
         }
     }
 }
@@ -424,13 +404,13 @@ impl Seeded {
 ///
 /// # Panics
 /// When a body finds a fault.
-pub fn fuzz_once(seeded: &mut Seeded) {
+pub fn fuzz_once(seeded: &mut Random) {
     let length = seeded.below(700);
     let mut data = seeded.bytes(length);
     // Small numbers look more like messages than even ones do.
     let mask = [0xff, 0x7f, 0x0f, 0x03][seeded.below(4)];
     data.iter_mut().for_each(|byte| *byte &= mask);
-    wimu_link::fuzz::all(&data);
+    wire::all(&data);
 
     let mut line = Vec::new();
     let mut rest = data.as_slice();
@@ -440,7 +420,7 @@ pub fn fuzz_once(seeded: &mut Seeded) {
         rest = after;
     }
     for _ in 0..seeded.below(3) {
-        seeded.damage(&mut line);
+        damage(seeded, &mut line);
     }
     let mut decoder = Decoder::new();
     let piece = 1 + seeded.below(100);
@@ -458,7 +438,7 @@ pub fn fuzz_once(seeded: &mut Seeded) {
 ///
 /// # Panics
 /// When one is.
-fn fuzz_order(seeded: &mut Seeded) {
+fn fuzz_order(seeded: &mut Random) {
     const PERIOD_US: u64 = 20_000;
     const BATCH: u32 = 4;
     const DOWN_US: u64 = 700_000;
@@ -514,7 +494,7 @@ fn fuzz_order(seeded: &mut Seeded) {
                 frames.splice(behind..behind, again);
             }
             2 if count > 1 => frames.swap(at, at + 1),
-            3 => seeded.damage(&mut frames[at].2),
+            3 => damage(seeded, &mut frames[at].2),
             // A stall.
             _ => {
                 let held_us = seeded.below(8_000_000) as u64;
@@ -553,13 +533,13 @@ fn fuzz_order(seeded: &mut Seeded) {
 ///
 /// # Panics
 /// When it finds a fault.
-pub fn fuzz_store(seeded: &mut Seeded) -> u64 {
+pub fn fuzz_store(seeded: &mut Random) -> u64 {
     const EACH: u64 = 8;
     let storage = Storage::in_memory();
     let mut saved = Saved::default();
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     for _ in 0..1 + seeded.below(12) {
-        let (which, record) = (seeded.below(4), seeded.record());
+        let (which, record) = (seeded.below(4), record(seeded));
         if done(store.save(STORED[which], &record)).is_ok() {
             saved[which].push(record);
         }
@@ -605,7 +585,7 @@ fn ages(storage: &Storage, saved: &Saved) -> [Option<usize>; STORED.len()] {
     })
 }
 
-fn damaged_store(seeded: &mut Seeded, image: &[u8], mut saved: Saved) {
+fn damaged_store(seeded: &mut Random, image: &[u8], mut saved: Saved) {
     let mut image = image.to_vec();
     let range = 0x2000;
     for _ in 0..seeded.below(6) {
@@ -625,7 +605,7 @@ fn damaged_store(seeded: &mut Seeded, image: &[u8], mut saved: Saved) {
     let mut before = ages(&storage, &saved);
     let mut store = FlashStore::new(storage.clone(), STORE, 0);
     for _ in 0..1 + seeded.below(2) {
-        let (changed, record) = (seeded.below(4), seeded.record());
+        let (changed, record) = (seeded.below(4), record(seeded));
         let is_saved = done(store.save(STORED[changed], &record)).is_ok();
         saved[changed].push(record);
         let after = ages(&storage, &saved);

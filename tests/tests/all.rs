@@ -14,3 +14,4 @@ mod qemu;
 mod real_input;
 #[path = "store/main.rs"]
 mod store;
+mod wire;

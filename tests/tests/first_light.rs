@@ -2,6 +2,7 @@
 
 use wimu_host::ErrorCode;
 use wimu_sim::scenario::{Calibration, FirstLight, Outcome};
+use wimu_testkit::{Lane, figure};
 
 fn run(seed: u64, calibration: Calibration) -> Outcome {
     FirstLight { seed, calibration }
@@ -26,10 +27,6 @@ fn holds_for_one_board(outcome: &Outcome) {
         let code = refusal.as_ref().map(|error| error.code());
         assert_eq!(code, Some(ErrorCode::KeyNeeded), "{refusal:?}");
     }
-    println!(
-        "a push over 115,200 baud took {:.0} ms",
-        outcome.push_s * 1e3
-    );
     assert!(outcome.push_s < 0.2, "{}", outcome.push_s);
     for replay in &outcome.replays {
         assert!(replay.is_exact(), "{replay:?}");
@@ -45,8 +42,9 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-fn holds_over_100_seeds(calibration: Calibration) {
-    let outcomes: Vec<Outcome> = (0..100).map(|seed| run(seed, calibration)).collect();
+fn holds_over_many_boards(calibration: Calibration, name: &str) {
+    let boards = Lane::current().choose([2, 10, 100]);
+    let outcomes: Vec<Outcome> = (0..boards).map(|seed| run(seed, calibration)).collect();
     for outcome in &outcomes {
         holds_for_one_board(outcome);
     }
@@ -55,24 +53,61 @@ fn holds_over_100_seeds(calibration: Calibration) {
     let calibrated = of(|o| o.slide.calibrated_m);
     let ratio = of(|o| o.slide.uncalibrated_m / o.slide.calibrated_m);
     let zupt = of(|o| o.slide.zupt_m);
-    println!(
-        "{calibration:?}: slide of 1 m, median of 100: uncalibrated {:.1} mm, calibrated {:.1} mm ({ratio:.0} times), with ZUPT {:.2} mm",
-        uncalibrated * 1e3,
-        calibrated * 1e3,
-        zupt * 1e3
+    let [uncalibrated_mm, calibrated_mm, zupt_mm] =
+        [uncalibrated, calibrated, zupt].map(|m| m * 1e3);
+    let tilts: Vec<[f64; 2]> = outcomes.iter().map(Outcome::tilts_rms_mps2).collect();
+    let [least, most] = [
+        tilts
+            .iter()
+            .map(|tilt| tilt[0])
+            .fold(f64::INFINITY, f64::min),
+        tilts.iter().map(|tilt| tilt[1]).fold(0.0, f64::max),
+    ]
+    .map(|mps2| mps2 * 1e3);
+    println!("{name}: |f| − g of ten tilts at least {least:.0} mm/s² rms before");
+    figure(
+        &format!("{boards} boards, {name}: |f| − g of tilts, worst, mm/s² rms"),
+        format!("{most:.2}"),
+        "below 5",
+        most < 5.0,
+    );
+    figure(
+        &format!("{name}: slide of 1 m uncalibrated, calibrated, median, mm"),
+        format!("{uncalibrated_mm:.0} / {calibrated_mm:.1}"),
+        "20 times less",
+        ratio >= 20.0,
+    );
+    figure(
+        &format!("{name}: slide of 1 m, calibrated, with ZUPT, median, mm"),
+        format!("{zupt_mm:.2}"),
+        "at most 5",
+        zupt_mm <= 5.0,
+    );
+    let pushes = || outcomes.iter().map(|outcome| outcome.push_s * 1e3);
+    let longest_ms = pushes().fold(0.0, f64::max);
+    figure(
+        &format!("{name}: signed push over 115,200 baud, session included, ms"),
+        format!(
+            "{:.0} to {longest_ms:.0}",
+            pushes().fold(f64::INFINITY, f64::min)
+        ),
+        "below 200",
+        longest_ms < 200.0,
     );
     assert!(ratio >= 20.0, "{ratio}");
-    assert!(zupt <= 0.005, "{zupt} m");
+    // The median of a few boards departs from that of a hundred.
+    let most_mm = Lane::current().choose([15.0, 8.0, 5.0]);
+    assert!(zupt_mm <= most_mm, "{zupt_mm} mm");
 }
 
 #[test]
-fn six_squared_positions_make_a_hundred_boards_true() {
-    holds_over_100_seeds(Calibration::SixPositions);
+fn six_squared_positions_make_boards_true() {
+    holds_over_many_boards(Calibration::SixPositions, "six positions");
 }
 
 #[test]
-fn twelve_poses_by_hand_make_a_hundred_boards_true() {
-    holds_over_100_seeds(Calibration::TwelvePoses);
+fn twelve_poses_by_hand_make_boards_true() {
+    holds_over_many_boards(Calibration::TwelvePoses, "twelve poses");
 }
 
 #[test]

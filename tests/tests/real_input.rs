@@ -12,6 +12,7 @@ use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::BoardConfig;
 use wimu_sim::source::Replay;
+use wimu_testkit::figure;
 use wimu_tests::{ROLES, Rig, assert_replays, data};
 
 /// Replays counts on a board until the last has arrived.
@@ -99,6 +100,12 @@ fn alike(file: &str) -> Option<Vec<&'static str>> {
             .iter()
             .map(|sample| Counts(sample.value.map(|axis| axis.try_into().unwrap())))
             .collect();
+        figure(
+            &format!("{file}: counts through board and {role}, arrived"),
+            format!("{} of {}", arrived.len(), counts.len()),
+            "all",
+            arrived == counts,
+        );
         assert_eq!(arrived.len(), counts.len());
         assert!(arrived == counts, "every count, bit for bit");
         assert_replays(boot);

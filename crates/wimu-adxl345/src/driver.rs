@@ -7,7 +7,7 @@ use crate::{DataFormat, Error, Fifo, Interrupts, Rate, Setup};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Address {
-    /// The pin is low: 0x53. So on most breakouts.
+    /// The pin is low: 0x53, as on most breakout boards.
     #[default]
     Low,
     /// The pin is high: 0x1D.
@@ -24,17 +24,17 @@ impl Address {
     }
 }
 
-/// What FIFO_STATUS says.
+/// Content of FIFO_STATUS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FifoLevel {
-    /// Samples that wait: 0..=33, 32 in the FIFO and one at the filter's output.
+    /// Samples available, 0..=33: 32 in the FIFO and one at the filter's output.
     pub samples: u8,
 }
 
 /// An ADXL345.
 ///
-/// A future that is dropped may end a bus transfer early; the next call is whole again.
+/// Dropping a future may interrupt a bus transfer; the next call works normally.
 #[derive(Debug)]
 pub struct Adxl345<I2C> {
     i2c: I2C,
@@ -42,7 +42,7 @@ pub struct Adxl345<I2C> {
 }
 
 impl<I2C> Adxl345<I2C> {
-    /// What register DEVID holds.
+    /// Content of register DEVID.
     pub const IDENTITY: u8 = 0xE5;
 
     /// A chip on `i2c`; nothing is sent yet.
@@ -53,14 +53,14 @@ impl<I2C> Adxl345<I2C> {
         }
     }
 
-    /// The bus, back.
+    /// Returns the bus.
     pub fn release(self) -> I2C {
         self.i2c
     }
 }
 
 impl<I2C: I2c> Adxl345<I2C> {
-    /// What the chip says it is.
+    /// Reads register DEVID.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -68,7 +68,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.read(DEVID).await
     }
 
-    /// Makes sure that the chip is an ADXL345.
+    /// Verifies that the chip is an ADXL345.
     ///
     /// # Errors
     /// [`Error::WrongIdentity`] if it is not; [`Error::Bus`].
@@ -79,11 +79,11 @@ impl<I2C: I2c> Adxl345<I2C> {
         }
     }
 
-    /// Sets up the chip anew, in whatever state it is, and has it measure: FIFO emptied, nothing added to
-    /// an axis, no self-test. The first sample is good 1.1 ms + one sample period later.
+    /// Configures the chip, whatever its state, and starts measuring: FIFO emptied, offsets zero, no self-test.
+    /// The first sample is valid after 1.1 ms + one sample period.
     ///
     /// # Errors
-    /// [`Error::Bus`]: part of it may have been done.
+    /// [`Error::Bus`]: some registers may have been written.
     pub async fn start(&mut self, setup: &Setup) -> Result<(), Error<I2C::Error>> {
         let registers = [
             (POWER_CTL, 0),
@@ -104,7 +104,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         Ok(())
     }
 
-    /// Stops measuring: change settings in standby.
+    /// Stops measuring. Change settings in standby.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -112,7 +112,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.write(POWER_CTL, 0).await
     }
 
-    /// Measures from now on. The first sample is good 1.1 ms + one sample period later.
+    /// Starts measuring. The first sample is valid after 1.1 ms + one sample period.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -128,8 +128,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.write(DATA_FORMAT, format.register()).await
     }
 
-    /// Sets the rate, and whether less power is wanted at the price of noise; that has an effect
-    /// only where [`Rate::has_low_power`].
+    /// Sets the rate, and low-power mode (more noise), which has an effect only where [`Rate::has_low_power`].
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -137,7 +136,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.write(BW_RATE, rate.register(low_power)).await
     }
 
-    /// Sets what the FIFO does, emptied.
+    /// Empties the FIFO and sets its mode.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -149,7 +148,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.write(FIFO_CTL, fifo.register()).await
     }
 
-    /// Sets which interrupts drive the pins, active high, and which of them INT2 instead of INT1.
+    /// Enables interrupts on the pins, active high; those in `on_int2` on INT2, the others on INT1.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -162,7 +161,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.write(INT_ENABLE, enabled.0).await
     }
 
-    /// What has happened, whether enabled or not. Reading it ends what reading data does not.
+    /// Reads the active interrupts, enabled or not. Clears those that reading data does not clear.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -170,7 +169,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.read(INT_SOURCE).await.map(Interrupts)
     }
 
-    /// How many samples wait.
+    /// Reads the number of samples available.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -181,11 +180,11 @@ impl<I2C: I2c> Adxl345<I2C> {
         })
     }
 
-    /// The oldest sample that waits, or the latest one if none does: x, y, z in LSB of
-    /// [`DataFormat::lsb_per_g`]. One burst; the FIFO moves on after it.
+    /// Reads the oldest sample available, or the latest one again: x, y, z in LSB of
+    /// [`DataFormat::lsb_per_g`]. One burst, which removes it from the FIFO.
     ///
     /// # Errors
-    /// [`Error::Bus`]: the sample may be gone then.
+    /// [`Error::Bus`]: the sample may be lost.
     pub async fn sample(&mut self) -> Result<[i16; 3], Error<I2C::Error>> {
         let mut bytes = [0; 6];
         self.i2c
@@ -195,7 +194,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         Ok([[x0, x1], [y0, y1], [z0, z1]].map(i16::from_le_bytes))
     }
 
-    /// Sets what the chip itself adds to each axis, 15.6 m*g*/LSB: registers OFSX to OFSZ.
+    /// Sets the offset that the chip adds to each axis, 15.6 m*g*/LSB: registers OFSX to OFSZ.
     ///
     /// # Errors
     /// [`Error::Bus`].

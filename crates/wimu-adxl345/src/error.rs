@@ -1,6 +1,6 @@
 use core::fmt;
 
-/// Why the sensor could not be used.
+/// A failure of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Error<E> {
@@ -8,7 +8,7 @@ pub enum Error<E> {
     Bus(E),
     /// Another chip is at the address.
     WrongIdentity {
-        /// What it says it is, instead of [`Adxl345::IDENTITY`](crate::Adxl345::IDENTITY).
+        /// Its DEVID, instead of [`Adxl345::IDENTITY`](crate::Adxl345::IDENTITY).
         found: u8,
     },
 }
@@ -28,7 +28,7 @@ impl<E: fmt::Debug> fmt::Display for Error<E> {
             ),
             Self::WrongIdentity { found } => write!(
                 out,
-                "the chip at the ADXL345's address calls itself {found:#04x}, not 0xe5: check which board this is"
+                "the chip at the ADXL345's address identifies itself as {found:#04x}, expected 0xe5: check which board this is"
             ),
         }
     }

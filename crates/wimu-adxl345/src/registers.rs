@@ -1,4 +1,4 @@
-//! Addresses and bits of the registers that are used.
+//! Addresses and bits of the registers that are used (ADXL345 datasheet, revision G).
 
 pub(crate) const DEVID: u8 = 0x00;
 pub(crate) const OFSX: u8 = 0x1E;

@@ -4,23 +4,26 @@ use embedded_hal_async::i2c::I2c;
 use crate::registers::*;
 use crate::{Adxl345, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution};
 
-/// ±16 *g* at full resolution, as the datasheet's limits are stated.
+/// ±16 *g* at full resolution: 256 LSB/*g*, the sensitivity that [`LIMITS`] are for.
 const FORMAT: DataFormat = DataFormat {
     range: Range::G16,
     resolution: Resolution::Full,
     justify: Justify::Right,
 };
+/// Output data rate: the lowest one for which the datasheet's limits are valid.
 const RATE: Rate = Rate::Hz100;
-/// A sample period, with room for an oscillator that is slow by 10 %.
+/// A sample period with a tolerance of 10 %, µs.
 const PERIOD_US: u32 = 11_000;
-/// Samples that are not used after a change.
+/// Samples discarded after a change, while the output settles.
 const SETTLING: u32 = 5;
-/// Samples that are averaged.
+/// Samples averaged: 0.1 s at 100 Hz.
 const AVERAGED: i32 = 10;
 
-/// Shift at 2.5 V: least and most, LSB at 256 LSB/*g*, positive on x and z, negative on y.
+/// Shift at 2.5 V: minimum and maximum, LSB at 256 LSB/*g*, positive on x and z, negative on y (ADXL345
+/// datasheet, revision E, table 15).
 const LIMITS: [(i32, i32); 3] = [(50, 540), (50, 540), (75, 875)];
-/// The limits' scale by supply voltage: mV, then of x and y and of z, per cent.
+/// Scale of the limits by supply voltage: mV, then percent for x and y, and for z (ADXL345 datasheet,
+/// revision E, table 14).
 const SCALES: [(i32, i32, i32); 4] = [
     (2000, 64, 80),
     (2500, 100, 100),
@@ -28,17 +31,16 @@ const SCALES: [(i32, i32, i32); 4] = [
     (3600, 211, 169),
 ];
 
-/// How far the electrostatic force of the self-test moved each axis.
+/// Shift of each axis by the electrostatic force of the self-test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SelfTest {
-    /// Mean with the force less mean without, x, y, z, at 256 LSB/*g*.
+    /// Mean with the force minus mean without it, x, y, z, at 256 LSB/*g*.
     pub shift: [i16; 3],
 }
 
 impl SelfTest {
-    /// Which axes moved as far as the datasheet says they do at a supply of `supply_mv`, which is
-    /// taken as 2000..=3600 mV.
+    /// Which axes are within the datasheet's limits at a supply of `supply_mv`, clamped to 2000..=3600 mV.
     pub fn passed(&self, supply_mv: u16) -> [bool; 3] {
         let scales = scales(i32::from(supply_mv));
         let [x, y, z] = self.shift.map(i32::from);
@@ -54,7 +56,7 @@ impl SelfTest {
     }
 }
 
-/// Per cent, of x and y and of z, linear between the datasheet's rows.
+/// Percent for x and y, and for z, interpolated between the datasheet's rows.
 fn scales(supply_mv: i32) -> (i32, i32) {
     let [first, .., last] = SCALES;
     let supply_mv = supply_mv.clamp(first.0, last.0);
@@ -71,8 +73,8 @@ fn scales(supply_mv: i32) -> (i32, i32) {
 }
 
 impl<I2C: I2c> Adxl345<I2C> {
-    /// Measures how far the self-test moves each axis; the chip must be at rest, and is in standby
-    /// afterwards with format, rate and FIFO to be set anew. Takes 0.34 s.
+    /// Measures the shift of each axis in 0.34 s. The chip must be at rest. Afterwards it is in standby, and
+    /// format, rate and FIFO must be configured again.
     ///
     /// # Errors
     /// [`Error::Bus`].
@@ -95,7 +97,7 @@ impl<I2C: I2c> Adxl345<I2C> {
         self.standby().await?;
         let mut shift = [0; 3];
         for ((shift, with), without) in shift.iter_mut().zip(with).zip(without) {
-            // Of 13-bit samples: it fits.
+            // 13-bit samples: it fits.
             *shift = (with - without) as i16;
         }
         Ok(SelfTest { shift })

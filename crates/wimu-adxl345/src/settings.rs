@@ -26,7 +26,7 @@ impl Range {
     }
 }
 
-/// How fine a step of the output is.
+/// Resolution of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Resolution {
@@ -36,7 +36,7 @@ pub enum Resolution {
     Full,
 }
 
-/// Where the bits of a sample are in its 16.
+/// Justification of a sample in its 16 bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Justify {
@@ -46,15 +46,15 @@ pub enum Justify {
     Left,
 }
 
-/// What a sample looks like: register DATA_FORMAT.
+/// Format of a sample: register DATA_FORMAT.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct DataFormat {
     /// Full scale.
     pub range: Range,
-    /// Step.
+    /// Resolution.
     pub resolution: Resolution,
-    /// Place in 16 bits.
+    /// Justification in 16 bits.
     pub justify: Justify,
 }
 
@@ -67,7 +67,7 @@ impl DataFormat {
         }
     }
 
-    /// Nominal sensitivity, LSB/*g*: the part's own is within ±10 %.
+    /// Nominal sensitivity, LSB/*g*; tolerance ±10 %.
     pub const fn lsb_per_g(&self) -> u16 {
         let right = 256 >> (self.range.code() + 10 - self.bits());
         match self.justify {
@@ -89,8 +89,8 @@ impl DataFormat {
     }
 }
 
-/// Output data rate; the bandwidth is half of it. The part's own oscillator makes it: expect
-/// percents of deviation, and measure it.
+/// Output data rate; the bandwidth is half of it. The actual rate deviates from the nominal one by several
+/// percent; measure it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Rate {
@@ -102,7 +102,7 @@ pub enum Rate {
     Hz25,
     /// 50 Hz.
     Hz50,
-    /// 100 Hz, that of a chip which has just got power.
+    /// 100 Hz, the rate after power-on.
     Hz100,
     /// 200 Hz.
     Hz200,
@@ -146,13 +146,13 @@ impl Rate {
         312_500 << (0x0F - self.code())
     }
 
-    /// Whether low power is less than normal power at this rate: 12.5 to 400 Hz.
+    /// Whether low-power mode saves power at this rate: 12.5 to 400 Hz.
     pub const fn has_low_power(self) -> bool {
         matches!(self.code(), 0x07..=0x0C)
     }
 
     /// The fastest rate that the datasheet recommends on an I²C bus of `bus_hz`: 800 Hz at
-    /// 400 kHz, and in proportion; `None` below 3.125 kHz. Faster, samples may be lost or noisier.
+    /// 400 kHz, and in proportion; `None` below 3 kHz. At higher rates samples may be lost or noisier.
     pub fn fastest_on_i2c(bus_hz: u32) -> Option<Self> {
         let fits =
             |rate: &Self| 1_000_000_000 / u64::from(rate.period_ns()) <= u64::from(bus_hz) / 500;
@@ -160,19 +160,19 @@ impl Rate {
     }
 }
 
-/// What the FIFO does.
+/// Mode of the FIFO.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Fifo {
-    /// Holds nothing: the data registers show the newest sample.
+    /// No FIFO: the data registers hold the newest sample.
     Bypass,
-    /// Holds the newest 32 samples; one that comes when it is full pushes the oldest out, and sets
+    /// Holds the newest 32 samples; a new sample overwrites the oldest in a full FIFO and sets
     /// [`Interrupts::OVERRUN`].
     Stream {
-        /// [`Interrupts::WATERMARK`] is on while at least as many wait; 1..=31.
+        /// [`Interrupts::WATERMARK`] is active from this number of samples on, 1..=31.
         watermark: u8,
     },
-    /// Holds 32 samples and then stops.
+    /// Stops when it holds 32 samples.
     UntilFull {
         /// As in `Stream`.
         watermark: u8,
@@ -197,11 +197,11 @@ pub struct Interrupts(pub u8);
 impl Interrupts {
     /// None of them.
     pub const NONE: Self = Self(0);
-    /// A sample waits that was not read.
+    /// A new sample is available.
     pub const DATA_READY: Self = Self(1 << 7);
-    /// As many samples wait as the watermark says, or more.
+    /// The FIFO level has reached the watermark.
     pub const WATERMARK: Self = Self(1 << 1);
-    /// A sample was lost before it was read; reading data ends it.
+    /// A sample was lost; cleared by reading data.
     pub const OVERRUN: Self = Self(1);
 
     /// Both sets.
@@ -216,20 +216,20 @@ impl Interrupts {
     }
 }
 
-/// All that the chip is told before it measures.
+/// Configuration of the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setup {
-    /// What a sample looks like.
+    /// Format of a sample.
     pub format: DataFormat,
-    /// How often one is taken.
+    /// Output data rate.
     pub rate: Rate,
-    /// Less power at the price of noise; it has an effect only where [`Rate::has_low_power`].
+    /// Low-power mode, with more noise. It has an effect only where [`Rate::has_low_power`].
     pub low_power: bool,
-    /// What the FIFO does.
+    /// Mode of the FIFO.
     pub fifo: Fifo,
-    /// Which interrupts drive the pins, active high.
+    /// Interrupts enabled on the pins, active high.
     pub interrupts: Interrupts,
-    /// Which of them drive INT2 instead of INT1.
+    /// Those of them on INT2 instead of INT1.
     pub on_int2: Interrupts,
 }

@@ -1,24 +1,27 @@
-//! How the sensor sits in the body that it is mounted on.
+//! Alignment of the sensor with the body that it is mounted on.
 
 use core::fmt;
 
-use nalgebra::{Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
+use nalgebra::allocator::Allocator;
+use nalgebra::{
+    Const, DefaultAllocator, DimDiff, DimSub, Matrix3, Quaternion, SMatrix, SVector,
+    UnitQuaternion, Vector3,
+};
 use wimu_model::{Alignment, RotationCovariance};
 
-use crate::linear::eigen;
-
-/// Directions nearer to one line than this tell no rotation about it, rad: 10°.
+/// Smallest angle between directions, rad: 10°. Nearly parallel directions do not determine the
+/// rotation about them.
 const LEAST_ANGLE_RAD: f64 = 0.175;
-/// Standard deviations by which directions may disagree.
+/// Largest residual of a direction, standard deviations.
 const MOST_DISAGREEMENT: f64 = 5.0;
-/// A move is at least this long, m.
-const SHORTEST_MOVE_M: f64 = 0.05;
-/// A move accelerates at least this much, m/s² rms.
-const LEAST_PUSH_MPS2: f64 = 0.1;
-/// Acceleration across a straight move per that along it, at most.
-const MOST_CROOKED: f64 = 0.35;
+/// Smallest displacement of a straight movement, m.
+const LEAST_DISPLACEMENT_M: f64 = 0.05;
+/// Smallest acceleration of a straight movement, m/s² rms.
+const LEAST_ACCELERATION_MPS2: f64 = 0.1;
+/// Largest ratio of transverse to longitudinal acceleration.
+const MOST_TRANSVERSE: f64 = 0.35;
 
-/// A direction that is known in the body and was seen by the sensor.
+/// A direction that is known in body axes and was measured in sensor axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct KnownDirection {
@@ -27,7 +30,7 @@ pub struct KnownDirection {
     pub sensor: [f64; 3],
     /// The same direction in body axes, of any length.
     pub body: [f64; 3],
-    /// How well the two agree, rad, 1 σ about each axis across.
+    /// Standard deviation of the direction, rad, about each perpendicular axis.
     pub sd_rad: f64,
 }
 
@@ -39,7 +42,7 @@ pub struct AlignmentEstimate {
     pub alignment: Alignment,
     /// Covariance of its error about body axes, rad².
     pub covariance: RotationCovariance,
-    /// Largest angle by which a direction misses after the rotation, rad.
+    /// Largest residual angle of a direction, rad.
     pub residual_rad: f64,
 }
 
@@ -48,9 +51,9 @@ pub struct AlignmentEstimate {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum AlignmentRefusal {
-    /// One direction, or none, leaves a rotation about it open.
+    /// Fewer than two directions: the rotation about one is undetermined.
     TooFewDirections {
-        /// How many there are.
+        /// Number of directions.
         have: usize,
     },
     /// A direction or its standard deviation is zero or not finite.
@@ -58,26 +61,26 @@ pub enum AlignmentRefusal {
         /// Which, from 0.
         direction: usize,
     },
-    /// All directions are along one line: a rotation about it is open.
+    /// All directions are parallel: the rotation about them is undetermined.
     Collinear {
-        /// The largest angle between that line and any of them, rad.
+        /// Largest angle of a direction from their common line, rad.
         angle_rad: f64,
     },
-    /// The angles between the directions are not those in the body.
+    /// The angles between the directions differ from those in the body.
     Disagree {
-        /// The direction that misses most, from 0.
+        /// Index of the direction with the largest residual.
         direction: usize,
-        /// By how much, rad.
+        /// Residual, rad.
         residual_rad: f64,
     },
-    /// Between the rests nothing moved.
+    /// No displacement between the rests.
     NotMoved {
-        /// How far it went, m.
+        /// Displacement, m.
         distance_m: f64,
     },
-    /// The move was not straight, or the sensor turned.
+    /// The movement was curved, or the sensor rotated.
     NotStraight {
-        /// Acceleration across per that along.
+        /// Ratio of transverse to longitudinal acceleration.
         crookedness: f64,
     },
 }
@@ -92,13 +95,12 @@ impl fmt::Display for AlignmentRefusal {
             ),
             Self::NoDirection { direction } => write!(
                 out,
-                "direction {direction} (from 0) is none: zero, not finite, or without a standard \
-                 deviation"
+                "direction {direction} (from 0) or its standard deviation is zero or not finite"
             ),
             Self::Collinear { angle_rad } => write!(
                 out,
-                "the directions are {:.1}° from one line: the rotation about it stays open; rest the \
-                 body on another side, or move it straight ahead",
+                "the directions are {:.1}° from one line: the rotation about it is undetermined; rest \
+                 the body on another side, or move it straight ahead",
                 angle_rad.to_degrees()
             ),
             Self::Disagree {
@@ -106,18 +108,18 @@ impl fmt::Display for AlignmentRefusal {
                 residual_rad,
             } => write!(
                 out,
-                "direction {direction} (from 0) misses by {:.1}°: the body was not as was said, or \
-                 the sensor is uncalibrated; check the sides and calibrate first",
+                "direction {direction} (from 0) has a residual of {:.1}°: check which side of \
+                 the body was where, and calibrate the sensor first",
                 residual_rad.to_degrees()
             ),
             Self::NotMoved { distance_m } => write!(
                 out,
-                "it moved {distance_m:.2} m only: push it at least half a metre ahead, briskly"
+                "the displacement is only {distance_m:.2} m: push the body ahead briskly, by half a metre or more"
             ),
             Self::NotStraight { crookedness } => write!(
                 out,
-                "the move was not straight: {:.0} % of the acceleration was across; push it along a \
-                 straight edge, without turning or tilting it",
+                "the movement was not straight: {:.0} % of the acceleration was transverse; push the \
+                 body along a straight edge without rotating or tilting it",
                 crookedness * 100.0
             ),
         }
@@ -180,7 +182,7 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
         scatter[1] += v * v.transpose();
         weights += weight;
     }
-    // The line nearest to all directions is the eigenvector of the largest eigenvalue.
+    // The principal axis of the directions is the eigenvector of the largest eigenvalue.
     for (which, scatter) in scatter.into_iter().enumerate() {
         let line = main_axis(scatter);
         let angle_rad = directions
@@ -192,7 +194,7 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
             return Err(AlignmentRefusal::Collinear { angle_rad });
         }
     }
-    // Davenport's matrix, moved up so that no eigenvalue is negative.
+    // Davenport's matrix, shifted so that no eigenvalue is negative.
     let b = attitude / weights;
     let symmetric = b + b.transpose();
     let z = [
@@ -245,22 +247,29 @@ fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     libm::atan2(a.cross(b).norm(), a.dot(b))
 }
 
-/// The same from the line along `line`, 0..=π/2.
+/// Angle of a vector from the line along `line`, rad, 0..=π/2.
 fn from_line(line: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
     libm::atan2(line.cross(v).norm(), line.dot(v).abs())
 }
 
 /// The eigenvector of the largest eigenvalue of a symmetric matrix.
-fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N> {
-    let (values, vectors) = eigen(matrix);
-    vectors.column(values.imax()).into_owned()
+fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N>
+where
+    Const<N>: DimSub<Const<1>>,
+    DefaultAllocator: Allocator<DimDiff<Const<N>, Const<1>>>,
+{
+    let eigen = matrix.symmetric_eigen();
+    eigen
+        .eigenvectors
+        .column(eigen.eigenvalues.imax())
+        .into_owned()
 }
 
-/// The direction of a straight move from rest to rest, in sensor axes, and its standard deviation,
-/// rad, that of the floor and the hand left out. Equation (54).
+/// Direction of a straight movement from rest to rest, in sensor axes, and its standard deviation,
+/// rad, which does not include that of the guide. Equation (54).
 ///
-/// `before` and `after` are the mean specific force of the rests, m/s²; `samples` the specific force
-/// between them at `rate_hz`.
+/// `before` and `after` are the mean specific force at the rests, m/s²; `samples` the specific
+/// force between them at `rate_hz`.
 ///
 /// ```
 /// use wimu_calib::straight_move;
@@ -287,17 +296,17 @@ pub fn straight_move(
     let mut scatter = Matrix3::<f64>::zeros();
     let mut count = 0.0;
     for sample in samples {
-        let push = Vector3::from(sample) - rest;
-        scatter += push * push.transpose();
-        position += (velocity + push * (step * 0.5)) * step;
-        velocity += push * step;
+        let acceleration = Vector3::from(sample) - rest;
+        scatter += acceleration * acceleration.transpose();
+        position += (velocity + acceleration * (step * 0.5)) * step;
+        velocity += acceleration * step;
         count += 1.0;
     }
-    // It stood still at the end: what velocity is left grew evenly, to the least variance.
+    // The velocity at the end is zero: the remaining error is distributed linearly in time.
     let distance = position - velocity * (count * step * 0.5);
     let distance_m = distance.norm();
     let rms = libm::sqrt(scatter.trace() / count);
-    let moved = distance_m >= SHORTEST_MOVE_M && rms >= LEAST_PUSH_MPS2;
+    let moved = distance_m >= LEAST_DISPLACEMENT_M && rms >= LEAST_ACCELERATION_MPS2;
     if !moved {
         return Err(AlignmentRefusal::NotMoved {
             distance_m: if distance_m.is_finite() {
@@ -310,11 +319,11 @@ pub fn straight_move(
     let ahead = distance / distance_m;
     let along = ahead.dot(&(scatter * ahead));
     let crookedness = libm::sqrt((scatter.trace() / along - 1.0).max(0.0));
-    if crookedness > MOST_CROOKED || crookedness.is_nan() {
+    if crookedness > MOST_TRANSVERSE || crookedness.is_nan() {
         return Err(AlignmentRefusal::NotStraight { crookedness });
     }
-    // The line of the acceleration is a second opinion, with other errors: noise and shaking leave
-    // it where they are, and turn the distance.
+    // The principal axis of the acceleration is an independent estimate of the direction: noise and
+    // vibration do not change it.
     let apart = from_line(&main_axis(scatter), &ahead);
     let shaken = crookedness / libm::sqrt((count / 8.0).max(1.0));
     Ok((

@@ -1,25 +1,28 @@
-//! The model that the data choose, and what the choice adds to its uncertainty: equation (49).
+//! Model selection, and the uncertainty that it adds: equation (49).
+
+use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::multi_position::{Fitted, with_terms};
 use crate::terms::{Slot, Terms, Theta, theta_of};
 use crate::visits::Visits;
 use crate::{Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal};
 
-/// Degrees of freedom without which no term is taken in.
+/// Smallest number of degrees of freedom for further terms.
 const LEAST_DOF: f64 = 4.0;
-/// Where nine parameters leave too much, terms count that predict poses left out to this share of it.
+/// If nine parameters fit poorly, a model with terms is accepted only with a leave-one-out error
+/// below this fraction of their residual.
 const OF_POOR_FIT: f64 = 0.5;
-/// By how much n ln(left-out error²) has to fall for each parameter of a term.
+/// Penalty per parameter on n ln(leave-one-out error²).
 const PER_PARAMETER: f64 = 1.0;
-/// Left-out error of a pose that the fit does without, per that of the others: more poses left out
-/// are no better prediction.
+/// Leave-one-out error assigned to a rejected pose, relative to that of the others: rejecting poses
+/// must not improve the score.
 const LEFT_OUT: f64 = 4.0;
-/// The model that predicts poses left out best of all that the poses support: 3, 6 or 9 parameters,
-/// each term with and without, `least` being fitted in any case; a larger one only where the error
-/// falls by more than chance makes it. Equation (49).
+/// Selects the model with the smallest leave-one-out error among those the poses determine: 3, 6 or
+/// 9 parameters, each with every set of terms that includes `least`. A larger model is selected
+/// only if the error decreases significantly. Equation (49).
 ///
-/// Its standard deviations include that the data chose the model: what the others say that predict
-/// nearly as well.
+/// The standard deviations include the uncertainty of the selection: the differences to other
+/// models that predict nearly as well.
 ///
 /// ```
 /// use wimu_calib::{Gravity, Method, Model, Orientation, Pose, Terms, best_model};
@@ -39,7 +42,7 @@ const LEFT_OUT: f64 = 4.0;
 /// ```
 ///
 /// # Errors
-/// The refusal of nine parameters with the terms of `least`, when no model is supported.
+/// The refusal of the nine-parameter model with the terms of `least`, if no model is supported.
 pub fn best_model(
     poses: &[Pose],
     gravity: Gravity,
@@ -48,12 +51,12 @@ pub fn best_model(
 ) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
     let mut best: Option<(Fitted, f64)> = None;
-    // What nine parameters alone came to: a refusal, and whether the poses tell all nine.
+    // Refusal of the nine-parameter model without further terms.
     let mut nine = None;
-    let mut average = Average::NOTHING;
+    let mut average = Average::new();
     let mut nine_known = false;
     for terms in Terms::every().filter(|terms| terms.include(least)) {
-        // A scale factor that the poses do not show passes for a drift or for a bent output.
+        // An unobserved scale factor would be mistaken for drift or nonlinearity.
         if terms != least && !nine_known {
             break;
         }
@@ -67,7 +70,7 @@ pub fn best_model(
                 Ok(fitted) => fitted,
                 Err(refusal) => {
                     if model == Model::Full9 && terms == least {
-                        // What nine do not fit, though the poses tell them, a term may.
+                        // A poor fit of observable parameters may need a further term.
                         nine_known = matches!(refusal, Refusal::PoorFit { .. });
                         nine = Some(refusal);
                     }
@@ -91,7 +94,7 @@ pub fn best_model(
             }
         }
     }
-    // Fewer parameters do not mend what nine, known well enough, do not fit.
+    // A smaller model cannot repair a poor fit of nine observable parameters.
     if let Some(
         refusal @ (Refusal::PoorFit { .. }
         | Refusal::PoseContradicted { .. }
@@ -111,7 +114,7 @@ pub fn best_model(
     Ok(best.estimate)
 }
 
-/// n ln of the squared error with each orientation left out, more for each parameter.
+/// Score of a model: n ln(leave-one-out error²) with a penalty for each parameter. Lower is better.
 fn badness(fitted: &Fitted, terms: Terms) -> f64 {
     let rejected = fitted.estimate.rejected.count() as f64;
     let n = fitted.telling + rejected;
@@ -120,43 +123,47 @@ fn badness(fitted: &Fitted, terms: Terms) -> f64 {
     n * libm::log(all.max(1e-24)) + PER_PARAMETER * terms.parameters() as f64
 }
 
-/// Sums over models, each by its weight.
+/// Model averaging: sums over models, weighted by marginal likelihood.
 struct Average {
-    /// The largest evidence so far: that of weight 1.
+    /// Largest ln of the marginal likelihood so far; that model has weight 1.
     most: f64,
     weight: f64,
     /// Of 1 / the degrees of freedom: of the residuals, and of the intervals.
-    per_dof: [f64; 2],
+    per_dof: SVector<f64, 2>,
     /// Of the parameters, and of their products with the covariance added.
-    first: Theta<f64>,
-    second: [[f64; Parameter::COUNT]; Parameter::COUNT],
+    first: SVector<f64, { Slot::COUNT }>,
+    second: Covariances,
     /// Of the models that fit a parameter: weight, parameter, and its square with the variance added.
-    fitting: [[f64; 3]; Parameter::COUNT],
-    /// The same of the terms' squares.
-    squares: Theta<f64>,
+    fitting: SMatrix<f64, 3, { Parameter::COUNT }>,
+    /// Of the squares of all parameters, each with its variance added.
+    squares: SVector<f64, { Slot::COUNT }>,
 }
 
+type Covariances = SMatrix<f64, { Parameter::COUNT }, { Parameter::COUNT }>;
+
 impl Average {
-    const NOTHING: Self = Self {
-        most: f64::NEG_INFINITY,
-        weight: 0.0,
-        per_dof: [0.0; 2],
-        first: [0.0; Slot::COUNT],
-        second: [[0.0; Parameter::COUNT]; Parameter::COUNT],
-        fitting: [[0.0; 3]; Parameter::COUNT],
-        squares: [0.0; Slot::COUNT],
-    };
+    fn new() -> Self {
+        Self {
+            most: f64::NEG_INFINITY,
+            weight: 0.0,
+            per_dof: SVector::zeros(),
+            first: SVector::zeros(),
+            second: SMatrix::zeros(),
+            fitting: SMatrix::zeros(),
+            squares: SVector::zeros(),
+        }
+    }
 
     fn add(&mut self, fitted: &Fitted) {
         let (estimate, evidence) = (&fitted.estimate, fitted.evidence);
         if evidence > self.most {
             let shrink = libm::exp(self.most - evidence);
             self.weight *= shrink;
-            self.per_dof = self.per_dof.map(|sum| sum * shrink);
-            self.first = self.first.map(|sum| sum * shrink);
-            self.second = self.second.map(|row| row.map(|sum| sum * shrink));
-            self.fitting = self.fitting.map(|sums| sums.map(|sum| sum * shrink));
-            self.squares = self.squares.map(|sum| sum * shrink);
+            self.per_dof *= shrink;
+            self.first *= shrink;
+            self.second *= shrink;
+            self.fitting *= shrink;
+            self.squares *= shrink;
             self.most = evidence;
         }
         let weight = libm::exp(evidence - self.most);
@@ -165,31 +172,24 @@ impl Average {
         }
         let theta = all_of(estimate);
         self.weight += weight;
-        for (sum, dof) in self.per_dof.iter_mut().zip(freedoms(fitted)) {
-            *sum += weight / dof;
-        }
-        for i in 0..Slot::COUNT {
+        self.per_dof += SVector::from(freedoms(fitted).map(|dof| weight / dof));
+        for (i, slot) in Slot::ALL.into_iter().enumerate() {
+            let sd = estimate.term_sd.get(slot);
             self.first[i] += weight * theta[i];
-            let sd = estimate.term_sd.get(Slot::ALL[i]);
             self.squares[i] += weight * (sd * sd + theta[i] * theta[i]);
         }
         for parameter in estimate.fitted.iter() {
             let i = parameter.index();
             let variance = estimate.covariance.get(parameter, parameter);
-            let own = [1.0, theta[i], variance + theta[i] * theta[i]];
-            for (sum, own) in self.fitting[i].iter_mut().zip(own) {
-                *sum += weight * own;
-            }
+            let own = Vector3::new(1.0, theta[i], variance + theta[i] * theta[i]);
+            self.fitting.column_mut(i).axpy(weight, &own, 1.0);
         }
-        for i in 0..Parameter::COUNT {
-            for j in 0..Parameter::COUNT {
-                let covariance = estimate.covariance.matrix()[i][j];
-                self.second[i][j] += weight * (covariance + theta[i] * theta[j]);
-            }
-        }
+        self.second += Covariances::from_fn(|i, j| {
+            weight * (estimate.covariance.matrix()[i][j] + theta[i] * theta[j])
+        });
     }
 
-    /// Gives `best` the spread of all about it.
+    /// Sets the covariance of `best` to the mean square deviation of all models about it.
     fn widen(&self, best: &mut Fitted, nine_known: bool) {
         if self.weight.is_nan() || self.weight <= 0.0 {
             return;
@@ -199,16 +199,17 @@ impl Average {
         let theta = all_of(best);
         for i in 0..Parameter::COUNT {
             for j in 0..Parameter::COUNT {
-                let about = self.second[i][j] - theta[i] * self.first[j] - theta[j] * self.first[i]
-                    + theta[i] * theta[j] * self.weight;
+                let about =
+                    self.second[(i, j)] - theta[i] * self.first[j] - theta[j] * self.first[i]
+                        + theta[i] * theta[j] * self.weight;
                 let (a, b) = (Parameter::ALL[i], Parameter::ALL[j]);
                 best.covariance.set(a, b, about / self.weight);
             }
         }
-        // What was not fitted is as the larger models say; where there is none, as datasheets have it.
+        // Parameters that were not fitted: from the models that fit them, otherwise the prior.
         for parameter in best.not_observed().iter() {
             let i = parameter.index();
-            let [weight, first, square] = self.fitting[i];
+            let [weight, first, square] = [0, 1, 2].map(|k| self.fitting[(k, i)]);
             if weight > 1e-9 * self.weight {
                 let about = square - 2.0 * theta[i] * first + theta[i] * theta[i] * weight;
                 let most = best
@@ -226,19 +227,20 @@ impl Average {
             if best.term_sd.get(slot) > 0.0 {
                 let about = self.squares[i] - 2.0 * theta[i] * self.first[i]
                     + theta[i] * theta[i] * self.weight;
-                // No less than this model says itself: others that leave the term out say 0 for certain.
+                // At least that of this model: models without the term contribute no variance.
                 let sd = libm::sqrt((about / self.weight).max(0.0));
                 best.term_sd.set(slot, sd.max(best.term_sd.get(slot)));
             }
         }
-        // What smaller models leave out is known once nine parameters are among them.
+        // The parameters that smaller models leave out are estimated once nine parameters are among
+        // the models.
         let which = usize::from(!nine_known);
         let mean = self.weight / self.per_dof[which];
         best.interval_dof = Some(mean.min(own[which]));
     }
 }
 
-/// Degrees of freedom of its residuals and of its intervals.
+/// Degrees of freedom of the residuals and of the confidence intervals.
 fn freedoms(fitted: &Fitted) -> [f64; 2] {
     [
         fitted.dof,

@@ -19,7 +19,7 @@ impl Covariance {
         libm::sqrt(self.get(parameter, parameter).max(0.0))
     }
 
-    /// All of it, in the order of [`Parameter::ALL`].
+    /// The full matrix, in the order of [`Parameter::ALL`].
     pub fn matrix(&self) -> &[[f64; Parameter::COUNT]; Parameter::COUNT] {
         &self.0
     }
@@ -34,7 +34,7 @@ impl Covariance {
         self.0[a.index()][b.index()] = covariance;
     }
 
-    /// Gives what nothing was seen of the size that datasheets have: 50 mg, 3 %, 2 %.
+    /// Sets the variance of unobserved parameters to that of typical datasheets: 50 mg, 3 %, 2 %.
     pub(crate) fn take_for_granted(&mut self, unseen: Parameters) {
         for parameter in unseen.iter() {
             let usual = Slot::of(parameter).usual_sd().unwrap_or(USUAL_BIAS_MPS2);
@@ -46,20 +46,20 @@ impl Covariance {
         Self(*matrix)
     }
 
-    /// Adds that of gravity: A goes with 1/g, so its relative error is common to all of A.
-    /// The last term of equation (15).
+    /// Adds the uncertainty of gravity: A is proportional to 1/g, so its relative error is common
+    /// to all of A. The last term of equation (15).
     pub(crate) fn add_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
         let relative = gravity.sd_mps2() / gravity.mps2();
         self.add_common_scale(theta, relative * relative);
     }
 
-    /// Takes it out again, as far as it is in.
+    /// Removes the uncertainty of gravity, as far as it is included.
     pub(crate) fn remove_gravity(&mut self, theta: &Theta<f64>, gravity: Gravity) {
         let held = self.held_of_gravity(theta, gravity);
         self.add_common_scale(theta, -held);
     }
 
-    /// How much of a parameter's variance is that of gravity, as far as it is in.
+    /// Part of the variance of a parameter that is due to gravity.
     pub(crate) fn of_gravity(
         &self,
         theta: &Theta<f64>,
@@ -72,7 +72,7 @@ impl Covariance {
         }
     }
 
-    /// Relative variance of gravity, as far as it is in.
+    /// Relative variance of gravity, as far as it is included.
     fn held_of_gravity(&self, theta: &Theta<f64>, gravity: Gravity) -> f64 {
         let relative = gravity.sd_mps2() / gravity.mps2();
         let held = |axis: usize| {

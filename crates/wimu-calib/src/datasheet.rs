@@ -1,4 +1,4 @@
-//! What datasheets promise, and what a sensor shows of it.
+//! Datasheet limits, and a comparison with an estimate.
 
 use core::fmt;
 
@@ -6,13 +6,13 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::{Estimate, Parameter, Term, student};
 
-/// The largest size of a figure that a datasheet names.
+/// A datasheet limit on the absolute value of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limit {
     /// In the unit of its [`Quantity`].
     pub most: f64,
-    /// Whether the maker guarantees it; a typical figure is passed by many a sound sensor.
+    /// Whether it is a maximum; a typical value is exceeded by many good sensors.
     pub guaranteed: bool,
 }
 
@@ -30,13 +30,13 @@ const fn guaranteed(most: f64) -> Option<Limit> {
     })
 }
 
-/// What a datasheet says of an accelerometer's errors at 25 °C, where it says it.
+/// Datasheet limits on the errors of an accelerometer at 25 °C; `None` if not specified.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Datasheet {
     /// The sensor, as its maker writes it.
     pub sensor: &'static str,
-    /// Where the figures are from.
+    /// Source of the values.
     pub document: &'static str,
     /// Nominal sensitivity at each range, LSB/g.
     pub sensitivities_lsb_per_g: &'static [f64],
@@ -48,7 +48,7 @@ pub struct Datasheet {
     pub cross_axis: Option<Limit>,
     /// Nonlinearity, % of full scale.
     pub nonlinearity: Option<Limit>,
-    /// Zero-g offset with temperature per axis, mg/K.
+    /// Temperature coefficient of the zero-g offset per axis, mg/K.
     pub offset_per_kelvin: [Option<Limit>; 3],
     /// Sensitivity with temperature, %/K.
     pub sensitivity_per_kelvin: Option<Limit>,
@@ -58,13 +58,13 @@ pub struct Datasheet {
 const BINARY: &[f64] = &[16384.0, 8192.0, 4096.0, 2048.0];
 
 impl Datasheet {
-    /// Those that are known.
+    /// The known datasheets.
     ///
-    /// Read in copies of the documents or in drivers that quote them: all of the MPU-6050; of the
-    /// LSM303AGR the sensitivities and the zero-g offset (±40 mg typical, ±80 at most); of the ADXL345 the
-    /// sensitivity (230 to 282 LSB/g; 232 to 286 in early revisions) and the zero-g offset; of the MPU-9150
-    /// and the ICM-20948 the zero-g offset. The others were not found to be read again: look into the
-    /// document where one of them decides.
+    /// Verified in copies of the documents or in drivers that quote them: all of the MPU-6050; of
+    /// the LSM303AGR the sensitivities and the zero-g offset (±40 mg typical, ±80 maximum); of the
+    /// ADXL345 the sensitivity (230 to 282 LSB/g; 232 to 286 in early revisions) and the zero-g
+    /// offset; of the MPU-9150 and the ICM-20948 the zero-g offset. The other values are not
+    /// verified: consult the document when one of them matters.
     pub const KNOWN: [Self; 6] = [
         Self {
             sensor: "LSM303AGR",
@@ -139,7 +139,7 @@ impl Datasheet {
         },
     ];
 
-    /// That of the sensor called `name`; hyphens and case do not matter.
+    /// The datasheet of the sensor `name`; hyphens and case are ignored.
     pub fn of(name: &str) -> Option<&'static Self> {
         fn plain(name: &str) -> impl Iterator<Item = char> + '_ {
             name.chars()
@@ -151,17 +151,17 @@ impl Datasheet {
             .find(|known| plain(known.sensor).eq(plain(name)))
     }
 
-    /// The nominal sensitivity that `lsb_per_g` is within 20 % of.
+    /// The nominal sensitivity within 20 % of `lsb_per_g`.
     pub fn nominal(&self, lsb_per_g: f64) -> Option<f64> {
         let near = |nominal: &&f64| (0.8..1.2).contains(&(lsb_per_g / **nominal));
         self.sensitivities_lsb_per_g.iter().find(near).copied()
     }
 
-    /// Each fitted parameter of `estimate` that the datasheet has a limit for, beside it.
+    /// Compares each fitted parameter of `estimate` with its limit in the datasheet.
     ///
-    /// `scale` is the sensitivity by which the poses came to m/s², per the nominal one: 1 where it was
-    /// the nominal one. Without it the scale factors are not compared. `range_g` is the full-scale
-    /// range; without it nonlinearity is not. What the poses do not tell is left out.
+    /// `scale` is the sensitivity used to convert the poses to m/s², relative to the nominal one;
+    /// without it the scale factors are not compared. `range_g` is the full-scale range; without it
+    /// the nonlinearity is not compared. Parameters that the poses do not determine are left out.
     ///
     /// ```
     /// use wimu_calib::{Datasheet, Gravity, Placement, Pose, Verdict, six_position};
@@ -183,118 +183,119 @@ impl Datasheet {
         estimate: &Estimate,
         scale: Option<f64>,
         range_g: Option<f64>,
-    ) -> impl Iterator<Item = Finding> {
-        let model = *estimate.model.terms();
-        let fitted = estimate.fitted;
-        let terms = estimate.terms;
+    ) -> impl Iterator<Item = Finding> + use<> {
+        let model = estimate.model.terms();
         let mg = 1e3 / STANDARD_GRAVITY_MPS2;
-        let term_sd = estimate.term_sd;
         let quantile = student::two_sided(0.05, estimate.interval_dof.unwrap_or(f64::INFINITY));
-        let half = Parameter::ALL.map(|parameter| estimate.half_width_95(parameter));
-        let this = *self;
-
-        let offsets = (0..3).filter_map(move |axis| {
-            let fitted = fitted.contains(Parameter::ALL[axis]);
-            Some(Finding {
-                quantity: Quantity::ZeroGOffset,
-                subject: AXES[axis],
-                value: model.bias_mps2[axis] * mg,
-                half_width_95: half[axis] * mg,
-                limit: this.zero_g_offset[axis].filter(|_| fitted)?,
-            })
-        });
-        let scales = (0..3).filter_map(move |axis| {
-            let parameter = Parameter::ALL[3 + 4 * axis];
-            let scale = scale.filter(|_| fitted.contains(parameter))?;
-            Some(Finding {
-                quantity: Quantity::Sensitivity,
-                subject: AXES[axis],
-                value: (model.matrix[axis][axis] * scale - 1.0) * 100.0,
-                half_width_95: half[3 + 4 * axis] * scale * 100.0,
-                limit: this.sensitivity?,
-            })
-        });
-        // What a rotation of the whole sensor leaves: the sum of the two that a pair of axes has.
-        let covariance = estimate.covariance;
-        let pairs = [(0, 1), (0, 2), (1, 2)].into_iter().zip(PAIRS);
-        let crosses = pairs.filter_map(move |((a, b), subject)| {
+        let mut findings = heapless::Vec::<Finding, 18>::new();
+        let mut add = |quantity, subject, value, half_width_95, limit: Option<Limit>| {
+            let finding = limit.map(|limit| Finding {
+                quantity,
+                subject,
+                value,
+                half_width_95,
+                limit,
+            });
+            findings.extend(finding);
+        };
+        // A limit, if the parameter was fitted.
+        let fitted = |parameter: Parameter, limit: Option<Limit>| {
+            limit.filter(|_| estimate.fitted.contains(parameter))
+        };
+        for (axis, parameter) in Parameter::BIAS.into_iter().enumerate() {
+            add(
+                Quantity::ZeroGOffset,
+                AXES[axis],
+                model.bias_mps2[axis] * mg,
+                estimate.half_width_95(parameter) * mg,
+                fitted(parameter, self.zero_g_offset[axis]),
+            );
+        }
+        for (axis, parameter) in Parameter::SCALE.into_iter().enumerate() {
+            let limit = fitted(parameter, self.sensitivity).filter(|_| scale.is_some());
+            let scale = scale.unwrap_or(1.0);
+            add(
+                Quantity::Sensitivity,
+                AXES[axis],
+                (model.matrix[axis][axis] * scale - 1.0) * 100.0,
+                estimate.half_width_95(parameter) * scale * 100.0,
+                limit,
+            );
+        }
+        // Invariant under a rotation of the whole sensor: the sum of the two misalignments of a pair.
+        for ((a, b), subject) in [(0, 1), (0, 2), (1, 2)].into_iter().zip(PAIRS) {
             let [ab, ba] = [Parameter::ALL[3 + 3 * b + a], Parameter::ALL[3 + 3 * a + b]];
-            let limit = this.cross_axis.filter(|_| fitted.contains(ab))?;
+            let covariance = &estimate.covariance;
             let variance =
                 covariance.get(ab, ab) + covariance.get(ba, ba) + 2.0 * covariance.get(ab, ba);
-            Some(Finding {
-                quantity: Quantity::CrossAxis,
+            add(
+                Quantity::CrossAxis,
                 subject,
-                value: (model.matrix[a][b] + model.matrix[b][a]) * 100.0,
-                half_width_95: quantile * libm::sqrt(variance.max(0.0)) * 100.0,
-                limit: Limit {
+                (model.matrix[a][b] + model.matrix[b][a]) * 100.0,
+                quantile * libm::sqrt(variance.max(0.0)) * 100.0,
+                fitted(ab, self.cross_axis).map(|limit| Limit {
                     most: 2.0 * limit.most,
                     ..limit
-                },
-            })
-        });
-        let of_term = move |term: Term, quantity, values: [f64; 3], sd: [f64; 3], unit: f64| {
-            (0..3).filter_map(move |axis| {
-                let limit = match quantity {
-                    Quantity::OffsetPerKelvin => this.offset_per_kelvin[axis],
-                    Quantity::SensitivityPerKelvin => this.sensitivity_per_kelvin,
-                    _ => this.nonlinearity,
-                };
-                Some(Finding {
-                    quantity,
-                    subject: AXES[axis],
-                    value: values[axis] * unit,
-                    half_width_95: quantile * sd[axis] * unit,
-                    limit: limit.filter(|_| terms.contains(term) && unit > 0.0)?,
-                })
-            })
-        };
-        let temperature = model.temperature;
+                }),
+            );
+        }
+        let (temperature, sd) = (&model.temperature, &estimate.term_sd);
         // A parabola departs from its best line by half of what it adds at full scale.
         let full_scale = range_g.map_or(0.0, |g| g * STANDARD_GRAVITY_MPS2);
-        offsets
-            .chain(scales)
-            .chain(crosses)
-            .chain(of_term(
+        let terms = [
+            (
                 Term::BiasTemperature,
                 Quantity::OffsetPerKelvin,
-                temperature.bias_mps2_per_k,
-                term_sd.bias_mps2_per_k,
-                mg,
-            ))
-            .chain(of_term(
+                self.offset_per_kelvin,
+                (temperature.bias_mps2_per_k, sd.bias_mps2_per_k, mg),
+            ),
+            (
                 Term::ScaleTemperature,
                 Quantity::SensitivityPerKelvin,
-                temperature.scale_per_k,
-                term_sd.scale_per_k,
-                100.0,
-            ))
-            .chain(of_term(
+                [self.sensitivity_per_kelvin; 3],
+                (temperature.scale_per_k, sd.scale_per_k, 100.0),
+            ),
+            (
                 Term::Quadratic,
                 Quantity::Nonlinearity,
-                model.nonlinearity,
-                term_sd.nonlinearity,
-                0.5 * full_scale * 100.0,
-            ))
+                [self.nonlinearity; 3],
+                (
+                    model.nonlinearity,
+                    sd.nonlinearity,
+                    0.5 * full_scale * 100.0,
+                ),
+            ),
+        ];
+        for (term, quantity, limits, (values, sd, unit)) in terms {
+            for axis in 0..3 {
+                add(
+                    quantity,
+                    AXES[axis],
+                    values[axis] * unit,
+                    quantile * sd[axis] * unit,
+                    limits[axis].filter(|_| estimate.terms.contains(term) && unit > 0.0),
+                );
+            }
+        }
+        findings.into_iter()
     }
 }
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 const PAIRS: [&str; 3] = ["X-Y", "X-Z", "Y-Z"];
 
-/// What a datasheet has a limit for.
+/// A quantity with a datasheet limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Quantity {
-    /// Output at no force, mg: the bias.
+    /// Output at zero force, mg: the bias.
     ZeroGOffset,
-    /// Departure of the sensitivity from the nominal one, %: S − 1.
+    /// Deviation of the sensitivity from the nominal one, %: S − 1.
     Sensitivity,
-    /// What two axes see of each other's, %: the sum of both, twice the limit of one. The difference is
-    /// a rotation of the sensor on its board, which is no datasheet's matter.
+    /// Sum of the cross-axis sensitivities of two axes, %, with twice the limit of one. The
+    /// difference is a rotation of the sensor on its board, which a datasheet does not specify.
     CrossAxis,
-    /// Largest departure from the best line, % of full scale; from what 1 g shows, carried on to full
-    /// scale.
+    /// Largest deviation from the best line, % of full scale, extrapolated from 1 g to full scale.
     Nonlinearity,
     /// Zero-g offset with temperature, mg/K.
     OffsetPerKelvin,
@@ -328,24 +329,24 @@ impl fmt::Display for Quantity {
     }
 }
 
-/// A parameter beside the datasheet's limit.
+/// A parameter compared with the limit of the datasheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Finding {
     /// What.
     pub quantity: Quantity,
-    /// Of which axis, or of which two: "X", "X-Y".
+    /// The axis or pair of axes: "X", "X-Y".
     pub subject: &'static str,
     /// As estimated, in the quantity's unit.
     pub value: f64,
-    /// Half its 95 % interval.
+    /// Half width of its 95 % confidence interval.
     pub half_width_95: f64,
     /// The limit.
     pub limit: Limit,
 }
 
 impl Finding {
-    /// Whether the value is within the limit, going by its 95 % interval.
+    /// Whether the value is within the limit, according to its 95 % confidence interval.
     pub fn verdict(&self) -> Verdict {
         let size = self.value.abs();
         if size + self.half_width_95 <= self.limit.most {
@@ -362,11 +363,11 @@ impl Finding {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Verdict {
-    /// All of its 95 % interval.
+    /// The whole 95 % confidence interval is within the limit.
     Within,
-    /// The interval reaches over the limit.
+    /// The limit is inside the interval.
     Unclear,
-    /// None of the interval.
+    /// The whole interval is beyond the limit.
     Beyond,
 }
 

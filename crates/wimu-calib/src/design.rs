@@ -1,22 +1,22 @@
-//! Which orientations a set of poses lacks: equation (44).
+//! Experimental design, choice of the next orientations: equation (44).
 
 use nalgebra::{SMatrix, SVector};
 
 use crate::{Model, Orientation, Parameters, Pose};
 
-/// cos 40°: twelve well spread poses cover all 26 orientations, the six sides themselves only.
+/// cos 40°: twelve well distributed poses cover all 26 orientations, the six sides cover only
+/// themselves.
 const NEAR: f64 = 0.766;
-/// What is known beforehand: parameters are about a hundred times as uncertain, as errors at 1 g,
-/// as one pose tells them (0.3 m/s² against 3 mm/s²).
+/// Prior information per parameter, relative to that of one pose: 0.3 m/s² at 1 g against 3 mm/s².
 const PRIOR: f64 = 1e-4;
-/// A pose is worth it that lowers the expected error by this share.
+/// Smallest relative decrease of the expected error that justifies a pose.
 const WORTH: f64 = 0.03;
-/// Rounds of exchange in a plan; the third hardly changes one.
+/// Largest number of exchange iterations; the third hardly changes a plan.
 const MOST_EXCHANGES: usize = 4;
-/// More poses than anyone needs.
+/// Largest number of recommended poses.
 const MOST_ADVISED: usize = 60;
 
-/// Share of the 26 orientations that are within 40° of a pose's mean output.
+/// Fraction of the 26 orientations within 40° of the mean output of a pose.
 pub(crate) fn coverage(poses: &[Pose]) -> f64 {
     let mut missing = Orientation::ALL.map(|orientation| Some(orientation.up()));
     let mut covered = 0_u32;
@@ -47,23 +47,11 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// Poses planned together.
-struct Plan {
-    poses: [Orientation; Guide::MOST_PLANNED],
-    count: usize,
-}
+type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
 
-impl Plan {
-    fn contains(&self, orientation: Orientation) -> bool {
-        self.poses
-            .iter()
-            .take(self.count)
-            .any(|o| *o == orientation)
-    }
-}
-
-/// Says which orientation to take next: the one that adds most to what is known of the
-/// parameters (D-optimal), given those taken so far, whether or not they suffice for an answer yet.
-/// Where it is known how many more will be taken, [`next_of`](Self::next_of) plans them together.
+/// Recommends the next orientation: the one that adds most information on the parameters (D-optimal
+/// design), given those taken so far. If the number of further poses is known,
+/// [`next_of`](Self::next_of) plans them together.
 ///
 /// ```
 /// use wimu_calib::{Guide, Model, Orientation};
@@ -79,12 +67,12 @@ impl Plan {
 #[derive(Clone, Debug)]
 pub struct Guide {
     fitted: Parameters,
-    /// Inverse of the information matrix of all twelve parameters, poses of unit variance.
+    /// Inverse of the information matrix of all twelve parameters, for poses of unit variance.
     inverse: SMatrix<f64, 12, 12>,
 }
 
 impl Guide {
-    /// One that has seen no pose yet.
+    /// A guide without poses.
     pub fn new(model: Model) -> Self {
         Self {
             fitted: model.fitted(),
@@ -92,7 +80,7 @@ impl Guide {
         }
     }
 
-    /// One that has seen `poses`.
+    /// A guide after `poses`.
     pub fn after(model: Model, poses: &[Pose]) -> Self {
         let mut guide = Self::new(model);
         for pose in poses {
@@ -101,14 +89,14 @@ impl Guide {
         guide
     }
 
-    /// Counts a pose with `up` upward, of any length, sensor axes; nothing if it has no direction.
+    /// Adds a pose with `up` upward, of any length, sensor axes; ignored without a direction.
     pub fn take(&mut self, up: [f64; 3]) {
         if let Some(up) = unit(up) {
             self.change(up, 1.0);
         }
     }
 
-    /// Counts a pose once more, or once less with `sign` −1.
+    /// Adds a pose, or removes it with `sign` −1.
     fn change(&mut self, up: [f64; 3], sign: f64) {
         let row = self.row(up);
         let along = self.inverse * row;
@@ -117,9 +105,9 @@ impl Guide {
             .ger(-sign / (1.0 + sign * variance), &along, &along, 1.0);
     }
 
-    /// The orientation to take next, of those that `reachable` admits.
+    /// The next orientation, of those that `reachable` admits.
     ///
-    /// Of orientations that are alike to 1 % the one that is easiest to hold.
+    /// Of orientations within 1 % of the best, the one that is easiest to hold.
     pub fn next(&self, reachable: impl Fn(Orientation) -> bool) -> Option<Orientation> {
         let mut best: Option<(f64, Orientation)> = None;
         for orientation in Orientation::BY_EASE {
@@ -134,18 +122,17 @@ impl Guide {
         best.map(|(_, orientation)| orientation)
     }
 
-    /// The orientation to take next if `remaining` more poses will be taken, at most
-    /// [`Guide::MOST_PLANNED`] of which are planned together: equation (44). One by one, each the best
-    /// at its time, are not the best of as many.
+    /// The next orientation of a plan of `remaining` more poses, at most [`Guide::MOST_PLANNED`]:
+    /// equation (44). Choosing the best pose one by one does not give the best set.
     ///
-    /// Of twelve from nothing they are the twelve edges.
+    /// Twelve poses from the start are the twelve edges.
     pub fn next_of(
         &self,
         remaining: usize,
         reachable: impl Fn(Orientation) -> bool,
     ) -> Option<Orientation> {
         let count = remaining.clamp(1, Self::MOST_PLANNED);
-        // Exchange finds the best near where it starts.
+        // The exchange algorithm finds a local optimum near its start.
         let starts = [1..4, 1..2, 2..3, 3..4];
         let mut best: Option<(f64, Plan)> = None;
         for axes in starts {
@@ -153,20 +140,20 @@ impl Guide {
             let Some(plan) = self.plan(count, of_start, &reachable) else {
                 continue;
             };
-            // Those that are alike to rounding: the first, which is the easier.
+            // Of plans equal to rounding, the first, which is easier.
             if best.as_ref().is_none_or(|(most, _)| plan.0 > most + 1e-6) {
                 best = Some(plan);
             }
         }
         let (_, plan) = best?;
-        self.next(|orientation| plan.contains(orientation))
+        self.next(|orientation| plan.contains(&orientation))
     }
 
-    /// Of how many poses a plan is made at the most.
+    /// Largest number of poses in a plan.
     pub const MOST_PLANNED: usize = 24;
 
-    /// `count` poses that know most together, log det M of them, from those of `start` on by
-    /// exchange [F].
+    /// `count` poses with the largest information, and ln det of their information matrix: started
+    /// with poses of `start`, improved by exchange [F].
     fn plan(
         &self,
         count: usize,
@@ -174,20 +161,17 @@ impl Guide {
         reachable: impl Fn(Orientation) -> bool,
     ) -> Option<(f64, Plan)> {
         let mut guide = self.clone();
-        let mut plan = Plan {
-            poses: [Orientation::ALL[0]; Self::MOST_PLANNED],
-            count,
-        };
+        let mut plan = Plan::new();
         let mut known = 0.0;
-        for place in plan.poses.iter_mut().take(count) {
+        for _ in 0..count {
             let next = guide.next(&start)?;
             known += libm::log(1.0 + guide.variance(next.up()));
             guide.take(next.up());
-            *place = next;
+            let _ = plan.push(next);
         }
         for _ in 0..MOST_EXCHANGES {
             let mut better = false;
-            for place in plan.poses.iter_mut().take(count) {
+            for place in &mut plan {
                 let old = place.up();
                 guide.change(old, -1.0);
                 let without = guide.variance(old);
@@ -207,8 +191,8 @@ impl Guide {
         Some((known, plan))
     }
 
-    /// How many more poses are worth it: until the next would lower the error to be expected, rms
-    /// over 26 orientations, by less than 3 %.
+    /// Number of further poses until the next one reduces the expected error, rms over 26
+    /// orientations, by less than 3 %.
     pub fn worth(&self, reachable: impl Fn(Orientation) -> bool) -> usize {
         let mut guide = self.clone();
         let mut expected = guide.expected_error();
@@ -226,7 +210,7 @@ impl Guide {
         MOST_ADVISED
     }
 
-    /// How much an error in the poses grows in the worst of 26 orientations.
+    /// Amplification of an error from the poses to the worst of 26 orientations.
     pub fn amplification(&self) -> f64 {
         let variances = Orientation::ALL.into_iter().map(|o| self.variance(o.up()));
         libm::sqrt(variances.fold(0.0, f64::max))

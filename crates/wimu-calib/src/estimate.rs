@@ -1,4 +1,4 @@
-//! What a calibration gives back.
+//! Result of a calibration.
 
 use core::fmt;
 
@@ -9,7 +9,7 @@ use crate::terms::{self, Slot, Terms, Theta};
 use crate::weights::Rejected;
 use crate::{Covariance, Face, Gravity, Model, Parameter, Parameters, Pose, force, student};
 
-/// An error model and how good it is.
+/// An error model and its quality.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -18,59 +18,96 @@ pub struct Estimate {
     pub model: ErrorModel,
     /// How it was estimated.
     pub method: Method,
-    /// The terms fitted on top of the 12 parameters.
+    /// The terms fitted in addition to the 12 parameters.
     pub terms: Terms,
     /// Which of the 12 parameters were fitted.
     pub fitted: Parameters,
-    /// Covariance of the 12 parameters, that of gravity and of the terms included: at the last pose
-    /// where there is drift, at the reference temperature where it matters.
+    /// Covariance of the 12 parameters, including the uncertainty of gravity and of the terms; with
+    /// drift at the last pose, with temperature terms at the reference temperature.
     pub covariance: Covariance,
     /// Standard deviations of the terms.
     pub term_sd: TermDeviations,
-    /// The gravity it rests on.
+    /// The reference gravity.
     pub gravity: Gravity,
-    /// How many poses were fitted.
+    /// Number of fitted poses.
     pub poses: usize,
-    /// How many orientations these are: poses within 10° of each other count as visits of one.
+    /// Number of orientations: poses within 10° of each other have the same one.
     pub orientations: usize,
-    /// Degrees of freedom: observations beyond the parameters fitted.
+    /// Degrees of freedom: observations minus fitted parameters.
     pub dof: usize,
-    /// Degrees of freedom of the standard deviations, without what gravity adds to them, for
-    /// [`Estimate::half_width_95`]; `None` where they rest on a declared placement error and not on residuals.
+    /// Degrees of freedom of the standard deviations, without the contribution of gravity, for
+    /// [`Estimate::half_width_95`]; `None` if they follow from a declared placement error instead
+    /// of residuals.
     pub interval_dof: Option<f64>,
-    /// |f| − g over all poses given, rejected ones included, m/s² rms, unweighted.
+    /// Residual |f| − g over all given poses, including rejected ones, m/s² rms, unweighted.
     pub rms_mps2: f64,
-    /// The largest | |f| − g |, m/s².
+    /// Largest absolute residual, m/s².
     pub max_mps2: f64,
-    /// The pose that has it, index into those given.
+    /// Index of the pose with the largest residual.
     pub worst_pose: usize,
-    /// |f| − g of each pose under the model fitted without it, m/s² rms over all poses; `None`
-    /// where a pose cannot be spared (six-position with one pose a side).
+    /// Leave-one-out error: residual of each pose under the model fitted without it, m/s² rms over
+    /// all poses; `None` if a pose cannot be left out (six-position with one pose per side).
     pub loo_rms_mps2: Option<f64>,
-    /// The same with all visits of the pose's orientation left out, which is what decides; `None` where none
-    /// came again. Beyond 256 poses those that came again have no part in it.
+    /// Leave-one-out error with whole orientations left out, which is the one that is judged;
+    /// `None` if no orientation is repeated. With more than 256 poses, repeated orientations are
+    /// not included.
     pub loo_orientation_rms_mps2: Option<f64>,
-    /// Poses that the others contradict beyond chance, left out of the fit.
+    /// Rejected outliers.
     pub rejected: Rejected,
-    /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g; 1 is best.
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g; 1 is best.
     pub condition: f64,
-    /// Standard deviation of |f| − g to be expected in the worst of 26 orientations, m/s².
+    /// Predicted standard deviation of |f| − g in the worst of 26 orientations, m/s².
     pub worst_sd_mps2: f64,
-    /// Share of the 26 orientations that are within 40° of a pose's, 0..=1.
+    /// Fraction of the 26 orientations within 40° of a pose, 0..=1.
     pub coverage: f64,
-    /// Mean temperature of the poses, °C, where they have one.
+    /// Mean temperature of the poses that have one, °C.
     pub temperature_c: Option<f64>,
-    /// Lowest and highest temperature of the poses, °C, where all have one: temperature terms hold
-    /// between them.
+    /// Lowest and highest temperature of the poses, °C, if all have one: the range of validity of
+    /// the temperature terms.
     pub temperature_range_c: Option<[f64; 2]>,
-    /// How the bias moved, where [`Term::Drift`](crate::Term::Drift) was fitted.
+    /// Drift of the bias, if [`Term::Drift`](crate::Term::Drift) was fitted.
     pub drift: Option<Drift>,
 }
 
 impl Estimate {
-    /// Of the 12 parameters those that nothing was seen of: the model has those of a perfect sensor,
-    /// the covariance what datasheets make likely. Not among them are those that gravity alone leaves
-    /// to choice, which are 0 by choice.
+    /// An estimate of all 12 parameters without terms from an orthogonal design, whose covariance
+    /// and counts are still to be set.
+    pub(crate) fn orthogonal(
+        model: ErrorModel,
+        method: Method,
+        gravity: Gravity,
+        residuals: &Residuals,
+    ) -> Self {
+        Self {
+            model,
+            method,
+            terms: Terms::NONE,
+            fitted: Parameters::ALL,
+            covariance: Covariance::ZERO,
+            term_sd: TermDeviations::default(),
+            gravity,
+            poses: 0,
+            orientations: 0,
+            dof: 0,
+            interval_dof: None,
+            rms_mps2: residuals.rms_mps2(),
+            max_mps2: residuals.largest_mps2,
+            worst_pose: residuals.worst_pose,
+            loo_rms_mps2: None,
+            loo_orientation_rms_mps2: None,
+            rejected: Rejected::default(),
+            condition: 1.0,
+            worst_sd_mps2: 0.0,
+            coverage: 0.0,
+            temperature_c: None,
+            temperature_range_c: None,
+            drift: None,
+        }
+    }
+
+    /// The parameters that were not observed: the model has those of a perfect sensor, the
+    /// covariance the tolerances of typical datasheets. Not included are the three that are 0 by
+    /// convention because gravity alone does not determine a rotation.
     pub fn not_observed(&self) -> Parameters {
         let chosen: Parameters = match self.method {
             Method::MultiPosition(_) => {
@@ -86,8 +123,8 @@ impl Estimate {
         Parameters::ALL.without(self.fitted).without(chosen)
     }
 
-    /// Standard deviations of the parameters in the shape of the model; for one that was not
-    /// observed what datasheets make likely.
+    /// Standard deviations of the parameters in the form of the model; for unobserved ones the
+    /// tolerance of typical datasheets.
     pub fn sd(&self) -> Deviations {
         let sd = Parameter::ALL.map(|parameter| self.covariance.sd(parameter));
         Deviations {
@@ -100,16 +137,16 @@ impl Estimate {
         }
     }
 
-    /// The 95 % interval of a parameter is its value plus and minus this, in its unit: Student's t
-    /// with [`Estimate::interval_dof`], more for what rests on gravity, whose uncertainty no residual
-    /// tells: equation (43).
+    /// Half width of the 95 % confidence interval of a parameter, in its unit: Student's t with
+    /// [`Estimate::interval_dof`], and more degrees of freedom for the contribution of gravity.
+    /// Equation (43).
     pub fn half_width_95(&self, parameter: Parameter) -> f64 {
         let quantile = student::two_sided(0.05, self.dof_of(parameter));
         quantile * self.covariance.sd(parameter)
     }
 
-    /// Degrees of freedom of a parameter's standard deviation; infinite where none of it is from
-    /// residuals.
+    /// Degrees of freedom of the standard deviation of a parameter; infinite if residuals do not
+    /// contribute.
     fn dof_of(&self, parameter: Parameter) -> f64 {
         let Some(dof) = self.interval_dof else {
             return f64::INFINITY;
@@ -125,8 +162,8 @@ impl Estimate {
         }
     }
 
-    /// |f| − g that this model leaves in `pose`, m/s²; at its time and temperature where those are
-    /// in the model.
+    /// Residual |f| − g of `pose`, m/s², at its time and temperature as far as the model depends on
+    /// them.
     pub fn residual_mps2(&self, pose: &Pose) -> f64 {
         let mut pose = *pose;
         if let Some(drift) = self.drift {
@@ -141,7 +178,7 @@ impl Estimate {
     }
 }
 
-/// How the bias moved over a session, in proportion to time.
+/// Linear drift of the bias over a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Drift {
@@ -153,34 +190,35 @@ pub struct Drift {
     pub span_s: f64,
 }
 
-/// How an estimate was made.
+/// Method of an estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Method {
     /// Six known orientations, 12 parameters.
     SixPosition {
-        /// Placement error that the covariance includes, rad, 1 σ about each axis: what was
-        /// declared or what the poses show, whichever is larger. A pair of sides that stands out is
-        /// not in it.
+        /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if
+        /// larger, the one that the poses show, without a misplaced pair of sides.
         placement_sd_rad: f64,
-        /// What was declared.
+        /// The declared placement error, rad.
         declared_sd_rad: f64,
-        /// A side that was placed much worse than the others; the covariance of its axis includes it.
+        /// A side with a much larger placement error than the others; the covariance of its axis
+        /// includes it.
         misplaced: Option<Misplaced>,
-        /// What else a position differs by from one visit to the next, m/s², 1 σ, in the covariance
-        /// too: as visits of one side show, and as real sensors have it where there are few.
+        /// Standard deviation between repeated poses of a side, m/s², also in the covariance: as
+        /// observed, or that of typical sensors if there are few.
         revisit_sd_mps2: f64,
-        /// Visits beyond the first of each side.
+        /// Poses beyond the first of each side.
         revisits: usize,
         /// Whether they differ by more than noise and placement explain.
         unexplained: bool,
     },
     /// Any orientations, from the magnitude of gravity.
     MultiPosition(Model),
-    /// Turns of four steps about a level axis, bias and scale factor of the axes in the plane.
+    /// Rotations in four steps about a horizontal axis: bias and scale factor of the axes in the
+    /// plane.
     FourAngle,
-    /// Turns of three steps about a level axis.
+    /// Rotations in three steps about a horizontal axis.
     ThreeAngle,
 }
 
@@ -195,16 +233,16 @@ impl fmt::Display for Method {
     }
 }
 
-/// A side that was put down much worse than the others.
+/// A side with a much larger placement error than the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Misplaced {
     /// The side, or one of the pair.
     pub face: Face,
-    /// Whether it may as well be the opposite side: what tells them apart is that the sensor's axes are
-    /// square to a degree or two.
+    /// Whether it may be the opposite side instead: they can be distinguished only if the axes of
+    /// the sensor are orthogonal within a degree or two.
     pub or_opposite: bool,
-    /// Its tilt, if it is one side, rad.
+    /// Tilt if only one side is misplaced, rad.
     pub tilt_rad: f64,
 }
 
@@ -218,7 +256,7 @@ pub struct Deviations {
     pub matrix: Matrix3,
 }
 
-/// Standard deviations, 1 σ, of what [`Terms`] add; 0 for what was not fitted.
+/// Standard deviations, 1 σ, of the [`Terms`]; 0 for those that were not fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TermDeviations {
@@ -233,32 +271,30 @@ pub struct TermDeviations {
 }
 
 impl TermDeviations {
-    /// That of one parameter; 0 where it is no term's.
-    pub(crate) fn get(&self, slot: Slot) -> f64 {
-        let group = match slot.term() {
-            None => return 0.0,
-            Some(terms::Term::Drift) => &self.drift_mps2,
-            Some(terms::Term::BiasTemperature) => &self.bias_mps2_per_k,
-            Some(terms::Term::ScaleTemperature) => &self.scale_per_k,
-            Some(terms::Term::Quadratic) => &self.nonlinearity,
-        };
-        group[slot.index() % 3]
+    /// Standard deviation of one parameter; 0 if it does not belong to a term.
+    pub(crate) fn get(mut self, slot: Slot) -> f64 {
+        self.get_mut(slot).map_or(0.0, |sd| *sd)
     }
 
-    /// Sets that of one parameter, where it is a term's.
+    /// Sets the standard deviation of one parameter, if it belongs to a term.
     pub(crate) fn set(&mut self, slot: Slot, sd: f64) {
-        let Some(term) = slot.term() else { return };
-        let group = match term {
+        if let Some(place) = self.get_mut(slot) {
+            *place = sd;
+        }
+    }
+
+    fn get_mut(&mut self, slot: Slot) -> Option<&mut f64> {
+        let group = match slot.term()? {
             terms::Term::Drift => &mut self.drift_mps2,
             terms::Term::BiasTemperature => &mut self.bias_mps2_per_k,
             terms::Term::ScaleTemperature => &mut self.scale_per_k,
             terms::Term::Quadratic => &mut self.nonlinearity,
         };
-        group[slot.index() % 3] = sd;
+        group.get_mut(slot.index() % 3)
     }
 }
 
-/// |f| − g over poses.
+/// Statistics of the residuals |f| − g.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Residuals {
     squares: f64,
@@ -268,7 +304,7 @@ pub(crate) struct Residuals {
 }
 
 impl Residuals {
-    /// Those of the first twelve parameters.
+    /// Residuals under the first twelve parameters.
     pub fn of<'a, R: Real>(
         theta: &Theta<R>,
         poses: impl Iterator<Item = &'a Pose>,

@@ -1,233 +1,42 @@
 //! Static poses in a continuous recording: equation (10).
 
+mod moments;
+
 use crate::Pose;
+pub use moments::Noise;
+use moments::{Block, Moments};
 
-/// Blocks in the shortest hold.
+/// Number of blocks in the shortest hold.
 const BLOCKS: usize = 8;
-/// The shortest hold, s.
+/// Shortest hold, s.
 const HOLD_S: f64 = 0.75;
-/// A window is still when its variance is below this many times the least one seen.
-const VARIANCE_RATIO: f64 = 9.0;
-/// A window is still when none of its block means departs from theirs by more than the root of
-/// this times the least scatter of block means seen.
-const SCATTER_RATIO: f64 = 60.0;
-/// What a still window may show beyond the sensor's noise before its quietest is known, (m/s²)²:
-/// the variance, 0.17 m/s² rms an axis, and the departure of a block mean, 1.2° of gravity.
-const QUIET_VARIANCE: f64 = 0.09;
-const QUIET_DEPARTURE: f64 = 0.04;
-/// And per variance of the noise from one sample to the next, which motion hardly adds to: the
-/// variance, and the departure of a block mean of one sample. The largest of thousands of blocks
-/// departs by 8 times the variance of a mean, and the least of it that was seen is below it.
-const VARIANCE_PER_NOISE: f64 = 6.0;
-const DEPARTURE_PER_NOISE: f64 = 10.0;
-/// Means of blocks that scatter by more than this many times what the noise within the blocks makes of
-/// them move: of a steady turn it is a hundred times.
+/// Motion threshold: variance of block means over the variance that the noise within the blocks
+/// explains. A steady rotation gives about 100.
 const MOST_SCATTER_PER_NOISE: f64 = 6.0;
-/// A line through the block means of a window, over what scatters about it: beyond, chance makes it once
-/// in a million windows (F of 3 and 18 degrees of freedom).
+/// Rotation threshold: sum of squares of a line through the block means over the mean square about
+/// it. F quantile, 3 and 18 degrees of freedom, 1 − 10⁻⁶.
 const STEADY_TURN: f64 = 25.7;
-/// What is noisier from sample to sample than this over three axes is moved, (m/s²)²: 0.32 m/s²
-/// rms an axis.
-const MOST_NOISE: f64 = 0.3;
-/// A hold ends when a block mean departs from the mean of the hold by 0.5° of gravity, m/s².
+/// Departure of a block mean from the mean of the hold that ends it, m/s²: 0.5° of gravity.
 const HOLD_DEPARTURE_MPS2: f64 = 0.085;
-/// Two holds closer than 2° of gravity, m/s², without motion between are one hold, disturbed.
+/// Holds closer than this, m/s² (2° of gravity), without motion between them are one disturbed
+/// hold.
 const SAME_POSE_MPS2: f64 = 0.34;
-/// Block means farther than 10° of gravity, m/s², from the last pose are motion,
+/// Distance of a block mean from the last pose that counts as motion, m/s²: 10° of gravity.
 const MOVED_MPS2: f64 = 1.7;
-/// when so many follow each other; a knock is shorter.
+/// Number of successive such blocks that is motion; a knock is shorter.
 const MOVED_BLOCKS: u8 = 2;
-
-/// How quiet a sensor is at rest, learnt from its own output.
-///
-/// What a [`PoseFinder`] judges stillness by: the least seen over windows as long as the shortest
-/// hold, so that the quietest part of a recording sets the measure.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Noise {
-    /// Least variance of a window, summed over the axes, (m/s²)².
-    variance: f64,
-    /// Least variance of the block means of a window, summed over the axes, (m/s²)².
-    scatter: f64,
-    /// Least variance within a window that is new from each sample to the next, half the mean square
-    /// of their difference, summed over the axes, (m/s²)².
-    new: f64,
-    /// Smallest step of the output, m/s²: one count, where the output is in counts.
-    step: f64,
-}
-
-impl Noise {
-    pub(crate) const NOTHING_SEEN: Self = Self {
-        variance: f64::INFINITY,
-        scatter: f64::INFINITY,
-        new: f64::INFINITY,
-        step: f64::INFINITY,
-    };
-
-    /// Standard deviation of a sample at rest, m/s² rms over the axes; low by up to a third, being
-    /// the least seen. Infinite before anything was.
-    pub fn sd_mps2(&self) -> f64 {
-        libm::sqrt(self.variance / 3.0)
-    }
-
-    /// The step of the output, m/s²; 0 where none was seen, or one that is no count's.
-    fn step(&self) -> f64 {
-        if self.step < 1.0 { self.step } else { 0.0 }
-    }
-
-    /// Variance of rounding to the output's step, over three axes.
-    fn rounding(&self) -> f64 {
-        self.step() * self.step() / 4.0
-    }
-
-    fn most_variance(&self) -> f64 {
-        let seen = VARIANCE_RATIO * self.variance.max(self.rounding());
-        seen.min(QUIET_VARIANCE.max(VARIANCE_PER_NOISE * self.new.min(MOST_NOISE)))
-    }
-
-    /// Of the means of blocks of this many samples; more than the quiet one only where they scatter
-    /// no more than noise `explains`.
-    fn most_departure(&self, block_samples: u32, explains: bool) -> f64 {
-        let seen = SCATTER_RATIO * self.scatter.max(self.rounding());
-        let of_a_mean = self.new.min(MOST_NOISE) / f64::from(block_samples);
-        let noisy = if explains {
-            DEPARTURE_PER_NOISE * of_a_mean
-        } else {
-            0.0
-        };
-        seen.min(QUIET_DEPARTURE.max(noisy))
-    }
-}
-
-/// Count, mean and summed squared deviations of samples.
-#[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Moments {
-    samples: u32,
-    mean: [f64; 3],
-    squares: [f64; 3],
-    /// Squared differences of successive samples, summed over the axes.
-    differences: f64,
-    celsius: f64,
-    celsius_samples: u32,
-    first: u64,
-}
-
-impl Moments {
-    fn merge(&mut self, other: &Self) {
-        if self.samples == 0 {
-            *self = *other;
-            return;
-        }
-        let (n, m) = (f64::from(self.samples), f64::from(other.samples));
-        for axis in 0..3 {
-            let apart = other.mean[axis] - self.mean[axis];
-            self.mean[axis] += apart * m / (n + m);
-            self.squares[axis] += other.squares[axis] + apart * apart * n * m / (n + m);
-        }
-        self.samples = self.samples.saturating_add(other.samples);
-        self.differences += other.differences;
-        self.celsius += other.celsius;
-        self.celsius_samples = self.celsius_samples.saturating_add(other.celsius_samples);
-    }
-
-    /// Variance of a sample summed over the axes.
-    fn variance(&self) -> f64 {
-        self.squares.iter().sum::<f64>() / f64::from(self.samples.saturating_sub(1).max(1))
-    }
-
-    fn departure(&self, from: &[f64; 3]) -> f64 {
-        (0..3)
-            .map(|axis| self.mean[axis] - from[axis])
-            .map(|apart| apart * apart)
-            .sum()
-    }
-
-    /// Equation (59) says what rounding to the sensor's step leaves in the mean.
-    fn pose(&self, rate_hz: f64, noise: &Noise) -> Pose {
-        let freedom = f64::from(self.samples.saturating_sub(1).max(1));
-        let step = noise.step() * noise.step();
-        Pose {
-            mean_mps2: self.mean,
-            sd_mps2: self.squares.map(|s| libm::sqrt(s / freedom)),
-            rounding_sd_mps2: self
-                .squares
-                .map(|s| libm::sqrt((step / 12.0 - s / freedom / 3.0).max(0.0))),
-            samples: self.samples,
-            temperature_c: (self.celsius_samples > 0)
-                .then(|| self.celsius / f64::from(self.celsius_samples)),
-            first_sample: self.first,
-            time_s: (self.first as f64 + 0.5 * f64::from(self.samples)) / rate_hz,
-        }
-    }
-}
-
-/// The block that is being filled: sums of deviations from its first sample, which need no
-/// division per sample and lose nothing to a large mean.
-#[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-struct Block {
-    samples: u32,
-    origin: [f64; 3],
-    sum: [f64; 3],
-    squares: [f64; 3],
-    differences: f64,
-    celsius: f64,
-    celsius_samples: u32,
-    first: u64,
-}
-
-impl Block {
-    /// With the squared difference from the sample before.
-    fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
-        if self.samples == 0 {
-            self.origin = output;
-        }
-        self.differences += difference;
-        for axis in 0..3 {
-            let apart = output[axis] - self.origin[axis];
-            self.sum[axis] += apart;
-            self.squares[axis] += apart * apart;
-        }
-        self.samples += 1;
-        if let Some(celsius) = celsius {
-            self.celsius += celsius;
-            self.celsius_samples += 1;
-        }
-    }
-
-    fn moments(&self) -> Moments {
-        let n = f64::from(self.samples);
-        let mut moments = Moments {
-            samples: self.samples,
-            differences: self.differences,
-            celsius: self.celsius,
-            celsius_samples: self.celsius_samples,
-            first: self.first,
-            ..Moments::default()
-        };
-        for axis in 0..3 {
-            let (origin, sum) = (self.origin[axis], self.sum[axis]);
-            let mean = sum / n;
-            moments.mean[axis] = origin + mean;
-            moments.squares[axis] = (self.squares[axis] - sum * mean).max(0.0);
-        }
-        moments
-    }
-}
 
 /// Finds the static poses in a stream of samples.
 ///
-/// Push every sample in order; a [`Pose`] comes out when the sensor is moved on, or from
-/// [`finish`](Self::finish). There is no threshold to set: the finder learns the sensor's noise
-/// from the stream. It counts samples and never asks for the time, so that the same samples give
-/// the same poses wherever they come from. For a recording prefer [`find_poses`], which knows the
-/// noise from the start.
+/// Push every sample in order. A [`Pose`] is returned when the sensor moves on, or by
+/// [`finish`](Self::finish). There is no threshold to set: the finder estimates the noise of the
+/// sensor from the stream. Time is counted in samples only, so the same samples give the same
+/// poses. For a recording prefer [`find_poses`], which estimates the noise first.
 ///
-/// A hold is still when, over 0.75 s, neither its variance nor the scatter of its block means is
-/// far above the least seen, and its block means are not all the way on a line in time, as those of a slow turn are;
-/// its first and last block are left out. A hold disturbed by a knock is
-/// one pose, the longer part of it.
+/// A hold is at rest when, over 0.75 s, neither its variance nor the variance of its block means is
+/// far above the smallest ones seen, and its block means do not follow a line in time, as in a slow
+/// rotation. Its first and last block are left out. A hold interrupted by a knock is one pose, from
+/// its longer part.
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PoseFinder {
@@ -236,18 +45,18 @@ pub struct PoseFinder {
     next_sample: u64,
     celsius: Option<f64>,
     last: Option<[f64; 3]>,
-    /// Least change from one sample to the next.
+    /// Smallest change from one sample to the next.
     step: f64,
     noise: Noise,
     block: Block,
-    /// The last blocks, oldest first; `filled` of them, at the end.
+    /// The latest blocks, oldest first; the last `filled` of them are valid.
     window: [Moments; BLOCKS],
     filled: usize,
     /// The hold under way.
     hold: Option<Hold>,
-    /// A finished pose that the next hold may still continue.
+    /// A finished pose that the next hold may continue.
     candidate: Option<Moments>,
-    /// How many of the last blocks were away from it.
+    /// Number of latest blocks in motion relative to it.
     away_blocks: u8,
 }
 
@@ -256,25 +65,25 @@ pub struct PoseFinder {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Hold {
     inner: Moments,
-    /// The last block, left out if the hold ends here: motion may have begun in it.
+    /// The latest block, left out if the hold ends: motion may have begun in it.
     edge: Moments,
-    /// Whether some of it was no steady turn: of a turn, all is.
+    /// Whether a part of it was not a steady rotation.
     rested: bool,
 }
 
 impl PoseFinder {
-    /// A finder for samples at `rate_hz`; the shortest hold it finds is 0.75 s, 16 samples at the
-    /// least. Rates that make no sense count as the nearest that does.
+    /// A finder for samples at `rate_hz`. The shortest hold is 0.75 s, at least 16 samples. Rates
+    /// that are not positive count as 1 Hz.
     pub fn new(rate_hz: f64) -> Self {
         Self::with_noise(rate_hz, Noise::NOTHING_SEEN)
     }
 
-    /// The same, with the sensor's noise known from an earlier look at it.
+    /// A finder with known noise.
     pub fn with_noise(rate_hz: f64, noise: Noise) -> Self {
         let samples = rate_hz * HOLD_S / BLOCKS as f64;
         Self {
             rate_hz: if rate_hz > 0.0 { rate_hz } else { 1.0 },
-            // Not a number becomes 0 here.
+            // NaN becomes 0.
             block_samples: (libm::ceil(samples) as u32).clamp(2, 1_000_000),
             next_sample: 0,
             celsius: None,
@@ -290,23 +99,17 @@ impl PoseFinder {
         }
     }
 
-    /// The noise at rest as far as the stream has shown it.
+    /// The noise at rest, as estimated so far.
     pub fn noise(&self) -> Noise {
         self.noise
     }
 
-    /// The temperature from here on, °C.
+    /// Sets the temperature of the following samples, °C.
     pub fn set_temperature(&mut self, celsius: Option<f64>) {
         self.celsius = celsius.filter(|c| c.is_finite());
     }
 
-    /// How many samples the sensor has been held still, 0 while it moves: a hold that long is a
-    /// pose, even if it ends now.
-    pub fn held_samples(&self) -> u32 {
-        self.rest().map_or(0, |hold| hold.inner.samples)
-    }
-
-    /// The hold under way as a pose, if it ended now; `None` while the sensor moves.
+    /// The current hold as a pose; `None` in motion.
     pub fn held(&self) -> Option<Pose> {
         self.rest()
             .map(|hold| hold.inner.pose(self.rate_hz, &self.noise))
@@ -337,20 +140,19 @@ impl PoseFinder {
                 }
             }
         }
-        if self.block.samples == 0 {
-            self.block.first = index;
+        if self.block.rest.samples == 0 {
+            self.block.rest.first = index;
         }
         self.block.add(output_mps2, difference, self.celsius);
-        if self.block.samples < self.block_samples {
+        if self.block.rest.samples < self.block_samples {
             return None;
         }
         let block = core::mem::take(&mut self.block).moments();
         self.push_block(block)
     }
 
-    /// The last pose, if the stream ends in one.
-    ///
-    /// Call it until it returns `None`: a pose may have waited for its hold to go on.
+    /// The last pose, if the stream ends at rest. Call it until it returns `None`: an earlier pose
+    /// may be pending.
     pub fn finish(&mut self) -> Option<Pose> {
         self.filled = 0;
         self.block = Block::default();
@@ -399,7 +201,7 @@ impl PoseFinder {
             .map(|found| found.pose(self.rate_hz, &self.noise))
     }
 
-    /// Whether the last blocks are those of a sensor at rest; learns the noise from them.
+    /// Stationarity detector: whether the window is at rest. Updates the noise estimate.
     fn window_is_still(&mut self) -> bool {
         if self.filled < BLOCKS {
             return false;
@@ -419,7 +221,7 @@ impl PoseFinder {
         let size = f64::from(self.block_samples);
         let noise_of_a_mean = within / (BLOCKS as f64 * (size - 1.0) * size);
         let explains = scatter <= MOST_SCATTER_PER_NOISE * noise_of_a_mean;
-        // Samples that repeat exactly are a stream that hangs: they tell nothing about noise.
+        // Exactly repeated samples are a frozen stream and show no noise.
         if self.window.iter().all(|block| block.variance() > 0.0) {
             self.noise.variance = self.noise.variance.min(variance);
             self.noise.scatter = self.noise.scatter.min(scatter);
@@ -430,7 +232,7 @@ impl PoseFinder {
             && departure <= self.noise.most_departure(self.block_samples, explains)
     }
 
-    /// Whether the last blocks are on a line in time as no noise is: a sensor that is turned slowly.
+    /// Whether the block means follow a line in time, as in a slow rotation.
     fn window_turns(&self) -> bool {
         let centre = 0.5 * (BLOCKS - 1) as f64;
         let times = || (0..BLOCKS).map(|k| k as f64 - centre);
@@ -475,7 +277,7 @@ impl PoseFinder {
         }
     }
 
-    /// Ends the hold under way. Returns the pose before it, if this one does not continue it.
+    /// Ends the current hold. Returns the previous pose, if this hold does not continue it.
     fn end_hold(&mut self) -> Option<Pose> {
         let hold = self.hold.take()?;
         // The next hold must not begin with blocks of this one.
@@ -502,10 +304,8 @@ impl PoseFinder {
 /// Finds the static poses in a recording of samples y, m/s², sensor axes, with the temperature in
 /// °C where there is one, at `rate_hz`.
 ///
-/// Goes over the recording twice: once for the sensor's noise, once for the poses, as
-/// [`PoseFinder`] finds them. Fills `poses` and returns how many it found, which may be more than
-/// there is room for; the first ones are kept. In f64 only: a device that has no room for a recording
-/// has a stream, and [`PoseFinder`] for that.
+/// Reads the recording twice: for the noise, then for the poses, as [`PoseFinder`] finds them.
+/// Fills `poses` with the first ones and returns the number found, which may be larger.
 pub fn find_poses<I>(samples: I, rate_hz: f64, poses: &mut [Pose]) -> usize
 where
     I: Iterator<Item = ([f64; 3], Option<f64>)> + Clone,

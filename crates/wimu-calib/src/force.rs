@@ -1,4 +1,4 @@
-//! The specific force that an output means under some parameters, and its derivatives.
+//! Specific force from an output under given parameters, and its derivatives.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,19 +6,19 @@ use crate::linear::{Real, double, real};
 use crate::terms::{Slot, Theta};
 use crate::{Orientation, Pose};
 
-/// When poses were taken and how warm, as the terms see it.
+/// Reference time and temperature of the terms.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Conditions {
     /// Time of the last pose, s.
     pub end_s: f64,
-    /// 1 / the time from the first to it, 1/s; 0 where that does not matter.
+    /// 1 / time from the first to the last pose, 1/s; 0 without drift.
     pub per_span: f64,
     /// T₀, °C.
     pub reference_c: f64,
 }
 
 impl Conditions {
-    /// −1 at the first pose, 0 at the last.
+    /// Time relative to the session: −1 at the first pose, 0 at the last.
     pub fn progress(&self, pose: &Pose) -> f64 {
         (pose.time_s - self.end_s) * self.per_span
     }
@@ -29,24 +29,25 @@ impl Conditions {
     }
 }
 
-/// A model at one value of its parameters, ready to be applied to poses.
+/// Parameters prepared for application to poses.
 pub(crate) struct Evaluated<'a, R: Real> {
     theta: &'a Theta<R>,
     /// A⁻¹ at T₀.
     inverse: Matrix3<R>,
-    /// Whether A moves with temperature.
+    /// Whether A depends on temperature.
     warms: bool,
-    /// Whether more than the first twelve parameters are asked for, or are not 0.
+    /// Whether terms beyond the first twelve parameters are evaluated.
     pub terms: bool,
 }
 
-/// A⁻¹ of a matrix that is not mirrored: a mirrored A gives the same magnitudes, and a step that
+/// A⁻¹ of a matrix with positive determinant. A mirrored A gives the same magnitudes; a step that
 /// leads to one was too long.
 #[inline(always)]
 fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     let (zero, one) = (R::zero(), R::one());
     if a[(0, 1)] == zero && a[(0, 2)] == zero && a[(1, 2)] == zero {
-        // Lower triangular, as gravity alone tells it: its divisions do not wait for each other.
+        // Lower triangular, as determined by gravity alone: the divisions are independent of each
+        // other.
         let [x, y, z] = [one / a[(0, 0)], one / a[(1, 1)], one / a[(2, 2)]];
         let yx = -a[(1, 0)] * x * y;
         let zy = -a[(2, 1)] * y * z;
@@ -67,7 +68,7 @@ fn inverse<R: Real>(a: &Matrix3<R>) -> Option<Matrix3<R>> {
     (determinant > zero && factor.is_finite()).then(|| minors * factor)
 }
 
-/// One pose under a model.
+/// Intermediate results for one pose.
 pub(crate) struct Applied<R: Real> {
     inverse: Matrix3<R>,
     z: Vector3<R>,
@@ -100,7 +101,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
         a
     }
 
-    /// The specific force that `output` means: equation (41).
+    /// Specific force from `output`: equation (41).
     #[inline(always)]
     pub fn apply(&self, output: [R; 3], progress: R, warmer: R) -> Applied<R> {
         let theta = self.theta;
@@ -131,8 +132,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
         }
     }
 
-    /// The same for gravity `force` at the end of the session at T₀, where derivatives are asked
-    /// for a given force and not for an output.
+    /// Of a given specific force at the last pose and T₀.
     pub fn at(&self, force: Vector3<R>) -> Applied<R> {
         Applied {
             inverse: self.inverse,
@@ -143,7 +143,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
         }
     }
 
-    /// What every derivative of |f| is made of: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
+    /// Common factors of the derivatives of |f|: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
     #[inline(always)]
     fn directions(&self, at: &Applied<R>) -> (Vector3<R>, Vector3<R>) {
         let mut m = at.force;
@@ -153,7 +153,7 @@ impl<'a, R: Real> Evaluated<'a, R> {
                 m[i] *= R::one() - two * self.theta[21 + i] * at.z[i];
             }
         }
-        // Divided by |f| last: the root takes its time meanwhile.
+        // The division by |f| comes last, to overlap with the square root.
         let norm = at.force.norm();
         let per_norm = if norm > R::zero() {
             R::one() / norm
@@ -189,8 +189,8 @@ impl<'a, R: Real> Evaluated<'a, R> {
     }
 }
 
-/// |f| that `output` means at `warmer` K above T₀, m/s², and its derivatives with respect to the
-/// first twelve parameters: equation (13).
+/// |f| from `output` at `warmer` K above T₀, m/s², and its derivatives with respect to the first
+/// twelve parameters: equation (13).
 pub(crate) fn magnitude<R: Real>(
     theta: &Theta<R>,
     output: [R; 3],
@@ -202,7 +202,7 @@ pub(crate) fn magnitude<R: Real>(
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
 }
 
-/// |f| − g that the first twelve parameters leave in a pose, m/s²; infinite where A has no inverse.
+/// Residual |f| − g of a pose under the first twelve parameters, m/s²; infinite if A is singular.
 pub(crate) fn residual<R: Real>(theta: &Theta<R>, pose: &Pose, gravity_mps2: f64) -> f64 {
     Evaluated::new(theta, false).map_or(f64::INFINITY, |at| {
         let applied = at.apply(pose.mean_mps2.map(real), R::zero(), R::zero());

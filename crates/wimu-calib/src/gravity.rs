@@ -1,10 +1,10 @@
-//! The reference that a calibration rests on.
+//! Local gravity, the reference of a calibration.
 
 use core::fmt;
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-/// Local gravity and how well it is known.
+/// Local gravity and its standard deviation.
 ///
 /// 9.7..=9.9 m/s², which covers the surface of the Earth (9.764 to 9.834).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,7 +15,7 @@ pub struct Gravity {
 }
 
 impl Gravity {
-    /// 9.80665 ± 0.015 m/s² (1 σ): somewhere on Earth.
+    /// 9.80665 ± 0.015 m/s² (1 σ): an unknown location on Earth.
     pub const UNKNOWN_PLACE: Self = Self {
         mps2: STANDARD_GRAVITY_MPS2,
         sd_mps2: 0.015,
@@ -52,11 +52,11 @@ impl Default for Gravity {
     }
 }
 
-/// A number that is not local gravity.
+/// A value that cannot be local gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum GravityError {
-    /// Gravity is not that of a place on Earth.
+    /// Gravity is outside the range on Earth.
     OutOfBounds {
         /// What was given, m/s².
         mps2: f64,

@@ -1,9 +1,9 @@
-//! Checks that every method makes before it computes.
+//! Plausibility checks of the poses, common to all methods.
 
 use crate::{Gravity, Pose, Refusal, UnitHint};
 
-/// Refuses poses that are not finite, whose mean magnitude cannot be gravity in m/s², or in which an axis
-/// falls silent at its end.
+/// Refuses poses that are not finite, whose mean magnitude cannot be gravity in m/s², or with a
+/// clipped axis.
 pub(crate) fn check<'a>(
     poses: impl Iterator<Item = &'a Pose> + Clone,
     gravity: Gravity,
@@ -36,21 +36,16 @@ pub(crate) fn check<'a>(
     }
 }
 
-/// Of the mean magnitude: the spread of an axis that stands, how much it reads then, and the spread of one that turns.
+/// Relative to the mean magnitude: largest range of a constant axis, its smallest reading, and
+/// smallest range of a rotated axis.
 const STANDS: f64 = 0.01;
 const MOST_OF_IT: f64 = 0.7;
 const TURNS: f64 = 0.1;
 
-/// The axis that is nearly all of the magnitude in every pose while another turns: stuck at full scale.
+/// The axis that is nearly all of the magnitude in every pose, although another one changes: stuck
+/// at full scale.
 fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> Option<usize> {
-    let ends = |axis: usize| {
-        poses
-            .clone()
-            .map(move |pose| pose.mean_mps2[axis])
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
-                [low.min(y), high.max(y)]
-            })
-    };
+    let ends = |axis: usize| extremes(poses.clone().map(|pose| pose.mean_mps2[axis]));
     let spread = |axis: usize| {
         let [low, high] = ends(axis);
         (high - low) / mean_mps2
@@ -64,8 +59,7 @@ fn stands<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, mean_mps2: f64) -> 
         .then_some(stuck)
 }
 
-/// How many poses differ, counted up to `enough`: one that is equal to another to the last digit is the
-/// same again.
+/// Number of different poses, counted up to `enough`; exactly equal poses are the same one.
 pub(crate) fn different(poses: &[Pose], enough: usize) -> usize {
     let mut count = 0;
     for (k, pose) in poses.iter().enumerate() {
@@ -79,20 +73,25 @@ pub(crate) fn different(poses: &[Pose], enough: usize) -> usize {
     count
 }
 
-/// So many samples with noise are not all alike.
+/// Number of samples that, with noise, cannot all be equal.
 const MANY_SAMPLES: u32 = 30;
 
-/// The axis that says one and the same all through the pose where it is highest or lowest, while its
-/// noise shows in two poses of three.
+/// Whether an axis is constant within a pose.
+fn silent(pose: &Pose, axis: usize) -> bool {
+    pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0
+}
+
+/// The axis that is constant within the pose of its highest or lowest reading, although two poses
+/// in three show noise.
 fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
     (0..3).find(|&axis| {
         let (mut count, mut noisy) = (0, 0);
-        // Reading, and whether it is silent.
+        // Reading, and whether the pose is constant.
         let mut low = (f64::INFINITY, false);
         let mut high = (f64::NEG_INFINITY, false);
         for pose in poses.clone() {
             let (mean, sd) = (pose.mean_mps2[axis], pose.sd_mps2[axis]);
-            let silent = sd <= 0.0 && pose.samples >= MANY_SAMPLES;
+            let silent = silent(pose, axis);
             count += 1;
             noisy += usize::from(sd > 0.0 && pose.rounding_sd_mps2[axis] <= 0.0);
             if mean < low.0 {
@@ -106,26 +105,28 @@ fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Optio
     })
 }
 
-/// Fewer poses than this may all lie in the corners of a cube.
+/// With fewer poses, all may be corners of a cube.
 const CORNERS: usize = 5;
 
-/// An axis, where each of the three has two silent readings and nothing between in all poses: its two ends.
+/// Axis 0 if every axis has only two readings in all poses, without noise: its limits.
 fn nothing_between<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
     let two = |axis: usize| {
         let readings = || poses.clone().map(move |pose| pose.mean_mps2[axis]);
-        let low = readings().fold(f64::INFINITY, f64::min);
-        let high = readings().fold(f64::NEG_INFINITY, f64::max);
+        let [low, high] = extremes(readings());
         low < high && readings().all(|y| y == low || y == high)
     };
-    let silent =
-        |pose: &Pose| pose.samples >= MANY_SAMPLES && pose.sd_mps2.iter().all(|sd| *sd <= 0.0);
     let count = poses.clone().count();
-    (count > CORNERS && poses.clone().all(silent) && (0..3).all(two)).then_some(0)
+    (count > CORNERS
+        && poses
+            .clone()
+            .all(|pose| (0..3).all(|axis| silent(pose, axis)))
+        && (0..3).all(two))
+    .then_some(0)
 }
 
-/// What |y| of this mean size looks like where it cannot be gravity in m/s².
+/// The probable unit of a mean magnitude that cannot be gravity in m/s².
 pub(crate) fn unit(mean_mps2: f64, gravity_mps2: f64) -> Option<UnitHint> {
-    // Bias and scale factor within the error model's bounds move |y| by less than this.
+    // Bias and scale factor within the bounds of the error model change |y| by less than this.
     if (0.4..=2.1).contains(&(mean_mps2 / gravity_mps2)) {
         return None;
     }
@@ -138,14 +139,14 @@ pub(crate) fn unit(mean_mps2: f64, gravity_mps2: f64) -> Option<UnitHint> {
     })
 }
 
-/// An axis whose reading changes by less than this over all poses, m/s², is not turned, 0.6°.
+/// Smallest range of the readings of an axis that was rotated, m/s²: 0.6°.
 const TURNED_MPS2: f64 = 0.1;
-/// No axis rests at more than so many times gravity.
+/// Largest reading of an axis at rest, relative to gravity.
 const BEYOND_GRAVITY: f64 = 1.3;
-/// Poses that read exactly alike at the end of an axis's range, though they differ, are clipped.
+/// Number of different poses with exactly the same extreme reading that indicates clipping.
 const CLIPPED: usize = 3;
 
-/// The axis that reads the same in every pose, though another does not.
+/// The axis with the same reading in every pose, while another one changes.
 pub(crate) fn stuck_axis(poses: &[Pose]) -> Option<usize> {
     let spread = |axis: usize| {
         let [low, high] = ends(poses, axis);
@@ -156,17 +157,13 @@ pub(crate) fn stuck_axis(poses: &[Pose]) -> Option<usize> {
     (0..3).find(|axis| !turns(axis))
 }
 
-/// The axis that reads the same in every pose while gravity leaves the others: dead, where an axis
-/// that was never turned leaves |y| as it is. Or that reads more than gravity, or does so without the noise of the
-/// others.
+/// The constant axis that is defective: the magnitude of the output varies, it exceeds gravity, or
+/// it lacks the noise of the others. An intact axis that was not rotated leaves the magnitude
+/// constant.
 pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
-    let [low, high] = magnitudes(poses).fold([f64::INFINITY, 0.0_f64], |[low, high], size| {
-        [low.min(size), high.max(size)]
-    });
+    let [low, high] = extremes(magnitudes(poses));
     stuck_axis(poses).filter(|&axis| {
         let [_, most] = ends(poses, axis).map(f64::abs);
-        let silent =
-            |pose: &Pose, axis: usize| pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0;
         let others = || (0..3).filter(move |other| *other != axis);
         let alone = poses.iter().all(|pose| silent(pose, axis))
             && others().any(|other| poses.iter().all(|pose| !silent(pose, other)));
@@ -174,14 +171,14 @@ pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
     })
 }
 
-/// Poses of which some are as long as others in another unit.
+/// Refuses poses of which some are in g and the others in m/s².
 pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
     let longest = magnitudes(poses).fold(0.0, f64::max);
-    // A g of 9.8 m/s², a quarter allowed either way.
+    // 9.8 m/s² per g, ± 25 %.
     let shorter = |size: &f64| (7.3..13.0).contains(&(longest / size));
     let pose = magnitudes(poses).position(|size| shorter(&size))?;
     let rest = magnitudes(poses).filter(|size| !shorter(size));
-    // Both kinds are of one length each.
+    // All other poses have a similar magnitude.
     let alike = rest.fold(f64::INFINITY, f64::min) > 0.6 * longest;
     alike.then_some(Refusal::MixedUnits { pose })
 }
@@ -192,7 +189,7 @@ fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {
         .map(|pose| libm::sqrt(pose.mean_mps2.iter().map(|y| y * y).sum()))
 }
 
-/// The axis at whose highest or lowest reading several poses end that are not one orientation.
+/// The axis with an extreme reading that is the same in several different poses.
 pub(crate) fn clipped_axis(poses: &[Pose]) -> Option<usize> {
     (0..3).find(|&axis| {
         ends(poses, axis).into_iter().any(|end| {
@@ -210,12 +207,14 @@ pub(crate) fn clipped_axis(poses: &[Pose]) -> Option<usize> {
     })
 }
 
-/// The lowest and the highest reading of an axis.
+/// Range of the readings of an axis.
 fn ends(poses: &[Pose], axis: usize) -> [f64; 2] {
-    poses
-        .iter()
-        .map(|pose| pose.mean_mps2[axis])
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| {
-            [low.min(y), high.max(y)]
-        })
+    extremes(poses.iter().map(|pose| pose.mean_mps2[axis]))
+}
+
+/// Minimum and maximum.
+pub(crate) fn extremes(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+        [low.min(value), high.max(value)]
+    })
 }

@@ -1,28 +1,32 @@
-//! What a set of poses can tell about parameters: equation (17).
+//! Observability of the parameters: equation (17).
 
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::{Cholesky, SMatrix, SVector, Vector3};
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Normal, Without};
-use crate::linear::{Real, double, eigen, eigenvalue_range, real, times};
+use crate::linear::{Real, double, eigenvalue_range, real, rescaled};
 use crate::shared::Shared;
 use crate::terms::{Slot, Theta};
 use crate::weights::Weighting;
 use crate::{MultiPosition, Orientation, Refusal};
 
-/// Beyond, some orientation is predicted so badly that the model is of no use there. Twelve well
-/// spread poses give 1 to 2, twelve random ones 4.
+/// Largest amplification of an error from the poses to other orientations. Twelve well distributed
+/// poses give 1 to 2, twelve random ones 4.
 const MOST_AMPLIFICATION: f64 = 10.0;
-/// What a set of poses can tell about parameters.
+/// Largest number of attempts to invert a singular information matrix, each with four times the
+/// diagonal.
+const MOST_REGULARISATIONS: usize = 10;
+
+/// Observability of the fitted parameters.
 pub(crate) struct Knowledge<R: Real, const N: usize> {
-    /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub condition: f64,
-    /// Standard deviation of |f| − g in the worst of 26 orientations, per unit of the residuals'.
+    /// Standard deviation of |f| − g in the worst of 26 orientations, relative to that of the
+    /// residuals.
     pub amplification: f64,
-    /// That orientation: a pose there adds most.
+    /// That orientation: a pose there adds most information.
     pub poorest: Orientation,
-    /// Variance of each parameter, as the error that it makes at 1 g, for residuals of unit
-    /// variance.
+    /// Variance of each parameter for residuals of unit variance, in terms of the error at 1 g.
     pub variance: SVector<R, N>,
 }
 
@@ -70,53 +74,51 @@ impl<const N: usize> Magnitude<'_, N> {
         amplification * libm::sqrt(shared.variance)
     }
 
-    /// What the poses' orientations tell of the parameters that were fitted.
+    /// Observability of the fitted parameters.
     pub fn knowledge<R: Real>(&self, fit: &Fit<R, N>) -> Option<Knowledge<R, N>> {
         if self.weighting.is_equal() {
             let at = Evaluated::new(&fit.theta, self.terms)?;
-            self.told(&at, &fit.normal, &fit.inverse)
+            Some(self.at_inverse(&at, &fit.normal, &fit.inverse))
         } else {
             self.knowledge_at(&fit.theta)
         }
     }
 
-    /// The same at `theta`, converged or not.
+    /// Observability at `theta`, which need not be a solution.
     pub fn knowledge_at<R: Real>(&self, theta: &Theta<R>) -> Option<Knowledge<R, N>> {
         let at = Evaluated::new(theta, self.terms)?;
         let normal = self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, None)?;
         if let Some(inverse) = normal.inverse() {
-            return self.told(&at, &normal, &inverse);
+            return Some(self.at_inverse(&at, &normal, &inverse));
         }
-        // Rounding leaves a zero eigenvalue at about this.
+        // Singular: the smallest diagonal at the level of rounding that makes it invertible.
         let units = self.units();
-        let (values, vectors) = eigen(normal.scaled(&units));
-        let largest = values.max();
-        let least = largest * R::default_epsilon() * real(0.5);
-        let inverse = SMatrix::from_fn(|r, c| {
-            (0..N).fold(R::zero(), |sum, k| {
-                sum + vectors[(r, k)] * vectors[(c, k)] / values[k].max(least)
-            }) * units[r]
-                * units[c]
-        });
-        let condition = (largest / values.min().max(least)).sqrt();
-        Some(self.with_condition(&at, condition, &inverse))
+        let information = rescaled(&normal.information, &units);
+        let mut rounding = information.diagonal().max() * R::default_epsilon();
+        let inverse = (0..MOST_REGULARISATIONS).find_map(|_| {
+            let regular = information + SMatrix::from_diagonal_element(rounding);
+            rounding *= real(4.0);
+            Some(Cholesky::new(regular)?.inverse())
+        })?;
+        Some(self.at_inverse(&at, &normal, &rescaled(&inverse, &units)))
     }
 
-    /// Every parameter as the error that it makes at 1 g, m/s².
+    /// Value of each parameter that causes an error of 1 m/s² at 1 g.
     fn units<R: Real>(&self) -> SVector<R, N> {
         SVector::from_fn(|i, _| real(self.free[i].per_mps2(self.gravity_mps2)))
     }
 
-    fn told<R: Real>(
+    fn at_inverse<R: Real>(
         &self,
         at: &Evaluated<R>,
         normal: &Normal<R, N>,
         inverse: &SMatrix<R, N, N>,
-    ) -> Option<Knowledge<R, N>> {
-        let (least, largest) = eigenvalue_range(normal.scaled(&self.units()));
+    ) -> Knowledge<R, N> {
+        let (least, largest) = eigenvalue_range(rescaled(&normal.information, &self.units()));
+        // A zero eigenvalue comes out as rounding of about this size.
         let floor = largest * R::default_epsilon() * real(0.5);
         let condition = (largest / least.max(floor)).sqrt();
-        Some(self.with_condition(at, condition, inverse))
+        self.with_condition(at, condition, inverse)
     }
 
     fn with_condition<R: Real>(
@@ -141,10 +143,11 @@ impl<const N: usize> Magnitude<'_, N> {
         if at.terms {
             for orientation in Orientation::ALL {
                 let row = row(orientation);
-                see(row.dot(&times(inverse, &row)), orientation);
+                see(row.dot(&(inverse * row)), orientation);
             }
         } else {
-            // Opposite orientations differ in the sign of the bias's derivatives, the first three.
+            // Opposite orientations differ only in the sign of the derivatives of the bias, the
+            // first three.
             let opposites = Orientation::ALL.iter().zip(Orientation::ALL.iter().rev());
             for (&one, &other) in opposites.take(Orientation::ALL.len() / 2) {
                 let mut rest = row(one);
@@ -153,7 +156,7 @@ impl<const N: usize> Magnitude<'_, N> {
                     bias[i] = rest[i];
                     rest[i] = R::zero();
                 }
-                let along = times(inverse, &rest);
+                let along = inverse * rest;
                 let mut own = R::zero();
                 for r in 0..3.min(N) {
                     for c in 0..3.min(N) {

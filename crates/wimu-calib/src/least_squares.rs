@@ -4,97 +4,54 @@ use nalgebra::{SMatrix, SVector};
 
 use crate::Pose;
 use crate::force::{Applied, Conditions, Evaluated};
-use crate::linear::{Cholesky, Real, double, real, times};
+use crate::linear::{Real, Scaled, double, real};
 use crate::terms::{Slot, Theta};
 use crate::visits::Visits;
 use crate::weights::{FarOff, Rejected, Weighting};
 
-/// Iterations after which a fit counts as not converged; a good one takes 3 to 6.
+/// Largest number of iterations; a fit that needs more has not converged. Typical: 3 to 6.
 const MOST_ITERATIONS: usize = 100;
-/// A step that changes the residuals by less than this, m/s² rms, is the last: what a Gauss-Newton
-/// step leaves is smaller than it by a factor of the residuals per gravity, 10⁻³ or less.
+/// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
+/// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
 const LAST_STEP_MPS2: f64 = 1e-6;
-/// Of an information matrix with unit diagonal: below, the step counts as undamped.
+/// Smallest damping other than 0, relative to the unit diagonal of the information matrix.
 const LEAST_DAMPING: f64 = 1e-6;
-/// Beyond, no step descends.
+/// Largest damping; the fit fails when even this step does not reduce the cost.
 const MOST_DAMPING: f64 = 1e8;
-/// Up to this many poses, one of great leverage is left out by a true refit.
+/// Largest number of poses for which poses of high leverage are left out by a complete refit.
 const MOST_REFITS: usize = 256;
-/// Leverage up to which the first step of the refit is the refit: what it leaves is of second
-/// order in the step, which grows with 1 / (1 − h).
+/// Leverage above which a pose or orientation is left out by a complete refit instead of one step.
+/// The error of the single step is of second order and grows with 1 / (1 − leverage).
 const MOST_LEVERAGE: f64 = 0.5;
 
-/// What a fit is made without, beside the poses that are rejected.
+/// What is left out of a fit, besides the rejected poses.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Without {
     Nothing,
     Pose(usize),
-    /// All visits of one.
+    /// All poses of one orientation.
     Orientation(usize),
 }
 
-/// Sums over poses: JᵀWJ, JᵀWr and rᵀWr.
+/// The normal equations: JᵀWJ, JᵀWr and rᵀWr summed over the poses.
 #[derive(Clone)]
 pub(crate) struct Normal<R: Real, const N: usize> {
-    /// The lower triangle counts.
-    information: SMatrix<R, N, N>,
+    /// Only the lower triangle is used.
+    pub information: SMatrix<R, N, N>,
     gradient: SVector<R, N>,
     cost: R,
     poses: usize,
 }
 
 impl<R: Real, const N: usize> Normal<R, N> {
-    /// 1 / |column of J|, which makes the diagonal of the scaled information 1.
-    fn scale(&self) -> Option<SVector<R, N>> {
-        let scale = self.information.diagonal().map(|d| R::one() / d.sqrt());
-        scale.iter().all(|s| s.is_finite()).then_some(scale)
-    }
-
-    pub fn scaled(&self, scale: &SVector<R, N>) -> SMatrix<R, N, N> {
-        SMatrix::from_fn(|r, c| self.information[(r.max(c), r.min(c))] * scale[r] * scale[c])
-    }
-
-    /// The damped Gauss-Newton step: equation (14).
-    fn step(&self, damping: f64) -> Option<Step<R, N>> {
-        let scale = self.scale()?;
-        let mut information = self.scaled(&scale);
-        for i in 0..N {
-            information[(i, i)] += real(damping);
-        }
-        let factor = Cholesky::new(&information)?;
-        let step = -factor.solve(&self.gradient.component_mul(&scale));
-        Some(Step {
-            change_mps2: libm::sqrt(double(step.norm_squared()) / self.poses as f64),
-            by: step.component_mul(&scale),
-            scale,
-            factor,
-        })
-    }
-
+    /// (JᵀWJ)⁻¹.
     pub fn inverse(&self) -> Option<SMatrix<R, N, N>> {
-        let scale = self.scale()?;
-        Some(unscaled(&Cholesky::new(&self.scaled(&scale))?, &scale))
+        Some(Scaled::new(&self.information, R::zero())?.inverse())
     }
 }
 
-/// A step, and what it was computed with.
-struct Step<R: Real, const N: usize> {
-    by: SVector<R, N>,
-    /// The change of residual that it means, m/s² rms.
-    change_mps2: f64,
-    scale: SVector<R, N>,
-    factor: Cholesky<R, N>,
-}
-
-fn unscaled<R: Real, const N: usize>(
-    factor: &Cholesky<R, N>,
-    scale: &SVector<R, N>,
-) -> SMatrix<R, N, N> {
-    let inverse = factor.inverse();
-    SMatrix::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c])
-}
-
-/// The fit of some parameters to |f| = g over static poses: equations (12) to (17), (40), (41).
+/// Least-squares problem: some parameters fitted to |f| = g over static poses. Equations (12) to
+/// (17), (40), (41).
 pub(crate) struct Magnitude<'a, const N: usize> {
     pub poses: &'a [Pose],
     pub visits: &'a Visits,
@@ -102,11 +59,11 @@ pub(crate) struct Magnitude<'a, const N: usize> {
     pub conditions: Conditions,
     pub weighting: Weighting,
     pub rejected: Rejected,
-    /// What is rejected beside those that are named.
+    /// Rule that rejects further poses, when there are too many to list.
     pub far: Option<FarOff>,
-    /// The parameters that are fitted; the others stay as they start.
+    /// The fitted parameters; the others keep their starting values.
     pub free: [Slot; N],
-    /// Whether some of them are terms.
+    /// Whether the fitted parameters include terms beyond the first twelve.
     pub terms: bool,
 }
 
@@ -128,7 +85,7 @@ impl<R: Real, const N: usize> Fit<R, N> {
 }
 
 impl<'a, const N: usize> Magnitude<'a, N> {
-    /// The same poses with bias and scale factors alone.
+    /// The same problem with bias and scale factors only.
     pub fn smaller(&self) -> Magnitude<'a, 6> {
         Magnitude {
             poses: self.poses,
@@ -166,14 +123,14 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         SVector::from_fn(|i, _| all[self.free[i].index()])
     }
 
-    /// The same times the root of the pose's weight.
+    /// Residual and derivatives, multiplied by the square root of the weight.
     pub fn weighted_row<R: Real>(&self, at: &Evaluated<R>, pose: &Pose) -> (R, SVector<R, N>) {
         let root: R = real(libm::sqrt(self.weighting.of(pose)));
         let (residual, row) = self.row(at, pose);
         (residual * root, row * root)
     }
 
-    /// Whether pose `k`, which is `pose`, is rejected.
+    /// Whether `pose`, the k-th, is rejected.
     #[inline(always)]
     pub fn is_rejected(&self, k: usize, pose: &Pose) -> bool {
         self.rejected.contains(k) || (self.far.is_some() && self.is_far_off(pose))
@@ -188,7 +145,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         })
     }
 
-    /// Whether pose `k` has no part in a fit.
+    /// Whether `pose`, the k-th, is left out of a fit.
     #[inline(always)]
     pub fn is_out(&self, without: Without, k: usize, pose: &Pose) -> bool {
         self.is_rejected(k, pose)
@@ -203,7 +160,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         self.weighted_normal(theta, without, &self.weighting, None)
     }
 
-    /// With `cauchy`, m/s², each residual counts as cauchy² ln(1 + (r/cauchy)²) instead of r².
+    /// Normal equations at `theta`. With `cauchy`, a scale in m/s², the cost of a residual r is
+    /// cauchy² ln(1 + (r/cauchy)²) instead of r².
     pub fn weighted_normal<R: Real>(
         &self,
         theta: &Theta<R>,
@@ -245,13 +203,14 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         normal.cost.is_finite().then_some(normal)
     }
 
-    /// Damped Gauss-Newton from `start`. `None` when it does not converge
-    /// or a parameter is not determined at all.
+    /// Levenberg-Marquardt from `start`. `None` when it does not converge or a parameter is not
+    /// determined.
     pub fn solve<R: Real>(&self, start: &Theta<R>, without: Without) -> Option<Fit<R, N>> {
         self.minimise(start, |theta| self.normal(theta, without))
     }
 
-    /// The fit that large residuals pull on ever less, beyond `cauchy`, m/s².
+    /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
+    /// influence.
     pub fn solve_robust<R: Real>(&self, start: &Theta<R>, cauchy: f64) -> Option<Fit<R, N>> {
         let normal = |theta: &Theta<R>| {
             self.weighted_normal(theta, Without::Nothing, &Weighting::EQUAL, Some(cauchy))
@@ -270,33 +229,33 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         let mut normal = normal_at(&theta)?;
         let mut damping = 0.0;
         for _ in 0..MOST_ITERATIONS {
-            let Some(step) = normal.step(damping) else {
+            // The damped Gauss-Newton step: equation (14).
+            let Some(factor) = Scaled::new(&normal.information, real(damping)) else {
                 if damping > 1.0 {
                     return None;
                 }
                 damping = more(damping);
                 continue;
             };
-            let mut trial = theta;
-            for (slot, by) in self.free.iter().zip(step.by.iter()) {
-                trial[slot.index()] += *by;
-            }
-            if damping < LEAST_DAMPING && step.change_mps2 <= last_step {
-                // The step lowers the cost by its own square.
-                let gained = step.change_mps2 * step.change_mps2 * normal.poses as f64;
+            let (step, change) = factor.solve(&normal.gradient);
+            let trial = self.moved(&theta, &step, -R::one());
+            // The step lowers the cost by the square of the change of the residuals.
+            let gained = double(change * change);
+            let change_mps2 = libm::sqrt(gained / normal.poses as f64);
+            if damping < LEAST_DAMPING && change_mps2 <= last_step {
                 return Some(Fit {
                     theta: trial,
                     inverse: if damping > 0.0 {
                         normal.inverse()?
                     } else {
-                        unscaled(&step.factor, &step.scale)
+                        factor.inverse()
                     },
                     cost: (double(normal.cost) - gained).max(0.0),
                     normal,
                 });
             }
             let cost = double(normal.cost);
-            // That of a sum of squares.
+            // Rounding error of the cost.
             let rounding =
                 20.0 * epsilon * self.gravity_mps2 * libm::sqrt(cost * normal.poses as f64);
             match normal_at(&trial) {
@@ -316,7 +275,8 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         None
     }
 
-    /// The poses that are fitted: derivatives by what is fitted and by everything, and the weight.
+    /// For each fitted pose: derivatives with respect to the fitted and to all parameters, and the
+    /// weight.
     pub fn rows<'b, R: Real>(
         &'b self,
         at: &'b Evaluated<'b, R>,
@@ -339,7 +299,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         ))
     }
 
-    /// Goes over the poses with the residual of each under `theta`, m/s².
+    /// Calls `take` with the index and the residual, m/s², of every pose under `theta`.
     pub fn residuals<R: Real>(&self, theta: &Theta<R>, mut take: impl FnMut(usize, f64)) {
         let Some(at) = Evaluated::new(theta, self.terms) else {
             return;
@@ -350,18 +310,15 @@ impl<'a, const N: usize> Magnitude<'a, N> {
         }
     }
 
-    /// Residual of a pose that was left out, m/s², and the variance of its prediction per that of a
-    /// residual.
+    /// Residual of a pose that was left out, m/s², and the variance of its prediction relative to
+    /// that of a residual.
     pub fn predicted<R: Real>(&self, fit: &Fit<R, N>, pose: usize) -> Option<(f64, f64)> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let (residual, row) = self.row(&at, self.poses.get(pose)?);
-        Some((
-            double(residual),
-            double(row.dot(&times(&fit.inverse, &row))),
-        ))
+        Some((double(residual), double(row.dot(&(fit.inverse * row)))))
     }
 
-    /// The parameters without one orientation.
+    /// The parameters fitted without one orientation.
     pub fn solve_without<R: Real>(&self, fit: &Fit<R, N>, group: usize) -> Option<Theta<R>> {
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let mut rest = fit.normal.clone();
@@ -372,7 +329,7 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 continue;
             }
             let (residual, row) = self.weighted_row(&at, pose);
-            leverage += row.dot(&times(&fit.inverse, &row));
+            leverage += row.dot(&(fit.inverse * row));
             pull += row * residual;
             rest.information -= row * row.transpose();
         }
@@ -380,18 +337,22 @@ impl<'a, const N: usize> Magnitude<'a, N> {
             let refit = self.solve(&fit.theta, Without::Orientation(group));
             return refit.map(|without| without.theta);
         }
-        let scale = rest.scale()?;
-        let factor = Cholesky::new(&rest.scaled(&scale))?;
-        let step = factor.solve(&pull.component_mul(&scale));
-        let mut theta = fit.theta;
-        for (i, slot) in self.free.iter().enumerate() {
-            theta[slot.index()] += step[i] * scale[i];
-        }
-        Some(theta)
+        let (step, _) = Scaled::new(&rest.information, R::zero())?.solve(&pull);
+        Some(self.moved(&fit.theta, &step, R::one()))
     }
 
-    /// Goes over all poses with the residual of each and the one under the fit to all others:
-    /// equation (16); infinite for a pose that cannot be spared.
+    /// `theta` with `factor` times `step` added to the fitted parameters.
+    fn moved<R: Real>(&self, theta: &Theta<R>, step: &SVector<R, N>, factor: R) -> Theta<R> {
+        let mut moved = *theta;
+        for (slot, step) in self.free.iter().zip(step.iter()) {
+            moved[slot.index()] += *step * factor;
+        }
+        moved
+    }
+
+    /// Calls `take` with the index of every pose, its residual, and its residual under the fit to
+    /// all other poses: equation (16). The latter is infinite if the others do not determine the
+    /// parameters.
     pub fn leave_out<R: Real>(&self, fit: &Fit<R, N>, mut take: impl FnMut(usize, f64, f64)) {
         let Some(at) = Evaluated::new(&fit.theta, self.terms) else {
             return;
@@ -404,18 +365,14 @@ impl<'a, const N: usize> Magnitude<'a, N> {
                 continue;
             }
             let weight: R = real(self.weighting.of(pose));
-            let step = times(&fit.inverse, &row);
+            let step = fit.inverse * row;
             let leverage = weight * row.dot(&step);
             let left_out = if few && double(leverage) > MOST_LEVERAGE {
                 self.solve(&fit.theta, Without::Pose(k))
                     .and_then(|without| self.residual(&without.theta, pose))
             } else {
                 let by = weight * residual / (R::one() - leverage);
-                let mut theta = fit.theta;
-                for (slot, along) in self.free.iter().zip(step.iter()) {
-                    theta[slot.index()] += *along * by;
-                }
-                self.residual(&theta, pose)
+                self.residual(&self.moved(&fit.theta, &step, by), pose)
             };
             let left_out = left_out.filter(|r| r.is_finite());
             take(k, double(residual), left_out.unwrap_or(f64::INFINITY));

@@ -3,10 +3,12 @@
 #![forbid(unsafe_code)]
 
 mod alignment;
+mod blocks;
 mod choice;
 mod covariance;
 mod datasheet;
 mod design;
+mod ellipsoid;
 mod estimate;
 mod evidence;
 mod finder;
@@ -23,6 +25,7 @@ mod noise;
 mod orientation;
 mod outliers;
 mod parameter;
+mod placement;
 mod pose;
 mod quality;
 mod reference;
@@ -30,6 +33,7 @@ mod refusal;
 mod scalar;
 mod self_check;
 mod session;
+mod set;
 mod shared;
 mod six_position;
 mod student;
@@ -52,9 +56,10 @@ pub use magnetometer::{
 };
 pub use model::{Model, MultiPosition};
 pub use multi_position::{multi_position, multi_position_f32, multi_position_with};
-pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, stops_at_limit};
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, is_clipped};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
+pub use placement::{Placement, PlacementError};
 pub use pose::Pose;
 pub use reference::{
     AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal,
@@ -63,7 +68,7 @@ pub use refusal::{Refusal, UnitHint};
 pub use scalar::Scalar;
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
-pub use six_position::{Placement, PlacementError, six_position, six_position_labelled};
+pub use six_position::{six_position, six_position_labelled};
 pub use terms::{Term, Terms};
 pub use turn::{four_angle, three_angle};
 pub use weights::Rejected;

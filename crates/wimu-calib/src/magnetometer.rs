@@ -1,4 +1,4 @@
-//! A magnetometer from the magnitude of the field and its dip, in orientations that nobody knows.
+//! Magnetometer calibration from the magnitude of the field and its dip, in unknown orientations.
 
 mod consensus;
 mod fit;
@@ -9,27 +9,28 @@ pub use refusal::{Disturbed, MagneticRefusal, MirroredAxes};
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::MagnetometerModel;
 
-use crate::{Rejected, student};
+use crate::{Rejected, input, student};
 
-/// Parameters of hard and soft iron, and of the rotation with the dip.
+/// Number of parameters of hard and soft iron, and of the rotation with the dip.
 const IRON: u32 = 9;
 const ROTATION: u32 = 4;
-/// Fewest poses: nine parameters of iron, and three to tell how good they are.
+/// Smallest number of poses: nine parameters and three redundant poses.
 const FEWEST: usize = 12;
-/// The Earth's field is 22 to 67 µT; in buildings it is bent, hardly more than this, nT.
+/// Accepted field magnitude, nT: the field of the Earth is 22 to 67 µT, and in buildings hardly
+/// larger than this.
 const EARTHS_NT: core::ops::RangeInclusive<f64> = 1e4..=1.2e5;
-/// An axis that moves less than this share of what all of them do says nothing.
+/// Smallest range of the output of an axis, relative to the largest of the three.
 const LEAST_SHARE: f64 = 0.02;
-/// So many poses at one and the same extreme are clipped.
+/// Number of poses at the same extreme value that indicates clipping.
 const CLIPPED: usize = 4;
-/// At most every fifth pose is doubted.
+/// At most one pose in this many is rejected.
 const DOUBTED: usize = 5;
-/// A dip nearer to level than this has no sign to tell a mirrored axis by, rad: 5°.
+/// Smallest dip whose sign identifies a mirrored axis, rad: 5°.
 const LEVEL_RAD: f64 = 0.087;
-/// Axes this near to parallel are, but for the board's turning them over, rad: 20°.
+/// Largest angle at which axes count as parallel, rad: 20°.
 const PARALLEL_RAD: f64 = 0.35;
 
-/// What magnetometer and accelerometer said in one orientation.
+/// Output of magnetometer and accelerometer in one orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagneticPose {
@@ -39,31 +40,32 @@ pub struct MagneticPose {
     pub up: [f64; 3],
 }
 
-/// A magnetometer's model, and the poses that it does without.
+/// A magnetometer model, and the rejected poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagneticEstimate {
     /// The model.
     pub model: MagnetometerModel,
-    /// Poses that the others contradict: the field was disturbed there.
+    /// Outliers: the field was disturbed there.
     pub rejected: Rejected,
 }
 
 impl MagneticEstimate {
-    /// The 95 % interval of the hard iron is its value plus and minus this, nT: Student's t over the poses
-    /// beyond the nine parameters of iron, equation (43).
+    /// Half width of the 95 % confidence interval of the hard iron, nT, by Student's t with the
+    /// poses minus nine parameters as degrees of freedom: equation (43).
     pub fn hard_iron_half_width_95_nt(&self) -> [f64; 3] {
         let terms = self.model.terms();
         terms.hard_iron_sd_nt.map(|sd| self.wide(IRON, sd.into()))
     }
 
-    /// The same of the soft iron, xx yy zz xy xz yz.
+    /// Half width of the 95 % confidence interval of the soft iron, xx yy zz xy xz yz.
     pub fn soft_iron_half_width_95(&self) -> [f64; 6] {
         let terms = self.model.terms();
         terms.soft_iron_sd.map(|sd| self.wide(IRON, sd.into()))
     }
 
-    /// The same of the rotation's error about the accelerometer's axes, rad.
+    /// Half width of the 95 % confidence interval of the rotation error about the axes of the
+    /// accelerometer, rad.
     pub fn rotation_half_width_95_rad(&self) -> Option<[f64; 3]> {
         let mounting = self.model.terms().to_accelerometer?;
         let sd = |axis| mounting.covariance.sd(axis);
@@ -76,13 +78,14 @@ impl MagneticEstimate {
     }
 }
 
-/// Hard and soft iron from |B| being the same in all poses, and the rotation to the accelerometer
-/// from its dip being so. Equations (55) to (57) of docs/EQUATIONS.md. Poses that the others
-/// contradict are left out, every fifth at most and as long as twelve are left.
+/// Estimates hard and soft iron from the constant magnitude of the field, and the rotation to the
+/// accelerometer from its constant dip. Equations (55) to (57) of docs/EQUATIONS.md. Outliers are
+/// rejected: at most every fifth pose, and only while twelve remain.
 ///
-/// A magnetometer with one axis negated or two exchanged looks like a right one in a field of the
-/// opposite dip, turned over: only the dip of the place, `dip_rad`, positive down, tells them apart.
-/// Its sign suffices. Without it the field points down, as north of the magnetic equator.
+/// A magnetometer with one axis negated, or two exchanged, is equivalent to a correct one in a
+/// field of opposite dip. Only the dip of the location, `dip_rad`, positive down, resolves this;
+/// its sign suffices. Without it the field is assumed to point down, as north of the magnetic
+/// equator.
 ///
 /// ```
 /// use wimu_calib::{MagneticPose, magnetometer};
@@ -127,7 +130,7 @@ pub fn magnetometer(
     }
     plausible(poses)?;
     let found = without_suspects(poses, Rejected::default()).or_else(|refusal| {
-        // Several disturbed poses bend the fit so far that none of them stands out.
+        // Several disturbed poses distort the fit so much that none is an outlier.
         let Some((share, disturbed, count)) = consensus::disturbed(poses) else {
             return Err(refusal);
         };
@@ -144,12 +147,12 @@ pub fn magnetometer(
     Ok(found)
 }
 
-/// Whether so many of `have` poses may be left out.
+/// Whether `left_out` of `have` poses may be rejected.
 fn spares(have: usize, left_out: usize) -> bool {
     left_out <= Rejected::MOST && DOUBTED * left_out <= have && have - left_out >= FEWEST
 }
 
-/// Leaves out one pose after the other that the rest contradicts.
+/// Rejects outliers one by one.
 fn without_suspects(
     poses: &[MagneticPose],
     mut rejected: Rejected,
@@ -166,7 +169,7 @@ fn without_suspects(
     }
 }
 
-/// Refuses a dip that is opposite to that of the place.
+/// Refuses a dip opposite to that of the location.
 fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), MagneticRefusal> {
     let Some(mounting) = model.terms().to_accelerometer else {
         return Ok(());
@@ -177,7 +180,7 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), M
     if level || dip_rad * place_rad > 0.0 {
         return Ok(());
     }
-    // A mirror image M of the axes comes out as turned by −M.
+    // Mirrored axes with the reflection M appear as a rotation by −M.
     let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         .map(|axis| Vector3::from(mounting.rotation.rotate(axis)));
     let turn = Matrix3::from_columns(&columns);
@@ -208,22 +211,16 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), M
     Err(MagneticRefusal::Mirrored { dip_rad, axes })
 }
 
-/// Whether the output can be that of a magnetometer turned in the Earth's field.
+/// Refuses outputs that cannot be those of a magnetometer rotated in the field of the Earth.
 fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
-    let mut low = [f64::INFINITY; 3];
-    let mut high = [f64::NEG_INFINITY; 3];
-    for pose in poses {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(pose.output_nt[axis]);
-            high[axis] = high[axis].max(pose.output_nt[axis]);
-        }
-    }
-    let span: [f64; 3] = core::array::from_fn(|axis| high[axis] - low[axis]);
-    let widest = span.iter().fold(0.0, |most: f64, span| most.max(*span));
-    let largest = low
-        .iter()
-        .chain(&high)
-        .fold(0.0, |most: f64, v| most.max(v.abs()));
+    let limits = [0, 1, 2].map(|axis| input::extremes(poses.iter().map(|p| p.output_nt[axis])));
+    let span = limits.map(|[low, high]| high - low);
+    let widest = span.into_iter().fold(0.0, f64::max);
+    let largest = limits
+        .into_iter()
+        .flatten()
+        .map(f64::abs)
+        .fold(0.0, f64::max);
     let (fewest, most) = (EARTHS_NT.start(), EARTHS_NT.end());
     if largest < 0.1 * fewest || widest > 10.0 * most {
         return Err(MagneticRefusal::NotEarths {
@@ -233,13 +230,13 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
     if let Some(axis) = (0..3).find(|axis| span[*axis] < LEAST_SHARE * widest) {
         return Err(MagneticRefusal::Dead { axis });
     }
-    for (axis, limit) in (0..3).flat_map(|axis| [(axis, low[axis]), (axis, high[axis])]) {
+    for (axis, limit) in (0..3).flat_map(|axis| limits[axis].map(|limit| (axis, limit))) {
         let at = || poses.iter().filter(|pose| pose.output_nt[axis] == limit);
-        // An axis that hardly moves has few values.
+        // An axis with little variation has few values.
         if span[axis] < 0.3 * widest {
             continue;
         }
-        // The same orientation over and over is no limit.
+        // Repeating an orientation is not clipping.
         let elsewhere = |pose: &&MagneticPose| {
             at().next().is_some_and(|first| {
                 (0..3).any(|other| {

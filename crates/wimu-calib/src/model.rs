@@ -1,4 +1,4 @@
-//! What is fitted to the magnitude of gravity.
+//! Options of the fit to the magnitude of gravity.
 
 use core::fmt;
 
@@ -14,36 +14,25 @@ pub enum Model {
     /// Bias and scale factors: 6.
     BiasScale6,
     /// Bias, scale factors and the three misalignments below the diagonal of A: all that gravity
-    /// alone can tell, because it does not see a rotation of the sensor as a whole.
+    /// alone determines, because a rotation of the whole sensor is not observable.
     #[default]
     Full9,
 }
 
 impl Model {
-    /// All of them, the smallest first.
+    /// All models, the smallest first.
     pub const ALL: [Self; 3] = [Self::Bias3, Self::BiasScale6, Self::Full9];
 
     /// The parameters that are fitted.
     pub fn fitted(self) -> Parameters {
-        use Parameter::{
-            BiasX, BiasY, BiasZ, MisalignmentXy, MisalignmentXz, MisalignmentYz, ScaleX, ScaleY,
-            ScaleZ,
-        };
-        let all = [
-            BiasX,
-            BiasY,
-            BiasZ,
-            ScaleX,
-            ScaleY,
-            ScaleZ,
-            MisalignmentXy,
-            MisalignmentXz,
-            MisalignmentYz,
-        ];
-        all.into_iter().take(self.parameters()).collect()
+        use Parameter::{MisalignmentXy, MisalignmentXz, MisalignmentYz};
+        let below = [MisalignmentXy, MisalignmentXz, MisalignmentYz];
+        let all = [Parameter::BIAS, Parameter::SCALE, below];
+        let all = all.into_iter().flatten();
+        all.take(self.parameters()).collect()
     }
 
-    /// How many parameters are fitted.
+    /// Number of fitted parameters.
     pub fn parameters(self) -> usize {
         match self {
             Self::Bias3 => 3,
@@ -52,7 +41,7 @@ impl Model {
         }
     }
 
-    /// The next smaller model, where there is one.
+    /// The next smaller model, if there is one.
     pub fn smaller(self) -> Option<Self> {
         match self {
             Self::Bias3 => None,
@@ -68,21 +57,21 @@ impl fmt::Display for Model {
     }
 }
 
-/// What [`multi_position_with`](crate::multi_position_with) fits, and how.
+/// Options of [`multi_position_with`](crate::multi_position_with).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MultiPosition {
     /// The parameters.
     pub model: Model,
-    /// Terms on top of them.
+    /// Further terms.
     pub terms: Terms,
-    /// Leave out poses that the others contradict beyond chance, [`Estimate::rejected`](crate::Estimate::rejected) naming
-    /// them; never more than the data can spare.
+    /// Reject outliers, listed in [`Estimate::rejected`](crate::Estimate::rejected); never more
+    /// than the redundancy of the data permits.
     pub reject: bool,
 }
 
 impl MultiPosition {
-    /// How many parameters are fitted, those of the terms included.
+    /// Number of fitted parameters, including those of the terms.
     pub fn parameters(self) -> usize {
         self.model.parameters() + self.terms.parameters()
     }

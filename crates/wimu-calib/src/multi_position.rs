@@ -1,6 +1,5 @@
-//! Calibration from the magnitude of gravity alone: any orientations, none of them known.
+//! Calibration from the magnitude of gravity alone, in unknown orientations.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
@@ -9,47 +8,46 @@ use crate::force::Conditions;
 use crate::knowledge::Knowledge;
 use crate::least_squares::{Fit, Magnitude, Without};
 use crate::linear::{Real, double, real};
-use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
+use crate::terms::{self, PERFECT, Term, Terms};
 use crate::unfitted::Unfitted;
 use crate::visits::Visits;
 use crate::weights::{Rejected, Weighting};
 use crate::{
-    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, input,
-    outliers, pose,
+    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, ellipsoid,
+    input, outliers, pose,
 };
 
-/// Beyond, in standard deviations of a residual, a pose left out is not predicted: some pose
-/// decides alone. Twelve well spread poses give 2 to 3.
+/// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
+/// dominates the fit. Twelve well distributed poses give 2 to 3.
 const MOST_LEFT_OUT: f64 = 10.0;
-/// A fit that leaves more than this, m/s² rms, is not one of static poses: with fewer than nine
-/// parameters, with nine (10 mg, as a cold start leaves), and with terms on top of them.
+/// Largest residual of a fit to static poses, m/s² rms: with three or six parameters; with nine (10
+/// mg, as after a cold start); with nine and further terms.
 const MOST_RMS_MPS2: [f64; 3] = [0.5, 0.1, 0.05];
-/// Beyond, a sound sensor in sound poses is unlikely: 5 mg.
+/// Residual above which clipped axes are searched for, m/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
-/// Where least squares finds nothing, residuals beyond this pull ever less, m/s².
+/// Scale of the Cauchy cost when least squares does not converge, m/s².
 const FAR_OFF_MPS2: f64 = 0.5;
-/// Temperatures that differ by less tell of no term: thermometers have as much noise, and sensors change by
-/// no more than other poses do.
+/// Smallest temperature range for a temperature term, K: thermometers have as much noise.
 const LEAST_WARMING_K: f64 = 1.0;
-/// A left-out error below this, m/s², is a good prediction whatever the residuals.
+/// Leave-one-out error that is always accepted, m/s².
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
 
-/// Estimates the error model from static poses whose orientations nobody knows: |f| = g in each.
-/// Equations (11) to (17) and (40) of docs/EQUATIONS.md.
+/// Estimates the error model from static poses in unknown orientations: |f| = g in each. Equations
+/// (11) to (17) and (40) of docs/EQUATIONS.md.
 ///
-/// `poses` are in m/s² by the nominal sensitivity, sensor axes, in any orientations; one more than
-/// the model has parameters at the least, twelve well spread ones for a good answer. Where all
-/// have a standard deviation, each counts by its noise and length against what else differs
-/// between poses; otherwise all count the same. A is lower triangular in the result.
+/// `poses` are in m/s² by the nominal sensitivity, sensor axes. At least one more than the model
+/// has parameters is needed; twelve well distributed ones give a good result. If every pose has a
+/// standard deviation, poses are weighted by their noise and by the variance between poses;
+/// otherwise all have equal weight. The resulting A is lower triangular.
 ///
 /// # Errors
-/// [`Refusal`] when the poses cannot support the model; each says what to do.
+/// [`Refusal`] when the poses do not determine the model. Its text says what to do.
 pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
     basic::<f64>(poses, gravity, model)
 }
 
-/// [`multi_position`] computed in f32, for a processor that has no f64: on poses of condition up to
-/// 10 the model is within 10⁻⁵ m/s² and 10⁻⁶ of that in f64, far below any sensor's noise.
+/// [`multi_position`] computed in f32, for processors without f64. For a condition up to 10 the
+/// result agrees with f64 within 10⁻⁵ m/s² (bias) and 10⁻⁶ (A), far below the noise of any sensor.
 ///
 /// # Errors
 /// Those of [`multi_position`].
@@ -75,20 +73,17 @@ fn basic<R: Real>(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Esti
             Model::Full9 => fit::<R, 9>(poses, &visits, gravity, what, false),
         }
     };
-    match of(model) {
-        Ok(fitted) => Ok(fitted.alone()),
-        Err(refusal) => Err(refusal.advise(|smaller| of(smaller).is_ok())),
-    }
+    advised(model, of)
 }
 
-/// The same with terms on top, and with bad poses left out where that is asked for. Equations (41)
+/// [`multi_position`] with further terms, and optionally with rejection of outliers. Equations (41)
 /// and (42).
 ///
-/// With [`Term::Drift`] the model's bias is that at the last pose: the latest that is known.
+/// With [`Term::Drift`] the bias of the model is the bias at the last pose.
 ///
 /// # Errors
-/// [`Refusal`], also [`Refusal::TermNotShown`] when the poses have no times or temperatures that a
-/// term asks for.
+/// [`Refusal`]; [`Refusal::TermNotObservable`] when the poses lack the times or temperatures that a term
+/// needs.
 pub fn multi_position_with(
     poses: &[Pose],
     gravity: Gravity,
@@ -99,27 +94,37 @@ pub fn multi_position_with(
         let what = MultiPosition { model, ..what };
         with_terms(poses, &visits, gravity, what, false)
     };
-    match of(what.model) {
+    advised(what.model, of)
+}
+
+/// The estimate of `model`, or its refusal with the largest smaller model that is supported.
+fn advised(
+    model: Model,
+    estimate: impl Fn(Model) -> Result<Fitted, Refusal>,
+) -> Result<Estimate, Refusal> {
+    match estimate(model) {
         Ok(fitted) => Ok(fitted.alone()),
-        Err(refusal) => Err(refusal.advise(|smaller| of(smaller).is_ok())),
+        Err(refusal) => Err(refusal.advise(|smaller| estimate(smaller).is_ok())),
     }
 }
 
-/// An estimate, and what chooses between several.
+/// An estimate, with the figures that model selection needs.
 pub(crate) struct Fitted {
     pub estimate: Estimate,
-    /// |f| − g of each pose that was fitted under the model without its orientation, m/s² rms.
+    /// Residual of each fitted pose under the model fitted without its orientation, m/s² rms.
     pub kept_left_out_mps2: f64,
-    /// Degrees of freedom of its residuals, by orientation.
+    /// Degrees of freedom of the residuals, with correlation within orientations taken into
+    /// account.
     pub dof: f64,
-    /// So many poses, each in an orientation of its own, would tell as much.
+    /// Effective number of poses: poses in different orientations that would carry as much
+    /// information.
     pub telling: f64,
-    /// ln of the probability of the poses under this model, where it was asked for.
+    /// ln of the marginal likelihood of the poses; 0 unless requested.
     pub evidence: f64,
 }
 
 impl Fitted {
-    /// The estimate, no other model having been tried.
+    /// The estimate when no other model was considered.
     fn alone(self) -> Estimate {
         let mut estimate = self.estimate;
         let unseen = estimate.not_observed();
@@ -128,7 +133,7 @@ impl Fitted {
     }
 }
 
-/// With `weigh`, what the choice between models asks for, too.
+/// Fits `what`; with `weigh`, computes the marginal likelihood, too.
 pub(crate) fn with_terms(
     poses: &[Pose],
     visits: &Visits,
@@ -177,20 +182,17 @@ fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Re
             Term::Quadratic => true,
         };
         if !shown {
-            return Err(Refusal::TermNotShown { term });
+            return Err(Refusal::TermNotObservable { term });
         }
     }
     Ok(())
 }
 
-/// Least and largest of what every pose has; `None` if one has none or it is no number.
+/// Range of a value over the poses; `None` if a pose has none or it is not finite.
 fn range(poses: &[Pose], value: impl Fn(&Pose) -> Option<f64>) -> Option<[f64; 2]> {
-    poses
-        .iter()
-        .try_fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], pose| {
-            let value = value(pose).filter(|v| v.is_finite())?;
-            Some([low.min(value), high.max(value)])
-        })
+    let values = || poses.iter().map(&value);
+    let complete = values().all(|value| value.is_some_and(f64::is_finite));
+    complete.then(|| input::extremes(values().flatten()))
 }
 
 fn conditions(poses: &[Pose], terms: Terms) -> Conditions {
@@ -224,40 +226,45 @@ fn fit<R: Real, const N: usize>(
     };
     let perfect = PERFECT.map(real::<R>);
     let ellipsoid = match what.model {
-        Model::Full9 => ellipsoid::<R>(poses, gravity.mps2()),
+        Model::Full9 => ellipsoid::start::<R>(poses, gravity.mps2()),
         Model::Bias3 | Model::BiasScale6 => None,
     };
-    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
+    let defect = || {
         let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
-        input::mixed_units(poses)
-            .or_else(dead)
-            .unwrap_or_else(|| knowledge.refusal(what, &problem.free))
+        input::mixed_units(poses).or_else(dead)
     };
-    let not_converged = || input::mixed_units(poses).unwrap_or(Refusal::NotConverged);
+    let not_observable = |knowledge: &Knowledge<R, N>, problem: &Magnitude<N>| {
+        defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free))
+    };
     let unsolved = |problem: &Magnitude<N>| {
-        // What the poses tell where they nearly are: by the bias and scale factors that fit them.
+        // Observability near the solution: at the bias and scale factors that fit best.
         let smaller = problem.smaller().solve(&perfect, Without::Nothing);
         let near = smaller.map_or(perfect, |fit| fit.theta);
         match problem.knowledge_at(&near) {
             Some(knowledge) if !knowledge.suffices() => not_observable(&knowledge, problem),
-            _ => not_converged(),
+            _ => defect().unwrap_or(Refusal::NotConverged),
         }
     };
     let squares = [ellipsoid, Some(perfect)]
         .into_iter()
         .flatten()
         .find_map(|start| problem.solve(&start, Without::Nothing));
-    // A pose that is far off may keep least squares from converging, not a fit that gives it up.
+    // A gross outlier may keep least squares, but not the robust fit, from converging.
     let robust = |problem: &Magnitude<N>| problem.solve_robust(&perfect, FAR_OFF_MPS2);
     let converged = squares.is_some();
     let Some(first) = squares.or_else(|| robust(&problem).filter(|_| what.reject)) else {
         return Err(unsolved(&problem));
     };
-    let fit = refine(&mut problem, first, what)?;
+    let fit = refine(&mut problem, first, what).map_err(|refusal| match refusal {
+        Refusal::NotConverged => defect().unwrap_or(refusal),
+        refusal => refusal,
+    })?;
     if !converged && problem.rejected.count() == 0 {
         return Err(unsolved(&problem));
     }
-    let knowledge = problem.knowledge(&fit).ok_or(Refusal::NotConverged)?;
+    let knowledge = problem
+        .knowledge(&fit)
+        .ok_or_else(|| defect().unwrap_or(Refusal::NotConverged))?;
     if !knowledge.suffices() {
         return Err(not_observable(&knowledge, &problem));
     }
@@ -272,7 +279,7 @@ fn fit<R: Real, const N: usize>(
     Ok(fitted)
 }
 
-/// Weights the poses and leaves out bad ones, where that applies, and fits again.
+/// Weights the poses and rejects outliers, if requested, and fits again.
 fn refine<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     mut fit: Fit<R, N>,
@@ -294,7 +301,7 @@ fn refine<R: Real, const N: usize>(
     while let Some(bad) = outliers::contradicted(problem, &fit, what.model) {
         let known = problem.knowledge(&fit);
         if !known.is_some_and(|known| known.suffices()) {
-            // What is wrong then is another thing.
+            // The poses do not determine the parameters: no outlier is the cause.
             break;
         }
         if !bad.spared {
@@ -318,7 +325,7 @@ fn refine<R: Real, const N: usize>(
     Ok(fit)
 }
 
-/// Weights the poses, where all have noise, and fits again.
+/// Weights the poses, if every one has a noise figure, and fits again.
 fn weighted<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     mut fit: Fit<R, N>,
@@ -330,7 +337,7 @@ fn weighted<R: Real, const N: usize>(
     {
         return Ok(fit);
     }
-    // Twice: what differs between poses is estimated with weights that rest on it.
+    // Twice: the variance between poses is estimated with weights that depend on it.
     for _ in 0..2 {
         problem.weighting = outliers::weighting(problem, &fit);
         fit = problem
@@ -382,7 +389,7 @@ fn result<R: Real, const N: usize>(
     let mut all = Residuals::default();
     let mut left_out = Residuals::default();
     let mut kept = Residuals::default();
-    // By orientation: a visit more of it is no proof of what is known there.
+    // By orientation: a repeated orientation does not confirm the model elsewhere.
     let mut kept_left_out = Residuals::default();
     let mut by_orientation = Residuals::default();
     problem.leave_out(fit, |k, residual, without| {
@@ -434,8 +441,8 @@ fn result<R: Real, const N: usize>(
     }
 
     let unfitted = Unfitted::of(problem, fit, &shared, what, true);
-    // Poses in a plane tell the bias across it by its square, and so either of two: those of a perfect
-    // sensor tell none.
+    // Poses in a plane determine the bias normal to the plane up to its sign, and that only by its
+    // square: the derivatives vanish for a perfect sensor.
     let perfect = unfitted
         .is_some()
         .then(|| at_perfect(problem, fit))
@@ -502,7 +509,7 @@ fn result<R: Real, const N: usize>(
     })
 }
 
-/// What `fit` says, with the derivatives that a perfect sensor would have.
+/// `fit` with the derivatives of a perfect sensor.
 fn at_perfect<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
@@ -515,50 +522,4 @@ fn at_perfect<R: Real, const N: usize>(
         theta,
         normal,
     })
-}
-
-/// The start: the ellipsoid yᵀQy + 2pᵀy = 1 by linear least squares, equation (11).
-///
-/// `None` when the points are on no ellipsoid.
-fn ellipsoid<R: Real>(poses: &[Pose], gravity_mps2: f64) -> Option<Theta<R>> {
-    let mut information = SMatrix::<R, 9, 9>::zeros();
-    let mut right = SVector::<R, 9>::zeros();
-    let two: R = real(2.0);
-    for pose in poses {
-        let [x, y, z] = pose.mean_mps2.map(|c| real::<R>(c / gravity_mps2));
-        let row = [
-            x * x,
-            y * y,
-            z * z,
-            two * x * y,
-            two * x * z,
-            two * y * z,
-            two * x,
-            two * y,
-            two * z,
-        ];
-        for c in 0..9 {
-            right[c] += row[c];
-            for r in c..9 {
-                information[(r, c)] += row[r] * row[c];
-            }
-        }
-    }
-    let s = nalgebra::Cholesky::new(information)?.solve(&right);
-    let q = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
-    let p = Vector3::new(s[6], s[7], s[8]);
-    let inverse = q.try_inverse()?;
-    let centre = -(inverse * p);
-    let size = R::one() - p.dot(&centre);
-    // y = c + A u with |u| = 1 gives A Aᵀ = size Q⁻¹; its Cholesky factor is the triangular A.
-    let a = nalgebra::Cholesky::new(inverse * size)?.unpack();
-    let c = centre * real::<R>(gravity_mps2);
-    let mut theta = [R::zero(); Slot::COUNT];
-    for row in 0..3 {
-        theta[row] = c[row];
-        for column in 0..=row {
-            theta[3 + 3 * row + column] = a[(row, column)];
-        }
-    }
-    theta.iter().all(|t| t.is_finite()).then_some(theta)
 }

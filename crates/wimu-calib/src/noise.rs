@@ -1,34 +1,34 @@
-//! Noise of a sensor at rest: overlapping Allan deviation, while samples arrive.
+//! Overlapping Allan deviation of a sensor at rest, computed sample by sample.
 
 mod course;
 mod curve;
 mod ends;
+mod refusal;
 mod rest;
-
-use core::fmt;
 
 use course::Course;
 use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
-pub use ends::stops_at_limit;
+pub use ends::is_clipped;
+pub use refusal::NoiseRefusal;
 use rest::Rest;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::{UnitHint, input};
+use crate::input;
 
-/// Octaves of averaging time.
+/// Number of levels, an octave of averaging time each.
 const LEVELS: usize = 26;
-/// Clusters of a level, in its steps: a cluster of 8 steps begins at each.
+/// Cluster length of a level, in its steps; a cluster begins at every step.
 const LENGTH: usize = 8;
-/// Values of the running sum that a level needs.
+/// Number of values of the running sum that a level needs.
 const KEPT: usize = 2 * LENGTH + 1;
-/// Points of a curve: 1, 2 and 4 samples, then one a level.
+/// Number of averaging times: 1, 2 and 4 samples, then one per level.
 const POINTS: usize = 3 + LEVELS;
-/// Fewest samples.
+/// Smallest number of samples.
 const FEWEST: u64 = 500;
-/// Noise leaves no more χ² per degree of freedom than this.
+/// Largest χ² per degree of freedom of a noise model.
 const MOST_MISFIT: f64 = 5.0;
-/// A point with fewer degrees of freedom says too little.
+/// Smallest degrees of freedom of a point.
 const LEAST_EDF: f64 = 4.0;
 
 /// One averaging time of an Allan deviation.
@@ -39,7 +39,7 @@ pub struct AllanPoint {
     pub tau_s: f64,
     /// σ(τ) of X, Y, Z, m/s².
     pub deviation_mps2: [f64; 3],
-    /// Degrees of freedom of σ²(τ): the fewest of white, flicker and random-walk noise.
+    /// Degrees of freedom of σ²(τ): the smallest of white, flicker and random-walk noise.
     pub edf: f64,
 }
 
@@ -50,25 +50,25 @@ impl AllanPoint {
     }
 }
 
-/// A number and its standard deviation, 1 σ.
+/// A value and its standard deviation, 1 σ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Measured {
-    /// The number.
+    /// The value.
     pub value: f64,
     /// Its standard deviation, in the same unit.
     pub sd: f64,
 }
 
 impl Measured {
-    /// The interval that holds the truth 95 % of the time: its square is as χ² of
-    /// ½ (value/sd)² degrees of freedom, which the interval is not symmetrical for. Equation (53).
+    /// 95 % confidence interval. The squared value is distributed as χ² with ½ (value/sd)² degrees
+    /// of freedom, so the interval is asymmetric. Equation (53).
     pub fn interval_95(&self) -> [f64; 2] {
         let freedom = 0.5 * (self.value / self.sd) * (self.value / self.sd);
         if freedom.is_nan() || freedom < 1.0 {
             return [0.0, self.value.max(0.0) + 1.96 * self.sd];
         }
-        // Wilson and Hilferty's χ² per degree of freedom.
+        // Wilson-Hilferty approximation of χ² per degree of freedom.
         let spread = 2.0 / (9.0 * freedom);
         [1.96, -1.96].map(|z| {
             let root = (1.0 - spread + z * libm::sqrt(spread)).max(1e-3);
@@ -84,45 +84,43 @@ pub struct AxisNoise {
     /// N, velocity random walk, m/s/√s. √2 N is the one-sided noise density of datasheets,
     /// m/s²/√Hz.
     pub velocity_random_walk: Measured,
-    /// B, bias instability, m/s²; `None` where the recording is too short to see it under the
+    /// B, bias instability, m/s²; `None` if the recording is too short to separate it from the
     /// other terms.
     pub bias_instability_mps2: Option<Measured>,
-    /// K, acceleration random walk, m/s²/√s; `None` where it is not seen.
+    /// K, acceleration random walk, m/s²/√s; `None` if not significant.
     pub acceleration_random_walk: Option<Measured>,
-    /// Whether B and K are not told because what long times show is one event, as of a sensor that warms
-    /// up, or a jump: of noise it would be chance once in a hundred times.
+    /// Whether B and K are withheld because a single event, such as warm-up or a jump, explains the
+    /// long averaging times (significance level 0.01).
     pub is_one_event: bool,
-    /// R, a steady drift, m/s² per s, as of a sensor that warms up; `None` where it is not seen.
+    /// R, linear drift, m/s² per s, as during warm-up; `None` if not significant.
     pub ramp_mps3: Option<Measured>,
-    /// Q, quantisation or vibration at short times, m/s; `None` where it is not seen.
+    /// Q, quantisation noise or vibration at short times, m/s; `None` if not significant.
     pub quantisation_mps: Option<Measured>,
-    /// Least σ(τ), m/s²: what averaging can do.
+    /// Smallest σ(τ), m/s²: the limit of averaging.
     pub floor_mps2: f64,
-    /// The τ that it is at, s.
+    /// Averaging time of `floor_mps2`, s.
     pub floor_tau_s: f64,
-    /// χ² per degree of freedom that the terms leave of the curve: 1 for noise as described; where it
-    /// is much more, vibration, repeated samples or a drift is in it, and the terms are rough.
+    /// χ² per degree of freedom of the fitted curve: 1 if the model holds. Much more indicates
+    /// vibration, repeated samples or drift, and the terms are rough.
     pub misfit: f64,
-    /// Where the output is filtered to half its rate or less, or samples come twice: the averaging time from
-    /// which on it is white, s. All terms are from there on.
+    /// Shortest averaging time of the fit, s, if the output is low-pass filtered to half its rate
+    /// or less, or samples are repeated.
     pub white_from_s: Option<f64>,
-    /// Standard deviation from one sample to the next, σ(τ) of the shortest τ, m/s².
+    /// σ(τ) of the shortest τ, m/s².
     pub sample_sd_mps2: f64,
-    /// Smallest step of the output, m/s²: one count, where it is in counts.
+    /// Quantisation step of the output, m/s²: one count, if it is in counts.
     pub step_mps2: f64,
-    /// Samples at the highest or lowest output that no noise puts there: 0 unless the output is clipped.
-    /// Then the sensor's noise is larger than the terms.
+    /// Number of clipped samples. If it is not 0, the noise of the sensor is larger than the terms.
     pub clipped_samples: u64,
 }
 
 impl AxisNoise {
-    /// Whether the curve is one of noise, filtered or not: hum and vibration are not.
+    /// Whether the noise model fits: hum and vibration do not.
     pub fn is_noise(&self) -> bool {
         self.misfit <= MOST_MISFIT
     }
 
-    /// Whether rounding to the output's step is as large as the noise: then the terms are those of
-    /// rounding, above or below the sensor's own.
+    /// Whether the quantisation step exceeds the noise: the terms then describe quantisation.
     pub fn is_coarse(&self) -> bool {
         self.step_mps2 > self.sample_sd_mps2
     }
@@ -137,109 +135,23 @@ impl AxisNoise {
     }
 }
 
-/// Why a recording tells no noise.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum NoiseRefusal {
-    /// Too few samples.
-    TooShort {
-        /// How many there are.
-        have: u64,
-        /// How many are needed.
-        need: u64,
-    },
-    /// The sensor was not at rest.
-    NotAtRest {
-        /// When, s from the first sample.
-        at_s: f64,
-        /// 0 = X.
-        axis: usize,
-    },
-    /// An axis says the same all the time.
-    Dead {
-        /// 0 = X.
-        axis: usize,
-    },
-    /// The mean output is not gravity in m/s².
-    UnexpectedMagnitude {
-        /// Its size, m/s² if the unit were right.
-        mean_mps2: f64,
-        /// What the numbers look like.
-        hint: UnitHint,
-    },
-}
+/// The latest values of the running sum at one level, every 2^level-th sample.
+type Level = heapless::Deque<[f64; 3], KEPT>;
 
-impl fmt::Display for NoiseRefusal {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
-        match *self {
-            Self::TooShort { have, need } => write!(
-                out,
-                "{have} samples at rest without a gap, {need} are needed: record for longer; ten \
-                 minutes tell the noise density, an hour or more the bias instability"
-            ),
-            Self::NotAtRest { at_s, axis } => write!(
-                out,
-                "the sensor was not at rest: axis {} moved about {at_s:.0} s after the start; leave \
-                 it on a firm floor, and record again or cut that part out",
-                name(axis)
-            ),
-            Self::Dead { axis } => write!(
-                out,
-                "axis {} says the same all the time: it is dead or saturated, or its noise is below \
-                 one count; choose a smaller range or a higher resolution",
-                name(axis)
-            ),
-            Self::UnexpectedMagnitude { mean_mps2, hint } => {
-                write!(out, "the mean output is {mean_mps2:.4}, {hint}")
-            }
-        }
-    }
-}
-
-impl core::error::Error for NoiseRefusal {}
-
-/// Every 2^level-th value of the running sum, the latest few.
-#[derive(Clone, Copy, Debug)]
-struct Level {
-    kept: [[f64; 3]; KEPT],
-    next: usize,
-    /// How many are kept.
-    held: usize,
-}
-
-impl Level {
-    const EMPTY: Self = Self {
-        kept: [[0.0; 3]; KEPT],
-        next: 0,
-        held: 0,
-    };
-
-    fn take(&mut self, sum: [f64; 3]) {
-        if let Some(place) = self.kept.get_mut(self.next) {
-            *place = sum;
-        }
-        self.next = (self.next + 1) % KEPT;
-        self.held = (self.held + 1).min(KEPT);
-    }
-
-    /// Second difference of the sum over the latest two clusters of `m` steps.
-    fn difference(&self, m: usize) -> Option<[f64; 3]> {
-        let back = |by: usize| self.kept.get((self.next + KEPT - 1 - by) % KEPT);
-        let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
-        let clusters = |axis: usize| {
-            let (late, early) = (last[axis] - middle[axis], middle[axis] - first[axis]);
-            late - early
-        };
-        (self.held > 2 * m).then(|| core::array::from_fn(clusters))
-    }
+/// Second difference of the running sum over the latest two clusters of `m` steps.
+fn second_difference(level: &Level, m: usize) -> Option<[f64; 3]> {
+    let back = |by: usize| level.get(level.len().checked_sub(1 + by)?);
+    let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
+    Some([0, 1, 2].map(|axis: usize| {
+        let (late, early) = (last[axis] - middle[axis], middle[axis] - first[axis]);
+        late - early
+    }))
 }
 
 /// Second differences of one averaging time.
 #[derive(Clone, Copy, Debug)]
 struct Squares {
-    /// Σ of their squares.
+    /// Sum of their squares.
     sum: [f64; 3],
     count: u64,
 }
@@ -258,17 +170,17 @@ impl Squares {
     }
 }
 
-/// Samples of a cluster of the point at `place`.
+/// Cluster length of the k-th averaging time, samples.
 fn cluster(place: usize) -> u64 {
     1 << place
 }
 
-/// The Allan deviation of a stream of samples at rest, and the noise it shows. Equations (52) and
-/// (53) of docs/EQUATIONS.md.
+/// Allan deviation of a stream of samples at rest, and the noise model fitted to it. Equations (52)
+/// and (53) of docs/EQUATIONS.md.
 ///
-/// Averaging times are 1, 2, 4, 8, … samples. Clusters begin at every sample up to 8 samples, and
-/// beyond at every eighth of their length, which says as much to within a percent. Memory is
-/// fixed, 13 KB, and so is the cost of a sample.
+/// Averaging times are 1, 2, 4, 8, … samples. Clusters start at every sample up to 8 samples,
+/// beyond at every eighth of their length, which loses less than 1 % of the information. Memory (13
+/// KB) and the cost per sample are fixed.
 ///
 /// ```
 /// use wimu_calib::AllanVariance;
@@ -295,9 +207,9 @@ fn cluster(place: usize) -> u64 {
 pub struct AllanVariance {
     rate_hz: f64,
     origin: Option<[f64; 3]>,
-    /// Σ of the samples less the first.
+    /// Running sum of the samples minus the first.
     sum: [f64; 3],
-    /// Samples in all, and since the latest gap.
+    /// Number of samples, and of those since the latest gap.
     samples: u64,
     run: u64,
     longest_run: u64,
@@ -306,16 +218,17 @@ pub struct AllanVariance {
     squares: [Squares; POINTS],
     rest: Rest,
     course: Course,
-    /// Σ of all samples less the first.
+    /// Sum of all samples minus the first.
     total: [f64; 3],
-    /// The sample before, and the least change from one to the next.
+    /// The previous sample, and the smallest change from one to the next.
     last: [f64; 3],
     step: [f64; 3],
     ends: Ends,
 }
 
 impl AllanVariance {
-    /// For samples at `rate_hz`; a rate that is not positive and finite counts as 1 Hz.
+    /// A computation for samples at `rate_hz`; a rate that is not positive and finite counts as 1
+    /// Hz.
     pub fn new(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 {
             rate_hz
@@ -329,7 +242,7 @@ impl AllanVariance {
             samples: 0,
             run: 0,
             longest_run: 0,
-            levels: [Level::EMPTY; LEVELS],
+            levels: [const { Level::new() }; LEVELS],
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz),
             course: Course::new(),
@@ -340,7 +253,7 @@ impl AllanVariance {
         }
     }
 
-    /// Takes the next sample, m/s². One that is not finite is a gap.
+    /// Adds the next sample, m/s². One that is not finite counts as a gap.
     pub fn push(&mut self, sample_mps2: [f64; 3]) {
         if !sample_mps2.iter().all(|axis| axis.abs() < 1e6) {
             return self.gap();
@@ -368,13 +281,13 @@ impl AllanVariance {
         self.keep();
     }
 
-    /// Samples are missing here: no cluster spans it.
+    /// Marks missing samples: no cluster spans them.
     pub fn gap(&mut self) {
         self.run = 0;
         self.rest.gap();
     }
 
-    /// Samples taken.
+    /// Number of samples.
     pub fn samples(&self) -> u64 {
         self.samples
     }
@@ -382,7 +295,7 @@ impl AllanVariance {
     fn start(&mut self) {
         self.sum = [0.0; 3];
         for level in &mut self.levels {
-            level.held = 0;
+            level.clear();
         }
         self.keep();
     }
@@ -392,7 +305,10 @@ impl AllanVariance {
             if self.run & ((1 << octave) - 1) != 0 {
                 break;
             }
-            level.take(self.sum);
+            if level.is_full() {
+                level.pop_front();
+            }
+            let _ = level.push_back(self.sum);
             let shorter: &[usize] = if octave == 0 { &[1, 2, 4] } else { &[] };
             let first = if octave == 0 { 0 } else { octave + 3 };
             for (m, squares) in shorter
@@ -401,7 +317,7 @@ impl AllanVariance {
                 .chain([LENGTH])
                 .zip(self.squares.iter_mut().skip(first))
             {
-                if let Some(difference) = level.difference(m) {
+                if let Some(difference) = second_difference(level, m) {
                     squares.take(difference);
                 }
             }
@@ -415,7 +331,8 @@ impl AllanVariance {
         (all.count > 0).then(|| all.sum.map(|sum| sum / (2.0 * n * length * length)))
     }
 
-    /// The curve, shortest averaging time first, as far as it says something.
+    /// The curve, shortest averaging time first, as far as the points have enough degrees of
+    /// freedom.
     pub fn points(&self) -> impl Iterator<Item = AllanPoint> + '_ {
         (0..POINTS).filter_map(|place| {
             let length = cluster(place) as f64;
@@ -429,7 +346,7 @@ impl AllanVariance {
         })
     }
 
-    /// The noise of X, Y and Z.
+    /// The noise model of X, Y and Z.
     ///
     /// # Errors
     /// [`NoiseRefusal`] when there are too few samples, the mean output is not gravity in m/s², the
@@ -449,8 +366,8 @@ impl AllanVariance {
         let mean_mps2 = libm::sqrt(squares);
         let hint = input::unit(mean_mps2, STANDARD_GRAVITY_MPS2);
         let moved = self.rest.moved();
-        // Of a sensor that was turned the mean is short whatever the unit; noise in a unit that is too large passes
-        // for motion.
+        // A rotated sensor has a short mean in any unit; in too large a unit noise looks like
+        // motion.
         let is_large = mean_mps2 > STANDARD_GRAVITY_MPS2;
         if let Some(hint) = hint.filter(|_| is_large || moved.is_none()) {
             return Err(NoiseRefusal::UnexpectedMagnitude { mean_mps2, hint });

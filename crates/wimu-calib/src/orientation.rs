@@ -1,8 +1,13 @@
-//! Ways to put a sensor down, in words that a person can follow.
+//! Orientations of a sensor, with instructions.
 
 use core::fmt;
 
 use crate::Pose;
+
+/// Name of axis 0, 1 or 2.
+pub(crate) fn axis_name(axis: usize) -> &'static str {
+    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
+}
 
 /// Which side of the sensor is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +28,7 @@ pub enum Face {
 }
 
 impl Face {
-    /// The six of them, X up, X down, Y up, …
+    /// All sides: X up, X down, Y up, …
     pub const ALL: [Self; 6] = [
         Self::XUp,
         Self::XDown,
@@ -33,15 +38,15 @@ impl Face {
         Self::ZDown,
     ];
 
-    /// How they are called where a board has no names of its own for its sides.
+    /// Default names of the sides.
     pub const NAMES: [&'static str; 6] = ["X up", "X down", "Y up", "Y down", "Z up", "Z down"];
 
-    /// cos 20°: beyond it no axis was upright, whatever the sensor's errors.
+    /// cos 20°: largest angle of a vertical axis from the vertical.
     const LEAST_COSINE: f64 = 0.94;
 
-    /// The side that is up in `pose`, going by its dominant component: within 20° of an axis.
+    /// The side that is up in `pose`: the axis within 20° of the output.
     ///
-    /// `None` when it is farther from every axis, or not finite.
+    /// `None` when no axis is, or the pose is not finite.
     pub fn of(pose: &Pose) -> Option<Self> {
         let y = pose.mean_mps2;
         let norm = libm::sqrt(y.iter().map(|c| c * c).sum());
@@ -51,20 +56,17 @@ impl Face {
         })
     }
 
-    /// The axis that stands upright: 0 = X, 1 = Y, 2 = Z.
+    /// The vertical axis: 0 = X, 1 = Y, 2 = Z.
     pub fn axis(self) -> usize {
-        match self {
-            Self::XUp | Self::XDown => 0,
-            Self::YUp | Self::YDown => 1,
-            Self::ZUp | Self::ZDown => 2,
-        }
+        self as usize / 2
     }
 
     /// 1 when the axis points up, −1 when it points down.
     pub fn sign(self) -> f64 {
-        match self {
-            Self::XUp | Self::YUp | Self::ZUp => 1.0,
-            Self::XDown | Self::YDown | Self::ZDown => -1.0,
+        if (self as usize).is_multiple_of(2) {
+            1.0
+        } else {
+            -1.0
         }
     }
 }
@@ -75,13 +77,13 @@ impl fmt::Display for Face {
     }
 }
 
-/// One of 26 orientations: an axis, the middle between two, or the middle between all three is up.
+/// One of 26 orientations: up is an axis, midway between two axes, or midway between three.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Orientation([i8; 3]);
 
 impl Orientation {
-    /// The 26 of them: 6 faces, 12 edges and 8 corners of a cube.
+    /// All orientations: 6 faces, 12 edges and 8 corners of a cube.
     pub const ALL: [Self; 26] = {
         let mut all = [Self([0; 3]); 26];
         let mut code = 0;
@@ -97,7 +99,7 @@ impl Orientation {
         all
     };
 
-    /// The same, the easiest to hold first: faces, then edges, then corners.
+    /// All orientations, the easiest to hold first: faces, then edges, then corners.
     pub const BY_EASE: [Self; 26] = {
         let mut all = [Self([0; 3]); 26];
         let mut filled = 0;
@@ -117,25 +119,25 @@ impl Orientation {
         all
     };
 
-    /// Its place in [`Orientation::ALL`], 0..26.
+    /// Index in [`Orientation::ALL`], 0..26.
     pub fn index(self) -> usize {
         let [x, y, z] = self.0.map(|sign| (sign + 1) as usize);
         let code = x + 3 * y + 9 * z;
         if code > 13 { code - 1 } else { code }
     }
 
-    /// How many axes it leans on: 1 a face, 2 an edge, 3 a corner.
+    /// Number of axes with a vertical component: 1 a face, 2 an edge, 3 a corner.
     pub(crate) fn axes(self) -> usize {
         self.0.iter().filter(|sign| **sign != 0).count()
     }
 
-    /// What to do, step by step, in words: "start with Z up, then tilt it 45° towards X up".
+    /// Instruction in words: "start with Z up, then tilt it 45° towards X up".
     pub fn instruction(self) -> Instruction<'static> {
         self.instruction_with(&Face::NAMES)
     }
 
-    /// The same for a board whose sides have names, in the order of [`Face::ALL`]: what is up, such
-    /// as "left edge up".
+    /// Instruction with the names of the sides of a board, in the order of [`Face::ALL`], such as
+    /// "left edge up".
     pub fn instruction_with<'a>(self, sides: &'a [&'a str; 6]) -> Instruction<'a> {
         Instruction {
             orientation: self,
@@ -143,7 +145,7 @@ impl Orientation {
         }
     }
 
-    /// What points up, a unit vector in sensor axes.
+    /// The up direction, a unit vector in sensor axes.
     pub fn up(self) -> [f64; 3] {
         let signs = self.0.map(f64::from);
         let norm = libm::sqrt(signs.iter().map(|s| s * s).sum());
@@ -196,7 +198,7 @@ pub struct Instruction<'a> {
 impl fmt::Display for Instruction<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let axes = self.orientation.axes();
-        // The last axis first: Z up is how most boards lie.
+        // The last axis first: most boards lie with Z up.
         let sides = self.orientation.0.iter().enumerate().rev();
         let sides = sides.filter_map(|(axis, &sign)| match sign {
             0 => None,

@@ -1,49 +1,50 @@
-//! Poses that the others contradict, and how much each counts.
+//! Outlier rejection and weights of poses.
 
 use crate::force::Evaluated;
 use crate::least_squares::{Fit, Magnitude, Without};
-use crate::linear::{Real, double, times};
+use crate::linear::{Real, double};
 use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
 use crate::weights::{FarOff, Rejected, Weighting};
 use crate::{Model, Pose, student};
 
-/// Chance that a good set of poses loses one.
+/// Probability that a set without outliers loses a pose.
 const SIGNIFICANCE: f64 = 1e-3;
-/// Chance that a good pose is left out as one that pulls the fit to itself,
+/// Probability that a valid pose is rejected by the leave-one-out test.
 const CONTRADICTION: f64 = 0.01;
-/// and at most that a good set of poses is refused for one that it cannot spare.
+/// Largest probability that a set without outliers is refused because the suspected pose cannot be
+/// left out.
 const UNSPARED: f64 = 0.1;
-/// Few residuals may be small by chance: poses of real sensors agree to no better than this, m/s², which adds so many of
-/// its squares to theirs.
+/// Repeatability of a pose, m/s² rms. It enters the residual variance as [`REPEATS`] prior
+/// observations, because few residuals may be small by chance. Chosen on real sensors, see
+/// VALIDATION.
 const REPEATS_MPS2: f64 = 0.002;
 const REPEATS: f64 = 2.0;
-/// Chance at which one of two poses still contradicts the rest without the other.
+/// Significance level at which the first suspect is still an outlier after the second was left out.
 const EITHER: f64 = 0.01;
-/// Poses that are tried one by one: those without which a linear fit would leave least.
+/// Number of poses tested one by one: those whose removal reduces the cost most.
 const TRIED: usize = 3;
-/// Of more poses the bad ones may be more than are named: all are left out that are far off.
+/// Largest number of poses for the forward search. Of more poses, all distant ones are rejected.
 const MANY: usize = Rejected::MOST * 20;
-/// Fits of the poses that are not far off, each by the one before.
+/// Largest number of fits in the rejection of distant poses.
 const FAR_OFF_FITS: usize = 4;
-/// Degrees of freedom that must be left for the others to outvote a pose.
+/// Smallest number of degrees of freedom after rejection.
 const LEAST_DOF: usize = 3;
-/// At most every fifth pose is doubted.
+/// At most one pose in this many is rejected.
 const DOUBTED: usize = 5;
-/// Residuals beyond so many standard deviations pull ever less on a Cauchy fit, 95 % as good as least
-/// squares where there is no bad pose.
+/// Tuning constant of the Cauchy cost, standard deviations: 95 % efficiency for normal residuals.
 const CAUCHY: f64 = 2.385;
-/// Standard deviations per median of absolute normal deviates.
+/// Standard deviation of normal deviates per median of their absolute values.
 const PER_MEDIAN: f64 = 1.4826;
-/// Fits with ever better scales; the last hardly differ.
+/// Number of robust fits, each with a scale from the previous one.
 const ROBUST_FITS: usize = 4;
 
-/// Leaves out poses by a forward search: equation (42). A fit that bad poses cannot pull far says
-/// which are farthest off; without them the rest is fitted, and one by one they are let in again,
-/// the nearest first, until the next would contradict those that are in. Returns the fit; what it
-/// did without is in `problem.rejected`.
+/// Rejects outliers by a forward search: equation (42). A robust fit ranks the poses by their
+/// distance. The rest is fitted, and the most distant poses are added again one by one, the nearest
+/// first, until the next one is an outlier. Returns the fit; the rejected poses are in
+/// `problem.rejected`.
 ///
 /// # Errors
-/// The worst pose, where more than every fifth of very many is far off.
+/// The worst pose, when more than every fifth of very many is an outlier.
 pub(crate) fn reject<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     fit: Fit<R, N>,
@@ -82,7 +83,7 @@ pub(crate) fn reject<R: Real, const N: usize>(
     Ok(fit)
 }
 
-/// How many poses the data can spare.
+/// Largest number of poses that may be rejected.
 fn spare<const N: usize>(problem: &Magnitude<N>) -> usize {
     let count = problem.poses.len();
     problem
@@ -93,19 +94,20 @@ fn spare<const N: usize>(problem: &Magnitude<N>) -> usize {
         .min(Rejected::MOST)
 }
 
-/// A pose that the fit of all others contradicts.
+/// A pose that is an outlier with respect to the fit of all others.
 pub(crate) struct Contradicted {
     pub pose: usize,
-    /// Another one without which nothing would contradict the rest.
+    /// Another pose that may be the outlier instead.
     pub or: Option<usize>,
-    /// |f| − g of it under the fit of the others, m/s².
+    /// Residual of the pose under the fit of the others, m/s².
     pub off_mps2: f64,
-    /// Whether the data can do without it.
+    /// Whether the pose can be rejected.
     pub spared: bool,
 }
 
-/// The pose that most contradicts the fit of all others, if one does beyond chance, however much it pulled the fit
-/// to itself: equation (42d). Not looked for among very many poses, where one decides nothing.
+/// The pose with the largest leave-one-out residual, if it is significant: equation (42d). It is
+/// found even if it has great leverage. Not used for very many poses, where a single one has little
+/// influence.
 pub(crate) fn contradicted<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     fit: &Fit<R, N>,
@@ -148,7 +150,7 @@ pub(crate) fn contradicted<R: Real, const N: usize>(
     })
 }
 
-/// The poses without which a linear fit would leave least.
+/// The poses whose removal reduces the cost of the linearised fit most.
 fn suspects<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
@@ -162,19 +164,24 @@ fn suspects<R: Real, const N: usize>(
             continue;
         }
         let (residual, row) = problem.weighted_row(&at, pose);
-        let left = 1.0 - double(row.dot(&times(&fit.inverse, &row)));
+        let left = 1.0 - double(row.dot(&(fit.inverse * row)));
         let residual = double(residual);
-        let mut candidate = (residual * residual / left.max(0.0), Some(k));
-        for place in &mut worst {
-            if candidate.0 > place.0 {
-                core::mem::swap(place, &mut candidate);
-            }
-        }
+        keep_largest(&mut worst, (residual * residual / left.max(0.0), Some(k)));
     }
     worst.map(|(_, pose)| pose)
 }
 
-/// Residual of a pose under the fit of all others, m/s², and in standard deviations of that prediction.
+/// Inserts `candidate` into a list in descending order, from which the smallest drops out.
+fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
+    for entry in largest {
+        if candidate.0 > entry.0 {
+            core::mem::swap(entry, &mut candidate);
+        }
+    }
+}
+
+/// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
+/// prediction.
 fn doubt<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
@@ -191,7 +198,7 @@ fn doubt<R: Real, const N: usize>(
     Some((residual, residual.abs() / libm::sqrt(variance)))
 }
 
-/// What a model leaves out is no pose's fault, m/s², 1 σ.
+/// Standard deviation of |f| caused by the parameters that the model leaves out, m/s².
 fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
     gravity_mps2
         * match model {
@@ -201,7 +208,7 @@ fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
         }
 }
 
-/// Leaves out all that are far off: equation (42c).
+/// Rejects all distant poses: equation (42c).
 fn leave_far_off<R: Real, const N: usize>(
     problem: &mut Magnitude<N>,
     fit: Fit<R, N>,
@@ -248,7 +255,7 @@ fn leave_far_off<R: Real, const N: usize>(
     Ok(fit)
 }
 
-/// A Cauchy fit from the least-squares one.
+/// Robust fit, starting from the least-squares fit.
 fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> Theta<R> {
     let mut theta = fit.theta;
     let count = problem.poses.len();
@@ -264,7 +271,7 @@ fn robust<R: Real, const N: usize>(problem: &Magnitude<N>, fit: &Fit<R, N>) -> T
     theta
 }
 
-/// Median of |r| to 1 %, by halving an interval: there is no room to sort.
+/// Median of |r| to 1 %, by bisection: there is no memory to sort.
 fn median_residual<R: Real, const N: usize>(problem: &Magnitude<N>, theta: &Theta<R>) -> f64 {
     let mut largest = 0.0_f64;
     problem.residuals(theta, |_, residual| largest = largest.max(residual.abs()));
@@ -295,12 +302,10 @@ fn farthest<R: Real, const N: usize>(
 ) -> Rejected {
     let mut worst = [(0.0, 0); Rejected::MOST];
     problem.residuals(theta, |k, residual| {
-        let mut candidate = (residual.abs(), k);
-        for place in worst.iter_mut().take(most) {
-            if candidate.0 > place.0 {
-                core::mem::swap(place, &mut candidate);
-            }
-        }
+        keep_largest(
+            worst.get_mut(..most).unwrap_or_default(),
+            (residual.abs(), k),
+        );
     });
     worst
         .iter()
@@ -309,8 +314,8 @@ fn farthest<R: Real, const N: usize>(
         .fold(Rejected::default(), |all, &(_, pose)| all.with(pose))
 }
 
-/// Of the poses left out the one that the fit predicts best: its place among them, and its
-/// residual in standard deviations of that prediction.
+/// The rejected pose that the fit predicts best: its index among the rejected poses, and its
+/// residual in standard deviations of the prediction.
 fn nearest<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
@@ -330,8 +335,8 @@ fn nearest<R: Real, const N: usize>(
     nearest
 }
 
-/// How much each pose should count, from what the fit leaves: σ₀² such that the residuals are as
-/// large as it and the poses' noise say. Equation (40).
+/// Weights from the residuals: the variance σ₀² between poses is chosen such that the residuals
+/// agree with it and with the noise of the poses. Equation (40).
 pub(crate) fn weighting<R: Real, const N: usize>(
     problem: &Magnitude<N>,
     fit: &Fit<R, N>,
@@ -346,7 +351,7 @@ pub(crate) fn weighting<R: Real, const N: usize>(
     mean_noise /= count;
     let dof = count - N as f64;
     let mut common = 0.0;
-    // Newton's rule from below on a convex falling function: it never overshoots.
+    // Newton's method from below on a convex decreasing function: it does not overshoot.
     for _ in 0..30 {
         let (mut excess, mut slope) = (-dof, 0.0);
         problem.residuals(&fit.theta, |k, residual| {

@@ -1,4 +1,4 @@
-//! The parameters of the error model by name.
+//! Names of the parameters of the error model.
 
 use core::fmt;
 
@@ -14,29 +14,30 @@ pub enum Parameter {
     BiasZ,
     /// S_x.
     ScaleX,
-    /// m_yx: what Y adds to the output of X.
+    /// m_yx: cross-axis sensitivity, output of X per force along Y.
     MisalignmentYx,
-    /// m_zx: what Z adds to the output of X.
+    /// m_zx: cross-axis sensitivity, output of X per force along Z.
     MisalignmentZx,
-    /// m_xy: what X adds to the output of Y.
+    /// m_xy: cross-axis sensitivity, output of Y per force along X.
     MisalignmentXy,
     /// S_y.
     ScaleY,
-    /// m_zy: what Z adds to the output of Y.
+    /// m_zy: cross-axis sensitivity, output of Y per force along Z.
     MisalignmentZy,
-    /// m_xz: what X adds to the output of Z.
+    /// m_xz: cross-axis sensitivity, output of Z per force along X.
     MisalignmentXz,
-    /// m_yz: what Y adds to the output of Z.
+    /// m_yz: cross-axis sensitivity, output of Z per force along Y.
     MisalignmentYz,
     /// S_z.
     ScaleZ,
 }
 
 impl Parameter {
-    /// How many there are.
+    /// Number of parameters.
     pub const COUNT: usize = 12;
 
-    /// All of them in the order of [`Covariance`](crate::Covariance): the bias, then A row by row.
+    /// All parameters in the order of [`Covariance`](crate::Covariance): the bias, then A row by
+    /// row.
     pub const ALL: [Self; Self::COUNT] = [
         Self::BiasX,
         Self::BiasY,
@@ -53,8 +54,9 @@ impl Parameter {
     ];
 
     pub(crate) const BIAS: [Self; 3] = [Self::BiasX, Self::BiasY, Self::BiasZ];
+    pub(crate) const SCALE: [Self; 3] = [Self::ScaleX, Self::ScaleY, Self::ScaleZ];
 
-    /// Its place in [`Parameter::ALL`], 0..12.
+    /// Index in [`Parameter::ALL`], 0..12.
     pub const fn index(self) -> usize {
         self as usize
     }
@@ -79,57 +81,20 @@ impl fmt::Display for Parameter {
     }
 }
 
-/// Some of the 12 parameters.
+/// A set of the 12 parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Parameters(u16);
 
+crate::set::set!(Parameters(u16) of Parameter);
+
 impl Parameters {
-    /// Whether `parameter` is one of them.
-    pub fn contains(self, parameter: Parameter) -> bool {
-        self.0 >> parameter.index() & 1 == 1
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(self) -> bool {
-        self.0 == 0
-    }
-
-    /// Those that are not in `others`.
-    #[must_use]
-    pub fn without(self, others: Self) -> Self {
-        Self(self.0 & !others.0)
-    }
-
     /// All 12.
     pub const ALL: Self = Self((1 << Parameter::COUNT) - 1);
 
-    /// Those of them that are in the set, in the order of [`Parameter::ALL`].
-    pub fn iter(self) -> impl Iterator<Item = Parameter> {
-        Parameter::ALL
-            .into_iter()
-            .filter(move |&parameter| self.contains(parameter))
-    }
-}
-
-impl FromIterator<Parameter> for Parameters {
-    fn from_iter<I: IntoIterator<Item = Parameter>>(parameters: I) -> Self {
-        Self(
-            parameters
-                .into_iter()
-                .fold(0, |bits, parameter| bits | 1 << parameter.index()),
-        )
-    }
-}
-
-impl fmt::Display for Parameters {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, parameter) in self.iter().enumerate() {
-            if place > 0 {
-                out.write_str(", ")?;
-            }
-            parameter.fmt(out)?;
-        }
-        Ok(())
+    /// The members that are not in `others`.
+    #[must_use]
+    pub fn without(self, others: Self) -> Self {
+        Self(self.0 & !others.0)
     }
 }

@@ -1,21 +1,20 @@
-//! What a device keeps of an estimate beside its model.
+//! Quality record of an estimate, as stored on a device.
 
 use wimu_model::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, ModelCovariance, QualityTerms,
     TermDeviations,
 };
 
-use crate::{Estimate, Method, Pose};
+use crate::{Estimate, Method, Pose, input};
 
 impl Estimate {
-    /// What the estimate says of itself, for a parameter set: made at `utc_s`, s since 1970 UTC, from
-    /// `poses`, whose temperatures are those at which the model holds.
+    /// Quality record for a parameter set: estimated at `utc_s`, s since 1970 UTC, from `poses`,
+    /// whose temperatures bound the calibrated range.
     ///
-    /// `None` when a figure is beyond the bounds of [`QualityTerms`], which no sound estimate is.
+    /// `None` when a value exceeds the bounds of [`QualityTerms`], which valid estimates do not.
     pub fn quality(&self, utc_s: Option<u64>, poses: &[Pose]) -> Option<CalibrationQuality> {
-        let temperatures = || poses.iter().filter_map(|pose| pose.temperature_c);
-        let lowest = temperatures().fold(f64::INFINITY, f64::min);
-        let highest = temperatures().fold(f64::NEG_INFINITY, f64::max);
+        let temperatures = poses.iter().filter_map(|pose| pose.temperature_c);
+        let [lowest, highest] = input::extremes(temperatures);
         let temperature = self.temperature_c.map(|mean| CalibratedTemperature {
             mean_c: mean as f32,
             lowest_c: lowest.min(mean) as f32,

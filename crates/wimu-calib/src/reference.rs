@@ -1,44 +1,48 @@
-//! Calibration against a reference: one stream against another of the same motion.
+//! Calibration against a reference: two streams of the same motion.
 
 mod ends;
+mod refusal;
 mod row;
 mod sums;
 
-use core::fmt;
-
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
+use crate::blocks::Blocks;
 use crate::{UnitHint, input, student};
 use ends::Ends;
+use nalgebra::Vector3;
+pub use refusal::TransferRefusal;
 use row::{Fitting, How};
-use sums::{Jackknife, Recent, Sums};
+use sums::{Pair, Recent, Sums};
 
-/// Most blocks that sums are kept for; two become one when they are full.
+/// Largest number of blocks; full blocks are then merged in pairs.
 const BLOCKS: usize = 32;
-/// Fewest samples for a standard deviation that means something.
+/// Smallest number of samples.
 const FEWEST: u64 = 8;
-/// An axis that moves less than this, m/s² rms, could be two sensors that warm up together: their
-/// drifts would pass for a scale factor.
+/// Smallest motion for a scale factor, m/s² rms: the drifts of two sensors during warm-up would
+/// look like one.
 const LEAST_MOTION_MPS2: f64 = 0.5;
-/// Streams of one motion are correlated at least this much where there is motion.
+/// Smallest correlation of two streams of the same motion.
 const LEAST_CORRELATION: f64 = 0.9;
 
-/// What an axis sees of another is no chance beyond so many standard deviations.
+/// Significance threshold of a cross-axis sensitivity, standard deviations.
 const SEEN_DEVIATIONS: f64 = 4.0;
 
-/// Noise of the output per noise of the reference (standard deviations), within 10⁻³..=10³.
+/// Ratio of the noise of the output to the noise of the reference (standard deviations), within
+/// 10⁻³..=10³.
 ///
-/// A wrong ratio moves the scale factor by at most the share of noise in the variance of the motion.
+/// A wrong ratio changes the scale factor by at most the fraction of noise in the variance of the
+/// motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoiseRatio(f64);
 
 impl NoiseRatio {
-    /// Both are as noisy: two sensors of a kind.
+    /// Equal noise: two sensors of the same type.
     pub const EQUAL: Self = Self(1.0);
 
-    /// From the two standard deviations of one sample, m/s²; `None` when either is not positive and
-    /// finite. A ratio beyond 10³ is taken as 10³.
+    /// From the standard deviations of one sample, m/s²; `None` when either is not positive and
+    /// finite. The ratio is limited to 10⁻³..=10³.
     pub fn new(output_sd_mps2: f64, reference_sd_mps2: f64) -> Option<Self> {
         let ratio = output_sd_mps2 / reference_sd_mps2;
         let sound = output_sd_mps2 > 0.0 && reference_sd_mps2 > 0.0 && ratio.is_finite();
@@ -57,46 +61,47 @@ impl Default for NoiseRatio {
     }
 }
 
-/// What tells how much of an axis's noise is whose.
+/// Source of the noise ratio of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NoiseFrom {
-    /// The ratio that was given.
+    /// The given ratio.
     Ratio,
-    /// Neighbouring samples, which share the motion and not the noise.
+    /// Lagged products: successive samples have the motion in common, but not the noise.
     Neighbours,
-    /// Nothing: the motion is too fast for the sample rate, or the noise not white. The scale factor
-    /// is somewhere between what it is if all noise is the reference's and if all is the output's; its
-    /// standard deviation includes that.
+    /// Unknown: the motion is too fast for the sample rate, or the noise is not white. The scale
+    /// factor is the mean of its bounds (all noise in the reference, all in the output), and its
+    /// standard deviation includes them.
     Bounds,
 }
 
-/// An axis of the output by those of the reference, y = b + A x, A being this axis's row.
+/// Regression of an axis of the output on the axes of the reference: y = b + A x, where A is the
+/// row of this axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Line {
     /// b, m/s².
     pub bias_mps2: f64,
-    /// Scale factor S, what it sees of its own axis.
+    /// Scale factor S, sensitivity to its own axis.
     pub scale: f64,
-    /// What it sees of X, Y, Z; 0 of an axis that is not fitted.
+    /// Sensitivity to X, Y, Z; 0 for an axis that is not fitted.
     pub row: [f64; 3],
-    /// Which of them are fitted: its own, and those that move on their own.
+    /// Fitted axes: its own, and those with independent motion.
     pub fitted: [bool; 3],
-    /// Covariance of b and the row. Of an axis that is not fitted, two sensors are taken to see 2 %
-    /// (1 σ), and what that makes of the others is in theirs; of one sensor, nothing.
+    /// Covariance of b and the row. For two sensors it includes the effect of axes that are not
+    /// fitted, with a cross-axis sensitivity of 2 % (1 σ).
     pub covariance: [[f64; 4]; 4],
-    /// Degrees of freedom of the standard deviations of b and of S: fewer where few parts of the motion
-    /// decide.
+    /// Degrees of freedom of the standard deviations of b and S: few if short parts of the motion
+    /// dominate.
     pub dof: [f64; 2],
-    /// What parted the noises.
+    /// Source of the noise ratio.
     pub noise_from: NoiseFrom,
 }
 
 impl Line {
-    /// Half widths of the 95 % intervals of b, m/s², and of S, Student's.
+    /// Half widths of the 95 % confidence intervals of b, m/s², and S, by Student's t.
     pub fn half_widths_95(&self) -> [f64; 2] {
-        // S is what an axis sees most of.
+        // The largest element is S.
         let own = (0..3).max_by(|&a, &b| self.row[a].abs().total_cmp(&self.row[b].abs()));
         let variances = [0, own.map_or(0, |own| 1 + own)].map(|i| self.covariance[i][i]);
         [0, 1].map(|i: usize| student::two_sided(0.05, self.dof[i]) * libm::sqrt(variances[i]))
@@ -107,44 +112,44 @@ impl Line {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisTransfer {
-    /// Mean of the reference, m/s²: where the offset holds.
+    /// Mean of the reference, m/s², at which the offset holds.
     pub at_mps2: f64,
-    /// Mean of output less reference, m/s².
+    /// Mean of output minus reference, m/s².
     pub offset_mps2: f64,
     /// Its standard deviation, m/s².
     pub offset_sd_mps2: f64,
-    /// Motion of the axis, m/s² rms about its mean, without noise.
+    /// Motion of the axis, m/s² rms about its mean, noise removed.
     pub motion_mps2: f64,
-    /// What the answer leaves of output less reference, m/s² rms.
+    /// Residual of output minus reference, m/s² rms.
     pub rms_mps2: f64,
-    /// What the axis sees of the other two of the reference, as a share, where that is beyond chance: the
-    /// streams' axes are not parallel.
-    pub seen_of: [f64; 3],
-    /// Bias and scale factor; `None` where the axis moved less than 0.5 m/s² rms, so that only
-    /// their sum, the offset, is known.
+    /// Significant sensitivity to the other axes of the reference: the axes of the streams are not
+    /// parallel.
+    pub cross_axis: [f64; 3],
+    /// Bias and scale factor; `None` if the axis moved less than 0.5 m/s² rms, so that only the
+    /// offset is observable.
     pub line: Option<Line>,
 }
 
-/// What a stream is against the reference.
+/// Result of a comparison with the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Transfer {
     /// X, Y, Z.
     pub axes: [AxisTransfer; 3],
-    /// Pairs of samples.
+    /// Number of sample pairs.
     pub samples: u64,
-    /// Pairs left out because a value was not finite.
+    /// Number of pairs with a value that is not finite.
     pub not_finite: u64,
     /// Degrees of freedom of the standard deviations, for Student's intervals.
     pub dof: usize,
 }
 
 impl Transfer {
-    /// The error model that makes the reference of the output; an axis of which only the offset is
-    /// known has scale factor 1 and the offset as bias.
+    /// The error model of the output with respect to the reference. An axis without
+    /// [`AxisTransfer::line`] has scale factor 1 and the offset as bias.
     ///
     /// # Errors
-    /// [`ModelError`] when that is no accelerometer's.
+    /// [`ModelError`] when the values are outside the bounds of an accelerometer.
     pub fn model(&self) -> Result<ErrorModel, ModelError> {
         let mut terms = ErrorTerms::default();
         for (axis, transfer) in self.axes.iter().enumerate() {
@@ -160,110 +165,10 @@ impl Transfer {
     }
 }
 
-/// Why two streams say nothing about each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum TransferRefusal {
-    /// Fewer pairs of samples than 8.
-    TooFewSamples {
-        /// How many there are.
-        have: u64,
-    },
-    /// The size of a stream cannot be that of specific force in m/s².
-    UnexpectedMagnitude {
-        /// Whether it is the reference's.
-        reference: bool,
-        /// Its root mean square, m/s² if the unit were right.
-        rms_mps2: f64,
-        /// What the numbers look like.
-        hint: UnitHint,
-    },
-    /// The axes move, but not together.
-    NotTheSameMotion {
-        /// 0 = X.
-        axis: usize,
-        /// Their correlation.
-        correlation: f64,
-    },
-    /// One part of the motion alone decides the scale factor.
-    OneMotionOnly {
-        /// 0 = X.
-        axis: usize,
-    },
-    /// A stream stops at one reading where the other goes on.
-    Saturated {
-        /// Whether it is the reference.
-        reference: bool,
-        /// 0 = X.
-        axis: usize,
-        /// The reading, m/s².
-        at_mps2: f64,
-        /// How many samples are at it.
-        samples: u64,
-    },
-}
-
-/// Streams correlated by less than this show the same motion with the other sign.
-const NEGATED: f64 = -0.9;
-
-impl fmt::Display for TransferRefusal {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = |axis: usize| ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
-        match *self {
-            Self::TooFewSamples { have } => write!(
-                out,
-                "{have} samples are on both streams, 8 are needed: record both at the same time"
-            ),
-            Self::UnexpectedMagnitude {
-                reference,
-                rms_mps2,
-                hint,
-            } => {
-                let which = if reference { "reference" } else { "output" };
-                write!(out, "the {which} is {rms_mps2:.4} rms, {hint}")
-            }
-            Self::NotTheSameMotion { axis, correlation } if correlation < NEGATED => write!(
-                out,
-                "axis {} of one stream is that of the other negated (correlated by {correlation:.2}): turn its \
-                 sign in one of them, or check how the sensors are mounted",
-                name(axis)
-            ),
-            Self::NotTheSameMotion { axis, correlation } => write!(
-                out,
-                "axis {} of the two streams is correlated by {correlation:.2} only: they show \
-                 different motions; check that samples are paired in time, and axes and their signs",
-                name(axis)
-            ),
-            Self::OneMotionOnly { axis } => write!(
-                out,
-                "all motion of axis {} is in one short part of the recording, which decides alone: \
-                 move it more than once, or hold it in several orientations",
-                name(axis)
-            ),
-            Self::Saturated {
-                reference,
-                axis,
-                at_mps2,
-                samples,
-            } => write!(
-                out,
-                "axis {} of the {} stops at {at_mps2:.3} m/s² in {samples} samples while the other goes \
-                 on: it is saturated; choose a larger range, or move it less",
-                name(axis),
-                if reference { "reference" } else { "output" }
-            ),
-        }
-    }
-}
-
-impl core::error::Error for TransferRefusal {}
-
-/// Takes pairs of samples and says what one stream is against the other, both noisy: of every axis
-/// that moves bias, scale factor and what it sees of the other two.
-/// Equations (50) and (51) of docs/EQUATIONS.md.
+/// Compares two noisy streams of the same motion: bias, scale factor and cross-axis sensitivity of
+/// every axis that moves. Equations (50) and (51) of docs/EQUATIONS.md.
 ///
-/// Memory is fixed, 40 KB: sums over blocks whose length grows with the data.
+/// Memory is fixed (45 KB): sums over blocks whose length grows with the recording.
 ///
 /// ```
 /// use wimu_calib::{NoiseRatio, ReferenceTransfer};
@@ -287,30 +192,25 @@ impl core::error::Error for TransferRefusal {}
 #[derive(Clone, Debug)]
 pub struct ReferenceTransfer {
     ratio: Option<NoiseRatio>,
-    /// Whether no axis sees another.
+    /// Whether cross-axis sensitivity is excluded.
     parallel: bool,
-    /// The first pair: sums are of what differs from it.
-    origin: Option<[[f64; 2]; 3]>,
+    /// The first pair: sums are of differences from it.
+    origin: Option<Pair>,
     recent: Recent,
-    blocks: [Sums; BLOCKS],
+    blocks: Blocks<Sums, BLOCKS>,
     ends: [Ends; 3],
-    /// Full blocks.
-    full: usize,
-    /// Samples of a full block, and of the one that is filled.
-    length: u64,
-    filled: u64,
     samples: u64,
     not_finite: u64,
 }
 
 impl ReferenceTransfer {
-    /// Nothing taken yet; the ratio of the noises is known.
+    /// An empty comparison with a known noise ratio.
     pub fn new(ratio: NoiseRatio) -> Self {
         Self::with(Some(ratio))
     }
 
-    /// Nothing taken yet; whose noise it is has to show: where motion is slow for the sample rate,
-    /// neighbouring samples share it and not the noise. [`Line::noise_from`] says whether they did.
+    /// An empty comparison that estimates the noise ratio from lagged products, which requires
+    /// motion that is slow for the sample rate. [`Line::noise_from`] says whether it did.
     pub fn of_unknown_noise() -> Self {
         Self::with(None)
     }
@@ -320,18 +220,15 @@ impl ReferenceTransfer {
             ratio,
             parallel: false,
             origin: None,
-            recent: Recent::none(),
-            blocks: [Sums::NONE; BLOCKS],
+            recent: Recent::new(),
+            blocks: Blocks::new(),
             ends: [Ends::none(); 3],
-            full: 0,
-            length: 1,
-            filled: 0,
             samples: 0,
             not_finite: 0,
         }
     }
 
-    /// Both streams are of one sensor, over two links: their axes are the same.
+    /// Declares that both streams come from one sensor over two links: their axes are identical.
     #[must_use]
     pub fn of_one_sensor(self) -> Self {
         Self {
@@ -340,45 +237,27 @@ impl ReferenceTransfer {
         }
     }
 
-    /// Takes the next sample of both streams, m/s², taken at the same time.
+    /// Adds a sample of both streams, m/s², taken at the same time.
     pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
         let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
         if !finite(reference_mps2) || !finite(output_mps2) {
             self.not_finite += 1;
-            self.recent = Recent::none();
+            self.recent.clear();
             return;
         }
-        let [x, y, z] = reference_mps2;
-        let [u, v, w] = output_mps2;
-        let pairs = [[x, u], [y, v], [z, w]];
-        let origin = *self.origin.get_or_insert(pairs);
-        if self.full == BLOCKS {
-            for k in 0..BLOCKS / 2 {
-                self.blocks[k] = self.blocks[2 * k].plus(&self.blocks[2 * k + 1], 1.0);
-            }
-            for block in self.blocks.iter_mut().skip(BLOCKS / 2) {
-                *block = Sums::NONE;
-            }
-            self.full = BLOCKS / 2;
-            self.length *= 2;
+        let pair = [reference_mps2, output_mps2].map(Vector3::from);
+        let origin = *self.origin.get_or_insert(pair);
+        let [x, y] = [pair[0] - origin[0], pair[1] - origin[1]];
+        for (axis, ends) in self.ends.iter_mut().enumerate() {
+            ends.take([x[axis], y[axis]]);
         }
-        let about = |axis: usize| [0, 1].map(|side: usize| pairs[axis][side] - origin[axis][side]);
-        let about = [0, 1, 2].map(about);
-        for (ends, pair) in self.ends.iter_mut().zip(about) {
-            ends.take(pair);
-        }
-        if let Some(block) = self.blocks.get_mut(self.full) {
-            block.take(about, &mut self.recent);
-            self.filled += 1;
-            if self.filled >= self.length {
-                self.full += 1;
-                self.filled = 0;
-            }
+        if let Some(block) = self.blocks.next(|a, b| a.plus(b, 1.0)) {
+            block.take([x, y], &mut self.recent);
         }
         self.samples += 1;
     }
 
-    /// What the pairs taken so far say.
+    /// The result for the pairs so far.
     ///
     /// # Errors
     /// [`TransferRefusal`].
@@ -386,10 +265,12 @@ impl ReferenceTransfer {
         let (Some(origin), FEWEST..) = (self.origin, self.samples) else {
             return Err(TransferRefusal::TooFewSamples { have: self.samples });
         };
-        let origin = origin.map(|pair| pair.map(Into::into));
-        let used = self.full + usize::from(self.filled > 0);
-        for (side, rms_mps2) in self.sizes(&origin, used).into_iter().enumerate() {
-            // Motion makes it larger than gravity by any factor that is not another unit's.
+        let all = self.all();
+        let central = all.central();
+        let sides = [(central.x, central.xx.diagonal()), (central.y, central.yy)];
+        for (side, (mean, variance)) in sides.into_iter().enumerate() {
+            let rms_mps2 = libm::sqrt((origin[side] + mean).norm_squared() + variance.sum());
+            // Motion increases it by any factor that does not indicate another unit.
             let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
             if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
                 return Err(TransferRefusal::UnexpectedMagnitude {
@@ -399,55 +280,49 @@ impl ReferenceTransfer {
                 });
             }
         }
-        let mut axes = [None; 3];
-        for (axis, found) in axes.iter_mut().enumerate() {
-            *found = Some(self.axis(axis, origin, used)?);
-        }
-        let [Some(x), Some(y), Some(z)] = axes else {
-            return Err(TransferRefusal::TooFewSamples { have: self.samples });
-        };
+        let axis = |axis| self.axis(axis, origin, &all);
         Ok(Transfer {
-            axes: [x, y, z],
+            axes: [axis(0)?, axis(1)?, axis(2)?],
             samples: self.samples,
             not_finite: self.not_finite,
-            dof: used - 1,
+            dof: self.blocks.all().len() - 1,
         })
     }
 
     fn axis(
         &self,
         axis: usize,
-        origins: [[f64; 2]; 3],
-        used: usize,
+        origins: Pair,
+        all: &Sums,
     ) -> Result<AxisTransfer, TransferRefusal> {
-        let origin = origins[axis];
-        let all = self.all(used);
-        let without = || {
-            let blocks = self.blocks.iter().take(used);
-            blocks.map(|block| all.plus(block, -1.0))
-        };
+        let origin = origins.map(|origin| origin[axis]);
+        let blocks = self.blocks.all().iter();
         let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
         let delta = ratio * ratio;
-        let spread = all.spread();
+        let spread = all.central();
         let moments = spread.axis(axis);
         let offset = origin[1] - origin[0] + moments.y - moments.x;
-        let mut offset_sd = Jackknife::<1>::default();
-        for sums in without() {
-            let left = sums.axis(axis).moments();
-            offset_sd.take([left.y - left.x]);
+        // Jackknife over the blocks: equation (51).
+        let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
+        for block in blocks.clone() {
+            let rest = all.plus(block, -1.0).axis(axis).moments();
+            let step = rest.y - rest.x - mean;
+            count += 1.0;
+            mean += step / count;
+            squares += step * (rest.y - rest.x - mean);
         }
         let slope = moments.slope(delta);
         let motion = slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0)));
         let mut transfer = AxisTransfer {
             at_mps2: origin[0] + moments.x,
             offset_mps2: offset,
-            offset_sd_mps2: libm::sqrt(offset_sd.covariance()[0][0]),
+            offset_sd_mps2: libm::sqrt((count - 1.0) / count * squares),
             motion_mps2: motion,
             rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
-            seen_of: [0.0; 3],
+            cross_axis: [0.0; 3],
         };
-        // What moves at all decides whether the streams can be compared.
+        // Without motion the streams cannot be compared.
         let moves = libm::sqrt(moments.xx.max(moments.yy / delta.max(1.0))) >= LEAST_MOTION_MPS2;
         if !moves {
             return Ok(transfer);
@@ -467,25 +342,25 @@ impl ReferenceTransfer {
         let fitting = Fitting::new(axis, origins, &spread, LEAST_MOTION_MPS2, self.parallel);
         let how = match self.ratio {
             Some(_) => How::Deming(delta),
-            None => fitting.how(&all),
+            None => fitting.how(all),
         };
         let refusal = TransferRefusal::OneMotionOnly { axis };
-        let row = fitting.find(&all, how).ok_or(refusal)?;
-        let blocks = self.blocks.iter().take(used).map(|block| {
+        let row = fitting.find(all, how).ok_or(refusal)?;
+        let blocks = blocks.map(|block| {
             let left = all.plus(block, -1.0);
             let moves = left.axis(axis).moments().xx > moments.xx * 0.1;
             (*block, fitting.find(&left, how).filter(|_| moves))
         });
-        let (scatter, dof) = fitting.scatter(&row, &all, blocks).ok_or(refusal)?;
+        let (scatter, dof) = fitting.scatter(&row, all, blocks).ok_or(refusal)?;
         let mut covariance = scatter;
         fitting
-            .add_unseen(&mut covariance, &all, how, self.parallel)
+            .add_unseen(&mut covariance, all, how, self.parallel)
             .ok_or(refusal)?;
         let sees = [1, 2, 3].map(|i: usize| row[i]);
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
             let variance = scatter[(1 + other, 1 + other)];
             if sees[other].abs() > SEEN_DEVIATIONS * libm::sqrt(variance) + 1e-6 {
-                transfer.seen_of[other] = sees[other];
+                transfer.cross_axis[other] = sees[other];
             }
         }
         transfer.rms_mps2 = libm::sqrt(fitting.left(&spread, &sees.into()).max(0.0));
@@ -507,24 +382,8 @@ impl ReferenceTransfer {
     }
 
     /// Sums over all blocks.
-    fn all(&self, used: usize) -> Sums {
-        let blocks = self.blocks.iter().take(used);
-        blocks.fold(Sums::NONE, |sums, block| sums.plus(block, 1.0))
-    }
-
-    /// Root mean square of the reference and of the output, m/s².
-    fn sizes(&self, origins: &[[f64; 2]; 3], used: usize) -> [f64; 2] {
-        let spread = self.all(used).spread();
-        let mut squares = [0.0; 2];
-        for (axis, origin) in origins.iter().enumerate() {
-            let m = spread.axis(axis);
-            for (square, (mean, spread)) in squares
-                .iter_mut()
-                .zip([(origin[0] + m.x, m.xx), (origin[1] + m.y, m.yy)])
-            {
-                *square += mean * mean + spread;
-            }
-        }
-        squares.map(libm::sqrt)
+    fn all(&self) -> Sums {
+        let blocks = self.blocks.all().iter();
+        blocks.fold(Sums::default(), |sums, block| sums.plus(block, 1.0))
     }
 }

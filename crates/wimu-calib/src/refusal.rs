@@ -1,21 +1,22 @@
-//! Why there is no answer, and what to do about it.
+//! Reasons why poses do not support an estimate, and what to do.
 
 use core::fmt;
 
 use wimu_model::ModelError;
 
+use crate::orientation::axis_name;
 use crate::{Face, Model, Orientation, Parameters, Term, Terms};
 
-/// Why the poses do not support an answer.
+/// Why the poses do not support an estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Refusal {
     /// Fewer poses than the model needs.
     TooFewPoses {
-        /// How many there are.
+        /// Number of poses.
         have: usize,
-        /// How many are needed.
+        /// Required number of poses.
         need: usize,
         /// The model asked for.
         model: Model,
@@ -24,7 +25,7 @@ pub enum Refusal {
     },
     /// No pose has this side up.
     PoseMissing {
-        /// Which side.
+        /// The side.
         face: Face,
     },
     /// A pose has a value that is infinite or not a number.
@@ -36,7 +37,7 @@ pub enum Refusal {
     UnexpectedMagnitude {
         /// The mean of |y|, m/s² if the unit were right.
         mean_mps2: f64,
-        /// What the numbers look like.
+        /// The probable unit.
         hint: UnitHint,
     },
     /// The poses do not determine some parameters.
@@ -45,72 +46,72 @@ pub enum Refusal {
         model: Model,
         /// The parameters that are poorly determined.
         parameters: Parameters,
-        /// The terms that are.
+        /// The terms that are poorly determined.
         terms: Terms,
         /// Condition of the Jacobian, its parameters scaled to m/s² at 1 g.
         condition: f64,
-        /// How much an error in the poses grows in the worst orientation.
+        /// Amplification of an error from the poses to the worst orientation.
         amplification: f64,
         /// A pose in this orientation would help most.
         add: Orientation,
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
-    /// What the model leaves out, as large as it usually is, would pass for what it fits.
+    /// Typical values of the parameters that the model leaves out would bias those it fits.
     Confounded {
         /// The model asked for.
         model: Model,
         /// The parameters that are not determined.
         parameters: Parameters,
-        /// The terms that are not.
+        /// The terms that are not determined.
         terms: Terms,
         /// A pose in this orientation would help most.
         add: Orientation,
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
-    /// An axis reads the same in every pose, though the others turn.
+    /// An axis has the same reading in every pose, although the others change.
     AxisStuck {
         /// 0 = X.
         axis: usize,
     },
-    /// Poses end at one and the same reading of an axis: its limit.
+    /// An axis is clipped in several poses.
     Saturated {
         /// 0 = X.
         axis: usize,
     },
-    /// Nothing in the poses tells of a term: they have no times or temperatures, or all the same.
-    TermNotShown {
+    /// A term is not observable: the poses have no times or temperatures, or equal ones.
+    TermNotObservable {
         /// The term asked for.
         term: Term,
     },
-    /// Poses are not successive steps of turns about a level axis.
+    /// Poses are not successive steps of rotations about a horizontal axis.
     NotATurn {
-        /// Index of the first pose of the turn.
+        /// Index of the first pose of the rotation.
         pose: usize,
-        /// Steps of a turn: 3 or 4.
+        /// Steps of a rotation: 3 or 4.
         steps: usize,
     },
-    /// The steps of a turn were not equal.
+    /// The steps of a rotation are unequal.
     StepsUnequal {
-        /// Index of the first pose of the turn.
+        /// Index of the first pose of the rotation.
         pose: usize,
-        /// Steps of a turn: 3 or 4.
+        /// Steps of a rotation: 3 or 4.
         steps: usize,
-        /// How unequal, rad rms, at the least.
+        /// Lower bound on the step error, rad rms.
         off_rad: f64,
     },
-    /// A turn was not about a level axis, or not about one of the sensor's.
+    /// The axis of rotation is not horizontal, or not an axis of the sensor.
     TurnTilted {
-        /// Index of the first pose of the turn.
+        /// Index of the first pose of the rotation.
         pose: usize,
-        /// Steps of a turn: 3 or 4.
+        /// Steps of a rotation: 3 or 4.
         steps: usize,
-        /// How far, rad; where it may be the bias of the axis turned about, what that would be in g.
+        /// Tilt, rad; if it may be bias, the bias in g.
         off_rad: f64,
     },
-    /// Left-out poses are predicted far worse than the fitted ones are fitted: some pose decides
-    /// alone, and nothing would show an error in it.
+    /// The leave-one-out error is much larger than the residuals: a single pose dominates the fit,
+    /// and an error in it would not show.
     PoorPrediction {
         /// The model asked for.
         model: Model,
@@ -118,83 +119,83 @@ pub enum Refusal {
         loo_rms_mps2: f64,
         /// In-sample error, m/s² rms.
         rms_mps2: f64,
-        /// The pose that the others predict worst, its index.
+        /// Index of the pose with the largest leave-one-out error.
         pose: usize,
         /// The largest smaller model that these poses do support, if one.
         instead: Option<Model>,
     },
-    /// The others contradict a pose beyond chance, and cannot spare it, or another could be the bad one
-    /// as well.
+    /// A pose is an outlier, but cannot be rejected: too few remain, or another one may be the
+    /// outlier.
     PoseContradicted {
-        /// The pose that fits worst to the others, its index.
+        /// Index of the pose with the largest residual.
         pose: usize,
-        /// Another one without which the rest would agree as well.
+        /// Another pose that may be the outlier instead.
         or: Option<usize>,
-        /// |f| − g of the pose under the model fitted without it, m/s².
+        /// Residual of the pose under the model fitted without it, m/s².
         off_mps2: f64,
     },
-    /// No error model makes these poses of one magnitude.
+    /// No error model fits the poses.
     PoorFit {
         /// In-sample error, m/s² rms.
         rms_mps2: f64,
         /// The pose that fits worst, its index.
         pose: usize,
     },
-    /// The fit found no minimum.
+    /// The fit did not converge.
     NotConverged,
-    /// Some poses are nine to eleven times shorter than others: g among m/s².
+    /// Some poses are in g, the others in m/s².
     MixedUnits {
         /// Index of the first of them.
         pose: usize,
     },
-    /// The result is no accelerometer's error model.
+    /// A parameter is outside the bounds of an accelerometer.
     OutOfBounds(ModelError),
-    /// What was noted makes the sensor left-handed.
+    /// The recorded sides describe a left-handed sensor.
     Mirrored,
-    /// Every axis that was said to be up reads down.
+    /// Every axis recorded as up reads down.
     Inverted,
-    /// A pose reads another side up than was noted.
+    /// The readings of a pose show another side up than was recorded.
     AxesSwapped {
-        /// The side that was said to be up.
+        /// The recorded side.
         face: Face,
         /// The side that reads up.
         reads: Face,
     },
-    /// A pose that was said to have an axis upright has none.
+    /// A pose recorded with a vertical axis has none.
     NotUpright {
-        /// The side that was said to be up.
+        /// The recorded side.
         face: Face,
     },
-    /// The six sides were not at right angles.
+    /// The placement error of the six sides is too large.
     NotSquared {
-        /// The placement error that the poses show, rad rms.
+        /// Placement error, rad rms.
         placement_rad: f64,
     },
 }
 
-/// What numbers that are not m/s² look like.
+/// The probable unit of values that are not m/s².
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum UnitHint {
     /// g.
     G,
-    /// m/s² that were multiplied by 9.80665 once more.
+    /// m/s² multiplied by 9.80665 again.
     Mps2TakenForG,
     /// mg, or counts of a sensor with about 1000 LSB/g.
     MilliGOrCounts,
     /// Raw counts.
     Counts,
-    /// Nothing that is gravity in any known unit.
+    /// Not gravity in any known unit.
     NotGravity,
 }
 
-/// What it looks like, and what to do.
+/// The probable unit, and what to do.
 impl fmt::Display for UnitHint {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::G => "which looks like g, not m/s²: multiply by 9.80665",
             Self::Mps2TakenForG => {
-                "which looks like m/s² that were taken for g: say m/s² where it says g; or the \
+                "which looks like m/s² taken for g: declare the unit as m/s²; or the \
                  sensitivity is ten times too small"
             }
             Self::MilliGOrCounts => {
@@ -228,7 +229,7 @@ impl fmt::Display for Refusal {
             } => {
                 write!(
                     out,
-                    "{have} static pose{}, the {model} needs {need} at the least: add poses in other \
+                    "{have} static pose{}, the {model} needs at least {need}: add poses in other \
                      orientations",
                     if have == 1 { "" } else { "s" }
                 )?;
@@ -255,8 +256,8 @@ impl fmt::Display for Refusal {
                 undetermined(out, model, parameters, terms)?;
                 write!(
                     out,
-                    "scale factors and misalignments as they usually are, which it leaves out, would \
-                     pass for them; add a pose with {add}, and others unlike those you have"
+                    "typical scale factors and misalignments, which it leaves out, would bias them; \
+                     add a pose with {add}, and others unlike those you have"
                 )?;
                 smaller(out, instead)
             }
@@ -288,18 +289,18 @@ impl fmt::Display for Refusal {
             Self::AxisStuck { axis } => write!(
                 out,
                 "axis {} reads the same in every pose: it is dead or stuck at full scale, or was \
-                 never turned; check it, and hold it up and down",
+                 never rotated; check it, and hold it up and down",
                 axis_name(axis)
             ),
             Self::Saturated { axis } => write!(
                 out,
-                "axis {} stops at one reading in some poses: it is saturated; choose a larger \
-                 range and take the poses again",
+                "axis {} stops at one reading in several poses: it is saturated; choose a \
+                 larger range and repeat the poses",
                 axis_name(axis)
             ),
-            Self::TermNotShown { term } => write!(
+            Self::TermNotObservable { term } => write!(
                 out,
-                "nothing tells of {term}: {}",
+                "the term {term} is not observable: {}",
                 match term {
                     Term::Drift => "the poses have no times, or all the same",
                     _ => "a pose has no temperature, or all have the same within 1 K: warm or cool the sensor \
@@ -308,7 +309,7 @@ impl fmt::Display for Refusal {
             ),
             Self::NotATurn { pose, steps } => write!(
                 out,
-                "poses {pose} to {} (from 0) are not {steps} steps of {}° about a level axis: turn \
+                "poses {pose} to {} (from 0) are not {steps} steps of {}° about a horizontal axis: rotate \
                  about one axis of the sensor, in one direction, and hold it still at each step",
                 pose + steps - 1,
                 360 / steps.max(1)
@@ -319,8 +320,9 @@ impl fmt::Display for Refusal {
                 off_rad,
             } => write!(
                 out,
-                "poses {pose} to {} (from 0): the steps are {:.0}° from {}° each, rms, or more; turn by a \
-                 square or a protractor, or use multi-position, which needs no known orientation",
+                "poses {pose} to {} (from 0): the steps are at least {:.0}° rms from equal steps of {}°; turn \
+                 the sensor by a square or a protractor, or use multi-position, which needs no known \
+                 orientation",
                 pose + steps - 1,
                 off_rad.to_degrees(),
                 360 / steps.max(1)
@@ -331,9 +333,9 @@ impl fmt::Display for Refusal {
                 off_rad,
             } => write!(
                 out,
-                "poses {pose} to {} (from 0): by what the axis turned about reads, it is {:.0}° from level \
-                 or from the axis of rotation; square the sensor and level the axis, or use multi-position, \
-                 which needs neither",
+                "poses {pose} to {} (from 0): according to the reading of the axis of rotation, it is {:.0}° \
+                 from level or from the axis of the sensor; square the sensor and level the axis, or use multi-position, which \
+                 needs neither",
                 pose + steps - 1,
                 off_rad.to_degrees()
             ),
@@ -350,13 +352,13 @@ impl fmt::Display for Refusal {
                     rms_mps2 * 1e3
                 )?;
                 if loo_rms_mps2.is_finite() {
-                    write!(out, "predicts one left out to {:.2} only", loo_rms_mps2 * 1e3)?;
+                    write!(out, "predicts a pose left out only to {:.2}", loo_rms_mps2 * 1e3)?;
                 } else {
-                    out.write_str("cannot predict one left out")?;
+                    out.write_str("cannot predict a pose left out")?;
                 }
                 write!(
                     out,
-                    ": pose {pose} (from 0) decides alone; add poses in other orientations, unlike \
+                    ": pose {pose} (from 0) dominates the fit; add poses in other orientations, unlike \
                      those you have"
                 )?;
                 smaller(out, instead)
@@ -364,15 +366,15 @@ impl fmt::Display for Refusal {
             Self::PoseContradicted { pose, or, off_mps2 } => {
                 write!(
                     out,
-                    "pose {pose} (from 0) is {:.0} mm/s² from what the others say, which is no chance",
+                    "pose {pose} (from 0) is {:.0} mm/s² from the fit of the others, which is significant",
                     off_mps2.abs() * 1e3
                 )?;
                 if let Some(other) = or {
-                    write!(out, "; or pose {other} is the bad one, which too few poses tell apart")?;
+                    write!(out, "; or pose {other} is the outlier, too few poses distinguish them")?;
                 }
                 out.write_str(
-                    ": the sensor was moved, touched or at its limit then; hold it so again, or leave that \
-                     pose out, and add two in other orientations",
+                    ": the sensor was moved, touched or saturated there; repeat that pose, or leave it \
+                     out, and add two in other orientations",
                 )
             }
             Self::PoorFit { rms_mps2, pose } => write!(
@@ -382,7 +384,7 @@ impl fmt::Display for Refusal {
                 rms_mps2 * 1e3
             ),
             Self::NotConverged => out.write_str(
-                "no error model makes these poses of one magnitude: check that the sensor was still, \
+                "no error model gives these poses equal magnitude: check that the sensor was still, \
                  not saturated, and that every axis works",
             ),
             Self::MixedUnits { pose } => write!(
@@ -391,38 +393,34 @@ impl fmt::Display for Refusal {
             ),
             Self::OutOfBounds(error) => write!(
                 out,
-                "the result is no accelerometer's: {error}; check the unit, the sensitivity and that \
+                "the result is not plausible for an accelerometer: {error}; check the unit, the sensitivity and that \
                  no pose is saturated or moving"
             ),
             Self::Mirrored => out.write_str(
-                "the orientations noted make the sensor left-handed: the sides of one axis were \
-                 mixed up, or the driver negates or swaps an axis",
+                "the recorded orientations describe a left-handed sensor: the sides of one axis were \
+                 exchanged, or the driver negates or swaps an axis",
             ),
             Self::Inverted => out.write_str(
-                "every axis noted as up reads down: the output is minus the specific force; negate \
-                 it, or note the side that is down",
+                "every axis recorded as up reads down: the output is minus the specific force; negate \
+                 it, or record the opposite side",
             ),
             Self::AxesSwapped { face, reads } => write!(
                 out,
-                "a pose noted as {face} reads {reads}: check which side was up, and that the driver \
+                "a pose recorded as {face} reads {reads}: check which side was up, and that the driver \
                  keeps the axes in order"
             ),
             Self::NotUpright { face } => write!(
                 out,
-                "a pose noted as {face} has no axis within 20° of upright: take it again"
+                "a pose recorded as {face} has no axis within 20° of the vertical: repeat it"
             ),
             Self::NotSquared { placement_rad } => write!(
                 out,
-                "the six sides are {:.1}° from square: use a box with square corners, or \
+                "the placement error of the six sides is {:.1}°: use a box with square corners, or \
                  multi-position, which needs no known orientation",
                 placement_rad.to_degrees()
             ),
         }
     }
-}
-
-fn axis_name(axis: usize) -> &'static str {
-    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
 }
 
 fn undetermined(
@@ -447,8 +445,7 @@ fn smaller(out: &mut fmt::Formatter<'_>, instead: Option<Model>) -> fmt::Result 
 }
 
 impl Refusal {
-    /// Tells which smaller model the poses support, where one might mend it: the first that `supported`
-    /// answers yes to.
+    /// Adds the largest smaller model that `supported` accepts.
     pub(crate) fn advise(mut self, supported: impl Fn(Model) -> bool) -> Self {
         if let Self::TooFewPoses { model, instead, .. }
         | Self::NotObservable { model, instead, .. }

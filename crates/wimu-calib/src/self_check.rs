@@ -1,25 +1,27 @@
-//! Does a stored calibration still hold? The recursive form: equation (48).
+//! Verification and recursive update of a stored calibration: equation (48).
 
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
+use crate::force;
+use crate::linear::{double, real};
 use crate::terms::{self, Theta};
 use crate::{Covariance, Gravity, Parameter, Pose, Scalar};
 
-/// What makes a calibration age, as standard deviations.
+/// Standard deviations of the changes of a sensor since its calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ageing {
-    /// By how much the bias differs from one run to the next, m/s² an axis.
+    /// Turn-on bias repeatability, m/s² per axis.
     pub turn_on_mps2: f64,
-    /// By how much the bias moves with temperature beyond what the model says, m/s² per K an axis.
+    /// Bias temperature sensitivity beyond the model, m/s² per K per axis.
     pub per_kelvin_mps2: f64,
-    /// What differs from pose to pose and is no noise, m/s².
+    /// Deviation between poses besides noise, m/s².
     pub pose_mps2: f64,
 }
 
 impl Default for Ageing {
-    /// 15 mm/s² from run to run (ten to twenty were seen on MPU-9150), 5 mm/s² per K (½ mg, as
-    /// datasheets have it), 3 mm/s² from pose to pose.
+    /// Turn-on bias 15 mm/s² (MPU-9150: 10 to 20), 5 mm/s² per K (½ mg, from datasheets), 3 mm/s²
+    /// between poses.
     fn default() -> Self {
         Self {
             turn_on_mps2: 0.015,
@@ -29,14 +31,14 @@ impl Default for Ageing {
     }
 }
 
-/// How uncertain it is what the bias does with temperature.
+/// Uncertainty of the temperature dependence of the bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Slopes {
-    /// Standard deviation of the model's slopes, m/s² per K, within the temperatures they were seen at.
+    /// Standard deviation of the slopes, m/s² per K, within the calibrated temperatures `seen_c`.
     sd: [f64; 3],
     seen_c: [f64; 2],
-    /// The same elsewhere.
+    /// Standard deviation outside them.
     beyond: f64,
 }
 
@@ -49,7 +51,7 @@ impl Slopes {
         }
     }
 
-    /// Grows with temperature by what becomes uncertain of the bias, m/s².
+    /// Integral of the standard deviation over temperature, m/s².
     fn at(&self, axis: usize, celsius: f64) -> f64 {
         let [low, high] = self.seen_c;
         let within = celsius.max(low).min(high);
@@ -58,7 +60,7 @@ impl Slopes {
     }
 }
 
-/// A run of temperatures in one direction: within it what slopes are off by adds up.
+/// A monotonic temperature change, within which the slope error accumulates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Warming {
@@ -74,7 +76,8 @@ impl Warming {
         }
     }
 
-    /// Goes on to `now`, or begins anew where it turns back; the temperature before.
+    /// Moves to `now`, or starts again when the direction changes. Returns the previous
+    /// temperature.
     fn to(&mut self, now: f64) -> f64 {
         let before = self.last_c;
         if (now - before) * (before - self.began_c) < 0.0 {
@@ -85,32 +88,32 @@ impl Warming {
     }
 }
 
-/// What a pose says about a calibration.
+/// Result of a check with one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Check {
-    /// |f| − g before the pose was taken into account, m/s².
+    /// Residual |f| − g before the update, m/s².
     pub residual_mps2: f64,
-    /// Its standard deviation if the calibration holds, m/s².
+    /// Standard deviation of the residual if the calibration holds, m/s².
     pub expected_sd_mps2: f64,
-    /// Whether it holds as far as this pose tells: a good calibration fails once in a thousand
-    /// poses. A pose that contradicts changes nothing.
+    /// Whether the calibration holds at this pose: significance level 10⁻³. A pose that contradicts
+    /// it is not used for the update.
     pub holds: bool,
 }
 
-/// Normal deviate of that chance.
+/// Quantile of the normal distribution, two-sided, 10⁻³.
 const MOST_DEVIATIONS: f64 = 3.2905;
 
-/// A stored calibration that is checked, and brought up to date, by every rest.
+/// A stored calibration that is verified and updated at every rest.
 ///
-/// With the default ageing, of 1000 runs of twelve rests each that differ by 15 mm/s² an axis from the
-/// calibration, 0.8 % contradict it at a rest and none at two in a row, which is when a device tells.
-/// Once six rests of a run are in, a bias that jumps by 20 mm/s² is contradicted in 72 % of the runs by
-/// the next six and told by a device in 25 %, by 30 in 96 and 67 %, by 50 in 100 and 92 %; by 10 mm/s²,
-/// as the next run may differ anyway, in 9 and 0.4 %.
+/// Measured with the default ageing, 1000 runs of twelve rests, turn-on bias 15 mm/s² per axis: 0.8
+/// % of the runs contradict the calibration at a rest, none at two successive rests, which a device
+/// requires for a report. A bias step after six rests is contradicted within the next six, and
+/// reported by a device, in 9 and 0.4 % of the runs for 10 mm/s², in 72 and 25 % for 20, in 96 and
+/// 67 % for 30, and in 100 and 92 % for 50.
 ///
-/// `SelfCheck<f32>` holds its parameters and their covariance in f32: half the memory, and no f64 in
-/// what a rest asks for but a few numbers. It says the same to 0.005 of a standard deviation.
+/// `SelfCheck<f32>` stores parameters and covariance in f32: half the memory, and few f64
+/// operations at a rest. Results agree to 0.005 standard deviations.
 ///
 /// ```
 /// use wimu_calib::{Ageing, Covariance, Gravity, Pose, SelfCheck};
@@ -123,7 +126,7 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 /// assert!(check.push(&at_rest).is_some_and(|check| check.holds));
 /// let knocked = Pose::from_mean([0.0, 0.010, 9.950]);
 /// assert!(check.push(&knocked).is_some_and(|check| !check.holds));
-/// // What the rest told is in the model from now on.
+/// // The rest updated the model.
 /// assert!(check.model()?.terms().bias_mps2[2] > 0.0);
 /// # Ok::<(), wimu_model::ModelError>(())
 /// ```
@@ -132,7 +135,7 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 pub struct SelfCheck<R: Scalar = f64> {
     stored: ErrorModel,
     theta: Theta<R>,
-    /// That of gravity taken out.
+    /// Without the uncertainty of gravity.
     covariance: [[R; Parameter::COUNT]; Parameter::COUNT],
     gravity: Gravity,
     ageing: Ageing,
@@ -144,8 +147,8 @@ pub struct SelfCheck<R: Scalar = f64> {
 
 impl SelfCheck {
     /// A check of `stored`, whose 12 parameters have `covariance` (in the order of
-    /// [`Parameter::ALL`]), made at `gravity` and used there: what is not known of gravity is in
-    /// the covariance and is taken out of it again, because it changes no |f| − g.
+    /// [`Parameter::ALL`]), calibrated and used at `gravity`. The uncertainty of gravity is removed
+    /// from the covariance, because it does not affect |f| − g.
     pub fn new(
         stored: &ErrorModel,
         covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
@@ -153,22 +156,6 @@ impl SelfCheck {
         ageing: Ageing,
     ) -> Self {
         Self::start(stored, covariance, gravity, ageing)
-    }
-
-    /// A check of what a device holds; `None` where the set does not say how good it is.
-    ///
-    /// Where its model has a temperature term of the bias, what ages with temperature is that term's
-    /// uncertainty, as far as it was seen; beyond those temperatures, and without a term, it is
-    /// [`Ageing::per_kelvin_mps2`].
-    pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
-        Self::start_of(set, gravity, ageing)
-    }
-}
-
-impl SelfCheck<f32> {
-    /// [`SelfCheck::of`] in f32.
-    pub fn of_f32(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
-        Self::start_of(set, gravity, ageing)
     }
 }
 
@@ -188,8 +175,8 @@ impl<R: Scalar> SelfCheck<R> {
         }
         Self {
             stored: *stored,
-            theta: theta.map(R::of),
-            covariance: covariance.matrix().map(|row| row.map(R::of)),
+            theta: theta.map(real),
+            covariance: covariance.matrix().map(|row| row.map(real)),
             gravity,
             ageing,
             slopes: Slopes::unknown(ageing.per_kelvin_mps2),
@@ -199,7 +186,12 @@ impl<R: Scalar> SelfCheck<R> {
         }
     }
 
-    fn start_of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
+    /// A check of the calibration that a device stores; `None` if it has no quality record.
+    ///
+    /// If its model has a temperature term of the bias, the ageing with temperature is the standard
+    /// deviation of that term within the calibrated temperatures. Outside them, and without such a
+    /// term, it is [`Ageing::per_kelvin_mps2`].
+    pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         let quality = set.quality.as_ref()?.terms();
         let mut check = Self::start(&set.model, &quality.covariance.matrix(), gravity, ageing);
         check.warming = quality
@@ -217,7 +209,8 @@ impl<R: Scalar> SelfCheck<R> {
         Some(check)
     }
 
-    /// Takes a rest into account. `None` where it is no pose: not finite, or nowhere near gravity.
+    /// Checks a rest and updates the model. `None` if the pose is not finite, or |f| differs from
+    /// gravity by more than half.
     pub fn push(&mut self, pose: &Pose) -> Option<Check> {
         let terms = self.stored.terms().temperature;
         let celsius = pose.temperature_c.filter(|celsius| celsius.is_finite());
@@ -227,11 +220,12 @@ impl<R: Scalar> SelfCheck<R> {
             output[axis] -= terms.bias_mps2_per_k2[axis] * warmer * warmer;
         }
         let g = self.gravity.mps2();
-        let (force, row) =
-            R::magnitude(&self.theta, output.map(R::of), R::of(warmer)).filter(|(force, _)| {
-                let force: f64 = (*force).into();
+        let (force, row) = force::magnitude(&self.theta, output.map(real), real(warmer)).filter(
+            |(force, _)| {
+                let force = double(*force);
                 (0.5 * g..1.5 * g).contains(&force)
-            })?;
+            },
+        )?;
 
         if let Some(now) = celsius {
             let warming = self.warming.get_or_insert(Warming::from(now));
@@ -242,28 +236,28 @@ impl<R: Scalar> SelfCheck<R> {
                     by * by
                 };
                 let more = moved(warming.began_c, now) - moved(warming.began_c, before);
-                self.covariance[axis][axis] += R::of(more.max(0.0));
+                self.covariance[axis][axis] += real(more.max(0.0));
             }
         }
 
-        let residual = force - R::of(g);
+        let residual = force - real(g);
         let product = |a: &[R; Parameter::COUNT]| {
-            let mut sum = R::default();
+            let mut sum = R::zero();
             for (a, b) in a.iter().zip(&row) {
                 sum += *a * *b;
             }
             sum
         };
         let along: [R; Parameter::COUNT] = core::array::from_fn(|i| product(&self.covariance[i]));
-        let known: f64 = product(&along).into();
+        let known = double(product(&along));
         let apart = self.ageing.pose_mps2 * self.ageing.pose_mps2 + pose.mean_noise();
         let variance = known + apart;
         let expected = libm::sqrt(variance);
-        let residual_mps2: f64 = residual.into();
+        let residual_mps2 = double(residual);
         let holds = residual_mps2.abs() <= MOST_DEVIATIONS * expected;
         self.poses = self.poses.saturating_add(1);
         if holds && variance > 0.0 {
-            let per_variance = R::of(1.0 / variance);
+            let per_variance = real(1.0 / variance);
             let gain = along.map(|along| along * per_variance);
             for (theta, gain) in self.theta.iter_mut().zip(gain) {
                 *theta -= gain * residual;
@@ -283,33 +277,32 @@ impl<R: Scalar> SelfCheck<R> {
         })
     }
 
-    /// How many poses were taken.
+    /// Number of poses.
     pub fn poses(&self) -> u32 {
         self.poses
     }
 
-    /// How many of them contradicted the calibration.
+    /// Number of poses that contradicted the calibration.
     pub fn contradictions(&self) -> u32 {
         self.contradictions
     }
 
-    /// The model brought up to date.
+    /// The updated model.
     ///
     /// # Errors
-    /// [`ModelError`] when that is no accelerometer's any more.
+    /// [`ModelError`] when a parameter is outside the bounds of an accelerometer.
     pub fn model(&self) -> Result<ErrorModel, ModelError> {
         let mut updated = *self.stored.terms();
-        let theta = self.theta.map(Into::into);
+        let theta = self.theta.map(double);
         updated.bias_mps2 = terms::bias(&theta);
         updated.matrix = terms::matrix(&theta);
         ErrorModel::new(updated)
     }
 
-    /// Covariance of its 12 parameters, that of gravity included.
+    /// Covariance of the 12 parameters, including the uncertainty of gravity.
     pub fn covariance(&self) -> Covariance {
-        let mut covariance =
-            Covariance::from_matrix(&self.covariance.map(|row| row.map(Into::into)));
-        covariance.add_gravity(&self.theta.map(Into::into), self.gravity);
+        let mut covariance = Covariance::from_matrix(&self.covariance.map(|row| row.map(double)));
+        covariance.add_gravity(&self.theta.map(double), self.gravity);
         covariance
     }
 }

@@ -1,38 +1,38 @@
-//! A live calibration: which way to turn the sensor next, and when a pose is taken.
+//! Live calibration: recommended orientations and captured poses.
 
 use crate::{Guide, Model, Orientation, Pose, PoseFinder};
 
-/// A hold this long is a pose, s.
+/// Duration of a hold that is captured as a pose, s.
 const CAPTURE_S: f64 = 1.5;
-/// A hold within 2° of gravity, m/s², of the last pose is that pose again.
+/// Distance below which a hold repeats the last pose, m/s²: 2° of gravity.
 const SAME_POSE_MPS2: f64 = 0.34;
 
-/// What a [`Session`] waits for, or has.
+/// State of a [`Session`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Phase {
-    /// The sensor moves: put it down as [`Session::next`] says, or in any other way, and hold it
-    /// still.
-    WaitingForStillness,
-    /// It is held still: this many samples so far.
+    /// The sensor moves: put it down as [`Session::next`] recommends, or in any other orientation,
+    /// and hold it still.
+    WaitingForRest,
+    /// The sensor is at rest.
     Collecting {
         /// Samples of the hold.
         samples: u32,
     },
-    /// With this sample a pose was taken, [`Session::poses`] holds it at this index; longer holding
-    /// makes it better.
+    /// A pose was captured with this sample; [`Session::poses`] holds it at this index. Holding
+    /// longer improves it.
     Captured {
         /// Its index.
         pose: usize,
     },
-    /// The pose is taken: turn the sensor on.
+    /// The pose is captured: move the sensor to another orientation.
     WaitingForMotion,
-    /// There are poses enough, or there is no room for more.
+    /// Enough poses were captured, or there is no room for more.
     Done,
 }
 
-/// Takes the samples of a sensor that is turned by hand and says what to do, until there are
-/// poses enough for a calibration; room for `POSES` of them.
+/// Captures the poses of a sensor that is turned by hand, and recommends orientations, until there
+/// are enough for a calibration; room for `POSES` of them.
 ///
 /// ```
 /// use wimu_calib::{Gravity, Model, Phase, Session, multi_position};
@@ -60,53 +60,51 @@ pub enum Phase {
 pub struct Session<const POSES: usize> {
     finder: PoseFinder,
     guide: Guide,
-    poses: [Pose; POSES],
-    count: usize,
+    poses: heapless::Vec<Pose, POSES>,
     wanted: usize,
     capture_samples: u32,
-    /// Whether the hold under way is the last pose's.
+    /// Whether the current hold was captured.
     taken: bool,
-    /// Orientations that cannot be reached: a bit each, as [`Orientation::index`] has it.
+    /// Unreachable orientations, a bit each by [`Orientation::index`].
     unreachable: u32,
 }
 
 impl<const POSES: usize> Session<POSES> {
-    /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`; `model` is what the
-    /// advice is for.
+    /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`; recommendations are
+    /// for `model`.
     pub fn new(rate_hz: f64, model: Model, wanted: usize) -> Self {
         Self {
             finder: PoseFinder::new(rate_hz),
             guide: Guide::new(model),
-            poses: [Pose::default(); POSES],
-            count: 0,
+            poses: heapless::Vec::new(),
             wanted: wanted.min(POSES),
-            // Not a number becomes 0 here.
+            // NaN becomes 0.
             capture_samples: ((CAPTURE_S * rate_hz) as u32).max(1),
             taken: false,
             unreachable: 0,
         }
     }
 
-    /// The temperature from here on, °C.
+    /// Sets the temperature of the following samples, °C.
     pub fn set_temperature(&mut self, celsius: Option<f64>) {
         self.finder.set_temperature(celsius);
     }
 
     /// Takes one sample y, m/s², sensor axes.
     pub fn push(&mut self, output_mps2: [f64; 3]) -> Phase {
-        // Poses are taken while they last; what comes out when they end is not needed.
+        // Poses are captured during the hold, so the completed ones are not needed.
         self.finder.push(output_mps2);
         let Some(hold) = self.finder.held() else {
             self.taken = false;
-            return self.waiting(Phase::WaitingForStillness);
+            return self.waiting(Phase::WaitingForRest);
         };
         if self.taken {
-            if let Some(pose) = self.last_mut() {
+            if let Some(pose) = self.poses.last_mut() {
                 *pose = hold;
             }
             return self.waiting(Phase::WaitingForMotion);
         }
-        if self.count >= self.wanted {
+        if self.poses.len() >= self.wanted {
             return Phase::Done;
         }
         if self.is_again(&hold) {
@@ -122,11 +120,11 @@ impl<const POSES: usize> Session<POSES> {
         }
     }
 
-    /// Takes the hold under way as a pose now, before it is long enough for one by itself; returns its
-    /// index. `None` if the sensor is not still, this pose is taken already, or there are enough.
+    /// Captures the current hold before it is long enough; returns its index. `None` if the sensor
+    /// moves, the hold is already captured, or there are enough.
     pub fn capture(&mut self) -> Option<usize> {
         let hold = self.finder.held()?;
-        let is_new = !self.taken && !self.is_again(&hold) && self.count < self.wanted;
+        let is_new = !self.taken && !self.is_again(&hold) && self.poses.len() < self.wanted;
         is_new.then(|| self.take(hold))
     }
 
@@ -138,42 +136,38 @@ impl<const POSES: usize> Session<POSES> {
     }
 
     fn take(&mut self, hold: Pose) -> usize {
-        let pose = self.count;
-        self.count += 1;
+        let pose = self.poses.len();
         self.taken = true;
-        if let Some(place) = self.last_mut() {
-            *place = hold;
-        }
+        let _ = self.poses.push(hold);
         self.guide.take(hold.mean_mps2);
         pose
     }
 
-    /// The orientation to take next, the rest being planned with it; `None` when there are poses
-    /// enough, or none that can be reached adds any. A plan is 0.5 million operations: ask once a pose.
+    /// The recommended orientation, planned together with the remaining ones; `None` when there are
+    /// enough poses, or none that can be reached adds information. Costs 0.5 million operations.
     pub fn next(&self) -> Option<Orientation> {
-        let remaining = self.wanted.checked_sub(self.count).filter(|n| *n > 0)?;
+        let remaining = self
+            .wanted
+            .checked_sub(self.poses.len())
+            .filter(|n| *n > 0)?;
         let reachable = |o: Orientation| self.unreachable >> o.index() & 1 == 0;
         self.guide.next_of(remaining, reachable)
     }
 
-    /// Leaves the orientation that is advised out: it cannot be reached.
+    /// Excludes the recommended orientation: it cannot be reached.
     pub fn skip(&mut self) {
         if let Some(next) = self.next() {
             self.unreachable |= 1 << next.index();
         }
     }
 
-    /// The poses taken so far.
+    /// The poses captured so far.
     pub fn poses(&self) -> &[Pose] {
-        self.poses.get(..self.count).unwrap_or(&[])
-    }
-
-    fn last_mut(&mut self) -> Option<&mut Pose> {
-        self.poses.get_mut(self.count.checked_sub(1)?)
+        &self.poses
     }
 
     fn waiting(&self, phase: Phase) -> Phase {
-        if self.count >= self.wanted {
+        if self.poses.len() >= self.wanted {
             Phase::Done
         } else {
             phase

@@ -1,4 +1,4 @@
-//! What the residuals of visits of one orientation share: equation (42b).
+//! Correlation of residuals within an orientation: equation (42b).
 
 use nalgebra::SMatrix;
 
@@ -7,26 +7,27 @@ use crate::least_squares::{Fit, Magnitude};
 use crate::linear::{Real, double, real};
 use crate::visits::{MOST, apart};
 
-/// What the residuals of a fit say of their variance: equation (42b).
+/// Variance components of the residuals: equation (42b).
 pub(crate) struct Shared<R: Real, const N: usize> {
-    /// Of a residual of weight 1, (m/s²)².
+    /// Variance of a residual of weight 1, (m/s²)².
     pub variance: f64,
-    /// Covariance of what is fitted, per that variance.
+    /// Covariance of the fitted parameters, relative to `variance`.
     pub spread: SMatrix<R, N, N>,
-    /// Degrees of freedom of the variance.
+    /// Degrees of freedom of `variance`.
     pub dof: f64,
-    /// So many poses, each in an orientation of its own, would tell as much.
+    /// Effective number of poses: poses in different orientations that would carry as much
+    /// information.
     pub poses: f64,
 }
 
-/// How many poses are fitted in each orientation.
+/// Number of fitted poses in each orientation.
 pub(crate) struct Visited {
     counts: [u32; MOST],
-    /// Orientations with any.
+    /// Orientations with at least one pose.
     pub orientations: usize,
-    /// How many of the poses are evidence of their own.
+    /// Number of independent observations.
     pub apart: usize,
-    /// Whether orientations come again.
+    /// Whether orientations are repeated.
     pub again: bool,
 }
 
@@ -57,7 +58,7 @@ impl<const N: usize> Magnitude<'_, N> {
         }
     }
 
-    /// Whether the orientation of pose `k` came more than once, and is left out as a whole.
+    /// Whether the orientation of pose `k` is repeated and is left out as a whole.
     pub fn comes_again(&self, visited: &Visited, k: usize) -> bool {
         visited.again
             && self.poses.len() <= MOST
@@ -67,7 +68,8 @@ impl<const N: usize> Magnitude<'_, N> {
                 .is_some_and(|pose| visited.of(self.visits.group(k, pose)) > 1)
     }
 
-    /// `None` where rounding leaves nothing to compare.
+    /// Variance within and between orientations. `None` when the differences between orientations
+    /// are used up by the parameters.
     pub fn shared<R: Real>(&self, fit: &Fit<R, N>, visited: &Visited) -> Option<Shared<R, N>> {
         let orientations = visited.orientations;
         let kept = self.poses.len() - self.rejected.count();
@@ -81,8 +83,8 @@ impl<const N: usize> Magnitude<'_, N> {
         if !visited.again {
             return Some(apart);
         }
-        // Σ e over the visits of an orientation, its square summed over these; G = Σ g gᵀ with g = Σ x;
-        // Σ m², and Σ m g gᵀ. Residuals e and rows x times the root of the weight.
+        // Sums over the poses of each orientation, with residuals e and rows x multiplied by the
+        // root of the weight: Σ e; G = Σ g gᵀ with g = Σ x; Σ m²; Σ m g gᵀ.
         let at = Evaluated::new(&fit.theta, self.terms)?;
         let mut sums = [0.0; MOST];
         let mut rows = SMatrix::<R, N, N>::zeros();
@@ -111,17 +113,13 @@ impl<const N: usize> Magnitude<'_, N> {
                     }
                 }
             } else if m > 1 {
-                // So many are taken to be the same to the last digit.
+                // Poses of one orientation are taken as identical when there are many.
                 row *= real::<R>(f64::from(m)).sqrt();
             }
             let m: R = real(f64::from(m));
-            for c in 0..N {
-                for r in 0..N {
-                    let product = row[r] * row[c];
-                    rows[(r, c)] += product;
-                    weighted[(r, c)] += m * product;
-                }
-            }
+            let product = row * row.transpose();
+            rows += product;
+            weighted += product * m;
         }
         let together: f64 = sums.iter().map(|sum| sum * sum).sum();
         let gain = fit.inverse * rows;
@@ -129,7 +127,7 @@ impl<const N: usize> Magnitude<'_, N> {
         let fourth = double((gain * gain).trace());
         let a = n - trace;
         let k = squares - 2.0 * double((fit.inverse * weighted).trace()) + fourth;
-        // Nothing is left between orientations that the parameters do not take.
+        // The parameters use up the differences between orientations.
         if a < 0.5 * n / orientations as f64 {
             return None;
         }
@@ -157,8 +155,9 @@ impl<const N: usize> Magnitude<'_, N> {
         })
     }
 
-    /// The residuals of poses under the fit without their orientation, given to `take`, for orientations
-    /// that came more than once; infinite where the others do not determine the model. Up to 256 poses.
+    /// Calls `take` with the index and the residual, under the fit without its orientation, of each
+    /// pose in a repeated orientation. The residual is infinite when the other poses do not
+    /// determine the model. Only for up to 256 poses.
     pub fn leave_orientations_out<R: Real>(
         &self,
         fit: &Fit<R, N>,

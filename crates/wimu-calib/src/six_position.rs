@@ -1,113 +1,51 @@
 //! Calibration from six known orientations: each side of the sensor up once.
 
-use core::fmt;
+use wimu_model::{ErrorModel, ErrorTerms};
 
-use wimu_model::{ErrorModel, ErrorTerms, ModelError};
+use crate::estimate::{Misplaced, Residuals};
 
-use crate::estimate::{Misplaced, Residuals, TermDeviations};
-
+use crate::placement::MOST_PLACEMENT_RAD;
 use crate::pose::mean_temperature;
-use crate::terms::{PERFECT, Terms, Theta};
+use crate::terms;
 use crate::weights::Rejected;
 use crate::{
-    Covariance, Estimate, Face, Gravity, Method, Parameter, Parameters, Pose, Refusal, design,
+    Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Refusal, design,
     force, input, student,
 };
 
-/// Placement error beyond which the sides were not squared at all, rad: 5°, 0.4 % of scale factor.
-const MOST_PLACEMENT_RAD: f64 = 0.0873;
-
-/// Degrees of freedom in which six sides show their placement error.
+/// Degrees of freedom of the placement error that six sides show.
 const PLACEMENT_DOF: usize = 6;
 
-/// By how much a position comes back otherwise than before, beyond noise and placement, m/s², until
-/// visits of one side show it: what poses of real sensors are predicted to. It counts as this many
-/// degrees of freedom of them, ever fewer up to six of them.
+/// Prior standard deviation of the difference between repeated poses of one side, beyond noise and
+/// placement, m/s² (chosen on real sensors, see VALIDATION), and its weight in degrees of freedom.
+/// The weight decreases to zero at six repeated poses.
 const REVISIT_MPS2: f64 = 0.002;
 const REVISIT_DOF: f64 = 2.0;
-/// 6 / the 5 % point of χ² with six degrees of freedom: what six sides show may be as much more.
+/// 6 / χ² quantile, 6 degrees of freedom, 0.05: upper bound on the true over the observed variance.
 const SEEN_AT_MOST: f64 = 3.67;
 
-/// χ² of two degrees of freedom that one pair of sides passes by chance once in 100, and one of three
-/// once in 200; and once in so many where the usual placement is known from the other four only.
+/// χ² quantiles, 2 degrees of freedom: 0.99 for one pair; 0.995 for one of three pairs. Then the
+/// factor on the variance when it is estimated from the other two pairs only.
 const PAIR_STANDS_OUT: f64 = 9.2;
 const PAIR_MISPLACED: f64 = 12.8;
 const OF_FOUR: f64 = 2.7;
-/// The off-axis readings of the side that was misplaced are so many times those of its opposite.
+/// Smallest ratio of the off-axis readings of two opposite sides that identifies the misplaced one.
 const ONE_OF_TWO: f64 = 2.0;
 
-/// How well the sensor was squared when it was put down.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Placement {
-    sd_rad: f64,
-}
-
-impl Placement {
-    /// 1°, 1 σ about each level axis: by hand, on a table, in a box with square corners.
-    pub const BY_HAND: Self = Self {
-        sd_rad: core::f64::consts::PI / 180.0,
-    };
-
-    /// Standard deviation of the tilt about each level axis, rad, 0..=0.0873 (5°).
-    ///
-    /// # Errors
-    /// [`PlacementError`] when it is outside.
-    pub fn new(sd_rad: f64) -> Result<Self, PlacementError> {
-        if (0.0..=MOST_PLACEMENT_RAD).contains(&sd_rad) {
-            Ok(Self { sd_rad })
-        } else {
-            Err(PlacementError { sd_rad })
-        }
-    }
-
-    /// Standard deviation of the tilt about each level axis, rad.
-    pub fn sd_rad(self) -> f64 {
-        self.sd_rad
-    }
-}
-
-impl Default for Placement {
-    fn default() -> Self {
-        Self::BY_HAND
-    }
-}
-
-/// A placement error outside 0..=0.0873 rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct PlacementError {
-    /// What was given, rad.
-    pub sd_rad: f64,
-}
-
-impl fmt::Display for PlacementError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "the placement's standard deviation, {} rad, is outside 0 to {MOST_PLACEMENT_RAD} rad \
-             (5°): square the sensor better, or use multi-position",
-            self.sd_rad
-        )
-    }
-}
-
-impl core::error::Error for PlacementError {}
-
-/// Estimates all 12 parameters from poses with one axis upright each, told apart by their dominant
+/// Estimates all 12 parameters from poses with one vertical axis each, identified by the dominant
 /// component. Equations (18) and (19) of docs/EQUATIONS.md.
 ///
 /// `poses` are in m/s² by the nominal sensitivity, sensor axes. Those within 20° of an axis
-/// ([`Face::of`]) are used, each of the six sides at least once; several of one side are averaged
-/// by their samples. Others are left out of the fit, not of its residuals. Bias and scale factor
-/// of an axis come from its own pair of sides alone, where a placement error enters in second
-/// order only; misalignments from the other pairs, where it enters in full.
+/// ([`Face::of`]) are used, each of the six sides at least once; several poses of one side are
+/// averaged, weighted by their samples. Other poses are not fitted but are included in the
+/// residuals. Bias and scale factor of an axis depend on its own pair of sides, where a placement
+/// error enters in second order. Misalignments depend on the other pairs, where it enters in first
+/// order.
 ///
-/// A sensor whose driver swaps or negates axes is not noticed here: [`six_position_labelled`]
-/// notices.
+/// Swapped or negated axes are not detected here; [`six_position_labelled`] detects them.
 ///
 /// # Errors
-/// [`Refusal`] when the poses cannot support the model; each says what to do.
+/// [`Refusal`] when the poses do not determine the model. Its text says what to do.
 pub fn six_position(
     poses: &[Pose],
     gravity: Gravity,
@@ -118,11 +56,11 @@ pub fn six_position(
     estimate(all, gravity, placement)
 }
 
-/// The same from poses whose side that is up was noted when they were taken.
+/// [`six_position`] for poses with a record of which side was up.
 ///
 /// # Errors
-/// [`Refusal`], also [`Refusal::Mirrored`], [`Refusal::Inverted`], [`Refusal::AxesSwapped`] and
-/// [`Refusal::NotUpright`] when what a pose reads does not go with what was noted.
+/// [`Refusal`]; [`Refusal::Mirrored`], [`Refusal::Inverted`], [`Refusal::AxesSwapped`] and
+/// [`Refusal::NotUpright`] when the readings of a pose contradict the recorded side.
 pub fn six_position_labelled(
     poses: &[(Face, Pose)],
     gravity: Gravity,
@@ -134,7 +72,7 @@ pub fn six_position_labelled(
     estimate(all, gravity, placement)
 }
 
-/// Refuses labels that do not go with what the poses read.
+/// Refuses recorded sides that contradict the readings.
 fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
     let Some(&(face, first)) = poses
         .iter()
@@ -146,7 +84,7 @@ fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
         Some(reads) => Refusal::AxesSwapped { face, reads },
         None => Refusal::NotUpright { face },
     };
-    // What each axis, pointing up, makes the output say: a signed permutation, if all poses agree.
+    // Output for each axis pointing up: a signed permutation, if all poses agree.
     let mut says = [None; 3];
     for (face, pose) in poses {
         let Some(reads) = Face::of(pose) else {
@@ -181,19 +119,20 @@ struct Side {
     weight: f64,
     /// Σ w² over the poses.
     weight_squares: f64,
-    /// The first pose, about which sums are taken: that keeps the digits.
+    /// The first pose: sums are of differences from it, to keep their digits.
     origin: Option<[f64; 3]>,
     sum: [f64; 3],
     /// Σ w² times the noise of its mean.
     noise: [f64; 3],
-    /// Of the readings of the axis that is upright, each visit counting once.
+    /// Of the vertical axis, each pose with the same weight: count, sum, and sum of squared
+    /// deviations.
     visits: f64,
     upright: f64,
     upright_squares: f64,
 }
 
 impl Side {
-    /// Adds a pose, or takes it out again with `sign` −1.
+    /// Adds a pose, or removes it with `sign` −1.
     fn add(&mut self, pose: &Pose, sign: f64) {
         let w = pose.weight();
         self.weight += sign * w;
@@ -206,7 +145,7 @@ impl Side {
         }
     }
 
-    /// One more visit, which reads `upright` on the axis that is.
+    /// Adds the reading of the vertical axis in one more pose.
     fn visit(&mut self, upright: f64) {
         let before = if self.visits == 0.0 {
             0.0
@@ -229,7 +168,7 @@ impl Side {
         self.noise.map(|n| n / (self.weight * self.weight))
     }
 
-    /// 1 / how many poses of equal weight this would be.
+    /// 1 / the number of poses of equal weight with the same variance of the mean.
     fn share(&self) -> f64 {
         self.weight_squares / (self.weight * self.weight)
     }
@@ -277,15 +216,17 @@ fn estimate<'a>(
         }
     }
     let (bias, a) = solve(&sides, g);
-    let model = model(&bias, &a).map_err(Refusal::OutOfBounds)?;
+    let model = ErrorModel::new(ErrorTerms {
+        bias_mps2: bias,
+        matrix: a,
+        ..ErrorTerms::default()
+    })
+    .map_err(Refusal::OutOfBounds)?;
+    let theta = terms::theta_of(&model);
     let shown = pairs_show(&sides, &bias, &a, g);
-    let all_shown = shown[0] + shown[1] + shown[2];
-    let seen = libm::sqrt(all_shown / PLACEMENT_DOF as f64);
-    let seen_rad = seen;
-    if seen_rad > MOST_PLACEMENT_RAD {
-        return Err(Refusal::NotSquared {
-            placement_rad: seen_rad,
-        });
+    let placement_rad = libm::sqrt(shown.iter().sum::<f64>() / PLACEMENT_DOF as f64);
+    if placement_rad > MOST_PLACEMENT_RAD {
+        return Err(Refusal::NotSquared { placement_rad });
     }
     let Squareness {
         placement_sd_rad,
@@ -293,7 +234,7 @@ fn estimate<'a>(
         contradicted,
         misplaced,
     } = Squareness::of(&sides, &bias, shown, placement, g);
-    let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, seen * g);
+    let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, placement_rad * g);
     let covariance_with = |extra: f64| covariance(&sides, &a, g, tilts, extra);
     let mut covariance = covariance_with(revisits.variance);
     let known = covariance_with(0.0);
@@ -306,11 +247,7 @@ fn estimate<'a>(
             f64::INFINITY
         }
     };
-    let diagonal = Parameter::BIAS.into_iter().chain([
-        Parameter::ScaleX,
-        Parameter::ScaleY,
-        Parameter::ScaleZ,
-    ]);
+    let diagonal = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
     let interval_dof = diagonal.map(dof_of).fold(
         if contradicted {
             PLACEMENT_DOF as f64
@@ -319,11 +256,11 @@ fn estimate<'a>(
         },
         f64::min,
     );
-    let worst_sd_mps2 = force::worst_sd(&theta(&bias, &a), &covariance, gravity.mps2());
-    covariance.add_gravity(&theta(&bias, &a), gravity);
+    let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
+    covariance.add_gravity(&theta, gravity);
 
     let all = poses.clone().map(|(_, pose)| pose);
-    let residuals = Residuals::of(&theta(&bias, &a), all, gravity.mps2());
+    let residuals = Residuals::of(&theta, all, g);
     let rejected = (0..)
         .zip(poses)
         .filter(|(_, (face, _))| face.is_none())
@@ -336,70 +273,37 @@ fn estimate<'a>(
                 let mut others = sides;
                 others[side].add(pose, -1.0);
                 let (bias, a) = solve(&others, g);
-                let left = force::residual(&theta(&bias, &a), pose, gravity.mps2());
+                let left = force::residual(&terms::theta(bias, a), pose, g);
                 left * left
             })
             .sum();
         libm::sqrt(squares / fitted as f64)
     });
+    let method = Method::SixPosition {
+        placement_sd_rad,
+        declared_sd_rad: placement.sd_rad(),
+        misplaced,
+        revisit_sd_mps2: libm::sqrt(revisits.variance),
+        revisits: revisits.seen,
+        unexplained: revisits.unexplained,
+    };
     Ok(Estimate {
-        model,
-        method: Method::SixPosition {
-            placement_sd_rad,
-            declared_sd_rad: placement.sd_rad,
-            misplaced,
-            revisit_sd_mps2: libm::sqrt(revisits.variance),
-            revisits: revisits.seen,
-            unexplained: revisits.unexplained,
-        },
-        terms: Terms::NONE,
-        fitted: Parameters::ALL,
         covariance,
-        term_sd: TermDeviations::default(),
-        gravity,
         poses: fitted,
         orientations: 6,
         dof: 3 * fitted - Parameter::COUNT,
         interval_dof: Some(interval_dof).filter(|dof| dof.is_finite()),
-        rms_mps2: residuals.rms_mps2(),
-        max_mps2: residuals.largest_mps2,
-        worst_pose: residuals.worst_pose,
         loo_rms_mps2,
-        loo_orientation_rms_mps2: None,
         rejected,
-        // Half sums and half differences of pairs: their design is orthogonal.
-        condition: 1.0,
         worst_sd_mps2,
-        coverage: coverage(&sides),
+        coverage: design::coverage(&sides.map(|side| Pose::from_mean(side.mean()))),
         temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
-        temperature_range_c: None,
-        drift: None,
+        ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
 }
 
-fn coverage(sides: &Sides) -> f64 {
-    design::coverage(&sides.each_ref().map(|side| Pose::from_mean(side.mean())))
-}
-
-fn model(bias: &[f64; 3], a: &Matrix) -> Result<ErrorModel, ModelError> {
-    ErrorModel::new(ErrorTerms {
-        bias_mps2: *bias,
-        matrix: a.map(|row| row),
-        ..ErrorTerms::default()
-    })
-}
-
-fn theta(bias: &[f64; 3], a: &Matrix) -> Theta<f64> {
-    let mut theta = PERFECT;
-    for axis in 0..3 {
-        theta[axis] = bias[axis];
-        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&a[axis]);
-    }
-    theta
-}
-
-/// The squared placement error that each pair of sides shows in two degrees of freedom, rad²: its other
-/// two axes say the bias again, with the tilts added.
+/// The squared placement error that each pair of sides shows in two degrees of freedom, rad²: the
+/// mean of the two off-axis readings differs from the bias by the tilts.
 fn pairs_show(sides: &Sides, bias: &[f64; 3], a: &Matrix, gravity_mps2: f64) -> [f64; 3] {
     core::array::from_fn(|axis| {
         let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
@@ -412,33 +316,33 @@ fn pairs_show(sides: &Sides, bias: &[f64; 3], a: &Matrix, gravity_mps2: f64) -> 
     })
 }
 
-/// Of the variance of a tilt, what is left in the mean of a pair.
+/// Variance of the mean tilt of a pair, relative to the variance of one tilt.
 fn pair_share(sides: &Sides, axis: usize) -> f64 {
     0.25 * (sides[2 * axis].share() + sides[2 * axis + 1].share())
 }
 
-/// How well the sides were placed: equation (19).
+/// Placement error: equation (19).
 struct Squareness {
-    /// Of the sides that do not stand out.
+    /// Standard deviation, without a pair that is an outlier, rad.
     placement_sd_rad: f64,
-    /// What the covariance takes for the pair of each axis, rad, 1 σ.
+    /// Standard deviation used in the covariance for the pair of each axis, rad.
     tilts: [f64; 3],
-    /// Whether what was declared does not hold.
+    /// Whether the poses contradict the declared placement error.
     contradicted: bool,
     misplaced: Option<Misplaced>,
 }
 
 impl Squareness {
-    /// Of what the pairs show, rad².
+    /// From the squared placement error of each pair, rad².
     fn of(sides: &Sides, bias: &[f64; 3], shown: [f64; 3], placement: Placement, g: f64) -> Self {
-        let declared = placement.sd_rad * placement.sd_rad;
+        let declared = placement.sd_rad() * placement.sd_rad();
         let all: f64 = shown.iter().sum();
         let worst = (1..3).fold(
             0,
             |worst, k| if shown[k] > shown[worst] { k } else { worst },
         );
         let others = all - shown[worst];
-        // What was declared holds unless the poses contradict it beyond chance.
+        // The declared value is used unless the poses contradict it significantly.
         let dof = PLACEMENT_DOF - 2;
         let others_bad = others > student::chi_squared_half_percent(dof) * declared;
         let all_bad = all > student::chi_squared_half_percent(PLACEMENT_DOF) * declared;
@@ -496,13 +400,13 @@ impl Misplaced {
     }
 }
 
-/// What differs from visit to visit beyond noise and placement: equation (19).
+/// Variance between repeated poses of a side, beyond noise and placement: equation (19).
 struct Revisits {
     /// (m/s²)².
     variance: f64,
-    /// Its degrees of freedom, what is known beforehand included.
+    /// Degrees of freedom, including those of the prior.
     dof: f64,
-    /// Visits beyond the first of each side.
+    /// Poses beyond the first of each side.
     seen: usize,
     /// Whether they differ by more than noise and placement explain.
     unexplained: bool,
@@ -530,18 +434,18 @@ impl Revisits {
         let beyond = (squares - dof * explained).max(0.0);
         let seen = dof as usize;
         let more = (REVISIT_DOF * (1.0 - dof * sixth)).max(0.0);
-        let most = (student::chi_squared_half_percent(seen.max(1))) * explained;
+        let most = student::chi_squared_half_percent(seen.max(1)) * explained;
         Self {
             variance: (beyond + more * taken) / (dof + more),
-            dof: (dof + more),
+            dof: dof + more,
             seen,
             unexplained: seen > 0 && squares > most,
         }
     }
 }
 
-/// Covariance from the placement of each pair, noise and `revisit`, the variance of what else differs from visit to
-/// visit: equation (19).
+/// Covariance from the placement error of each pair, the noise, and `revisit`, the variance between
+/// repeated poses: equation (19).
 fn covariance(
     sides: &Sides,
     a: &Matrix,
@@ -552,8 +456,8 @@ fn covariance(
     let mut covariance = Covariance::ZERO;
     for axis in 0..3 {
         let tilt = placement_rad[axis] * placement_rad[axis];
-        // Of a side's mean output: tilts bring in the other two columns of A in first order and
-        // shorten this one in second.
+        // Covariance of two components of the mean output of a side. A tilt adds the other two
+        // columns of A in first order and shortens this one in second order.
         let of = |side: &Side, r: usize, c: usize| {
             let across = (0..3).filter(|&other| other != axis);
             let first = across.fold(0.0, |sum, other| sum + a[r][other] * a[c][other]);
@@ -576,7 +480,7 @@ fn covariance(
             covariance.add(row, bias, cross);
             for c in 0..3 {
                 let column = Parameter::ALL[3 + 3 * c + axis];
-                // Both sides are shortened on average: a systematic part that does not average out.
+                // Both sides are shortened: a systematic error that does not average out.
                 let shortened = tilt * tilt * a[r][axis] * a[c][axis];
                 let spread = 0.25 * both(r, c) / (g * g);
                 covariance.add(row, column, spread + shortened);

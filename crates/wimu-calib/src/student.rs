@@ -1,8 +1,9 @@
-//! Quantiles of the normal and of Student's distribution.
+//! Quantiles of the normal, Student and χ² distributions.
 
 use core::f64::consts::FRAC_PI_2;
 
-/// x with P(|X| > x) = `p` for a standard normal X, 0 < p < 1; to 2 · 10⁻⁹ relative [AC].
+/// Two-sided quantile of the standard normal distribution: x with P(|X| > x) = `p`, 0 < p < 1;
+/// relative error below 2 · 10⁻⁹ [AC].
 pub(crate) fn normal_two_sided(p: f64) -> f64 {
     const A: [f64; 6] = [
         -3.969_683_028_665_376e1,
@@ -45,8 +46,9 @@ pub(crate) fn normal_two_sided(p: f64) -> f64 {
     }
 }
 
-/// x with P(|X| > x) = `p` for Student's t with `dof` degrees of freedom, 0 < p < 1: equation (43),
-/// Hill's expansion [HI], exact for 1 and 2, within 10⁻³ relative for 3 and 10⁻⁵ from 6 on.
+/// Two-sided quantile of Student's t with `dof` degrees of freedom: x with P(|X| > x) = `p`, 0 < p
+/// < 1. Equation (43), Hill's expansion [HI]: exact for 1 and 2, relative error 10⁻³ for 3 and 10⁻⁵
+/// from 6 on.
 pub(crate) fn two_sided(p: f64, dof: f64) -> f64 {
     if dof < 1.5 {
         let x = p * FRAC_PI_2;
@@ -87,7 +89,7 @@ pub(crate) fn two_sided(p: f64, dof: f64) -> f64 {
     libm::sqrt(n * y)
 }
 
-/// x with P(X > x) = 0.005 for χ² with `dof` degrees of freedom; Wilson and Hilferty's, to 3 %.
+/// χ² quantile, `dof` degrees of freedom, 0.995: the Wilson-Hilferty approximation, to 3 %.
 pub(crate) fn chi_squared_half_percent(dof: usize) -> f64 {
     let n = dof as f64;
     let spread = 2.0 / (9.0 * n);

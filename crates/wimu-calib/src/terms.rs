@@ -1,4 +1,4 @@
-//! What may be fitted beyond bias, scale factor and misalignment, and where each parameter is kept.
+//! Further terms of the error model, and the vector of all parameters.
 
 use core::fmt;
 
@@ -10,7 +10,7 @@ use crate::Parameter;
 /// (m/s² from the first pose to the last), b₁, s₁ and q.
 pub(crate) type Theta<R> = [R; Slot::COUNT];
 
-/// A place in [`Theta`].
+/// An index into [`Theta`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slot(usize);
 
@@ -36,18 +36,18 @@ impl Slot {
         self.0
     }
 
-    /// The parameter among the first twelve.
+    /// The parameter, for the first twelve.
     pub fn parameter(self) -> Option<Parameter> {
         Parameter::ALL.get(self.0).copied()
     }
 
-    /// The term that it belongs to beyond those.
+    /// The term that it belongs to, for the others.
     pub fn term(self) -> Option<Term> {
         Term::ALL.get(self.0.checked_sub(12)? / 3).copied()
     }
 
-    /// How far it usually is from that of a perfect sensor, 1 σ, as datasheets have it; `None` of the
-    /// bias, of which anything is as likely.
+    /// Prior standard deviation about a perfect sensor, from typical datasheets; `None` for the
+    /// bias, which has a flat prior.
     pub fn usual_sd(self) -> Option<f64> {
         match self.0 {
             0..3 => None,
@@ -61,7 +61,8 @@ impl Slot {
         }
     }
 
-    /// How much of it makes an error of 1 m/s² at 1 g, over 10 K where it goes with temperature.
+    /// Value that causes an error of 1 m/s² at 1 g (for temperature terms, 10 K from the
+    /// reference).
     pub fn per_mps2(self, gravity_mps2: f64) -> f64 {
         match self.0 {
             0..3 | 12..15 => 1.0,
@@ -73,9 +74,9 @@ impl Slot {
     }
 }
 
-/// Zero-g offset of a usual sensor, m/s², 1 σ: 50 mg.
+/// Zero-g offset of a typical sensor, m/s², 1 σ: 50 mg, from datasheets.
 pub(crate) const USUAL_BIAS_MPS2: f64 = 0.5;
-/// What datasheets make likely, 1 σ: of a sensitivity, and across the axes.
+/// Sensitivity error and cross-axis sensitivity of a typical sensor, 1 σ, from datasheets.
 pub(crate) const USUAL_SCALE: f64 = 0.03;
 pub(crate) const USUAL_ACROSS: f64 = 0.02;
 
@@ -90,13 +91,19 @@ pub(crate) const PERFECT: Theta<f64> = {
 
 pub(crate) fn theta_of(model: &ErrorModel) -> Theta<f64> {
     let terms = model.terms();
+    let mut theta = theta(terms.bias_mps2, terms.matrix);
+    theta[15..18].copy_from_slice(&terms.temperature.bias_mps2_per_k);
+    theta[18..21].copy_from_slice(&terms.temperature.scale_per_k);
+    theta[21..].copy_from_slice(&terms.nonlinearity);
+    theta
+}
+
+/// Of bias `bias` and matrix `a`, without further terms.
+pub(crate) fn theta(bias: [f64; 3], a: [[f64; 3]; 3]) -> Theta<f64> {
     let mut theta = PERFECT;
     for axis in 0..3 {
-        theta[axis] = terms.bias_mps2[axis];
-        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&terms.matrix[axis]);
-        theta[15 + axis] = terms.temperature.bias_mps2_per_k[axis];
-        theta[18 + axis] = terms.temperature.scale_per_k[axis];
-        theta[21 + axis] = terms.nonlinearity[axis];
+        theta[axis] = bias[axis];
+        theta[3 + 3 * axis..6 + 3 * axis].copy_from_slice(&a[axis]);
     }
     theta
 }
@@ -109,23 +116,23 @@ pub(crate) fn matrix(theta: &Theta<f64>) -> [[f64; 3]; 3] {
     [triple(theta, 3), triple(theta, 6), triple(theta, 9)]
 }
 
-/// Three of them, from `first` on.
+/// Three elements, from `first` on.
 pub(crate) fn triple(theta: &Theta<f64>, first: usize) -> [f64; 3] {
     [theta[first], theta[first + 1], theta[first + 2]]
 }
 
-/// What can be fitted with [`multi_position_with`](crate::multi_position_with) on top of a
-/// [`Model`](crate::Model); three parameters each, one an axis.
+/// A term that [`multi_position_with`](crate::multi_position_with) can fit in addition to a
+/// [`Model`](crate::Model); three parameters each, one per axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Term {
-    /// The bias moves in proportion to time over the session.
+    /// Linear drift of the bias over the session.
     Drift,
-    /// The bias moves in proportion to temperature: b₁.
+    /// Linear temperature dependence of the bias: b₁.
     BiasTemperature,
-    /// The scale factors move in proportion to temperature: s₁.
+    /// Linear temperature dependence of the scale factors: s₁.
     ScaleTemperature,
-    /// The output bends with the force: q.
+    /// Quadratic nonlinearity: q.
     Quadratic,
 }
 
@@ -154,27 +161,18 @@ impl fmt::Display for Term {
     }
 }
 
-/// Some of the terms.
+/// A set of terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Terms(u8);
 
+crate::set::set!(Terms(u8) of Term);
+
 impl Terms {
-    /// None of them.
+    /// The empty set.
     pub const NONE: Self = Self(0);
 
-    /// With one more.
-    #[must_use]
-    pub const fn with(self, term: Term) -> Self {
-        Self(self.0 | 1 << term as u8)
-    }
-
-    /// Whether `term` is one of them.
-    pub const fn contains(self, term: Term) -> bool {
-        self.0 >> term as u8 & 1 == 1
-    }
-
-    /// Whether all of `others` are among them.
+    /// Whether all of `others` are in the set.
     pub const fn include(self, others: Self) -> bool {
         self.0 & others.0 == others.0
     }
@@ -183,14 +181,7 @@ impl Terms {
         self.contains(Term::BiasTemperature) || self.contains(Term::ScaleTemperature)
     }
 
-    /// Those of them that are in the set, in the order of [`Term::ALL`].
-    pub fn iter(self) -> impl Iterator<Item = Term> {
-        Term::ALL
-            .into_iter()
-            .filter(move |&term| self.contains(term))
-    }
-
-    /// How many parameters they are.
+    /// Number of parameters of the terms.
     pub fn parameters(self) -> usize {
         3 * self.0.count_ones() as usize
     }
@@ -198,23 +189,5 @@ impl Terms {
     /// Every set of terms.
     pub(crate) fn every() -> impl Iterator<Item = Self> {
         (0..1 << Term::ALL.len()).map(Self)
-    }
-}
-
-impl FromIterator<Term> for Terms {
-    fn from_iter<I: IntoIterator<Item = Term>>(terms: I) -> Self {
-        terms.into_iter().fold(Self::NONE, Self::with)
-    }
-}
-
-impl fmt::Display for Terms {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, term) in self.iter().enumerate() {
-            if place > 0 {
-                out.write_str(", ")?;
-            }
-            term.fmt(out)?;
-        }
-        Ok(())
     }
 }

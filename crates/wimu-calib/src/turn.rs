@@ -1,55 +1,56 @@
-//! Calibration from a turn about a level axis in three or four equal steps [LW].
+//! Calibration from a rotation about a horizontal axis in three or four equal steps [LW].
 
 use core::f64::consts::{PI, TAU};
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use crate::estimate::{Residuals, TermDeviations};
+use crate::estimate::Residuals;
 
-use crate::terms::{self, PERFECT, Terms, USUAL_BIAS_MPS2};
+use crate::terms::{self, PERFECT, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
-use crate::weights::Rejected;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal, design,
     force, input, pose, student,
 };
 
-/// What an axis at right angles to the plane may lean into it, 1 σ: the cross-axis sensitivity of a
-/// usual datasheet.
+/// Component of an axis along another one, 1 σ: the cross-axis sensitivity of typical datasheets.
 const CROSS_AXIS: f64 = 0.02;
-/// In-plane norms, in g, of axes that turn, and of the one that is turned about.
+/// Amplitude of the first harmonic, g: of axes in the plane of rotation, and largest of the axis of
+/// rotation.
 const TURNS: core::ops::Range<f64> = 0.5..1.5;
 const STAYS: f64 = 0.5;
-/// Steps that came out farther than this from equal, rms, are not those of a turn, rad: 5°, 0.4 % of
-/// scale factor.
+/// Largest rms deviation of the steps from equal ones, rad: 5°, which changes the scale factor by
+/// 0.4 %.
 const MOST_STEP_ERROR: f64 = 0.0873;
-/// How far two axes may be from alike and at right angles, as what unequal steps make of them: twice
-/// the 3 % of a sensitivity, twice the 2 % across, and a step error of 5°.
+/// Largest deviation of two axes from equal sensitivity and orthogonality that is not taken for
+/// unequal steps: twice 3 % of sensitivity, twice 2 % cross-axis, and a step error of 5°.
 const MOST_ELLIPTIC: f64 = 0.15;
-/// A step error of σ makes it σ √(8/n) rms.
+/// A step error of standard deviation σ causes a deviation of σ √(8/n) rms.
 const ELLIPTIC_OF_STEPS: f64 = 8.0;
-/// What the axis that is turned about may read in step with the turn, in g: 5.7° from square.
+/// Largest first harmonic of the axis of rotation, g: 5.7° from orthogonal.
 const MOST_LEAN: f64 = 0.1;
-/// Where no turn shows the bias of the axis turned about, what it reads may be that or a tilt: so many standard
-/// deviations of both, and it counts as either.
+/// If no rotation determines the bias of the axis of rotation, its reading may be bias or tilt.
+/// Above this many standard deviations of both, it counts as both.
 const DOUBTFUL: f64 = 2.0;
-/// How far two axes of a usual sensor are from alike and at right angles, 1 σ: 3 % of sensitivity and 2 % across,
-/// of each; and what is so many times that counts as steps that were off.
+/// Deviation of two axes of a typical sensor from equal sensitivity and orthogonality, 1 σ: 3 %
+/// sensitivity and 2 % cross-axis for each; and the multiple of it that is taken for unequal steps.
 const USUAL_ELLIPTIC: f64 = 0.051;
 const BEYOND_USUAL: f64 = 1.4;
-/// A standard deviation that two numbers tell may be so many times as large.
+/// Upper bound on a standard deviation estimated from two numbers, relative to the estimate.
 const BY_TWO_NUMBERS: f64 = 2.0;
-/// So many standard deviations are no chance.
+/// Significance threshold, standard deviations.
 const BEYOND_CHANCE: f64 = 3.3;
 
-/// Bias and scale factor from turns of four steps of 90° about a level axis: equations (45) to (47).
+/// Bias and scale factor from rotations in four steps of 90° about a horizontal axis: equations
+/// (45) to (47).
 ///
-/// `poses` are in m/s² by the nominal sensitivity, sensor axes, four to a turn and in the order in
-/// which they were taken; a turn may begin anywhere and go either way. Each turn gives the two
-/// axes in its plane, told by what they read; turns about two different axes give all three. What
-/// no turn shows stays that of a perfect sensor and is not in [`Estimate::fitted`]. The scale factor
-/// is the in-plane norm of the axis's row of A: S itself where there is no misalignment, more by
-/// half its square where there is. `placement` is the error of a step, and of the axis from level.
+/// `poses` are in m/s² by the nominal sensitivity, sensor axes, four to a rotation, in the order in
+/// which they were taken. A rotation may start anywhere and go in either direction. Each one
+/// determines the two axes in its plane, which are identified by their readings; rotations about
+/// two different axes determine all three. Other parameters stay those of a perfect sensor and are
+/// not in [`Estimate::fitted`]. The scale factor is the in-plane norm of the row of A: S without
+/// misalignment, larger by half the squared misalignment otherwise. `placement` is the error of a
+/// step, and of the axis of rotation from horizontal.
 ///
 /// ```
 /// use wimu_calib::{Gravity, Placement, Pose, four_angle};
@@ -72,10 +73,10 @@ pub fn four_angle(
     turns::<4>(poses, gravity, placement, Method::FourAngle)
 }
 
-/// The same from turns of three steps of 120°.
+/// [`four_angle`] with rotations in three steps of 120°.
 ///
-/// Three readings for bias, scale factor and where the turn began: nothing is left to check them
-/// by.
+/// Three readings determine bias, scale factor and initial angle: no redundancy is left for a
+/// check.
 ///
 /// ```
 /// use wimu_calib::{Gravity, Placement, Pose, three_angle};
@@ -97,7 +98,7 @@ pub fn three_angle(
     turns::<3>(poses, gravity, placement, Method::ThreeAngle)
 }
 
-/// Bias and scale factor of one axis with their covariance, before the error of gravity.
+/// Bias and scale factor of one axis with their covariance, without the error of gravity.
 #[derive(Clone, Copy)]
 struct Axis {
     bias: f64,
@@ -105,12 +106,12 @@ struct Axis {
     bias_variance: f64,
     scale_variance: f64,
     both: f64,
-    /// What the readings say beyond three unknowns: its square over its variance.
+    /// χ² of the redundant readings.
     misfit: f64,
 }
 
 impl Axis {
-    /// Of several turns: each value by its own weight. What they differ by is another check.
+    /// Weighted mean of two rotations. Their difference adds to `misfit`.
     fn merge(self, other: Self) -> Self {
         let apart = |a: f64, b: f64, variance: f64| {
             if variance > 0.0 {
@@ -119,7 +120,7 @@ impl Axis {
                 0.0
             }
         };
-        // In two planes the norms of one row differ by the squares of what is across, halved.
+        // The in-plane norm differs between planes by half the squared cross-axis components.
         let across = CROSS_AXIS * CROSS_AXIS;
         let of_scale = self.scale_variance + other.scale_variance + across * across;
         let of_bias = self.bias_variance + other.bias_variance;
@@ -170,7 +171,7 @@ impl Harmonic {
         Self { mean, cos, sin }
     }
 
-    /// Of what an axis reads.
+    /// Of the readings of an axis.
     fn along<const N: usize>(turn: &[Pose; N], axis: usize) -> Self {
         Self::of(readings(turn, axis))
     }
@@ -224,7 +225,8 @@ fn turns<const N: usize>(
                 off_rad: lean,
             });
         }
-        // Unequal steps make of two axes what no usual sensor has; of three nothing else shows them.
+        // Unequal steps distort the two axes beyond a typical sensor; with three steps nothing else
+        // shows them.
         let unlike = elliptic::<N>(turn, [a, b]) / USUAL_ELLIPTIC;
         let seen_rad = if N == 3 && unlike > BEYOND_USUAL {
             let of_steps = USUAL_ELLIPTIC * libm::sqrt(unlike * unlike - 1.0);
@@ -241,7 +243,7 @@ fn turns<const N: usize>(
                 ..one_axis(turn, axis, g, steps_sd_rad)
             };
             if lean > BEYOND_CHANCE * libm::hypot(placement.sd_rad(), CROSS_AXIS) {
-                // It shortens one of them or both.
+                // A tilt shortens one of the axes or both.
                 found.scale_variance += 0.25 * lean * lean * lean * lean;
             }
             axes[axis] = Some(match axes[axis] {
@@ -255,13 +257,13 @@ fn turns<const N: usize>(
         }
     }
 
-    // How far from level each turn was, going by the bias that the others tell.
+    // Tilt of each axis of rotation, with the bias from the other rotations.
     for (number, turn) in whole.iter().enumerate() {
         let Some([_, _, still]) = plane::<N>(turn, g) else {
             continue;
         };
         let reads = Harmonic::along(turn, still).mean;
-        // What it may be off by: a bias that nothing shows is as large as usual.
+        // Standard deviation of the reading if no rotation determines the bias.
         let either = libm::hypot(USUAL_BIAS_MPS2 / g, placement.sd_rad());
         let (off, most) = match axes[still] {
             Some(known) => ((reads - known.bias) / g, MOST_STEP_ERROR),
@@ -292,7 +294,7 @@ fn turns<const N: usize>(
         }
     }
 
-    // What was declared holds unless the readings contradict it beyond chance.
+    // The declared placement error is used unless the readings contradict it significantly.
     let misfits = axes.iter().flatten().map(|axis| axis.misfit);
     let misfit: f64 = misfits.sum();
     let contradicted = checks > 0 && misfit > student::chi_squared_half_percent(checks);
@@ -306,7 +308,7 @@ fn turns<const N: usize>(
     let mut covariance = Covariance::ZERO;
     for (axis, found) in axes.iter().enumerate() {
         let Some(found) = found else {
-            // Its scale factor is not this method's, and gravity tells nothing of it.
+            // Not estimated by this method, and not affected by gravity.
             theta[3 + 4 * axis] = 0.0;
             continue;
         };
@@ -330,35 +332,21 @@ fn turns<const N: usize>(
     covariance.take_for_granted(Parameters::ALL.without(fitted));
     let residuals = Residuals::of(&terms::theta_of(&model), poses.iter(), g);
     Ok(Estimate {
-        model,
-        method,
-        terms: Terms::NONE,
         fitted,
         worst_sd_mps2: force::worst_sd(&PERFECT, &covariance, g),
         covariance,
-        term_sd: TermDeviations::default(),
-        gravity,
         poses: poses.len(),
         orientations: Visits::of(poses).orientations(),
         dof: checks,
         interval_dof: contradicted.then_some(checks as f64),
-        rms_mps2: residuals.rms_mps2(),
-        max_mps2: residuals.largest_mps2,
-        worst_pose: residuals.worst_pose,
-        loo_rms_mps2: None,
-        loo_orientation_rms_mps2: None,
-        rejected: Rejected::default(),
-        // Mean and first harmonic of equal steps are orthogonal.
-        condition: 1.0,
         coverage: design::coverage(poses),
         temperature_c: pose::mean_temperature(poses.iter()),
-        temperature_range_c: None,
-        drift: None,
+        ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
 }
 
-/// The two axes in the plane of a turn and the one it is about; `None` where it is none about an axis
-/// of the sensor.
+/// The two axes in the plane of rotation and the axis of rotation; `None` if the rotation is not
+/// about an axis of the sensor.
 fn plane<const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 3]> {
     let harmonics: [Harmonic; 3] = core::array::from_fn(|axis| Harmonic::along(turn, axis));
     let size = |axis: usize| harmonics[axis].size() / g;
@@ -366,19 +354,18 @@ fn plane<const N: usize>(turn: &[Pose; N], g: f64) -> Option<[usize; 3]> {
     let (a, b) = (in_plane.next()?, in_plane.next()?);
     let still = 3 - a - b;
     let one_stays = in_plane.next().is_none() && size(still) < STAYS;
-    // Two axes of one body, a quarter of a turn apart, in either direction.
+    // The phases of the two axes differ by a quarter of a turn, in either direction.
     let quarter = quarter_off(&harmonics[a], &harmonics[b]);
     (one_stays && quarter.abs() < PI / 4.0).then_some([a, b, still])
 }
 
-/// How far two axes are from a quarter of a turn apart, rad.
+/// Deviation of the phase difference of two axes from a quarter of a turn, rad.
 fn quarter_off(a: &Harmonic, b: &Harmonic) -> f64 {
     let apart = (a.phase() - b.phase()).abs();
     apart.min(TAU - apart) - PI / 2.0
 }
 
-/// How unequal the steps were, rad rms, as far as the readings tell: what two axes of one body cannot
-/// read of equal steps.
+/// Lower bound on the step error, rad rms: the part of the readings that equal steps cannot cause.
 fn step_error<const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: f64) -> f64 {
     let elliptic = elliptic::<N>(turn, [a, b]);
     let shown = if elliptic > MOST_ELLIPTIC {
@@ -393,14 +380,14 @@ fn step_error<const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2], g: f64) -> f
     shown.max(libm::hypot(odd(a), odd(b)) / (2.0 * g))
 }
 
-/// How far two axes are from alike and at right angles.
+/// Deviation of two axes from equal amplitude and quadrature.
 fn elliptic<const N: usize>(turn: &[Pose; N], [a, b]: [usize; 2]) -> f64 {
     let [one, other] = [a, b].map(|axis| Harmonic::along(turn, axis));
     let longer = libm::log(one.size() / other.size());
     libm::hypot(longer, quarter_off(&one, &other))
 }
 
-/// Readings of even steps less those of odd ones.
+/// Sum of the readings of even steps minus that of odd steps.
 fn odd(readings: &[f64]) -> f64 {
     let signed = |(k, y): (usize, &f64)| if k % 2 == 0 { *y } else { -*y };
     readings.iter().enumerate().map(signed).sum()
@@ -418,7 +405,7 @@ fn one_axis<const N: usize>(turn: &[Pose; N], axis: usize, g: f64, placement_sd_
     let (mut sum, mut along, mut across, mut both) = (0.0, 0.0, 0.0, 0.0);
     for (k, pose) in turn.iter().enumerate() {
         let (s, c) = libm::sincos(begin + step::<N>(k));
-        // Of one reading: a step that is off, an axis that is not level, noise.
+        // Variance of one reading: step error, tilt of the axis of rotation, noise.
         let variance =
             tilt * amplitude * amplitude * s * s + tilt * cross * g * g + pose.noise(axis);
         sum += variance;
@@ -432,7 +419,7 @@ fn one_axis<const N: usize>(turn: &[Pose; N], axis: usize, g: f64, placement_sd_
     } else {
         0.0
     };
-    // Second order: steps and tilts shorten the amplitude, what is across lengthens it.
+    // Second order: step errors and tilts reduce the amplitude, cross-axis errors increase it.
     let four = 2.0 * 2.0 / (n * n);
     let shift = four * across / (2.0 * amplitude * amplitude) - tilt;
     let spread = (2.0 / n + 1.0 / 8.0) * tilt * tilt;

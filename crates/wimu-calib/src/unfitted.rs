@@ -1,4 +1,4 @@
-//! What the parameters that a smaller model leaves out do to those that it fits: equation (42a).
+//! Effect of parameters that a smaller model leaves out: equation (42a).
 
 use nalgebra::{SMatrix, Vector3};
 
@@ -9,31 +9,32 @@ use crate::shared::Shared;
 use crate::terms::{Slot, USUAL_BIAS_MPS2};
 use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
 
-/// Parameters that a model can leave out: three scale factors and three misalignments.
+/// Largest number of parameters left out: three scale factors and three misalignments.
 const MOST: usize = 6;
-/// What is known no better than this share of its usual spread is not determined: with what the residuals
-/// say, and before they are seen.
+/// A parameter is undetermined if its standard deviation exceeds this fraction of the prior: with
+/// the residuals taken into account, and from the prior alone.
 const LEAST_KNOWN: f64 = 0.5;
 const LEAST_KNOWN_BEFORE: f64 = 1.0;
 
-/// Scale factors and misalignments that are taken as those of a perfect sensor and are not: as far as
-/// the poses do not show them, they pass for what is fitted.
+/// Effect of scale factors and misalignments that are assumed perfect: as far as the poses do not
+/// show them, they bias the fitted parameters.
 pub(crate) struct Unfitted<const N: usize> {
-    /// What they add to the covariance of what is fitted.
+    /// Their contribution to the covariance of the fitted parameters.
     pub covariance: SMatrix<f64, N, N>,
-    /// Standard deviation of |f| − g in the worst of 26 orientations, noise and this, m/s².
+    /// Standard deviation of |f| − g in the worst of 26 orientations from noise and these
+    /// parameters, m/s².
     pub worst_sd_mps2: f64,
-    /// Degrees of freedom of what is known least well.
+    /// Smallest degrees of freedom of a fitted parameter.
     pub dof: f64,
-    /// Parameters and terms that they leave undetermined, and the orientation that is known worst.
+    /// Parameters and terms that are undetermined because of them, and the worst orientation.
     parameters: Parameters,
     terms: Terms,
     poorest: Orientation,
 }
 
 impl<const N: usize> Unfitted<N> {
-    /// `None` for a model that leaves nothing out. Where it is not `seen` what the residuals say, what is
-    /// left out is as large as usual.
+    /// `None` for a model that leaves nothing out. If `seen`, the residuals limit the size of the
+    /// parameters left out; otherwise the prior alone does.
     pub fn of<R: Real>(
         problem: &Magnitude<N>,
         fit: &Fit<R, N>,
@@ -49,7 +50,7 @@ impl<const N: usize> Unfitted<N> {
         if left_out.is_empty() {
             return None;
         }
-        // Variances that are likely beforehand.
+        // Prior variances.
         let usual: [f64; MOST] = slots.map(|slot| {
             let sd = slot.and_then(Slot::usual_sd).unwrap_or(0.0);
             sd * sd
@@ -72,7 +73,8 @@ impl<const N: usize> Unfitted<N> {
                 }
             }
         }
-        // What one of them, off by 1, makes of what is fitted; and what it leaves in the residuals.
+        // Change of the fitted parameters per unit of a parameter left out, and what remains of it
+        // in the residuals.
         let gain = fit.inverse * both;
         let left = (own - both.tr_mul(&gain)).map(double);
         let gain = gain.map(double);
@@ -85,7 +87,8 @@ impl<const N: usize> Unfitted<N> {
                 square += usual[i] * left[(i, j)] * usual[j] * left[(j, i)];
             }
         }
-        // They are as large as usual, or as the residuals allow if all of these come from them.
+        // Variance factor: the prior, or less if all residuals came from these parameters and are
+        // smaller.
         let share = if seen && trace > fit.cost {
             fit.cost / trace
         } else {
@@ -102,7 +105,7 @@ impl<const N: usize> Unfitted<N> {
         };
         let ratio = |i: usize| added(i) / (variance * inverse[(i, i)]);
         let most = (0..N).map(ratio).fold(0.0, f64::max);
-        // Where they do no more than the residuals taken for noise, they are in that already.
+        // An effect below that of the residual variance is included there already.
         let weight = match seen {
             true if most > 1.0 => 1.0 - 1.0 / most,
             true => 0.0,
@@ -164,7 +167,7 @@ impl<const N: usize> Unfitted<N> {
         Some(found)
     }
 
-    /// Why the poses do not support the model, if they do not.
+    /// The refusal, if parameters are undetermined.
     pub fn refusal(&self, model: Model) -> Option<Refusal> {
         let sound = self.parameters.is_empty() && self.terms == Terms::NONE;
         (!sound).then_some(Refusal::Confounded {

@@ -1,61 +1,54 @@
-//! Which poses are visits of one orientation.
+//! Grouping of poses by orientation.
 
 use crate::Pose;
 
-/// cos 10°: poses whose outputs point less apart are visits of one orientation.
+/// cos 10°: poses whose outputs differ by less have the same orientation.
 const ALIKE: f32 = 0.984_8;
-/// Orientations come again where so many of the poses, at least, are of one that is there: of random ones a
-/// few are near to each other, and no two of these tell how visits of one differ.
+/// Repetition counts as such when at least one pose in five repeats an orientation: a few random
+/// poses may be close to each other, and they do not show how repeated poses differ.
 const FIFTH: usize = 5;
-/// Orientations that are kept; where there are more, a pose counts to the nearest.
+/// Largest number of orientations; further poses belong to the nearest one.
 pub(crate) const MOST: usize = 256;
 
-/// The poses by orientation: each goes with the first that is alike.
+/// The poses by orientation: each belongs to the first orientation within 10°.
 pub(crate) struct Visits {
-    first: [[f32; 3]; MOST],
-    count: usize,
-    /// The group of each of the first poses.
-    group: [u8; MOST],
+    /// Direction of the first pose of each orientation.
+    first: heapless::Vec<[f32; 3], MOST>,
+    /// Orientation of each of the first poses.
+    group: heapless::Vec<u8, MOST>,
 }
 
 impl Visits {
     pub fn of(poses: &[Pose]) -> Self {
         let mut visits = Self {
-            first: [[0.0; 3]; MOST],
-            count: 0,
-            group: [0; MOST],
+            first: heapless::Vec::new(),
+            group: heapless::Vec::new(),
         };
-        for (k, pose) in poses.iter().enumerate() {
+        for pose in poses {
             let up = direction(pose);
             let group = visits.alike(up).unwrap_or_else(|| {
-                let new = visits.count;
-                match visits.first.get_mut(new) {
-                    Some(place) => {
-                        *place = up;
-                        visits.count += 1;
-                        new
-                    }
-                    None => visits.nearest(up),
+                let new = visits.first.len();
+                match visits.first.push(up) {
+                    Ok(()) => new,
+                    Err(_) => visits.nearest(up),
                 }
             });
-            if let Some(place) = visits.group.get_mut(k) {
-                *place = group as u8;
-            }
+            let _ = visits.group.push(group as u8);
         }
         visits
     }
 
-    /// How many orientations there are.
+    /// Number of orientations.
     pub fn orientations(&self) -> usize {
-        self.count
+        self.first.len()
     }
 
-    /// How many of `poses` poses are evidence of their own.
+    /// Number of independent observations among `poses` poses.
     pub fn apart(&self, poses: usize) -> usize {
-        apart(poses, self.count)
+        apart(poses, self.first.len())
     }
 
-    /// The group of pose `k`, which is `pose`.
+    /// Orientation of `pose`, the k-th.
     pub fn group(&self, k: usize, pose: &Pose) -> usize {
         match self.group.get(k) {
             Some(&group) => usize::from(group),
@@ -66,11 +59,12 @@ impl Visits {
         }
     }
 
-    /// The first group that is alike.
+    /// The first orientation within 10°.
     #[inline(always)]
     fn alike(&self, up: [f32; 3]) -> Option<usize> {
-        let known = self.first.get(..self.count)?;
-        known.iter().position(|first| cosine(up, *first) > ALIKE)
+        self.first
+            .iter()
+            .position(|first| cosine(up, *first) > ALIKE)
     }
 
     fn nearest(&self, up: [f32; 3]) -> usize {

@@ -1,9 +1,10 @@
-//! Which poses a fit does without, and how much each of the others counts.
+//! Rejected poses and weights of the others.
 
 use crate::Pose;
 use crate::terms::Theta;
 
-/// The poses that a fit does without: at most [`Rejected::MOST`] by name, more of more than 320 poses.
+/// Poses rejected as outliers. The indices of up to [`Rejected::MOST`] are kept; only sets of more
+/// than 320 poses can lose more.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rejected {
@@ -12,19 +13,19 @@ pub struct Rejected {
     pub(crate) unnamed: usize,
 }
 
-/// What is far off among poses that are too many to name.
+/// Rule that rejects distant poses when there are too many to list.
 #[derive(Clone, Copy)]
 pub(crate) struct FarOff {
-    /// The parameters that tell,
+    /// Parameters of the fit that the residuals refer to.
     pub theta: Theta<f64>,
-    /// the scatter of the poses that are not, m/s²,
+    /// Standard deviation of the residuals of the other poses, m/s².
     pub sd_mps2: f64,
-    /// and how many of it are no chance.
+    /// Threshold, standard deviations.
     pub deviations: f64,
 }
 
 impl FarOff {
-    /// Whether a pose is that has this residual; none is for its own noise.
+    /// Whether a pose with this residual is rejected. The noise of the pose itself is allowed for.
     pub fn has(&self, residual_mps2: f64, pose: &Pose) -> bool {
         let variance = (self.sd_mps2 * self.sd_mps2).max(pose.mean_free_noise());
         let near = self.deviations * self.deviations * variance;
@@ -34,25 +35,25 @@ impl FarOff {
 }
 
 impl Rejected {
-    /// So many are named; of up to 320 poses no more are left out.
+    /// Largest number of indices kept; up to 320 poses never lose more than this.
     pub const MOST: usize = 16;
 
-    /// How many there are, named or not.
+    /// Number of rejected poses, including those without an index.
     pub fn count(&self) -> usize {
         self.count + self.unnamed
     }
 
-    /// Indices of those that are named, the worst first.
+    /// Indices of the rejected poses, the worst first.
     pub fn as_slice(&self) -> &[usize] {
         self.poses.get(..self.count).unwrap_or(&[])
     }
 
-    /// Whether `pose` is one of those that are named.
+    /// Whether `pose` is among the indices.
     pub fn contains(&self, pose: usize) -> bool {
         self.as_slice().contains(&pose)
     }
 
-    /// Without the one at `place`.
+    /// With the k-th entry removed.
     pub(crate) fn without(mut self, place: usize) -> Self {
         if place < self.count {
             self.poses.copy_within(place + 1..self.count, place);
@@ -61,7 +62,7 @@ impl Rejected {
         self
     }
 
-    /// With one more, if there is room.
+    /// With one more pose, if there is room.
     pub(crate) fn with(mut self, pose: usize) -> Self {
         if let Some(place) = self.poses.get_mut(self.count) {
             *place = pose;
@@ -71,12 +72,12 @@ impl Rejected {
     }
 }
 
-/// How much each pose counts: 1 / (σ₀² + its noise), 1 on average. Equation (40).
+/// Weight of a pose: 1 / (σ₀² + variance of its noise), 1 on average. Equation (40).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Weighting {
-    /// σ₀²: what differs from pose to pose and is no noise, (m/s²)².
+    /// σ₀²: variance between poses besides noise, (m/s²)².
     common: f64,
-    /// Mean noise of a pose's mean, (m/s²)²; 0 when all count the same.
+    /// Mean variance of the noise of a pose, (m/s²)²; 0 for equal weights.
     mean_noise: f64,
 }
 

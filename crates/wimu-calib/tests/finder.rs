@@ -288,7 +288,7 @@ fn a_hold_is_reported_while_it_lasts_and_comes_out_when_the_sensor_is_turned() {
     let mut out_at = None;
     for (k, y) in stream.samples.iter().enumerate() {
         let pose = finder.push(*y);
-        if finder.held_samples() > 0 && held_at.is_none() {
+        if finder.held().is_some() && held_at.is_none() {
             held_at = Some(k);
         }
         if pose.is_some() && out_at.is_none() {

@@ -477,6 +477,6 @@ fn terms_that_nothing_shows_are_refused() {
         .collect();
     for term in [Term::Drift, Term::BiasTemperature, Term::ScaleTemperature] {
         let refused = multi_position_with(&poses, exact(), with(Terms::NONE.with(term)));
-        assert_eq!(refused, Err(Refusal::TermNotShown { term }));
+        assert_eq!(refused, Err(Refusal::TermNotObservable { term }));
     }
 }

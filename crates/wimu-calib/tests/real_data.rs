@@ -8,6 +8,7 @@ use wimu_calib::{
     best_model, find_poses, multi_position, multi_position_with, six_position,
 };
 use wimu_model::STANDARD_GRAVITY_MPS2;
+use wimu_testkit::figure;
 
 /// m/s² per count of a sensor with 2048 LSB/g.
 const SCALE_2048: f64 = STANDARD_GRAVITY_MPS2 / 2048.0;
@@ -28,6 +29,22 @@ fn rms_mm(estimate: &Estimate) -> f64 {
 
 fn loo_mm(estimate: &Estimate) -> f64 {
     estimate.loo_rms_mps2.expect("multi-position has it") * 1e3
+}
+
+/// Records the residuals |f| − g and those of poses left out, mm/s² rms, beside the largest allowed ones.
+fn residuals(of: &str, rms_loo: [f64; 2], bars: [Option<f64>; 2]) {
+    let claim = format!("{of}: |f| − g, left out, mm/s² rms");
+    let [rms, loo] = rms_loo.map(|value| format!("{value:.3}"));
+    let words = bars.map(|bar| bar.map_or("–".into(), |bar| format!("{bar}")));
+    let met = rms_loo
+        .iter()
+        .zip(bars)
+        .all(|(value, bar)| bar.is_none_or(|bar| *value <= bar));
+    let target = match bars {
+        [None, None] => "–".into(),
+        _ => format!("at most {} / {}", words[0], words[1]),
+    };
+    figure(&claim, format!("{rms} / {loo}"), &target, met);
 }
 
 #[test]
@@ -57,6 +74,8 @@ fn eight_mpu9150_in_four_runs_reach_the_reference() {
             condition = condition.max(estimate.condition);
         }
         println!("  run {run}: {rms:.3} {loo:.3} {condition:.2}");
+        let of = format!("8 MPU-9150, run {run}, 9 parameters");
+        residuals(&of, [rms, loo], [Some(rms_bar), Some(loo_bar)]);
         assert!(rms <= rms_bar && loo <= loo_bar && condition < 2.6);
     }
 }
@@ -70,14 +89,11 @@ fn innalabs_reaches_the_reference() {
         .iter()
         .map(|row| Pose::from_mean(vector(row, 0, STANDARD_GRAVITY_MPS2)))
         .collect();
-    println!("Innalabs, 49 poses: rms, leave-one-out (mm/s²)");
     for (model, bar) in [(Model::Full9, 8.2), (Model::BiasScale6, 110.0)] {
         let estimate = multi_position(&poses, Gravity::UNKNOWN_PLACE, model).expect("an answer");
-        println!(
-            "  {model}: {:.3} {:.3}",
-            rms_mm(&estimate),
-            loo_mm(&estimate)
-        );
+        let of = format!("Innalabs, 49 poses, {model}").replace("-parameter model", "");
+        let found = [rms_mm(&estimate), loo_mm(&estimate)];
+        residuals(&of, found, [Some(bar), None]);
         let what = MultiPosition {
             model,
             reject: true,
@@ -107,7 +123,6 @@ fn ten_poses_of_an_mpu6050_give_no_nine_parameters() {
     assert_eq!(poses.len(), 10);
     let refusal =
         multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Full9).expect_err("refused");
-    println!("MPU-6050, ten poses: {refusal}");
     let Refusal::NotObservable {
         parameters,
         condition,
@@ -116,14 +131,18 @@ fn ten_poses_of_an_mpu6050_give_no_nine_parameters() {
     else {
         panic!("{refusal:?}");
     };
-    assert!((300.0..1000.0).contains(&condition));
+    let refused = (300.0..1000.0).contains(&condition);
+    figure(
+        "MPU-6050, ten poses: nine parameters are refused, condition",
+        format!("{condition:.0}"),
+        "300 to 1000",
+        refused,
+    );
+    assert!(refused);
     assert!(parameters.contains(Parameter::MisalignmentXy));
     let smaller = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::BiasScale6).expect("six");
-    println!(
-        "  six parameters: {:.2} {:.2} mm/s²",
-        rms_mm(&smaller),
-        loo_mm(&smaller)
-    );
+    let found = [rms_mm(&smaller), loo_mm(&smaller)];
+    residuals("MPU-6050, ten poses, 6 parameters", found, [None; 2]);
 }
 
 #[test]
@@ -168,20 +187,25 @@ fn twenty_poses_are_found_before_and_none_within_violent_motion() {
         rms += rms_mm(&estimate) / 8.0;
         loo += loo_mm(&estimate) / 8.0;
     }
-    println!("MIMU4444 run 1, continuous, nine parameters: {rms:.3} {loo:.3} mm/s²");
+    let of = "MIMU4444 run 1, poses found";
+    residuals(of, [rms, loo], [Some(2.2), Some(4.0)]);
     assert!(rms <= 2.2 && loo <= 4.0);
 }
 
 #[test]
 fn six_positions_by_hand_are_found_and_fitted() {
-    println!("six positions by hand, |f| − g after the fit (mm/s² rms)");
     if let Some(rows) = recording("calibration/six_position_sections.csv") {
         let samples: Vec<[f64; 3]> = rows.iter().map(|row| vector(row, 2, SCALE_2048)).collect();
         let poses = poses(&samples, 102.4);
         assert_eq!(poses.len(), 6);
         let gravity = Gravity::new(9.81, 0.0).expect("gravity");
         let estimate = six_position(&poses, gravity, Placement::BY_HAND).expect("an answer");
-        println!("  sections: {:.3}", rms_mm(&estimate));
+        figure(
+            "six positions by hand, marked sections: |f| − g, mm/s² rms",
+            format!("{:.3}", rms_mm(&estimate)),
+            "below 1",
+            rms_mm(&estimate) < 1.0,
+        );
         assert!(rms_mm(&estimate) < 1.0);
     }
     if let Some(rows) = recording("calibration/six_position.csv") {
@@ -208,10 +232,15 @@ fn six_positions_by_hand_are_found_and_fitted() {
         }
         let gravity = Gravity::new(9.81, 0.0).expect("gravity");
         let estimate = six_position(&found, gravity, Placement::BY_HAND).expect("an answer");
-        println!(
-            "  whole session, {} poses: {:.3}",
-            estimate.poses,
-            rms_mm(&estimate)
+        figure(
+            "six positions by hand, poses found: |f| − g, mm/s² rms",
+            format!(
+                "{:.3}, largest {:.1}",
+                rms_mm(&estimate),
+                estimate.max_mps2 * 1e3
+            ),
+            "largest below 10",
+            estimate.max_mps2 < 0.01,
         );
         assert!(estimate.max_mps2 < 0.01);
         let refused = multi_position(&found, gravity, Model::Full9);
@@ -266,6 +295,13 @@ fn a_linear_drift_and_the_model_with_the_least_left_out_error_reach_the_referenc
             kept += usize::from(auto.terms.contains(Term::Drift));
         }
         println!("  run {run}: {sums:.3?}, drift kept by {kept} of 8");
+        let of = |model| format!("8 MPU-9150, run {run}, {model}");
+        residuals(
+            &of("9 and drift"),
+            [sums[0], sums[1]],
+            [Some(drift_bar), None],
+        );
+        residuals(&of("`auto`"), [sums[2], sums[3]], [Some(auto_bar), None]);
         assert!(sums[0] <= drift_bar && sums[2] <= auto_bar, "{sums:?}");
     }
 }
@@ -305,9 +341,14 @@ fn a_quadratic_term_is_of_no_use_to_real_sensors_at_1_g() {
         }
     }
     println!(
-        "quadratic terms: left-out error {:.2} times as large on average, smaller in {better} of \
-         {sensors} runs; largest term {largest:.1} standard deviations",
-        ratio / f64::from(sensors)
+        "smaller in {better} of {sensors} runs; largest term {largest:.1} standard deviations"
     );
-    assert!(ratio > f64::from(sensors));
+    let ratio = ratio / f64::from(sensors);
+    figure(
+        "8 MPU-9150, 4 runs: left-out error with quadratic terms over that without",
+        format!("{ratio:.2}"),
+        "above 1",
+        ratio > 1.0,
+    );
+    assert!(ratio > 1.0);
 }

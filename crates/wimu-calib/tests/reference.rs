@@ -123,7 +123,7 @@ fn coverage(trial: Trial) -> [Coverage; 3] {
             let [b, s] = line.half_widths_95();
             inside[0].count((line.bias_mps2 - bias[axis]).abs() <= b);
             inside[1].count((line.scale - matrix[axis][axis]).abs() <= s);
-            inside[2].count(transfer.seen_of != [0.0; 3]);
+            inside[2].count(transfer.cross_axis != [0.0; 3]);
         }
     }
     inside

@@ -240,7 +240,7 @@ fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only
         ..Ageing::default()
     };
     // Over what was seen the rests are as well known as at the mean, and a jump is found out.
-    let check = || SelfCheck::of(&set, gravity, no_turn_on).expect("a quality");
+    let check = || SelfCheck::<f64>::of(&set, gravity, no_turn_on).expect("a quality");
     for celsius in [16.0, 33.0, 49.0] {
         let said = check()
             .push(&hold([0.0, 0.6, 0.8], celsius, 0.0))
@@ -334,8 +334,8 @@ fn a_self_check_in_f32_comes_to_the_same_verdicts() {
             quality: stored.quality(None, &poses),
             ..ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).expect("sound"))
         };
-        let mut long = SelfCheck::of(&set, gravity, Ageing::default()).expect("a quality");
-        let mut short = SelfCheck::of_f32(&set, gravity, Ageing::default()).expect("a quality");
+        let mut long = SelfCheck::<f64>::of(&set, gravity, Ageing::default()).expect("a quality");
+        let mut short = SelfCheck::<f32>::of(&set, gravity, Ageing::default()).expect("a quality");
         // The bias has moved by what a run may, or by far more.
         let moved = if seed % 2 == 0 { 0.015 } else { 0.06 };
         let shift = [0; 3].map(|_| moved * random.normal());

@@ -74,7 +74,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
             assert_eq!(taken, [&Phase::Captured { pose: captured }], "{rate} Hz");
             // In this order: motion, stillness, taken, waiting for motion or done.
             let place = |wanted: fn(&Phase) -> bool| phases.iter().rposition(wanted);
-            let moving = place(|p| matches!(p, Phase::WaitingForStillness));
+            let moving = place(|p| matches!(p, Phase::WaitingForRest));
             let collecting = place(|p| matches!(p, Phase::Collecting { .. }));
             assert!(moving < collecting, "{moving:?} {collecting:?}");
             captured += 1;
@@ -139,7 +139,7 @@ fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() 
     assert_eq!(session.capture(), None, "nothing is held yet");
     let mut noise = 0.01;
     let mut hold = |session: &mut Session<8>, up: [f64; 3], samples: u32| {
-        let mut last = Phase::WaitingForStillness;
+        let mut last = Phase::WaitingForRest;
         for k in 0..50 + samples {
             noise = -noise;
             let wild = if k < 50 { f64::from(k % 7) } else { 0.0 };
@@ -155,7 +155,7 @@ fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() 
     let taken = session.poses()[0].samples;
     assert_eq!(
         hold(&mut session, [0.0, 0.0, 1.0], 0),
-        Phase::WaitingForStillness
+        Phase::WaitingForRest
     );
     assert_eq!(session.capture(), None, "it moves");
     let phase = hold(&mut session, [0.0, 0.0, 1.0], 300);

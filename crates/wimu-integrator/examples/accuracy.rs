@@ -2,6 +2,7 @@
 
 use wimu_integrator::Segment;
 use wimu_model::{PeriodNs, SpecificForceQ16};
+use wimu_testkit::figure;
 
 const LSB: f64 = 65536.0;
 
@@ -80,11 +81,11 @@ fn hour_at_1_khz() {
             farthest = farthest.max(position.abs());
         }
     }
-    println!("integer trapezoid against the same rule in f64, 1 h at 1 kHz, attitude held:");
-    println!(
-        "  worst difference {:.4} µm over {:.0} m (bar: 10 µm)",
-        worst * 1e6,
-        farthest
+    figure(
+        "integrator, 1 h at 1 kHz, against the same rule in f64, µm",
+        format!("{:.4} over {farthest:.0} m", worst * 1e6),
+        "below 10",
+        worst < 10e-6,
     );
 }
 
@@ -110,17 +111,25 @@ fn minute_at_100_hz() {
     }
     let exact = sines_position(60.0);
     let ours = segment.position_nm([0; 3], period)[0] as f64 * 1e-9;
-    println!("three sines, 100 Hz, 60 s, error against the exact integral of {exact:.3} m:");
-    println!(
-        "  integer trapezoid         {:>10.6} m",
-        (ours - exact).abs()
+    let off_mm = |position: f64| (position - exact).abs() * 1e3;
+    let [ours, euler, shift] = [ours, euler_p, shift_p as f64 / LSB].map(off_mm);
+    println!("three sines, 100 Hz, 60 s, against the exact integral of {exact:.3} m:");
+    figure(
+        "trapezoid against the exact integral, 100 Hz, 60 s, mm",
+        format!("{ours:.2}"),
+        "below 5",
+        ours < 5.0,
     );
-    println!(
-        "  Euler in f64              {:>10.6} m",
-        (euler_p - exact).abs()
+    figure(
+        "for comparison: Euler's rule in f64, mm",
+        format!("{euler:.0}"),
+        "–",
+        true,
     );
-    println!(
-        "  Q16 with truncating shift {:>10.6} m",
-        (shift_p as f64 / LSB - exact).abs()
+    figure(
+        "for comparison: 16 fraction bits, truncating shifts, mm",
+        format!("{shift:.0}"),
+        "–",
+        true,
     );
 }

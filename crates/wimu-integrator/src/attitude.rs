@@ -1,4 +1,5 @@
-//! Held attitude from gravity and a reference direction: equation (7) of docs/EQUATIONS.md.
+//! Attitude from gravity and a reference direction, held during motion: equation (7) of
+//! docs/EQUATIONS.md.
 
 use wimu_model::{PositionNm, VelocityNmps, root};
 
@@ -9,7 +10,7 @@ pub(crate) const DIRECTION_BITS: u32 = 30;
 /// cos 10°, of the product of two directions.
 const HEADED_AS: i128 = 1_135_406_036_351_323_008;
 
-/// The navigation frame's axes seen from the body: unit vectors east, north, up, 2⁻³⁰ per LSB.
+/// Axes of the navigation frame in body axes: unit vectors east, north, up, 2⁻³⁰ per LSB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct Attitude {
@@ -26,20 +27,20 @@ impl Attitude {
         ],
     };
 
-    /// From specific force at rest (any unit) and the direction that was east before; both in
-    /// body axes. `None` if the force is zero.
+    /// From specific force at rest (any unit) and the previous east direction, both in body axes.
+    /// `None` if the force is zero.
     ///
     /// Plain f64 in a fixed order: the same bits on every target.
     pub(crate) fn from_rest(force: [i64; 3], east_before: [i32; 3]) -> Option<Self> {
         let up = unit(force.map(|f| f as f64))?;
-        // Where the old east has become vertical, any other axis serves to go on.
+        // If the previous east is vertical now, another axis replaces it.
         let forward = [east_before.map(f64::from), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
             .into_iter()
             .find_map(|direction| {
                 let direction = unit(direction)?;
                 let along = dot(direction, up);
                 let level = [0, 1, 2].map(|axis| direction[axis] - along * up[axis]);
-                // Within 6° of the vertical a heading is no more than noise.
+                // Within 6° of the vertical a heading is noise.
                 (dot(level, level) > 0.01).then_some(level)
             })?;
         let east = unit(forward)?;

@@ -6,25 +6,25 @@ use crate::attitude::{DIRECTION_BITS, to_direction};
 
 type Matrix = [[f32; 3]; 3];
 
-/// Noise of a magnetometer before any was seen, nT …
+/// Prior noise of a magnetometer, nT.
 const NOISE_NT: f32 = 400.0;
-/// … which counts as much as so many readings.
+/// Weight of the prior noise, readings.
 const NOISE_READINGS: f32 = 4.0;
-/// Readings that are further than this many times the noise from the mean are of another field.
+/// Outlier threshold: distance of a reading from the mean, standard deviations per axis.
 const MOST_APART: f32 = 6.0;
-/// A heading that is known worse than this is none, rad: 20°.
+/// Largest standard deviation of a heading, rad: 20°.
 const MOST_SD_RAD: f32 = 0.35;
-/// Bias of an accelerometer from one run to the next, m/s², which tilts what it calls up.
+/// Turn-on bias repeatability of the accelerometer, m/s², which tilts the measured vertical.
 const TURN_ON_MPS2: f32 = 0.015;
-/// Bias of one whose calibration does not say how good it is, m/s².
+/// Bias of an accelerometer without a quality record, m/s².
 const UNKNOWN_BIAS_MPS2: f32 = 0.1;
 const GRAVITY_MPS2: f32 = 9.81;
 
-/// Where magnetic east is, and how well that is known.
+/// Direction of magnetic east and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagneticHeading {
-    /// Direction of magnetic east in body axes, level, 2⁻³⁰ per LSB.
+    /// Direction of magnetic east in body axes, horizontal, 2⁻³⁰ per LSB.
     pub east: [i32; 3],
     /// Its standard deviation about the vertical, mrad, rounded up.
     pub sd_mrad: u16,
@@ -32,7 +32,7 @@ pub struct MagneticHeading {
 
 /// Mean output of a magnetometer over a rest.
 ///
-/// A reading that departs is left out; two in a row begin the mean anew: the unit has been turned.
+/// An outlier is left out; two successive ones restart the mean: the unit was rotated.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FieldMean {
@@ -40,13 +40,13 @@ pub struct FieldMean {
     /// Σ of squared departures, all axes.
     squares: f32,
     readings: u32,
-    /// The latest reading was left out.
+    /// Whether the latest reading was an outlier.
     departed: bool,
 }
 
 impl FieldMean {
-    /// Takes the magnetometer's output at rest. Returns whether the mean is worth a new heading: at
-    /// readings 1, 2, 4, 8, …
+    /// Adds a magnetometer output at rest. Returns whether a new heading is due: at readings 1, 2,
+    /// 4, 8, …
     pub fn push(&mut self, output: MagneticFieldNt) -> bool {
         let reading = output.0.map(|axis| axis as f32);
         let off = minus(reading, self.mean_nt);
@@ -68,16 +68,16 @@ impl FieldMean {
         self.readings.is_power_of_two()
     }
 
-    /// Variance of an axis of one reading, nT².
+    /// Variance of one reading of an axis, nT².
     fn variance(&self) -> f32 {
         let freedom = NOISE_READINGS + self.readings.saturating_sub(1) as f32;
         (NOISE_READINGS * square(NOISE_NT) + self.squares / 3.0) / freedom
     }
 }
 
-/// What tells heading of a field: a magnetometer's model with its rotation to the body, and how well
-/// all that is known. Single precision: it stays 10⁻⁴ rad below any magnetometer's errors, and what
-/// it says travels as whole numbers.
+/// Heading from the magnetic field: the magnetometer model with its rotation to the body, and their
+/// uncertainties. Single precision: its rounding is 10⁻⁴ rad, below the errors of magnetometers;
+/// the output is in integers.
 ///
 /// ```
 /// use wimu_integrator::{Compass, FieldMean};
@@ -128,26 +128,25 @@ pub struct Compass {
     to_body: Matrix,
     hard_iron_nt: [f32; 3],
     field_nt: f32,
-    /// Vertical part of the field where it was calibrated, up.
+    /// Vertical component of the field at the calibration, up, nT.
     up_nt: f32,
-    /// Covariance of the rotations' errors in body axes, rad²: the magnetometer's to the
-    /// accelerometer, and the sensor's to the body.
+    /// Covariances of the rotation errors in body axes, rad²: magnetometer to accelerometer, and
+    /// sensor to body.
     mounting: Matrix,
     alignment: Matrix,
-    /// Variance of a component of the field by the model: hard iron, soft iron, residual, nT².
+    /// Variance of a component of the corrected field from hard iron, soft iron and residual, nT².
     model: f32,
-    /// Variance of the tilt of what the accelerometer calls up, rad².
+    /// Variance of the tilt of the measured vertical, rad².
     tilt: f32,
 }
 
 impl Compass {
-    /// `None` where the set has no magnetometer, or one whose rotation to the accelerometer is not
-    /// known.
+    /// `None` if the set has no magnetometer, or its rotation to the accelerometer is unknown.
     pub fn new(set: &ParameterSet) -> Option<Self> {
         let magnetometer = set.magnetometer.as_ref()?;
         let terms = magnetometer.terms();
         let mounting = terms.to_accelerometer.as_ref()?;
-        // The correction is linear beside its constant: columns of 1 mT each.
+        // The correction is affine: its columns follow from outputs of 1 mT each.
         let none = set.correct_field(MagneticFieldNt([0; 3]))?;
         let mut to_body = [[0.0; 3]; 3];
         for column in 0..3 {
@@ -186,9 +185,9 @@ impl Compass {
         })
     }
 
-    /// Heading of a body at rest, from the field's mean there and specific force, any unit, body
-    /// axes. `None` without a reading, near the magnetic poles, and where the field is so disturbed
-    /// that its heading would be known worse than to 20°.
+    /// Heading of a body at rest, from the mean field and the specific force (any unit), body axes.
+    /// `None` without a reading, near the magnetic poles, and if the disturbance of the field makes
+    /// the standard deviation exceed 20°.
     pub fn heading(&self, field: &FieldMean, force: [i64; 3]) -> Option<MagneticHeading> {
         if field.readings == 0 {
             return None;
@@ -201,7 +200,8 @@ impl Compass {
         let north = unit(level)?;
         let east = cross(north, up);
         let known = self.model + field.variance() / field.readings as f32;
-        // What departs from the field where it was calibrated shows what does not.
+        // The deviation in magnitude and dip from the calibration indicates the disturbance of the
+        // heading.
         let longer = sqrt(dot(b, b)) - self.field_nt;
         let higher = vertical - self.up_nt;
         let disturbed = (0.5 * (square(longer) + square(higher)) - known).max(0.0);
@@ -219,7 +219,7 @@ impl Compass {
     }
 }
 
-/// Sine of an angle of a right angle at most, to 10⁻⁷: a tenth of the code of one for all angles.
+/// Sine of an angle within ±π/2, to 10⁻⁷: a tenth of the code of a general one.
 fn sine(rad: f32) -> f32 {
     let square = rad * rad;
     let series = [
@@ -245,8 +245,8 @@ fn apply(matrix: &Matrix, v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| dot(row, v))
 }
 
-/// The square root, rounded to the nearest: one of more than twice the digits is, when it is rounded
-/// once more.
+/// The square root, rounded to nearest: rounding the f64 root again is exact, because it has more
+/// than twice the digits.
 fn sqrt(x: f32) -> f32 {
     root::sqrt(f64::from(x)) as f32
 }

@@ -1,4 +1,4 @@
-//! Samples to velocity and position between rests.
+//! Velocity and position between rests from samples of specific force.
 
 use wimu_model::{PeriodNs, PositionNm, SpecificForceQ16, VelocityNmps};
 
@@ -6,21 +6,21 @@ use crate::attitude::{Attitude, unit};
 use crate::compass::MagneticHeading;
 use crate::segment::{Segment, billionth, product};
 use crate::state::{Config, ConfigError, Flags, Phase, State, StateError};
-use crate::stillness::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
+use crate::stationarity::{REST_WINDOWS, Run, TURNED_REST_WINDOWS, Window, window_steps};
 
-/// Gravity may turn this far within a leg: the cosine of 1°.
+/// Cosine of the largest change of the direction of gravity within a leg: 1°.
 const TURN_COSINE: f64 = 0.999_847_695;
-/// Beyond this, 2⁶² of its units, a sum is close to leaving 64 bits.
+/// Limit of a sum before it overflows 64 bits.
 const SUM_LIMIT: u64 = 1 << 62;
 
-/// What a step found.
+/// Event of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Transition {
     /// Nothing changed.
     None,
-    /// A window of the stillness detector is complete; the phase is as before. Its state is at
-    /// its smallest now: a good moment for an epoch.
+    /// A window of the stationarity detector is complete; the phase is unchanged. The state is at
+    /// its smallest now, which suits an epoch message.
     Window,
     /// A rest has begun, or the first one has been found.
     Rest,
@@ -32,30 +32,29 @@ pub enum Transition {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Navigation {
-    /// Position since the first rest, nm, east-north-up; without a compass body x points east at
-    /// that rest, with one north is magnetic.
+    /// Position since the first rest, nm, east-north-up. Without a compass, body x points east at
+    /// that rest; with one, north is magnetic.
     pub position: PositionNm,
     /// Velocity, nm/s, east-north-up.
     pub velocity: VelocityNmps,
-    /// Time since velocity was last known to be zero, ms.
+    /// Time since the velocity was last zero, ms.
     pub since_rest_ms: u32,
-    /// Where the integrator stands; while `Searching`, velocity and position are zero and mean
-    /// nothing.
+    /// Phase; in `Searching`, velocity and position are zero and invalid.
     pub phase: Phase,
-    /// What is wrong with the numbers.
+    /// Faults.
     pub flags: Flags,
-    /// Standard deviation of the heading at the latest rest against magnetic north, mrad; `None`:
-    /// uncalibrated, north is where the first rest had it or a compass told last.
+    /// Standard deviation of the heading at the latest rest relative to magnetic north, mrad;
+    /// `None` if uncalibrated: north is held from the first rest or from the last compass heading.
     pub heading_sd_mrad: Option<u16>,
 }
 
-/// Integrates specific force to velocity and position in whole numbers, attitude held between
+/// Integrates specific force to velocity and position in integers, with the attitude held between
 /// rests.
 ///
-/// Give it every corrected sample in order; say [`gap`](Self::gap) where some are missing.
-/// It finds rests by itself: the first aligns it (attitude from gravity, velocity zero), and with
-/// [`Config::zupt`] every later one sets the velocity to zero, spreads what was left of it over
-/// the leg (equation (8)) and aligns anew.
+/// Pass every corrected sample in order, and call [`gap`](Self::gap) where some are missing. Rests
+/// are detected automatically. The first one aligns (attitude from gravity, velocity zero). With
+/// [`Config::zupt`] every later one sets the velocity to zero, distributes the residual velocity
+/// over the leg (equation (8)) and aligns again.
 ///
 /// ```
 /// use wimu_integrator::{Config, Integrator, Phase};
@@ -76,9 +75,9 @@ pub struct Integrator {
     state: State,
     // Derived from the state.
     attitude: Attitude,
-    /// What is taken from each sample, 2⁻³² m/s².
+    /// Gravity subtracted from each sample, 2⁻³² m/s².
     gravity: [i64; 3],
-    /// The same, rounded to 2⁻¹⁶ m/s².
+    /// `gravity` rounded to 2⁻¹⁶ m/s².
     whole_gravity: [i32; 3],
     window_steps: u16,
 }
@@ -108,7 +107,7 @@ impl Integrator {
         }
     }
 
-    /// Goes on from a state that [`state`](Self::state) gave, on this device or another.
+    /// Continues from a state of this or another device.
     ///
     /// # Errors
     /// [`StateError`] when the state cannot have come from an integrator.
@@ -139,17 +138,17 @@ impl Integrator {
                 .iter()
                 .any(|sum| sum.unsigned_abs() > 1 << 48)
         {
-            return Err(StateError::Stillness);
+            return Err(StateError::Stationarity);
         }
         Ok(integrator)
     }
 
-    /// Everything that decides what comes next.
+    /// Everything that determines the future outputs.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// Takes the next corrected sample, body axes; `saturated` if any axis stood at full scale.
+    /// Adds the next corrected sample, body axes; `saturated` if any axis was at full scale.
     #[inline]
     pub fn step(&mut self, force: SpecificForceQ16, saturated: bool) -> Transition {
         let stepped = self.state.segment.step(force, self.whole_gravity);
@@ -167,8 +166,8 @@ impl Integrator {
         self.end_window()
     }
 
-    /// Samples are missing between the last one given and the next, or the next one was taken in
-    /// another way (range, rate, parameters). The leg is marked, nothing is bridged.
+    /// Marks missing samples, or a change of range, rate or parameters, before the next sample. The
+    /// leg is flagged; nothing is interpolated.
     pub fn gap(&mut self) {
         self.state.segment.previous = None;
         if self.state.phase == Phase::Moving {
@@ -176,7 +175,7 @@ impl Integrator {
         }
     }
 
-    /// Changes the sample period from the next step on; velocity and position go on.
+    /// Changes the sample period from the next step on; velocity and position continue.
     ///
     /// # Errors
     /// [`ConfigError::Period`] outside 100 µs..=1 s; nothing changes then.
@@ -204,12 +203,11 @@ impl Integrator {
         Ok(())
     }
 
-    /// Takes the heading that a compass tells at a rest, in place of the one that is held; it holds
-    /// until the next rest. Returns false, and changes nothing, unless the phase is
-    /// [`Phase::Resting`].
+    /// Replaces the held heading by one from the compass at a rest, until the next rest. Returns
+    /// false, without a change, unless the phase is [`Phase::Resting`].
     ///
-    /// Where the body has moved and the heading differs from the held one by more than 10°, it has
-    /// turned on the way, or north was not known before: the position is marked.
+    /// If the body has moved and the heading changes by more than 10°, it rotated during the motion
+    /// or north was unknown: the position is flagged.
     pub fn set_heading(&mut self, heading: MagneticHeading) -> bool {
         if self.state.phase != Phase::Resting {
             return false;
@@ -227,8 +225,8 @@ impl Integrator {
         true
     }
 
-    /// Angle of body x clockwise from north, rad, −π..=π, as it is held since the latest rest; `None`
-    /// before the first. 0 where body x is vertical.
+    /// Angle of body x clockwise from north, rad, −π..=π, held since the latest rest; `None` before
+    /// the first. 0 if body x is vertical.
     pub fn heading_rad(&self) -> Option<f64> {
         (self.state.phase != Phase::Searching).then(|| self.attitude.heading_rad())
     }
@@ -248,7 +246,7 @@ impl Integrator {
         }
     }
 
-    /// Velocity and position where `segment` ends, which begins where the state's does.
+    /// Velocity and position at the end of `segment`, which starts where that of the state does.
     fn at(&self, segment: &Segment) -> Navigation {
         let state = &self.state;
         let period = state.config.period;
@@ -286,7 +284,7 @@ impl Integrator {
             .wrapping_add(self.state.base_since_rest_ns)
     }
 
-    /// Judges the window that is complete and begins the next.
+    /// Evaluates the complete window and starts the next one.
     #[cold]
     fn end_window(&mut self) -> Transition {
         let window = self.state.window;
@@ -299,7 +297,8 @@ impl Integrator {
         let quiet = window.is_quiet(total);
         let goes_on = match &self.state.run {
             Some(run) => quiet && run.agrees(total, window.tolerance()),
-            // After a gap or a change of period there is no run, but the rest before may go on.
+            // After a gap or a change of period there is no run, but the previous rest may
+            // continue.
             None => quiet && self.is_as_held(&window, total),
         };
         let run = quiet.then(|| match self.state.run {
@@ -345,7 +344,7 @@ impl Integrator {
             self.state.flags = self.state.flags.with(Flags::OUT_OF_RANGE);
         }
         if self.state.phase == Phase::Searching {
-            // Nothing is integrated yet; sums that only grow would overflow in a long search.
+            // Nothing is integrated yet; the sums would overflow in a long search.
             self.state.segment = Segment {
                 previous: self.state.segment.previous,
                 ..Segment::default()
@@ -363,7 +362,7 @@ impl Integrator {
         })
     }
 
-    /// How many agreeing windows are a rest after a motion.
+    /// Number of windows that are a rest after a motion.
     fn windows_of_a_rest(&self, window: &Window, total: [i64; 3]) -> u16 {
         if self.is_as_held(window, total) {
             REST_WINDOWS
@@ -372,11 +371,11 @@ impl Integrator {
         }
     }
 
-    /// The unit is at rest: averages gravity, aligns, and begins the next leg where `window`,
-    /// the latest of `run`, began, so that the onset of motion within it is not lost.
+    /// At rest: averages gravity, aligns, and starts the next leg at the start of `window`, the
+    /// latest of `run`, so that the onset of motion within it is included.
     fn rest(&mut self, window: &Window, run: &Run) {
         if self.state.phase != Phase::Resting {
-            // Heading goes on from the held attitude, until a compass tells.
+            // The heading is held until the compass provides one.
             self.state.east = self.attitude.east();
             self.state.heading_sd_mrad = None;
             self.state.flags = match self.state.phase {
@@ -387,7 +386,7 @@ impl Integrator {
         self.state.phase = Phase::Resting;
         self.state.rest_mean = run.mean(self.window_steps);
         let taken_before = self.whole_gravity;
-        // A quiet window feels gravity, so there is an up.
+        // A quiet window has a specific force, so the up direction exists.
         let _ = self.align();
         let change =
             core::array::from_fn(|axis| self.whole_gravity[axis].wrapping_sub(taken_before[axis]));
@@ -396,8 +395,8 @@ impl Integrator {
         self.state.base_since_rest_ns = 0;
     }
 
-    /// Derives attitude and gravity from the mean at rest: with ZUPT gravity is that mean,
-    /// without it has local magnitude in that direction. `None` if the mean is zero.
+    /// Computes attitude and gravity from the mean at rest: with ZUPT gravity is that mean, without
+    /// it has the local magnitude. `None` if the mean is zero.
     fn align(&mut self) -> Option<()> {
         let mean = self.state.rest_mean;
         self.attitude = Attitude::from_rest(mean, self.state.east)?;
@@ -414,13 +413,14 @@ impl Integrator {
         Some(())
     }
 
-    /// Ends a leg at `end`, where velocity is zero: what is left of it is spread over the leg.
+    /// Ends a leg at `end`, where the velocity is zero: the residual velocity is distributed over
+    /// the leg.
     fn close_leg(&mut self, end: &Segment) {
         let left = self.at(end);
         let leg_ns = i128::from(self.since_rest_ns(end));
         for axis in 0..3 {
             let twice = billionth(product(leg_ns, left.velocity.0[axis]));
-            // Half of it, towards zero. A `/ 2` would be a division of 128 bits.
+            // Half of it, rounded towards zero, without a 128-bit division.
             let correction = (twice - (twice >> 127)) >> 1;
             self.state.base_position_nm[axis] =
                 left.position.0[axis].saturating_sub(saturate(correction));

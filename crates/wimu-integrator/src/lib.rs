@@ -7,10 +7,10 @@ mod compass;
 mod integrator;
 mod segment;
 mod state;
-mod stillness;
+mod stationarity;
 
 pub use compass::{Compass, FieldMean, MagneticHeading};
 pub use integrator::{Integrator, Navigation, Transition};
 pub use segment::Segment;
 pub use state::{Config, ConfigError, Flags, Phase, State, StateError};
-pub use stillness::{Run, STILL_SHIFT_MPS2, STILL_SPREAD_MPS2, Window, window_steps};
+pub use stationarity::{REST_MEAN_TOLERANCE_MPS2, REST_SD_MPS2, Run, Window, window_steps};

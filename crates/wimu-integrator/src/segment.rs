@@ -1,37 +1,37 @@
-//! The trapezoid in whole numbers: equations (4) to (6) of docs/EQUATIONS.md.
+//! Trapezoidal integration in integers: equations (4) to (6) of docs/EQUATIONS.md.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use wimu_model::{PeriodNs, SpecificForceQ16};
 
-/// Specific force integrated twice in body axes over an unbroken run of samples with one period,
-/// from zero velocity and zero position.
+/// Specific force integrated twice in body axes over samples of constant period without a gap, from
+/// zero velocity and position.
 ///
-/// The sums are exact: with Δt the period, `velocity_sum` counts 2⁻¹⁷·Δt m/s and `position_sum`
-/// 2⁻¹⁸·Δt² m, so a step is additions only and nothing is rounded before it is reported. The whole
-/// part of gravity is taken from each sample, its remainder in closed form when reading.
+/// The sums are exact. With the period Δt, `velocity_sum` counts 2⁻¹⁷·Δt m/s and `position_sum`
+/// 2⁻¹⁸·Δt² m, so that a step consists of additions and rounding happens only on output. The
+/// integer part of gravity is subtracted from each sample, its remainder in closed form on output.
 ///
 /// Holds ±9·10¹⁸ of these units: 35,000 km at 1 kHz, 350 km at 10 kHz. Samples must stay within
 /// ±2²⁹ LSB, which [`Corrector`](wimu_model::Corrector) guarantees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Segment {
-    /// Steps taken, one less than the samples.
+    /// Number of steps, one less than the samples.
     pub steps: u32,
     /// Σ (a_k + a_k+1), 2⁻¹⁷·Δt m/s, body axes.
     pub velocity_sum: [i64; 3],
     /// Σ (V_k + V_k+1), 2⁻¹⁸·Δt² m, body axes.
     pub position_sum: [i64; 3],
-    /// The latest sample less whole gravity, 2⁻¹⁶ m/s²; `None` before the first.
+    /// The latest sample minus integer gravity, 2⁻¹⁶ m/s²; `None` before the first.
     pub previous: Option<[i32; 3]>,
 }
 
 impl Segment {
-    /// Adds the next sample, less `whole_gravity`, both 2⁻¹⁶ m/s². The first one only sets where
-    /// the trapezoid starts; returns whether a step was made.
+    /// Adds the next sample minus `whole_gravity`, both 2⁻¹⁶ m/s². The first sample only
+    /// initialises the trapezoid. Returns whether a step was made.
     #[inline]
     pub fn step(&mut self, force: SpecificForceQ16, whole_gravity: [i32; 3]) -> bool {
-        // What the caller computes is finished before anything is loaded here, for want of registers.
+        // Keeps the computations of the caller before the loads: registers are scarce.
         compiler_fence(Ordering::SeqCst);
         let a: [i32; 3] =
             core::array::from_fn(|axis| force.0[axis].wrapping_sub(whole_gravity[axis]));
@@ -47,8 +47,8 @@ impl Segment {
             self.position_sum[axis] = self.position_sum[axis]
                 .wrapping_add(before)
                 .wrapping_add(after);
-            // One axis after the other: interleaved, as the compiler would, they need more registers
-            // than there are, and a seventh more instructions on Cortex-M0+.
+            // One axis at a time: interleaved, as the compiler would do, they exceed the registers
+            // and take a seventh more instructions on Cortex-M0+.
             compiler_fence(Ordering::SeqCst);
         }
         self.steps = self.steps.wrapping_add(1);
@@ -78,9 +78,9 @@ impl Segment {
         })
     }
 
-    /// The same run of samples seen from a later start: `start` is this segment as it stood there.
-    /// Velocity and position are zero at the new start, and `change` more is taken from each
-    /// sample as whole gravity. Exact.
+    /// The same samples integrated from a later start; `start` is the state of this segment there.
+    /// Velocity and position are zero at the new start, and `change` is added to the integer
+    /// gravity. Exact.
     pub fn since(&self, start: &Segment, change: [i32; 3]) -> Segment {
         let steps = self.steps.wrapping_sub(start.steps);
         let n = i64::from(steps);
@@ -104,13 +104,13 @@ impl Segment {
     }
 }
 
-/// `a` times `b`. A function of its own: on a microcontroller it is 150 bytes of code wherever it stands.
+/// `a` times `b`. Not inlined: 150 bytes of code on a microcontroller.
 #[inline(never)]
 pub(crate) fn product(a: i128, b: i64) -> i128 {
     a * i128::from(b)
 }
 
-/// A value over 10⁹, towards zero. By hand, in digits of 32 bits: a division of 128 bits is 1.3 KB of
+/// `value` / 10⁹, rounded towards zero, in digits of 32 bits: the 128-bit division takes 1.3 KB of
 /// code on a microcontroller, or 0.8 KB wherever the compiler unrolls it.
 #[inline(never)]
 pub(crate) fn billionth(value: i128) -> i128 {

@@ -1,20 +1,20 @@
-//! The integrator's whole state: what an epoch on the wire carries.
+//! The complete state of the integrator, as carried by an epoch message.
 
 use core::fmt;
 
 use wimu_model::PeriodNs;
 
 use crate::segment::Segment;
-use crate::stillness::{Run, Window};
+use crate::stationarity::{Run, Window};
 
-/// How to integrate.
+/// Configuration of the integrator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
     /// Sample period, 100 µs to 1 s.
     pub period: PeriodNs,
-    /// Take the velocity at every rest as zero, and what is measured there as gravity. Off: only
-    /// the first rest aligns, and gravity has the magnitude below.
+    /// Zero-velocity updates: every rest sets the velocity to zero and gravity to the measured
+    /// specific force. Off: only the first rest aligns, and gravity has the magnitude below.
     pub zupt: bool,
     /// Magnitude of local gravity, µm/s², 9.7 to 9.9 m/s².
     pub gravity_um_s2: u32,
@@ -34,7 +34,7 @@ impl Config {
         .checked()
     }
 
-    /// The same, if it is within range.
+    /// Checks the ranges.
     ///
     /// # Errors
     /// [`ConfigError`] names the field that is outside its range.
@@ -49,20 +49,20 @@ impl Config {
     }
 }
 
-/// Where the integrator stands.
+/// Phase of the integration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Phase {
-    /// No rest has been seen yet: there is no attitude, so no velocity and no position.
+    /// No rest yet: attitude, velocity and position are unknown.
     #[default]
     Searching,
-    /// At rest: velocity zero, position held, gravity being averaged.
+    /// At rest: velocity is zero, position is held, gravity is averaged.
     Resting,
     /// Between rests.
     Moving,
 }
 
-/// What is wrong with the current leg, or has been with an earlier one.
+/// Faults of the current leg, or of an earlier one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Flags(pub u8);
@@ -70,16 +70,16 @@ pub struct Flags(pub u8);
 impl Flags {
     /// Samples were missed in this leg.
     pub const GAP: Self = Self(1);
-    /// An axis stood at full scale in this leg.
+    /// An axis was saturated in this leg.
     pub const SATURATED: Self = Self(2);
-    /// Gravity has another direction than at the leg's start: the unit turned.
+    /// The direction of gravity changed since the start of the leg: the unit rotated.
     pub const TURNED: Self = Self(4);
-    /// The position left the range of the arithmetic.
+    /// The position exceeded the numeric range.
     pub const OUT_OF_RANGE: Self = Self(8);
-    /// An earlier leg was invalid: the position includes it.
+    /// An earlier leg was invalid: the position includes its error.
     pub const POSITION_LOST: Self = Self(16);
 
-    /// Both sets.
+    /// The union of both sets.
     #[must_use]
     pub const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
@@ -90,12 +90,12 @@ impl Flags {
         self.0 & other.0 == other.0
     }
 
-    /// Whether nothing is wrong.
+    /// Whether no fault is set.
     pub const fn is_valid(self) -> bool {
         self.0 == 0
     }
 
-    /// The flags with which the next leg begins.
+    /// The flags at the start of the next leg.
     pub(crate) const fn for_next_leg(self) -> Self {
         if self.is_valid() {
             self
@@ -105,24 +105,24 @@ impl Flags {
     }
 }
 
-/// Everything that decides the integrator's future outputs.
+/// Everything that determines the future outputs of the integrator.
 ///
-/// [`Integrator::state`](crate::Integrator::state) gives it and
-/// [`Integrator::from_state`](crate::Integrator::from_state) goes on from it, bit for bit, on any
+/// [`Integrator::state`](crate::Integrator::state) returns it, and
+/// [`Integrator::from_state`](crate::Integrator::from_state) continues from it, bit for bit, on any
 /// target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct State {
-    /// How it integrates.
+    /// Configuration.
     pub config: Config,
-    /// Where it stands.
+    /// Phase.
     pub phase: Phase,
-    /// What is wrong with the leg.
+    /// Faults.
     pub flags: Flags,
     /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
     pub rest_mean: [i64; 3],
-    /// Direction of east in body axes, 2⁻³⁰ per LSB: at the rest before, or as a compass told at
-    /// this one.
+    /// Direction of east in body axes, 2⁻³⁰ per LSB: held from the previous rest, or from the
+    /// compass at this one.
     pub east: [i32; 3],
     /// Position at the start of the segment, nm, navigation frame.
     pub base_position_nm: [i64; 3],
@@ -130,14 +130,14 @@ pub struct State {
     pub base_velocity_nmps: [i64; 3],
     /// Time from the latest rest to the start of the segment, ns.
     pub base_since_rest_ns: u64,
-    /// The samples since.
+    /// The samples since the start of the segment.
     pub segment: Segment,
-    /// The stillness detector's window.
+    /// Window of the stationarity detector.
     pub window: Window,
-    /// The quiet windows before it, if there are any.
+    /// The preceding quiet windows, if any.
     pub run: Option<Run>,
-    /// Standard deviation of the heading at the latest rest against magnetic north, mrad; `None`:
-    /// uncalibrated, heading goes on from the rest before.
+    /// Standard deviation of the heading at the latest rest relative to magnetic north, mrad;
+    /// `None` if uncalibrated: the heading is held from the previous rest.
     pub heading_sd_mrad: Option<u16>,
 }
 
@@ -169,7 +169,7 @@ impl fmt::Display for ConfigError {
 
 impl core::error::Error for ConfigError {}
 
-/// Why a state cannot be gone on from: it was not made by an integrator.
+/// Why a state is refused: no integrator can have produced it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StateError {
@@ -177,8 +177,8 @@ pub enum StateError {
     Config(ConfigError),
     /// The mean specific force at rest is zero or beyond ±2³⁷ LSB (32 m/s²).
     Attitude,
-    /// The stillness detector holds what no samples can make.
-    Stillness,
+    /// The window of the stationarity detector is impossible.
+    Stationarity,
 }
 
 impl fmt::Display for StateError {
@@ -186,7 +186,7 @@ impl fmt::Display for StateError {
         match self {
             Self::Config(error) => write!(out, "the integrator's state: {error}"),
             Self::Attitude => out.write_str("the integrator's state has no attitude"),
-            Self::Stillness => out.write_str("the integrator's state has an impossible window"),
+            Self::Stationarity => out.write_str("the integrator's state has an impossible window"),
         }
     }
 }

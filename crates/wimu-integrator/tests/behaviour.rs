@@ -5,6 +5,7 @@ use wimu_integrator::{
     Config, FieldMean, Flags, Integrator, MagneticHeading, Phase, Run, Segment, State, Transition,
 };
 use wimu_model::{MagneticFieldNt, PeriodNs, SpecificForceQ16};
+use wimu_testkit::{Lane, Random, figure};
 
 const G: i32 = 642_689;
 const HZ_100: PeriodNs = PeriodNs(10_000_000);
@@ -42,12 +43,17 @@ fn a_slide() -> impl Iterator<Item = [i32; 3]> {
 
 #[test]
 fn an_hour_at_1_khz_is_within_10_um_of_the_same_rule_in_exact_arithmetic() {
+    // A minute suffices to see an overflow or a wrong shift; a drift of rounding needs the hour.
+    let samples = match Lane::current() {
+        Lane::Check => 60_000,
+        Lane::Test | Lane::Campaign => 3_600_000,
+    };
     let period = PeriodNs(1_000_000);
     let remainder = 31_234;
     let mut segment = Segment::default();
     // Exact rational arithmetic in i128, per sample, with gravity's remainder: 2⁻³⁴ Δt² m.
     let (mut velocity, mut position, mut previous) = (0_i128, 0_i128, None);
-    for k in 0..=3_600_000_i64 {
+    for k in 0..=samples {
         let force = (65536.0 * (2.0 * (k as f64 * 0.001).sin() + 0.001)).round() as i32 + G;
         segment.step(SpecificForceQ16([0, 0, force]), [0, 0, G]);
         let exact = (i128::from(force - G) << 16) - i128::from(remainder);
@@ -59,8 +65,15 @@ fn an_hour_at_1_khz_is_within_10_um_of_the_same_rule_in_exact_arithmetic() {
     }
     let expected_m = position as f64 * 1e-6 / (1_u64 << 34) as f64;
     let ours_m = segment.position_nm([0, 0, remainder], period)[2] as f64 * 1e-9;
-    assert!(expected_m.abs() > 1000.0);
-    assert!((ours_m - expected_m).abs() < 10e-6, "{ours_m} {expected_m}");
+    let off_um = (ours_m - expected_m).abs() * 1e6;
+    figure(
+        "integrator, 1 h at 1 kHz, against exact integers, µm",
+        format!("{off_um:.4} at {:.0} m", expected_m.abs()),
+        "below 10",
+        off_um < 10.0,
+    );
+    assert!(samples < 3_600_000 || expected_m.abs() > 1000.0);
+    assert!(off_um < 10.0, "{ours_m} {expected_m}");
 }
 
 #[test]
@@ -203,11 +216,8 @@ fn a_change_of_period_goes_on_from_the_same_velocity_and_position() {
 #[test]
 fn noise_of_a_cheap_sensor_does_not_hide_a_rest() {
     // Uniform noise of ±0.05 m/s² an axis, 0.03 rms.
-    let mut seed = 1_u32;
-    let mut noise = || {
-        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (seed >> 16) as i32 % 6554 - 3277
-    };
+    let mut random = Random::new(1);
+    let mut noise = || random.within(3277.0) as i32;
     let mut ins = integrator(true);
     for _ in 0..1000 {
         ins.step(SpecificForceQ16([noise(), noise(), G + noise()]), false);

@@ -13,14 +13,16 @@ use std::path::Path;
 use wimu_link::batch::{self, Batch};
 use wimu_link::{Deframer, MAX_FRAME};
 use wimu_model::{Counts, DeviceTimeUs};
-use wimu_testkit::Random;
+use wimu_testkit::{Random, figure};
 
 const BATCH: usize = 16;
-/// What is looked for in a folder: a sensor at rest, all of an array's sensor, and its walk.
-const RECORDINGS: [&str; 3] = [
+/// Recordings that are read from a folder: a sensor at rest, one sensor of an array, the last part of it, which is violent
+/// motion, and a sensor turned by hand.
+const RECORDINGS: [&str; 4] = [
     "static/mpu6050_449s.csv",
     "array/mimu4444_run1.csv",
     "array/mimu4444_run1.csv:-7500",
+    "calibration/six_position_sections.csv",
 ];
 /// 115200 baud, 8N1: ten bits to a byte.
 const LINE_BYTES_PER_S: f64 = 11_520.0;
@@ -35,11 +37,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = files.pop_if(|file| Path::new(file).is_dir());
     if files.is_empty() {
         for (name, samples) in signals() {
-            report(name, &samples)?;
+            let cost = report(name, &samples)?;
+            record(name, cost, name.contains("hand motion"));
         }
     }
     if let Some(folder) = folder {
-        files.extend(RECORDINGS.map(|name| format!("{folder}/{name}")));
+        for name in RECORDINGS {
+            record(
+                name,
+                report(name, &read(&format!("{folder}/{name}"))?)?,
+                false,
+            );
+        }
     }
     for file in files {
         report(&file, &read(&file)?)?;
@@ -48,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Packs all of `samples`, checks that they come back, and prints the cost.
-fn report(name: &str, samples: &[Counts]) -> Result<(), Box<dyn Error>> {
+fn report(name: &str, samples: &[Counts]) -> Result<f64, Box<dyn Error>> {
     let mut line = [0; MAX_FRAME];
     let mut deframer = Deframer::new();
     let mut bytes = 0;
@@ -73,7 +82,18 @@ fn report(name: &str, samples: &[Counts]) -> Result<(), Box<dyn Error>> {
         samples.len(),
         LINE_BYTES_PER_S / cost
     );
-    Ok(())
+    Ok(cost)
+}
+
+/// Records bytes a sample. The target is that of a hand's motion.
+fn record(name: &str, cost: f64, barred: bool) {
+    let name = name
+        .strip_suffix(".csv")
+        .unwrap_or(name)
+        .replace(".csv:-7500", ", end");
+    let target = if barred { "at most 5" } else { "–" };
+    let claim = format!("bytes a sample, frames of {BATCH}: {name}");
+    figure(&claim, format!("{cost:.3}"), target, !barred || cost <= 5.0);
 }
 
 fn signals() -> [(&'static str, Vec<Counts>); 5] {

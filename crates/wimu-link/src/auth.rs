@@ -1,25 +1,26 @@
 //! Who may write: keys, sessions, signatures.
 //!
-//! A device that has a key takes writes only if they are signed with it. The key never travels after
-//! it was set; what proves it is HMAC-SHA-256 (RFC 2104, FIPS 180-4), truncated:
+//! A device with a key accepts only writes that are signed with it. The key is not transmitted after it
+//! was set. Signatures are truncated HMAC-SHA-256 (RFC 2104, FIPS 180-4):
 //!
-//! | what | over, in this order | bytes |
+//! | value | computed over, in this order | bytes |
 //! |---|---|---|
 //! | key id | `i` | 4 |
 //! | nonce | `n`, link role (1), boot count (4), session (4), entropy of this start (16) | 16 |
 //! | signature of a request | `q`, link role (1), device id (8), session (4), nonce (16), id (4), command | 8 |
 //! | signature of a reply | `a`, the same, the request's signature (8), answer | 8 |
 //!
-//! Numbers are little-endian; command and answer are as they stand in the frame. A host opens a
-//! session, unsigned, and is given its number and nonce; every request that it signs has the next
-//! id. The first id should be random: then no reply of an earlier session passes for an answer.
+//! Numbers are little-endian; command and answer are encoded as in the frame. A host opens a session
+//! with an unsigned request and receives its number and nonce; every signed request has the next id. The
+//! first id should be random, so that no reply of an earlier session is accepted as an answer.
 //!
-//! The device keeps nothing of a session before a signature has proved it: opening sessions
-//! without the key ends nobody's, however many they are. The boot count makes the nonces of two
-//! starts differ, also where there is no entropy.
+//! The device stores nothing of a session before the first valid signature, so opening any number of
+//! sessions without the key ends no other session. The boot count makes the nonces of two starts
+//! differ even without entropy.
 
 use core::fmt;
 
+use heapless::{Vec, VecView};
 use hmac::{Hmac, KeyInit, Mac};
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
@@ -28,7 +29,7 @@ use sha2::Sha256;
 use crate::hello::{LinkRole, WriteAccess};
 use crate::message::{self, Answer, Command, Refusal, Signature};
 
-/// A device's key: 256 bits that nobody else has. It is never shown, not even by `Debug`.
+/// A device's key: 256 secret bits. `Debug` does not print it.
 #[derive(Clone, Copy, PartialEq, Serialize)]
 pub struct DeviceKey([u8; Self::LENGTH]);
 
@@ -36,23 +37,23 @@ impl DeviceKey {
     /// Its length, bytes.
     pub const LENGTH: usize = 32;
 
-    /// A key of these bytes, which come from a cryptographic source.
+    /// A key of these bytes, which must come from a cryptographic random source.
     pub const fn new(bytes: [u8; Self::LENGTH]) -> Self {
         Self(bytes)
     }
 
-    /// The bytes, to be stored.
+    /// The secret bytes, for storage.
     pub const fn expose(&self) -> &[u8; Self::LENGTH] {
         &self.0
     }
 
-    /// Names the key without telling it.
+    /// An identifier that does not reveal the key.
     pub fn id(&self) -> KeyId {
         KeyId(truncated(self.mac(b"i")))
     }
 
     fn mac(&self, label: &[u8; 1]) -> Hmac<Sha256> {
-        // A key shorter than a block of SHA-256 is filled up with zeros.
+        // A key shorter than a block of SHA-256 is padded with zeros.
         let mut block = [0; 64];
         if let Some(start) = block.first_chunk_mut() {
             *start = self.0;
@@ -68,7 +69,7 @@ fn truncated<const N: usize>(mac: Hmac<Sha256>) -> [u8; N] {
 }
 
 impl<'de> Deserialize<'de> for DeviceKey {
-    /// As an array, byte after byte in a loop: what serde makes for arrays is unrolled.
+    /// As an array, in a loop: serde's code for arrays is unrolled and larger.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Bytes;
 
@@ -106,7 +107,7 @@ impl defmt::Format for DeviceKey {
     }
 }
 
-/// Names a [`DeviceKey`]: two keys have the same one once in 2³² pairs.
+/// Identifies a [`DeviceKey`]; two keys have the same id with probability 2⁻³².
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct KeyId(pub [u8; 4]);
@@ -117,31 +118,31 @@ impl fmt::Display for KeyId {
     }
 }
 
-/// What a device knows of its key.
+/// The state of a device's key.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum KeyState {
-    /// None has been set.
+    /// No key has been set.
     None,
-    /// It has this one.
+    /// This key is set.
     Set(DeviceKey),
-    /// One may have been set, and cannot be read: nobody may write.
+    /// The stored key cannot be read: all writes are refused.
     #[default]
     Unreadable,
 }
 
-/// What decides who may write to a device, the same on all its links.
+/// The state that decides who may write to a device, common to all its links.
 #[derive(Clone, Copy, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Lock {
-    /// Its key.
+    /// The device's key.
     pub key: KeyState,
-    /// Its id, as in [`Hello`](crate::Hello).
+    /// The device's id, as in [`Hello`](crate::Hello).
     pub device_id: u64,
-    /// How often it has started; `None` if that cannot be read, and nobody may write anything but a
-    /// new key, over the cable.
+    /// Number of starts; `None` if it cannot be read or stored. A device with a key then accepts only a new
+    /// key, over the cable; one without a key still accepts all writes over the cable.
     pub boot_count: Option<u32>,
-    /// Bits that nobody can foresee, other ones at each start; zeros without a source of them.
+    /// Unpredictable bits, new at each start; zeros without an entropy source.
     pub entropy: [u8; 16],
 }
 
@@ -151,14 +152,14 @@ impl Lock {
         match (self.key, role) {
             (KeyState::Unreadable, _) => WriteAccess::Locked,
             (KeyState::None, LinkRole::Cable) => WriteAccess::Open,
-            // Sessions of this start may be those of another.
+            // Sessions of two starts could have the same nonce.
             _ if self.boot_count.is_none() => WriteAccess::Locked,
             _ => WriteAccess::Key,
         }
     }
 
-    /// Whether sessions can be opened on a link: on the cable also where they serve to give a new
-    /// key alone, with which starts are counted anew.
+    /// Whether sessions can be opened on a link. Without a boot count only on the cable, where they serve
+    /// to set a new key, which restarts the boot count.
     fn has_sessions(&self, role: LinkRole) -> bool {
         matches!(self.key, KeyState::Set(_))
             && (role == LinkRole::Cable || self.boot_count.is_some())
@@ -174,8 +175,8 @@ impl Lock {
             return Some(Refusal::CableOnly);
         }
         let locked = self.access(role) == WriteAccess::Locked;
-        let mends = matches!(command, Command::SetKey(_));
-        (locked && command.is_write() && !mends).then_some(Refusal::Locked)
+        let restores = matches!(command, Command::SetKey(_));
+        (locked && command.is_write() && !restores).then_some(Refusal::Locked)
     }
 
     /// Why an unsigned `command` is refused on a link, if it is.
@@ -220,7 +221,7 @@ impl Lock {
     }
 }
 
-/// A session between a host and a device, as both ends know it: it signs and checks.
+/// A session between a host and a device: signs and verifies at both ends.
 ///
 /// ```
 /// use wimu_link::auth::{DeviceKey, Session};
@@ -246,15 +247,15 @@ pub struct Session {
     pub key: DeviceKey,
     /// The link that it is on.
     pub role: LinkRole,
-    /// The device.
+    /// The device's id.
     pub device_id: u64,
     /// Its number.
     pub number: u32,
-    /// What the device has given for it.
+    /// The nonce that the device has returned.
     pub nonce: Nonce,
 }
 
-/// What makes the signatures of one session differ from those of all others.
+/// Makes the signatures of one session differ from those of all others.
 pub type Nonce = [u8; 16];
 
 impl Session {
@@ -279,7 +280,7 @@ impl Session {
         Signature::whole(truncated(mac))
     }
 
-    /// Whether the bytes of a command are signed, in constant time.
+    /// Verifies the signature of a command's bytes in constant time.
     pub(crate) fn has_signed(&self, id: u32, command: &[u8], signature: Signature) -> bool {
         is_right(self.mac(b"q", id).chain_update(command), signature)
     }
@@ -296,8 +297,7 @@ impl Session {
         Signature::whole(truncated(mac))
     }
 
-    /// Whether the bytes of an answer to a request that was signed with `request` are signed, in
-    /// constant time.
+    /// Verifies, in constant time, the signature of an answer's bytes to a request signed with `request`.
     pub(crate) fn has_answered(
         &self,
         id: u32,
@@ -309,29 +309,29 @@ impl Session {
     }
 }
 
-/// Whether a signature is whole and that of `mac`.
+/// Whether a signature has its full length and matches `mac`.
 fn is_right(mac: Hmac<Sha256>, signature: Signature) -> bool {
     let bytes = signature.as_bytes();
     bytes.len() == Signature::MAX && mac.verify_truncated_left(bytes).is_ok()
 }
 
-/// Authenticated sessions of which the latest request is remembered.
+/// Authenticated sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
 
 /// The sessions of one link, as the device keeps them.
 #[derive(Debug)]
 pub(crate) struct Sessions {
-    /// How many have been opened since the device started.
+    /// Sessions opened since the device started.
     opened: u32,
-    /// Those up to this one have ended, but for the ones below.
+    /// Sessions up to this number have ended, except those in `proved`.
     ended: u32,
-    /// Number and latest id of those that have proved the key, the latest first.
-    proved: [Option<(u32, u32)>; SESSIONS],
+    /// Number and latest id of the authenticated sessions, most recent first.
+    proved: Vec<(u32, u32), SESSIONS>,
 }
 
-/// What is known of a request's session.
+/// The state of a request's session.
 pub(crate) enum Standing {
-    /// The id is the next one.
+    /// The id is later than the latest one of the session, or the session has no authenticated request yet.
     New,
     /// The id has been used.
     Used,
@@ -344,23 +344,18 @@ impl Sessions {
         Self {
             opened: 0,
             ended: 0,
-            proved: [None; SESSIONS],
+            proved: Vec::new(),
         }
     }
 
-    /// The number of a new session; `None` when there are none left before the device's next start.
+    /// The number of a new session; `None` when the numbers are used up until the next start.
     pub(crate) fn open(&mut self) -> Option<u32> {
         self.opened = self.opened.checked_add(1)?;
         Some(self.opened)
     }
 
     pub(crate) fn standing(&self, number: u32, id: u32) -> Standing {
-        match self
-            .proved
-            .iter()
-            .flatten()
-            .find(|(known, _)| *known == number)
-        {
+        match self.proved.iter().find(|(known, _)| *known == number) {
             // Ids wrap: the nearer half of them is later.
             Some((_, latest)) if (id.wrapping_sub(*latest) as i32) > 0 => Standing::New,
             Some(_) => Standing::Used,
@@ -369,21 +364,25 @@ impl Sessions {
         }
     }
 
-    /// Takes note of a request whose signature was right: its session goes to the front. Sessions
-    /// opened before it that have not been used end, and so does the one not used for longest.
+    /// Notes a request with a valid signature: its session moves to the front. Unused sessions opened
+    /// before it end, and so does the least recently used one if there are too many.
     pub(crate) fn note(&mut self, number: u32, id: u32) {
-        let known = |proved: &Option<(u32, u32)>| proved.is_some_and(|(known, _)| known == number);
-        let place = self.proved.iter().position(known);
-        let place = place.unwrap_or(SESSIONS - 1);
-        put_first(&mut self.proved, place, Some((number, id)));
+        let known = self.proved.iter().position(|(known, _)| *known == number);
+        put_first(&mut self.proved, known, (number, id));
         self.ended = self.ended.max(number);
     }
 }
 
-/// Puts `first` at the front; what was before `place` moves back by one, over what was there.
-pub(crate) fn put_first<T>(list: &mut [T], place: usize, first: T) {
+/// Puts `first` at the front in place of the item at `known`, or of the last one if the list is full.
+pub(crate) fn put_first<T: Copy>(list: &mut VecView<T>, known: Option<usize>, first: T) {
+    if known.is_none() {
+        let _ = list.push(first);
+    }
     let mut next = first;
-    for item in list.iter_mut().take(place + 1) {
+    for item in list
+        .iter_mut()
+        .take(known.map_or(usize::MAX, |known| known + 1))
+    {
         next = core::mem::replace(item, next);
     }
 }

@@ -1,19 +1,19 @@
 //! Bits in a slice of bytes, most significant first.
 
-/// Writes bits, four bytes at a time; what does not fit is dropped and reported at the end.
+/// Writes bits, four bytes at a time; overflow is reported at the end.
 pub(crate) struct BitWriter<'a> {
     words: &'a mut [[u8; 4]],
     place: Place,
 }
 
-/// Where a writer stands.
+/// A position of a writer.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     /// Words written.
     words: usize,
-    /// Bits not written yet, from the top, inverted: a run of ones is then nothing to write.
+    /// Bits not written yet, from the most significant one, inverted, so that ones need no operation.
     held: u32,
-    /// How many they are, 0..=31.
+    /// Number of those bits, 0..=31.
     count: u32,
 }
 
@@ -49,7 +49,7 @@ impl<'a> BitWriter<'a> {
             if ones < escape {
                 place.append(self.words, (zero | !number) & lowest, ones + 1 + k);
             } else {
-                seldom();
+                unlikely();
                 place.append(self.words, 0, escape);
                 place.append(self.words, number ^ (u32::MAX >> (32 - width)), width);
             }
@@ -57,18 +57,18 @@ impl<'a> BitWriter<'a> {
         self.place = place;
     }
 
-    /// Where it stands, to [go back](Self::go_back) to.
+    /// The present position, for [`go_back`](Self::go_back).
     pub(crate) fn place(&self) -> Place {
         self.place
     }
 
-    /// Bits pushed since it stood at `start`.
+    /// Bits pushed since the position `start`.
     pub(crate) fn bits_since(&self, start: &Place) -> u32 {
         let bits = |place: &Place| 32 * place.words as u32 + place.count;
         bits(&self.place) - bits(start)
     }
 
-    /// Takes back what was pushed since it stood at `place`.
+    /// Discards everything pushed since the position `place`.
     pub(crate) fn go_back(&mut self, place: Place) {
         self.place = place;
     }
@@ -86,18 +86,17 @@ impl<'a> BitWriter<'a> {
 }
 
 impl Place {
-    /// Appends the `count` bits of `inverted`. Always inlined: a place that has an address is not
-    /// kept in registers.
+    /// Appends the `count` bits of `inverted`. Always inlined, so that the position stays in registers.
     #[inline(always)]
     fn append(&mut self, words: &mut [[u8; 4]], inverted: u32, count: u32) {
-        // Rotated by this, the last bit comes to its place.
+        // Rotated by this, the last bit is at its position.
         let end = self.count + count;
         let rotated = inverted.rotate_right(end);
         if end < 32 {
             self.held |= rotated;
             self.count = end;
         } else {
-            seldom();
+            unlikely();
             self.count = end % 32;
             let now = u32::MAX >> self.count;
             if let Some(word) = words.get_mut(self.words) {
@@ -109,9 +108,9 @@ impl Place {
     }
 }
 
-/// Tells the compiler which way not to make the shorter.
+/// Marks an unlikely branch for the compiler.
 #[cold]
-fn seldom() {}
+fn unlikely() {}
 
 /// Reads bits; past the end it reads zeros, and [`BitReader::finish`] then fails.
 #[derive(Clone, Copy)]
@@ -119,10 +118,10 @@ pub(crate) struct BitReader<'a> {
     bytes: &'a [u8],
     /// The last eight bytes, with zeros before them if there are fewer.
     last: u64,
-    /// Bytes taken in, those of zeros past the end included.
+    /// Bytes taken in, including zeros past the end.
     taken: usize,
-    /// The next `available` bits and perhaps some more, at the top, inverted: a run of ones is then
-    /// counted as zeros.
+    /// At least the next `available` bits, from the most significant one, inverted, so that a run of ones is
+    /// counted with `leading_zeros`.
     held: u64,
     available: u32,
 }
@@ -152,7 +151,7 @@ impl<'a> BitReader<'a> {
             Some(word) => u64::from_be_bytes(*word),
             None => last_word(self.last, self.bytes.len().saturating_sub(self.taken)),
         };
-        // What does not fill a byte comes in again with the next word: the same bits.
+        // Bits beyond a whole byte are read again with the next word.
         self.held |= !word >> self.available;
         self.taken += ((63 ^ self.available) >> 3) as usize;
         self.available |= 56;
@@ -167,12 +166,12 @@ impl<'a> BitReader<'a> {
     /// The next `count` (0..=32) bits, without taking them.
     #[inline(always)]
     pub(crate) fn peek(&self, count: u32) -> u32 {
-        // In two steps, because a shift by 64 is none.
+        // In two steps, because a shift by 64 overflows.
         (!self.held >> 1 >> (63 - count)) as u32
     }
 
-    /// The next `count` (0..=32) bits. The reader was [filled](Self::refill): that is enough for
-    /// as many numbers as have 57 bits at most.
+    /// The next `count` (0..=32) bits. Call [`refill`](Self::refill) before; it provides 57
+    /// bits.
     #[inline(always)]
     pub(crate) fn take(&mut self, count: u32) -> u32 {
         let value = self.peek(count);
@@ -180,32 +179,30 @@ impl<'a> BitReader<'a> {
         value
     }
 
-    /// [Fills](Self::refill), and the next `count` (0..=32) bits.
+    /// Calls [`refill`](Self::refill) and takes the next `count` (0..=32) bits.
     #[inline(always)]
     pub(crate) fn pull(&mut self, count: u32) -> u32 {
         self.refill();
         self.take(count)
     }
 
-    /// A number as [`BitWriter::push_rice`] writes it; one of more than `width` bits if there is such
-    /// a quotient. k is below `width`, and the reader was [filled](Self::refill): that is enough for
-    /// as many numbers as have 57 bits at most, where an escape counts as `escape`
-    /// bits and k.
+    /// Reads a number written by [`BitWriter::push_rice`]; k is below `width`. The result may exceed `width`
+    /// bits; the caller checks it. Call [`refill`](Self::refill) before; it provides 57 bits. A code without
+    /// escape takes at most `escape` + k of them; an escape refills.
     #[inline(always)]
     pub(crate) fn take_rice(&mut self, k: u32, escape: u32, width: u32) -> u64 {
         let held = self.held;
         if held >> (64 - escape) != 0 {
-            // What the next number waits for comes first: as few steps as there are.
+            // First the state that the next number depends on.
             let highest = held.ilog2();
             let below = highest - k;
             self.held = held << (below.wrapping_neg() & 63);
             self.available = self.available.wrapping_add(below).wrapping_sub(64);
-            // The zero that ends the ones, inverted, and the k bits after it, inverted: with q ones
-            // before it, (q + 2) 2^k − 1 less these.
+            // The inverted stop bit and k low bits r: the number is (q + 2) 2^k − 1 − r for q ones.
             let power = 1_u64 << k;
             (65 * power - 1) - u64::from(highest) * power - (held >> below)
         } else {
-            seldom();
+            unlikely();
             self.skip(escape);
             let number = self.pull(width);
             self.refill();
@@ -213,7 +210,7 @@ impl<'a> BitReader<'a> {
         }
     }
 
-    /// Whether exactly the whole slice was read, up to zeros in the last byte.
+    /// Checks that the whole slice was read, except for zeros in the last byte.
     pub(crate) fn finish(&self) -> Result<(), Remainder> {
         let used_bits = 8 * self.taken - self.available as usize;
         let used_bytes = used_bits.div_ceil(8);
@@ -227,7 +224,7 @@ impl<'a> BitReader<'a> {
     }
 }
 
-/// The last `left` (0..=7) of the bytes in `last`, and zeros.
+/// The last `left` (0..=7) bytes of `last`, followed by zeros.
 #[cold]
 fn last_word(last: u64, left: usize) -> u64 {
     last.unbounded_shl(64 - 8 * left as u32)
@@ -246,7 +243,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(fields in prop::collection::vec((any::<u32>(), 0..=32_u32), 0..60)) {
+        fn written_bits_are_read(fields in prop::collection::vec((any::<u32>(), 0..=32_u32), 0..60)) {
             let mut bytes = [0; 256];
             let mut writer = BitWriter::new(&mut bytes);
             let masked = |value: u32, count: u32| value & ((1_u64 << count) - 1) as u32;
@@ -277,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_left_over_bits_are_told() {
+    fn missing_and_left_over_bits_are_reported() {
         let mut reader = BitReader::new(&[0xff]);
         reader.pull(9);
         assert!(matches!(reader.finish(), Err(Remainder::Missing)));
@@ -312,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_taken_back_was_never_written() {
+    fn discarded_bits_are_not_written() {
         let mut bytes = [0xff; 64];
         let mut writer = BitWriter::new(&mut bytes);
         writer.push(0b101, 3);
@@ -327,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_buffer_is_told() {
+    fn a_full_buffer_is_reported() {
         let mut bytes = [0; 2];
         let mut writer = BitWriter::new(&mut bytes);
         writer.push(1, 17);

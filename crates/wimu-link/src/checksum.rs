@@ -1,6 +1,6 @@
 //! CRC-32C (CRC-32/ISCSI), of frames and parameter sets.
 
-// One of the two is the target's.
+// Each target uses one of the two.
 #![cfg_attr(not(test), allow(dead_code))]
 
 #[cfg(target_pointer_width = "64")]
@@ -17,10 +17,10 @@ pub(crate) fn crc_32c(bytes: &[u8]) -> u32 {
 static TABLES: crc::Crc<u32, crc::Table<16>> =
     crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_ISCSI);
 
-/// What the tables take at once, bytes.
+/// Bytes that the tables process in one step.
 const BLOCK: usize = 16;
 
-/// A running CRC-32C for a host, which has room for 16 KiB of tables.
+/// A running CRC-32C for hosts: 16 KiB of tables.
 pub(crate) struct Fast(crc::Digest<'static, u32, crc::Table<16>>);
 
 impl Fast {
@@ -28,14 +28,14 @@ impl Fast {
         Self(TABLES.digest())
     }
 
-    /// CRC-32C of `bytes`, without the up to 15 single bytes that the tables leave over.
+    /// CRC-32C of `bytes`; avoids the slow path for a remainder of up to 15 bytes.
     pub(crate) fn of(bytes: &[u8]) -> u32 {
         let odd = bytes.len() % BLOCK;
         let mut whole = Self::new();
         let mut rest = bytes;
         if let (4.., Some(first)) = (odd, bytes.first_chunk::<BLOCK>()) {
-            // Zeros in front leave a register of zeros as it is; to begin with ones is to invert the
-            // first four bytes.
+            // Leading zeros do not change a register of zeros, and the initial value of ones is equivalent
+            // to inverting the first four bytes.
             let padded = (u128::from_le_bytes(*first) ^ 0xffff_ffff) << (8 * (BLOCK - odd));
             whole = Self(TABLES.digest_with_initial(0));
             whole.update(&padded.to_le_bytes());
@@ -58,7 +58,7 @@ impl Fast {
 pub(crate) struct Small(u32);
 
 impl Small {
-    /// What the low half of a byte makes of the bits above it.
+    /// The CRC of each value of half a byte.
     const TABLE: [u32; 16] = {
         const POLYNOMIAL: u32 = 0x82F6_3B78;
         let mut table = [0; 16];
@@ -107,7 +107,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn both_ways_agree_on_any_bytes_in_any_pieces(bytes: Vec<u8>, cut: prop::sample::Index) {
+        fn both_implementations_agree_on_any_bytes_in_any_pieces(bytes: Vec<u8>, cut: prop::sample::Index) {
             let (first, second) = bytes.split_at(cut.index(bytes.len() + 1));
             let (mut fast, mut small) = (Fast::new(), Small::new());
             for piece in [first, second] {

@@ -1,9 +1,9 @@
-//! Frames: how messages are told apart on a line of bytes, and damaged ones kept out.
+//! Frames: delimit messages in a stream of bytes and detect damage.
 //!
 //! A frame is `COBS( kind/version byte, body, CRC-32C ) 0x00`. The first byte holds the [`Kind`] in
 //! its low four bits and the wire version in its high four; the CRC-32C (CRC-32/ISCSI) covers that
-//! byte and the body and is sent low byte first. COBS leaves no zero inside, so a receiver that
-//! lost its place finds it again at the next zero.
+//! byte and the body and is sent low byte first. COBS leaves no zero inside, so a receiver
+//! resynchronises at the next zero.
 //!
 //! ```
 //! use wimu_link::frame::{self, Deframer, Kind};
@@ -26,13 +26,14 @@
 use core::fmt;
 
 use cobs::{CobsEncoder, DecodeResult, DecoderState};
+use heapless::VecView;
 
 use crate::checksum::{Digest, crc_32c};
 
-/// The version of the wire that this crate speaks. The crate's own version is another matter.
+/// The version of the wire protocol, independent of the crate's version.
 pub const WIRE_VERSION: u8 = 1;
 
-/// The longest body, bytes: a parameter set with everything in it, signed. The longest epoch has 540.
+/// The longest body, bytes: a complete signed parameter set. The longest epoch has 540.
 pub const MAX_BODY: usize = 896;
 
 /// The longest frame, bytes, with its closing zero.
@@ -42,7 +43,7 @@ pub const MAX_FRAME: usize = cobs::max_encoding_length(MAX_PLAIN) + 1;
 const MAX_PLAIN: usize = 1 + MAX_BODY + CRC_BYTES;
 const CRC_BYTES: usize = 4;
 
-/// What a frame's body is.
+/// The kind of a frame's body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -74,7 +75,7 @@ impl Kind {
         })
     }
 
-    /// Whether every version reads this kind.
+    /// Whether this kind has the same layout in every version.
     fn is_timeless(self) -> bool {
         matches!(self, Self::Hello | Self::WhoAreYou)
     }
@@ -113,7 +114,7 @@ pub(crate) fn build(
     Ok(coded + 1)
 }
 
-/// Takes the body of a frame being built.
+/// Writes the body of a frame being built.
 pub(crate) struct BodyWriter<'a> {
     cobs: CobsEncoder<'a>,
     digest: Digest,
@@ -139,60 +140,30 @@ impl BodyWriter<'_> {
     }
 }
 
-/// Keeps one frame of at most `N` bytes to send it again.
-#[derive(Debug)]
-pub(crate) struct FrameBuffer<const N: usize> {
-    bytes: [u8; N],
-    length: usize,
+/// Puts the frame that `encode` writes into `kept`, or nothing if it does not fit.
+pub(crate) fn fill(
+    kept: &mut VecView<u8>,
+    encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+) {
+    let _ = kept.resize_default(kept.capacity());
+    let length = encode(kept).unwrap_or(0);
+    kept.truncate(length);
 }
 
-impl<const N: usize> FrameBuffer<N> {
-    pub(crate) const fn new() -> Self {
-        Self {
-            bytes: [0; N],
-            length: 0,
-        }
-    }
-
-    /// Keeps what `encode` writes, or nothing if that does not fit.
-    pub(crate) fn fill(&mut self, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) {
-        self.length = encode(&mut self.bytes).unwrap_or(0);
-    }
-
-    /// Keeps `frame`, or nothing if it does not fit.
-    pub(crate) fn keep(&mut self, frame: &[u8]) {
-        self.clear();
-        if let Some(place) = self.bytes.get_mut(..frame.len()) {
-            place.copy_from_slice(frame);
-            self.length = frame.len();
-        }
-    }
-
-    pub(crate) fn clear(&mut self) {
-        self.length = 0;
-    }
-
-    /// The frame; empty before there is one.
-    pub(crate) fn frame(&self) -> &[u8] {
-        self.bytes.get(..self.length).unwrap_or_default()
-    }
-}
-
-/// A frame that arrived whole.
+/// An undamaged frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'a> {
     /// The sender's wire version, 0..=15: this crate's own, except on the kinds that every version
     /// reads.
     pub version: u8,
-    /// What the body is.
+    /// The kind of the body.
     pub kind: Kind,
     /// The body, at most [`MAX_BODY`] bytes.
     pub body: &'a [u8],
 }
 
-/// Finds frames in a stream of bytes, one byte at a time. Holds one frame and nothing else, so
-/// reading can stop after any byte and go on later.
+/// Finds frames in a stream of bytes. Its only state is one frame, so reading can pause after any byte.
 #[derive(Debug)]
 pub struct Deframer {
     cobs: DecoderState,
@@ -201,8 +172,8 @@ pub struct Deframer {
 }
 
 impl Deframer {
-    /// A deframer at the start of a stream, or anywhere in it: what comes before the first zero is
-    /// then reported as one damaged frame.
+    /// A deframer for a stream. In the middle of a stream, the bytes before the first zero are reported as
+    /// one damaged frame.
     pub const fn new() -> Self {
         Self {
             cobs: DecoderState::Idle,
@@ -211,9 +182,9 @@ impl Deframer {
         }
     }
 
-    /// Takes the next byte; returns a frame, or why there is none, when the byte ended one.
+    /// Takes the next byte; returns a frame or an error when the byte ends one.
     ///
-    /// Zeros between frames are nothing: a sender may put some to wake a line.
+    /// Zeros between frames are ignored.
     ///
     /// # Errors
     /// [`FrameError`], once per damaged or unreadable frame, at its closing zero.
@@ -223,9 +194,9 @@ impl Deframer {
         Some(self.checked(received))
     }
 
-    /// Takes bytes off the front of `bytes` up to the end of a frame; returns the frame, or why there
-    /// is none, or `None` when all bytes were taken and no frame has ended. The same as
-    /// [`push`](Self::push) of each, several times as fast.
+    /// Removes bytes from the front of `bytes` up to the end of a frame; returns the frame or an error, or
+    /// `None` when all bytes are taken and no frame has ended. Equivalent to [`push`](Self::push) of each
+    /// byte, but several times as fast.
     ///
     /// ```
     /// use wimu_link::frame::{self, Deframer, Kind};
@@ -251,7 +222,7 @@ impl Deframer {
             while let [0, rest @ ..] = bytes {
                 *bytes = rest;
             }
-            // A frame that is here in whole need not go through byte by byte.
+            // Fast path: the whole frame is in `bytes`.
             if let Some((coded, [_, rest @ ..])) = find_zero(bytes).map(|end| bytes.split_at(end)) {
                 *bytes = rest;
                 let received = self.decode(coded);
@@ -271,7 +242,7 @@ impl Deframer {
         check(self.plain.get(..received?).ok_or(FrameError::TooLong)?)
     }
 
-    /// Undoes the stuffing of all that stands between two zeros; its length.
+    /// Decodes the COBS data between two zeros; returns its length.
     fn decode(&mut self, mut coded: &[u8]) -> Result<usize, FrameError> {
         let mut length = 0;
         while let Some((&code, rest)) = coded.split_first() {
@@ -298,7 +269,7 @@ impl Deframer {
         Ok(length)
     }
 
-    /// Takes the next byte; what has come when it ended a frame.
+    /// Takes the next byte; returns the length of the decoded frame when the byte ends it.
     #[inline]
     fn feed(&mut self, byte: u8) -> Option<Result<usize, FrameError>> {
         match self.cobs.feed(byte) {
@@ -311,7 +282,7 @@ impl Deframer {
                 if let Some(place) = self.plain.get_mut(self.length) {
                     *place = data;
                 }
-                // One more than fits marks a frame that is too long.
+                // `MAX_PLAIN + 1` marks a frame that is too long.
                 self.length = (self.length + 1).min(MAX_PLAIN + 1);
                 None
             }
@@ -331,12 +302,11 @@ impl Default for Deframer {
     }
 }
 
-/// Opens a frame that was stored, with or without its closing zero, in its own place: returns how
-/// many bytes its first byte and its body are. The first byte says which wire version it is of: this
-/// one or an earlier one.
+/// Decodes a stored frame in place, with or without its closing zero; returns the length of its first
+/// byte and its body. The first byte holds the wire version, which may be an earlier one.
 ///
 /// # Errors
-/// [`FrameError`] when `bytes` are not one frame; they are spoilt then.
+/// [`FrameError`] when `bytes` are not one frame. Their content is undefined then.
 pub fn open(bytes: &mut [u8]) -> Result<usize, FrameError> {
     let length = cobs::decode_in_place(bytes).map_err(|_| FrameError::Cobs)?;
     let (first, body) = undamaged(bytes.get(..length).unwrap_or_default())?;
@@ -348,13 +318,13 @@ pub fn open(bytes: &mut [u8]) -> Result<usize, FrameError> {
     }
 }
 
-/// Where the first zero is.
+/// The position of the first zero.
 fn find_zero(bytes: &[u8]) -> Option<usize> {
     const ONES: u64 = u64::from_ne_bytes([1; 8]);
     let (words, rest) = bytes.as_chunks::<8>();
     for (index, word) in words.iter().enumerate() {
         let word = u64::from_le_bytes(*word);
-        // The lowest bit that is set stands at the top of the first byte that is zero.
+        // The lowest bit set is the highest bit of the first zero byte.
         let zeros = word.wrapping_sub(ONES) & !word & (ONES << 7);
         if zeros != 0 {
             return Some(8 * index + zeros.trailing_zeros() as usize / 8);
@@ -364,7 +334,7 @@ fn find_zero(bytes: &[u8]) -> Option<usize> {
     Some(8 * words.len() + in_rest)
 }
 
-/// The first byte and the body of what is undamaged.
+/// The first byte and the body of an undamaged frame.
 fn undamaged(plain: &[u8]) -> Result<(u8, &[u8]), FrameError> {
     let (covered, crc) = plain
         .split_last_chunk::<CRC_BYTES>()
@@ -397,26 +367,26 @@ fn check(plain: &[u8]) -> Result<Frame<'_>, FrameError> {
     }
 }
 
-/// Why bytes between two zeros are no frame for this crate.
+/// Why bytes between two zeros are not a readable frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FrameError {
-    /// The byte stuffing is broken: bytes were lost or changed.
+    /// The COBS code is invalid: bytes were lost or changed.
     Cobs,
     /// Fewer than the five bytes of kind and CRC.
     TooShort,
-    /// More than any frame has: the zero between two frames was lost.
+    /// More than [`MAX_FRAME`] bytes: the zero between two frames was lost.
     TooLong,
     /// The CRC does not match: bytes were lost or changed.
     Crc,
-    /// An undamaged frame of a wire version that this crate does not speak.
+    /// An undamaged frame of an unsupported wire version.
     UnknownVersion {
         /// The sender's version.
         version: u8,
         /// Its kind, as a number.
         kind: u8,
     },
-    /// An undamaged frame of a kind that this crate does not know.
+    /// An undamaged frame of an unknown kind.
     UnknownKind {
         /// The sender's version.
         version: u8,
@@ -426,7 +396,7 @@ pub enum FrameError {
 }
 
 impl FrameError {
-    /// Whether the frame was damaged on its way, rather than sent by a stranger.
+    /// Whether the frame was damaged in transit, rather than of an unknown version or kind.
     pub fn is_damage(self) -> bool {
         matches!(
             self,
@@ -438,35 +408,40 @@ impl FrameError {
 impl fmt::Display for FrameError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cobs => out.write_str(
-                "a frame was damaged on the link: its byte stuffing is broken; check baud rate and wiring if this goes on",
-            ),
-            Self::TooShort => out.write_str(
-                "a frame was damaged on the link: it is shorter than 5 bytes; check baud rate and wiring if this goes on",
-            ),
+            Self::Cobs => damaged(out, "its COBS code is invalid"),
+            Self::TooShort => damaged(out, "it is shorter than 5 bytes"),
             Self::TooLong => write!(
                 out,
-                "a frame was damaged on the link, or this is no wimu device: more than {MAX_FRAME} bytes without a zero"
+                "a frame was damaged on the link, or the other end is not a wimu device: more than {MAX_FRAME} bytes without a zero"
             ),
-            Self::Crc => out.write_str(
-                "a frame was damaged on the link: its CRC does not match; check baud rate and wiring if this goes on",
-            ),
+            Self::Crc => damaged(out, "its CRC does not match"),
             Self::UnknownVersion { version, kind } => write!(
                 out,
-                "the other end speaks wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update {}",
-                if *version < WIRE_VERSION { "the other end" } else { "this end" }
+                "the other end uses wire version {version} (frame kind {kind}), this end version {WIRE_VERSION}; update {}",
+                if *version < WIRE_VERSION {
+                    "the other end"
+                } else {
+                    "this end"
+                }
             ),
             Self::UnknownKind { version, kind } => write!(
                 out,
-                "frame kind {kind} is unknown to wire version {version}; update this end"
+                "frame kind {kind} is unknown in wire version {version}; update this end"
             ),
         }
     }
 }
 
+fn damaged(out: &mut fmt::Formatter<'_>, reason: &str) -> fmt::Result {
+    write!(
+        out,
+        "a frame was damaged on the link: {reason}; check baud rate and wiring if this persists"
+    )
+}
+
 impl core::error::Error for FrameError {}
 
-/// Why a frame was not built.
+/// Why a frame was not encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum EncodeError {
@@ -474,9 +449,9 @@ pub enum EncodeError {
     BodyTooLong,
     /// The given buffer is too small.
     NoRoom,
-    /// A batch of no samples, or of too many.
+    /// A batch without samples, or with too many.
     BatchLength {
-        /// The most that a batch holds.
+        /// Most samples in a batch.
         most: usize,
     },
 }

@@ -10,8 +10,6 @@ pub mod batch;
 mod bits;
 mod checksum;
 pub mod frame;
-#[doc(hidden)]
-pub mod fuzz;
 pub mod hello;
 pub mod message;
 pub mod requester;

@@ -1,18 +1,20 @@
-//! The host's side of requests: asks again until there is an answer, or none is to be had.
+//! The host's side of requests: repeats a request until it is answered or times out.
 
 use core::time::Duration;
 
+use heapless::Vec;
+
 use crate::auth::Session;
-use crate::frame::{FrameBuffer, MAX_FRAME};
+use crate::frame::{MAX_FRAME, fill};
 use crate::message::{Answer, Command, Head, Payload, Refusal, Request, Signature};
 
-/// Asked once and again every half second, a device has three seconds to answer: enough for it to
-/// erase its flash, during which it hears nothing.
+/// Interval between attempts. With [`ATTEMPTS`] a device has 3 s to answer, which covers an erase of its
+/// flash, during which it receives nothing.
 const INTERVAL: Duration = Duration::from_millis(500);
 const ATTEMPTS: u32 = 6;
 
 /// Makes the requests of one session over one link, one at a time. It does no I/O: send the bytes
-/// it returns, give it the replies, and tell it the time, counted from any moment that stays.
+/// it returns, pass it the replies, and pass the time since any fixed moment.
 ///
 /// ```
 /// use core::time::Duration;
@@ -48,17 +50,17 @@ const ATTEMPTS: u32 = 6;
 #[derive(Debug)]
 pub struct Requester {
     session: u32,
-    /// Of the latest unsigned request; 0 before the first.
+    /// Id of the latest unsigned request; 0 before the first.
     id: u32,
-    /// What requests are signed in, and the latest id there.
+    /// The session that signs requests, and its latest id.
     signing: Option<(Session, u32)>,
-    frame: FrameBuffer<MAX_FRAME>,
+    frame: Vec<u8, MAX_FRAME>,
     interval: Duration,
     attempts: u32,
-    /// What the request that is waiting for its answer has left.
+    /// The request that waits for its answer.
     waiting: Option<Waiting>,
     /// The latest answer was signed.
-    vouched: bool,
+    is_authenticated: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -67,11 +69,11 @@ struct Waiting {
     attempts_left: u32,
     session: u32,
     id: u32,
-    /// In what it was signed, and how.
+    /// The session that signed it, and the signature.
     signed: Option<(Session, Signature)>,
     /// It has been sent again.
     repeated: bool,
-    /// Whether an answer to whoever asks the same answers it too.
+    /// Whether an answer to another host's equal request answers it too.
     is_anyones: fn(&Answer) -> bool,
 }
 
@@ -88,39 +90,37 @@ pub enum Next<'a> {
     },
     /// Send this frame again.
     Send(&'a [u8]),
-    /// Give up: there was no answer. The request may have had its effect all the same, or have it
-    /// yet: ask for the device's state.
+    /// No answer in time. The request may have been executed, or may still be: read the device's state.
     TimedOut,
 }
 
 impl Requester {
-    /// A requester that asks six times, every half second. `session` should be random: it tells
-    /// this host from the ones before.
+    /// A requester with six attempts, one every half second. `session` should be random: it distinguishes
+    /// this host from earlier ones.
     pub const fn new(session: u32) -> Self {
         Self::with_timing(session, INTERVAL, ATTEMPTS)
     }
 
-    /// A requester that asks `attempts` times (at least once), every `interval`.
+    /// A requester with `attempts` attempts (at least one), one every `interval`.
     pub const fn with_timing(session: u32, interval: Duration, attempts: u32) -> Self {
         Self {
             session,
             id: 0,
             signing: None,
-            frame: FrameBuffer::new(),
+            frame: Vec::new(),
             interval,
             attempts,
             waiting: None,
-            vouched: false,
+            is_authenticated: false,
         }
     }
 
-    /// Signs the requests from now on: in this session, from the id `first` on, which should be
-    /// random.
+    /// Signs requests from now on, in this session, beginning with the id `first`, which should be random.
     pub fn sign(&mut self, session: Session, first: u32) {
         self.signing = Some((session, first.wrapping_sub(1)));
     }
 
-    /// Signs no more.
+    /// Stops signing.
     pub fn sign_nothing(&mut self) {
         self.signing = None;
     }
@@ -130,15 +130,15 @@ impl Requester {
         self.signing.is_some()
     }
 
-    /// Numbers unsigned requests in another session from now on: somebody else has used this one's
-    /// numbers. `session` should be random.
+    /// Uses another session for unsigned requests from now on, because another host has used ids of this
+    /// one. `session` should be random.
     pub fn renew(&mut self, session: u32) {
         self.session = session;
         self.id = 0;
     }
 
-    /// Begins a request at the time `now`; returns the frame to send. A request before it that
-    /// still waits is given up. What opens a session is not signed.
+    /// Begins a request at the time `now`; returns the frame to send. An earlier request that
+    /// still waits is abandoned. `OpenSession` is not signed.
     pub fn start(&mut self, command: Command, now: Duration) -> &[u8] {
         let signing = match &mut self.signing {
             Some((session, id)) if command != Command::OpenSession => {
@@ -164,7 +164,7 @@ impl Requester {
                 }
             }
         };
-        self.frame.fill(|frame| request.encode(frame));
+        fill(&mut self.frame, |frame| request.encode(frame));
         self.waiting = Some(Waiting {
             until: now.saturating_add(self.interval),
             attempts_left: self.attempts.saturating_sub(1),
@@ -182,10 +182,10 @@ impl Requester {
                 _ => |_| false,
             },
         });
-        self.frame.frame()
+        &self.frame
     }
 
-    /// What to do at the time `now`.
+    /// The next action at the time `now`.
     pub fn poll(&mut self, now: Duration) -> Next<'_> {
         match &mut self.waiting {
             None => Next::Idle,
@@ -201,9 +201,9 @@ impl Requester {
             Some(waiting) => {
                 waiting.attempts_left -= 1;
                 waiting.repeated = true;
-                // From now, so that a host that slept does not send all at once.
+                // Relative to `now`, so that a delayed host does not send all attempts at once.
                 waiting.until = now.saturating_add(self.interval);
-                Next::Send(self.frame.frame())
+                Next::Send(&self.frame)
             }
         }
     }
@@ -211,14 +211,14 @@ impl Requester {
     /// Takes the body of a frame of kind [`Kind::Reply`](crate::Kind::Reply); returns its answer if it
     /// belongs to the request that is waiting.
     ///
-    /// The answer to a signed request is signed. The only unsigned ones that are taken are refusals
+    /// The answer to a signed request is signed. The only unsigned ones accepted are refusals
     /// of a device that cannot sign: [`Refusal::WrongSignature`], [`Refusal::SessionEnded`],
-    /// [`Refusal::KeyNeeded`] and [`Refusal::Locked`]. Anyone can forge those: they say that the
-    /// request may not have been obeyed, nothing about the device's state.
+    /// [`Refusal::KeyNeeded`] and [`Refusal::Locked`]. They can be forged: they mean that the
+    /// request may not have been executed, and say nothing about the device's state.
     ///
-    /// A device that is asked too often leaves unsigned requests unanswered. So an unsigned
-    /// `OpenSession` or `GetKeyStatus` that had to be repeated takes the answer to anybody's: a session
-    /// is of use to none but those who have the key, and the key's name is the same for all.
+    /// A device limits the rate of answers to unsigned requests. So an unsigned `OpenSession` or
+    /// `GetKeyStatus` that was repeated also accepts an answer to another host's request: a session is
+    /// useless without the key, and the key's id is the same for all.
     pub fn on_reply(&mut self, body: &[u8]) -> Option<Answer> {
         let (head, bytes) = Head::split(body).ok()?;
         let answer = Answer::decode(bytes).ok()?;
@@ -231,22 +231,21 @@ impl Requester {
         if !ours && !overheard {
             return None;
         }
-        let vouched = waiting.signed.is_some_and(|(session, request)| {
+        let is_authenticated = waiting.signed.is_some_and(|(session, request)| {
             session.has_answered(head.id, request, bytes, head.signature)
         });
         let unsigned = head.signature == Signature::NONE && cannot_sign(&answer);
-        if waiting.signed.is_some() && !vouched && !unsigned {
+        if waiting.signed.is_some() && !is_authenticated && !unsigned {
             return None;
         }
         self.waiting = None;
-        self.vouched = vouched;
+        self.is_authenticated = is_authenticated;
         Some(answer)
     }
 
-    /// Whether the device has signed the answer that was returned last: nobody else can have given
-    /// it.
-    pub fn vouched(&self) -> bool {
-        self.vouched
+    /// Whether the latest answer was signed with the device's key.
+    pub fn is_authenticated(&self) -> bool {
+        self.is_authenticated
     }
 
     /// The number of the unsigned session.
@@ -255,7 +254,7 @@ impl Requester {
     }
 }
 
-/// Whether a device says this that cannot sign.
+/// Whether a device that cannot sign gives this answer.
 fn cannot_sign(answer: &Answer) -> bool {
     matches!(
         answer,

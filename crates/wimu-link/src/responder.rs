@@ -1,10 +1,11 @@
 //! The device's side of requests: every request has one effect, however often it is repeated.
 
+use heapless::Vec;
 use serde::Serialize;
 
 use crate::auth::{KeyState, Lock, Session, Sessions, Standing, put_first};
 use crate::checksum::crc_32c;
-use crate::frame::{FrameBuffer, MAX_FRAME};
+use crate::frame::{MAX_FRAME, fill};
 use crate::hello::LinkRole;
 use crate::message::{
     Answer, Command, EncodedParameters, Head, Payload, Refusal, Reply, Signature,
@@ -13,14 +14,14 @@ use crate::message::{
 /// Unsigned sessions whose latest request is remembered.
 const SESSIONS: usize = 4;
 
-/// Size of a token bucket for answers, as the time that it takes to fill, µs.
+/// Size of a token bucket for answers, given as the time to fill it, µs.
 const BURST_US: u64 = 1_000_000;
 /// Time in which the bucket of each [`Class`] gains a byte, µs: 500, 500, 2000 and 1000 bytes/s,
-/// together a third of a line of 115,200 baud. The first two are 12 answers a second.
+/// together a third of 115,200 baud. The first two allow 12 answers a second.
 const BYTE_US: [u64; 4] = [2000, 2000, 500, 1000];
 
-/// Answers that take no key, by the token bucket that limits them: a flood of one class leaves the
-/// others answered.
+/// Classes of answers to requests without the key. Each has its own token bucket, so that a flood of one
+/// class does not block the others.
 #[derive(Clone, Copy, Debug)]
 enum Class {
     /// To unsigned `OpenSession`.
@@ -29,31 +30,30 @@ enum Class {
     KeyStatus,
     /// To all other unsigned requests, and refusals of signed ones.
     Other,
-    /// To the latest signed request when it comes again.
+    /// To a repetition of the latest signed request.
     Repeated,
 }
 
-/// What a device does about a request.
+/// What the device has to do about a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Decision<'a, 'b> {
-    /// Carry this out, then send what [`Responder::reply`] returns. Parameters are in the request's
-    /// body.
+    /// Execute this command, then send the frame that [`Responder::reply`] returns. Parameters refer to the
+    /// request's body.
     Execute(Command<EncodedParameters<'b>>),
     /// Send this frame: the request was answered before, or is refused.
     Send(&'a [u8]),
-    /// Do nothing: the bytes are no request, one is still being carried out, or there were too many
-    /// ([`Responder::accept_at`]); the host asks again.
+    /// Do nothing: the bytes are not a request, another one is being executed, or the rate limit is reached
+    /// ([`Responder::accept_at`]). The host repeats its request.
     Ignore,
 }
 
-/// Takes the requests of one link. It does no I/O: give it bodies, send the frames it returns.
+/// Processes the requests of one link. It does no I/O: pass it bodies, send the frames it returns.
 ///
-/// Requests are known by session and id. The latest one is answered again when it is repeated, with
-/// the same bytes, or, if it changes nothing and its answer is long, by carrying it out again; one
-/// that is older, of this session or of the three before, is refused as stale if it writes.
-/// Who may write, the [`Lock`] says; signatures are checked here ([`auth`](crate::auth)). Unsigned
-/// requests and wrong signatures have no effect on signed ones, however many they are.
+/// Requests are identified by session and id. A repetition of the latest one gets the same reply, or,
+/// if it is a read with a long answer, is executed again. An older write of the same session, or of the
+/// three sessions before, is refused as stale. The [`Lock`] decides who may write; signatures are verified
+/// here ([`auth`](crate::auth)). Unsigned requests and wrong signatures have no effect on signed ones.
 ///
 /// ```
 /// use wimu_link::auth::{KeyState, Lock};
@@ -101,49 +101,49 @@ pub enum Decision<'a, 'b> {
 pub struct Responder {
     role: LinkRole,
     /// The latest unsigned request of each session, the latest session first.
-    latest: [Option<Known>; SESSIONS],
+    latest: Vec<Known, SESSIONS>,
     /// The reply to the first of them.
-    reply: FrameBuffer<KEPT_FRAME>,
+    reply: Vec<u8, KEPT_FRAME>,
     sessions: Sessions,
     /// The latest signed request.
     latest_signed: Option<Known>,
     /// The reply to it.
-    signed_reply: FrameBuffer<KEPT_FRAME>,
+    signed_reply: Vec<u8, KEPT_FRAME>,
     executing: Option<Executing>,
     /// When the token bucket of each [`Class`] is full, µs on the device's clock.
     full_at_us: [u64; 4],
     /// Time of the latest request, µs on the device's clock, while answers are limited.
     limited_at_us: Option<u64>,
-    /// Requests that came again.
+    /// Repeated requests.
     repeated: u32,
-    /// A refusal that must replace neither reply.
-    refusal: FrameBuffer<REFUSAL_FRAME>,
+    /// A refusal, which must not replace a remembered reply.
+    refusal: Vec<u8, REFUSAL_FRAME>,
 }
 
-/// Session and id at their longest, signature or number of a session, its nonce, answer, refusal, kind,
-/// CRC, stuffing, zero.
+/// Longest refusal or session reply, bytes: session, id, signature or session number, nonce, answer,
+/// refusal, kind, CRC, COBS overhead, zero.
 const REFUSAL_FRAME: usize = 5 + 5 + 9 + 16 + 2 + 1 + 4 + 1 + 1;
 
 /// An answer without parameters.
 type ShortAnswer = Answer<EncodedParameters<'static>>;
 
-/// The longest answer to a request that changes anything, with what is around it.
+/// Longest frame of an answer to a write, bytes.
 const KEPT_FRAME: usize = 80;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Known {
     session: u32,
     id: u32,
-    /// CRC-32C of the request: tells it from another that took its id.
+    /// CRC-32C of the request: distinguishes it from another request with the same id.
     content: u32,
 }
 
-/// What is being carried out.
+/// The request being executed.
 #[derive(Clone, Copy, Debug)]
 enum Executing {
-    /// With the class of its answer, and whether it is late: then no repeat gets that answer.
+    /// With the class of its answer, and whether it is out of order: then its reply is not remembered.
     Unsigned(Known, Class, bool),
-    /// With what its answer is signed.
+    /// With the session and the request's signature, which sign the answer.
     Signed(Known, Session, Signature),
 }
 
@@ -175,30 +175,29 @@ impl Responder {
     pub const fn new(role: LinkRole) -> Self {
         Self {
             role,
-            latest: [None; SESSIONS],
-            reply: FrameBuffer::new(),
+            latest: Vec::new(),
+            reply: Vec::new(),
             sessions: Sessions::new(),
             latest_signed: None,
-            signed_reply: FrameBuffer::new(),
+            signed_reply: Vec::new(),
             executing: None,
             full_at_us: [0; 4],
             limited_at_us: None,
             repeated: 0,
-            refusal: FrameBuffer::new(),
+            refusal: Vec::new(),
         }
     }
 
-    /// As [`accept`](Self::accept), at `now_us`, µs on the device's clock. While a key is set, answers
-    /// that take none are limited to about 4 kB/s in all after a burst of a second's worth; requests
-    /// beyond are ignored and change nothing. New requests that are signed with the key are always
-    /// taken: a stranger who floods the link leaves most of it to telemetry and to the owner.
+    /// As [`accept`](Self::accept), at `now_us`, µs on the device's clock. While a key is set, answers to
+    /// requests without it are limited to about 4 kB/s in total after a burst of 1 s; requests beyond the
+    /// limit are ignored and have no effect. New signed requests are always processed, so a flood of
+    /// unsigned requests leaves most of the link to telemetry and to the owner.
     pub fn accept_at<'b>(&mut self, body: &'b [u8], lock: &Lock, now_us: u64) -> Decision<'_, 'b> {
         self.limited_at_us = matches!(lock.key, KeyState::Set(_)).then_some(now_us);
         self.accept(body, lock)
     }
 
-    /// Takes the body of a frame of kind [`Request`](crate::Kind::Request), and who may write at
-    /// the moment.
+    /// Processes the body of a frame of kind [`Request`](crate::Kind::Request) under the present `lock`.
     pub fn accept<'b>(&mut self, body: &'b [u8], lock: &Lock) -> Decision<'_, 'b> {
         let Ok((head, command)) = Head::split(body) else {
             return Decision::Ignore;
@@ -209,7 +208,7 @@ impl Responder {
             content: crc_32c(body),
         };
         if head.signature == Signature::NONE {
-            // By the variant's number, which is all of such a command.
+            // The variant's number is the whole command.
             let class = match command {
                 [8] => Class::Session,
                 [9] => Class::KeyStatus,
@@ -231,7 +230,7 @@ impl Responder {
             .is_some_and(|(now, full)| *full > now.saturating_add(BURST_US))
     }
 
-    /// Takes an answer of so many bytes from the bucket of its class.
+    /// Takes the `bytes` of an answer from the bucket of its class.
     fn spend(&mut self, class: Class, bytes: usize) {
         let (class, bytes) = (class as usize, bytes as u64);
         let bucket = self.full_at_us.get_mut(class).zip(BYTE_US.get(class));
@@ -247,47 +246,41 @@ impl Responder {
         command: &'b [u8],
         lock: &Lock,
     ) -> Decision<'_, 'b> {
-        let known = self
-            .latest
-            .iter()
-            .position(|known| known.is_some_and(|known| known.session == request.session));
-        let latest = known
-            .and_then(|place| self.latest.get(place).copied())
-            .flatten();
+        let mut sessions = self.latest.iter();
+        let known = sessions.position(|latest| latest.session == request.session);
+        let latest = known.and_then(|place| self.latest.get(place).copied());
         let repeats = latest == Some(request) && known == Some(0);
         if repeats {
             self.repeated = self.repeated.wrapping_add(1);
             match self.executing {
                 Some(Executing::Unsigned(..)) => return Decision::Ignore,
-                _ if !self.reply.frame().is_empty() => {
-                    self.spend(class, self.reply.frame().len());
-                    return Decision::Send(self.reply.frame());
+                _ if !self.reply.is_empty() => {
+                    self.spend(class, self.reply.len());
+                    return Decision::Send(&self.reply);
                 }
                 _ => {}
             }
         }
         // Ids wrap: the nearer half of them is later.
-        let late = !repeats
+        let is_old = !repeats
             && latest.is_some_and(|latest| (request.id.wrapping_sub(latest.id) as i32) <= 0);
         let command = Command::take(command);
-        // A late read is answered: a stranger may have used the session's numbers before its host.
-        if late && !command.as_ref().is_ok_and(|command| !command.is_write()) {
+        // An old read is answered: another host may have used ids of this session.
+        if is_old && !command.as_ref().is_ok_and(|command| !command.is_write()) {
             return self.refuse(class, request.answer(&Answer::Refused(Refusal::Stale)));
         }
         if self.executing.is_some() {
             return Decision::Ignore;
         }
 
-        if !late {
-            // This session moves to the front; what was before it moves back by one.
-            let moved = known.unwrap_or(SESSIONS - 1);
-            put_first(&mut self.latest, moved, Some(request));
+        if !is_old {
+            put_first(&mut self.latest, known, request);
             self.reply.clear();
         }
 
         let outcome = match command {
             Err(_) => Err(Answer::Unknown),
-            // It has had its effect.
+            // It has been executed.
             Ok(command) if repeats && command.is_write() => return Decision::Ignore,
             Ok(command) => match lock.refusal(&command, self.role) {
                 Some(refusal) => Err(Answer::Refused(refusal)),
@@ -297,15 +290,16 @@ impl Responder {
         };
         match outcome {
             Ok(command) => {
-                self.executing = Some(Executing::Unsigned(request, class, late));
+                self.executing = Some(Executing::Unsigned(request, class, is_old));
                 Decision::Execute(command)
             }
-            Err(answer) if late => self.refuse(class, request.answer(&answer)),
+            Err(answer) if is_old => self.refuse(class, request.answer(&answer)),
             Err(answer) => {
-                self.reply
-                    .fill(|frame| request.answer(&answer).encode(frame));
-                self.spend(class, self.reply.frame().len());
-                Decision::Send(self.reply.frame())
+                fill(&mut self.reply, |frame| {
+                    request.answer(&answer).encode(frame)
+                });
+                self.spend(class, self.reply.len());
+                Decision::Send(&self.reply)
             }
         }
     }
@@ -323,10 +317,10 @@ impl Responder {
             match self.executing {
                 Some(Executing::Signed(..)) => return Decision::Ignore,
                 _ if self.is_spent(Class::Repeated) => return Decision::Ignore,
-                // What was sent before: nobody learns anything from it.
-                _ if !self.signed_reply.frame().is_empty() => {
-                    self.spend(Class::Repeated, self.signed_reply.frame().len());
-                    return Decision::Send(self.signed_reply.frame());
+                // The same bytes as before: they disclose nothing new.
+                _ if !self.signed_reply.is_empty() => {
+                    self.spend(Class::Repeated, self.signed_reply.len());
+                    return Decision::Send(&self.signed_reply);
                 }
                 _ => {}
             }
@@ -347,7 +341,7 @@ impl Responder {
             return self.refuse(Class::Other, refused(Refusal::WrongSignature));
         }
         let signed = |answer: &ShortAnswer| request.signed_answer(&session, signature, answer);
-        // What is like the latest request up to its CRC may be another: its signature counts.
+        // An equal CRC may belong to another request, so the signature is verified first.
         if !repeats && matches!(standing, Standing::Used) {
             return self.refuse(Class::Other, signed(&Answer::Refused(Refusal::Stale)));
         }
@@ -368,7 +362,7 @@ impl Responder {
         match outcome {
             Ok(command) => {
                 if repeats {
-                    // As long as it can be.
+                    // The longest answer.
                     self.spend(Class::Repeated, MAX_FRAME);
                 }
                 self.executing = Some(Executing::Signed(request, session, signature));
@@ -376,9 +370,10 @@ impl Responder {
                 Decision::Execute(command)
             }
             Err(answer) => {
-                self.signed_reply
-                    .fill(|frame| signed(&answer).encode(frame));
-                Decision::Send(self.signed_reply.frame())
+                fill(&mut self.signed_reply, |frame| {
+                    signed(&answer).encode(frame)
+                });
+                Decision::Send(&self.signed_reply)
             }
         }
     }
@@ -391,9 +386,9 @@ impl Responder {
         if self.is_spent(class) {
             return Decision::Ignore;
         }
-        self.refusal.fill(|frame| reply.encode(frame));
-        self.spend(class, self.refusal.frame().len());
-        Decision::Send(self.refusal.frame())
+        fill(&mut self.refusal, |frame| reply.encode(frame));
+        self.spend(class, self.refusal.len());
+        Decision::Send(&self.refusal)
     }
 
     fn open_session(&mut self, lock: &Lock) -> ShortAnswer {
@@ -407,18 +402,18 @@ impl Responder {
         }
     }
 
-    /// How often the latest request of a session came again, since the start; wraps.
+    /// Repetitions of the latest request of a session since the start; wraps.
     pub fn repeated(&self) -> u32 {
         self.repeated
     }
 
-    /// Whether the request that is being carried out is signed with the key.
+    /// Whether the request being executed is signed.
     pub fn is_signed(&self) -> bool {
         matches!(self.executing, Some(Executing::Signed(..)))
     }
 
-    /// Puts the frame that answers the request that was to be executed into `frame`, of which
-    /// [`MAX_FRAME`] bytes are enough, and returns it. Empty when none was.
+    /// Encodes the answer to the request being executed into `frame`, of which [`MAX_FRAME`] bytes are
+    /// enough, and returns it. Empty if no request is being executed.
     pub fn reply<'f, P: Copy + Serialize>(
         &mut self,
         answer: &Answer<P>,
@@ -434,14 +429,19 @@ impl Responder {
         };
         let length = reply.encode(frame).unwrap_or(0);
         let frame = frame.get(..length).unwrap_or_default();
+        // A reply that does not fit is made again when the request is repeated.
         match executing {
-            Some(Executing::Unsigned(_, class, late)) => {
-                if !late {
-                    self.reply.keep(frame);
-                }
+            Some(Executing::Unsigned(_, class, is_old)) => {
                 self.spend(class, length);
+                if !is_old {
+                    self.reply.clear();
+                    let _ = self.reply.extend_from_slice(frame);
+                }
             }
-            _ => self.signed_reply.keep(frame),
+            _ => {
+                self.signed_reply.clear();
+                let _ = self.signed_reply.extend_from_slice(frame);
+            }
         }
         frame
     }

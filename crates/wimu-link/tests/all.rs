@@ -3,7 +3,6 @@
 mod auth;
 mod batches;
 mod frames;
-mod fuzz;
 mod growth;
 mod messages;
 mod requests;

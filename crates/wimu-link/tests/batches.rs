@@ -4,6 +4,7 @@ use proptest::prelude::*;
 use wimu_link::batch::{self, Batch, BatchError, MAX_BATCH, Stream};
 use wimu_link::frame::{Deframer, EncodeError, Kind, MAX_FRAME};
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+use wimu_testkit::trials;
 
 fn pack<S: batch::Sample>(samples: &[S]) -> Vec<u8> {
     let mut line = [0; MAX_FRAME];
@@ -77,7 +78,7 @@ fn around_a_course() -> impl Strategy<Value = Vec<[i32; 3]>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(ProptestConfig::with_cases(trials(20_000) as u32))]
 
     #[test]
     fn decimated_samples_come_back(

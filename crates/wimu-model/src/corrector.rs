@@ -6,10 +6,10 @@ use crate::kernel::{Fixed, Kernel, LOW_BITS, Split};
 use crate::matrix;
 use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16};
 
-/// At fewer fraction bits in the high part the result can be more than one LSB off.
+/// Fraction bits of the high part: with fewer than the minimum the error can exceed 1 LSB.
 const MIN_SHIFT: u32 = 3;
 const MAX_SHIFT: u32 = 14;
-/// 2²⁹ LSB, 8192 m/s²: the integrator adds two samples in 32 bits.
+/// Largest output, LSB: 2²⁹ (8192 m/s²), because the integrator adds two samples in 32 bits.
 const LARGEST_OUTPUT: f64 = 536_870_912.0;
 
 /// Maps counts to specific force in body axes in integers, at one latched temperature.
@@ -66,8 +66,8 @@ impl Corrector {
             largest = magnitudes.iter().fold(largest, |l, &m| l.max(m));
             reach = reach.max((magnitudes[0] + magnitudes[1] + magnitudes[2]) * 32768.0 + o.abs());
         }
-        // The high sum may exceed the whole by what the low parts take back: 3 · 2¹⁵ / 2, and the
-        // rounding; 2¹⁷ covers both.
+        // The sum of the high parts may exceed the total by that of the low parts, 3 · 2¹⁵ / 2, and
+        // the rounding; 2¹⁷ covers both.
         let fits = |shift: u32| {
             let unit = (1_u32 << shift) as f64;
             largest * unit <= 32766.0 && reach * unit <= 2_147_483_648.0 - 131_072.0
@@ -82,8 +82,7 @@ impl Corrector {
             kernel: Kernel::new(&Fixed {
                 shift,
                 coefficients: coefficients.map(|row| row.map(|k| split(k * unit))),
-                // Half a unit of the high parts more, because the sum of the low parts is rounded
-                // down.
+                // Half a unit is added because the sum of the low parts is rounded down.
                 offset: offset.map(|o| round(o * unit + 0.5) + (1 << (shift - 1))),
             }),
         })

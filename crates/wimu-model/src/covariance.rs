@@ -1,17 +1,17 @@
-//! Covariances that cannot be anything else: kept as their Cholesky factors.
+//! Covariance matrices, stored as Cholesky factors and therefore always valid.
 
 use core::fmt;
 
 use crate::root;
 
-/// A covariance was none: not finite, or not positive semi-definite.
+/// A matrix that is not a covariance: not finite, or not positive semi-definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CovarianceError;
 
 impl fmt::Display for CovarianceError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("the covariance is none: not finite, or not positive semi-definite")
+        out.write_str("the covariance matrix is not finite or not positive semi-definite")
     }
 }
 
@@ -19,7 +19,7 @@ impl core::error::Error for CovarianceError {}
 
 /// Largest element of a factor, in its parameter's unit: no standard deviation is larger.
 const MOST: f32 = 1e3;
-/// Less than this share of a variance is rounding.
+/// Fraction of a variance below which a pivot is rounding.
 const ROUNDING: f64 = 1e-12;
 
 macro_rules! covariance {
@@ -35,13 +35,13 @@ macro_rules! covariance {
         pub struct $name([[f32; $columns]; $rows]);
 
         impl $name {
-            /// How many parameters.
+            /// Number of parameters.
             pub const SIZE: usize = $size;
 
-            /// Nothing was estimated.
+            /// The covariance of parameters that were not estimated.
             pub const ZERO: Self = Self([[0.0; $columns]; $rows]);
 
-            /// From the full matrix, of which the lower triangle is read.
+            /// From the full matrix; its lower triangle is used.
             ///
             /// # Errors
             /// [`CovarianceError`] when it is not finite, has standard deviations above 1000, or is
@@ -58,7 +58,7 @@ macro_rules! covariance {
                         }
                         factor[row][column] = if row != column {
                             let pivot: f64 = factor[column][column];
-                            // Without variance there is no covariance either.
+                            // A parameter without variance has no covariance either.
                             if pivot > 0.0 { rest / pivot } else { 0.0 }
                         } else if rest > ROUNDING * matrix[row][row] {
                             root::sqrt(rest)
@@ -79,7 +79,7 @@ macro_rules! covariance {
                 Self::from_factor(packed.0)
             }
 
-            /// From its Cholesky factor, row by row.
+            /// From the Cholesky factor, row by row.
             ///
             /// # Errors
             /// [`CovarianceError`] when an element is not finite or beyond ±1000.
@@ -90,7 +90,7 @@ macro_rules! covariance {
                 sound.then_some(Self(factor)).ok_or(CovarianceError)
             }
 
-            /// Its Cholesky factor, row by row.
+            /// The Cholesky factor, row by row.
             pub fn factor(&self) -> [[f32; $columns]; $rows] {
                 self.0
             }
@@ -102,7 +102,7 @@ macro_rules! covariance {
                     .map_or(0.0, |element| f64::from(*element))
             }
 
-            /// Covariance of the parameters at two places; 0 beyond the last.
+            /// Covariance of two parameters by index; 0 beyond the last one.
             pub fn get(&self, a: usize, b: usize) -> f64 {
                 if a.max(b) >= $size {
                     return 0.0;
@@ -112,12 +112,12 @@ macro_rules! covariance {
                     .sum()
             }
 
-            /// Standard deviation of the parameter at a place.
+            /// Standard deviation of a parameter by index.
             pub fn sd(&self, place: usize) -> f64 {
                 root::sqrt(self.get(place, place))
             }
 
-            /// All of it.
+            /// The full matrix.
             pub fn matrix(&self) -> [[f64; $size]; $size] {
                 core::array::from_fn(|a| core::array::from_fn(|b| self.get(a, b)))
             }

@@ -5,8 +5,8 @@ use core::fmt;
 use crate::matrix::{self, Matrix3};
 use crate::{CentiCelsius, SpecificForceMps2};
 
-/// How bias and scale factor move with temperature, about a reference temperature T₀:
-/// b(T) = b₀ + b₁ (T−T₀) + b₂ (T−T₀)², S(T) = S₀ (1 + s₁ (T−T₀)).
+/// Temperature dependence of bias and scale factor about a reference temperature T₀: b(T) = b₀ + b₁
+/// (T−T₀) + b₂ (T−T₀)², S(T) = S₀ (1 + s₁ (T−T₀)).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -33,7 +33,7 @@ impl Default for TemperatureTerms {
     }
 }
 
-/// The numbers of an error model before they are checked: [`ErrorModel::new`] checks them.
+/// The parameters of an error model; [`ErrorModel::new`] checks them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -64,10 +64,10 @@ impl Default for ErrorTerms {
     }
 }
 
-/// The error model of a three-axis accelerometer: how its output y departs from the specific
-/// force f, both in m/s².
+/// The error model of a three-axis accelerometer: its output y as a function of the specific force
+/// f, both in m/s².
 ///
-/// Always finite, within bounds and invertible: it cannot be built otherwise.
+/// Always finite, within bounds and invertible.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(try_from = "ErrorTerms", into = "ErrorTerms"))]
@@ -75,7 +75,7 @@ impl Default for ErrorTerms {
 pub struct ErrorModel(ErrorTerms);
 
 impl ErrorModel {
-    /// Checks the terms and makes them a model.
+    /// Checks the parameters.
     ///
     /// # Errors
     /// [`ModelError`] names the first term that is not finite or outside the bounds given on
@@ -105,13 +105,13 @@ impl ErrorModel {
         Ok(Self(terms))
     }
 
-    /// The numbers.
+    /// The parameters.
     pub fn terms(&self) -> &ErrorTerms {
         &self.0
     }
 
-    /// What the sensor would put out, m/s², sensor axes, for specific force `force` at
-    /// `temperature`, without noise. Equation (1).
+    /// Output of the sensor, m/s², sensor axes, for specific force `force` at `temperature`,
+    /// without noise. Equation (1).
     pub fn distort(
         &self,
         force: SpecificForceMps2,
@@ -126,8 +126,8 @@ impl ErrorModel {
         SpecificForceMps2([au[0] + bias[0], au[1] + bias[1], au[2] + bias[2]])
     }
 
-    /// Specific force from what the sensor put out, both m/s², at `temperature` (at T₀ if `None`):
-    /// z = A(T)⁻¹ (y − b(T)), f = z − q ∘ z ∘ z. Equation (2), valid in the calibrated range.
+    /// Specific force from the output of the sensor, both m/s², at `temperature` (T₀ if `None`): z
+    /// = A(T)⁻¹ (y − b(T)), f = z − q ∘ z ∘ z. Equation (2), valid in the calibrated range.
     pub fn correct(
         &self,
         output: SpecificForceMps2,
@@ -197,7 +197,7 @@ fn check_one(term: Term, axis: usize, value: f64, low: f64, high: f64) -> Result
     }
 }
 
-/// A term of the error model, as errors name it.
+/// A term of the error model, for error messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Term {
@@ -234,7 +234,7 @@ impl Term {
     }
 }
 
-/// Why numbers are not an error model.
+/// Why the parameters of an error model are refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ModelError {
@@ -260,7 +260,7 @@ pub enum ModelError {
     },
     /// A cannot be inverted, or is mirrored.
     Singular {
-        /// det A; at least 0.05 is asked for.
+        /// det A; the minimum is 0.05.
         determinant: f64,
     },
 }

@@ -1,11 +1,11 @@
-//! A matrix product per sample in whole numbers, in two ways that agree on every input: equation
-//! (3) of docs/EQUATIONS.md. Which one is used is a matter of speed alone.
+//! The matrix product per sample in integers, implemented in two ways with identical results:
+//! equation (3) of docs/EQUATIONS.md. They differ only in speed.
 
-// One of the two is the target's.
+// A target uses one of the two.
 #![cfg_attr(not(test), allow(dead_code))]
 
-/// Cortex-M0 and M0+ multiply 32 by 32 bits to 32 only. They are also the ARM cores without atomic
-/// read-modify-write, and that is what a target says of itself.
+/// Cortex-M0 and M0+ have only a 32-bit product of 32-bit factors. They are also the ARM cores
+/// without atomic read-modify-write, which is the property that a target declares.
 #[cfg(all(target_arch = "arm", not(target_has_atomic = "32")))]
 pub(crate) use self::Short as Kernel;
 
@@ -15,7 +15,7 @@ pub(crate) use self::Long as Kernel;
 /// Bits of a coefficient's low part.
 pub(crate) const LOW_BITS: u32 = 15;
 
-/// What a kernel is made from.
+/// Coefficients and offset of a kernel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fixed {
     /// Fraction bits of the high parts, 3 to 14.
@@ -35,17 +35,17 @@ pub(crate) struct Split {
     pub(crate) low: i32,
 }
 
-/// With multiplications of 32 by 32 bits to 64: nine of them.
+/// Kernel with nine multiplications of 32 by 32 to 64 bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct Long {
     /// 2⁻³² output LSB.
     offset: [i64; 3],
-    /// Both parts in one, 2^−(shift + 15) output LSB per count. Columns: three sums grow side by
-    /// side and wait for each other's multiplications, not for their own.
+    /// Whole coefficients, 2^−(shift + 15) output LSB per count, by column: the three sums are
+    /// independent, so that successive multiplications do not wait for each other.
     columns: [[i32; 3]; 3],
-    /// 2^(17 − shift). Counts times this make products in 2⁻³² output LSB, so that the result is
-    /// the upper word of a sum and needs no shift of 64 bits.
+    /// 2^(17 − shift): scales counts so that products are in 2⁻³² output LSB and the result is the
+    /// upper word of the sum.
     scale: i32,
 }
 
@@ -72,7 +72,8 @@ impl Long {
     }
 }
 
-/// With multiplications of 32 by 32 bits to 32: eighteen of them, of a count and a part.
+/// Kernel with eighteen multiplications of 32 by 32 to 32 bits, each of a count and half a
+/// coefficient.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct Short {
@@ -80,7 +81,7 @@ pub(crate) struct Short {
     shift: u32,
 }
 
-/// One output axis. 32 bits a part although 16 would hold it: loading half words costs more.
+/// One output axis. Parts have 32 bits although 16 suffice: loading half words takes longer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Row {

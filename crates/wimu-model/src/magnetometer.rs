@@ -5,12 +5,12 @@ use core::fmt;
 use crate::matrix::{self, Matrix3};
 use crate::{Alignment, MagneticFieldNt, RotationCovariance};
 
-/// The rotation between a magnetometer and the accelerometer beside it.
+/// The rotation between a magnetometer and an accelerometer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagnetometerRotation {
-    /// Magnetometer axes to accelerometer axes.
+    /// From magnetometer axes to accelerometer axes.
     pub rotation: Alignment,
     /// Covariance of its error about the accelerometer's axes.
     pub covariance: RotationCovariance,
@@ -20,8 +20,7 @@ pub struct MagnetometerRotation {
     pub dip_rms_rad: f32,
 }
 
-/// The numbers of a magnetometer's model before they are checked: [`MagnetometerModel::new`] checks
-/// them.
+/// The parameters of a magnetometer model; [`MagnetometerModel::new`] checks them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -34,24 +33,23 @@ pub struct MagnetometerTerms {
     pub soft_iron: [f32; 6],
     /// Its standard deviation.
     pub soft_iron_sd: [f32; 6],
-    /// |B| where it was calibrated, nT, 1000..=10⁶.
+    /// Field magnitude |B| at the calibration, nT, 1000..=10⁶.
     pub field_nt: f32,
-    /// Orientations fitted.
+    /// Number of fitted orientations.
     pub poses: u32,
-    /// |B| less the field over them, nT rms.
+    /// Residual of |B|, nT rms.
     pub rms_nt: f32,
-    /// The same of each under the model fitted without it, nT rms.
+    /// Leave-one-out error of |B|, nT rms.
     pub loo_rms_nt: f32,
-    /// Condition of the fit, 1..=10⁹, 1 is best.
+    /// Condition number, 1..=10⁹, 1 is best.
     pub condition: f32,
-    /// To the accelerometer's axes; `None` where it is not known, and heading with it.
+    /// Rotation to the accelerometer; `None` if unknown, and then no heading is available.
     pub to_accelerometer: Option<MagnetometerRotation>,
 }
 
-/// The model of a three-axis magnetometer: what iron around it, its own scale factors and its
-/// mounting make of the field.
+/// Error model of a three-axis magnetometer: hard iron, soft iron with scale factors, and mounting.
 ///
-/// Always finite, within bounds and invertible: it cannot be built otherwise.
+/// Always finite, within bounds and invertible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
@@ -62,7 +60,7 @@ pub struct MagnetometerTerms {
 pub struct MagnetometerModel(MagnetometerTerms);
 
 impl MagnetometerModel {
-    /// Checks the terms and makes them a model.
+    /// Checks the parameters.
     ///
     /// # Errors
     /// [`MagnetometerError`] names what is not finite or out of the bounds given on
@@ -101,7 +99,7 @@ impl MagnetometerModel {
         Ok(Self(terms))
     }
 
-    /// The numbers.
+    /// The parameters.
     pub fn terms(&self) -> &MagnetometerTerms {
         &self.0
     }
@@ -111,13 +109,7 @@ impl MagnetometerModel {
         soft_iron(&self.0)
     }
 
-    /// Whether the field can be given in the accelerometer's axes, and so a heading.
-    pub fn knows_rotation(&self) -> bool {
-        self.0.to_accelerometer.is_some()
-    }
-
-    /// The field, nT, from what the sensor put out: S⁻¹ (m − h), in magnetometer axes. Equation
-    /// (55).
+    /// The field, nT, magnetometer axes: S⁻¹ (m − h). Equation (55).
     pub fn correct(&self, output: MagneticFieldNt) -> [f64; 3] {
         let mut rest = [0.0; 3];
         for (axis, rest) in rest.iter_mut().enumerate() {
@@ -126,7 +118,7 @@ impl MagnetometerModel {
         matrix::apply(&matrix::inverse(&self.soft_iron()), rest)
     }
 
-    /// The same in the accelerometer's axes; `None` where the rotation is not known.
+    /// The field, nT, accelerometer axes; `None` if the rotation is unknown.
     pub fn correct_to_accelerometer(&self, output: MagneticFieldNt) -> Option<[f64; 3]> {
         let mounting = self.0.to_accelerometer?;
         Some(mounting.rotation.rotate(self.correct(output)))
@@ -152,7 +144,7 @@ impl From<MagnetometerModel> for MagnetometerTerms {
     }
 }
 
-/// Why numbers are no magnetometer's model.
+/// Why the parameters of a magnetometer model are refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MagnetometerError {
@@ -164,7 +156,7 @@ pub enum MagnetometerError {
     Field,
     /// A standard deviation, residual or the condition is out of bounds.
     Quality,
-    /// The dip is no angle.
+    /// The dip is not an angle within ±π/2.
     Dip,
 }
 
@@ -179,7 +171,7 @@ impl fmt::Display for MagnetometerError {
             Self::Quality => {
                 "a standard deviation, residual or the condition of the magnetometer is out of bounds"
             }
-            Self::Dip => "the dip of the magnetometer's calibration is no angle",
+            Self::Dip => "the dip of the magnetometer's calibration is outside ±90°",
         })
     }
 }

@@ -1,12 +1,12 @@
-//! The little 3 × 3 algebra that the error model needs, in plain f64 so that every target computes
-//! the same bits: + − × ÷ only, in a fixed order.
+//! 3 × 3 matrix operations of the error model in f64, with + − × ÷ in a fixed order, so that every
+//! target computes the same bits.
 
 /// A 3 × 3 matrix, row by row.
 pub type Matrix3 = [[f64; 3]; 3];
 
 pub(crate) const IDENTITY: Matrix3 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-// Never inlined: a multiplication in f64 is a call on most microcontrollers, and these are many.
+// Never inlined: an f64 multiplication is a call on most microcontrollers, and there are many.
 
 #[inline(never)]
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {

@@ -1,4 +1,4 @@
-//! Everything a device needs to turn counts into specific force in the axes of its body.
+//! Calibration parameters of a device.
 
 use core::fmt;
 
@@ -40,7 +40,7 @@ impl Alignment {
         self.0
     }
 
-    /// Rotates a vector from the axes that the rotation leads from to those that it leads to.
+    /// Rotates a vector from the initial to the final axes.
     pub fn rotate(self, vector: [f64; 3]) -> [f64; 3] {
         matrix::apply(&self.matrix(), vector)
     }
@@ -78,7 +78,7 @@ impl TryFrom<[f64; 4]> for Alignment {
     type Error = AlignmentError;
 
     fn try_from(wxyz: [f64; 4]) -> Result<Self, AlignmentError> {
-        // A unit quaternion is kept as it is, so that a stored one comes back bit for bit.
+        // A unit quaternion is not normalised again, so that a stored one is reproduced exactly.
         let [w, x, y, z] = wxyz;
         let square = w * w + x * x + y * y + z * z;
         if (square - 1.0).abs() <= 1e-12 {
@@ -95,7 +95,7 @@ impl From<Alignment> for [f64; 4] {
     }
 }
 
-/// A quaternion that is no rotation.
+/// A quaternion that is not a rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AlignmentError {
@@ -107,7 +107,7 @@ impl fmt::Display for AlignmentError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
-            "the alignment's quaternion has length {}, a rotation has 1",
+            "the quaternion of the alignment has length {} instead of 1",
             self.norm
         )
     }
@@ -115,7 +115,7 @@ impl fmt::Display for AlignmentError {
 
 impl core::error::Error for AlignmentError {}
 
-/// Names a parameter set by the CRC-32C of its wire form; 0 is the uncalibrated set.
+/// Identifies a parameter set by the CRC-32C of its encoded form; 0 is the uncalibrated set.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -132,43 +132,43 @@ impl fmt::Display for ParameterId {
     }
 }
 
-/// Names a model of accelerometer by the number that a device's greeting has for it.
+/// Identifies an accelerometer type by its number in the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SensorId(pub u16);
 
-/// A calibration as a device holds it: error model, the sensitivity and range it was estimated
-/// at, what it says of itself, the alignment to the body, and the magnetometer's model.
+/// A calibration as stored on a device: error model, sensitivity and range at the calibration,
+/// quality record, alignment to the body, and magnetometer model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ParameterSet {
-    /// Full-scale range at which the set holds, ± *g*.
+    /// Full-scale range of the calibration, ± *g*.
     pub range_g: u8,
     /// Nominal sensitivity that turns counts into the model's output y.
     pub sensitivity: Sensitivity,
     /// The error model.
     pub model: ErrorModel,
-    /// How the model was estimated and how good it is; `None` for one that nobody estimated.
+    /// Quality record; `None` if the model was not estimated.
     #[cfg_attr(feature = "serde", serde(default))]
     pub quality: Option<CalibrationQuality>,
     /// Sensor axes to body axes.
     pub alignment: Alignment,
-    /// Covariance of the alignment's error about body axes; `None` where nobody measured it.
+    /// Covariance of the alignment error about body axes; `None` if not measured.
     #[cfg_attr(feature = "serde", serde(default))]
     pub alignment_covariance: Option<RotationCovariance>,
-    /// The magnetometer's model; `None` as long as it is uncalibrated, and heading with it.
+    /// Magnetometer model; `None` without a calibration, and then no heading is available.
     #[cfg_attr(feature = "serde", serde(default))]
     pub magnetometer: Option<MagnetometerModel>,
-    /// The accelerometer that was calibrated; `None` where that is not known, and any one with this
-    /// range and sensitivity may take the set.
+    /// Type of the calibrated accelerometer; `None` if unknown: the set then applies to any sensor
+    /// of this range and sensitivity.
     #[cfg_attr(feature = "serde", serde(default))]
     pub sensor: Option<SensorId>,
 }
 
 impl ParameterSet {
-    /// The set of a device without calibration: a perfect sensor in body axes.
+    /// The parameters of an uncalibrated device: a perfect sensor in body axes.
     pub fn uncalibrated(range_g: u8, sensitivity: Sensitivity) -> Self {
         Self {
             range_g,
@@ -182,8 +182,8 @@ impl ParameterSet {
         }
     }
 
-    /// Specific force in body axes, m/s², from `counts`, in f64 with all terms: what
-    /// [`Corrector`](crate::Corrector) computes in integers, which leaves the nonlinearity out.
+    /// Specific force in body axes, m/s², from `counts`, in f64 with all terms.
+    /// [`Corrector`](crate::Corrector) computes the same in integers without the nonlinearity.
     pub fn correct(
         &self,
         counts: Counts,
@@ -194,8 +194,8 @@ impl ParameterSet {
         SpecificForceMps2(self.alignment.rotate(force.0))
     }
 
-    /// The magnetic field in body axes, nT, from what the magnetometer put out; `None` as long as
-    /// it is uncalibrated or its rotation to the accelerometer is not known.
+    /// Magnetic field in body axes, nT, from the output of the magnetometer; `None` if it is
+    /// uncalibrated or its rotation to the accelerometer is unknown.
     pub fn correct_field(&self, output: MagneticFieldNt) -> Option<[f64; 3]> {
         let field = self.magnetometer?.correct_to_accelerometer(output)?;
         Some(self.alignment.rotate(field))

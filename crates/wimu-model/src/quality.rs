@@ -1,4 +1,4 @@
-//! What a calibration says of itself.
+//! Quality record of a calibration.
 
 use core::fmt;
 
@@ -18,9 +18,9 @@ pub enum CalibrationMethod {
     FourAngle,
     /// From three orientations about a level axis.
     ThreeAngle,
-    /// Against a reference that moves along.
+    /// From a reference with the same motion.
     Reference,
-    /// An earlier calibration, brought up to date pose by pose.
+    /// An earlier calibration, updated with single poses.
     Updated,
 }
 
@@ -66,38 +66,37 @@ pub struct TermDeviations {
     pub nonlinearity: [f32; 3],
 }
 
-/// What a calibration says of itself, before it is checked: [`CalibrationQuality::new`] checks it.
+/// The values of a quality record; [`CalibrationQuality::new`] checks them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct QualityTerms {
     /// How the model was estimated.
     pub method: CalibrationMethod,
-    /// When, s since 1970 UTC, where it is known.
+    /// Time, s since 1970 UTC, if known.
     pub utc_s: Option<u64>,
-    /// At which temperature, where it is known: within −60..=150 °C, lowest ≤ mean ≤ highest.
+    /// Temperature, if known: within −60..=150 °C, lowest ≤ mean ≤ highest.
     pub temperature: Option<CalibratedTemperature>,
     /// Poses fitted; for a reference, blocks of samples.
     pub poses: u32,
     /// Degrees of freedom of the covariance, for Student's intervals.
     pub dof: u32,
-    /// |f| − g over the poses (for a reference, what is left of output less reference), m/s² rms,
-    /// 0..=100.
+    /// Residual |f| − g over the poses (for a reference, of the regression), m/s² rms, 0..=100.
     pub rms_mps2: f32,
-    /// The same of each pose under the model fitted without it; `None` where none can be spared.
+    /// Leave-one-out error, m/s² rms; `None` if no pose can be left out.
     pub loo_rms_mps2: Option<f32>,
-    /// Condition of the fit, 1..=10⁹, 1 is best; `None` for a method without one.
+    /// Condition number, 1..=10⁹, 1 is best; `None` for a method without one.
     pub condition: Option<f32>,
-    /// Covariance of the 12 basic parameters, gravity's included.
+    /// Covariance of the 12 basic parameters, including the uncertainty of gravity.
     pub covariance: ModelCovariance,
     /// Standard deviations of the other terms: each 0..=1.
     #[cfg_attr(feature = "serde", serde(default))]
     pub other_sd: TermDeviations,
 }
 
-/// What a calibration says of itself: how it was made, and how good it is.
+/// Quality record of a calibration: its method and uncertainty.
 ///
-/// Always finite and within the bounds given on [`QualityTerms`]: it cannot be built otherwise.
+/// Always finite and within the bounds given on [`QualityTerms`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
@@ -108,10 +107,10 @@ pub struct QualityTerms {
 pub struct CalibrationQuality(QualityTerms);
 
 impl CalibrationQuality {
-    /// Checks the terms.
+    /// Checks the values.
     ///
     /// # Errors
-    /// [`QualityError`] names what is out of bounds.
+    /// [`QualityError`] names the value that is out of bounds.
     pub fn new(terms: QualityTerms) -> Result<Self, QualityError> {
         let within = |value: f32, low: f32, high: f32| (low..=high).contains(&value);
         if let Some(t) = &terms.temperature {
@@ -145,7 +144,7 @@ impl CalibrationQuality {
         Ok(Self(terms))
     }
 
-    /// What it says.
+    /// The values.
     pub fn terms(&self) -> &QualityTerms {
         &self.0
     }
@@ -165,11 +164,11 @@ impl From<CalibrationQuality> for QualityTerms {
     }
 }
 
-/// Why what a calibration says of itself makes no sense.
+/// Why a quality record is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum QualityError {
-    /// The temperatures are out of order or outside −60 to 150 °C.
+    /// The temperatures are not ascending, or outside −60 to 150 °C.
     Temperature,
     /// A residual is outside 0 to 100 m/s².
     Residual,

@@ -12,7 +12,7 @@ pub const STANDARD_GRAVITY_MPS2: f64 = 9.80665;
 pub struct Counts(pub [i16; 3]);
 
 impl Counts {
-    /// Whether any axis stands at or beyond `full_scale`, or at the matching negative end, LSB.
+    /// Whether any axis is at or beyond `full_scale`, LSB, or the negative limit.
     ///
     /// A sensor that sends 12 bits left-justified saturates at 32752 and −32768: its `full_scale`
     /// is 32752.
@@ -87,13 +87,6 @@ impl PositionNm {
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagneticFieldNt(pub [i32; 3]);
-
-impl MagneticFieldNt {
-    /// The same field in µT.
-    pub fn to_ut(self) -> [f64; 3] {
-        self.0.map(|nt| nt as f64 * 1e-3)
-    }
-}
 
 /// Temperature in hundredths of a degree Celsius, −327.68..=327.67 °C.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -173,7 +166,7 @@ impl Sensitivity {
         STANDARD_GRAVITY_MPS2 / self.0
     }
 
-    /// Specific force that an ideal sensor of this sensitivity would mean by `counts`.
+    /// Specific force, m/s², by this sensitivity.
     pub fn to_mps2(self, counts: Counts) -> SpecificForceMps2 {
         let scale = self.mps2_per_lsb();
         SpecificForceMps2(counts.0.map(|c| c as f64 * scale))

@@ -1,14 +1,15 @@
-//! Square roots, digit by digit: the same bits as any other that is right, in a sixth of the flash.
+//! Square roots computed digit by digit: correctly rounded like those of `libm`, in a sixth of the
+//! flash.
 //!
-//! A chip without an instruction for them takes a thousand instructions for one. It needs some at a rest
-//! and when parameters come into use, none for a sample.
+//! Without a hardware instruction a square root takes about a thousand instructions. Some are
+//! needed at a rest and when parameters are applied, none per sample.
 
 /// The square root of `x`, rounded down.
 pub const fn isqrt(x: u64) -> u64 {
     digits(x, 32)
 }
 
-/// The square root of `x`, rounded to the nearest: bit for bit that of `libm`. NaN of what has none.
+/// The square root of `x`, rounded to nearest: identical to `libm`. NaN for negative numbers.
 pub fn sqrt(x: f64) -> f64 {
     const MANTISSA: u32 = 52;
     const HIDDEN: u64 = 1 << MANTISSA;
@@ -32,15 +33,15 @@ pub fn sqrt(x: f64) -> f64 {
     // x = mantissa · 2^(exponent − 52), its exponent even.
     exponent -= BIAS;
     mantissa <<= exponent & 1;
-    // Of its 54 digits the last only rounds: no root lies halfway between two numbers of 53.
+    // The last of the 54 digits only rounds: no root lies halfway between two numbers of 53 digits.
     let root = digits(mantissa << 10, 54).div_ceil(2);
     // A root of 2⁵³ carries into the exponent.
     let exponent = ((exponent >> 1) + BIAS) as u64;
     f64::from_bits((exponent << MANTISSA) + (root - HIDDEN))
 }
 
-/// The first `count` binary digits of a square root, of a number whose first 64 are in `radicand`, and
-/// zeros behind them.
+/// The first `count` binary digits of the square root of a number whose first 64 bits are
+/// `radicand` and whose other bits are zero.
 const fn digits(mut radicand: u64, count: u32) -> u64 {
     let (mut rest, mut root) = (0, 0);
     let mut digit = 0;

@@ -4,8 +4,69 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
+use std::collections::BTreeMap;
+
 use common::journeys::{Journey, Journeys, Recorded};
 use wimu_nav::unit::Zupt;
+use wimu_testkit::figure;
+
+/// Cases that share rows of the results.
+fn group(journey: Journey, how: &Recorded) -> &'static str {
+    let errors = how.rate_matrix + how.force_matrix + how.late_s + how.glitch_mps2 > 0.0;
+    match journey {
+        _ if errors && how.gyroscope => "errors of scale, axes, delay",
+        Journey::Slow(_) | Journey::Cart(_) | Journey::Stairs(_) | Journey::Push(..) => {
+            "slow or steady motion"
+        }
+        _ => "moves and rotations",
+    }
+}
+
+/// Fractions, %, of valid moving samples with a NEES below 7.81, by row, and the largest errors with ZUPT by default, σ.
+#[derive(Default)]
+struct Table {
+    below: BTreeMap<String, Vec<f64>>,
+    greatest: BTreeMap<&'static str, f64>,
+}
+
+impl Table {
+    fn add(&mut self, journey: Journey, how: &Recorded, found: &Journeys) {
+        let with = if how.gyroscope {
+            "gyroscope"
+        } else {
+            "no gyroscope"
+        };
+        let zupt = match how.zupt {
+            Zupt::Assumed => "default",
+            Zupt::Stated => "stated",
+            Zupt::Off => "off",
+        };
+        let row = format!("{with}, {}, ZUPT {zupt}", group(journey, how));
+        self.below.entry(row).or_default().push(100.0 * found.below);
+        if how.zupt == Zupt::Assumed {
+            let greatest = self.greatest.entry(with).or_default();
+            *greatest = greatest.max(found.greatest);
+        }
+    }
+
+    fn record(&self) {
+        for (row, below) in &self.below {
+            let least = below.iter().copied().fold(f64::INFINITY, f64::min);
+            let most = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            figure(
+                &format!("{row}: NEES < 7.81"),
+                format!("{least:.0} to {most:.0} %"),
+                "90 to 98 %",
+                least >= 90.0 && most <= 98.0,
+            );
+        }
+        for (with, greatest) in &self.greatest {
+            let claim = format!("{with}, ZUPT default: largest error of a valid position");
+            let met = *greatest <= 5.0;
+            figure(&claim, format!("{greatest:.1} σ"), "at most 5 σ", met);
+        }
+    }
+}
 
 fn main() {
     let argument = |k: usize| std::env::args().nth(k);
@@ -65,6 +126,12 @@ fn main() {
             ..perfect
         },
     ];
+    let mut table = Table::default();
+    let mut show = |kind, how: Recorded| {
+        let found = Journeys::over(kind, how, seeds);
+        println!("{found}");
+        table.add(kind, &how, &found);
+    };
     for kind in kinds {
         if !format!("{kind:?}").contains(&only) {
             continue;
@@ -78,7 +145,7 @@ fn main() {
                 zupt,
                 ..perfect
             };
-            println!("{}", Journeys::over(kind, how, seeds));
+            show(kind, how);
             if matches!(kind, Journey::Carried(_) | Journey::Vehicle(..)) {
                 for sensors in turned {
                     if !gyroscope && (sensors.rate_matrix > 0.0 || sensors.late_s > 0.0) {
@@ -89,14 +156,15 @@ fn main() {
                         zupt,
                         ..sensors
                     };
-                    println!("{}", Journeys::over(kind, how, seeds));
+                    show(kind, how);
                 }
             }
             if matches!(kind, Journey::Violent(_)) {
                 let clips_mps2 = 2.0 * 9.80665;
                 let how = Recorded { clips_mps2, ..how };
-                println!("{}", Journeys::over(kind, how, seeds));
+                show(kind, how);
             }
         }
     }
+    table.record();
 }

@@ -5,6 +5,7 @@ use crate::common;
 use common::{Random, dot, minus, norm, outputs};
 use proptest::prelude::*;
 use wimu_nav::array::{Array, ArraySolver, Axis, Geometry, GeometryError, Roots, Triad};
+use wimu_testkit::{figure, rms_ratio_can_be, trials};
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
@@ -39,21 +40,23 @@ fn the_octahedron_reaches_the_cramer_rao_bound() {
         assert!(norm(minus(exact.rate_rad_s, rate)) < 1e-9);
         let covariance = exact.covariance().unwrap();
         let bound = ((0..3).map(|i| covariance[i][i]).sum::<f64>() / 3.0).sqrt() / DEG;
-        let trials = 20_000;
+        let draws = trials(20_000);
         let mut squares = 0.0;
-        for _ in 0..trials {
+        for _ in 0..draws {
             let noisy = clean.map(|y| y + 0.01 * random.normal());
             let found = solver.solve(&noisy).nearest(rate).copied().unwrap();
             let d = minus(found.rate_rad_s, rate);
             squares += dot(d, d) / 3.0;
         }
-        let rms = (squares / f64::from(trials)).sqrt() / DEG;
-        println!(
-            "{speed_deg} deg/s: {rms:.2} deg/s rms an axis, Cramér-Rao bound {bound:.2}: {:.3}",
-            rms / bound
-        );
+        let rms = (squares / draws as f64).sqrt() / DEG;
+        let ratio = rms / bound;
+        println!("{speed_deg} deg/s: {rms:.2} deg/s rms an axis, bound {bound:.2}");
+        let claim = format!("six triads at {speed_deg} deg/s: rate error over Cramér-Rao bound");
+        let measured = format!("{ratio:.3}");
+        figure(&claim, measured, "at most 1.15", ratio <= 1.15);
         assert!((bound / published_bound - 1.0).abs() < 0.01);
-        assert!(rms < 1.15 * bound);
+        // A biased estimate may be better than the bound, but not by much.
+        assert!(rms_ratio_can_be(ratio, 3 * draws, 0.9..=1.15), "{ratio}");
     }
 }
 
@@ -62,7 +65,7 @@ fn in_f32_the_octahedron_loses_nothing() {
     let fine = ArraySolver::<f64, 18>::new(&octahedron()).unwrap();
     let coarse = ArraySolver::<f32, 18>::new(&octahedron()).unwrap();
     let mut random = Random::new(2);
-    for _ in 0..1000 {
+    for _ in 0..trials(10_000) {
         let rate = random.normals(10.0);
         let clean = outputs(
             &octahedron(),

@@ -5,6 +5,7 @@ use crate::common;
 use common::Random;
 use wimu_nav::drift::{Drift, DriftError, DriftEstimator};
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+use wimu_testkit::{Coverage, coverage_figure, figure, rms_ratio_can_be, trials};
 
 const TRUTH: Drift = Drift {
     rise_mps2: [0.08, -0.05, 0.02],
@@ -34,7 +35,7 @@ fn recording(drift: Drift, seed: u64) -> DriftEstimator {
 #[test]
 fn over_many_seeds_the_parameters_lie_within_their_uncertainties() {
     let (mut time, mut rise, mut start) = (Vec::new(), Vec::new(), Vec::new());
-    for seed in 0..100 {
+    for seed in 0..trials(1000) as u64 {
         let found = recording(TRUTH, seed).fit().unwrap();
         time.push((found.drift.time_s - TRUTH.time_s) / found.time_sd_s);
         for i in 0..3 {
@@ -47,8 +48,13 @@ fn over_many_seeds_the_parameters_lie_within_their_uncertainties() {
     }
     for (name, errors) in [("T", time), ("C1", rise), ("C2", start)] {
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
-        println!("{name}: errors are {rms:.2} of their standard deviations, rms");
-        assert!((0.6..1.4).contains(&rms), "{name}: {rms}");
+        let claim = format!("warm-up of a bias, rms errors of {name} over the stated ones");
+        let met = (0.6..=1.4).contains(&rms);
+        figure(&claim, format!("{rms:.2}"), "0.6 to 1.4", met);
+        assert!(
+            rms_ratio_can_be(rms, errors.len(), 0.6..=1.4),
+            "{name}: {rms}"
+        );
     }
 }
 
@@ -58,10 +64,12 @@ fn what_does_not_drift_or_has_not_settled_or_moves_is_refused() {
         rise_mps2: [0.0; 3],
         ..TRUTH
     };
-    let refused = (0..20)
-        .filter(|seed| recording(still, *seed).fit() == Err(DriftError::NoDrift))
-        .count();
-    assert!(refused >= 18, "{refused} of 20");
+    let seeds = 0..trials(1000) as u64;
+    let refused: Coverage = seeds
+        .map(|seed| recording(still, seed).fit() == Err(DriftError::NoDrift))
+        .collect();
+    coverage_figure("a bias without warm-up: no fit", &[refused], 0.9..=1.0);
+    refused.assert_can_be(0.9..=1.0, "no drift");
     let slow = Drift {
         time_s: 1e5,
         rise_mps2: [8.0, 0.0, 0.0],
@@ -138,8 +146,8 @@ fn a_known_drift_is_taken_out_and_its_doubt_is_left_in_the_covariance() {
 #[test]
 fn a_rise_that_is_wrong_by_its_deviation_is_found_at_rests_with_motion_between() {
     let (rise, sd) = ([0.08, -0.05, 0.06], 0.02);
-    let (mut squares, mut count) = (0.0, 0.0);
-    for seed in 0..8 {
+    let (mut squares, mut count) = (0.0, 0);
+    for seed in 0..trials(1000) as u64 {
         let mut random = Random::new(seed);
         let wrong = [0, 1, 2].map(|i| rise[i] + random.normal() * sd);
         let truth = Drift {
@@ -185,10 +193,18 @@ fn a_rise_that_is_wrong_by_its_deviation_is_found_at_rests_with_motion_between()
             let most = if i == 2 { 0.2 } else { 0.8 };
             assert!(doubt < most * sd, "axis {i}: ± {doubt}");
             squares += ((found - rise[i]) / doubt).powi(2);
-            count += 1.0;
+            count += 1;
         }
     }
-    let ratio = f64::sqrt(squares / count);
-    println!("C1's errors are {ratio:.2} of their standard deviations, rms");
-    assert!((0.5..1.5).contains(&ratio), "{ratio}");
+    let ratio = f64::sqrt(squares / f64::from(count));
+    figure(
+        "wrong warm-up found at rests: rms error over the stated one",
+        format!("{ratio:.2}"),
+        "0.5 to 1.5",
+        (0.5..=1.5).contains(&ratio),
+    );
+    assert!(
+        rms_ratio_can_be(ratio, count as usize, 0.5..=1.5),
+        "{ratio}"
+    );
 }

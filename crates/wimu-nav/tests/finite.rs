@@ -5,6 +5,7 @@ use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
 use wimu_nav::slide::{Rest, Slide, SlideConfig};
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
 use wimu_nav::{Real, Zupt};
+use wimu_testkit::{Lane, Random, trials};
 
 /// A stretch of motion, in which every sample has a direction of its own.
 #[derive(Clone, Copy, Debug)]
@@ -64,35 +65,19 @@ fn stretches() -> impl Strategy<Value = (u64, Vec<Stretch>)> {
     })
 }
 
-struct Random(u64);
-
-impl Random {
-    /// In −1 to 1.
-    fn next(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
-        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn vector(&mut self, size: f64) -> [f64; 3] {
-        core::array::from_fn(|_| size * self.next())
-    }
-}
-
 fn samples(seed: u64, all: &[Stretch]) -> Vec<UnitSample> {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut samples = Vec::new();
     for stretch in all {
         for _ in 0..stretch.samples {
-            let [x, y, z] = random.vector(stretch.push_mps2);
-            let field = stretch.field_ut.map(|size| random.vector(size));
+            let mut vector = |size: f64| [0; 3].map(|_| random.within(size));
+            let [x, y, z] = vector(stretch.push_mps2);
+            let field = stretch.field_ut.map(&mut vector);
             samples.push(UnitSample {
                 step_s: stretch.step_s,
                 force_mps2: [x, y, 9.80665 + z],
                 field_ut: field.map(|[x, y, z]| [x, 20.0 + y, z - 44.0]),
-                rate_rad_s: stretch.rate_rad_s.map(|size| random.vector(size)),
+                rate_rad_s: stretch.rate_rad_s.map(&mut vector),
             });
         }
     }
@@ -152,8 +137,17 @@ fn of_array<R: Real>(zupt: Zupt, samples: &[UnitSample]) -> Result<(), TestCaseE
     Ok(())
 }
 
+/// Cases of each property.
+fn cases() -> u32 {
+    if Lane::current() == Lane::Campaign {
+        1000
+    } else {
+        trials(64) as u32
+    }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn no_state_of_a_unit_that_is_not_finite_is_valid((seed, all) in stretches()) {
@@ -212,7 +206,7 @@ fn a_filter_that_diverged_says_so_and_its_deviation_is_not_zero() {
         zupt: Zupt::Stated,
         ..UnitConfig::default()
     };
-    for seed in 0..20 {
+    for seed in 0..trials(1000) as u64 {
         let samples = samples(seed, &[at_rest, shaken]);
         of_unit::<f32>(config, &samples).unwrap();
         of_unit::<f64>(config, &samples).unwrap();

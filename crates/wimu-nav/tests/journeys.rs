@@ -5,11 +5,14 @@ use crate::common;
 
 use common::journeys::{Journey, Journeys, Recorded, travel};
 use wimu_nav::unit::Zupt;
-
-const SEEDS: u64 = 16;
+use wimu_testkit::{Lane, figure, trials};
 
 fn over(journey: Journey, how: Recorded) -> Journeys {
-    let found = Journeys::over(journey, how, SEEDS);
+    over_seeds(journey, how, trials(1000))
+}
+
+fn over_seeds(journey: Journey, how: Recorded, seeds: usize) -> Journeys {
+    let found = Journeys::over(journey, how, seeds as u64);
     println!("{found}");
     found
 }
@@ -31,10 +34,10 @@ fn with_a_gyroscope_slow_moves_turns_and_short_pauses_lie_within_the_covariance(
                 ..Recorded::default()
             },
         );
-        assert!(found.below > 0.92 && found.greatest < 5.0, "{found}");
+        assert_consistent(&found, 0.92, 5.0);
         assert!(found.valid > 0.5 && found.rests > 0.2, "{found}");
         let found = over(journey, Recorded::default());
-        assert!(found.below > 0.97 && found.greatest < 4.0, "{found}");
+        assert_consistent(&found, 0.97, 4.0);
         let found = over(
             journey,
             Recorded {
@@ -42,7 +45,7 @@ fn with_a_gyroscope_slow_moves_turns_and_short_pauses_lie_within_the_covariance(
                 ..Recorded::default()
             },
         );
-        assert!(found.below > 0.8 && found.greatest < 6.0, "{found}");
+        assert_consistent(&found, 0.8, 6.0);
     }
 }
 
@@ -62,10 +65,19 @@ fn a_steady_push_is_not_taken_for_a_tilt() {
                     ..Recorded::default()
                 };
                 let found = over(push, how);
-                assert!(found.below > 0.7 && found.greatest < 7.0, "{found}");
+                assert_consistent(&found, 0.7, 7.0);
             }
         }
     }
+}
+
+/// Positions are in the 95 % ellipsoid in `below` of the samples or more (σ is conservative on smooth motion), and 99 of 100
+/// journeys have no error beyond so many `deviations`.
+#[track_caller]
+fn assert_consistent(found: &Journeys, below: f64, deviations: f64) {
+    assert!(found.below_can_be(below..=1.0), "{found}");
+    let within = found.within(deviations);
+    within.assert_can_be(0.99..=1.0, &found.to_string());
 }
 
 /// By default: nothing is said about rests.
@@ -78,12 +90,12 @@ fn an_even_motion_is_never_valid_and_wrong() {
         };
         for speed in [0.02, 0.05, 0.1, 0.4, 1.0] {
             let found = over(Journey::Cart(speed), how);
-            assert!(found.below > 0.95 && found.greatest < 4.0, "{found}");
+            assert_consistent(&found, 0.95, 4.0);
         }
         let stairs = over(Journey::Stairs(0.05), how);
-        assert!(stairs.below > 0.95 && stairs.greatest < 4.0, "{stairs}");
+        assert_consistent(&stairs, 0.95, 4.0);
         let slow = over(Journey::Slow(8.0), how);
-        assert!(slow.below > 0.8 && slow.greatest < 5.0, "{slow}");
+        assert_consistent(&slow, 0.8, 5.0);
     }
 }
 
@@ -93,7 +105,7 @@ fn who_states_that_it_rested_gets_the_smaller_covariance_and_the_same_path() {
         zupt,
         ..Recorded::default()
     };
-    for seed in 0..SEEDS {
+    for seed in 0..trials(1000) as u64 {
         let [assumed, stated] =
             [Zupt::Assumed, Zupt::Stated].map(|z| travel(Journey::Slow(3.0), how(z), seed));
         assert!((assumed.unseen_m - stated.unseen_m).abs() < 1e-9);
@@ -119,7 +131,7 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
                     ..Recorded::default()
                 },
             );
-            assert!(failed.below > 0.92 && failed.greatest < 5.0, "{failed}");
+            assert_consistent(&failed, 0.92, 5.0);
             if missing_s > 0.5 {
                 continue;
             }
@@ -131,7 +143,7 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
                     ..Recorded::default()
                 },
             );
-            assert!(hole.below > 0.92 && hole.greatest < 5.0, "{hole}");
+            assert_consistent(&hole, 0.92, 5.0);
             let jump = over(
                 journey,
                 Recorded {
@@ -140,7 +152,7 @@ fn what_a_gyroscope_or_samples_leave_out_is_doubted() {
                     ..Recorded::default()
                 },
             );
-            assert!(jump.below > 0.65 && jump.greatest < 8.0, "{jump}");
+            assert_consistent(&jump, 0.65, 8.0);
         }
     }
 }
@@ -156,7 +168,7 @@ fn violent_moves_lie_within_the_covariance_and_what_clips_ends_it() {
                     ..Recorded::default()
                 };
                 let found = over(Journey::Violent(lasts), how);
-                assert!(found.below > 0.95 && found.greatest < 7.0, "{found}");
+                assert_consistent(&found, 0.95, 7.0);
             }
         }
     }
@@ -172,7 +184,7 @@ fn large_turns_that_no_gyroscope_sees_are_doubted() {
                 ..Recorded::default()
             };
             let found = over(journey, how);
-            assert!(found.below > 0.85, "{found}");
+            assert!(found.below_can_be(0.85..=1.0), "{found}");
         }
     }
 }
@@ -189,7 +201,7 @@ fn one_wrong_sample_is_within_the_covariance() {
                 ..Recorded::default()
             };
             let found = over(Journey::Carried(std::f64::consts::PI), how);
-            assert!(found.below > 0.95 && found.greatest < 5.0, "{found}");
+            assert_consistent(&found, 0.95, 5.0);
         }
     }
 }
@@ -215,7 +227,7 @@ fn what_scales_axes_and_a_late_gyroscope_make_of_a_turn_lies_within_the_covarian
         for zupt in [Zupt::Assumed, Zupt::Stated, Zupt::Off] {
             let journey = Journey::Carried(std::f64::consts::PI);
             let found = over(journey, Recorded { zupt, ..how });
-            assert!(found.below > 0.9 && found.greatest < 7.0, "{found}");
+            assert_consistent(&found, 0.9, 7.0);
             assert!(found.rests > 0.6, "{found}");
             let known = over(journey, Recorded { zupt, ..perfect });
             assert!(found.valid > 0.8 * known.valid, "{found} {known}");
@@ -235,7 +247,7 @@ fn what_an_accelerometers_matrix_makes_of_the_way_of_a_vehicle_lies_within_the_c
                 ..Recorded::default()
             };
             let found = over(journey, how);
-            assert!(found.below > 0.9 && found.greatest < 6.0, "{found}");
+            assert_consistent(&found, 0.9, 6.0);
             assert!(found.rests > 0.6, "{found}");
         }
     }
@@ -244,6 +256,8 @@ fn what_an_accelerometers_matrix_makes_of_the_way_of_a_vehicle_lies_within_the_c
 /// The first rest ends at 3 s: it is too short, or none.
 #[test]
 fn a_recording_that_begins_in_a_move_or_just_before_starts_at_the_first_rest_of_a_second() {
+    let mut least = 1.0_f64;
+    let seeds = Lane::current().choose([8, 50, 500]);
     for (gyroscope, field) in [(true, true), (true, false), (false, true)] {
         for begins_s in [2.0, 2.2, 2.5, 2.8, 3.2, 4.0] {
             for zupt in [Zupt::Assumed, Zupt::Stated] {
@@ -254,10 +268,17 @@ fn a_recording_that_begins_in_a_move_or_just_before_starts_at_the_first_rest_of_
                     zupt,
                     ..Recorded::default()
                 };
-                let found = over(Journey::Carried(std::f64::consts::PI), how);
-                assert!(found.below > 0.9 && found.greatest < 6.0, "{found}");
+                let found = over_seeds(Journey::Carried(std::f64::consts::PI), how, seeds);
+                least = least.min(found.below);
+                assert_consistent(&found, 0.9, 6.0);
                 assert!(found.rests > 0.6 && found.valid > 0.08, "{found}");
             }
         }
     }
+    figure(
+        "recording begins in a move or just before: NEES < 7.81, least",
+        format!("{:.0} %", 100.0 * least),
+        "at least 90 %",
+        least >= 0.9,
+    );
 }

@@ -1,4 +1,4 @@
-//! What the node asks of a sensor.
+//! Sensor of a node.
 
 use core::fmt;
 
@@ -6,11 +6,11 @@ use embedded_hal_async::i2c::{self, ErrorKind, NoAcknowledgeSource};
 use wimu_link::message::Settings;
 use wimu_model::{CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, Sensitivity};
 
-/// How a sensor will run under some settings.
+/// The operation of a sensor under given settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Plan {
-    /// The settings it follows from.
+    /// The settings.
     pub settings: Settings,
     /// Nominal time between samples.
     pub period: PeriodNs,
@@ -20,22 +20,22 @@ pub struct Plan {
     pub full_scale: i16,
 }
 
-/// Samples that [`Accelerometer::next`] gave.
+/// Result of [`Accelerometer::next`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Batch {
-    /// How many counts were written, at least one.
+    /// Number of samples, at least one.
     pub count: usize,
-    /// When the newest of them was ready, device clock.
+    /// Time of the newest sample, device clock.
     pub last_time: DeviceTimeUs,
-    /// Whether the sensor says that samples before these were lost.
+    /// Whether the sensor reports that earlier samples were lost.
     pub overrun: bool,
-    /// Whether the sensor queues its samples: without an overrun none is missing before these,
-    /// however late they were read.
+    /// Whether the sensor queues its samples, so that without an overrun no sample is missing, however late
+    /// the read.
     pub queued: bool,
 }
 
-/// What a sensor measures beside acceleration; `None` for what it does not have.
+/// Measurements other than acceleration; `None` if the sensor has no such measurement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Surroundings {
@@ -45,29 +45,29 @@ pub struct Surroundings {
     pub temperature: Option<CentiCelsius>,
 }
 
-/// A three-axis accelerometer as the node drives it.
+/// A three-axis accelerometer.
 ///
-/// Counts are 16-bit, sensor axes; a sensor of fewer bits gives them left-justified.
+/// Counts are 16-bit and left-justified, in right-handed axes: the sensor's, or the board's after
+/// [`Mounting`](crate::Mounting).
 #[allow(async_fn_in_trait)] // Nodes are polled where they are built; nothing needs `Send`.
 pub trait Accelerometer {
-    /// Whether there can be a magnetic field among its surroundings: without one, a node has no code
-    /// for headings.
+    /// Whether it can measure the magnetic field. If not, the code for headings is left out.
     const MAGNETOMETER: bool = true;
 
-    /// How the sensor would run under `wanted`, or the nearest settings that it can do.
+    /// The plan for `wanted`.
     ///
     /// # Errors
-    /// The nearest possible settings.
+    /// The nearest supported settings.
     fn plan(wanted: &Settings) -> Result<Plan, Settings>;
 
-    /// Starts the sensor, or starts it anew, under `plan`.
+    /// Starts or restarts the sensor under `plan`.
     ///
     /// # Errors
-    /// [`SensorFault`]; the sensor's state is unknown then and `configure` is called again.
+    /// [`SensorFault`]; the sensor's state is undefined then, and `configure` is called again.
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault>;
 
-    /// Waits for samples and writes the oldest first; returns within a few sample periods even if
-    /// none come.
+    /// Waits for samples and writes them to `counts`, oldest first. Returns within a few sample periods even
+    /// without samples.
     ///
     /// # Errors
     /// [`SensorFault`] when the sensor does not answer or has no data.
@@ -80,22 +80,22 @@ pub trait Accelerometer {
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault>;
 }
 
-/// Why a sensor gave nothing.
+/// A failure of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SensorFault {
-    /// Nobody acknowledges its address.
+    /// Its address is not acknowledged.
     NotAnswering,
-    /// The bus does not work, or a transfer broke off.
+    /// The bus or a transfer failed.
     Transfer,
-    /// Another sensor is at its address.
+    /// Another chip is at its address.
     WrongIdentity {
-        /// What it should answer.
+        /// The expected identification.
         expected: u8,
-        /// What it answered.
+        /// The identification read.
         found: u8,
     },
-    /// It answers, but no sample became ready.
+    /// It answers, but has no new sample.
     NoData,
 }
 
@@ -109,7 +109,7 @@ impl fmt::Display for SensorFault {
                 .write_str("transfers on the sensor's bus fail: check its wiring and its pull-ups"),
             Self::WrongIdentity { expected, found } => write!(
                 out,
-                "another sensor is at this address: it calls itself {found:#04x}, not {expected:#04x}"
+                "another chip is at this address: it identifies itself as {found:#04x}, expected {expected:#04x}"
             ),
             Self::NoData => out.write_str("the sensor answers but has no new data"),
         }
@@ -119,7 +119,7 @@ impl fmt::Display for SensorFault {
 impl core::error::Error for SensorFault {}
 
 impl SensorFault {
-    /// What a bus's error means.
+    /// The fault that a bus error means.
     pub(crate) fn of_bus(error: &impl i2c::Error) -> Self {
         match error.kind() {
             ErrorKind::NoAcknowledge(

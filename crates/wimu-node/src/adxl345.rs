@@ -9,7 +9,7 @@ use wimu_model::{Counts, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, Look, SensorFifo};
+use crate::fifo::{DEPTH, FifoState, SensorFifo};
 use crate::timer::Timer;
 
 /// Ranges, ± g.
@@ -20,7 +20,7 @@ const RANGES: [(u8, Range); 4] = [
     (16, Range::G16),
 ];
 
-/// Rates, Hz: those of whole numbers, up to the fastest that a bus of 400 kHz carries.
+/// Rates, Hz: whole numbers, up to the fastest on a bus of 400 kHz.
 const RATES: [(u16, Rate); 6] = [
     (25, Rate::Hz25),
     (50, Rate::Hz50),
@@ -30,13 +30,13 @@ const RATES: [(u16, Rate); 6] = [
     (800, Rate::Hz800),
 ];
 
-/// The time of a sample on a bus of 400 kHz, µs.
+/// Time to read a sample on a bus of 400 kHz, µs.
 const TRANSFER_US: u64 = 240;
 
 /// An ADXL345 on an I²C bus with its INT1 line.
 ///
-/// Samples wait in the sensor's FIFO until INT1 says that there are enough for 40 ms, but at most
-/// 16: up to as many again are safe while nobody reads.
+/// Samples are read from the sensor's FIFO when INT1 signals the watermark: 40 ms of samples, at most 16. The
+/// other half of the FIFO covers delays.
 pub struct Adxl345<I2C, D, T> {
     device: wimu_adxl345::Adxl345<I2C>,
     data_ready: D,
@@ -61,7 +61,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
         let rate_hz = plan.settings.rate_hz;
         let rate = RATES.iter().find(|(hz, _)| *hz == rate_hz);
         let (Some(&(_, range)), Some(&(_, rate))) = (range, rate) else {
-            return Ok(()); // Not of a plan of this sensor.
+            return Ok(()); // Not a plan of this sensor.
         };
         let setup = Setup {
             format: format(range, plan.settings.resolution),
@@ -77,19 +77,19 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
         self.device.start(&setup).await
     }
 
-    /// Waits until the FIFO holds what the line waits for, or less if that takes too long.
-    async fn look(&mut self) -> Result<Look, Error<I2C::Error>> {
+    /// Waits for the watermark or a timeout, and reads the state of the FIFO.
+    async fn read_state(&mut self) -> Result<FifoState, Error<I2C::Error>> {
         let deadline = self.fifo.deadline(self.timer.now());
-        let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+        let edge = self.timer.before(deadline, self.data_ready.ready()).await;
         let woken = self.timer.now();
-        let waiting = self.device.fifo_level().await?.samples;
+        let level = self.device.fifo_level().await?.samples;
         let at = self.timer.now();
         let overrun =
-            waiting >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
-        Ok(Look {
-            rose: rose.flatten().unwrap_or(woken),
+            level >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
+        Ok(FifoState {
+            edge_time: edge.flatten().unwrap_or(woken),
             at,
-            waiting,
+            level,
             overrun,
         })
     }
@@ -147,28 +147,28 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
         let mut lost = false;
         loop {
-            let look = self.look().await.map_err(fault)?;
-            lost |= look.overrun;
-            let count = counts.len().min(look.waiting.into());
+            let state = self.read_state().await.map_err(fault)?;
+            lost |= state.overrun;
+            let count = counts.len().min(state.level.into());
             if count == 0 {
                 return Err(SensorFault::NoData);
             }
-            for place in counts.iter_mut().take(count) {
-                *place = Counts(self.device.sample().await.map_err(fault)?);
+            for sample in counts.iter_mut().take(count) {
+                *sample = Counts(self.device.sample().await.map_err(fault)?);
             }
-            if self.fifo.kept_up(&look, self.timer.now()) {
-                let unread = look.waiting - count as u8;
-                let look = Look {
+            if self.fifo.kept_up(&state, self.timer.now()) {
+                let unread = state.level - count as u8;
+                let state = FifoState {
                     overrun: lost,
-                    ..look
+                    ..state
                 };
-                return Ok(self.fifo.read(look, count, unread));
+                return Ok(self.fifo.read(state, count, unread));
             }
             lost = true;
         }
     }
 
-    /// It measures nothing else.
+    /// None.
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
         Ok(Surroundings::default())
     }

@@ -1,4 +1,4 @@
-//! A sensor's bus that is not waited for without end.
+//! I²C with a timeout.
 
 use core::fmt;
 
@@ -7,31 +7,31 @@ use wimu_model::DeviceTimeUs;
 
 use crate::timer::Timer;
 
-/// A transaction of these sensors takes less than a millisecond.
-const LONGEST_US: u64 = 25_000;
+/// Timeout of a transaction, µs. The longest one, a FIFO burst of 16 samples, takes 2.3 ms at 400 kHz.
+const TIMEOUT_US: u64 = 25_000;
 
-/// An I²C bus whose transactions are given up after 25 ms.
+/// An I²C bus with a timeout of 25 ms per transaction.
 ///
-/// Controllers wait without end for a bus of which somebody holds a line low. Giving up drops the
-/// transaction's future: `I2C` must stop then, and begin anew with the next one.
-pub struct PatientBus<I2C, T> {
+/// Controllers wait without a limit while a line of the bus is held low. After the timeout the transaction's
+/// future is dropped; `I2C` must stop then, and work again with the next transaction.
+pub struct TimeoutBus<I2C, T> {
     bus: I2C,
     timer: T,
 }
 
-impl<I2C, T: Timer> PatientBus<I2C, T> {
-    /// Gives up on `bus` by `timer`.
+impl<I2C, T: Timer> TimeoutBus<I2C, T> {
+    /// Adds the timeout to `bus`.
     pub fn new(bus: I2C, timer: T) -> Self {
         Self { bus, timer }
     }
 }
 
-impl<I2C: ErrorType, T> ErrorType for PatientBus<I2C, T> {
+impl<I2C: ErrorType, T> ErrorType for TimeoutBus<I2C, T> {
     type Error = BusError<I2C::Error>;
 }
 
-impl<I2C: I2c, T: Timer> I2c for PatientBus<I2C, T> {
-    // `write`, `read` and `write_read` are this one, so that what gives up on them is there once.
+impl<I2C: I2c, T: Timer> I2c for TimeoutBus<I2C, T> {
+    // `write`, `read` and `write_read` call this one.
     async fn transaction(
         &mut self,
         address: u8,
@@ -46,20 +46,20 @@ async fn in_time<E>(
     timer: &impl Timer,
     transfer: impl Future<Output = Result<(), E>>,
 ) -> Result<(), BusError<E>> {
-    let end = DeviceTimeUs(timer.now().0.saturating_add(LONGEST_US));
+    let end = DeviceTimeUs(timer.now().0.saturating_add(TIMEOUT_US));
     match timer.before(end, transfer).await {
         Some(result) => result.map_err(BusError::Transfer),
         None => Err(BusError::Held),
     }
 }
 
-/// Why a transaction of a [`PatientBus`] failed.
+/// Why a transaction of a [`TimeoutBus`] failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BusError<E> {
-    /// The bus says why.
+    /// The error of the bus.
     Transfer(E),
-    /// It did not end: a line of the bus is held low.
+    /// Timeout: a line of the bus is held low.
     Held,
 }
 
@@ -76,9 +76,8 @@ impl<E: fmt::Debug> fmt::Display for BusError<E> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Transfer(error) => write!(out, "the transfer failed: {error:?}"),
-            Self::Held => out.write_str(
-                "the bus does not move: a line is held low; check its wiring and pull-ups",
-            ),
+            Self::Held => out
+                .write_str("the bus timed out: a line is held low; check its wiring and pull-ups"),
         }
     }
 }

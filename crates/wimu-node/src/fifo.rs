@@ -1,109 +1,111 @@
-//! The queue of samples in a sensor, and when those that come out of it were taken.
+//! FIFO of a sensor: watermark, and times of the samples read.
 
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
 use crate::accelerometer::Batch;
 
-/// Samples that the FIFO of a sensor holds, here of each.
+/// Capacity of the FIFO of each supported sensor, samples.
 pub(crate) const DEPTH: u8 = 32;
-/// Most samples for which the line rises: half of the FIFO is left for the time it takes to come.
-pub(crate) const MOST: u8 = 16;
-/// The line rises after this time, ns, unless that is too many.
+/// Maximum watermark, samples: half of the FIFO, so that the other half covers the latency of a read.
+pub(crate) const MAX_WATERMARK: u8 = 16;
+/// Target duration of the samples at the watermark, ns; the watermark is limited to [`MAX_WATERMARK`]. It limits
+/// the latency of samples at low rates.
 const LATENCY_NS: u32 = 40_000_000;
-/// How late the line may be before the FIFO is looked at without it: sample periods …
-const LATE: u64 = 3;
-/// … and this, µs.
+/// First part of the delay of the data-ready edge after which the FIFO is read without it, sample periods: allows
+/// for a rate below the nominal one.
+const LATE_PERIODS: u64 = 3;
+/// Second part of that delay, µs: margin for the latency of interrupts and tasks.
 const LATE_US: u64 = 20_000;
 
-/// How a sensor's FIFO is run.
+/// Watermark and sample times of a FIFO.
 pub(crate) struct SensorFifo {
     period: PeriodNs,
-    /// How long it takes to read a sample, µs.
+    /// Time to read a sample, µs.
     transfer_us: u64,
     watermark: u8,
-    /// When the newest sample that was read was taken.
+    /// Time of the newest sample read.
     last: Option<DeviceTimeUs>,
 }
 
-/// What was found in it.
+/// State of the FIFO before a read.
 #[derive(Clone, Copy)]
-pub(crate) struct Look {
-    /// When the line rose, as far as anybody knows.
-    pub rose: DeviceTimeUs,
-    /// When the samples were counted.
+pub(crate) struct FifoState {
+    /// Time of the data-ready edge, or of the wake-up without a captured edge.
+    pub edge_time: DeviceTimeUs,
+    /// Time at which the FIFO level was read.
     pub at: DeviceTimeUs,
-    /// How many waited.
-    pub waiting: u8,
-    /// Whether others before them were lost.
+    /// Samples in the FIFO.
+    pub level: u8,
+    /// Whether earlier samples were lost.
     pub overrun: bool,
 }
 
 impl SensorFifo {
-    /// Empty, of samples every `period`, each of which is read in `transfer_us`.
+    /// An empty FIFO with a sample every `period`, each of which is read in `transfer_us`.
     pub(crate) fn new(period: PeriodNs, transfer_us: u64) -> Self {
         Self {
             period,
             transfer_us,
-            watermark: (LATENCY_NS / period.0.max(1)).clamp(1, MOST.into()) as u8,
+            watermark: (LATENCY_NS / period.0.max(1)).clamp(1, MAX_WATERMARK.into()) as u8,
             last: None,
         }
     }
 
-    /// Samples for which the line rises, 1..=16.
+    /// The watermark, samples, 1..=16.
     pub(crate) fn watermark(&self) -> u8 {
         self.watermark
     }
 
-    /// The time of `count` samples, µs.
+    /// Duration of `count` sample periods, µs.
     pub(crate) fn micros(&self, count: u8) -> u64 {
         u64::from(count) * u64::from(self.period.0) / 1000
     }
 
-    /// When the line has risen at the latest, if it works.
+    /// The time at which the line must have risen.
     pub(crate) fn deadline(&self, now: DeviceTimeUs) -> DeviceTimeUs {
-        let late = LATE * u64::from(self.period.0) / 1000 + LATE_US;
+        let late = LATE_PERIODS * u64::from(self.period.0) / 1000 + LATE_US;
         DeviceTimeUs((now.0).saturating_add(self.micros(self.watermark) + late))
     }
 
-    /// Whether all that were found at `look` are those that have been read by `now`: a processor that
-    /// stood still in between finds others in their places.
-    pub(crate) fn kept_up(&self, look: &Look, now: DeviceTimeUs) -> bool {
-        let took = now.0.saturating_sub(look.at.0);
-        let expected = u64::from(look.waiting).saturating_add(1) * self.transfer_us;
+    /// Whether the samples read by `now` are those counted in `state`: if the read was delayed for long, newer
+    /// samples have overwritten them.
+    pub(crate) fn kept_up(&self, state: &FifoState, now: DeviceTimeUs) -> bool {
+        let took = now.0.saturating_sub(state.at.0);
+        let expected = u64::from(state.level).saturating_add(1) * self.transfer_us;
         let more = took.saturating_sub(expected) / self.micros(1).max(1);
-        u64::from(look.waiting) + more <= look.waiting.max(DEPTH).into()
+        u64::from(state.level) + more <= state.level.max(DEPTH).into()
     }
 
-    /// What was read at `look`: `count` samples, with `unread` newer ones left behind.
-    pub(crate) fn read(&mut self, look: Look, count: usize, unread: u8) -> Batch {
-        let newest = self.newest(look).0;
+    /// The result of a read of `count` samples, with `unread` newer ones left in the FIFO.
+    pub(crate) fn read(&mut self, state: FifoState, count: usize, unread: u8) -> Batch {
+        let newest = self.newest(state).0;
         let last_time = DeviceTimeUs(newest.saturating_sub(self.micros(unread)));
         self.last = Some(last_time);
         Batch {
             count,
             last_time,
-            overrun: look.overrun,
+            overrun: state.overrun,
             queued: true,
         }
     }
 
-    /// When the newest sample was taken.
-    fn newest(&self, look: Look) -> DeviceTimeUs {
+    /// Time of the newest sample in the FIFO.
+    fn newest(&self, state: FifoState) -> DeviceTimeUs {
         let period = self.micros(1);
-        let oldest = look.at.0.saturating_sub(period);
-        let by_line =
-            (look.rose.0).saturating_add(self.micros(look.waiting.saturating_sub(self.watermark)));
-        // A line that nobody could look at in time tells when that was over instead, and one that
-        // several chips share may tell of another.
-        let believable = oldest.saturating_sub(period / 4)..=look.at.0;
-        if look.waiting >= self.watermark && believable.contains(&by_line) {
+        let oldest = state.at.0.saturating_sub(period);
+        let by_line = (state.edge_time.0)
+            .saturating_add(self.micros(state.level.saturating_sub(self.watermark)));
+        // The edge is not used if it is implausible: the wake-up was delayed, or another chip drives a shared
+        // line.
+        let believable = oldest.saturating_sub(period / 4)..=state.at.0;
+        if state.level >= self.watermark && believable.contains(&by_line) {
             return DeviceTimeUs(by_line);
         }
         let expected = match self.last {
-            Some(last) if !look.overrun => last.0.saturating_add(self.micros(look.waiting)),
-            // In the middle of when it can have been.
-            _ => look.at.0.saturating_sub(period / 2),
+            Some(last) if !state.overrun => last.0.saturating_add(self.micros(state.level)),
+            // Half a period ago on average.
+            _ => state.at.0.saturating_sub(period / 2),
         };
-        DeviceTimeUs(expected.clamp(oldest, look.at.0))
+        DeviceTimeUs(expected.clamp(oldest, state.at.0))
     }
 }

@@ -29,7 +29,7 @@ mod timer;
 
 pub use accelerometer::Accelerometer;
 pub use adxl345::Adxl345;
-pub use bus::{BusError, PatientBus};
+pub use bus::{BusError, TimeoutBus};
 pub use control::Control;
 pub use data_ready::DataReady;
 #[cfg(feature = "flash-store")]

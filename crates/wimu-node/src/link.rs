@@ -14,10 +14,10 @@ use crate::shared::Shared;
 use crate::slot::Slot;
 use crate::timer::Timer;
 
-/// A host that asks who is there more often has been answered.
+/// Shortest interval between answers to [`Kind::WhoAreYou`], µs.
 const INTRODUCED_US: u64 = 250_000;
 
-/// Sends what waits for one link.
+/// Sends the frames queued for one link.
 pub struct LinkWriter<'a, W, M: RawMutex> {
     pub(crate) role: LinkRole,
     pub(crate) line: W,
@@ -25,10 +25,10 @@ pub struct LinkWriter<'a, W, M: RawMutex> {
 }
 
 impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
-    /// Runs for ever. A line that fails loses the frame that was under way; the next goes out.
+    /// Runs for ever. A failure of the line loses the current frame; the next one is sent.
     pub async fn run(&mut self) -> ! {
         let mut piece = [0; PIECE];
-        // Ends whatever was under way when the device lost its power.
+        // Ends a frame that a restart has interrupted.
         let _ = self.line.write_all(&[0]).await;
         loop {
             let (length, ended) = self.shared.next_piece(self.role, &mut piece).await;
@@ -44,7 +44,7 @@ impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
     }
 }
 
-/// Receives what hosts say on one link: answers who it is, hands requests to the control.
+/// Receives on one link: answers [`Kind::WhoAreYou`] and passes accepted requests to [`Control`](crate::Control).
 pub struct LinkReader<'a, R, T, M: RawMutex> {
     pub(crate) role: LinkRole,
     pub(crate) line: R,
@@ -53,7 +53,7 @@ pub struct LinkReader<'a, R, T, M: RawMutex> {
 }
 
 impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
-    /// Runs for ever. The line's `read` must be cancel-safe: bytes are taken or left, never lost.
+    /// Runs for ever. The line's `read` must be cancel-safe: a cancelled read loses no bytes.
     pub async fn run(&mut self) -> ! {
         let mut deframer = Deframer::new();
         let mut bytes = [0; 64];
@@ -61,7 +61,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
         loop {
             let read = match self.line.read(&mut bytes).await {
                 Ok(read) if read > 0 => read,
-                // A line that ended or failed may come back; do not spin meanwhile.
+                // The line may work again later.
                 _ => {
                     self.shared.rate_signals(self.role).noise.signal(());
                     self.timer.after_us(10_000).await;
@@ -76,7 +76,7 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                 match received {
                     Ok(frame) if frame.kind == Kind::WhoAreYou => {
                         heard = true;
-                        // One that asks without end gets samples in between.
+                        // A flood of questions must not displace samples.
                         let now = self.timer.now();
                         if introduced
                             .is_none_or(|last| now.0.saturating_sub(last.0) >= INTRODUCED_US)
@@ -91,16 +91,16 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
                             continue;
                         };
                         if let Command::StageParameters(set) = command {
-                            let mut desk = self.shared.desk.lock().await;
-                            desk.set.put(Some(set));
-                            desk.from = Slot::Full(self.role);
-                            desk.id = None;
+                            let mut staging = self.shared.staging.lock().await;
+                            staging.set.put(Some(set));
+                            staging.from = Slot::Full(self.role);
+                            staging.id = None;
                         }
-                        // The set lies on the desk.
+                        // The parameters are in `staging`.
                         let Ok(command) = command.try_map(|_| Ok::<_, Infallible>(()));
                         self.shared.requests.send((self.role, command)).await;
                     }
-                    // Frames that a device sends, looped back.
+                    // Frames of a device, looped back.
                     Ok(_) => {}
                     Err(_) => self.count_damaged(),
                 }
@@ -113,13 +113,13 @@ impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {
         }
     }
 
-    /// A command to carry out; anything else is answered here.
+    /// The command to execute; a request that needs none is answered here.
     async fn accept<'b>(&self, request: &'b [u8]) -> Option<Command<EncodedParameters<'b>>> {
         let lock = self.shared.lock();
         let mut responder = self.shared.responder(self.role).await;
         let command = match responder.accept_at(request, &lock, self.timer.now().0) {
             Decision::Execute(command) => Some(command),
-            // One that finds no room is asked for again.
+            // If there is no room, the host repeats its request.
             Decision::Send(answer) => {
                 self.shared.keep_if_room(self.role, answer);
                 None

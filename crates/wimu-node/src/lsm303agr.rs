@@ -1,10 +1,9 @@
 //! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`], through its
 //! FIFO.
 //!
-//! The registers are written here and not by the `lsm303agr` crate: that one knows neither how many
-//! samples wait nor how to read more than one, keeps a copy of each register, and is in a new type
-//! whenever the magnetometer changes its mode. `wimu-sim` holds that crate and this module against
-//! the same model of the chip.
+//! The `lsm303agr` crate is not used: it reads neither the FIFO level nor several samples at once, keeps a
+//! copy of each register, and changes its type with the magnetometer's mode. `wimu-sim` tests that crate and
+//! this module against the same model of the chip.
 
 use embedded_hal_async::i2c::I2c;
 use wimu_link::message::{Resolution, Settings};
@@ -12,17 +11,17 @@ use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 
 use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, Look, MOST, SensorFifo};
+use crate::fifo::{DEPTH, FifoState, MAX_WATERMARK, SensorFifo};
 use crate::mounting::Mounting;
 use crate::timer::Timer;
 
-/// The accelerometer and thermometer, and the magnetometer.
+/// I²C addresses of the accelerometer (with thermometer) and of the magnetometer.
 const ACCELEROMETER: u8 = 0x19;
 const MAGNETOMETER: u8 = 0x1E;
 /// WHO_AM_I_A.
 const IDENTITY: u8 = 0x33;
 
-/// With it, a sub-address moves on by itself.
+/// Bit of a register address: auto-increment.
 const INCREMENT: u8 = 0x80;
 /// Registers of the accelerometer.
 const OUT_TEMP_L: u8 = 0x0C;
@@ -49,16 +48,16 @@ const FIFO_CTRL_BYPASS: u8 = 0;
 const FIFO_CTRL_STREAM: u8 = 0x80;
 const FIFO_SRC_FULL: u8 = 0x40;
 const FIFO_SRC_LEVEL: u8 = 0x1F;
-/// 10 Hz, continuously, temperature-compensated.
+/// 10 Hz, continuous mode, temperature-compensated.
 const CFG_A_M_RUN: u8 = 0x80;
 const CFG_C_M_BLOCK_UPDATE: u8 = 0x10;
 const STATUS_M_NEW: u8 = 0x08;
 
-/// 1.5 mG.
+/// Sensitivity of the magnetometer, nT/LSB (1.5 mG/LSB).
 const NT_PER_LSB: i32 = 150;
 
-/// Ranges, ± g, with their code and the weight of a 16-bit count: LSB per g. A 12-bit digit is 1, 2,
-/// 4 and 12 times 1/1024 g; ± 16 g is really ± 24 g.
+/// Ranges, ± g, with code and sensitivity of 16-bit counts, LSB/g. A 12-bit digit is 1, 2, 4 and 12 times
+/// 1/1024 g, so that ± 16 g is actually ± 24 g.
 const RANGES: [(u8, u8, f64); 4] = [
     (2, 0, 16384.0),
     (4, 1, 8192.0),
@@ -78,22 +77,22 @@ const RATES: [(u16, u8, u32); 8] = [
     (1344, 9, 744_048),
 ];
 
-/// A sample: x, y, z, lowest byte first.
+/// Bytes of a sample: x, y, z, little-endian.
 const SAMPLE: usize = 6;
-/// Its time on a bus of 400 kHz, µs.
+/// Time to read a sample on a bus of 400 kHz, µs.
 const TRANSFER_US: u64 = 140;
 
 /// An LSM303AGR on an I²C bus with the accelerometer's INT1 line.
 ///
-/// Samples wait in the sensor's FIFO until INT1 says that there are enough for 40 ms, but at most
-/// 16; then one burst reads all of them. Up to 31 are safe while nobody reads.
+/// One burst reads the sensor's FIFO when INT1 signals the watermark: 40 ms of samples, at most 16. The FIFO
+/// holds 32 samples.
 pub struct Lsm303agr<I2C, D, T> {
     i2c: I2C,
     data_ready: D,
     timer: T,
     fifo: SensorFifo,
     mounting: Mounting,
-    /// The magnetometer has measured since it was configured; until then its registers mean nothing.
+    /// The magnetometer has measured since it was configured; before that its registers are undefined.
     field_measured: bool,
 }
 
@@ -110,13 +109,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         }
     }
 
-    /// The same where the chip sits on its board like this: samples and magnetic field are in the
-    /// board's axes then. The chip's own are left-handed.
+    /// Converts samples and magnetic field to the board's axes. The chip's own axes are left-handed.
     pub fn mounted(self, mounting: Mounting) -> Self {
         Self { mounting, ..self }
     }
 
-    /// Reads registers from `register` on.
+    /// Reads consecutive registers.
     async fn read(
         &mut self,
         address: u8,
@@ -128,16 +126,17 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         outcome.map_err(|error| SensorFault::of_bus(&error))
     }
 
-    /// x, y, z of either sensor, from how they are sent.
+    /// x, y, z of either sensor from its registers.
     fn axes(&self, &[x0, x1, y0, y1, z0, z1]: &[u8; SAMPLE]) -> [i16; 3] {
         let sent = [[x0, x1], [y0, y1], [z0, z1]];
-        self.mounting.turned(sent.map(i16::from_le_bytes))
+        self.mounting.to_board(sent.map(i16::from_le_bytes))
     }
 
-    /// Reads as many samples, the oldest first: after the last byte of one comes the first of the next.
+    /// Reads samples, oldest first. A burst read wraps from OUT_Z_H to OUT_X_L, so it returns successive
+    /// samples.
     async fn drain(&mut self, counts: &mut [Counts]) -> Result<(), SensorFault> {
-        let mut bytes = [0; MOST as usize * SAMPLE];
-        for places in counts.chunks_mut(MOST.into()) {
+        let mut bytes = [0; MAX_WATERMARK as usize * SAMPLE];
+        for places in counts.chunks_mut(MAX_WATERMARK.into()) {
             let burst = bytes.get_mut(..places.len() * SAMPLE).unwrap_or_default();
             self.read(ACCELEROMETER, OUT_X_L, burst).await?;
             for (place, bytes) in places.iter_mut().zip(burst.as_chunks().0) {
@@ -147,32 +146,32 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
         Ok(())
     }
 
-    /// Waits until the FIFO holds what the line waits for, or less if that takes too long.
-    async fn look(&mut self) -> Result<Look, SensorFault> {
+    /// Waits for the watermark or a timeout, and reads the state of the FIFO.
+    async fn read_state(&mut self) -> Result<FifoState, SensorFault> {
         let deadline = self.fifo.deadline(self.timer.now());
         loop {
-            let rose = self.timer.before(deadline, self.data_ready.ready()).await;
+            let edge = self.timer.before(deadline, self.data_ready.ready()).await;
             let woken = self.timer.now();
             let mut source = [0];
             self.read(ACCELEROMETER, FIFO_SRC, &mut source).await?;
             let [source] = source;
             let at = self.timer.now();
             let overrun = source & FIFO_SRC_FULL != 0;
-            let waiting = if overrun {
+            let level = if overrun {
                 DEPTH
             } else {
                 source & FIFO_SRC_LEVEL
             };
-            let missing = self.fifo.watermark().saturating_sub(waiting);
+            let missing = self.fifo.watermark().saturating_sub(level);
             if missing == 0 || at >= deadline {
-                return Ok(Look {
-                    rose: rose.flatten().unwrap_or(woken),
+                return Ok(FifoState {
+                    edge_time: edge.flatten().unwrap_or(woken),
                     at,
-                    waiting,
+                    level,
                     overrun,
                 });
             }
-            // A line that somebody else holds says nothing: the sensor is asked.
+            // Another chip drives the shared line: poll the sensor.
             self.timer.after_us(self.fifo.micros(missing)).await;
         }
     }
@@ -225,7 +224,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         let range = RANGES.iter().find(|(g, ..)| *g == range_g);
         let rate = RATES.iter().find(|(hz, ..)| *hz == rate_hz);
         let (Some((_, range, _)), Some((_, rate, _))) = (range, rate) else {
-            return Ok(()); // Not of a plan of this sensor.
+            return Ok(()); // Not a plan of this sensor.
         };
         let (power, digits) = match resolution {
             Resolution::LowPower => (CTRL1_LOW_POWER, 0),
@@ -250,10 +249,10 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
             CTRL5_FIFO,
             0,
         ];
-        // The line rises when more wait than it is told.
+        // The line rises when the level exceeds the register's value.
         let stream = FIFO_CTRL_STREAM | (self.fifo.watermark() - 1);
         let magnetometer = [CFG_A_M | INCREMENT, CFG_A_M_RUN, 0, CFG_C_M_BLOCK_UPDATE];
-        // Off, and the FIFO empty, while the rest is set.
+        // Switched off, with an empty FIFO, during the configuration.
         let writes: [(u8, &[u8]); 7] = [
             (ACCELEROMETER, &[CTRL1, CTRL1_AXES]),
             (ACCELEROMETER, &[FIFO_CTRL, FIFO_CTRL_BYPASS]),
@@ -273,28 +272,27 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
     async fn next(&mut self, counts: &mut [Counts]) -> Result<Batch, SensorFault> {
         let mut lost = false;
         loop {
-            let look = self.look().await?;
-            if look.overrun {
-                // The oldest makes place for a new one even while it is read, half of it old, half
-                // new; without it there is room.
+            let state = self.read_state().await?;
+            if state.overrun {
+                // A full FIFO overwrites its oldest sample, possibly while it is read. That sample is discarded.
                 let mut oldest = [0; SAMPLE];
                 self.read(ACCELEROMETER, OUT_X_L, &mut oldest).await?;
                 lost = true;
                 continue;
             }
-            let count = counts.len().min(look.waiting.into());
+            let count = counts.len().min(state.level.into());
             if count == 0 {
                 return Err(SensorFault::NoData);
             }
             self.drain(counts.get_mut(..count).unwrap_or_default())
                 .await?;
-            if self.fifo.kept_up(&look, self.timer.now()) {
-                let unread = look.waiting - count as u8;
-                let look = Look {
+            if self.fifo.kept_up(&state, self.timer.now()) {
+                let unread = state.level - count as u8;
+                let state = FifoState {
                     overrun: lost,
-                    ..look
+                    ..state
                 };
-                return Ok(self.fifo.read(look, count, unread));
+                return Ok(self.fifo.read(state, count, unread));
             }
             lost = true;
         }
@@ -317,7 +315,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         let mut temperature = [0; 2];
         self.read(ACCELEROMETER, OUT_TEMP_L, &mut temperature)
             .await?;
-        // 1/256 °C about 25 °C.
+        // 1/256 °C per LSB, relative to 25 °C.
         let centi = 2500 + i32::from(i16::from_le_bytes(temperature)) * 100 / 256;
         Ok(Surroundings {
             magnetic_field,

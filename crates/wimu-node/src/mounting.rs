@@ -1,6 +1,6 @@
-//! How a sensor sits on its board.
+//! Mounting of a sensor on its board.
 
-/// One of a sensor's axes, either way.
+/// An axis of a sensor, with its direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     /// Along x.
@@ -31,21 +31,21 @@ impl Axis {
     }
 }
 
-/// How a sensor sits on its board: which of its axes lies along x, y and z of the board. Some sensors
-/// are left-handed; what a node calibrates and navigates in is right-handed (REP 103).
+/// Mounting of a sensor: which of its axes lies along x, y and z of the board. Some sensors have left-handed
+/// axes; the node uses right-handed ones (REP 103).
 ///
 /// ```
 /// use wimu_node::{Axis, Mounting};
 ///
 /// /// The chip lies upside down, its x to the board's left.
 /// const MOUNTING: Mounting = Mounting::new([Axis::Y, Axis::X, Axis::MinusZ]);
-/// assert_eq!(MOUNTING.turned([1, 2, 3]), [2, 1, -3]);
+/// assert_eq!(MOUNTING.to_board([1, 2, 3]), [2, 1, -3]);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mounting([Axis; 3]);
 
 impl Mounting {
-    /// The board's axes are the sensor's.
+    /// The board's axes are those of the sensor.
     pub const STRAIGHT: Self = Self([Axis::X, Axis::Y, Axis::Z]);
 
     /// The sensor's axes along x, y and z of the board.
@@ -56,14 +56,13 @@ impl Mounting {
         let [x, y, z] = axes;
         assert!(
             (1 << x.number() | 1 << y.number() | 1 << z.number()) == 7,
-            "each of a sensor's axes lies along one of its board's"
+            "each axis of the sensor must be used once"
         );
         Self(axes)
     }
 
-    /// What a sensor puts out on its axes, on those of the board. The one number without a negative is
-    /// that of a saturated axis, which stays so.
-    pub fn turned(self, sensor: [i16; 3]) -> [i16; 3] {
+    /// Converts a sample from the sensor's axes to the board's. The negative of the lowest value saturates.
+    pub fn to_board(self, sensor: [i16; 3]) -> [i16; 3] {
         self.0.map(|axis| {
             let along = sensor.get(axis.number()).copied().unwrap_or_default();
             if axis.is_against() {
@@ -94,14 +93,14 @@ mod tests {
             ([1000, 0, 0], [0, 1000, 0]), // button A
             ([-1000, 0, 0], [0, -1000, 0]),
         ] {
-            assert_eq!(MICROBIT.turned(chip), board);
-            assert_eq!(Mounting::STRAIGHT.turned(chip), chip);
+            assert_eq!(MICROBIT.to_board(chip), board);
+            assert_eq!(Mounting::STRAIGHT.to_board(chip), chip);
         }
     }
 
     #[test]
     fn a_left_handed_chip_is_right_handed_on_its_board() {
-        let [x, y, z] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|axis| MICROBIT.turned(axis));
+        let [x, y, z] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|axis| MICROBIT.to_board(axis));
         let cross = [0, 1, 2].map(|k| {
             let (a, b) = ((k + 1) % 3, (k + 2) % 3);
             x[a] * y[b] - x[b] * y[a]
@@ -111,8 +110,8 @@ mod tests {
 
     #[test]
     fn a_saturated_axis_stays_saturated() {
-        let turned = MICROBIT.turned([0, i16::MIN, i16::MAX]);
-        assert_eq!(turned, [i16::MAX, 0, -i16::MAX]);
-        assert!(Counts(turned).saturated(0x7FF0));
+        let board = MICROBIT.to_board([0, i16::MIN, i16::MAX]);
+        assert_eq!(board, [i16::MAX, 0, -i16::MAX]);
+        assert!(Counts(board).saturated(0x7FF0));
     }
 }

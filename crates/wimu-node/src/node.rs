@@ -14,9 +14,9 @@ use crate::shared::Shared;
 use crate::store::Store;
 use crate::timer::Timer;
 
-/// What a board brings to a node.
+/// The parts of a board.
 pub struct Board<A, T, S, CR, CW, WR, WW> {
-    /// Who the device is. Role, boot count, uptime and parameters are filled in by the node.
+    /// Identity of the device. The node fills in role, boot count, uptime and parameters.
     pub hello: Hello,
     /// The sensor.
     pub accelerometer: A,
@@ -24,22 +24,21 @@ pub struct Board<A, T, S, CR, CW, WR, WW> {
     pub timer: T,
     /// Non-volatile memory.
     pub store: S,
-    /// Bits that nobody can foresee, other ones at each start, from a source made for
-    /// cryptography; zeros without one: then the count of starts alone keeps the sessions of one
-    /// start from being those of another.
+    /// Unpredictable bits, new at each start, from a cryptographic source. Zeros without one: then only the
+    /// boot count makes the sessions of two starts differ.
     pub entropy: [u8; 16],
-    /// The cable, as its receiving and its sending half. `read` must be cancel-safe.
+    /// Receiving and sending half of the cable. `read` must be cancel-safe.
     pub cable: (CR, CW),
     /// The wireless link, likewise.
     pub wireless: (WR, WW),
 }
 
-/// The tasks of a node. Each has a `run` that never ends: spawn `sampler` at a priority above the
-/// others, and it waits for none of them.
+/// The tasks of a node. Each has a `run` that never ends. Spawn `sampler` at a higher priority than the others;
+/// it never waits for them.
 pub struct Node<'a, A, T, S, CR, CW, WR, WW, M: RawMutex> {
-    /// Reads, corrects, integrates, packs.
+    /// Reads, corrects, integrates and packs samples.
     pub sampler: Sampler<'a, A, T, M>,
-    /// Obeys requests, keeps parameters and settings.
+    /// Executes requests, and stores parameters and settings.
     pub control: Control<'a, A, T, S, M>,
     /// Receives from the cable.
     pub cable_reader: LinkReader<'a, CR, T, M>,
@@ -61,7 +60,7 @@ where
     WR: Read,
     WW: Write,
 {
-    /// Makes the board a node: its tasks, which share `shared`.
+    /// Builds the node's tasks, which share `shared`.
     pub fn split<M: RawMutex>(self, shared: &Shared<M>) -> Node<'_, A, T, S, CR, CW, WR, WW, M> {
         shared.publish(|published| {
             published.hello = self.hello;

@@ -1,28 +1,27 @@
-//! Frames that wait for a link.
+//! Queue of frames for a link.
 
-/// Bytes for frames that may be shed when the link is too slow.
+/// Room for telemetry, of which the oldest frames are dropped when the link is too slow, bytes.
 const TELEMETRY_BYTES: usize = 1024;
-/// Bytes for frames that may not: epochs, replies, Hello, parameters. The longest reply, the longest
-/// epoch and the longest Hello fit at once, or all that tells who the device is but its parameters, which
-/// are queued when there is room.
+/// Room for kept frames, bytes: the longest reply, epoch and Hello together, or everything
+/// sent to a new listener except the parameters, which are queued when there is room.
 const KEPT_BYTES: usize = 1600 + SIGNED_BYTES;
-/// Bytes of them that unsigned replies leave free: the longest signed reply to a write, and its length.
+/// Room that unsigned replies leave free, bytes: the longest signed reply to a write, and its length.
 const SIGNED_BYTES: usize = 80 + 2;
-/// A frame is taken in pieces of so many bytes.
+/// Bytes of a frame that are taken at once.
 pub(crate) const PIECE: usize = 64;
 
-/// What waits for one link: telemetry, of which the oldest is shed when room runs out, and frames
-/// that are kept, which go first.
+/// The frames queued for one link: telemetry, of which the oldest is dropped when there is no room, and kept
+/// frames, which are sent first and dropped only when the link has stalled.
 pub(crate) struct FrameQueue {
     kept: Ring<[u8; KEPT_BYTES]>,
     telemetry: Ring<[u8; TELEMETRY_BYTES]>,
-    /// Telemetry frames shed so far.
+    /// Frames dropped because the link was too slow; after a stall, kept frames too.
     pub(crate) shed: u32,
     pub(crate) frames_sent: u32,
     pub(crate) bytes_sent: u64,
-    /// Kept frames that had no room since the link last drained: it has stalled.
+    /// A kept frame found no room since the link was last drained: the link has stalled.
     pub(crate) overflowed: bool,
-    /// A piece has been taken and is not over the line yet.
+    /// A piece has been taken and is being transmitted.
     pub(crate) sending: bool,
 }
 
@@ -39,7 +38,7 @@ impl FrameQueue {
         }
     }
 
-    /// Queues a frame that may be shed.
+    /// Queues a telemetry frame; drops the oldest ones if there is no room.
     pub(crate) fn push_telemetry(&mut self, frame: &[u8]) {
         let telemetry: &mut Ring<[u8]> = &mut self.telemetry;
         while !telemetry.push(frame) {
@@ -50,8 +49,8 @@ impl FrameQueue {
         }
     }
 
-    /// Queues a frame that may not be shed. On a link that has stalled for so long that there is
-    /// no room, everything is dropped and counted, and the link starts over when it drains.
+    /// Queues a kept frame. If there is no room, the link has stalled: all queued frames
+    /// are dropped and counted.
     pub(crate) fn push_kept(&mut self, frame: &[u8]) {
         let kept: &mut Ring<[u8]> = &mut self.kept;
         if kept.push(frame) {
@@ -65,31 +64,31 @@ impl FrameQueue {
         kept.push(frame);
     }
 
-    /// Queues a frame that may not be shed if that costs no other its place.
+    /// Queues a kept frame if there is room without dropping others; returns whether there was.
     pub(crate) fn push_kept_if_room(&mut self, frame: &[u8]) -> bool {
         let kept: &mut Ring<[u8]> = &mut self.kept;
         kept.push(frame)
     }
 
-    /// Queues a reply that anybody can ask for, if that leaves room for a signed one.
+    /// Queues a reply to an unsigned request, if room for a signed one remains.
     pub(crate) fn push_unsigned(&mut self, frame: &[u8]) {
         if self.kept.used + 2 + frame.len() + SIGNED_BYTES <= KEPT_BYTES {
             self.push_kept_if_room(frame);
         }
     }
 
-    /// Whether no kept frame waits, nor the rest of one.
+    /// Whether no kept frame, or part of one, is queued.
     pub(crate) fn has_all_room(&self) -> bool {
         self.kept.used == 0
     }
 
-    /// Whether no kept frame waits and nothing is being sent.
+    /// Whether no kept frame is queued and nothing is being sent.
     pub(crate) fn is_drained(&self) -> bool {
         self.has_all_room() && !self.sending
     }
 
-    /// Takes the next piece of the frame to send, or of the next one: its length, 0 if none waits,
-    /// and whether it is the frame's last.
+    /// Takes the next piece to send; returns its length, 0 if nothing is queued, and whether it ends a
+    /// frame.
     pub(crate) fn pop(&mut self, piece: &mut [u8; PIECE]) -> (usize, bool) {
         let kept: &mut Ring<[u8]> = &mut self.kept;
         let telemetry: &mut Ring<[u8]> = &mut self.telemetry;
@@ -108,12 +107,15 @@ impl FrameQueue {
     }
 }
 
-/// Frames in a ring of bytes, each behind its length. All that is done with them is done to `Ring<[u8]>`:
-/// there is one code for rings of any size.
+/// Frames in a ring of bytes, each after its length. The methods are those of `Ring<[u8]>`, so that their code
+/// exists once for all sizes.
+///
+/// `heapless::Deque` would append and remove single bytes, several times as slow as these block copies, which
+/// are made with interrupts disabled.
 struct Ring<B: ?Sized> {
     start: usize,
     used: usize,
-    /// Bytes left of a frame that has been taken in part. They are the first, without a length.
+    /// Bytes left of a frame that has been taken in part. They are at the start, without a length.
     begun: usize,
     bytes: B,
 }
@@ -164,24 +166,24 @@ impl Ring<[u8]> {
         if self.used == self.begun {
             return false;
         }
-        let gone = 2 + self.length_at(self.begun);
-        // What is left of the frame before it moves up.
+        let removed = 2 + self.length_at(self.begun);
+        // Moves the rest of the begun frame up.
         for byte in (0..self.begun).rev() {
-            self.bytes[self.place(byte + gone)] = self.bytes[self.place(byte)];
+            self.bytes[self.place(byte + removed)] = self.bytes[self.place(byte)];
         }
-        self.skip(gone);
+        self.skip(removed);
         true
     }
 
-    /// The length that stands so many bytes behind the start.
+    /// The length stored at `offset` bytes after the start.
     fn length_at(&self, offset: usize) -> usize {
         let low = self.bytes[self.place(offset)];
         let high = self.bytes[self.place(offset + 1)];
         usize::from(u16::from_le_bytes([low, high]))
     }
 
-    /// Where the byte is that stands `offset` bytes behind the start, no more than there are: a processor
-    /// without a division need not divide.
+    /// The index of the byte at `offset` bytes after the start. Without a division, which some processors do
+    /// not have.
     fn place(&self, offset: usize) -> usize {
         let place = self.start + offset;
         place.checked_sub(self.bytes.len()).unwrap_or(place)
@@ -291,7 +293,7 @@ mod tests {
 
     #[test]
     fn what_a_host_needs_at_once_has_room_at_its_longest() {
-        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each trouble.
+        // The longest epoch's body, a Hello with a fault, settings, a status, an event of each fault.
         const FRAMING: usize = 1 + 4 + 4 + 1;
         let frames = [540, 110, 48, 180, 40, 40, 40, 40, 40, 40].map(|body| body + FRAMING + 2);
         assert!(frames.iter().sum::<usize>() <= KEPT_BYTES);

@@ -1,4 +1,4 @@
-//! Lines whose rate can be set.
+//! Serial lines with an adjustable rate.
 
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -8,49 +8,49 @@ use wimu_model::DeviceTimeUs;
 use crate::shared::{RateOrder, Shared};
 use crate::timer::Timer;
 
-/// The rates that radio adapters are usually set to, tried after the stored one.
+/// Usual rates of radio adapters, bit/s, tried after the stored one.
 const USUAL: [u32; 3] = [115_200, 9600, 38_400];
-/// A rate is tried so long.
+/// Time for which a rate is tried, µs.
 const TRY_US: u64 = 2_000_000;
-/// A host has so long to be heard at a new rate.
+/// Time within which a host must be received at a new rate, µs.
 const HEARD_WITHIN_US: u64 = 5_000_000;
-/// The answer at the old rate has so long to leave.
+/// Longest wait for the answer at the old rate to be sent, µs.
 const DRAIN_US: u64 = 2_000_000;
-/// So often it is looked at.
-const GLANCE_US: u64 = 2_000;
+/// Interval between checks whether it has been sent, µs.
+const CHECK_US: u64 = 2_000;
 
 /// The rate of a serial line, of both its halves.
 ///
-/// Bytes that come at another rate must come out of the line's reader, as whatever bytes or as an
-/// error: by them the node tells a wrong rate from silence.
+/// The line's reader must return bytes received at another rate, as any bytes or as an error: they distinguish
+/// a wrong rate from silence.
 pub trait LineRate {
-    /// The rate nearest to `baud`, bits/s, that the line can run at.
+    /// The supported rate nearest to `baud`, bit/s.
     fn nearest(baud: u32) -> u32;
 
-    /// Runs the line at `baud`, one that [`nearest`](Self::nearest) returns, from the next byte on.
+    /// Sets the rate to `baud`, a result of [`nearest`](Self::nearest), from the next byte on.
     fn set(&mut self, baud: u32);
 }
 
-/// Keeps the rate of one line: sets it when a host asks, goes back when the host is not heard at the
-/// new one within 5 s, and finds an adapter's on the wireless link.
+/// Controls the rate of one line: changes it on request, returns to the old rate if no host is received
+/// within 5 s, and detects the rate of the adapter on the wireless link.
 ///
-/// A board spawns its `run` beside the node's tasks for each line whose rate can be set; without it
-/// the device says of a link that its rate is fixed. A cable runs as the board opened it until a rate
-/// is stored. A wireless link runs at the stored rate, or as it was opened, until bytes come that no
-/// frame is made of; then it tries that rate, 115,200, 9600 and 38,400 baud, 2 s each, until an
-/// undamaged frame comes, and stores what worked.
+/// A board spawns its `run` beside the node's tasks for each line with an adjustable rate; without it the
+/// device reports a fixed rate. A cable uses the rate at which the board opened it until another one is
+/// stored. A wireless link uses the stored rate, or that at which it was opened. If bytes arrive without an
+/// undamaged frame, it tries that rate, 115,200, 9600 and 38,400 baud for 2 s each until an undamaged frame
+/// arrives, and stores the rate.
 pub struct RateKeeper<'a, L, T, M: RawMutex> {
     role: LinkRole,
     line: L,
     timer: T,
     shared: &'a Shared<M>,
-    /// What the line runs at.
+    /// The present rate, bit/s.
     rate: u32,
 }
 
 impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
-    /// For the line of the link `role`, which the board has opened at `opened` bits/s; make it before
-    /// the node runs.
+    /// For the line of the link `role`, which the board has opened at `opened` bit/s. To be called before the
+    /// node runs.
     pub fn new(role: LinkRole, line: L, opened: u32, timer: T, shared: &'a Shared<M>) -> Self {
         shared.has_rate(role, L::nearest);
         Self {
@@ -86,7 +86,7 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
         }
     }
 
-    /// Finds the adapter's rate; returns early with an order.
+    /// Detects the adapter's rate; returns early with an order.
     async fn search(&mut self, stored: u32) -> Option<RateOrder> {
         let signals = self.shared.rate_signals(self.role);
         let mut rates = core::iter::once(stored)
@@ -109,7 +109,7 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
                     }
                     return None;
                 }
-                // In silence nobody is misunderstood.
+                // Silence says nothing about the rate.
                 Either3::Second(()) if !signals.noise.signaled() => {}
                 Either3::Second(()) => self.set(rates.next().unwrap_or(stored)),
                 Either3::Third(order) => return Some(order),
@@ -117,7 +117,7 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
         }
     }
 
-    /// Changes the rate after the answer has left, and goes back if nobody is heard at it.
+    /// Changes the rate after the answer has been sent, and returns to the old one if no host is received.
     async fn try_out(&mut self, baud: u32) {
         let before = self.rate;
         self.drain().await;
@@ -132,11 +132,11 @@ impl<'a, L: LineRate, T: Timer, M: RawMutex> RateKeeper<'a, L, T, M> {
         }
     }
 
-    /// Waits until no answer is left to send.
+    /// Waits until all answers have been sent.
     async fn drain(&mut self) {
         let end = self.timer.now().0.saturating_add(DRAIN_US);
         while !self.shared.is_drained(self.role) && self.timer.now().0 < end {
-            self.timer.after_us(GLANCE_US).await;
+            self.timer.after_us(CHECK_US).await;
         }
     }
 

@@ -1,4 +1,4 @@
-//! Does the calibration still hold? Each rest tells.
+//! Check of the calibration at every rest: |f| must be g.
 
 use wimu_calib::{Ageing, Gravity, Pose, SelfCheck};
 use wimu_link::message::Event;
@@ -6,33 +6,36 @@ use wimu_model::{
     Alignment, CentiCelsius, ErrorModel, ErrorTerms, ParameterId, ParameterSet, SpecificForceMps2,
 };
 
-/// A good calibration fails one rest in a thousand: so many in a row are told.
+/// Number of consecutive contradicting rests after which the fault is reported. False-alarm probability per
+/// rest: 10⁻³ (3.29 σ, [`SelfCheck`]).
 const CONTRADICTIONS: u8 = 2;
-/// 2⁻³² m/s².
+/// Unit of a mean specific force, m/s².
 const MPS2_PER_LSB: f64 = 1.0 / (1_u64 << 32) as f64;
-/// Standard deviation of local gravity as a user knows it who has set it, m/s².
+/// Standard deviation of the local gravity that a user has set, m/s². Assumed: gravity anomalies, which
+/// formulas of latitude and height omit, rarely exceed 1 mm/s² (100 mGal).
 const GRAVITY_SD_MPS2: f64 = 0.001;
-/// Gravity of who has not set it, µm/s².
+/// Default gravity, µm/s²: the user has not set it.
 const STANDARD_UM_S2: u32 = 9_806_650;
 
 /// The check of the parameters in use.
 #[derive(Default)]
-pub(crate) struct Keeper {
+pub(crate) struct CalibrationCheck {
+    /// The id of the parameters and the gravity, µm/s², that the check was made for.
     check: Option<(ParameterId, u32, SelfCheck<f32>)>,
     contradictions: u8,
 }
 
-/// What a rest told.
-pub(crate) enum Verdict {
-    /// Nothing: the parameters do not say how good they are, or it was no rest.
+/// The result of a rest.
+pub(crate) enum Finding {
+    /// No result: the parameters have no covariance, or the interval was no rest.
     Unknown,
     Holds,
-    /// It is to be told.
+    /// To be reported.
     Contradicted(Event),
 }
 
-impl Keeper {
-    /// Takes a rest with this mean specific force, 2⁻³² m/s², body axes, corrected with `set` at the
+impl CalibrationCheck {
+    /// Checks a rest with this mean specific force, 2⁻³² m/s², body axes, corrected with `set` at the
     /// latched temperature.
     pub(crate) fn rest(
         &mut self,
@@ -40,47 +43,47 @@ impl Keeper {
         gravity_um_s2: u32,
         latched: Option<CentiCelsius>,
         mean: [i64; 3],
-    ) -> Verdict {
+    ) -> Finding {
         let Some(&(id, ref set)) = set else {
             self.check = None;
-            return Verdict::Unknown;
+            return Finding::Unknown;
         };
         let current =
             matches!(&self.check, Some((known, g, _)) if (*known, *g) == (id, gravity_um_s2));
         if !current {
             self.contradictions = 0;
             self.check = gravity(gravity_um_s2)
-                .and_then(|gravity| SelfCheck::of_f32(set, gravity, Ageing::default()))
+                .and_then(|gravity| SelfCheck::of(set, gravity, Ageing::default()))
                 .map(|check| (id, gravity_um_s2, check));
         }
         let Some((_, _, check)) = &mut self.check else {
-            return Verdict::Unknown;
+            return Finding::Unknown;
         };
         let Some(mean_mps2) = output(set, latched, mean) else {
-            return Verdict::Unknown;
+            return Finding::Unknown;
         };
         let pose = Pose {
             temperature_c: latched.map(CentiCelsius::to_celsius),
             ..Pose::from_mean(mean_mps2)
         };
-        let Some(told) = check.push(&pose) else {
-            return Verdict::Unknown;
+        let Some(result) = check.push(&pose) else {
+            return Finding::Unknown;
         };
-        // A covariance that is none tells nothing.
-        if !told.expected_sd_mps2.is_finite() {
-            return Verdict::Unknown;
+        // An invalid covariance allows no test.
+        if !result.expected_sd_mps2.is_finite() {
+            return Finding::Unknown;
         }
-        if told.holds {
+        if result.holds {
             self.contradictions = 0;
-            return Verdict::Holds;
+            return Finding::Holds;
         }
         self.contradictions = self.contradictions.saturating_add(1);
         if self.contradictions != CONTRADICTIONS {
-            return Verdict::Unknown;
+            return Finding::Unknown;
         }
-        Verdict::Contradicted(Event::CalibrationContradicted {
-            residual_um_s2: (told.residual_mps2 * 1e6) as i32,
-            expected_um_s2: (told.expected_sd_mps2 * 1e6) as u32,
+        Finding::Contradicted(Event::CalibrationContradicted {
+            residual_um_s2: (result.residual_mps2 * 1e6) as i32,
+            expected_um_s2: (result.expected_sd_mps2 * 1e6) as u32,
         })
     }
 }
@@ -92,8 +95,8 @@ fn gravity(um_s2: u32) -> Option<Gravity> {
     Gravity::new(f64::from(um_s2) * 1e-6, GRAVITY_SD_MPS2).ok()
 }
 
-/// What the sensor put out, sensor axes, for it to be corrected to `mean`. The device leaves out the
-/// nonlinearity, and so does this.
+/// The output of the sensor, m/s², sensor axes, that is corrected to `mean`. Without the nonlinearity, which
+/// the device does not correct.
 fn output(set: &ParameterSet, latched: Option<CentiCelsius>, mean: [i64; 3]) -> Option<[f64; 3]> {
     let [w, x, y, z] = set.alignment.quaternion();
     let to_sensor = Alignment::from_quaternion([w, -x, -y, -z]).ok()?;

@@ -1,7 +1,7 @@
-//! An `Option` that is zeros while it is empty, and how a value is put into its place.
+//! An `Option` whose empty value is all zeros.
 
-/// A value or none. With none it is zeros, of which a `static` takes no flash; an [`Option`] has some
-/// other number there wherever one of `T`'s is free.
+/// A value or none. The empty slot is all zeros, so that a `static` takes no flash; an [`Option`] may
+/// encode `None` as an unused value of `T`, which is not zero.
 #[repr(u8)]
 pub(crate) enum Slot<T> {
     Empty,
@@ -23,7 +23,7 @@ impl<T> Slot<T> {
         }
     }
 
-    /// The value; a new one if there is none. Not inlined: whoever asks would have what makes it.
+    /// The value, made by `new` if there is none. Not inlined, so that the code of `new` exists once.
     #[inline(never)]
     pub(crate) fn or_new(&mut self, new: fn() -> T) -> &mut T {
         if let Self::Empty = self {
@@ -31,14 +31,14 @@ impl<T> Slot<T> {
         }
         match self {
             Self::Full(value) => value,
-            // It has just been filled.
+            // Filled above.
             Self::Empty => unreachable!(),
         }
     }
 }
 
-/// Puts `value` into `place`. Here, not inlined, both are known to lie apart: nothing has a `memmove`
-/// linked, which takes more flash than all of this.
+/// Copies `value` to `place`. Not inlined: as references of this function they do not overlap, so that
+/// no `memmove` is linked.
 #[inline(never)]
 pub(crate) fn put<T: Copy>(place: &mut T, value: &T) {
     *place = *value;

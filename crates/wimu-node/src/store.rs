@@ -1,6 +1,6 @@
-//! What the node asks of non-volatile memory.
+//! Non-volatile memory of a node.
 
-/// What is stored.
+/// The key of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Key {
@@ -11,7 +11,7 @@ pub enum Key {
     },
     /// The settings.
     Settings,
-    /// How often the device has started.
+    /// The number of starts.
     BootCount,
     /// The key that writes are signed with.
     DeviceKey,
@@ -22,8 +22,8 @@ pub enum Key {
 }
 
 impl Key {
-    /// Its number in a store: those below 128 are for one record each, those from there on for the
-    /// parameters of a range. Numbers are never used twice. `None` for a range that no sensor has.
+    /// Its number in a store: below 128 for single records, 128 + range for parameters. Numbers are never
+    /// reused. `None` for an invalid range.
     pub const fn number(self) -> Option<u8> {
         match self {
             Self::Settings => Some(2),
@@ -54,14 +54,14 @@ impl Key {
     }
 }
 
-/// Keeps a few records of up to [`MAX_RECORD`] bytes over a restart.
+/// Stores a few records of up to [`MAX_RECORD`] bytes, which survive a restart.
 ///
-/// A `save` or `remove` that power loss interrupts leaves the old records or the new state. Futures
-/// are never dropped before they are done. What is in a record is the node's business.
+/// A `save` or `remove` interrupted by power loss leaves either the old or the new state. The node never drops
+/// the futures before they complete.
 #[allow(async_fn_in_trait)] // Nodes are polled where they are built; nothing needs `Send`.
 pub trait Store {
-    /// How long a `save` or `remove` may keep the processor, so that nothing is received
-    /// meanwhile: it is announced to the hosts. 0 for memory that takes no such time.
+    /// Longest time for which a `save` or `remove` may stall the processor, ms; announced to the hosts. 0 if it
+    /// does not.
     fn pause_ms(&self) -> u16 {
         0
     }
@@ -72,16 +72,16 @@ pub trait Store {
     /// [`StoreFault`] when the memory cannot be read, or a record that was saved is damaged.
     async fn load(&mut self, key: Key, buffer: &mut [u8]) -> Result<Option<usize>, StoreFault>;
 
-    /// Writes a record, of one byte or more, in place of the one before.
+    /// Writes a record of at least one byte, replacing the old one.
     ///
     /// # Errors
-    /// [`StoreFault`] when it could not be written; the old record still stands then.
+    /// [`StoreFault`] when it could not be written; the old record is unchanged then.
     async fn save(&mut self, key: Key, record: &[u8]) -> Result<(), StoreFault>;
 
     /// Removes the records whose keys are among `which`: all of them or none.
     ///
     /// # Errors
-    /// [`StoreFault`] when they could not be removed; all still stand then.
+    /// [`StoreFault`] when they could not be removed; all are unchanged then.
     async fn remove(&mut self, which: fn(Key) -> bool) -> Result<(), StoreFault>;
 }
 

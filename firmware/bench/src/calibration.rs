@@ -1,4 +1,4 @@
-//! What a calibration costs where there is a floating-point unit.
+//! Cost of a calibration on a processor with a floating-point unit.
 
 use core::hint::black_box;
 
@@ -11,7 +11,7 @@ use crate::counter::Counter;
 const POSES: usize = 38;
 const G: f64 = 9.80665;
 
-/// Poses all round, of a sensor with errors, and 3 mm/s² of something else.
+/// Poses in all directions of a sensor with errors, with 3 mm/s² rms of noise.
 fn poses(truth: &ErrorModel) -> [Pose; POSES] {
     let mut state = 1_u32;
     core::array::from_fn(|k| {
@@ -43,7 +43,7 @@ pub fn measure(counter: &mut Counter) -> Result<(), &'static str> {
         });
         let sound = result.is_some_and(|estimate| estimate.rms_mps2 < 0.005);
         if !sound {
-            return Err("the fit went wrong");
+            return Err("the residual of the fit is too large");
         }
         hprintln!("{} {}.0 {}", name, cost, cost);
     }

@@ -10,11 +10,11 @@ use cortex_m_rt::exception;
 /// SysTick counts down in 24 bits.
 const MASK: u32 = 0xff_ffff;
 
-/// Counts the instructions of a piece of code, exactly.
+/// Counts the instructions of a piece of code.
 pub struct Counter {
     /// Ticks of 1000 instructions.
     per_thousand: u32,
-    /// Ticks of nothing but starting and stopping.
+    /// Ticks of an empty measurement.
     empty: u32,
     #[cfg_attr(
         not(target_abi = "eabihf"),
@@ -23,7 +23,7 @@ pub struct Counter {
     systick: SYST,
 }
 
-/// How often SysTick has come round, while that is counted.
+/// Wraps of SysTick, while they are counted.
 static ROUNDS: AtomicU32 = AtomicU32::new(0);
 
 #[exception]
@@ -36,32 +36,32 @@ fn SysTick() {
 }
 
 impl Counter {
-    /// Starts SysTick and finds how many ticks an instruction takes, from loops of known length.
-    /// `None` if an instruction takes too few of them, or not always as many.
+    /// Starts SysTick and calibrates it with loops of known length. `None` if an instruction takes too few
+    /// ticks, or a varying number.
     pub fn new(mut systick: SYST) -> Option<Self> {
         systick.set_clock_source(SystClkSource::Core);
         systick.set_reload(MASK);
         systick.clear_current();
         systick.enable_counter();
 
-        let [short, middle, long] = [500, 1000, 2000].map(ticks_of_turns);
+        let [short, middle, long] = [500, 1000, 2000].map(ticks_of_loop);
         let per_thousand = middle.wrapping_sub(short);
-        // Where within a tick the code begins may make one more or less.
-        let even = long.wrapping_sub(middle).abs_diff(2 * per_thousand) <= 2;
-        (even && per_thousand > 4000).then(|| Self {
+        // The phase of the tick causes a difference of up to one.
+        let constant = long.wrapping_sub(middle).abs_diff(2 * per_thousand) <= 2;
+        (constant && per_thousand > 4000).then(|| Self {
             per_thousand,
             empty: ticks(|| ()),
             systick,
         })
     }
 
-    /// Instructions that `code` takes; those of a call within it are the call itself, too.
+    /// Instructions of `code`, including calls within it.
     pub fn count(&self, code: impl FnOnce()) -> u32 {
         self.instructions(u64::from(ticks(code).saturating_sub(self.empty)))
     }
 
-    /// The same for code that takes longer than SysTick counts to: its coming round is counted, at
-    /// some twenty instructions in half a million.
+    /// The same for code that takes longer than the range of SysTick, whose wraps are counted. That adds about
+    /// twenty instructions in half a million.
     #[cfg(target_abi = "eabihf")]
     pub fn count_long(&mut self, code: impl FnOnce()) -> u32 {
         let rounds = ROUNDS.load(Ordering::Relaxed);
@@ -86,24 +86,24 @@ impl Counter {
 #[inline(always)]
 fn ticks(code: impl FnOnce()) -> u32 {
     let before = SYST::get_current();
-    // Nothing of the code moves out from between the two readings.
+    // The code must stay between the two readings.
     compiler_fence(Ordering::SeqCst);
     code();
     compiler_fence(Ordering::SeqCst);
     before.wrapping_sub(SYST::get_current()) & MASK
 }
 
-/// A function, so that the same instructions are around every loop.
+/// A function, so that every loop has the same instructions around it.
 #[inline(never)]
-fn ticks_of_turns(turns: u32) -> u32 {
-    ticks(|| spin(turns))
+fn ticks_of_loop(iterations: u32) -> u32 {
+    ticks(|| spin(iterations))
 }
 
-/// Twice as many instructions as `turns`, and a few.
+/// Executes two instructions per iteration, and a constant number of others.
 #[inline(always)]
-fn spin(turns: u32) {
+fn spin(iterations: u32) {
     // SAFETY: counts a register down to zero and touches nothing else.
     unsafe {
-        asm!("2:", "subs {0}, {0}, #1", "bne 2b", inout(reg) turns => _, options(nomem, nostack));
+        asm!("2:", "subs {0}, {0}, #1", "bne 2b", inout(reg) iterations => _, options(nomem, nostack));
     }
 }

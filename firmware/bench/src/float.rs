@@ -1,4 +1,4 @@
-//! The same arithmetic in f32, as one would write it without this library.
+//! The same arithmetic in f32, for comparison.
 
 use wimu_model::Counts;
 
@@ -19,7 +19,7 @@ impl Corrector {
     }
 }
 
-/// The trapezoid, twice.
+/// Trapezoidal integration to velocity and position.
 #[derive(Default)]
 pub struct Segment {
     pub velocity: [f32; 3],

@@ -1,5 +1,5 @@
-//! Counts what a sample costs in instructions, and prints it over semihosting:
-//! `name mean most`, one piece of work a line.
+//! Counts instructions per sample and prints them over semihosting, one line per function:
+//! `name mean maximum`.
 
 #![no_std]
 #![no_main]
@@ -26,13 +26,18 @@ use wimu_model::{
 
 use counter::Counter;
 
+/// Samples measured per function.
 const SAMPLES: usize = 256;
+/// Samples per batch.
 const BATCH: usize = 16;
+/// Sample period: 10 ms.
 const PERIOD: PeriodNs = PeriodNs(10_000_000);
+/// Positive full scale of the 12-bit LSM303AGR, LSB of the left-justified 16-bit counts.
 const FULL_SCALE: i16 = 32752;
+/// Gravity, 2⁻¹⁶ m/s², body axes.
 const GRAVITY: [i32; 3] = [1_234, -567, 642_689];
 
-// One function each, as a caller finds it: its call and return are counted too.
+// One function each, so that call and return are counted too.
 
 #[inline(never)]
 fn correct(corrector: &Corrector, counts: Counts) -> SpecificForceQ16 {
@@ -44,8 +49,8 @@ fn integrate(segment: &mut Segment, force: SpecificForceQ16, gravity: &[i32; 3])
     segment.step(force, *gravity);
 }
 
-/// What correction and integration keep, in one place. Of a fixed layout, so that the counts do not
-/// depend on how the compiler orders fields.
+/// The state of correction and integration. The fixed layout makes the counts independent of the order in
+/// which the compiler places fields.
 #[repr(C)]
 struct Fused {
     gravity: [i32; 3],
@@ -90,13 +95,13 @@ fn correct_and_integrate_f32(
     segment.step(corrector.correct(counts), *gravity, half);
 }
 
-/// Of a length that the compiler does not know, as a node's settings have it.
+/// With a length unknown to the compiler, as in a node.
 #[inline(never)]
 fn pack_batch(first: u32, samples: &[Counts], frame: &mut [u8]) -> usize {
     batch::encode(first, DeviceTimeUs(0), black_box(samples), frame).unwrap_or(0)
 }
 
-/// What a sensor's task does with a sample.
+/// The processing of a sample in the sampler's task.
 struct Path {
     corrector: Corrector,
     integrator: Integrator,
@@ -138,7 +143,7 @@ fn measure() -> Result<(), &'static str> {
     let peripherals = cortex_m::Peripherals::take().ok_or("peripherals are taken")?;
     let mut counter = Counter::new(peripherals.SYST)
         .ok_or("time does not follow instructions: run QEMU with -icount shift=10")?;
-    // One after the other: the smaller processor has 16 kB for both.
+    // In separate functions: the smaller processor has 16 kB of RAM for both.
     array::measure(&counter)?;
     samples(&mut counter)
 }
@@ -254,7 +259,7 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
     Ok(())
 }
 
-/// Packing into a frame, and framing alone: what is between them is packing alone.
+/// Packing with framing, and framing alone; the difference is packing alone.
 fn pack(counter: &Counter, names: [&str; 3], samples: &[Counts]) {
     let mut frame = [0; MAX_FRAME];
     let mut deframer = Deframer::new();

@@ -1,4 +1,4 @@
-//! What the sensor puts out: seeded, so that the counts repeat.
+//! Simulated sensor output with a fixed seed.
 
 use core::f32::consts::TAU;
 

@@ -4,14 +4,14 @@ use embassy_nrf::pac;
 use embassy_nrf::twim::{Error, Twim};
 use embedded_hal_async::i2c::{ErrorType, I2c, Operation};
 
-/// [`Twim`], whose transfers really end when they are given up: its DMA would go on writing where
-/// the caller's buffer was.
+/// [`Twim`] that stops a transfer when its future is dropped. Otherwise its DMA would continue to write to
+/// the dropped buffer.
 pub struct Bus(pub Twim<'static>);
 
-/// Switches the peripheral off, which ends its transfer, and on again: its settings stay.
-struct GiveUp;
+/// Disables the peripheral when dropped, which ends its transfer, and enables it again; its settings remain.
+struct Abort;
 
-impl Drop for GiveUp {
+impl Drop for Abort {
     fn drop(&mut self) {
         pac::TWIM0
             .enable()
@@ -32,9 +32,9 @@ impl I2c for Bus {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), Error> {
-        let give_up = GiveUp;
+        let abort = Abort;
         let outcome = self.0.transaction(address, operations).await;
-        core::mem::forget(give_up);
+        core::mem::forget(abort);
         outcome
     }
 }

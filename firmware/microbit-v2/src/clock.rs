@@ -1,4 +1,4 @@
-//! The device's clock: TIMER0 at 1 MHz from the crystal. The HAL's own clock has steps of 30 µs.
+//! The device's clock: TIMER0 at 1 MHz from the crystal. The HAL's clock has a resolution of 30 µs.
 
 use core::cell::Cell;
 
@@ -9,11 +9,12 @@ use embassy_nrf::timer::{Cc, Frequency, Timer as Counter};
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
-/// Capture registers: one for whoever asks, one for the data-ready line.
-const ASKED: usize = 0;
+/// Capture registers for reading the time, and for the data-ready line.
+const NOW: usize = 0;
 const DATA_READY: usize = 1;
 
-/// The counter and its 32 upper bits: it wraps after 71 minutes, and is asked many times a second.
+/// The counter and the upper 32 bits of the time. The counter wraps after 71 minutes and is read many times a
+/// second, so no wrap is missed.
 static CLOCK: Mutex<Cell<Option<Clock>>> = Mutex::new(Cell::new(None));
 
 #[derive(Clone, Copy)]
@@ -23,7 +24,7 @@ struct Clock {
     wraps: u32,
 }
 
-/// Starts it; returns the capture register for the data-ready line.
+/// Starts the clock; returns the capture register for the data-ready line.
 pub fn start(timer: Peri<'static, TIMER0>) -> Cc<'static> {
     let mut counter = Counter::new(timer);
     counter.set_frequency(Frequency::F1MHz);
@@ -46,8 +47,8 @@ fn now() -> DeviceTimeUs {
         let Some(mut clock) = cell.get() else {
             return DeviceTimeUs(0);
         };
-        clock.registers.tasks_capture(ASKED).write_value(1);
-        let low = clock.registers.cc(ASKED).read();
+        clock.registers.tasks_capture(NOW).write_value(1);
+        let low = clock.registers.cc(NOW).read();
         if low < clock.last {
             clock.wraps = clock.wraps.wrapping_add(1);
         }
@@ -78,7 +79,7 @@ impl Timer for BoardTimer {
             if left == 0 {
                 return;
             }
-            // The clock that wakes is another one, and coarser.
+            // The timer of the executor is a coarser clock.
             embassy_time::Timer::after_micros(left).await;
         }
     }

@@ -1,4 +1,4 @@
-//! The sensor's data-ready line, whose falling edge the hardware stamps.
+//! The sensor's data-ready line. The hardware captures the time of its falling edge.
 //!
 //! The sensor's INT1 turns a transistor on that pulls P0.25 down, against the pull-up in this chip.
 //! The magnetometer and the interface chip can pull it down too.
@@ -14,7 +14,7 @@ use wimu_node::DataReady;
 
 use crate::clock;
 
-/// Its number in its port.
+/// Number of the pin in its port.
 const PIN: usize = 25;
 
 /// The line.
@@ -47,7 +47,7 @@ impl Line {
 
 impl DataReady for Line {
     async fn ready(&mut self) -> Option<DeviceTimeUs> {
-        // From here on an edge is seen; of one that came before, the line is down still.
+        // Edges are detected from here on; after an earlier edge the line is still low.
         let edge = self.input.wait();
         if pac::P0.in_().read().pin(PIN) {
             edge.await;

@@ -1,7 +1,7 @@
 //! The chip's flash, whose pages are erased in small steps.
 //!
-//! Erasing a page takes 87 ms, in which the processor stands still: a sensor's FIFO of 32 samples would
-//! overflow. The chip can also do it in parts. Between them interrupts and tasks have their turn.
+//! Erasing a page stalls the processor for 87 ms, in which the sensor's FIFO of 32 samples would overflow. So
+//! it is erased in steps; interrupts and tasks run between them.
 
 use embassy_nrf::nvmc::{Error, FLASH_SIZE, Nvmc, PAGE_SIZE};
 use embassy_nrf::pac;
@@ -12,11 +12,11 @@ use wimu_node::Timer;
 
 use crate::clock::BoardTimer;
 
-/// What its maker says that erasing a page takes in all, ms.
+/// Total time to erase a page (datasheet), ms.
 const ERASE_MS: u8 = 87;
-/// A part of it, ms: half of the sensor's FIFO takes 16 samples in 12 ms.
+/// Duration of a step, ms. Half of the sensor's FIFO holds 12 ms of samples at 1344 Hz.
 const STEP_MS: u8 = 4;
-/// Between two parts, µs: long enough to read 16 samples from the sensor.
+/// Time between two steps, µs: long enough to read 16 samples.
 const BETWEEN_US: u64 = 3_000;
 
 /// The flash.
@@ -66,8 +66,7 @@ impl NorFlash for StoreFlash {
     }
 }
 
-/// Erases a page for [`STEP_MS`], for which the processor stands still, and the millisecond that the
-/// hardware takes to begin.
+/// Erases a page for [`STEP_MS`]. The processor stalls for this time and 1 ms to begin.
 fn erase_partly(page: u32) {
     let nvmc = pac::NVMC;
     nvmc.erasepagepartialcfg()

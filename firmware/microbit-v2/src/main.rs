@@ -1,4 +1,4 @@
-//! wimu on a BBC micro:bit v2: pins, clocks, interrupts and a main. Everything else is `wimu-node`.
+//! wimu on a BBC micro:bit v2: pins, clocks, interrupts and `main`. Everything else is in `wimu-node`.
 
 #![no_std]
 #![no_main]
@@ -31,7 +31,7 @@ use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
 use wimu_node::{
-    Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, PatientBus, Shared, Timer,
+    Axis, Board, FlashLayout, FlashStore, Lsm303agr, Mounting, Shared, TimeoutBus, Timer,
 };
 
 use crate::bus::Bus;
@@ -48,33 +48,32 @@ bind_interrupts!(struct Interrupts {
     UARTE1 => buffered_uarte::InterruptHandler<UARTE1>;
 });
 
-/// What the node is made of.
-type Sensor = Lsm303agr<PatientBus<Bus, BoardTimer>, Line, BoardTimer>;
+/// The types of the node.
+type Sensor = Lsm303agr<TimeoutBus<Bus, BoardTimer>, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUarteRx<'static>;
 type Transmitter = BufferedUarteTx<'static>;
 
-/// The last 16 KiB: memory.x leaves them out.
+/// The last 16 KiB of the flash, which memory.x excludes.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
-/// The chip, left-handed and on the back, as the board sees it: x to the logo, y to button A, z out of
-/// the display.
+/// The board's axes (x to the logo, y to button A, z out of the display) in terms of the chip's, which is
+/// left-handed and on the back.
 const MOUNTING: Mounting = Mounting::new([Axis::MinusY, Axis::X, Axis::MinusZ]);
 /// The longest erase of a page, ms: 22 steps of 5 ms, and 3 ms after each.
 const PAUSE_MS: u16 = 200;
-/// Two seconds of 32,768 Hz: how long nobody may feed the watchdog.
+/// Timeout of the watchdog: 2 s of 32,768 Hz.
 const WATCHDOG_TICKS: u32 = 65_536;
-/// A row of the display is lit for this long.
+/// Time for which a row of the display is lit, µs.
 const ROW_US: u64 = 3_000;
 /// Rows of the display in a second.
 const ROWS_A_SECOND: u32 = 333;
-/// A button is down when it is found so this often, row after row.
+/// Consecutive rows for which a button must be down.
 const DEBOUNCE: u32 = 10;
 
-/// Who holds button B for five seconds has lost the key: rows of the display.
+/// Rows of the display for which button B must be held to erase the key: 5 s.
 const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
 
-/// Shows how the device is, looks at the buttons, and feeds the watchdog: two seconds without it
-/// and the chip restarts.
+/// Shows the device's state, polls the buttons, and feeds the watchdog.
 #[embassy_executor::task]
 async fn attend(
     shared: &'static Shared<M>,
@@ -86,7 +85,7 @@ async fn attend(
     let mut before = shared.health();
     let mut picture = display::picture(&before, &before);
     let mut pressed = 0;
-    // A button that has been down since the start is stuck, not held.
+    // A button that has been down since the start is ignored.
     let mut released = false;
     let mut held = 0;
     let mut marks = 0_u16;
@@ -116,12 +115,12 @@ async fn attend(
     core::future::pending().await
 }
 
-/// Above all tasks but below the interrupts of the bus and of the data-ready line.
+/// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.
 static SAMPLING: InterruptExecutor = InterruptExecutor::new();
 
 #[cortex_m_rt::interrupt]
 unsafe fn EGU1_SWI1() {
-    // SAFETY: it is the executor's own interrupt.
+    // SAFETY: this is the executor's own interrupt.
     unsafe { SAMPLING.on_interrupt() };
 }
 
@@ -131,7 +130,7 @@ fn main() -> ! {
     EXECUTOR.init(Executor::new()).run(start)
 }
 
-/// A function of its own, so that what it builds leaves the stack before the tasks run.
+/// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
     static SHARED: Shared<M> = Shared::new();
@@ -139,12 +138,12 @@ fn start(spawner: Spawner) {
     static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
 
     let mut config = Config::default();
-    // The device's clock is only as good as this.
+    // The device's clock needs the crystal.
     config.hfclk_source = HfclkSource::ExternalXtal;
     config.gpiote_interrupt_priority = Priority::P1;
     config.time_interrupt_priority = Priority::P2;
     let chip = embassy_nrf::init(config);
-    // Below 2.1 V the hardware lets nobody write the flash.
+    // Below 2.1 V the hardware blocks writes to the flash.
     pac::POWER.pofcon().write(|power_fail| {
         power_fail.set_pof(true);
         power_fail.set_threshold(pac::power::vals::Threshold::V21);
@@ -166,7 +165,7 @@ fn start(spawner: Spawner) {
         bus,
         BUS_BUFFER.init([0; 16]),
     );
-    // Opened at the rate of `tasks::BAUD`, 8N1.
+    // The default is `tasks::BAUD`, 8N1.
     let uart = uarte::Config::default;
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
     let cable = BufferedUarte::new(
@@ -211,7 +210,7 @@ fn start(spawner: Spawner) {
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
             Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
-        accelerometer: Sensor::new(PatientBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
+        accelerometer: Sensor::new(TimeoutBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
             .mounted(MOUNTING),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS),
@@ -246,31 +245,31 @@ fn start(spawner: Spawner) {
     let mut feeding = wdt::Config::default();
     feeding.timeout_ticks = WATCHDOG_TICKS;
     feeding.action_during_debug_halt = wdt::HaltConfig::Pause;
-    // It cannot be on already: a reset switches it off.
+    // It is not running yet: a reset stops it.
     let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else {
         panic!()
     };
 
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
     tasks::spawn(node, keepers, sampling, spawner);
-    // Spawned once: there is room.
+    // Spawned once.
     spawner.spawn(attend(shared, matrix, button_a, button_b, watchdog).unwrap());
 }
 
-/// Starts the chip anew.
+/// Resets the chip.
 fn restart() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Why the chip has started, and where the firmware stopped if it did.
+/// The reset reason, and the recorded fault.
 fn reason() -> (ResetReason, Option<Fault>) {
     let fault = last_words::take();
     let found = pac::POWER.resetreas().read();
-    // They add up until they are cleared, by ones.
+    // The bits accumulate until they are cleared by writing ones.
     pac::POWER.resetreas().write_value(found);
     let reason = match found {
         _ if fault.is_some() => ResetReason::Fault,
-        // Neither of the others: power came, or it dipped and came back, which is the same here.
+        // Power-on and brown-out are not distinguished.
         _ if found.0 == 0 => ResetReason::PowerOn,
         _ if found.dog() => ResetReason::Watchdog,
         _ if found.lockup() => ResetReason::Fault,

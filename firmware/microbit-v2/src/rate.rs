@@ -4,10 +4,10 @@ use embassy_nrf::pac::uarte::Uarte;
 use embassy_nrf::uarte::Baudrate;
 use wimu_node::LineRate;
 
-/// A UART's rate: the driver sets one only before its halves are apart.
+/// A UART's rate. The driver can set it only before it is split.
 pub struct Rate(pub Uarte);
 
-/// Those that the chip's makers name.
+/// The rates of the datasheet, bit/s.
 const RATES: [(u32, Baudrate); 17] = [
     (1200, Baudrate::Baud1200),
     (2400, Baudrate::Baud2400),

@@ -13,8 +13,7 @@ use wimu_node::{DataReady, Timer};
 
 use crate::clock::BoardTimer;
 
-/// The pin's interrupt calls a waker: this one notes the time before it wakes the task, which may
-/// have to wait for another.
+/// The pin's interrupt calls a waker, which captures the time before it wakes the task.
 static ROSE: Mutex<Rose> = Mutex::new(Rose {
     at: Cell::new(None),
     task: RefCell::new(None),
@@ -25,14 +24,14 @@ struct Rose {
     task: RefCell<Option<Waker>>,
 }
 
-static NOTES_THE_TIME: RawWakerVTable =
-    RawWakerVTable::new(|_| waker(), |_| note(), |_| note(), |_| ());
+static CAPTURES_TIME: RawWakerVTable =
+    RawWakerVTable::new(|_| waker(), |_| capture(), |_| capture(), |_| ());
 
 const fn waker() -> RawWaker {
-    RawWaker::new(ptr::null(), &NOTES_THE_TIME)
+    RawWaker::new(ptr::null(), &CAPTURES_TIME)
 }
 
-fn note() {
+fn capture() {
     let now = BoardTimer.now();
     let task = critical_section::with(|cs| {
         let rose = ROSE.borrow(cs);
@@ -50,7 +49,7 @@ pub struct Line(pub Input<'static>);
 impl DataReady for Line {
     async fn ready(&mut self) -> Option<DeviceTimeUs> {
         critical_section::with(|cs| ROSE.borrow(cs).at.set(None));
-        // SAFETY: the table's functions use no pointer, and may be called from anywhere.
+        // SAFETY: the functions of the table do not use the pointer and can be called from any context.
         let waker = unsafe { Waker::from_raw(waker()) };
         let mut high = pin!(self.0.wait_for_high());
         poll_fn(|context| {

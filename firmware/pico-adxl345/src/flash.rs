@@ -1,7 +1,7 @@
 //! The last 16 KiB of the flash.
 //!
-//! While the flash is erased or written, nothing can be read from it, code neither: interrupts are
-//! off and the routine runs from RAM. The functions that do it are in the chip's ROM.
+//! While the flash is erased or written, neither data nor code can be read from it. So interrupts are disabled
+//! and the routine runs from RAM, with functions of the chip's ROM.
 
 use embassy_rp::Peri;
 use embassy_rp::flash::{Blocking, ERASE_SIZE, FLASH_BASE, PAGE_SIZE};
@@ -10,19 +10,19 @@ use embassy_rp::rom_data;
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use wimu_node::FlashLayout;
 
-/// Bytes of a Pico's flash.
+/// Size of a Pico's flash, bytes.
 const CHIP: usize = 2 << 20;
-/// Bytes that are for the store: memory.x leaves them out.
+/// Size of the store, bytes, which memory.x excludes.
 const SIZE: usize = 4 * ERASE_SIZE;
 const START: usize = CHIP - SIZE;
-/// The second stage of the bootloader, which makes the flash readable.
+/// Size of the second stage of the bootloader, which makes the flash readable, words.
 const BOOT2_WORDS: usize = 64;
 
 /// That part of the flash, by offsets from its start.
 pub struct StoreFlash(());
 
 impl StoreFlash {
-    /// The only one.
+    /// The store's flash; takes the peripheral, so that there is only one.
     pub fn new(_chip: Peri<'static, FLASH>) -> Self {
         Self(())
     }
@@ -76,7 +76,7 @@ impl NorFlash for StoreFlash {
         let mut at = Self::range(offset, bytes.len(), Self::WRITE_SIZE)?;
         let mut rest = bytes;
         while !rest.is_empty() {
-            // The chip writes whole pages; ones leave what is there.
+            // The chip writes whole pages; ones leave bits unchanged.
             let mut page = [0xFF; PAGE_SIZE];
             let skipped = at % PAGE_SIZE;
             let room = page.iter_mut().skip(skipped);
@@ -92,10 +92,10 @@ impl NorFlash for StoreFlash {
     }
 }
 
-/// The number of the flash chip, which tells Picos apart.
+/// The unique number of the flash chip, which identifies the Pico.
 pub fn chip_number(chip: Peri<'_, FLASH>) -> u64 {
     let mut number = [0; 8];
-    // The driver waits for a background read to end; without one under way there is none to end.
+    // The driver would wait for the end of a background read.
     let idle = embassy_rp::pac::XIP_CTRL.stream_ctr().read().0 == 0;
     let mut flash = embassy_rp::flash::Flash::<_, Blocking, CHIP>::new_blocking(chip);
     if idle && flash.blocking_unique_id(&mut number).is_ok() {
@@ -120,7 +120,7 @@ enum Change<'a> {
     },
 }
 
-/// What the routine needs, all of it in RAM.
+/// Data of the routine, in RAM.
 struct Rom {
     connect: unsafe extern "C" fn(),
     exit_xip: unsafe extern "C" fn(),
@@ -144,8 +144,8 @@ fn change(change: Change<'_>) {
         *word = unsafe { FLASH_BASE.add(index).read_volatile() };
     }
     critical_section::with(|_| {
-        // SAFETY: interrupts are off, the other core has never been started and no DMA is used, so
-        // nobody reads the flash; the range is that of the store.
+        // SAFETY: interrupts are disabled, the other core is not started and no DMA is used, so nothing reads
+        // the flash; the range is within the store.
         unsafe { in_ram(&rom, change) }
     });
 }

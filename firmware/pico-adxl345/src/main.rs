@@ -1,5 +1,5 @@
-//! wimu on a Raspberry Pi Pico with an ADXL345: pins, clocks, interrupts and a main. Everything
-//! else is `wimu-node`.
+//! wimu on a Raspberry Pi Pico with an ADXL345: pins, clocks, interrupts and `main`. Everything
+//! else is in `wimu-node`.
 
 #![no_std]
 #![no_main]
@@ -29,7 +29,7 @@ use embassy_rp::{bind_interrupts, pac};
 use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Fault, Part, ResetReason, board, sensor};
-use wimu_node::{Adxl345, Board, FlashStore, PatientBus, Shared};
+use wimu_node::{Adxl345, Board, FlashStore, Shared, TimeoutBus};
 
 use crate::clock::BoardTimer;
 use crate::data_ready::Line;
@@ -44,27 +44,27 @@ bind_interrupts!(struct Interrupts {
     UART1_IRQ => uart::BufferedInterruptHandler<UART1>;
 });
 
-/// What the node is made of.
-type Bus = PatientBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
+/// The types of the node.
+type Bus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
 type Sensor = Adxl345<Bus, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 type Receiver = BufferedUartRx;
 type Transmitter = Sender;
 
-/// How long nobody may feed the watchdog: longer than the flash takes to erase.
+/// Timeout of the watchdog, longer than an erase of the flash.
 const WATCHDOG_TIME: Duration = Duration::from_secs(2);
-/// The flash's longest erase of a sector, ms.
+/// Longest erase of a sector (datasheet), ms.
 const PAUSE_MS: u16 = 400;
 
-/// Who holds GP22 to ground for five seconds has lost the key: steps of 125 ms.
+/// Steps of 125 ms for which GP22 must be connected to ground to erase the key: 5 s.
 const KEY_LOST_STEPS: u32 = 40;
 
-/// Above all tasks but below the interrupts of the bus and of the data-ready line.
+/// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.
 static SAMPLING: InterruptExecutor = InterruptExecutor::new();
 
 #[cortex_m_rt::interrupt]
 unsafe fn SWI_IRQ_1() {
-    // SAFETY: it is the executor's own interrupt.
+    // SAFETY: this is the executor's own interrupt.
     unsafe { SAMPLING.on_interrupt() };
 }
 
@@ -74,7 +74,7 @@ fn main() -> ! {
     EXECUTOR.init(Executor::new()).run(start)
 }
 
-/// A function of its own, so that what it builds leaves the stack before the tasks run.
+/// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
     static SHARED: Shared<M> = Shared::new();
@@ -106,7 +106,7 @@ fn start(spawner: Spawner) {
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
-        accelerometer: Sensor::new(PatientBus::new(i2c, BoardTimer), line, BoardTimer),
+        accelerometer: Sensor::new(TimeoutBus::new(i2c, BoardTimer), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),
@@ -138,23 +138,23 @@ fn start(spawner: Spawner) {
     interrupt::UART0_IRQ.set_priority(Priority::P2);
     interrupt::UART1_IRQ.set_priority(Priority::P2);
     let sampling = SAMPLING.start(interrupt::SWI_IRQ_1);
-    let lamp = Output::new(chip.PIN_25, Level::Low);
+    let led = Output::new(chip.PIN_25, Level::Low);
     let key_lost = Input::new(chip.PIN_22, Pull::Up);
     tasks::spawn(node, keepers, sampling, spawner);
-    spawner.spawn(show(shared, lamp, key_lost, watchdog).unwrap());
+    spawner.spawn(show(shared, led, key_lost, watchdog).unwrap());
 }
 
-/// Says how the device is, and that it runs: two seconds without it and the watchdog restarts it.
+/// Shows the device's state with the LED, polls the pin, and feeds the watchdog.
 #[embassy_executor::task]
 async fn show(
     shared: &'static Shared<M>,
-    mut lamp: Output<'static>,
+    mut led: Output<'static>,
     key_lost: Input<'static>,
     mut watchdog: Watchdog,
 ) -> ! {
     let mut before = shared.health();
     let mut step = 0_u32;
-    // A pin that has been low since the start is a wire, not a hand.
+    // A pin that has been low since the start is ignored.
     let mut released = false;
     let mut held = 0;
     loop {
@@ -166,7 +166,7 @@ async fn show(
             shared.forget_key();
         }
         let now = shared.health();
-        // Of eight steps of 125 ms, those with light.
+        // One bit per step of 125 ms, lowest first: LED on.
         let pattern: u8 = if now.sensor_lost {
             0b0101_0101
         } else if now.shed != before.shed {
@@ -176,7 +176,7 @@ async fn show(
         } else {
             0b0000_1111
         };
-        lamp.set_level((pattern >> (step % 8) & 1 != 0).into());
+        led.set_level((pattern >> (step % 8) & 1 != 0).into());
         step = step.wrapping_add(1);
         if step.is_multiple_of(8) {
             before = now;
@@ -185,16 +185,16 @@ async fn show(
     }
 }
 
-/// Starts the chip anew.
+/// Resets the chip.
 fn restart() -> ! {
-    // SAFETY: whoever calls has given up everything else.
+    // SAFETY: the callers do not use the watchdog again.
     Watchdog::new(unsafe { WATCHDOG::steal() }).trigger_reset();
     loop {
         cortex_m::asm::nop();
     }
 }
 
-/// Why the chip has started, and where the firmware stopped if it did.
+/// The reset reason, and the recorded fault.
 fn reason(watchdog: &Watchdog) -> (ResetReason, Option<Fault>) {
     let fault = last_words::take();
     let chip = pac::VREG_AND_CHIP_RESET.chip_reset().read();
@@ -203,15 +203,15 @@ fn reason(watchdog: &Watchdog) -> (ResetReason, Option<Fault>) {
         Some(WatchdogReason::TimedOut) => ResetReason::Watchdog,
         Some(WatchdogReason::Forced) => ResetReason::Software,
         None if chip.had_run() => ResetReason::Pin,
-        // The chip's brown-out detector and its power-on reset are one.
+        // Power-on and brown-out resets are not distinguished.
         None if chip.had_por() => ResetReason::PowerOn,
         None => ResetReason::Unknown,
     };
     (reason, fault)
 }
 
-/// From the ring oscillator, which nobody has shown to be fit for cryptography: the count of starts
-/// keeps sessions apart where it fails.
+/// From the ring oscillator, which is not a qualified cryptographic source: should it fail, the boot count makes
+/// sessions differ.
 fn entropy() -> [u8; 16] {
     let mut bits = [0; 16];
     RoscRng.fill_bytes(&mut bits);

@@ -4,9 +4,9 @@ use embassy_rp::interrupt::{Interrupt, InterruptExt};
 use embassy_rp::uart::{BufferedUartTx, Error};
 use embedded_io_async::{ErrorType, Write};
 
-/// [`BufferedUartTx`], which alone may leave bytes behind: its interrupt takes bytes up to the end
-/// of its ring, and comes again only when the hardware's queue falls past a level that it may not
-/// have reached. Asking once more takes those from the start of the ring.
+/// [`BufferedUartTx`] with a workaround. Its interrupt takes bytes up to the end of its ring buffer, and occurs
+/// again only when the hardware's FIFO falls below a level that it may not have reached. Pending the interrupt
+/// once more takes the bytes at the start of the ring buffer.
 pub struct Sender {
     /// The UART.
     pub uart: BufferedUartTx,

@@ -1,40 +1,41 @@
-//! The sensor's I²C bus behind a UART: an SC18IM700-style bridge (NXP), played by the host.
+//! The sensor's I²C bus behind a UART: an SC18IM700-style bridge (NXP), simulated by the host.
 //!
-//! The chip's commands are used as its data sheet has them: `S address length [bytes] … P` is a
+//! The commands are those of the chip's datasheet: `S address length [bytes] … P` is a
 //! transaction, `R register P` reads one of its registers, `I P` its port. Two things differ: a
-//! read that nobody answers gives 0xFF bytes, as an idle bus does, and the sensor's data-ready
+//! read without an acknowledgement returns 0xFF bytes, as from an idle bus, and the sensor's data-ready
 //! line is bit 0 of the port.
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
 use embedded_hal_async::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use embedded_io_async::{Read, Write};
+use heapless::{CapacityError, Vec};
 use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
 use crate::clock::{BoardTimer, is_lockstep};
 use crate::uart::{Reader, SENSOR_BUS, Writer};
 
-/// I2CStat.
+/// Register I2CStat.
 const STATUS_REGISTER: u8 = 0x0A;
 const STATUS_OK: u8 = 0xF0;
 const STATUS_NACK_ADDRESS: u8 = 0xF1;
 const STATUS_NACK_DATA: u8 = 0xF2;
-/// The bridge answers within this time or not at all.
-const PATIENCE_US: u64 = 1_000_000;
-/// A bridge that has said nothing for so long has answered all that it was asked.
-const QUIET_US: u64 = 100_000;
-/// Longest message: 16 samples and the status.
+/// Timeout of an answer, µs.
+const TIMEOUT_US: u64 = 1_000_000;
+/// Idle time of the line after which the bridge has answered every request, µs.
+const IDLE_US: u64 = 100_000;
+/// Capacity for a message, bytes: the longest one is 16 samples of 6 bytes and the status.
 const MESSAGE: usize = 128;
 
-/// The line to the bridge: it takes one question after the other.
+/// The line to the bridge, which answers the requests in order.
 pub struct Bridge {
     reader: Reader,
     writer: Writer,
-    /// Bytes of an answer that nobody waits for any more.
-    owed: usize,
-    /// Whether nobody knows which answers are still to come.
-    lost: bool,
+    /// Bytes not yet received of the latest answer. If its future was dropped, they are discarded.
+    pending_bytes: usize,
+    /// Whether the number of pending bytes is unknown, after a timeout.
+    out_of_sync: bool,
 }
 
 impl Bridge {
@@ -43,31 +44,31 @@ impl Bridge {
         Self {
             reader,
             writer,
-            owed: 0,
-            lost: false,
+            pending_bytes: 0,
+            out_of_sync: false,
         }
     }
 
-    /// Sends `question` and waits for as many bytes as `answer` has. If dropped meanwhile, the
-    /// next one swallows what is still to come. In lockstep no other task goes on meanwhile: how
-    /// far it would get depends on how fast the host is.
-    async fn ask(&mut self, question: &[u8], answer: &mut [u8]) -> Result<(), BridgeError> {
+    /// Sends `request` and waits for as many bytes as `answer` has. If the future is dropped, the
+    /// next call discards the rest of the answer. In lockstep no other task runs meanwhile, because its
+    /// progress would depend on the speed of the host.
+    async fn ask(&mut self, request: &[u8], answer: &mut [u8]) -> Result<(), BridgeError> {
         if is_lockstep() {
-            SENSOR_BUS.write_now(question);
+            SENSOR_BUS.write_now(request);
             SENSOR_BUS.read_now(answer, || {});
             return Ok(());
         }
-        if self.lost {
-            self.find().await?;
+        if self.out_of_sync {
+            self.resynchronise().await?;
         }
-        let deadline = DeviceTimeUs(BoardTimer.now().0 + PATIENCE_US);
-        while self.owed > 0 {
+        let deadline = DeviceTimeUs(BoardTimer.now().0 + TIMEOUT_US);
+        while self.pending_bytes > 0 {
             let mut stale = [0; MESSAGE];
-            let length = self.owed.min(stale.len());
+            let length = self.pending_bytes.min(stale.len());
             self.receive(deadline, &mut stale[..length]).await?;
         }
-        self.owed = answer.len();
-        let Ok(()) = self.writer.write_all(question).await;
+        self.pending_bytes = answer.len();
+        let Ok(()) = self.writer.write_all(request).await;
         let mut rest = answer;
         while !rest.is_empty() {
             let count = self.receive(deadline, rest).await?;
@@ -83,35 +84,35 @@ impl Bridge {
     ) -> Result<usize, BridgeError> {
         match BoardTimer.before(deadline, self.reader.read(buffer)).await {
             Some(Ok(count)) => {
-                self.owed -= count;
+                self.pending_bytes -= count;
                 Ok(count)
             }
             None => {
-                self.lost = true;
+                self.out_of_sync = true;
                 Err(BridgeError::Silent)
             }
         }
     }
 
-    /// After a silence: a bridge that was held up answers every question since then, one that has
-    /// begun anew none of them. Asks once more and waits until it has nothing left to say.
-    async fn find(&mut self) -> Result<(), BridgeError> {
+    /// Resynchronises after a timeout: a delayed bridge answers every request since then, a restarted one
+    /// none of them. Sends one more request and discards all answers.
+    async fn resynchronise(&mut self) -> Result<(), BridgeError> {
         let Ok(()) = self.writer.write_all(b"IP").await;
         let mut stale = [0; MESSAGE];
-        let mut patience = PATIENCE_US;
+        let mut timeout = TIMEOUT_US;
         loop {
-            let deadline = DeviceTimeUs(BoardTimer.now().0 + patience);
+            let deadline = DeviceTimeUs(BoardTimer.now().0 + timeout);
             match BoardTimer
                 .before(deadline, self.reader.read(&mut stale))
                 .await
             {
-                Some(Ok(_)) => patience = QUIET_US,
-                None if patience == QUIET_US => break,
+                Some(Ok(_)) => timeout = IDLE_US,
+                None if timeout == IDLE_US => break,
                 None => return Err(BridgeError::Silent),
             }
         }
-        self.owed = 0;
-        self.lost = false;
+        self.pending_bytes = 0;
+        self.out_of_sync = false;
         Ok(())
     }
 
@@ -132,6 +133,12 @@ pub enum BridgeError {
     TooLong,
     /// The bridge reports a status other than done.
     Status(u8),
+}
+
+impl From<CapacityError> for BridgeError {
+    fn from(_: CapacityError) -> Self {
+        Self::TooLong
+    }
 }
 
 impl Error for BridgeError {
@@ -161,7 +168,7 @@ impl I2c for BridgeI2c {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), BridgeError> {
-        let mut question = Message::default();
+        let mut request = Vec::<u8, MESSAGE>::new();
         let mut expected = 1;
         // Neighbours in one direction are one message on the bus.
         let same = |a: &Operation<'_>, b: &Operation<'_>| {
@@ -171,19 +178,19 @@ impl I2c for BridgeI2c {
             let reads = matches!(group, [Operation::Read(_), ..]);
             let length: usize = group.iter().map(length).sum();
             let count = u8::try_from(length).map_err(|_| BridgeError::TooLong)?;
-            question.append(&[b'S', address << 1 | u8::from(reads), count])?;
+            request.extend_from_slice(&[b'S', address << 1 | u8::from(reads), count])?;
             for operation in group {
                 if let Operation::Write(bytes) = operation {
-                    question.append(bytes)?;
+                    request.extend_from_slice(bytes)?;
                 }
             }
             expected += if reads { length } else { 0 };
         }
-        question.append(&[b'P', b'R', STATUS_REGISTER, b'P'])?;
+        request.extend_from_slice(&[b'P', b'R', STATUS_REGISTER, b'P'])?;
 
         let mut answer = [0; MESSAGE];
         let answer = answer.get_mut(..expected).ok_or(BridgeError::TooLong)?;
-        self.0.lock().await.ask(question.bytes(), answer).await?;
+        self.0.lock().await.ask(&request, answer).await?;
         match answer {
             [data @ .., STATUS_OK] => {
                 let mut rest = &*data;
@@ -206,34 +213,5 @@ fn length(operation: &Operation<'_>) -> usize {
     match operation {
         Operation::Read(buffer) => buffer.len(),
         Operation::Write(bytes) => bytes.len(),
-    }
-}
-
-struct Message {
-    bytes: [u8; MESSAGE],
-    length: usize,
-}
-
-impl Default for Message {
-    fn default() -> Self {
-        Self {
-            bytes: [0; MESSAGE],
-            length: 0,
-        }
-    }
-}
-
-impl Message {
-    fn append(&mut self, bytes: &[u8]) -> Result<(), BridgeError> {
-        self.bytes
-            .get_mut(self.length..self.length + bytes.len())
-            .ok_or(BridgeError::TooLong)?
-            .copy_from_slice(bytes);
-        self.length += bytes.len();
-        Ok(())
-    }
-
-    fn bytes(&self) -> &[u8] {
-        &self.bytes[..self.length]
     }
 }

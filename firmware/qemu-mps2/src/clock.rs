@@ -1,4 +1,4 @@
-//! The device's clock: the machine's timers, or in lockstep what the sensor bridge says.
+//! The device's clock: the machine's timers, or in lockstep the sensor bridge.
 
 use core::cell::RefCell;
 use core::future::Future;
@@ -12,9 +12,9 @@ use wimu_node::Timer;
 
 use crate::register::Register;
 
-/// Counts down from 2³² − 1 over and over.
+/// Timer that counts down from 2³² − 1 repeatedly.
 const COUNTER: usize = 0x4000_0000;
-/// Counts down to the next deadline.
+/// Timer that counts down to the next deadline.
 const ALARM: usize = 0x4000_1000;
 
 const CTRL: usize = 0x00;
@@ -25,7 +25,7 @@ const CTRL_ENABLE: u32 = 1;
 const CTRL_INTERRUPT: u32 = 1 << 3;
 
 const TICKS_PER_US: u64 = 25;
-/// Deadlines at once: more than the node's tasks have.
+/// Most simultaneous deadlines: more than the node's tasks need.
 const SLOTS: usize = 12;
 
 static LOCKSTEP: AtomicBool = AtomicBool::new(false);
@@ -37,11 +37,11 @@ static CLOCK: Mutex<RefCell<Clock>> = Mutex::new(RefCell::new(Clock {
 }));
 
 struct Clock {
-    /// How often the counter has begun anew.
+    /// Wraps of the counter.
     wraps: u32,
     /// Time in lockstep.
     lockstep_us: u64,
-    /// Who waits until when.
+    /// Tasks waiting for a deadline.
     slots: [Option<Slot>; SLOTS],
 }
 
@@ -56,7 +56,7 @@ fn register(base: usize, offset: usize) -> Register {
     unsafe { Register::at(base + offset) }
 }
 
-/// Starts the clock; in lockstep it stands until [`advance_to`].
+/// Starts the clock. In lockstep only [`advance_to`] advances it.
 pub fn start(lockstep: bool) {
     LOCKSTEP.store(lockstep, Ordering::Relaxed);
     if !lockstep {
@@ -66,17 +66,17 @@ pub fn start(lockstep: bool) {
     }
 }
 
-/// Whether time is what the bridge says.
+/// Whether the bridge determines the time.
 pub fn is_lockstep() -> bool {
     LOCKSTEP.load(Ordering::Relaxed)
 }
 
-/// The earliest deadline that somebody waits for, µs.
+/// The earliest deadline of a waiting task, µs.
 pub fn next_deadline() -> Option<u64> {
     with(|clock| clock.next_deadline())
 }
 
-/// It is `now_us` in lockstep.
+/// Sets the time in lockstep, µs.
 pub fn advance_to(now_us: u64) {
     with(|clock| {
         clock.lockstep_us = now_us;
@@ -112,7 +112,7 @@ impl Clock {
             return self.lockstep_us;
         }
         let left = register(COUNTER, VALUE).read();
-        // Interrupts are off: the counter may have begun anew and not said so yet.
+        // Interrupts are disabled: a wrap of the counter may not be counted yet.
         let unseen = register(COUNTER, INTERRUPT).read() & 1 != 0 && left > u32::MAX / 2;
         let wraps = u64::from(self.wraps) + u64::from(unseen);
         (wraps << 32 | u64::from(!left)) / TICKS_PER_US
@@ -142,7 +142,7 @@ impl Clock {
         register(ALARM, CTRL).write(0);
         if let Some(deadline) = self.next_deadline() {
             let ticks = deadline.saturating_sub(self.now_us()) * TICKS_PER_US;
-            // One that is further away is looked at again in between.
+            // A deadline beyond the timer's range sets the alarm again.
             let ticks = u32::try_from(ticks).unwrap_or(u32::MAX).max(1);
             register(ALARM, RELOAD).write(ticks);
             register(ALARM, VALUE).write(ticks);
@@ -192,7 +192,7 @@ impl Future for Until {
                     });
                     clock.set_alarm();
                 }
-                // No room to wait in: ask again.
+                // No free slot: poll again.
                 None => context.waker().wake_by_ref(),
             }
             Poll::Pending

@@ -1,21 +1,19 @@
 //! The sensor's data-ready line, which ends at the bridge.
 
 use core::cell::RefCell;
-use core::convert::Infallible;
 use core::future::{pending, poll_fn};
 use core::task::{Poll, Waker};
 
 use critical_section::Mutex as CsMutex;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::mutex::Mutex;
-use embedded_hal::digital::ErrorType;
-use embedded_hal_async::digital::Wait;
+use wimu_model::DeviceTimeUs;
 use wimu_node::Timer;
 
 use crate::bridge::Bridge;
 use crate::clock::{BoardTimer, is_lockstep};
 
-/// How often the bridge is asked when time is free-running.
+/// Interval between questions to the bridge when time is free-running, µs.
 const ASK_US: u64 = 500;
 
 static LINE: CsMutex<RefCell<Line>> = CsMutex::new(RefCell::new(Line {
@@ -35,12 +33,12 @@ fn with<R>(f: impl FnOnce(&mut Line) -> R) -> R {
     critical_section::with(|cs| f(&mut LINE.borrow_ref_mut(cs)))
 }
 
-/// Whether somebody waits for it in lockstep.
+/// Whether a task waits for it in lockstep.
 pub fn is_watched() -> bool {
     with(|line| line.watched)
 }
 
-/// What the bridge says of it in lockstep.
+/// Sets its level in lockstep.
 pub fn set(high: bool) {
     with(|line| {
         line.high = high;
@@ -73,7 +71,7 @@ impl DataReady {
             match self.0.lock().await.data_ready().await {
                 Ok(true) => return,
                 Ok(false) => BoardTimer.after_us(ASK_US).await,
-                // Whoever waits gives up in time, and finds out from the bus.
+                // The sensor driver times out and finds the fault on the bus.
                 Err(_) => pending().await,
             }
         }
@@ -83,7 +81,7 @@ impl DataReady {
 struct Watching;
 
 impl Watching {
-    /// What was known of the line may have changed since.
+    /// Forgets the last known level, which may be outdated.
     fn begin() -> Self {
         with(|line| (line.watched, line.high) = (true, false));
         Self
@@ -96,32 +94,9 @@ impl Drop for Watching {
     }
 }
 
-impl ErrorType for DataReady {
-    type Error = Infallible;
-}
-
-impl Wait for DataReady {
-    async fn wait_for_high(&mut self) -> Result<(), Infallible> {
+impl wimu_node::DataReady for DataReady {
+    async fn ready(&mut self) -> Option<DeviceTimeUs> {
         self.high().await;
-        Ok(())
-    }
-
-    /// A level is all that the bridge tells: reading the data ends it.
-    async fn wait_for_rising_edge(&mut self) -> Result<(), Infallible> {
-        self.wait_for_high().await
-    }
-
-    /// Never: the bridge is asked for data, not for their absence.
-    async fn wait_for_low(&mut self) -> Result<(), Infallible> {
-        pending().await
-    }
-
-    /// Never, likewise.
-    async fn wait_for_falling_edge(&mut self) -> Result<(), Infallible> {
-        pending().await
-    }
-
-    async fn wait_for_any_edge(&mut self) -> Result<(), Infallible> {
-        self.wait_for_high().await
+        None
     }
 }

@@ -1,4 +1,4 @@
-//! The machine's interrupts that are used.
+//! The machine's interrupts.
 
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
@@ -6,7 +6,7 @@ use cortex_m::peripheral::NVIC;
 use crate::clock;
 use crate::uart::{CABLE, SENSOR_BUS, WIRELESS};
 
-/// Their numbers.
+/// Interrupt numbers.
 #[derive(Clone, Copy)]
 enum Interrupt {
     WirelessReceive = 0,
@@ -26,7 +26,7 @@ unsafe impl InterruptNumber for Interrupt {
     }
 }
 
-/// Lets them in.
+/// Enables the interrupts.
 ///
 /// # Safety
 /// No critical section may be under way.

@@ -1,4 +1,4 @@
-//! `defmt` on the log UART, and what happens when the program cannot go on.
+//! `defmt` on the log UART, and the handlers of panics and faults.
 
 use core::cell::UnsafeCell;
 use core::panic::PanicInfo;
@@ -11,9 +11,9 @@ use crate::uart::LOG;
 
 /// Exit codes of the board.
 pub mod exit_code {
-    /// The command line is not understood.
+    /// Invalid command line.
     pub const USAGE: u8 = 2;
-    /// The power loss that the command line asks for.
+    /// Simulated power loss.
     pub const POWER_LOSS: u8 = 3;
     /// A panic.
     pub const PANIC: u8 = 101;

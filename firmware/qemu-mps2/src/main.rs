@@ -1,10 +1,10 @@
-//! wimu on QEMU's mps2-an386: pins, clocks, interrupts and a main. Everything else is `wimu-node`.
+//! wimu on QEMU's mps2-an386: pins, clocks, interrupts and `main`. Everything else is in `wimu-node`.
 //!
 //! UART0 is the wireless link, UART1 the cable, UART2 leads to the sensor, UART3 carries `defmt`
-//! logs. Parameters live in the memory at 0x2100_0000, which QEMU keeps in a file. Words on the
-//! command line: `free-running`, time is that of the machine's timers, or `lockstep`, it is what
-//! the host says that plays the sensor; `power-loss=WORDS` ends the machine when as many words of
-//! flash have been written; `slow-flash=CYCLES` makes each of them take longer.
+//! logs. The flash is the memory at 0x2100_0000, which QEMU keeps in a file. Command line: `free-running`, time
+//! from the machine's timers, or `lockstep`, time from the host that simulates the sensor;
+//! `power-loss=WORDS` ends the machine after as many written words of flash; `slow-flash=CYCLES` delays each
+//! written word.
 
 #![no_std]
 #![no_main]
@@ -15,7 +15,7 @@ mod data_ready;
 mod interrupts;
 mod lockstep;
 mod log;
-// As on the boards to buy, of which only one is emulated.
+// As on the real boards.
 #[path = "../../shared/memory.rs"]
 mod memory;
 mod register;
@@ -102,7 +102,7 @@ fn main() -> ! {
         timer: BoardTimer,
         // SAFETY: nothing else uses the memory there.
         store: FlashStore::new(unsafe { Flash::new() }, store::LAYOUT, 0),
-        // The machine has no source of randomness: the count of its starts must do.
+        // The machine has no entropy source.
         entropy: [0; 16],
         cable: CABLE.start(),
         wireless: WIRELESS.start(),
@@ -112,7 +112,7 @@ fn main() -> ! {
 
     let executor: &'static Executor = EXECUTOR.init(Executor::new(core::ptr::null_mut()));
     let spawner = executor.spawner();
-    // Each is spawned once: there is room.
+    // No task is spawned more often than its pool allows.
     spawner.spawn(sample(&mut node.sampler).unwrap());
     spawner.spawn(control(&mut node.control).unwrap());
     spawner.spawn(listen(&mut node.cable_reader).unwrap());
@@ -126,9 +126,9 @@ fn main() -> ! {
     let mut in_lockstep = Lockstep::new();
     loop {
         WOKEN.store(false, Ordering::Relaxed);
-        // SAFETY: it is called here only.
+        // SAFETY: only called here.
         unsafe { executor.poll() };
-        // With interrupts off none slips in between looking and sleeping; one still wakes.
+        // Interrupts are disabled between the check and `wfi`; a pending one still ends `wfi`.
         let idle = cortex_m::interrupt::free(|_| {
             let idle = !WOKEN.load(Ordering::Relaxed);
             if idle && !lockstep {
@@ -142,7 +142,7 @@ fn main() -> ! {
     }
 }
 
-/// Does as the command line says; returns whether to run in lockstep.
+/// Applies the options of the command line; returns whether to run in lockstep.
 fn options(line: &str) -> bool {
     let mut lockstep = false;
     // The first is the program.
@@ -165,7 +165,7 @@ fn options(line: &str) -> bool {
 }
 
 fn unknown(option: &str) -> ! {
-    defmt::error!("`{}` is no option", option);
+    defmt::error!("`{}` is not an option", option);
     semihosting::exit(log::exit_code::USAGE)
 }
 

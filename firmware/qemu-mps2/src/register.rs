@@ -8,20 +8,20 @@ impl Register {
     /// The register at `address`.
     ///
     /// # Safety
-    /// There must be one, and reading and writing it must not break anybody's memory.
+    /// There must be one, and accesses to it must not affect memory.
     pub const unsafe fn at(address: usize) -> Self {
         Self(address as *mut u32)
     }
 
-    /// Its content; reading may have effects.
+    /// Reads the register, which may have side effects.
     pub fn read(self) -> u32 {
-        // SAFETY: whoever made it said that there is a register.
+        // SAFETY: guaranteed by the caller of `at`.
         unsafe { self.0.read_volatile() }
     }
 
-    /// Writes it.
+    /// Writes the register.
     pub fn write(self, value: u32) {
-        // SAFETY: whoever made it said that there is a register.
+        // SAFETY: guaranteed by the caller of `at`.
         unsafe { self.0.write_volatile(value) }
     }
 }

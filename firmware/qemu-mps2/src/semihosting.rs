@@ -1,4 +1,4 @@
-//! What the machine's host gives us: a command line, and an exit code.
+//! Semihosting: command line and exit code.
 
 use core::arch::asm;
 use core::sync::atomic::{Ordering, compiler_fence};
@@ -7,7 +7,7 @@ const GET_CMDLINE: usize = 0x15;
 const EXIT_EXTENDED: usize = 0x20;
 const APPLICATION_EXIT: usize = 0x2_0026;
 
-/// How the board was told to start, QEMU's `arg=…` joined with spaces; at most `buffer`.
+/// The command line: QEMU's `arg=…` joined with spaces, up to the length of `buffer`.
 pub fn command_line(buffer: &mut [u8]) -> &str {
     let mut block = [buffer.as_mut_ptr() as usize, buffer.len()];
     // SAFETY: the block names memory that is ours for the time of the call.

@@ -1,4 +1,4 @@
-//! The memory that QEMU keeps in a file, as if it were flash.
+//! Simulated flash in the memory that QEMU keeps in a file.
 
 use core::ops::Range;
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -13,19 +13,19 @@ use crate::semihosting;
 
 /// The machine's PSRAM.
 const BASE: usize = 0x2100_0000;
-/// As on an nRF52.
+/// Page (erase) size, bytes, as on an nRF52.
 const PAGE: usize = 4096;
+/// Write granularity, bytes.
 const WORD: usize = 4;
 const RANGE: Range<u32> = 0..4 * PAGE as u32;
 
 /// Words that can be written or erased before power is lost.
 static WORDS_LEFT: AtomicU32 = AtomicU32::new(u32::MAX);
 
-/// Cycles that a word takes to be written or erased on top, as the processor counts them at most.
+/// Extra processor cycles to write or erase a word.
 static SLOWNESS: AtomicU32 = AtomicU32::new(0);
 
-/// Makes writing and erasing as slow as a flash's, or slower, so that a test can kill the machine while
-/// it is at it.
+/// Delays writing and erasing, so that a test can kill the machine meanwhile.
 pub fn slow_down(cycles: u32) {
     SLOWNESS.store(cycles, Ordering::Relaxed);
 }
@@ -36,14 +36,13 @@ pub fn lose_power_after(words: u32) {
     WORDS_LEFT.store(words, Ordering::Relaxed);
 }
 
-/// Flash made of ordinary memory: an erase sets all bits of a page, a write only clears them.
+/// Flash in ordinary memory: an erase sets all bits of a page, a write only clears bits.
 ///
-/// The memory holds the complement of what the flash does, so that a fresh file of zeros is
-/// erased flash.
+/// The memory holds the complement, so that a new file of zeros is erased flash.
 pub struct Flash(());
 
 impl Flash {
-    /// The only one.
+    /// The flash; only one may exist.
     ///
     /// # Safety
     /// Nothing else may use the first pages of the PSRAM.
@@ -143,5 +142,5 @@ impl NorFlash for Flash {
     }
 }
 
-/// The pages that the node's records are in.
+/// The pages of the store.
 pub const LAYOUT: FlashLayout<Flash> = FlashLayout::new(RANGE);

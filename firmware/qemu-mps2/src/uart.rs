@@ -7,6 +7,7 @@ use core::task::{Poll, Waker};
 
 use critical_section::Mutex;
 use embedded_io_async::{ErrorType, Read, Write};
+use heapless::Deque;
 
 use crate::clock;
 use crate::register::Register;
@@ -28,8 +29,8 @@ const INTERRUPT_RX: u32 = 1 << 1;
 
 /// 115,200 baud from 25 MHz; QEMU itself knows no baud rate.
 const DIVIDER: u32 = 217;
-/// Bytes of each ring.
-const RING: usize = 1024;
+/// Capacity of each queue, bytes.
+const QUEUE: usize = 1024;
 
 /// The wireless link.
 pub static WIRELESS: Uart = Uart::new(0x4000_4000);
@@ -47,13 +48,14 @@ pub struct Uart {
 }
 
 struct State {
-    received: Ring,
-    sending: Ring,
+    received: Deque<u8, QUEUE>,
+    sending: Deque<u8, QUEUE>,
+    traffic: Traffic,
     reader: Option<Waker>,
     writer: Option<Waker>,
 }
 
-/// Bytes that ever came in and went out on a line, modulo 2¹⁶.
+/// Bytes received and sent on a line since the start, modulo 2¹⁶.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Traffic {
     /// Received, whether read yet or not.
@@ -67,8 +69,12 @@ impl Uart {
         Self {
             base,
             state: Mutex::new(RefCell::new(State {
-                received: Ring::new(),
-                sending: Ring::new(),
+                received: Deque::new(),
+                sending: Deque::new(),
+                traffic: Traffic {
+                    received: 0,
+                    sent: 0,
+                },
                 reader: None,
                 writer: None,
             })),
@@ -106,14 +112,14 @@ impl Uart {
         }
     }
 
-    /// Waits until `buffer` is full, without letting any task go on; calls `look` at every
-    /// interrupt meanwhile.
-    pub fn read_now(&self, buffer: &mut [u8], mut look: impl FnMut()) {
+    /// Blocks until `buffer` is full: no other task runs. Calls `poll` first and after each interrupt.
+    pub fn read_now(&self, buffer: &mut [u8], mut poll: impl FnMut()) {
         let mut count = 0;
         loop {
-            // With interrupts off none slips in between looking and sleeping; one still wakes.
+            // Interrupts are disabled so that none is handled between the check and `wfi`; a pending one
+            // still wakes the processor.
             let full = cortex_m::interrupt::free(|_| {
-                look();
+                poll();
                 count += self.take(&mut buffer[count..]);
                 let full = count == buffer.len();
                 if !full {
@@ -133,11 +139,11 @@ impl Uart {
             self.register(INTERRUPT).write(INTERRUPT_RX);
             while self.register(STATE).read() & STATE_RX_FULL != 0 {
                 if state.received.is_full() {
-                    // The byte stays in the UART until somebody has read: the other end waits.
+                    // The byte stays in the UART until there is room: the sender waits.
                     self.listen(false);
                     break;
                 }
-                state.received.push(self.register(DATA).read() as u8);
+                self.receive(state);
             }
             state.reader.take()
         });
@@ -154,12 +160,15 @@ impl Uart {
         waker.into_iter().for_each(Waker::wake);
     }
 
-    /// Bytes that ever came and went.
+    /// Bytes received and sent since the start.
     pub fn traffic(&self) -> Traffic {
-        self.with(|state| Traffic {
-            received: state.received.ever,
-            sent: state.sending.ever,
-        })
+        self.with(|state| state.traffic)
+    }
+
+    /// Moves a byte from the UART to the queue, which has room.
+    fn receive(&self, state: &mut State) {
+        let _ = state.received.push_back(self.register(DATA).read() as u8);
+        state.traffic.received = state.traffic.received.wrapping_add(1);
     }
 
     fn drained(&self, state: &State) -> bool {
@@ -168,7 +177,7 @@ impl Uart {
 
     fn send(&self, state: &mut State) {
         while self.register(STATE).read() & STATE_TX_FULL == 0 {
-            match state.sending.pop() {
+            match state.sending.pop_front() {
                 Some(byte) => self.register(DATA).write(byte.into()),
                 None => break,
             }
@@ -184,26 +193,24 @@ impl Uart {
         });
     }
 
-    /// Takes what has been received, without waiting; returns how many bytes.
+    /// Moves received bytes to `buffer` without waiting; returns their number.
     fn take(&self, buffer: &mut [u8]) -> usize {
         self.with(|state| self.take_from(state, buffer))
     }
 
-    /// Hands over as much as there is room for, without waiting; returns how many bytes. In lockstep
-    /// everything goes out at once, however long the other end takes: tasks then never go on in
-    /// another order because it was slow.
+    /// Queues as many bytes as there is room for, without waiting; returns their number. In lockstep it waits
+    /// until all bytes are sent, so that the receiver's speed does not change the order of tasks.
     fn put(&self, bytes: &[u8]) -> usize {
         if clock::is_lockstep() {
             self.write_now(bytes);
             let count = bytes.len() as u16;
-            self.with(|state| state.sending.ever = state.sending.ever.wrapping_add(count));
+            self.with(|state| state.traffic.sent = state.traffic.sent.wrapping_add(count));
             return bytes.len();
         }
         self.with(|state| {
-            let count = bytes.len().min(RING - state.sending.length);
-            bytes[..count]
-                .iter()
-                .for_each(|&byte| state.sending.push(byte));
+            let count = bytes.len().min(QUEUE - state.sending.len());
+            state.sending.extend(&bytes[..count]);
+            state.traffic.sent = state.traffic.sent.wrapping_add(count as u16);
             self.send(state);
             count
         })
@@ -212,7 +219,7 @@ impl Uart {
     fn take_from(&self, state: &mut State, buffer: &mut [u8]) -> usize {
         let mut count = 0;
         for place in buffer {
-            let Some(byte) = state.received.pop() else {
+            let Some(byte) = state.received.pop_front() else {
                 break;
             };
             *place = byte;
@@ -220,9 +227,9 @@ impl Uart {
         }
         if count > 0 && self.register(CTRL).read() & CTRL_RX_INTERRUPT == 0 {
             self.listen(true);
-            // What waited in the UART raises no interrupt by itself.
+            // A byte that waited in the UART raises no interrupt.
             if self.register(STATE).read() & STATE_RX_FULL != 0 {
-                state.received.push(self.register(DATA).read() as u8);
+                self.receive(state);
             }
         }
         count
@@ -290,49 +297,5 @@ impl Write for Writer {
     async fn flush(&mut self) -> Result<(), Infallible> {
         self.when(Uart::drained).await;
         Ok(())
-    }
-}
-
-struct Ring {
-    bytes: [u8; RING],
-    start: usize,
-    length: usize,
-    /// Bytes ever pushed.
-    ever: u16,
-}
-
-impl Ring {
-    const fn new() -> Self {
-        Self {
-            bytes: [0; RING],
-            start: 0,
-            length: 0,
-            ever: 0,
-        }
-    }
-
-    fn is_empty(&self) -> bool {
-        self.length == 0
-    }
-
-    fn is_full(&self) -> bool {
-        self.length == RING
-    }
-
-    /// Appends a byte; there must be room.
-    fn push(&mut self, byte: u8) {
-        self.bytes[(self.start + self.length) % RING] = byte;
-        self.length += 1;
-        self.ever = self.ever.wrapping_add(1);
-    }
-
-    fn pop(&mut self) -> Option<u8> {
-        if self.is_empty() {
-            return None;
-        }
-        let byte = self.bytes[self.start];
-        self.start = (self.start + 1) % RING;
-        self.length -= 1;
-        Some(byte)
     }
 }

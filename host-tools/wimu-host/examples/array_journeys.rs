@@ -8,6 +8,10 @@ mod common;
 
 use array_journeys::{Case, Kind, Places};
 use wimu_host::inertial::Zupt;
+use wimu_testkit::figure;
+
+/// Target of NEES below 7.81, %.
+const CONSISTENT: std::ops::RangeInclusive<f64> = 90.0..=98.0;
 
 fn main() {
     let argument = |k: usize| std::env::args().nth(k);
@@ -252,13 +256,52 @@ fn main() {
             .collect(),
         ),
     ];
+    let mut refused = 0;
     for (name, cases) in groups {
         if only.as_deref().is_some_and(|only| only != name) {
             continue;
         }
         println!("# {name}");
+        let mut below = [Vec::new(), Vec::new()];
         for case in cases {
-            println!("{}", case.over(seeds));
+            let found = case.over(seeds);
+            println!("{found}");
+            // Bodies that do not rotate have no rate that is scored.
+            if found.outcomes.iter().any(|o| !o.position.is_empty()) {
+                below[0].push(found.position());
+            }
+            if found.outcomes.iter().any(|o| !o.rate.is_empty()) {
+                below[1].push(found.rate());
+            }
+            refused += found.refused;
         }
+        let range = |all: &Vec<f64>| {
+            let least = all.iter().copied().fold(f64::INFINITY, f64::min);
+            let most = all.iter().copied().fold(0.0, f64::max);
+            format!("{least:.0}–{most:.0} %")
+        };
+        let met = below
+            .iter()
+            .flatten()
+            .all(|below| CONSISTENT.contains(below));
+        let claim = format!("arrays, {}: NEES < 7.81, position / rate", about(name));
+        let measured = below.each_ref().map(range).join(" / ");
+        figure(&claim, measured, "90–98 %", met);
+    }
+    let claim = "arrays: journeys that are refused";
+    figure(claim, refused, "none", refused == 0);
+}
+
+/// What the cases of a group have in common.
+fn about(group: &str) -> &str {
+    match group {
+        "errors" => "uncalibrated sensors",
+        "one-move" => "one move, uncalibrated",
+        "cube" => "six axes on a cube",
+        "quiet" => "slow rotations",
+        "rates" => "25 to 400 Hz",
+        "zupt-off" => "ZUPT off",
+        "even" => "constant velocity",
+        other => other,
     }
 }

@@ -296,6 +296,8 @@ fn decode(packet: &[u8; PACKET]) -> Packet {
 
 #[cfg(test)]
 mod tests {
+    use wimu_testkit::Random;
+
     use super::*;
 
     fn packet(number: u16, ticks: u32) -> Vec<u8> {
@@ -429,13 +431,8 @@ mod tests {
     #[test]
     fn flipped_bytes_cost_the_packets_that_they_are_in_and_are_counted() {
         let bytes = whole();
-        let mut random = 1_u64;
-        let mut draw = |below: usize| {
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            (random >> 33) as usize % below
-        };
+        let mut random = Random::new(1);
+        let mut draw = |below: usize| random.below(below);
         for _ in 0..200 {
             let mut damaged = bytes.clone();
             let hits: Vec<usize> = (0..1 + draw(5))

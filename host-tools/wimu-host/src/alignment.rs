@@ -1,4 +1,4 @@
-//! From rests and a straight move to the rotation from the sensor's axes to the body's.
+//! Alignment: the rotation from the sensor's axes to the body's, from rests and a straight move.
 
 use std::fmt;
 
@@ -11,15 +11,15 @@ use crate::calibration::{HELD_SCHEMA, describe};
 use crate::dataset::{Dataset, Output};
 use crate::error::{ErrorCode, HostError, Result};
 
-/// More rests than anyone names.
+/// Largest number of rests that are listed.
 const MAX_RESTS: usize = 64;
-/// An eighth of a second this far from rest is a push, m/s².
-const LEAST_PUSH_MPS2: f64 = 0.15;
-/// Eighths of a second that a push may begin and end below that.
+/// Smallest mean acceleration of an eighth of a second that counts as a move, m/s². Chosen.
+const LEAST_MOVE_MPS2: f64 = 0.15;
+/// Eighths of a second by which a move may begin before and end after that threshold.
 const GENTLE_BLOCKS: usize = 2;
-/// Eighths of a second that it stands at least before and after.
+/// Eighths of a second of rest before and after a move, at least.
 const STAND_BLOCKS: usize = 8;
-/// Rests closer than 3° of gravity, m/s², are at one attitude.
+/// Largest difference of gravity between rests of one attitude, m/s²: 3°.
 const SAME_ATTITUDE_MPS2: f64 = 0.5;
 
 /// A body axis that points up at a rest: `z`, `-x`, ….
@@ -38,9 +38,8 @@ impl std::str::FromStr for BodyAxis {
             .iter()
             .position(|name| name.eq_ignore_ascii_case(axis))
             .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::Usage,
-                    format!("`{text}` is no axis of the body"),
+                ErrorCode::Usage.error(
+                    format!("`{text}` is not an axis of the body"),
                     "name the body axis that points up at each rest: x, -x, y, -y, z or -z",
                 )
             })?;
@@ -55,15 +54,15 @@ impl std::str::FromStr for BodyAxis {
 pub struct AlignOptions {
     /// The body axis that points up at each rest, in order.
     pub up: Vec<BodyAxis>,
-    /// Which rests these are, from 0, in order; where it is not said, there must be no others.
+    /// Indices of these rests, from 0, in order; `None` if there are no others.
     pub rests: Option<Vec<usize>>,
-    /// After the first of them it was moved straight along the body's x.
+    /// Whether the body was moved straight along its x axis after the first of them.
     pub forward: bool,
-    /// How well the body was placed and pushed, rad, 1 σ.
+    /// Accuracy of the placement and of the direction of the move, rad, 1 σ.
     pub placement_sd_rad: f64,
 }
 
-/// What `wimu align` says, and a file that `wimu params push` reads.
+/// The report of `wimu align`, and a file that `wimu params push` reads.
 #[derive(Clone, Debug, Serialize)]
 pub struct AlignmentReport {
     /// [`HELD_SCHEMA`].
@@ -84,7 +83,7 @@ pub struct AlignmentReport {
     pub alignment_wxyz: Option<[f64; 4]>,
     /// Standard deviation of its error about the body's axes, degrees.
     pub sd_deg: Option<[f64; 3]>,
-    /// Largest angle by which a direction misses, degrees.
+    /// Largest angle between a measured and a stated direction, degrees.
     pub residual_deg: Option<f64>,
     /// The set with the alignment.
     pub parameters: Option<ParameterSet>,
@@ -104,16 +103,16 @@ pub struct FoundRest {
 }
 
 impl AlignmentReport {
-    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
     pub fn exit_code(&self) -> u8 {
         if self.parameters.is_some() { 0 } else { 3 }
     }
 }
 
-/// Aligns a sensor that is corrected by `set` with its body; the alignment takes the place of the
-/// one in `set`.
+/// Aligns a sensor that is corrected by `set` with its body; the result replaces the
+/// alignment in `set`.
 ///
-/// Data that do not support an answer give a report that says so.
+/// Data that do not support an answer give a report with status `refused`.
 pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
     let forces = data.corrected(set);
     let rests = data.rests(&forces);
@@ -163,7 +162,7 @@ pub fn alignment(data: &Dataset, set: &ParameterSet, options: &AlignOptions) -> 
     report
 }
 
-/// What is known of the body at the rests and between them.
+/// The known directions at the rests and between them.
 fn directions(
     data: &Dataset,
     forces: &[[f64; 3]],
@@ -177,31 +176,31 @@ fn directions(
             rests.len()
         ));
     }
-    // The rest after the push is the one before it once more.
-    let pushed = options.forward && rests.len() > needed && again(rests, 0).is_some();
+    // The rest after the move is the one before it, repeated.
+    let moved = options.forward && rests.len() > needed && again(rests, 0).is_some();
     let chosen: Vec<usize> = match &options.rests {
         Some(chosen) => chosen.clone(),
-        None if rests.len() > needed + usize::from(pushed) => {
+        None if rests.len() > needed + usize::from(moved) => {
             return Err(format!(
-                "{} rests found, --up names {needed}: name all in order{}, or choose those it names \
-                 with --rests, counted from 0",
+                "{} rests found, --up names {needed}: name all in order{}, or select those \
+                     with --rests, counted from 0",
                 rests.len(),
                 if options.forward {
-                    " (but the one after the push, which stands within 3° of the one before it)"
+                    " (except the one after the move, within 3° of the one before it)"
                 } else {
                     ""
                 }
             ));
         }
-        None => (0..needed + usize::from(pushed))
-            .filter(|rest| !(pushed && *rest == 1))
+        None => (0..needed + usize::from(moved))
+            .filter(|rest| !(moved && *rest == 1))
             .collect(),
     };
     let mut known = Vec::new();
     for (up, chosen) in options.up.iter().zip(&chosen) {
         let rest = rests.get(*chosen).ok_or_else(|| {
             let last = rests.len() - 1;
-            format!("there is no rest {chosen}: they are 0 to {last}")
+            format!("there is no rest {chosen}: the rests are 0 to {last}")
         })?;
         known.push(KnownDirection {
             sensor: rest.mean_mps2,
@@ -211,7 +210,7 @@ fn directions(
     }
     if options.forward {
         let first = chosen.first().copied().unwrap_or(0);
-        let (sensor, sd) = push(data, forces, rests, first)?;
+        let (sensor, sd) = forward(data, forces, rests, first)?;
         known.push(KnownDirection {
             sensor,
             body: [1.0, 0.0, 0.0],
@@ -221,26 +220,26 @@ fn directions(
     Ok(known)
 }
 
-/// Whether `rests` go on after `first` with one at its attitude: the rest after a brisk push.
+/// The rest after `first`, if it has the same attitude: that after a move with a large acceleration.
 fn again(rests: &[Pose], first: usize) -> Option<&Pose> {
     let (rest, next) = (rests.get(first)?, rests.get(first + 1)?);
-    let apart = |k: usize| next.mean_mps2[k] - rest.mean_mps2[k];
-    let squares: f64 = (0..3).map(|k| apart(k).powi(2)).sum();
+    let difference = |k: usize| next.mean_mps2[k] - rest.mean_mps2[k];
+    let squares: f64 = (0..3).map(|k| difference(k).powi(2)).sum();
     (squares.sqrt() < SAME_ATTITUDE_MPS2).then_some(next)
 }
 
-/// The direction of the push after rest `first`, in sensor axes, and its standard deviation, rad.
+/// The direction of the move after rest `first`, in sensor axes, and its standard deviation, rad.
 ///
-/// A push leaves the attitude as it was. To the finder, the rests before and after are one, the
-/// longer of them, after a gentle push, and two after a brisk one.
-fn push(
+/// A straight move does not change the attitude. The stationarity detector finds the rests before and after it as one
+/// after a move with a small acceleration, and as two otherwise.
+fn forward(
     data: &Dataset,
     forces: &[[f64; 3]],
     rests: &[Pose],
     first: usize,
 ) -> Result<([f64; 3], f64), String> {
     let Some(rest) = rests.get(first) else {
-        return Err("no rest was found before the push: hold it still for two seconds".to_owned());
+        return Err("no rest was found before the move: hold it still for two seconds".to_owned());
     };
     let next = again(rests, first);
     let block = ((data.rate_hz as usize) / 8).max(1);
@@ -257,14 +256,14 @@ fn push(
             let mean = mean(block);
             [Some(rest), next].into_iter().flatten().any(|rest| {
                 let off: f64 = (0..3).map(|k| (mean[k] - rest.mean_mps2[k]).powi(2)).sum();
-                off.sqrt() <= LEAST_PUSH_MPS2
+                off.sqrt() <= LEAST_MOVE_MPS2
             })
         })
         .collect();
     if still.iter().all(|still| *still) {
-        return Err("there is no push in it: push the body straight ahead, briskly".to_owned());
+        return Err("no move was found: push the body straight ahead, briskly".to_owned());
     }
-    // The gentle ends of a push are part of it.
+    // The ends below the threshold belong to the move.
     let mut stands = Vec::new();
     let mut at = 0;
     for run in still.chunk_by(|a, b| a == b) {
@@ -277,7 +276,7 @@ fn push(
             stands.push((from * block, to * block, run.len()));
         }
     }
-    // In the middle of a slow push it may look still for a while, not for two seconds.
+    // A slow move may look still for less than two seconds.
     let mut following = stands.iter().skip(1);
     let after = following
         .clone()
@@ -285,8 +284,7 @@ fn push(
         .or(following.next_back());
     let (Some((_, from, before)), Some((to, _, blocks))) = (stands.first(), after) else {
         return Err(
-            "it did not stand still for two seconds before and after the push, at one attitude: \
-             record it again"
+            "no rest of two seconds before and after the move, at one attitude: record it again"
                 .to_owned(),
         );
     };
@@ -296,7 +294,7 @@ fn push(
     let missing = |output: &Output| output.after_gap;
     let outputs = data.outputs.get(start + before + 1..start + after);
     if outputs.is_some_and(|outputs| outputs.iter().any(missing)) {
-        return Err("samples are missing about the push: record it again".to_owned());
+        return Err("samples are missing during the move: record it again".to_owned());
     }
     straight_move(
         mean(&part[before..*from]),

@@ -1,4 +1,4 @@
-//! Noise of a recording at rest: the Allan deviation and what it says.
+//! Noise of a recording at rest from the Allan deviation.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use crate::calibration::mps2_per_unit;
 use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, RateSource};
 use crate::decode::Event;
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::html::Report;
 
 /// A number and its standard deviation, 1 σ.
@@ -21,7 +21,7 @@ pub struct Figure {
     pub value: f64,
     /// Its standard deviation.
     pub sd: f64,
-    /// What holds the truth 95 % of the time.
+    /// 95 % confidence interval.
     pub interval_95: [f64; 2],
 }
 
@@ -42,34 +42,34 @@ pub struct AxisReport {
     pub noise_density_m_s2_rthz: Figure,
     /// Velocity random walk, the noise density / √2, m/s/√s.
     pub velocity_random_walk_m_s_rts: Figure,
-    /// Bias instability, m/s²; `None` where the recording is too short to see it.
+    /// Bias instability, m/s²; `None` where the recording is too short to observe it.
     pub bias_instability_m_s2: Option<Figure>,
-    /// Acceleration random walk, m/s²/√s, where it is seen.
+    /// Acceleration random walk, m/s²/√s, where it is observed.
     pub acceleration_random_walk_m_s2_rts: Option<Figure>,
-    /// Steady drift, m/s² per s, where it is seen.
+    /// Linear drift, m/s² per s, where it is observed.
     pub ramp_m_s3: Option<Figure>,
-    /// Whether bias instability and random walk are not told because what long times show is one event, no noise.
+    /// Whether bias instability and random walk are left out because a single event, not noise, dominates long times.
     pub is_one_event: bool,
-    /// Quantisation, m/s, where it is seen.
+    /// Quantisation noise, m/s, where it is observed.
     pub quantisation_m_s: Option<Figure>,
-    /// Least deviation, m/s².
+    /// Smallest Allan deviation, m/s².
     pub floor_m_s2: f64,
-    /// The averaging time that it is at, s.
+    /// Averaging time of the smallest deviation, s.
     pub floor_tau_s: f64,
-    /// χ² per degree of freedom that the terms leave of the curve; 1 for noise.
+    /// χ² per degree of freedom of the curve's residuals under the noise terms; 1 for noise.
     pub misfit: f64,
-    /// False where something else is in it: hum, vibration.
+    /// False where hum or vibration is present.
     pub is_noise: bool,
-    /// Averaging time from which on a filtered output is white, and that all terms are from, s; `None` where it
-    /// is not filtered.
+    /// Averaging time from which a filtered output is white, s; the terms are estimated from there. `None` where it is not
+    /// filtered.
     pub white_from_s: Option<f64>,
     /// Standard deviation from one sample to the next, m/s².
     pub sample_sd_m_s2: f64,
-    /// Smallest step of the output, m/s²: one count, where it is in counts.
+    /// Smallest step of the output, m/s²: one count for counts.
     pub step_m_s2: f64,
-    /// Whether that step is larger than the noise: then the figures are those of rounding.
+    /// Whether that step is larger than the noise: then the figures are those of the quantisation.
     pub is_coarse: bool,
-    /// Samples at the highest or lowest output that no noise puts there: the output is clipped.
+    /// Samples at the highest or lowest output in excess of the noise: the output is clipped.
     pub clipped_samples: u64,
 }
 
@@ -103,7 +103,7 @@ pub struct PointReport {
     pub tau_s: f64,
     /// Allan deviation of X, Y, Z, m/s².
     pub deviation_m_s2: [f64; 3],
-    /// Standard deviation of each, as a share of it.
+    /// Standard deviation of each, relative.
     pub relative_sd: f64,
 }
 
@@ -126,7 +126,7 @@ pub struct NoiseReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
-    /// What the numbers do not show.
+    /// What a user should know beside the numbers.
     pub remarks: Vec<String>,
     /// The data.
     pub source: String,
@@ -134,7 +134,7 @@ pub struct NoiseReport {
     pub samples: u64,
     /// Sample rate, Hz.
     pub rate_hz: f64,
-    /// Where the rate comes from.
+    /// Source of the rate.
     pub rate_source: RateSource,
     /// X, Y, Z.
     pub axes: Option<[AxisReport; 3]>,
@@ -142,10 +142,10 @@ pub struct NoiseReport {
     pub points: Vec<PointReport>,
 }
 
-/// The noise of a dataset at rest. `sensitivity` is for counts; where neither it nor the board's is
-/// known, the median output stands for 1 g.
+/// The noise of a dataset at rest. `sensitivity` is for counts; without it and a sensitivity of the board, the median
+/// magnitude is taken as 1 g.
 ///
-/// Data that do not support an answer give a report that says so.
+/// Data that do not support an answer give a report with status `refused`.
 pub fn noise(data: &Dataset, sensitivity: Option<Sensitivity>) -> NoiseReport {
     let scale = mps2_per_unit(data, sensitivity, STANDARD_GRAVITY_MPS2);
     let mut allan = Box::new(AllanVariance::new(data.rate_hz));
@@ -164,16 +164,16 @@ pub fn noise(data: &Dataset, sensitivity: Option<Sensitivity>) -> NoiseReport {
 pub struct NoiseMeter {
     name: String,
     given: Option<Sensitivity>,
-    /// Whether the board knows its own sensitivity.
+    /// Whether the board reports its sensitivity.
     known: bool,
-    /// Rate, m/s² per LSB, range, once an epoch has told them.
+    /// Rate, m/s² per LSB and range, from the first epoch on.
     running: Option<(f64, f64, u8)>,
     allan: Box<AllanVariance>,
     next_sequence: Option<u32>,
 }
 
 impl NoiseMeter {
-    /// Of a board that errors call `name`; `known` is whether it knows its sensitivity, which counts
+    /// For a board with this name in errors; `known` is whether it reports its sensitivity, which is used
     /// where none is given.
     pub fn new(name: &str, given: Option<Sensitivity>, known: bool) -> Self {
         Self {
@@ -186,23 +186,23 @@ impl NoiseMeter {
         }
     }
 
-    /// Takes what the link has brought.
+    /// Takes an event of the link.
     ///
     /// # Errors
-    /// `data_refused` when nothing says the sensitivity, or rate or range change.
+    /// `data_refused` when the sensitivity is unknown, or rate or range change.
     pub fn take(&mut self, event: &Event) -> Result<()> {
         match event {
             Event::Restart { .. } => self.next_sequence = None,
             Event::Epoch { epoch, .. } => {
                 let refused = |message: &str, remedy: &str| {
-                    HostError::new(ErrorCode::DataRefused, message, remedy).at(&self.name)
+                    ErrorCode::DataRefused.error(message, remedy).at(&self.name)
                 };
                 if let Some((rate_hz, _, range_g)) = self.running {
                     let rate = 1e9 / f64::from(epoch.period_ns.max(1));
                     if range_g != epoch.range_g || (rate / rate_hz - 1.0).abs() > 0.2 {
                         return Err(refused(
-                            "range or rate were changed meanwhile",
-                            "leave the board's settings as they are while its noise is measured",
+                            "range or rate changed during the measurement",
+                            "leave the board's settings unchanged while its noise is measured",
                         ));
                     }
                     return Ok(());
@@ -211,7 +211,7 @@ impl NoiseMeter {
                 let sensitivity = self.given.or(own.filter(|_| self.known));
                 let scale = sensitivity.ok_or_else(|| {
                     refused(
-                        "the board does not know its sensor's sensitivity",
+                        "the board does not know the sensitivity of its sensor",
                         "give it: --sensitivity LSB_PER_G",
                     )
                 })?;
@@ -241,7 +241,7 @@ impl NoiseMeter {
         self.running.map_or(1.0, |(rate_hz, ..)| rate_hz)
     }
 
-    /// How far it is, in a line.
+    /// Progress as a line of text.
     pub fn progress(&self) -> String {
         let samples = self.allan.samples();
         let so_far = format!(
@@ -261,18 +261,18 @@ impl NoiseMeter {
         }
     }
 
-    /// What was found.
+    /// The result so far.
     ///
     /// # Errors
     /// `no_rows` when the link carried no raw samples.
     pub fn report(&self) -> Result<NoiseReport> {
         if self.allan.samples() == 0 {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "no raw samples came over the link",
-                "switch the raw stream on with `wimu settings set`, or use the other link",
-            )
-            .at(&self.name));
+            return Err(ErrorCode::NoRows
+                .error(
+                    "no raw samples came over the link",
+                    "switch the raw stream on with `wimu settings set`, or use the other link",
+                )
+                .at(&self.name));
         }
         let source = RateSource::Device;
         Ok(NoiseReport::new(
@@ -284,46 +284,45 @@ impl NoiseMeter {
     }
 }
 
-/// What the numbers do not show.
+/// What a user should know beside the numbers.
 fn remarks(rate_hz: f64, source: RateSource, axes: Option<&[AxisReport; 3]>) -> Vec<String> {
     let mut remarks = Vec::new();
     if source == RateSource::Assumed {
         remarks.push(format!(
-            "the data have no times: {rate_hz} Hz assumed; every figure goes with its root"
+                "the data have no times: {rate_hz} Hz assumed; the noise densities scale with its square root"
         ));
     }
     for (name, axis) in ["X", "Y", "Z"].into_iter().zip(axes.into_iter().flatten()) {
         if axis.is_coarse {
             remarks.push(format!(
-                "{name}: one step of the output is {:.2} mm/s², {:.1} times its noise: this is the \
-                 noise of rounding, not the sensor's; choose a smaller range or a higher resolution",
+                    "{name}: one step of the output, {:.2} mm/s², is {:.1} times its noise: the figures are those of the \
+                     quantisation; choose a smaller range or a higher resolution",
                 axis.step_m_s2 * 1e3,
                 axis.step_m_s2 / axis.sample_sd_m_s2
             ));
         } else if !axis.is_noise {
             remarks.push(format!(
-                "{name}: this is no noise alone (χ² {:.0} times too large): hum or vibration; \
-                 see the curve, and take the numbers as rough",
+                    "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the curve",
                 axis.misfit
             ));
         }
         if let Some(tau_s) = axis.white_from_s {
             remarks.push(format!(
-                "{name}: the output is filtered to half its rate or less, or samples come more than once: it is \
-                 white noise from averaging times of {tau_s:.3} s on, and the figures are from there"
+                    "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s on, \
+                     and the figures are from there"
             ));
         }
         if axis.clipped_samples > 0 {
             remarks.push(format!(
-                "{name}: {} samples are at the end of the output, more than noise puts there: it is clipped, and \
-                 the sensor's noise is larger than these figures; choose a larger range or turn the axis off its end",
+                    "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures; choose a \
+                     larger range or rotate the axis away from its end",
                 axis.clipped_samples
             ));
         }
         if axis.is_one_event {
             remarks.push(format!(
-                "{name}: what long times show is one event, a warm-up or a jump: bias instability and random \
-                 walk are not told; record again when the sensor is warm and nothing moves it"
+                    "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are left out; \
+                     record again with a warm sensor that is not disturbed"
             ));
         }
     }
@@ -359,7 +358,7 @@ impl NoiseReport {
         }
     }
 
-    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
     pub fn exit_code(&self) -> u8 {
         if self.axes.is_some() { 0 } else { 3 }
     }
@@ -371,27 +370,22 @@ impl NoiseReport {
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Noise of {}", self.source));
         page.printed(&self.to_string());
-        let series = ["X", "Y", "Z"]
-            .into_iter()
-            .enumerate()
-            .map(|(axis, name)| Series {
-                name: name.to_owned(),
-                points: self
-                    .points
-                    .iter()
+        let series = ["X", "Y", "Z"].into_iter().enumerate().map(|(axis, name)| {
+            let points = self.points.iter();
+            Series::line(
+                name,
+                points
                     .map(|point| (point.tau_s.log10(), point.deviation_m_s2[axis]))
                     .collect(),
-                dots: false,
-            });
+            )
+        });
         page.chart(&Chart {
             title: "Allan deviation".to_owned(),
             x: "averaging time τ, log₁₀ of s".to_owned(),
             y: "σ(τ), m/s²".to_owned(),
             log: true,
-            y_range: None,
-            bands: Vec::new(),
-            marked: Vec::new(),
             series: series.collect(),
+            ..Chart::default()
         })?;
         let rows: Vec<Vec<String>> = self
             .points
@@ -443,7 +437,7 @@ impl fmt::Display for NoiseReport {
                 )?,
                 None => write!(
                     out,
-                    "bias instability not seen; σ falls to {:.1} µg at {:.0} s",
+                    "bias instability not observed; σ falls to {:.1} µg at {:.0} s",
                     axis.floor_m_s2 * ug,
                     axis.floor_tau_s
                 )?,

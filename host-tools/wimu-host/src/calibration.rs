@@ -1,4 +1,4 @@
-//! From data to an error model, its report, and the file that goes to a board.
+//! Calibration: from recorded data to an error model, its report, and the file for a board.
 
 mod advice;
 mod bend;
@@ -9,6 +9,7 @@ mod input;
 mod magnetometer;
 mod numbers;
 mod page;
+mod paired;
 mod range;
 mod reference;
 mod report;
@@ -21,7 +22,8 @@ pub use datasheet::{DatasheetReport, LimitReport, datasheet};
 pub use export::{KalibrNoise, not_in_kalibr, to_c, to_kalibr, to_rust};
 pub use file::{StoredModel, range_remark, read_model, read_parameters, write_report};
 pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
-pub use reference::{AxisReport, NoiseSource, Paired, ReferenceReport, compare_with_reference};
+pub use paired::Paired;
+pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, DriftReport, Fit, HELD_SCHEMA, NextPose, OtherUnits, Source, StaticPose,
     describe, not_observed,
@@ -39,17 +41,17 @@ use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::csv::AccelerationUnit;
 use crate::dataset::{Dataset, OutputUnit};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use advice::{advice, next_poses};
 pub(crate) use input::mps2_per_unit;
 use input::{magnitude, median_magnitude, poses, rms, wrong_unit};
 use numbers::{numbers, static_poses};
 use range::Range;
-use words::{begins, reason, remarks, said_of_closing, said_of_repeated};
+use words::{closing_remark, reason, remarks, repeated_remark, start_times};
 
-/// Sensitivities of sensors, LSB/*g*: of 8 bits at ±100 *g* to 27 bits at ±1 *g*. A board can be told fewer:
-/// [`Sensitivity::from_lsb_per_g`].
-const OF_A_SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=67_108_864.0;
+/// Range of sensitivities that a sensor can have, LSB/*g*: from 8 bits at ±100 *g* to 27 bits at ±1 *g*. The range
+/// that a board accepts is narrower: [`Sensitivity::from_lsb_per_g`].
+const SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=67_108_864.0;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -59,14 +61,14 @@ pub enum MethodChoice {
     MultiPosition,
     /// From six known orientations.
     SixPosition,
-    /// From turns of four steps about level axes.
+    /// From full rotations of four steps about level axes.
     FourAngle,
-    /// From turns of three steps about level axes.
+    /// From full rotations of three steps about level axes.
     ThreeAngle,
 }
 
 impl MethodChoice {
-    /// As the command line has it.
+    /// Its name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::MultiPosition => "multi-position",
@@ -80,9 +82,9 @@ impl MethodChoice {
 /// Which parameters to fit with [`MethodChoice::MultiPosition`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelChoice {
-    /// These.
+    /// This model.
     Fixed(Model),
-    /// Those with the least leave-one-out error.
+    /// The model with the least leave-one-out error.
     Auto,
 }
 
@@ -92,42 +94,41 @@ impl Default for ModelChoice {
     }
 }
 
-/// What a calibration is asked for.
+/// Options of a calibration.
 #[derive(Clone, Debug, Default)]
 pub struct CalibrateOptions {
-    /// How to estimate.
+    /// Method.
     pub method: MethodChoice,
-    /// What to fit.
+    /// Model to fit.
     pub model: ModelChoice,
-    /// What to fit in any case on top of the model, with [`MethodChoice::MultiPosition`].
+    /// Terms to fit in addition to the model, with [`MethodChoice::MultiPosition`].
     pub terms: Terms,
-    /// Which side was up in each pose, in order, with [`MethodChoice::SixPosition`]; told by what
-    /// the poses read where it is not given.
+    /// Which side was up in each pose, in order, with [`MethodChoice::SixPosition`]; `None` detects the sides from the
+    /// readings.
     pub sides: Option<Vec<Face>>,
-    /// Local gravity, m/s², taken as exact; 9.80665 ± 0.015 where it is not given.
+    /// Local gravity, m/s², taken as exact; `None`: 9.80665 ± 0.015.
     pub gravity_mps2: Option<f64>,
-    /// Nominal sensitivity, LSB/g; else the board's, else the fit's mean.
+    /// Nominal sensitivity, LSB/g; `None`: the board's, else the mean of the fit.
     pub sensitivity_lsb_per_g: Option<f64>,
-    /// Full-scale range at which the data were taken, ± *g*, where they do not say it.
+    /// Full-scale range at which the data were taken, ± *g*, where the data do not contain it.
     pub range_g: Option<u8>,
-    /// How well known orientations were squared, degrees, 1 σ; 1 where it is not given.
+    /// Placement error of known orientations, degrees, 1 σ; `None`: 1.
     pub placement_sd_deg: Option<f64>,
-    /// The sensor's datasheet, to compare with; without it the device's sensor, where it is known.
+    /// Datasheet to compare with; `None`: that of the device's sensor, where it is known.
     pub datasheet: Option<&'static Datasheet>,
-    /// When, s since 1970 UTC: for the parameter set to say.
+    /// Time of the calibration, s since 1970 UTC, stored in the parameter set.
     pub utc_s: Option<u64>,
 }
 
 /// Estimates the error model from a dataset.
 ///
-/// Data that do not support an answer give a report that says so, not an error.
+/// Data that do not support an answer give a report with status `refused`, not an error.
 ///
 /// # Errors
 /// `usage` when an option is out of bounds.
 pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<CalibrationReport> {
-    let usage = |message: String, flag: &str| {
-        HostError::new(ErrorCode::Usage, message, format!("check {flag}"))
-    };
+    let usage =
+        |message: String, flag: &str| ErrorCode::Usage.error(message, format!("check {flag}"));
     let (gravity, gravity_source) = match options.gravity_mps2 {
         Some(mps2) => (
             Gravity::new(mps2, 0.0).map_err(|e| usage(e.to_string(), "--gravity"))?,
@@ -141,19 +142,19 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         None => Placement::BY_HAND,
     };
     if let Some(lsb_per_g) = options.sensitivity_lsb_per_g
-        && !OF_A_SENSOR_LSB_PER_G.contains(&lsb_per_g)
+        && !SENSOR_LSB_PER_G.contains(&lsb_per_g)
     {
-        let message = format!("{lsb_per_g} LSB/g is no sensor's sensitivity");
+        let message = format!("{lsb_per_g} LSB/g is outside the range of sensors (1 to 67108864)");
         return Err(usage(message, "--sensitivity"));
     }
-    // A coarser or finer sensor than boards take can be calibrated, though no board be told.
+    // A sensor outside the range of boards can still be calibrated.
     let given = options
         .sensitivity_lsb_per_g
         .and_then(|lsb_per_g| Sensitivity::from_lsb_per_g(lsb_per_g).ok());
-    let given_beyond = (options.sensitivity_lsb_per_g).filter(|_| given.is_none());
+    let given_beyond_board = (options.sensitivity_lsb_per_g).filter(|_| given.is_none());
 
     let (known, source) = match (given, data.unit) {
-        (None, _) if given_beyond.is_some() => (None, Some(Source::Given)),
+        (None, _) if given_beyond_board.is_some() => (None, Some(Source::Given)),
         (Some(given), _) => (Some(given), Some(Source::Given)),
         (None, OutputUnit::Counts { nominal, .. }) => match nominal {
             Some(nominal) => (Some(nominal), Some(Source::Board)),
@@ -161,21 +162,21 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         },
         (None, OutputUnit::Mps2) => (None, None),
     };
-    // For counts of unknown worth the median output, most of it at rest, stands for g at first.
+    // Counts of unknown sensitivity: the median magnitude, mostly at rest, is taken as g at first.
     let scale = match (data.unit, known) {
         (OutputUnit::Mps2, _) => 1.0,
         (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
-        (OutputUnit::Counts { .. }, None) => match given_beyond {
+        (OutputUnit::Counts { .. }, None) => match given_beyond_board {
             Some(lsb_per_g) => STANDARD_GRAVITY_MPS2 / lsb_per_g,
             None => gravity.mps2() / median_magnitude(data),
         },
     };
     let mut found = poses(data, scale, gravity.mps2());
     let left_out = match options.method {
-        MethodChoice::MultiPosition => said_of_repeated(found.take_out_repeated()),
+        MethodChoice::MultiPosition => repeated_remark(found.remove_repeated()),
         MethodChoice::SixPosition => None,
-        MethodChoice::FourAngle => said_of_closing(found.take_out_closing(4)),
-        MethodChoice::ThreeAngle => said_of_closing(found.take_out_closing(3)),
+        MethodChoice::FourAngle => closing_remark(found.remove_closing(4)),
+        MethodChoice::ThreeAngle => closing_remark(found.remove_closing(3)),
     };
     if let Some(sides) = &options.sides
         && sides.len() != found.poses.len()
@@ -185,7 +186,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
                 "--sides names {} poses, the data have {}{}",
                 sides.len(),
                 found.poses.len(),
-                begins(data, &found.poses)
+                start_times(data, &found.poses)
             ),
             "--sides: one for each static pose, in order",
         ));
@@ -220,12 +221,12 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         None => fit(&fitted),
     };
     let mut sensitivity = known;
-    // What the fit says of it, whether or not a board could hold it.
-    let mut fitted_lsb_per_g = given_beyond;
+    // The sensitivity of the fit, whether or not a board accepts it.
+    let mut fitted_lsb_per_g = given_beyond_board;
     if source == Some(Source::Fit)
         && let Ok(estimate) = &outcome
     {
-        // Scaling counts scales A: with the mean scale factor taken out, it is 1.
+        // Scaling the counts scales A: with the mean scale factor taken out, it becomes 1.
         let matrix = estimate.model.terms().matrix;
         let mean = (matrix[0][0] + matrix[1][1] + matrix[2][2]) / 3.0;
         let lsb_per_g = STANDARD_GRAVITY_MPS2 / scale * mean;
@@ -237,7 +238,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     let mut noise_seen_mps2 = None;
     if data.poses && options.method == MethodChoice::MultiPosition {
         let bare = fitted.clone();
-        // Twice: what is left is judged by a fit that rests on it.
+        // Twice: the noise is estimated from residuals of a fit that depends on it.
         for _ in 0..2 {
             let Ok(estimate) = &outcome else { break };
             let Some(poses) = weights::with_noise(estimate, &bare) else {
@@ -278,8 +279,8 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
         .collect();
     remarks.extend(noise_seen_mps2.map(|sd| {
         format!(
-            "poses of fewer samples scatter more: a noise of {:.0} mm/s² a sample is seen in that, and the \
-             poses count by it",
+                    "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses \
+                     are weighted by it",
             sd * 1e3
         )
     }));
@@ -346,7 +347,7 @@ pub fn calibrate(data: &Dataset, options: &CalibrateOptions) -> Result<Calibrati
     })
 }
 
-/// What was fitted, or was to be.
+/// The terms that were fitted, or were requested.
 fn terms(estimate: Option<&Estimate>, options: &CalibrateOptions) -> Vec<&'static str> {
     let model = match (estimate.map(|e| e.method), options.method) {
         (Some(Method::MultiPosition(model)), _) => model,

@@ -1,4 +1,4 @@
-//! Pictures of series over an axis, as SVG and as PNG, drawn with nothing but Rust.
+//! Line and point charts as SVG and PNG, drawn in Rust alone.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,10 @@ use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Size of a picture, px.
 const SIZE: (u32, u32) = (860, 380);
-/// Pixels of a PNG for each of those: for print and dense screens.
+/// Pixels of a PNG per pixel of [`SIZE`]: for print and high-resolution screens.
 const FINER: u32 = 2;
 const FONT: &str = "sans-serif";
-/// Colours that are told apart also without seeing red and green.
+/// Colours that can be distinguished without seeing red and green.
 const COLOURS: [RGBColor; 4] = [
     RGBColor(213, 94, 0),
     RGBColor(0, 114, 178),
@@ -27,8 +27,7 @@ const INK: RGBColor = RGBColor(40, 40, 40);
 const GRID: RGBColor = RGBColor(225, 225, 225);
 const MARK: RGBColor = RGBColor(236, 236, 236);
 
-/// Writes every picture under its name into a folder, which is made if it is not there, as SVG and
-/// as PNG; returns the files.
+/// Writes every chart under its name into a folder, created if necessary, as SVG and PNG; returns the files.
 ///
 /// # Errors
 /// `file_failed`, `file_unreadable`.
@@ -57,10 +56,32 @@ pub struct Series {
     pub dots: bool,
 }
 
-/// A picture of some series over one x axis.
+impl Series {
+    /// A line.
+    pub fn line(name: &str, points: Vec<(f64, f64)>) -> Self {
+        Self {
+            name: name.to_owned(),
+            points,
+            dots: false,
+        }
+    }
+
+    /// Points.
+    pub fn dots(name: &str, points: Vec<(f64, f64)>) -> Self {
+        Self {
+            dots: true,
+            ..Self::line(name, points)
+        }
+    }
+}
+
+/// Result of drawing.
+type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
+
+/// A chart of some series over one x axis.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
-    /// What it shows.
+    /// Its title.
     pub title: String,
     /// The x axis with its unit.
     pub x: String,
@@ -68,17 +89,17 @@ pub struct Chart {
     pub y: String,
     /// Logarithmic y axis; values must be positive.
     pub log: bool,
-    /// y from and to, where the data's own range hides what matters.
+    /// Range of y; `None` for that of the data.
     pub y_range: Option<(f64, f64)>,
     /// The series.
     pub series: Vec<Series>,
-    /// Where they may lie.
+    /// Confidence bands.
     pub bands: Vec<Band>,
-    /// Stretches of x that are marked in grey.
+    /// Intervals of x marked in grey.
     pub marked: Vec<(f64, f64)>,
 }
 
-/// Where a series of a [`Chart`] may lie.
+/// Confidence band of a series of a [`Chart`].
 #[derive(Clone, Debug)]
 pub struct Band {
     /// Index of the series.
@@ -100,7 +121,7 @@ impl Chart {
         Ok(svg)
     }
 
-    /// Writes the picture to a file, in place of one that is there: as SVG or PNG, by its extension.
+    /// Writes the chart to a file, replacing an existing one: as SVG or PNG, by its extension.
     ///
     /// # Errors
     /// `usage` for another extension; `file_failed`, `file_unreadable`.
@@ -117,12 +138,12 @@ impl Chart {
                 drop(area);
                 output.finish()
             }
-            _ => Err(HostError::new(
-                ErrorCode::Usage,
-                "a picture is an SVG or a PNG",
-                "give a name that ends in .svg or .png",
-            )
-            .at(name)),
+            _ => Err(ErrorCode::Usage
+                .error(
+                    "a chart is written as SVG or PNG",
+                    "give a name that ends in .svg or .png",
+                )
+                .at(name)),
         }
     }
 
@@ -155,7 +176,10 @@ impl Chart {
         )
     }
 
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Result<()> {
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Result<()>
+    where
+        B::ErrorType: 'static,
+    {
         let (x, y) = self.ranges();
         let drawn = have_font().and_then(|()| {
             let range = y.clone();
@@ -167,10 +191,9 @@ impl Chart {
             }
         });
         drawn.map_err(|reason| {
-            HostError::new(
-                ErrorCode::FileFailed,
-                format!("a picture cannot be drawn: {reason}"),
-                "check the file's folder; if it is there, report this as a fault of wimu",
+            ErrorCode::FileFailed.error(
+                format!("the chart cannot be drawn: {reason}"),
+                "check the file's folder; if it exists, report this as a fault of wimu",
             )
         })
     }
@@ -182,29 +205,26 @@ impl Chart {
         x: Range<f64>,
         y: Y,
         shown: &Range<f64>,
-    ) -> std::result::Result<(), String>
+    ) -> Drawn
     where
+        B::ErrorType: 'static,
         Y: AsRangedCoord<Value = f64>,
         Y::CoordDescType: ValueFormatter<f64>,
     {
-        let say = |error: &dyn std::fmt::Display| error.to_string();
         let font = |size: u32| (FONT, size * fine).into_font().color(&INK);
-        area.fill(&WHITE).map_err(|e| say(&e))?;
+        area.fill(&WHITE)?;
         let area = area.margin(12 * fine, 0, 0, 0);
-        let area = area.titled(&self.title, font(18)).map_err(|e| say(&e))?;
-        // Above the picture, where it hides nothing.
+        let area = area.titled(&self.title, font(18))?;
+        // Above the chart, where it covers nothing.
         let (legend, below) = area.split_vertically(24 * fine);
         let mut chart = ChartBuilder::on(&below)
             .margin(12 * fine)
             .x_label_area_size(42 * fine)
             .y_label_area_size(68 * fine)
-            .build_cartesian_2d(x, y)
-            .map_err(|e| say(&e))?;
+            .build_cartesian_2d(x, y)?;
         for &(from, to) in &self.marked {
             let corners = [(from, shown.start), (to, shown.end)];
-            chart
-                .draw_series([Rectangle::new(corners, MARK.filled())])
-                .map_err(|e| say(&e))?;
+            chart.draw_series([Rectangle::new(corners, MARK.filled())])?;
         }
         let linear = (shown.end - shown.start) / 10.0;
         let log = self.log;
@@ -218,8 +238,7 @@ impl Chart {
             .axis_style(INK.stroke_width(fine))
             .set_all_tick_mark_size(4 * fine)
             .label_style(font(13))
-            .draw()
-            .map_err(|e| say(&e))?;
+            .draw()?;
         for band in &self.bands {
             let colour = COLOURS[band.series % COLOURS.len()].mix(0.15);
             let finite = || {
@@ -232,47 +251,42 @@ impl Chart {
                 .map(|&(x, low, _)| (x, inside(low)))
                 .chain(finite().rev().map(|&(x, _, high)| (x, inside(high))))
                 .collect();
-            chart
-                .draw_series([Polygon::new(outline, colour.filled())])
-                .map_err(|e| say(&e))?;
+            chart.draw_series([Polygon::new(outline, colour.filled())])?;
         }
         for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
             let style = colour.stroke_width(2 * fine);
             if series.dots {
                 let dots = series.points.iter();
-                let drawn =
-                    chart.draw_series(dots.map(|&dot| Circle::new(dot, 5 * fine, colour.filled())));
-                drawn.map_err(|e| say(&e))?;
+                chart.draw_series(dots.map(|&dot| Circle::new(dot, 5 * fine, colour.filled())))?;
             } else {
                 for piece in within(&series.points, shown) {
-                    let drawn = if fine > 1 {
-                        // Step by step: the corners of a broad line of pixels stick out.
+                    if fine > 1 {
+                        // Step by step: the corners of a broad line of pixels would stick out.
                         let steps = piece.windows(2);
-                        chart.draw_series(steps.map(|step| PathElement::new(step.to_vec(), style)))
+                        chart.draw_series(
+                            steps.map(|step| PathElement::new(step.to_vec(), style)),
+                        )?;
                     } else {
-                        chart.draw_series([PathElement::new(piece, style)])
-                    };
-                    drawn.map_err(|e| say(&e))?;
+                        chart.draw_series([PathElement::new(piece, style)])?;
+                    }
                 }
             }
         }
         self.name_series(&legend, fine)?;
-        area.present().map_err(|e| say(&e))
+        area.present()?;
+        Ok(())
     }
 
-    /// Lines and names of the series, one beside the other in the middle of `area`.
-    fn name_series<B: DrawingBackend>(
-        &self,
-        area: &DrawingArea<B, Shift>,
-        fine: u32,
-    ) -> std::result::Result<(), String> {
-        let say = |error: &dyn std::fmt::Display| error.to_string();
+    /// Draws the legend in one line in the middle of `area`.
+    fn name_series<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, fine: u32) -> Drawn
+    where
+        B::ErrorType: 'static,
+    {
         let font = (FONT, 13 * fine).into_font().color(&INK);
         let (line, gap) = (24 * fine as i32, 8 * fine as i32);
         let mut widths = Vec::new();
         for series in &self.series {
-            let size = area.estimate_text_size(&series.name, &font);
-            let (width, _) = size.map_err(|e| say(&e))?;
+            let (width, _) = area.estimate_text_size(&series.name, &font)?;
             widths.push(line + gap + width as i32 + 3 * gap);
         }
         let (width, height) = area.dim_in_pixel();
@@ -281,19 +295,16 @@ impl Chart {
         for ((series, width), colour) in self.series.iter().zip(widths).zip(COLOURS.iter().cycle())
         {
             let style = colour.stroke_width(2 * fine);
-            area.draw(&PathElement::new([(x, y), (x + line, y)], style))
-                .map_err(|e| say(&e))?;
+            area.draw(&PathElement::new([(x, y), (x + line, y)], style))?;
             let place = (x + line + gap, y - 7 * fine as i32);
-            area.draw(&Text::new(series.name.clone(), place, font.clone()))
-                .map_err(|e| say(&e))?;
+            area.draw(&Text::new(series.name.clone(), place, font.clone()))?;
             x += width;
         }
         Ok(())
     }
 }
 
-/// Points of a line with a break wherever some are missing: where the way from one to the next is more
-/// than twice the usual one.
+/// Points of a line with a break at each step in x of more than twice the median step.
 pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     let mut steps: Vec<f64> = (points.windows(2))
         .map(|pair| pair[1].0 - pair[0].0)
@@ -317,7 +328,7 @@ pub fn broken(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     broken
 }
 
-/// A value on a logarithmic axis.
+/// A tick label on a logarithmic axis.
 fn decade(value: f64) -> String {
     let short = format!("{value:.2e}").parse::<f64>().unwrap_or(value);
     if (1e-3..1e4).contains(&short.abs()) {
@@ -327,7 +338,7 @@ fn decade(value: f64) -> String {
     }
 }
 
-/// A value on an axis whose ticks are about `step` apart, without the digits that rounding leaves.
+/// A tick label on an axis whose ticks are about `step` apart, without digits from rounding errors.
 fn rounded(value: f64, step: f64) -> String {
     let digits = (2.0 - step.abs().max(1e-12).log10().floor()).clamp(0.0, 12.0) as usize;
     let text = format!("{value:.digits$}");
@@ -338,10 +349,10 @@ fn rounded(value: f64, step: f64) -> String {
     if short == "-0" { "0" } else { short }.to_owned()
 }
 
-/// The pieces of a line that lie in this range of y, cut where it leaves it.
+/// The pieces of a line within this range of y, cut at its edges.
 fn within(points: &[(f64, f64)], range: &Range<f64>) -> Vec<Vec<(f64, f64)>> {
     let inside = |point: (f64, f64)| (range.start..=range.end).contains(&point.1);
-    // Where the way from a point inside to one outside crosses the edge.
+    // Intersection of the edge and the line from a point inside to one outside.
     let edge = |from: (f64, f64), to: (f64, f64)| {
         let y = to.1.clamp(range.start, range.end);
         (from.0 + (y - from.1) / (to.1 - from.1) * (to.0 - from.0), y)
@@ -364,13 +375,13 @@ fn within(points: &[(f64, f64)], range: &Range<f64>) -> Vec<Vec<(f64, f64)>> {
     pieces
 }
 
-/// Brings a font of our own: what a system has needs more than Rust to be found.
-fn have_font() -> std::result::Result<(), String> {
+/// Registers the embedded font: searching for those of the system needs a C library.
+fn have_font() -> Drawn {
     static DONE: OnceLock<bool> = OnceLock::new();
     let done = DONE
         .get_or_init(|| register_font(FONT, FontStyle::Normal, dejavu::sans::regular()).is_ok());
     let known = done.then_some(());
-    known.ok_or_else(|| "the font cannot be read".to_owned())
+    Ok(known.ok_or("the font cannot be read")?)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! A live board: who it is, what it sends, requests and their answers.
+//! Connection to a live board: identification, data, requests and answers.
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
@@ -23,38 +23,38 @@ use crate::keys;
 use crate::link_url::LinkUrl;
 use crate::transport::{self, Transport};
 
-/// A board is asked who it is this often.
+/// Interval between identification requests.
 const ASK_EVERY: Duration = Duration::from_millis(400);
-/// Rates at which a board is looked for.
+/// Baud rates at which a board is searched, in order.
 const USUAL_BAUDS: [u32; 8] = [
     115_200, 9600, 38_400, 57_600, 230_400, 460_800, 921_600, 19_200,
 ];
-/// The board hears us at a new rate within this, or not at all.
+/// Longest time until the board answers at a new baud rate.
 const RATE_PATIENCE: Duration = Duration::from_secs(3);
-/// It is back at the old rate within this.
+/// Longest time until it answers at the old rate again.
 const FALL_BACK_PATIENCE: Duration = Duration::from_secs(8);
-/// No longer than this between looks at the clock.
+/// Longest wait between looks at the clock.
 const GLANCE: Duration = Duration::from_millis(50);
-/// Longest pause that one announcement is believed for: five times the longest of a supported board
+/// Longest pause accepted from one announcement: five times the longest of a supported board
 /// (RP2040, 400 ms for erasing a sector).
 const MAX_PAUSE: Duration = Duration::from_secs(2);
 /// Longest sum of the pauses that hold up one request.
 const MAX_PAUSES: Duration = Duration::from_secs(6);
-/// Events that wait to be handed out, at most: 16 MB, and more than arrive while a request is repeated.
+/// Largest number of events that wait to be handed out: 16 MB, and more than arrive while a request is repeated.
 const MAX_ARRIVALS: usize = 16_384;
-/// Somebody looks again after so many bytes that make no event, and no board brings so many before it
-/// says who it is: 80 s at 115 200 baud.
+/// Bytes without an event after which [`Client::next_event`] returns, and bytes without identification after which
+/// connecting fails (80 s at 115,200 baud).
 const MAX_WITHOUT_EVENT: u64 = 1 << 16;
 const MAX_UNGREETED: u64 = 1 << 20;
 
 mod requests;
 
-/// How to connect.
+/// Options of connecting.
 #[derive(Clone, Copy, Debug)]
 pub struct ConnectOptions {
-    /// How long to wait for the board to say who it is.
+    /// Longest wait for the board to identify itself.
     pub patience: Duration,
-    /// Tells this host from others in requests; random where it is `None`.
+    /// Number of this host in requests; random if `None`.
     pub session: Option<u32>,
 }
 
@@ -69,7 +69,7 @@ impl Default for ConnectOptions {
 }
 
 impl ConnectOptions {
-    /// 1 s, for a port that may or may not be a board.
+    /// 1 s, for a port that may not be a board.
     pub fn probe() -> Self {
         Self {
             patience: Duration::from_secs(1),
@@ -78,8 +78,7 @@ impl ConnectOptions {
     }
 }
 
-/// Opens a link and connects to the board behind it; `auto` tries the ports that look like one,
-/// 1 s each.
+/// Opens a link and connects to the board; `auto` tries the candidate ports, 1 s each.
 ///
 /// # Errors
 /// Those of [`transport::open`] and [`Client::connect`]. For `auto`, those of the last port tried.
@@ -91,11 +90,7 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
         let transport = transport::open(link)?;
         return Client::connect(transport, &link.to_string(), ConnectOptions::default());
     }
-    let mut outcome = Err(HostError::new(
-        ErrorCode::LinkAbsent,
-        "there is no port to try",
-        "plug the board in",
-    ));
+    let mut outcome = Err(ErrorCode::LinkAbsent.error("no port to try", "plug the board in"));
     for candidate in transport::candidates()? {
         outcome = transport::open(&candidate).and_then(|transport| {
             Client::connect(transport, &candidate.to_string(), ConnectOptions::probe())
@@ -107,11 +102,9 @@ pub fn connect(link: &LinkUrl) -> Result<Client<Box<dyn Transport + Send>>> {
     outcome
 }
 
-/// Whose rate a radio's line has, and how to set it.
+/// The error that the baud rate of a radio link is set at the adapter, with the adapter's commands.
 pub fn adapter_decides(link: &str, baud: u32) -> HostError {
-    HostError::new(
-        ErrorCode::Usage,
-        "this link goes over a radio adapter, which decides the rate of the board's line: setting it here means nothing",
+    ErrorCode::Usage.error("the radio adapter sets the baud rate of this link: it cannot be changed here",
         format!(
             "set the adapter itself in its command mode (HC-05: AT+UART={baud},0,0; HC-06: AT+BAUD8 for 115200; others alike); \
              the board finds 115200, 9600 and 38400 by itself, and others after `wimu settings set CABLE --wireless-baud {baud}`"
@@ -123,37 +116,37 @@ pub fn adapter_decides(link: &str, baud: u32) -> HostError {
 /// A connection to a board.
 ///
 /// What arrives while it waits for something else is kept for [`Client::next_event`], in order: the
-/// latest 16 384 events. [`LinkStatistics::events_dropped`] counts those before.
+/// latest 16,384 events. [`LinkStatistics::events_dropped`] counts the older ones.
 pub struct Client<T> {
     transport: T,
     name: String,
     decoder: Decoder,
     requester: Requester,
     hello: Hello,
-    /// Arrived and not yet handed out.
+    /// Events that arrived and are not yet handed out.
     arrivals: VecDeque<Arrival>,
     dropped: u64,
-    /// Who the board is, as it said since it was last asked.
+    /// Identification received since the last request for it.
     greeting: Option<Hello>,
-    /// The answer to the request under way, when it has arrived.
+    /// Answer to the current request.
     answer: Option<Answer>,
-    /// What the board's writes are signed with.
+    /// Key for signing writes.
     key: Option<DeviceKey>,
-    /// The seed of sessions that are to be the same in every run.
+    /// Seed that makes sessions reproducible.
     seed: Option<u32>,
-    /// The device writes its flash until then and hears nothing.
+    /// Until then the device writes its flash and does not receive.
     deaf_until: Duration,
-    /// The part of [`MAX_PAUSES`] that is left until the next request or answer.
+    /// Rest of [`MAX_PAUSES`] until the next request or answer.
     pauses_left: Duration,
-    /// Length of questions for the board's time.
+    /// Length of time requests, bytes.
     time_bytes: usize,
 }
 
 impl<T: Transport> Client<T> {
-    /// Asks the board who it is and waits for its answer; `name` is what errors call the link.
+    /// Requests the board's identification and waits for it; `name` is the link's name in errors.
     ///
     /// # Errors
-    /// `not_a_wimu_board` when none comes, `protocol_version` when the board speaks another one,
+    /// `not_a_wimu_board` without an answer, `protocol_version` when the board uses another version,
     /// `link_busy` when the other end closes the link at once, `link_lost` when it does so later.
     pub fn connect(transport: T, name: &str, options: ConnectOptions) -> Result<Self> {
         let mut client = Self::new(transport, name, options.session);
@@ -181,10 +174,10 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// Connects at the rate at which the board answers: tries the usual ones, 1 s each.
+    /// Connects at the baud rate of the board: tries the usual ones, 1 s each.
     ///
     /// # Errors
-    /// `not_a_wimu_board` when none is the board's; those of [`Client::connect`].
+    /// `not_a_wimu_board` without an answer at any rate; those of [`Client::connect`].
     pub fn find_rate(mut transport: T, name: &str) -> Result<Self> {
         for baud in USUAL_BAUDS {
             transport.set_baud(baud)?;
@@ -195,20 +188,20 @@ impl<T: Transport> Client<T> {
                 Err(_) => transport = client.transport,
             }
         }
-        Err(HostError::new(
-            ErrorCode::NotAWimuBoard,
-            format!("no wimu board answers at any of {USUAL_BAUDS:?} baud"),
-            "check that the board is powered and runs wimu, and that TX and RX are not swapped",
-        )
-        .at(name))
+        Err(ErrorCode::NotAWimuBoard
+            .error(
+                format!("no wimu board answers at any of {USUAL_BAUDS:?} baud"),
+                "check that the board is powered and runs wimu, and that TX and RX are not swapped",
+            )
+            .at(name))
     }
 
-    /// Changes the rate of the line at both ends, and stores it on the board.
+    /// Changes the baud rate at both ends, and stores it on the board.
     ///
     /// # Errors
-    /// `usage` for a link without a rate, or a radio's, whose adapter decides; those of
-    /// [`Client::request`]; `no_answer` when the board is not heard at the new rate: both ends are at
-    /// the old one again then.
+    /// `usage` for a link without a baud rate, or a radio link, whose rate its adapter decides; those of
+    /// [`Client::request`]; `no_answer` when the board does not answer at the new rate: both ends are then
+    /// at the old one again.
     pub fn set_line_rate(&mut self, baud: u32) -> Result<()> {
         let Some(before) = self.transport.baud() else {
             return self
@@ -221,14 +214,14 @@ impl<T: Transport> Client<T> {
         }
         let link = LinkRole::Cable.number();
         match self.request(Command::SetLineRate { link, baud }) {
-            // The answer may be lost and the rate changed: the board tells.
+            // The answer may be lost although the rate was changed: the identification shows it.
             Err(error) if error.code() != ErrorCode::NoAnswer => return Err(error),
             _ => {}
         }
         self.transport.set_baud(baud)?;
         self.decoder.interrupt();
         if self.greet(RATE_PATIENCE).is_ok() {
-            // Anybody can say who is there.
+            // The identification is not signed.
             return match self.requester.signs() {
                 true => self.key_status().map(drop),
                 false => Ok(()),
@@ -236,18 +229,18 @@ impl<T: Transport> Client<T> {
         }
         self.transport.set_baud(before)?;
         self.decoder.interrupt();
-        // The board comes back when it has not heard us for 5 s.
+        // The board returns to the old rate after 5 s without a request.
         self.greet(FALL_BACK_PATIENCE)?;
-        Err(HostError::new(
-            ErrorCode::NoAnswer,
-            format!("the board is not heard at {baud} baud; it is back at {before}"),
-            "the cable or the adapter between may not carry this rate: choose a lower one",
-        )
-        .at(&self.name))
+        Err(ErrorCode::NoAnswer
+            .error(
+                format!("the board does not answer at {baud} baud; it is back at {before}"),
+                "the cable or adapter may not support this rate: choose a lower one",
+            )
+            .at(&self.name))
     }
 
-    /// Goes on with a new transport to the same board after the old one was lost: with what is
-    /// known, counted and numbered so far.
+    /// Continues with a new transport to the same board after the old one was lost; counters and
+    /// numbers continue.
     ///
     /// # Errors
     /// Those of [`Client::connect`]; `link_lost` when another board, or its other link, answers.
@@ -263,31 +256,31 @@ impl<T: Transport> Client<T> {
         if greeted.is_ok() && (hello.device_id, hello.role) != (known, role) {
             self.hello.device_id = known;
             self.hello.role = role;
-            return Err(HostError::new(
-                ErrorCode::LinkLost,
-                format!(
-                    "now the {} link of device {:016x} answers",
-                    hello.role, hello.device_id
-                ),
-                "put the first board back, or make another recording",
-            )
-            .at(&self.name));
+            return Err(ErrorCode::LinkLost
+                .error(
+                    format!(
+                        "the {} link of device {:016x} answers now",
+                        hello.role, hello.device_id
+                    ),
+                    "reconnect the first board, or make another recording",
+                )
+                .at(&self.name));
         }
         greeted
     }
 
-    /// Whether the device may have started anew, unseen: asking who it is tells.
+    /// Whether the device may have restarted unnoticed: its identification decides.
     pub fn is_in_doubt(&self) -> bool {
         self.decoder.is_in_doubt()
     }
 
-    /// Asks who the device is; the answer comes among its events.
+    /// Requests the device's identification; it arrives among the events.
     ///
     /// # Errors
     /// Those of the transport.
     pub fn ask_who(&mut self) -> Result<()> {
         let mut question = [0; MAX_FRAME + 1];
-        // The zero in front ends whatever a host before may have left unfinished.
+        // The leading zero ends an incomplete frame of an earlier host.
         let length = WhoAreYou::default()
             .encode(&mut question[1..])
             .map_or(0, |length| length + 1);
@@ -297,7 +290,7 @@ impl<T: Transport> Client<T> {
     fn greet(&mut self, patience: Duration) -> Result<()> {
         let start = self.transport.now();
         let mut ask_at = start;
-        // A greeting of before is none.
+        // An earlier identification does not count.
         self.greeting = None;
         let most = self.decoder.statistics().bytes + MAX_UNGREETED;
         loop {
@@ -321,29 +314,27 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// A link that ends before it has brought anything: a server that serves one host at a time.
+    /// The error for a link that ends before any data: a server that accepts one host at a time.
     fn turned_away(&self, error: HostError) -> HostError {
         if error.code() != ErrorCode::LinkLost || self.decoder.statistics().bytes > 0 {
             return error;
         }
-        HostError::new(
-            ErrorCode::LinkBusy,
-            "the other end closed the link at once",
-            "another program may be using it: close that one; else check the address",
-        )
-        .at(&self.name)
+        ErrorCode::LinkBusy
+            .error(
+                "the other end closed the link at once",
+                "another program may be using it: close it; else check the address",
+            )
+            .at(&self.name)
     }
 
-    /// A board of another wire version.
+    /// The error for a board of another wire version.
     fn foreign(&self, version: u8) -> HostError {
         let older = match version.cmp(&WIRE_VERSION) {
             Ordering::Less => "the board's firmware",
             _ => "wimu on this computer",
         };
-        HostError::new(
-            ErrorCode::ProtocolVersion,
-            format!(
-                "the board speaks version {version} of the protocol, this wimu version {WIRE_VERSION}"
+        ErrorCode::ProtocolVersion.error(format!(
+                "the board uses version {version} of the protocol, this wimu version {WIRE_VERSION}"
             ),
             format!("update {older}, which is the older one"),
         )
@@ -357,13 +348,13 @@ impl<T: Transport> Client<T> {
         let statistics = self.decoder.statistics();
         let (message, remedy) = if statistics.bytes == 0 {
             (
-                "nothing answers".to_owned(),
+                "no answer".to_owned(),
                 "check that the board is powered and runs wimu, and that TX and RX are not swapped",
             )
         } else if statistics.frames == 0 {
             (
                 format!(
-                    "{} bytes arrived, but nothing that a wimu board says",
+                    "{} bytes arrived, but no frame of a wimu board",
                     statistics.bytes
                 ),
                 "check the baud rate at both ends, and that this is the board's port",
@@ -371,26 +362,28 @@ impl<T: Transport> Client<T> {
         } else {
             (
                 format!(
-                    "the board does not say who it is, though {} of its frames arrived",
+                    "the board sends data ({} frames) but does not answer",
                     statistics.frames
                 ),
-                "check the line from this computer to the board: it may not hear",
+                "check the line from this computer to the board (TX of this side)",
             )
         };
-        HostError::new(ErrorCode::NotAWimuBoard, message, remedy).at(&self.name)
+        ErrorCode::NotAWimuBoard
+            .error(message, remedy)
+            .at(&self.name)
     }
 
-    /// Who the board was when it last said so.
+    /// The board's latest identification.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// What errors call the link.
+    /// Name of the link in errors.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// What the link carried and lost so far.
+    /// Statistics of the link.
     pub fn statistics(&self) -> LinkStatistics {
         LinkStatistics {
             events_dropped: self.dropped,
@@ -398,15 +391,15 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// The link below: for its clock.
+    /// The transport, for its clock.
     pub fn transport(&mut self) -> &mut T {
         &mut self.transport
     }
 
-    /// The next event, waiting for at most `timeout` and 64 KiB; `None` if there is none by then.
+    /// The next event, after at most `timeout` and 64 KiB; `None` without one by then.
     ///
     /// # Errors
-    /// `link_lost`; what arrived before has been handed out by then.
+    /// `link_lost`, after all earlier events have been handed out.
     pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Arrival>> {
         let until = self.transport.now() + timeout;
         let most = self.decoder.statistics().bytes + MAX_WITHOUT_EVENT;
@@ -426,7 +419,7 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// Keeps silent while the device writes its flash: it would not hear.
+    /// Waits while the device writes its flash and does not receive.
     fn wait_while_deaf(&mut self) -> Result<()> {
         loop {
             let left = self.deaf_until.saturating_sub(self.transport.now());
@@ -468,7 +461,7 @@ impl<T: Transport> Client<T> {
                     }
                     if let Some(ours) = requester.on_reply(body) {
                         *answer = Some(ours);
-                        // It has written, and hears again.
+                        // It has finished writing.
                         *deaf_until = Duration::ZERO;
                         *pauses_left = MAX_PAUSES;
                     }

@@ -1,11 +1,11 @@
-//! A device's clock by the host's: equations (60) to (63).
+//! Model of a device's clock relative to the host's: equations (60) to (63).
 //!
-//! A transfer arrives late, never early. So the least delays, not the mean ones, show how the two
-//! clocks differ: a line under them gives the rate. What it leaves open is how long the fastest
-//! transfer took. Questions that the device answers with its own time bound that from both sides;
-//! the middle is right if both directions take equally long, and no measurement over the link
-//! alone can tell whether they do. So a [`ClockModel`] gives three things: the middle, the
-//! standard deviation that delays leave it, and the bounds that hold whatever the directions take.
+//! Transfers are delayed, never early. Therefore the smallest delays, not their means, show the difference of the two
+//! clocks: a line below them gives the rate. The duration of the fastest transfer remains unknown.
+//! Time requests, which the device answers with its own time, bound it from both sides;
+//! the middle is correct if both directions take equally long, which no measurement over the link
+//! alone can verify. So a [`ClockModel`] contains three results: the middle, its
+//! standard deviation because of the delays, and bounds for any asymmetry of the directions.
 
 use std::collections::{HashMap, VecDeque};
 use std::time::Duration;
@@ -29,28 +29,29 @@ pub use pace::{Pace, Trip};
 const BLOCK_S: f64 = 64.0;
 /// Transfers of a block at most; a busier link has shorter blocks.
 const BLOCK_TRANSFERS: usize = 16_384;
-/// Blocks on either side of the one for which a line is fitted: oscillators wander.
+/// Blocks on either side of the one for which a line is fitted: the rates of oscillators drift.
 const REACH: usize = 4;
-/// Lines kept: three days of blocks. Beyond, every second is left out.
+/// Largest number of lines: three days of blocks. Above, every second one is dropped.
 const MAX_LINES: usize = 4096;
-/// No host tells when bytes came better than this, ns.
+/// Smallest standard deviation of a time of arrival at a host, ns.
 const HOST_SD_NS: f64 = 50_000.0;
-/// Delays that look the same to this, ns, may drift by it over the time that they are looked at.
+/// Undetectable drift of the delays over the fitted span, ns.
 const LEAST_ERROR_NS: f64 = 20_000.0;
-/// No question is answered sooner than it was asked, but for what the clocks drift meanwhile, ns.
+/// A time request that appears to be answered this much before it was sent indicates a restart, ns: more than clock drift.
 const RESTART_NS: f64 = 0.5e9;
-/// What arrives sooner behind what came before may have been held up by it, ns.
+/// Data that arrive within this after earlier data may have been delayed by them, ns.
 const BEHIND_NS: u64 = 3_000_000;
-/// Questions that may wait for their answer.
+/// Largest number of time requests that wait for their answer.
 const MAX_ASKED: usize = 256;
-/// How much longer than its answer a question may be, or shorter, bytes.
+/// Largest difference in length of a time request and its answer, bytes.
 const MAX_UNEQUAL_BYTES: usize = 6;
-/// Below this span the rate is not estimated, s.
+/// Shortest span from which the rate is estimated, s.
 const MIN_SPAN_S: f64 = 5.0;
-/// How far a clock may be off whose rate was not estimated, ppm.
+/// Standard deviation of a rate that was not estimated, ppm.
 const UNKNOWN_RATE_PPM: f64 = 10_000.0;
-/// What links tell about a device's clock between one start of the device and the next: give it
-/// one link for that link's own view, or both for the best. Memory does not grow with time.
+
+/// Estimator of a device's clock within one start of the device, from the data of one link or, for the best
+/// estimate, of both. Memory does not grow with time.
 #[derive(Clone, Debug, Default)]
 pub struct ClockEstimator {
     /// Device time, µs, and host time, ns, of the first transfer.
@@ -60,50 +61,50 @@ pub struct ClockEstimator {
     lines: Vec<Line>,
     /// Index of the first block that has no line yet, among the closed ones.
     next_line: usize,
-    /// The questions that wait for their answers, by session and number.
+    /// Time requests that wait for their answers, by session and number.
     asked: HashMap<(u32, u32), Asked>,
-    /// When the latest was sent, by session.
+    /// Time of the latest one, by session.
     sent: HashMap<u32, u64>,
-    /// When the latest of anything came, by link: to the host, and questions to the device; ns.
+    /// Times of the latest data, by link.
     latest: [Latest; envelope::LINKS],
     /// Host time less device time of the latest samples, ns.
     newest: Option<f64>,
-    /// Length of the latest question on each link, and how often it has changed.
+    /// Length of the latest time request on each link, and how often it has changed.
     question: [(usize, u32); envelope::LINKS],
     transfers: u64,
     exchanges: u64,
 }
 
-/// A question that waits for its answer.
+/// A time request that waits for its answer.
 #[derive(Clone, Copy, Debug)]
 struct Asked {
-    /// When it was sent, ns.
+    /// Time of sending, ns.
     at_ns: u64,
     /// Its length, bytes.
     length: usize,
-    /// Whether it was sent right behind another.
+    /// Whether it was sent immediately after another one.
     is_behind: bool,
 }
 
-/// When the latest of anything came over a link, ns.
+/// Times of the latest data of a link, ns.
 #[derive(Clone, Copy, Debug, Default)]
 struct Latest {
     /// To the host, its clock.
     heard_ns: Option<u64>,
-    /// From when on the device can send something else that does not go with it, its clock.
+    /// Earliest time of later data that do not follow it immediately, device clock.
     said_ns: Option<u64>,
-    /// The least time from an answer's first byte to its last.
+    /// Shortest time from an answer's first byte to its last.
     answer_takes_ns: Option<u64>,
-    /// Of the questions to the device, its clock.
+    /// Time requests to the device, device clock.
     question_ns: Option<u64>,
 }
 
-/// Host time − device time around a moment.
+/// Host time − device time around a point in time.
 #[derive(Clone, Copy, Debug)]
 struct Line {
-    /// The moment: device time since the origin, s.
+    /// Point in time: device time since the origin, s.
     x: f64,
-    /// Difference at the moment, ns.
+    /// Difference at that point, ns.
     y: f64,
     y_sd: f64,
     /// ns/s.
@@ -130,19 +131,19 @@ impl Line {
 }
 
 impl ClockEstimator {
-    /// Knows nothing yet.
+    /// Before any data.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes what has arrived on the link of `role`: batches of samples, and answers to questions that
-    /// [`asked`](Self::asked) knows: how long both took then.
+    /// Takes an arrival on the link of `role`: batches of samples, and answers to time requests that were
+    /// passed to [`asked`](Self::asked), for which it returns the duration of both.
     pub fn heard(&mut self, role: LinkRole, arrival: &Arrival) -> Option<Trip> {
         let link = usize::from(role != LinkRole::Cable);
         let before = self.latest[link].heard_ns.replace(arrival.host_ns);
         let heard_alone = alone_for(before, arrival.began_ns);
         let takes = arrival.host_ns.saturating_sub(arrival.began_ns);
-        // How long it was alone, given when the device said it.
+        // Margin by which it was undelayed, given the device time of sending.
         let mut alone_at = |time: DeviceTimeUs| {
             let time_ns = time.0.saturating_mul(1000);
             let before = self.latest[link]
@@ -177,7 +178,7 @@ impl ClockEstimator {
                 } = self.asked.remove(&(reply.session, reply.id))?;
                 let answer_length = wire_length(reply);
                 let longer = length.max(answer_length);
-                // So many bytes take on the line, from the first on; more where the answer came in parts.
+                // Time of that many bytes on the line; more where the answer arrived in parts.
                 let bytes_take = |bytes: usize| {
                     takes.saturating_mul(bytes as u64)
                         / answer_length.saturating_sub(1).max(1) as u64
@@ -186,8 +187,7 @@ impl ClockEstimator {
                     whole: Duration::from_nanos(arrival.host_ns.checked_sub(asked_ns)?),
                     on_line: (alone >= 0.0).then_some(Duration::from_nanos(bytes_take(longer))),
                 };
-                // Asked later than the device says that it answered, by all that came before: it has
-                // started anew.
+                // Sent later than it was answered, by the clock so far: the device has restarted.
                 let difference = self.difference(DeviceTimeUs(uptime_us), asked_ns);
                 if self
                     .newest
@@ -195,11 +195,11 @@ impl ClockEstimator {
                 {
                     return Some(trip);
                 }
-                // Of unequal lengths, the directions take unequally long.
+                // With unequal lengths the directions take unequally long.
                 if length.abs_diff(answer_length) > MAX_UNEQUAL_BYTES {
                     return Some(trip);
                 }
-                // The shorter one is taken as if it were as long as the other.
+                // The shorter one is extended to the length of the other.
                 let asked_ns = asked_ns.saturating_sub(bytes_take(longer - length));
                 let answered_ns = arrival
                     .host_ns
@@ -223,8 +223,8 @@ impl ClockEstimator {
                 };
                 self.exchanges += 1;
                 self.transfer(link, question, time, asked_ns, question_alone);
-                // Where it took longer than others it came in parts, if not with the beginning of an
-                // answer before it whose rest was lost: they look alike.
+                // If it took longer than others, it arrived in parts, or began with a part of an
+                // earlier answer whose rest was lost: both look alike.
                 let least = &mut self.latest[link].answer_takes_ns;
                 let takes_least = least.map_or(takes, |least| least.min(takes));
                 *least = Some(takes_least);
@@ -239,9 +239,9 @@ impl ClockEstimator {
         None
     }
 
-    /// Takes what the host sent at `host_ns`, whole frames, on any link. Questions count that are as
-    /// long as their answers, filled up with zeros: they take as long on the line. Only the first of equal questions counts:
-    /// the device heard none before it.
+    /// Takes complete frames that the host sent at `host_ns`, on any link. Time requests are used that are as
+    /// long as their answers, padded with zeros, and take as long on the line. Only the first of equal requests is used:
+    /// the device has received none before it.
     pub fn asked(&mut self, host_ns: u64, bytes: &[u8]) {
         for question in requests(bytes) {
             if self.asked.len() >= MAX_ASKED {
@@ -257,7 +257,7 @@ impl ClockEstimator {
         }
     }
 
-    /// Transfers taken so far.
+    /// Number of transfers so far.
     pub fn transfers(&self) -> u64 {
         self.transfers
     }
@@ -270,9 +270,9 @@ impl ClockEstimator {
         host_ns.wrapping_sub(device_us.wrapping_mul(1000)) as f64
     }
 
-    /// One transfer: what the device timed at `time` arrived, or for a question was sent, at
-    /// `host_ns`. It could have come by so much earlier, ns, and would still have come by itself; if
-    /// negative, later; −∞ if it was sent right behind another.
+    /// Adds a transfer of device time `time` that arrived, or for a time request was sent, at
+    /// `host_ns`. `alone_ns` is the margin by which it could have been earlier without having been delayed by another
+    /// transfer, ns; −∞ if it was sent immediately after another one.
     fn transfer(
         &mut self,
         link: usize,
@@ -327,13 +327,13 @@ impl ClockEstimator {
         }
     }
 
-    /// The clock as far as it is known; `None` before anything has arrived.
+    /// The model so far; `None` before any data.
     pub fn model(&self) -> Option<ClockModel> {
         let origin = self.origin?;
         let open = Folded::new(&self.open);
         let blocks: Vec<_> = self.closed.iter().chain(&open).collect();
         let mut lines = self.lines.clone();
-        // A few blocks are one line.
+        // Few blocks have one line in common.
         let rest = if blocks.len() <= REACH + 1 && lines.is_empty() {
             0..1
         } else {
@@ -363,7 +363,7 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
     let x = 0.5 * (start + end);
     let span = near.last()?.span.1 - near.first()?.span.0;
     let free = envelope::fit(near, x, None)?;
-    // No oscillator runs off so far: the device's time is simulated, or there is too little of it.
+    // No oscillator has this rate: the device time is simulated, or the span is too short.
     let known = span >= MIN_SPAN_S && free.rate.abs() < 0.99 * envelope::MAX_RATE;
     let fit = if known {
         free
@@ -387,8 +387,8 @@ fn line(blocks: &[&Folded], index: usize) -> Option<Line> {
     })
 }
 
-/// By how much earlier something could have come behind what came before, ns, and would not have
-/// been held up by it.
+/// By how much earlier data could have arrived without having been delayed by the data before them, ns; negative if
+/// they may have been delayed.
 fn alone_for(before_ns: Option<u64>, came_ns: u64) -> f64 {
     match before_ns {
         Some(before) => came_ns as f64 - before as f64 - BEHIND_NS as f64,
@@ -402,7 +402,7 @@ pub(crate) fn wire_length(reply: &Reply) -> usize {
     reply.encode(&mut frame).unwrap_or_default()
 }
 
-/// The requests in what a host sends: session and number.
+/// Session and number of the requests in data sent by the host.
 fn requests(bytes: &[u8]) -> Vec<(u32, u32)> {
     let mut deframer = Deframer::new();
     let mut found = Vec::new();
@@ -417,39 +417,38 @@ fn requests(bytes: &[u8]) -> Vec<(u32, u32)> {
     found
 }
 
-/// Device time to host time, between one start of a device and the next.
+/// Conversion of device time to host time, within one start of a device.
 #[derive(Clone, Debug)]
 pub struct ClockModel {
     origin: (u64, u64),
-    /// By time, at least one; between two, both count by nearness.
+    /// By time, at least one; between two lines, the result is interpolated.
     lines: Vec<Line>,
     transfers: u64,
     exchanges: u64,
 }
 
-/// A clock in numbers.
+/// Figures of a clock model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ClockSummary {
-    /// How many ppm more host time passes than device time: positive for a slow device.
+    /// Rate error, ppm: host time per device time less one; positive for a slow device clock.
     pub rate_ppm: f64,
     /// Its standard deviation.
     pub rate_sd_ppm: f64,
     /// Standard deviation of device time in host time, if both directions take equally long, ms.
     pub offset_sd_ms: f64,
-    /// Whatever the directions take, the offset is wrong by no more than this, ms; two standard
-    /// deviations at least. Absent where no question was answered: then times are late by what the
-    /// fastest transfer took.
+    /// Bound of the offset error for any asymmetry of the directions, ms; at least two standard
+    /// deviations. `None` without answered time requests: then times are delayed by the fastest transfer.
     pub offset_bound_ms: Option<f64>,
     /// Transfers used.
     pub transfers: u64,
-    /// Questions answered.
+    /// Answered time requests.
     pub exchanges: u64,
 }
 
 impl ClockModel {
     /// Host time of a device time, ns on the host's monotonic clock. Wraps for a device that ran
     /// before the host's clock began; [`ClockAnchor::to_utc_ns`](crate::mcap_file::ClockAnchor::to_utc_ns)
-    /// undoes that.
+    /// reverses that.
     pub fn host_ns(&self, time: DeviceTimeUs) -> u64 {
         let (origin_us, origin_ns) = self.origin;
         let passed_us = time.0.wrapping_sub(origin_us) as i64;
@@ -459,7 +458,7 @@ impl ClockModel {
             .wrapping_add_signed(difference)
     }
 
-    /// How long after `time` something was at `host_ns`, ns; negative only by the model's error.
+    /// Delay from `time` to `host_ns`, ns; negative only by the model's error.
     pub fn delay_ns(&self, time: DeviceTimeUs, host_ns: u64) -> i64 {
         host_ns.wrapping_sub(self.host_ns(time)) as i64
     }
@@ -469,14 +468,14 @@ impl ClockModel {
         self.blend(time, Line::sd_at)
     }
 
-    /// How far the true host time may lie before and behind [`host_ns`](Self::host_ns), ns,
-    /// whatever the directions take; `None` before, where no question was answered.
+    /// Largest possible error of [`host_ns`](Self::host_ns) towards later and earlier times, ns, for any asymmetry of the
+    /// directions; the first is `None` without answered time requests.
     pub fn bounds_ns(&self, time: DeviceTimeUs) -> (Option<f64>, f64) {
         let line = self.lines[self.place(time).0];
         (line.lower.map(|lower| line.y - lower), line.upper - line.y)
     }
 
-    /// How many ppm more host time passes than device time, over all, and its standard deviation.
+    /// Mean rate error, ppm, as in [`ClockSummary::rate_ppm`], and its standard deviation.
     pub fn rate_ppm(&self) -> (f64, f64) {
         match self.lines.as_slice() {
             [first, .., last] => {
@@ -492,7 +491,7 @@ impl ClockModel {
         }
     }
 
-    /// The clock in numbers, uncertainties at its middle.
+    /// Figures of the model; uncertainties are those at its middle.
     pub fn summary(&self) -> ClockSummary {
         let (rate_ppm, rate_sd_ppm) = self.rate_ppm();
         let middle = self.lines[self.lines.len() / 2];
@@ -509,7 +508,7 @@ impl ClockModel {
         }
     }
 
-    /// Index of the line before a time, and how much the next one counts.
+    /// Index of the line before a time, and the weight of the next one.
     fn place(&self, time: DeviceTimeUs) -> (usize, f64) {
         let x = time.0.wrapping_sub(self.origin.0) as i64 as f64 * 1e-6;
         let next = self.lines.partition_point(|line| line.x <= x);

@@ -1,8 +1,8 @@
-//! Two links of one board against each other, sample by sample: what each lost, how late it was,
-//! and what, if anything, differs in the values. Also two tables of any two devices.
+//! Comparison of two links of one board, sample by sample: losses, latency and differences of the values. Also of
+//! two tables of any two devices.
 //!
-//! A recording is read three times and never held: first for the clocks, then for everything that
-//! is counted and fitted, then for what is left once the fit is taken off.
+//! A recording is read three times and never held in memory: for the clocks, for the counts and fits,
+//! and for the residuals under the fit.
 
 use std::io::Read;
 
@@ -38,47 +38,47 @@ use residual::Residual;
 
 /// The reference first.
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
-/// Parts of a recording in the pictures over time.
+/// Number of slices of a recording in the charts over time.
 const SLICES: usize = 200;
-/// How much of the recording is shown sample by sample, ns.
+/// Length of the part of the recording whose samples are shown, ns.
 const EXCERPT_NS: u64 = 10_000_000_000;
 
-/// Nothing is under way for longer, ns.
+/// Longest time that data can be under way, ns.
 const UNDER_WAY_NS: u64 = 5_000_000_000;
 
-/// What the comparison of two links found.
+/// Result of the comparison of two links.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// What errors and pictures call it.
+    /// Name of the recording in errors and charts.
     pub source: String,
-    /// The board, 16 hex digits, if it said so.
+    /// The board, 16 hex digits, if it was identified.
     pub device_id: Option<String>,
     /// Host time from the first arrival to the last, s.
     pub duration_s: f64,
-    /// How whole the recording is.
+    /// Completeness of the recording.
     #[serde(flatten)]
     pub wholeness: Wholeness,
-    /// Starts of the device in it.
+    /// Number of starts of the device.
     pub starts: usize,
     /// The stream that both links carry: `raw` or `corrected`.
     pub stream: &'static str,
-    /// Samples that both delivered.
+    /// Samples delivered by both.
     pub pairs: u64,
-    /// Of these, with the same value on both.
+    /// Of these, those with equal values.
     pub identical: u64,
-    /// With a saturated axis on either: left out of the values.
+    /// Of these, those with a saturated axis on either; excluded from the values.
     pub saturated: u64,
-    /// Raw, from where the range may have changed and no epoch tells: left out of the values.
+    /// Of these, raw ones of unknown range; excluded from the values.
     pub without_unit: u64,
     /// The cable and the wireless link.
     pub links: [LinkReport; 2],
-    /// The device's clock by both links together.
+    /// The device's clock, from both links.
     pub clock: Option<ClockSummary>,
-    /// The wireless values against the cable's; `None` where they say nothing about each other.
+    /// The wireless values against the cable's; `None` where they are not comparable.
     pub values: Option<Values>,
-    /// Why there are no values.
+    /// Why they are not.
     pub values_reason: Option<String>,
-    /// What the pictures show.
+    /// Data of the charts.
     #[serde(skip)]
     history: History,
 }
@@ -88,7 +88,7 @@ pub struct Comparison {
 pub struct Values {
     /// Axes.
     pub axes: [Axis; 3],
-    /// The error model of the link that the axes make.
+    /// The link's error model.
     #[serde(skip)]
     pub model: LinkModel,
 }
@@ -101,15 +101,15 @@ pub struct Axis {
     /// Its standard deviation.
     pub offset_sd_mps2: f64,
     /// Bias and scale factor with their standard deviations; `None` for an axis that hardly moved,
-    /// of which only the offset is known.
+    /// for which only the offset is known.
     pub line: Option<AxisLine>,
-    /// Difference before the model, rms.
+    /// RMS difference before correction.
     pub rms_before_mps2: f64,
-    /// Under the model.
+    /// RMS difference after correction by the model.
     pub rms_after_mps2: f64,
-    /// Largest difference before, LSB of the stream; `None` for tables.
+    /// Largest difference before correction, LSB of the stream; `None` for tables.
     pub max_before_lsb: Option<u32>,
-    /// Under the model, rounded to whole LSB.
+    /// Largest difference after correction, rounded to LSB.
     pub max_after_lsb: Option<u32>,
 }
 
@@ -127,14 +127,14 @@ pub struct AxisLine {
 }
 
 impl Axis {
-    /// `lsb_mps2` is what values are rounded to: the same value is always rounded the same way, so
-    /// that no scatter shows it. At worst it goes with the motion all the way, and passes for a scale
-    /// factor.
+    /// `lsb_mps2` is the quantisation step: equal values are always rounded equally, so
+    /// that the scatter does not contain the rounding error. In the worst case it is correlated with the motion and
+    /// acts as a scale factor.
     fn new(found: &Transfer, axis: usize, lsb_mps2: f64) -> Self {
         let (index, axis) = (axis, &found.axes[axis]);
         let rounding_sd = lsb_mps2 / 12.0_f64.sqrt();
         let rounding_scale_sd = rounding_sd / axis.motion_mps2.max(f64::MIN_POSITIVE);
-        // The bias is the line's value at 0, away from where the motion was.
+        // The bias is the line's value at 0, extrapolated from the motion.
         let rounding_bias_sd = rounding_sd.hypot(rounding_scale_sd * axis.at_mps2);
         Self {
             offset_mps2: axis.offset_mps2,
@@ -159,25 +159,25 @@ impl Axis {
     }
 }
 
-/// What changed over time.
+/// Data over time, for the charts.
 #[derive(Clone, Debug, Default)]
 struct History {
     /// Length of a slice, s.
     slice_s: f64,
-    /// The meters' slices, by link.
+    /// Slices of both links.
     slices: [Vec<link::Slice>; 2],
-    /// When, and what was estimated by then.
+    /// Times, and the estimates up to each.
     evolution: Vec<(f64, [Axis; 3])>,
-    /// When, and both values of a stretch in the middle, m/s².
+    /// Times and both values of the part in the middle, m/s².
     excerpt: Vec<(f64, [[f64; 3]; 2])>,
 }
 
-/// Compares the links of a recording; `open` opens it, three times, and `name` is what errors
-/// call it.
+/// Compares the links of a recording; `open` opens it, three times, and `name` is its name in
+/// errors.
 ///
 /// # Errors
 /// Those of [`walk`](crate::walk::walk); `data_refused` when a link is missing, when the links are of different boards,
-/// when they carry no stream in common, or no sample.
+/// or when they have no stream or sample in common.
 pub fn compare<R: Read>(
     open: impl Fn() -> Result<RecordingReader<R>>,
     name: &str,
@@ -258,7 +258,7 @@ pub fn compare<R: Read>(
 }
 
 fn refused(name: &str, message: impl Into<String>, remedy: &str) -> HostError {
-    HostError::new(ErrorCode::DataRefused, message, remedy).at(name)
+    ErrorCode::DataRefused.error(message, remedy).at(name)
 }
 
 fn index_of(role: LinkRole) -> usize {

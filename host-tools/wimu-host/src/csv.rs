@@ -3,13 +3,13 @@
 //! `Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²),Magnetometer X (µT),…,Temperature (°C)`.
 //! Several accelerometers are `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …. A byte order
 //! mark, CRLF, quotes and both µ characters are accepted. Other columns are kept as text. A column
-//! `Sensitivity (LSB/g)` says what counts are: a table is read as long as that stays the same, and rows
+//! `Sensitivity (LSB/g)` is the unit of counts: a table is read as long as it stays the same, and rows
 //! where it is empty, whose unit is unknown, are left out.
 //!
-//! Other programs' files are read where they leave no doubt: `Acceleration x (m/s^2)`, `acc_x [g]`,
-//! `AccelX (mg)`, `Timestamp (ms)`, `Magnetic field x (µT)` and the like, always with a unit and only where
-//! no column of ours holds the same; semicolons or tabs between the fields, then with decimal commas too;
-//! lines that begin with `#` are left out.
+//! Files of other programs are read where their columns are unambiguous: `Acceleration x (m/s^2)`, `acc_x [g]`,
+//! `AccelX (mg)`, `Timestamp (ms)`, `Magnetic field x (µT)` and the like, always with a unit, and only where
+//! no column with a name of this format has the same quantity. Fields may be separated by semicolons or tabs, then with
+//! decimal commas too. Lines that begin with `#` are skipped.
 //!
 //! ```
 //! use wimu_host::csv::CsvReader;
@@ -38,7 +38,7 @@ use line::Lines;
 use crate::error::{ErrorCode, HostError, Result};
 use crate::foreign;
 
-/// The column that says what the counts of a row are.
+/// The column with the sensitivity of the counts of a row.
 pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
 
 /// One line of a file.
@@ -46,7 +46,7 @@ pub const SENSITIVITY: &str = "Sensitivity (LSB/g)";
 pub struct Row {
     /// Its line in the file, from 1; not written.
     pub line: u64,
-    /// Time, ns, on whatever clock the file has; `None` without a time column.
+    /// Time, ns, on the clock of the file; `None` without a time column.
     pub time_ns: Option<i64>,
     /// X, Y, Z per accelerometer, in the order and unit of the header.
     pub accelerations: Vec<[f64; 3]>,
@@ -72,8 +72,7 @@ impl std::str::FromStr for Filter {
                 Some((column, value)) if !column.trim().is_empty() => {
                     Ok((column.trim().to_owned(), value.trim().to_owned()))
                 }
-                _ => Err(HostError::new(
-                    ErrorCode::Usage,
+                _ => Err(ErrorCode::Usage.error(
                     format!("`{pair}` in the row filter is not COLUMN=VALUE"),
                     "write for example --where \"Run=2,IMU=0\"",
                 )),
@@ -90,16 +89,16 @@ pub struct CsvReader<R> {
     fields: Vec<String>,
     header: Header,
     columns: Columns,
-    /// Field to compare, and with what.
+    /// Index of a column and the value that it must have.
     filter: Vec<(usize, String)>,
     ordered: bool,
-    /// Whether fields of sensors may hold no number.
+    /// Whether sensor fields may be empty.
     with_holes: bool,
-    /// The field of a table of counts that says its row's sensitivity.
+    /// Index of the sensitivity column of a table of counts.
     sensitivity: Option<usize>,
     /// The sensitivity of the rows so far, as written.
     unit: Option<String>,
-    /// What stands before decimals, where a number has shown it.
+    /// The decimal mark, once a number has one.
     decimal_mark: Option<char>,
     /// Time and line of the last row.
     last: Option<(i64, u64)>,
@@ -141,21 +140,20 @@ impl<R: BufRead> CsvReader<R> {
             .next_fields(&mut fields)
             .map_err(|error| location(error, lines.number))?;
         if found.is_none() {
-            return Err(HostError::new(
-                ErrorCode::CsvEmpty,
-                "the file is empty",
-                "a CSV file starts with a line of column names and units",
-            )
-            .at(name));
+            return Err(ErrorCode::CsvEmpty
+                .error(
+                    "the file is empty",
+                    "a CSV file starts with a line of column names and units",
+                )
+                .at(name));
         }
         if let [only] = fields.as_slice()
             && only.contains('|')
         {
             return Err(location(
-                HostError::new(
-                    ErrorCode::CsvNoHeader,
+                ErrorCode::CsvNoHeader.error(
                     "the fields are separated by '|'",
-                    "write commas, semicolons or tabs between the fields",
+                    "separate the fields by commas, semicolons or tabs",
                 ),
                 lines.number,
             ));
@@ -187,27 +185,26 @@ impl<R: BufRead> CsvReader<R> {
     pub fn select(mut self, filter: &Filter) -> Result<Self> {
         for (column, value) in &filter.0 {
             let index = self.columns.find(column).ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvMissingColumn,
-                    format!("there is no column `{column}` to filter by"),
-                    format!("choose from: {}", self.columns.names().join(", ")),
-                )
-                .at(format!("{} line 1", self.name))
+                ErrorCode::CsvMissingColumn
+                    .error(
+                        format!("there is no column `{column}` to filter by"),
+                        format!("choose from: {}", self.columns.names().join(", ")),
+                    )
+                    .at(format!("{} line 1", self.name))
             })?;
             self.filter.push((index, value.clone()));
         }
         Ok(self)
     }
 
-    /// Accepts rows in any order of time: for rows that are no time series, such as pose means.
+    /// Accepts rows in any order of time: for pose means, which are not a time series.
     #[must_use]
     pub fn in_any_order(mut self) -> Self {
         self.ordered = false;
         self
     }
 
-    /// Accepts fields of sensors that are empty or `NaN`: of an accelerometer as not a number, of a magnetometer or
-    /// thermometer as absent.
+    /// Accepts empty sensor fields and `NaN`: as NaN for an accelerometer, as absent for a magnetometer or thermometer.
     #[must_use]
     pub fn with_holes(mut self) -> Self {
         self.with_holes = true;
@@ -224,7 +221,7 @@ impl<R: BufRead> CsvReader<R> {
         &self.name
     }
 
-    /// The next row, `None` at the end.
+    /// The next row; `None` at the end.
     ///
     /// # Errors
     /// `csv_bad_number`, `csv_field_count`, `csv_time_backwards`, `csv_mixed_units` where the
@@ -240,15 +237,12 @@ impl<R: BufRead> CsvReader<R> {
             }
             let fields = self.fields.len();
             if fields != self.columns.len() {
-                return Err(HostError::new(
-                    ErrorCode::CsvFieldCount,
-                    format!(
-                        "{fields} fields where the header has {}",
-                        self.columns.len()
-                    ),
-                    "complete the line or remove it",
-                )
-                .at(self.location(None)));
+                return Err(ErrorCode::CsvFieldCount
+                    .error(
+                        format!("{fields} fields, but the header has {}", self.columns.len()),
+                        "complete the line or remove it",
+                    )
+                    .at(self.location(None)));
             }
             if self.passes_filter() && self.has_unit()? {
                 self.write_points()?;
@@ -267,7 +261,7 @@ impl<R: BufRead> CsvReader<R> {
         })
     }
 
-    /// Whether it is known what the counts of the line are.
+    /// Whether the unit of the counts of the line is known.
     fn has_unit(&mut self) -> Result<bool> {
         let Some(index) = self.sensitivity else {
             return Ok(true);
@@ -277,12 +271,10 @@ impl<R: BufRead> CsvReader<R> {
             return Ok(false);
         }
         match &self.unit {
-            Some(unit) if unit != field => Err(HostError::new(
-                ErrorCode::CsvMixedUnits,
-                format!("the range was changed: from here on 1 g is {field} LSB, before {unit}"),
+            Some(unit) if unit != field => Err(ErrorCode::CsvMixedUnits.error(format!("the range changes here: 1 g is {field} LSB, before {unit} LSB"),
                 format!(
-                    "take the rows of one range, with --where \"{SENSITIVITY}={unit}\" where the command has \
-                     that; or record at one range"
+                        "select the rows of one range with --where \"{SENSITIVITY}={unit}\" (where the command has it), or record \
+                         at one range"
                 ),
             )
             .at(self.location(Some(index)))),
@@ -294,7 +286,7 @@ impl<R: BufRead> CsvReader<R> {
         }
     }
 
-    /// Decimal points for decimal commas, where no comma parts the fields.
+    /// Replaces decimal commas by points, where the fields are not separated by commas.
     fn write_points(&mut self) -> Result<()> {
         if self.lines.separator() == ',' {
             return Ok(());
@@ -312,12 +304,12 @@ impl<R: BufRead> CsvReader<R> {
                 && matches!(quantity, Quantity::Acceleration { .. });
             let thousands = mark == ',' && counts && number::has_thousands(text);
             if thousands || *self.decimal_mark.get_or_insert(mark) != mark {
-                return Err(HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    format!("the comma or point in `{text}` may be of decimals or of thousands"),
-                    "write a point before decimals, and nothing between thousands",
-                )
-                .at(self.location(Some(index))));
+                return Err(ErrorCode::CsvBadNumber
+                    .error(
+                        format!("`{text}` is ambiguous: decimal comma or thousands separator"),
+                        "use a decimal point and no thousands separators",
+                    )
+                    .at(self.location(Some(index))));
             }
             if mark == ',' {
                 self.fields[index] = text.replacen(',', ".", 1);
@@ -337,24 +329,24 @@ impl<R: BufRead> CsvReader<R> {
             let is_hole = self.with_holes && number::is_none(text);
             let number = || {
                 number::finite(text).ok_or_else(|| {
-                    HostError::new(
-                        ErrorCode::CsvBadNumber,
-                        format!("`{text}` is not a finite number"),
-                        "correct the field or remove the line",
-                    )
-                    .at(self.location(Some(index)))
+                    ErrorCode::CsvBadNumber
+                        .error(
+                            format!("`{text}` is not a finite number"),
+                            "correct the field or remove the line",
+                        )
+                        .at(self.location(Some(index)))
                 })
             };
             match self.columns.quantity(index) {
                 Quantity::Time { exponent } => {
                     number()?;
                     let time = number::decimal(text, exponent).ok_or_else(|| {
-                        HostError::new(
-                            ErrorCode::CsvBadNumber,
-                            format!("the time `{text}` does not fit 64 bits of nanoseconds"),
-                            "check the column's unit",
-                        )
-                        .at(self.location(Some(index)))
+                        ErrorCode::CsvBadNumber
+                            .error(
+                                format!("the time `{text}` does not fit 64 bits of nanoseconds"),
+                                "check the column's unit",
+                            )
+                            .at(self.location(Some(index)))
                     })?;
                     row.time_ns = Some(time);
                 }
@@ -381,12 +373,12 @@ impl<R: BufRead> CsvReader<R> {
             [None, None, None] => None,
             _ if self.with_holes => None,
             _ => {
-                return Err(HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    "some axes of the magnetometer are empty, others are not",
-                    "fill in all three or none",
-                )
-                .at(self.location(None)));
+                return Err(ErrorCode::CsvBadNumber
+                    .error(
+                        "some axes of the magnetometer are empty, others are not",
+                        "fill in all three or none",
+                    )
+                    .at(self.location(None)));
             }
         };
         Ok(row)
@@ -399,14 +391,12 @@ impl<R: BufRead> CsvReader<R> {
         if let Some((last, last_line)) = self.last
             && time < last
         {
-            return Err(HostError::new(
-                ErrorCode::CsvTimeBackwards,
-                format!(
+            return Err(ErrorCode::CsvTimeBackwards.error(format!(
                     "time goes back by {} s after line {last_line}",
                     last.abs_diff(time) as f64 / 1e9
                 ),
-                "sort the rows; if the file holds several runs, choose one with --where; if its rows are means \
-                 over static poses, add --poses",
+                    "sort the rows; if the file contains several runs, select one with --where; if its rows are means \
+                     over static poses, add --poses",
             )
             .at(self.location(None)));
         }
@@ -414,7 +404,7 @@ impl<R: BufRead> CsvReader<R> {
         Ok(())
     }
 
-    /// The line last read, and a column of it.
+    /// Location of the line last read, and of a column of it.
     fn location(&self, column: Option<usize>) -> String {
         let column = column
             .and_then(|index| self.columns.names().get(index))
@@ -455,7 +445,7 @@ impl<W: Write> CsvWriter<W> {
         Ok(writer)
     }
 
-    /// Writes one row; what the header has and the row has not is left empty.
+    /// Writes one row; fields of the header that the row does not have are left empty.
     ///
     /// # Errors
     /// `file_failed`.

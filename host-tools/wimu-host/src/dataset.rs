@@ -1,59 +1,39 @@
-//! One accelerometer's output over time, or static-pose means, from a CSV file or a recording:
-//! what a calibration reads.
+//! Output of one accelerometer over time, or static-pose means, from a CSV file or a recording: the input of a
+//! calibration.
 
+mod link;
+mod selection;
 mod times;
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use wimu_calib::{Datasheet, Pose, find_poses};
-use wimu_link::LinkRole;
-use wimu_link::hello::sensor;
 use wimu_model::{
-    CentiCelsius, Counts, DeviceTimeUs, ParameterSet, Sensitivity, SensorId, SpecificForceMps2,
-    TemperatureTerms,
+    CentiCelsius, Counts, ParameterSet, Sensitivity, SensorId, SpecificForceMps2, TemperatureTerms,
 };
 
-use crate::csv::{AccelerationUnit, CsvReader, Filter, Header};
-use crate::error::{ErrorCode, HostError, Result};
-use crate::history::{Boot, LinkHistory, Recording};
+use crate::csv::{AccelerationUnit, CsvReader};
+use crate::error::{ErrorCode, Result};
+use crate::plural::counted;
+pub use selection::LoadOptions;
+pub(crate) use selection::one_sensor;
+use selection::{choose, samples_of};
 use times::RowTimes;
 
-/// Sample rate of a file without times, Hz.
+/// Assumed sample rate of a file without times, Hz.
 const ASSUMED_RATE_HZ: f64 = 100.0;
-/// So far beyond the temperatures of its poses a calibration is trusted in silence, K.
+/// Extrapolation beyond the temperatures of a calibration without a remark, K. Chosen.
 const BEYOND_K: f64 = 5.0;
-/// Most columns that an error lists.
-const MOST_NAMED: usize = 12;
-/// More rests than anyone holds still for.
+/// Rests for which memory is reserved at first.
 const USUAL_RESTS: usize = 1000;
-/// More rows than this at more than this rate, Hz, are samples and no means over poses: these take seconds each.
-const MOST_POSES: usize = 100;
-const MOST_POSES_HZ: f64 = 5.0;
-
-/// Columns that tell sensors apart, and runs.
-const SENSORS: [&str; 5] = ["imu", "sensor", "device", "unit", "board"];
-const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
-/// A column with more values than this tells nothing apart.
-const MOST_VALUES: usize = 64;
-
-/// What to take from a file.
-#[derive(Clone, Debug, Default)]
-pub struct LoadOptions {
-    /// Rows of a CSV file to keep.
-    pub filter: Option<Filter>,
-    /// Which accelerometer of a CSV file that has several.
-    pub accelerometer: Option<u32>,
-    /// Rows of a CSV file are static-pose means, not a time series.
-    pub poses: bool,
-    /// Which link of a recording; see [`Recording::link`].
-    pub role: Option<LinkRole>,
-}
+/// More rows than this at a higher rate than this, Hz, are samples, not means over poses, which take seconds each.
+const MAX_POSES: usize = 100;
+const MAX_POSE_RATE_HZ: f64 = 5.0;
 
 /// Unit of [`Output::value`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OutputUnit {
-    /// LSB.
+    /// Counts, LSB.
     Counts {
         /// Nominal sensitivity, where the device knows it.
         nominal: Option<Sensitivity>,
@@ -64,7 +44,7 @@ pub enum OutputUnit {
     Mps2,
 }
 
-/// Where a sample rate comes from.
+/// Source of a sample rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RateSource {
@@ -72,7 +52,7 @@ pub enum RateSource {
     Device,
     /// The file's times.
     Times,
-    /// Nothing said it.
+    /// Assumed.
     Assumed,
 }
 
@@ -83,22 +63,22 @@ pub struct Output {
     pub value: [f64; 3],
     /// Temperature, °C.
     pub temperature_c: Option<f64>,
-    /// How many samples a mean is of; 1 for a sample.
+    /// Number of samples in a mean; 1 for a sample.
     pub samples: u32,
     /// Whether samples are missing before this one.
     pub after_gap: bool,
-    /// When it was taken, s, where that is known: in a CSV file as its rows have it, in a recording by the
-    /// device's clock from the first sample on, which counts on where the device started again.
+    /// Time, s; `None` if unknown. In a CSV file as in its rows; in a recording device time from the first sample
+    /// on, continued where the device restarted.
     pub time_s: Option<f64>,
-    /// What the magnetometer put out, nT: in a recording with the first sample after it was read, in
-    /// a CSV file as its rows have it.
+    /// Output of the magnetometer, nT: in a recording with the first sample after it was read, in
+    /// a CSV file as in its rows.
     pub magnetic_field_nt: Option<[f64; 3]>,
 }
 
-/// One accelerometer's output.
+/// Output of one accelerometer.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// What errors call it.
+    /// Name of the data in errors.
     pub name: String,
     /// Unit of the values.
     pub unit: OutputUnit,
@@ -106,13 +86,13 @@ pub struct Dataset {
     pub poses: bool,
     /// Nominal sample rate, Hz.
     pub rate_hz: f64,
-    /// Where the rate comes from.
+    /// Source of the rate.
     pub rate_source: RateSource,
-    /// The sensor's datasheet, where the device says which sensor it has and it is known.
+    /// Datasheet of the sensor, where the device identifies it and it is known.
     pub datasheet: Option<&'static Datasheet>,
     /// The rows, in order; at least one.
     pub outputs: Vec<Output>,
-    /// The accelerometer, where a device has said which.
+    /// The accelerometer, where a device identified it.
     pub sensor: Option<SensorId>,
 }
 
@@ -155,19 +135,19 @@ impl Dataset {
             });
         }
         if outputs.is_empty() {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                match options.filter {
-                    Some(_) => "no row passes the filter",
-                    None => "there are no rows below the header",
-                },
-                "check the file and --where",
-            )
-            .at(name));
+            return Err(ErrorCode::NoRows
+                .error(
+                    match options.filter {
+                        Some(_) => "no row passes the filter",
+                        None => "there are no rows below the header",
+                    },
+                    "check the file and --where",
+                )
+                .at(name));
         }
         let (rate_hz, rate_source) = match times.rate_and_gaps() {
             Some((rate, gaps)) => {
-                // Pose means are no time series: nothing is missing between them.
+                // Pose means are not a time series: no samples are missing between them.
                 for row in gaps.into_iter().filter(|_| !options.poses) {
                     outputs[row].after_gap = true;
                 }
@@ -176,18 +156,18 @@ impl Dataset {
             None => (ASSUMED_RATE_HZ, RateSource::Assumed),
         };
         let sampled = rate_source == RateSource::Times
-            && rate_hz > MOST_POSES_HZ
-            && outputs.len() > MOST_POSES;
+            && rate_hz > MAX_POSE_RATE_HZ
+            && outputs.len() > MAX_POSES;
         if options.poses && sampled {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                format!(
-                    "its {} rows look like a continuous recording, not like means over static poses",
-                    outputs.len()
-                ),
-                "leave --poses out: the rests are found in the recording",
-            )
-            .at(name));
+            return Err(ErrorCode::Usage
+                .error(
+                    format!(
+                        "its {} rows look like a continuous recording, not means over static poses",
+                        outputs.len()
+                    ),
+                    "leave out --poses: the rests are found in the recording",
+                )
+                .at(name));
         }
         Ok(Self {
             name,
@@ -207,7 +187,7 @@ impl Dataset {
         })
     }
 
-    /// When an output was taken, s from the first: by the data's own times, else by the rate.
+    /// Time of an output, s since the first one, by the data's times, else by the rate.
     pub fn since_start_s(&self, index: usize) -> f64 {
         let time = |index: usize| self.outputs.get(index)?.time_s;
         match (time(0), time(index)) {
@@ -216,7 +196,7 @@ impl Dataset {
         }
     }
 
-    /// In how many places samples are missing, and for how long in all, s.
+    /// Number of gaps, and their total length, s.
     pub fn gaps(&self) -> (usize, f64) {
         let gaps = (1..self.outputs.len()).filter(|index| self.outputs[*index].after_gap);
         gaps.fold((0, 0.0), |(count, total_s), index| {
@@ -225,20 +205,19 @@ impl Dataset {
         })
     }
 
-    /// A remark on the places where samples are missing; `None` where there is none.
+    /// Remark on gaps; `None` without gaps.
     pub(crate) fn gaps_remark(&self) -> Option<String> {
         let (count, total_s) = self.gaps();
         (count > 0).then(|| {
             format!(
-                "samples are missing in {count} place{}, {total_s:.1} s in all: nothing is averaged across \
-                 them",
-                if count == 1 { "" } else { "s" }
+                "samples are missing: {}, {total_s:.1} s in total; no mean includes a gap",
+                counted(count, "gap")
             )
         })
     }
 
-    /// The outputs as `set` corrects them, each at its temperature, m/s², sensor axes. A row without one
-    /// has that of the rows before it.
+    /// The outputs corrected by `set`, each at its temperature, m/s², sensor axes. A row without a temperature has that of
+    /// the last one before it.
     pub(crate) fn corrected(&self, set: &ParameterSet) -> Vec<[f64; 3]> {
         let scale = match self.unit {
             OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
@@ -254,8 +233,7 @@ impl Dataset {
         self.outputs.iter().map(correct).collect()
     }
 
-    /// A remark on what the temperatures, or their lack, leave of a correction by `set`; `None` where they
-    /// are those it was made at.
+    /// Remark on temperatures that are missing or outside the range of the calibration `set`.
     pub(crate) fn temperature_remark(&self, set: &ParameterSet) -> Option<String> {
         let terms = set.model.terms().temperature;
         let moves = TemperatureTerms {
@@ -272,8 +250,7 @@ impl Dataset {
         if lowest > highest {
             return moves.then(|| {
                 format!(
-                    "the calibration goes with the temperature and the data have none: they are corrected as \
-                     at {:.1} °C",
+                        "the calibration depends on temperature and the data have none: {:.1} °C assumed",
                     terms.reference_c
                 )
             });
@@ -282,18 +259,18 @@ impl Dataset {
         let (from, to) = (f64::from(made.lowest_c), f64::from(made.highest_c));
         (lowest < from - BEYOND_K || highest > to + BEYOND_K).then(|| {
             format!(
-                "the data are from {lowest:.1} to {highest:.1} °C, the calibration was made from {from:.1} to \
-                 {to:.1} °C: what the temperature does beyond is not in the ±"
+                    "the data are from {lowest:.1} to {highest:.1} °C, the calibration from {from:.1} to {to:.1} °C: ± does not \
+                     include the error of this extrapolation"
             )
         })
     }
 
-    /// The rests of the outputs, given as `forces`, m/s², one for each output. A gap ends a rest.
+    /// The rests among `forces`, m/s², one for each output. A gap ends a rest.
     ///
-    /// [`Pose::first_sample`] is the place in [`outputs`](Self::outputs), [`Pose::time_s`] counts from the
-    /// first output by the data's own times.
+    /// [`Pose::first_sample`] is an index into [`outputs`](Self::outputs), [`Pose::time_s`] is relative to the
+    /// first output.
     pub(crate) fn rests(&self, forces: &[[f64; 3]]) -> Vec<Pose> {
-        // A sample that is no number ends a hold.
+        // A NaN ends a rest.
         let samples = self.outputs.iter().zip(forces).flat_map(|(output, force)| {
             let gap = output.after_gap.then_some(([f64::NAN; 3], None));
             gap.into_iter().chain([(*force, output.temperature_c)])
@@ -306,7 +283,7 @@ impl Dataset {
         }
         rests.truncate(found);
         let gaps = (0..self.outputs.len()).filter(|index| self.outputs[*index].after_gap);
-        // Where the gaps stand among the samples as the finder counted them.
+        // Indices of the NaNs in the sequence given to the detector.
         let gaps: Vec<usize> = gaps.enumerate().map(|(k, index)| index + k).collect();
         for rest in &mut rests {
             let counted = rest.first_sample as usize;
@@ -318,28 +295,28 @@ impl Dataset {
         rests
     }
 
-    /// The outputs as a sensor's registers held them.
+    /// The outputs as counts of a sensor's registers.
     ///
     /// # Errors
-    /// `unknown_format` when they are no counts; `csv_bad_number` when one does not fit 16 bits.
+    /// `unknown_format` when they are not counts; `csv_bad_number` when one does not fit 16 bits.
     pub fn counts(&self) -> Result<Vec<Counts>> {
         if self.unit == OutputUnit::Mps2 {
-            return Err(HostError::new(
-                ErrorCode::UnknownFormat,
-                "its accelerations are no raw counts",
-                "give a file whose accelerometer columns are in LSB",
-            )
-            .at(&self.name));
+            return Err(ErrorCode::UnknownFormat
+                .error(
+                    "its accelerations are not raw counts",
+                    "give a file whose accelerometer columns are in LSB",
+                )
+                .at(&self.name));
         }
         let count = |value: f64| {
             let exact = value.trunc() == value && (-32768.0..=32767.0).contains(&value);
             exact.then_some(value as i16).ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvBadNumber,
-                    format!("{value} is no count of a 16-bit sensor"),
-                    "raw counts are whole numbers from -32768 to 32767",
-                )
-                .at(&self.name)
+                ErrorCode::CsvBadNumber
+                    .error(
+                        format!("{value} is not a count of a 16-bit sensor"),
+                        "raw counts are whole numbers from -32768 to 32767",
+                    )
+                    .at(&self.name)
             })
         };
         self.outputs
@@ -350,252 +327,6 @@ impl Dataset {
             })
             .collect()
     }
-
-    /// Reads a recording's raw samples.
-    ///
-    /// # Errors
-    /// Those of [`Recording::load`] and [`Dataset::from_link`].
-    pub fn from_recording(path: &Path, options: &LoadOptions) -> Result<Self> {
-        let recording = Recording::load(path)?;
-        Self::from_link(recording.link(options.role)?, &recording.name)
-    }
-
-    /// The raw samples that a link has brought; `name` is what errors call it.
-    ///
-    /// # Errors
-    /// `no_rows` when there are none, `data_refused` when the range changed meanwhile.
-    pub fn from_link(link: &LinkHistory, name: &str) -> Result<Self> {
-        let boots: Vec<&Boot> = link
-            .boots
-            .iter()
-            .filter(|boot| !boot.raw.is_empty())
-            .collect();
-        let Some(first) = boots.first() else {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                format!("no raw samples came over the {} link", link.role),
-                "switch the raw stream on with `wimu settings set`, or use the other link",
-            )
-            .at(name));
-        };
-        let range_g = first.epochs.first().map(|mark| mark.epoch.range_g);
-        let changed = boots
-            .iter()
-            .flat_map(|boot| &boot.epochs)
-            .find(|mark| Some(mark.epoch.range_g) != range_g);
-        if let Some(mark) = changed {
-            return Err(HostError::new(
-                ErrorCode::DataRefused,
-                format!(
-                    "the range changes from ±{} g to ±{} g at sample {}",
-                    range_g.unwrap_or_default(),
-                    mark.epoch.range_g,
-                    mark.epoch.sequence
-                ),
-                "record at one range: a calibration holds at one range only",
-            )
-            .at(name));
-        }
-        let rate_hz = match (first.settings.first(), first.epochs.first()) {
-            (Some(settings), _) => f64::from(settings.rate_hz),
-            (None, Some(mark)) => 1e9 / f64::from(mark.epoch.period_ns.max(1)),
-            (None, None) => ASSUMED_RATE_HZ,
-        };
-        let mut outputs: Vec<Output> = Vec::new();
-        for boot in &boots {
-            let mut next = None;
-            let before_s = outputs.last().and_then(|output| output.time_s);
-            let begin_us = boot.raw.first().map_or(0, |sample| sample.time.0);
-            let mut surroundings = Surroundings::new(boot);
-            for sample in &boot.raw {
-                outputs.push(Output {
-                    value: sample.value.map(f64::from),
-                    magnetic_field_nt: surroundings.field_until(sample.time),
-                    temperature_c: surroundings.temperature,
-                    samples: 1,
-                    after_gap: next != Some(sample.sequence) && !outputs.is_empty(),
-                    time_s: Some(
-                        before_s.map_or(0.0, |before| before + 1.0 / rate_hz)
-                            + sample.time.0.saturating_sub(begin_us).saturating_mul(1000) as f64
-                                * 1e-9,
-                    ),
-                });
-                next = Some(sample.sequence.wrapping_add(1));
-            }
-        }
-        Ok(Self {
-            name: name.to_owned(),
-            unit: OutputUnit::Counts {
-                nominal: first.nominal_sensitivity(),
-                range_g,
-            },
-            poses: false,
-            rate_hz,
-            rate_source: RateSource::Device,
-            datasheet: first.hello.and_then(|hello| match hello.sensor.number {
-                sensor::LSM303AGR => Datasheet::of("LSM303AGR"),
-                sensor::ADXL345 => Datasheet::of("ADXL345"),
-                _ => None,
-            }),
-            outputs,
-            sensor: first.sensor(),
-        })
-    }
-}
-
-/// Refuses a file whose rows are of several sensors, or of several runs with times that start anew.
-pub(crate) fn one_sensor(path: &Path, options: &LoadOptions) -> Result<()> {
-    let mut reader = CsvReader::open(path)?.with_holes().in_any_order();
-    let names = reader.header().other.clone();
-    let is_one_of = |k: usize, known: &[&str]| known.contains(&names[k].to_lowercase().as_str());
-    let named = (0..names.len()).filter(|k| is_one_of(*k, &SENSORS) || is_one_of(*k, &RUNS));
-    let mut found: Vec<(usize, BTreeSet<String>)> = named.map(|k| (k, BTreeSet::new())).collect();
-    if found.is_empty() {
-        return Ok(());
-    }
-    if let Some(filter) = &options.filter {
-        reader = reader.select(filter)?;
-    }
-    let (mut last_ns, mut anew) = (None, false);
-    // What is wrong with a row is reported where the rows are used.
-    for row in reader.flatten() {
-        anew |= !options.poses && row.time_ns < last_ns;
-        last_ns = row.time_ns;
-        for (k, values) in found.iter_mut().filter(|(_, v)| v.len() <= MOST_VALUES) {
-            values.extend(row.other.get(*k).cloned());
-        }
-    }
-    let (mut said, mut chosen) = (Vec::new(), Vec::new());
-    for (k, values) in found {
-        let several = (2..=MOST_VALUES).contains(&values.len());
-        if several && (anew || is_one_of(k, &SENSORS)) {
-            let values: Vec<String> = values.into_iter().collect();
-            said.push(format!("`{}` is {}", names[k], values.join(", ")));
-            chosen.push(format!("{}={}", names[k], values[0]));
-        }
-    }
-    if said.is_empty() {
-        return Ok(());
-    }
-    let (said, chosen) = (said.join("; "), chosen.join(","));
-    Err(HostError::new(
-        ErrorCode::Usage,
-        format!("its rows are of several sensors or runs: {said}"),
-        format!(
-            "choose with --where \"{chosen}\"; where the command has no --where, leave the other rows out of the file"
-        ),
-    )
-    .at(path.display().to_string()))
-}
-
-/// How many samples a mean is of.
-fn samples_of(field: Option<&String>, line: u64, name: &str) -> Result<u32> {
-    let text = field.map_or("", String::as_str);
-    // 1434.0 is as good.
-    let number = text.parse::<f64>().ok();
-    let whole = number.filter(|n| n.trunc() == *n && (1.0..=f64::from(u32::MAX)).contains(n));
-    whole.map(|n| n as u32).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::CsvBadNumber,
-            format!("`{text}` is no number of samples"),
-            "write how many samples the mean is of, a whole number from 1 on, or remove the column",
-        )
-        .at(format!("{name} line {line}, column `Samples`"))
-    })
-}
-
-/// Index of the accelerometer to read.
-fn choose(name: &str, header: &Header, wanted: Option<u32>) -> Result<usize> {
-    let sensors = header.accelerometers.as_slice();
-    let list = || {
-        let numbers: Vec<_> = sensors.iter().flatten().map(u32::to_string).collect();
-        numbers.join(", ")
-    };
-    match (sensors, wanted) {
-        ([], _) => Err(HostError::new(
-            ErrorCode::CsvMissingColumn,
-            match header.other.as_slice() {
-                [] => "there is no accelerometer in it".to_owned(),
-                others => format!(
-                    "there is no accelerometer with a unit among its columns: {}{}",
-                    others[..others.len().min(MOST_NAMED)].join(", "),
-                    if others.len() > MOST_NAMED { ", …" } else { "" }
-                ),
-            },
-            "name the columns `Accelerometer X (g)`, `Accelerometer Y (g)` and `Accelerometer Z (g)`, in LSB, g, \
-             mg or m/s²; an acceleration without gravity is none",
-        )
-        .at(format!("{name} line 1"))),
-        ([_], None) => Ok(0),
-        (_, None) => Err(HostError::new(
-            ErrorCode::Usage,
-            format!("it has {} accelerometers", sensors.len()),
-            format!(
-                "choose one with --accelerometer: {}; an array's are calibrated at once with --geometry",
-                list()
-            ),
-        )
-        .at(name)),
-        ([None], Some(number)) => Err(HostError::new(
-            ErrorCode::Usage,
-            format!("its one accelerometer has no number, and is not accelerometer {number}"),
-            "leave --accelerometer out",
-        )
-        .at(name)),
-        (_, Some(number)) => sensors
-            .iter()
-            .position(|sensor| *sensor == Some(number))
-            .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::Usage,
-                    format!("it has no accelerometer {number}"),
-                    format!("choose from: {}", list()),
-                )
-                .at(name)
-            }),
-    }
-}
-
-/// Magnetic field and temperature at growing times.
-struct Surroundings<'a> {
-    rest: &'a [wimu_link::message::Environment],
-    /// The latest, °C.
-    temperature: Option<f64>,
-}
-
-impl<'a> Surroundings<'a> {
-    fn new(boot: &'a Boot) -> Self {
-        // A board that replays another sensor's counts has a thermometer and a magnetometer that were
-        // not there.
-        let replays = boot
-            .hello
-            .is_some_and(|hello| hello.sensor.number == sensor::REPLAY);
-        let rest: &[_] = if replays { &[] } else { &boot.environment };
-        Self {
-            rest,
-            temperature: rest.iter().find_map(|e| e.temperature_centi_c).map(celsius),
-        }
-    }
-
-    /// The last field, nT, that was read since the time before.
-    fn field_until(&mut self, time: DeviceTimeUs) -> Option<[f64; 3]> {
-        let mut field = None;
-        while let [first, rest @ ..] = self.rest
-            && first.time_us <= time.0
-        {
-            self.temperature = first.temperature_centi_c.map(celsius).or(self.temperature);
-            field = first
-                .magnetic_field_nt
-                .map(|nt| nt.map(f64::from))
-                .or(field);
-            self.rest = rest;
-        }
-        field
-    }
-}
-
-fn celsius(centi_c: i16) -> f64 {
-    f64::from(centi_c) / 100.0
 }
 
 #[cfg(test)]

@@ -115,6 +115,15 @@ macro_rules! codes {
                 }
             }
 
+            /// A failure of this kind; see [`HostError::new`].
+            pub fn error(
+                self,
+                message: impl Into<String>,
+                remedy: impl Into<String>,
+            ) -> HostError {
+                HostError::new(self, message, remedy)
+            }
+
             /// See [`HostError::exit_code`].
             pub fn exit_code(self) -> u8 {
                 match self {

@@ -1,4 +1,4 @@
-//! A recording as a table.
+//! Export of a recording as a table.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -19,56 +19,54 @@ use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::motion::FIELD_CALIBRATED;
 use crate::overview::{BootOverview, Overview};
 use crate::units::RawUnits;
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{ErrorCode, OutputFile, Result};
 
-/// The column of the heading's standard deviation, empty where it is uncalibrated.
+/// The column with the standard deviation of the heading, empty where it is uncalibrated.
 const HEADING_SD: &str = "Heading SD (deg)";
-/// Samples wait so long for what belongs to them and arrives later, µs of device time.
+/// Time that samples wait for data that belong to them and arrive later, µs of device time.
 const WAIT_US: u64 = 3_000_000;
-/// Times of samples that are kept for the positions computed from them; what waits for its sample,
-/// at most.
+/// Times of samples kept for the positions computed from them, at most; positions that wait for their sample, at most.
 const MAX_TIMES: usize = 16_384;
 const MAX_WAITING: usize = 4096;
 
-/// What a table holds.
+/// Content of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportStream {
-    /// Counts, LSB, with magnetic field as the magnetometer put it out, temperature, and the sensor's
-    /// nominal sensitivity, empty where the range may have changed and no epoch tells.
+    /// Counts, LSB, with the raw output of the magnetometer, temperature, and the sensor's nominal
+    /// sensitivity, empty where it is unknown because no epoch covers the sample.
     Raw,
-    /// Specific force, m/s², body axes, as the device corrected it. Where `Field Calibrated` is 1
-    /// the magnetic field is corrected by the parameters in use then, body axes; where it is 0 it is
-    /// as the magnetometer put it out.
+    /// Specific force, m/s², body axes, as corrected by the device. Where `Field Calibrated` is 1,
+    /// the magnetic field is corrected by the parameters then in use, body axes; where it is 0 it is
+    /// the raw output of the magnetometer.
     Corrected,
-    /// Velocity and position, as the device integrated them. North is magnetic where `Heading SD` has
-    /// a value.
+    /// Velocity and position, as integrated by the device. North is magnetic where `Heading SD` has a value.
     Navigation,
 }
 
-/// What was written.
+/// Result of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exported {
-    /// Of which link.
+    /// The link.
     pub role: LinkRole,
-    /// Lines below the header.
+    /// Number of rows without the header.
     pub rows: usize,
-    /// Raw samples whose range no epoch tells: rows without a sensitivity, or under a link model,
-    /// which cannot be taken off them, no rows at all.
+    /// Raw samples of unknown range because no epoch covers them: without a sensitivity, or left out if a link model was
+    /// to be applied.
     pub without_unit: usize,
-    /// Whether the range changes from row to row.
+    /// Whether the range changes between rows.
     pub ranges_differ: bool,
-    /// How whole the recording is.
+    /// Completeness of the recording.
     pub wholeness: Wholeness,
 }
 
-/// Writes a stream of a recording's link as a CSV file: of the link of `role`, or without one of the
-/// cable if it has raw samples, else of the one with most. Times are UTC where the recording tells
-/// it, device time elsewhere. A link model is taken off. Reads the recording twice; memory does not
+/// Writes a stream of a recording's link as a CSV file: of the link of `role`; `None` takes the
+/// cable if it has raw samples, else the link with the most. Times are UTC where the recording has an anchor,
+/// else device time. The link model is applied. Reads the recording twice, in memory that does not
 /// grow with its length.
 ///
 /// # Errors
-/// Those of [`Overview::read`]; `no_rows` when the link carried no such stream; `data_refused` when
-/// the link model is another device's or link's; `file_failed`, `file_unreadable`.
+/// Those of [`Overview::read`]; `no_rows` when the link has no such stream; `data_refused` when
+/// the link model is of another device or link; `file_failed`, `file_unreadable`.
 pub fn to_csv(
     recording: &Path,
     role: Option<LinkRole>,
@@ -87,9 +85,7 @@ pub fn to_csv(
         ExportStream::Navigation => boot.navigation,
     };
     if link.boots.iter().map(count).sum::<usize>() == 0 {
-        return Err(HostError::new(
-            ErrorCode::NoRows,
-            format!("the {role} link carried no such samples"),
+        return Err(ErrorCode::NoRows.error(format!("the {role} link carried no such samples"),
             "export another stream or the other link, or switch the stream on with `wimu settings set`",
         ));
     }
@@ -195,28 +191,28 @@ fn header(stream: ExportStream) -> Header {
     }
 }
 
-/// What the device has sent since its start, as far as it is still of use.
+/// Data of one start of the device that are still needed.
 #[derive(Default)]
 struct Start {
     samples: VecDeque<TimedSample>,
     navigation: VecDeque<Navigation>,
     environment: VecDeque<Environment>,
-    /// When samples were taken, by number.
+    /// Times of samples, by number.
     times: VecDeque<(u32, DeviceTimeUs)>,
-    /// Parameters and latest epochs: how samples and field are to be read.
+    /// Parameters and latest epochs: they define the units of samples and field.
     boot: Boot,
     /// The latest device time, µs.
     latest_us: u64,
     /// Number of the latest sample that was written.
     written: Option<u32>,
-    /// What samples go with from now on.
+    /// Latest temperature and field.
     temperature_c: Option<f64>,
     field_ut: Option<[f64; 3]>,
     field_calibrated: bool,
 }
 
 impl Start {
-    /// Where the time of a sample is among those kept, or belongs.
+    /// Index of the time of a sample, or where it belongs.
     fn find_time(&self, sequence: u32) -> std::result::Result<usize, usize> {
         self.times
             .binary_search_by(|(number, _)| sequence_order(*number, sequence))
@@ -230,7 +226,7 @@ struct Table<'a> {
     clock: Option<&'a ClockModel>,
     writer: CsvWriter<BufWriter<File>>,
     rows: usize,
-    /// Of the latest raw sample, LSB/g.
+    /// Sensitivity of the latest raw sample, LSB/g.
     sensitivity: Option<f64>,
     ranges_differ: bool,
     without_unit: usize,
@@ -239,7 +235,7 @@ struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Begins with a start of the device.
+    /// Begins a start of the device.
     fn begin(&mut self, boot: Option<&'a BootOverview>) {
         self.start = Start::default();
         self.clock = boot.and_then(|boot| boot.clock.as_ref());
@@ -247,7 +243,7 @@ impl<'a> Table<'a> {
         self.start.boot.parameters = boot.map_or_else(Vec::new, |boot| boot.parameters.clone());
     }
 
-    /// Takes what has arrived; `boots` are the starts that follow.
+    /// Takes an arrival; `boots` are the starts that follow.
     fn take(
         &mut self,
         arrival: &Arrival,
@@ -255,7 +251,7 @@ impl<'a> Table<'a> {
     ) -> Result<()> {
         let start = &mut self.start;
         match &arrival.event {
-            // As the overview has it.
+            // The same condition as in the overview.
             Event::Restart { .. } if !start.boot.is_empty() => {
                 self.write_until(u64::MAX)?;
                 self.begin(boots.next());
@@ -289,7 +285,7 @@ impl<'a> Table<'a> {
             Event::Samples(samples) => {
                 let wanted = ExportStream::from(samples.stream);
                 if wanted == ExportStream::Raw {
-                    // One tells that the device has started.
+                    // One sample marks the start as begun.
                     start.boot.raw.clear();
                     start.boot.raw.extend(samples.iter().next());
                 }
@@ -297,7 +293,7 @@ impl<'a> Table<'a> {
                     start.samples.extend(samples.iter());
                 } else if self.stream == ExportStream::Navigation {
                     for sample in samples.iter() {
-                        // Either stream tells it.
+                        // Either stream has the time.
                         if let Err(at) = start.find_time(sample.sequence) {
                             start.times.insert(at, (sample.sequence, sample.time));
                         }
@@ -314,8 +310,7 @@ impl<'a> Table<'a> {
         Ok(())
     }
 
-    /// Writes the samples before a device time, µs, and the positions whose time is known; at the end
-    /// of time all.
+    /// Writes the samples before a device time, µs, and the positions of known time; with the maximum, all.
     fn write_until(&mut self, until_us: u64) -> Result<()> {
         let all = until_us == u64::MAX;
         let due = |sample: &TimedSample| all || sample.time.0 < until_us;
@@ -327,7 +322,7 @@ impl<'a> Table<'a> {
             let found = start.find_time(navigation.sequence);
             let time = found.ok().map(|at| start.times[at].1);
             if time.is_none() && !all && start.navigation.len() <= MAX_WAITING {
-                // Its sample may still come; those behind it wait, too.
+                // Its sample may still arrive; those after it wait, too.
                 let passed = navigation.sequence.wrapping_add(MAX_WAITING as u32);
                 let has_passed = |(last, _): &_| sequence_order(*last, passed).is_ge();
                 if !start.times.back().is_some_and(has_passed) {

@@ -1,8 +1,8 @@
-//! Files of other programs that are no text: what they are, and how a table is got out of them.
+//! Detection of files of other programs, and how to convert them to CSV.
 
 use crate::{ErrorCode, HostError};
 
-/// First bytes, name, and what makes a CSV file of it.
+/// First bytes, name, and conversion to CSV.
 #[rustfmt::skip]
 const FORMATS: [(&[u8], &str, &str); 14] = [
     (b"PK\x03\x04", "a ZIP archive or a spreadsheet", "unpack it, or save it as CSV (UTF-8)"),
@@ -21,13 +21,12 @@ const FORMATS: [(&[u8], &str, &str); 14] = [
     (b"H Product:Blackbox", "a Betaflight log", "`blackbox_decode FILE`"),
 ];
 
-/// What a file is that begins so, if it is of another program.
+/// The error for a file that begins with `start`, if it is of another program.
 pub(crate) fn refused(start: &[u8]) -> Option<HostError> {
     let (_, name, how) = FORMATS
         .iter()
         .find(|(magic, ..)| start.starts_with(magic))?;
-    Some(HostError::new(
-        ErrorCode::UnknownFormat,
+    Some(ErrorCode::UnknownFormat.error(
         format!("this is {name}, not a CSV file"),
         format!("{how}; then name the columns `Time (s),Accelerometer X (m/s²),…`"),
     ))

@@ -1,4 +1,4 @@
-//! What links have brought, sorted: from a recording or from a live board.
+//! Decoded data of links, from a recording or from a live board.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -13,12 +13,12 @@ use wimu_model::{DeviceTimeUs, MagneticFieldNt, ParameterSet, Sensitivity, Senso
 
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics, TimedSample, sequence_order};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::mcap_file::{ClockAnchor, RecordingReader, Wholeness};
 use crate::overview::{Listen, choose, listen};
 use crate::walk::Start;
 
-/// Changes of parameters and of settings, and events, that are kept of a start, of each the latest.
+/// Largest number of parameter changes, settings changes and events kept of a start, each.
 const MAX_KEPT: usize = 4096;
 
 /// An epoch as it arrived.
@@ -26,16 +26,16 @@ const MAX_KEPT: usize = 4096;
 pub struct EpochMark {
     /// As sent.
     pub epoch: Epoch,
-    /// Whether epochs before it have not arrived.
+    /// Whether epochs before it were lost.
     pub after_loss: bool,
 }
 
-/// What a device sent on one link from one start to the next.
+/// Data of one link in one start of the device.
 #[derive(Clone, Debug, Default)]
 pub struct Boot {
-    /// Which start of the device it is, for both links of a recording; `None` of a live board.
+    /// The start, common to both links of a recording; `None` for a live board.
     pub start: Option<Start>,
-    /// Who it is, as it said last.
+    /// Latest identification.
     pub hello: Option<Hello>,
     /// Raw samples, LSB, by sequence number.
     pub raw: Vec<TimedSample>,
@@ -47,24 +47,24 @@ pub struct Boot {
     pub environment: Vec<Environment>,
     /// Velocity and position, by sequence number.
     pub navigation: Vec<Navigation>,
-    /// Parameters in use, as it said them: the latest 4096 changes.
+    /// Parameters in use, as reported: the latest 4096 changes.
     pub parameters: Vec<ActiveParameters>,
-    /// Settings in use, as it said them: the latest 4096 changes.
+    /// Settings in use, as reported: the latest 4096 changes.
     pub settings: Vec<Settings>,
-    /// How it was, as it said last.
+    /// Latest status.
     pub status: Option<Status>,
-    /// What happened, each once: the latest [`MAX_KEPT`] events and up to as many before them.
+    /// Events, each once: the latest [`MAX_KEPT`] and up to as many before them.
     pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
     known_events: HashSet<String>,
-    /// What the link told about the device's clock.
+    /// Estimator of the device's clock.
     pub clock: ClockEstimator,
-    /// The clock by all of that, once it has been read.
+    /// Its model at the end of the data.
     model: Option<ClockModel>,
 }
 
 impl Boot {
-    /// Host time of a device time, ns, for a history that has been read to its end; `None` where
-    /// nothing tells. See [`ClockModel::host_ns`].
+    /// Host time of a device time, ns, after the end of the data; `None` without a model.
+    /// See [`ClockModel::host_ns`].
     pub fn host_ns(&self, time: DeviceTimeUs) -> Option<u64> {
         self.model.as_ref().map(|model| model.host_ns(time))
     }
@@ -74,7 +74,7 @@ impl Boot {
         self.model.as_ref().map(|model| model.sd_ns(time))
     }
 
-    /// When a sample was taken, if it has arrived raw or corrected.
+    /// Device time of a sample, if it arrived raw or corrected.
     pub fn time_of(&self, sequence: u32) -> Option<DeviceTimeUs> {
         [&self.raw, &self.corrected]
             .into_iter()
@@ -85,17 +85,16 @@ impl Boot {
             })
     }
 
-    /// The parameters that an epoch names: those sent with that id, or for id 0 those of an
+    /// The parameters of an epoch: those sent with its id, or for id 0 those of an
     /// uncalibrated device.
     ///
     /// # Errors
     /// `bad_recording` when they were not sent or are invalid.
     pub fn parameters_of(&self, epoch: &Epoch) -> Result<ParameterSet> {
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadRecording,
+            ErrorCode::BadRecording.error(
                 message,
-                "record from the connection on: the device says its parameters then",
+                "record from the connection on: the device then sends its parameters",
             )
         };
         if epoch.parameters == 0 {
@@ -110,16 +109,15 @@ impl Boot {
             .and_then(|active| active.active)
             .ok_or_else(|| {
                 bad(format!(
-                    "the parameters {:08x} are not in it",
+                    "the recording lacks the parameters {:08x}",
                     epoch.parameters
                 ))
             })?;
         let set = ParameterSet::try_from(&wire).map_err(|fault| bad(fault.to_string()))?;
         if wimu_link::message::parameter_id(&set).0 != epoch.parameters {
-            return Err(HostError::new(
-                ErrorCode::BadRecording,
+            return Err(ErrorCode::BadRecording.error(
                 format!(
-                    "the parameters {:08x} have terms that this wimu does not know",
+                    "the parameters {:08x} have terms unknown to this version of wimu",
                     epoch.parameters
                 ),
                 "update wimu on this computer",
@@ -128,8 +126,8 @@ impl Boot {
         Ok(set)
     }
 
-    /// The magnetic field, nT, body axes, by the parameters that the device used then; `None` where
-    /// they are not known or have no magnetometer.
+    /// The magnetic field, nT, body axes, corrected by the parameters then in use; `None` where
+    /// they are unknown or have no magnetometer.
     pub fn corrected_field_nt(&self, environment: &Environment) -> Option<[f64; 3]> {
         let output = MagneticFieldNt(environment.magnetic_field_nt?);
         let after = self
@@ -140,7 +138,7 @@ impl Boot {
         set.correct_field(output)
     }
 
-    /// Nominal sensitivity of the sensor, if the device knows it, from the epochs.
+    /// Nominal sensitivity of the sensor from the epochs; `None` if the device does not know it.
     pub fn nominal_sensitivity(&self) -> Option<Sensitivity> {
         let known = self.hello.is_none_or(|hello| hello.sensitivity_known);
         let epoch = &self.epochs.first()?.epoch;
@@ -149,13 +147,13 @@ impl Boot {
             .filter(|_| known)
     }
 
-    /// The accelerometer, if the device has said which.
+    /// The accelerometer, if the device has identified it.
     pub fn sensor(&self) -> Option<SensorId> {
         let number = self.hello?.sensor.number;
         sensor::is_one_model(number).then_some(SensorId(number))
     }
 
-    /// Takes what tells of the parameters in use, keeping the latest epoch only.
+    /// Takes parameters and epochs, keeping the latest epoch only.
     pub(crate) fn take_parameters(&mut self, event: &Event) {
         match event {
             Event::Epoch { epoch, after_loss } => {
@@ -174,7 +172,7 @@ impl Boot {
         }
     }
 
-    /// Takes an epoch, and forgets those that ended before a device time, µs.
+    /// Takes an epoch, and drops those that ended before a device time, µs.
     pub(crate) fn add_epoch(&mut self, event: &Event, before_us: u64) {
         if let Event::Epoch { epoch, after_loss } = event {
             self.epochs.push(EpochMark {
@@ -201,8 +199,8 @@ impl Boot {
     }
 }
 
-/// Adds what is not yet `known`, by its `Debug` text: looking through `all` would take longer with every
-/// item. Of twice [`MAX_KEPT`] the older half is dropped.
+/// Adds an item that is not in `known`, which has the `Debug` texts of all items: a search in `all` would take longer
+/// with every item. Of twice [`MAX_KEPT`] the older half is dropped.
 fn push_new<T: std::fmt::Debug>(all: &mut Vec<T>, known: &mut HashSet<String>, item: T) {
     if !known.insert(format!("{item:?}")) {
         return;
@@ -215,7 +213,7 @@ fn push_new<T: std::fmt::Debug>(all: &mut Vec<T>, known: &mut HashSet<String>, i
     all.push(item);
 }
 
-/// Takes what differs from the latest; keeps [`MAX_KEPT`].
+/// Adds an item that differs from the latest; keeps [`MAX_KEPT`].
 fn push_change<T: PartialEq>(kept: &mut Vec<T>, new: T) {
     if kept.last() == Some(&new) {
         return;
@@ -226,16 +224,16 @@ fn push_change<T: PartialEq>(kept: &mut Vec<T>, new: T) {
     kept.push(new);
 }
 
-/// What one link has brought.
+/// Data of one link.
 #[derive(Clone, Debug)]
 pub struct LinkHistory {
     /// Which link.
     pub role: LinkRole,
     /// One for each start of the device, the latest last; at least one.
     pub boots: Vec<Boot>,
-    /// What it carried and lost.
+    /// Its statistics.
     pub statistics: LinkStatistics,
-    /// Samples, epochs and the like whose bytes made no sense, first few.
+    /// Reasons why frames could not be decoded, the first ten.
     pub complaints: Vec<String>,
 }
 
@@ -259,7 +257,7 @@ impl LinkHistory {
         &mut self.boots[last]
     }
 
-    /// The parameters that the device used last while raw samples came; `None` where no epoch tells.
+    /// The parameters in use at the last raw samples; `None` without an epoch.
     ///
     /// # Errors
     /// Those of [`Boot::parameters_of`].
@@ -270,7 +268,7 @@ impl LinkHistory {
             .transpose()
     }
 
-    /// Adds what has arrived.
+    /// Adds an arrival.
     pub fn take(&mut self, arrival: &Arrival) {
         let role = self.role;
         let boot = self.latest();
@@ -308,7 +306,7 @@ impl LinkHistory {
             Event::Settings(settings) => boot.use_settings(*settings),
             Event::Status(status) => boot.status = Some(*status),
             Event::Device { time, event } => {
-                // What is wrong is told again to whoever asks who is there.
+                // Persistent faults are reported again to each new listener.
                 push_new(&mut boot.events, &mut boot.known_events, (*time, *event));
             }
             Event::Reply { reply, .. } => match reply.answer {
@@ -351,10 +349,10 @@ impl Listen for LinkHistory {
     }
 }
 
-/// A recording, decoded and held whole.
+/// A recording, decoded and in memory.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// What errors call the file.
+    /// Name of the file in errors.
     pub name: String,
     /// Its links, the cable first.
     pub links: Vec<LinkHistory>,
@@ -362,12 +360,12 @@ pub struct Recording {
     pub anchor: Option<ClockAnchor>,
     /// Host time from the first bytes to the last, ns.
     pub duration_ns: u64,
-    /// How whole the file is.
+    /// Completeness of the file.
     pub wholeness: Wholeness,
 }
 
 impl Recording {
-    /// Reads and decodes a whole recording. One that was cut off gives what it has.
+    /// Reads and decodes a recording. One that was cut off gives its readable part.
     ///
     /// # Errors
     /// Those of [`Recording::read`].
@@ -375,11 +373,10 @@ impl Recording {
         Self::read(RecordingReader::open(path)?, &path.display().to_string())
     }
 
-    /// The same from an open reader; `name` is what errors call it.
+    /// The same from an open reader; `name` is its name in errors.
     ///
     /// # Errors
-    /// Those of [`RecordingReader`]; `bad_recording` when all that boards say in it is of another
-    /// wire version.
+    /// Those of [`RecordingReader`]; `bad_recording` when all boards in it use another wire version.
     pub fn read<R: std::io::Read>(reader: RecordingReader<R>, name: &str) -> Result<Self> {
         let heard = listen(reader, name, LinkHistory::new)?;
         Ok(Self {
@@ -391,7 +388,7 @@ impl Recording {
         })
     }
 
-    /// The link of a role; without one, the cable if it has raw samples, else the one with most.
+    /// The link of a role; `None` takes the cable if it has raw samples, else the link with the most.
     ///
     /// # Errors
     /// `no_rows` when there is none.

@@ -1,4 +1,4 @@
-//! Reports: one HTML file with its pictures inside.
+//! HTML reports: one file with its charts inside.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -22,19 +22,19 @@ impl Report {
         }
     }
 
-    /// A paragraph.
+    /// A paragraph of text.
     pub fn text(&mut self, text: &str) -> &mut Self {
         let _ = writeln!(self.body, "<p>{}</p>", escape(text));
         self
     }
 
-    /// Lines as they were printed.
+    /// Preformatted text.
     pub fn printed(&mut self, text: &str) -> &mut Self {
         let _ = writeln!(self.body, "<pre>{}</pre>", escape(text));
         self
     }
 
-    /// A table with a head.
+    /// A table with a header row.
     pub fn table(&mut self, head: &[&str], rows: &[Vec<String>]) -> &mut Self {
         let cells = |tag: &str, cells: &mut dyn Iterator<Item = &str>| {
             let cells: String = cells
@@ -52,7 +52,7 @@ impl Report {
         self
     }
 
-    /// A picture.
+    /// A chart.
     ///
     /// # Errors
     /// `file_failed` when it cannot be drawn.
@@ -61,7 +61,7 @@ impl Report {
         Ok(self)
     }
 
-    /// Writes the page, in place of one that is there.
+    /// Writes the page, replacing an existing file.
     ///
     /// # Errors
     /// `file_failed`, `file_unreadable`.

@@ -1,4 +1,4 @@
-//! The keys of the user's devices, in the user's configuration folder.
+//! The user's device keys, in the configuration folder.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, ErrorKind, Write};
@@ -8,11 +8,11 @@ use wimu_link::auth::{DeviceKey, KeyId};
 
 use crate::error::{ErrorCode, HostError, Result};
 
-/// A folder of keys, one file a device: 64 hexadecimal digits, for the user's eyes only (mode 0600
+/// A folder of keys, one file per device: 64 hexadecimal digits, readable by the user only (mode 0600
 /// in a folder of mode 0700, where there are modes).
 ///
-/// A key that is on its way to a device lies in a second file until the device has confirmed it, and
-/// the one that it replaces in a third until the device has proved it, so that neither a program that is killed, nor a lost
+/// A key being sent to a device is in a second file until the device has confirmed it, and
+/// the replaced key in a third one until the device has proved the new one: neither a killed program, nor a lost
 /// answer, nor a full disk loses the key that the device has.
 #[derive(Clone, Debug)]
 pub struct KeyFolder(PathBuf);
@@ -40,20 +40,19 @@ impl KeyFolder {
         };
         base.map(|base| Self(base.join("wimu").join("keys")))
             .ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::Usage,
+                ErrorCode::Usage.error(
                     "this user has no folder for configuration, where keys are kept",
                     "set HOME or XDG_CONFIG_HOME",
                 )
             })
     }
 
-    /// The one at `path`.
+    /// The folder at `path`.
     pub fn at(path: &Path) -> Self {
         Self(path.to_path_buf())
     }
 
-    /// Where a device's key lies.
+    /// Path of a device's key.
     pub fn file(&self, device_id: u64) -> PathBuf {
         self.named(device_id, "key")
     }
@@ -70,11 +69,11 @@ impl KeyFolder {
         self.0.join(format!("{device_id:016x}.{ending}"))
     }
 
-    /// The keys that a device may have: the one that it confirmed, one that was on its way, and the
-    /// one before.
+    /// The keys that a device may have: the confirmed one, one being sent, and the
+    /// replaced one.
     ///
     /// # Errors
-    /// `file_unreadable` when the device's file is there and holds no key, or when others can read
+    /// `file_unreadable` when the device's file exists but contains no key, or when others can read
     /// a key or change the folder.
     pub fn candidates(&self, device_id: u64) -> Result<Vec<DeviceKey>> {
         self.is_ours_alone()?;
@@ -85,7 +84,7 @@ impl KeyFolder {
             Found::Damaged(error) => return Err(error),
         }
         for path in [self.pending(device_id), self.replaced(device_id)] {
-            // What is cut short here never reached the device, or is no longer its key.
+            // An incomplete file: that key never reached the device, or was replaced.
             if let Found::Key(key) = read(&path)? {
                 keys.push(key);
             }
@@ -93,8 +92,8 @@ impl KeyFolder {
         Ok(keys)
     }
 
-    /// That of a device's keys whose name is `held`, as the device says. If it is the one that was on
-    /// its way, the device has confirmed it by that.
+    /// The key of a device with the id `held`, as the device reports it. If it is the one being sent,
+    /// it is confirmed by that.
     ///
     /// # Errors
     /// Those of [`KeyFolder::candidates`] and [`KeyFolder::confirm`].
@@ -109,10 +108,10 @@ impl KeyFolder {
         Ok(ours)
     }
 
-    /// Keeps a key that is about to be sent to a device.
+    /// Stores a key that is about to be sent to a device.
     ///
     /// # Errors
-    /// When it cannot be written; then all is as before.
+    /// When it cannot be written; nothing has changed then.
     pub fn prepare(&self, device_id: u64, key: &DeviceKey) -> Result<()> {
         let path = self.pending(device_id);
         let failed = |error| HostError::file(&path.display().to_string(), "write", &error);
@@ -124,7 +123,7 @@ impl KeyFolder {
         self.is_ours_alone()?;
         let digits = key.expose().iter().map(|byte| format!("{byte:02x}"));
         let text = digits.collect::<String>() + "\n";
-        // Not in its place before it is whole.
+        // Renamed when it is complete.
         let draft = self.named(device_id, "draft");
         let written = write_new(&draft, &text).and_then(|()| fs::rename(&draft, &path));
         if written.is_err() {
@@ -133,10 +132,10 @@ impl KeyFolder {
         written.and_then(|()| self.sync()).map_err(failed)
     }
 
-    /// The device has confirmed the key that was on its way: it takes the place of the one before.
+    /// Confirms the key being sent: it replaces the previous one.
     ///
     /// # Errors
-    /// When a file cannot be renamed; no key is lost by that.
+    /// When a file cannot be renamed; no key is lost then.
     pub fn confirm(&self, device_id: u64) -> Result<()> {
         let (file, path) = (self.file(device_id), self.pending(device_id));
         let replaced = match fs::rename(&file, self.replaced(device_id)) {
@@ -149,42 +148,42 @@ impl KeyFolder {
             .map_err(|error| HostError::file(&path.display().to_string(), "rename", &error))
     }
 
-    /// Drops the key that was replaced, once the device has proved that it has the new one: whoever
-    /// else has the old one could speak in the device's name.
+    /// Removes the replaced key, once the device has proved that it has the new one: with the old one
+    /// others could impersonate the device.
     pub fn drop_replaced(&self, device_id: u64) {
         let _ = fs::remove_file(self.replaced(device_id));
     }
 
-    /// The device did not take the key that was on its way.
+    /// Removes the key being sent: the device refused it.
     pub fn withdraw(&self, device_id: u64) {
         let _ = fs::remove_file(self.pending(device_id));
     }
 
-    /// Whoever can write into the folder can exchange the keys in it.
+    /// Checks that others cannot exchange keys in the folder.
     fn is_ours_alone(&self) -> Result<()> {
         #[cfg(unix)]
         if let Ok(found) = fs::metadata(&self.0) {
             let mode = std::os::unix::fs::PermissionsExt::mode(&found.permissions());
             if mode & 0o022 != 0 {
-                return Err(HostError::new(
-                    ErrorCode::FileUnreadable,
-                    "others can change this folder of keys",
-                    "set its mode to 700 (chmod 700)",
-                )
-                .at(self.0.display().to_string()));
+                return Err(ErrorCode::FileUnreadable
+                    .error(
+                        "others can change this folder of keys",
+                        "set its mode to 700 (chmod 700)",
+                    )
+                    .at(self.0.display().to_string()));
             }
         }
         Ok(())
     }
 
-    /// Brings the folder's entries onto the disk.
+    /// Syncs the folder's entries to disk.
     fn sync(&self) -> io::Result<()> {
         #[cfg(unix)]
         fs::File::open(&self.0)?.sync_all()?;
         Ok(())
     }
 
-    /// Forgets all keys of a device.
+    /// Removes all keys of a device.
     ///
     /// # Errors
     /// When a file cannot be removed.
@@ -203,28 +202,27 @@ impl KeyFolder {
     }
 }
 
-/// A new key from the operating system's source of randomness.
+/// A new key from the random source of the operating system.
 ///
 /// # Errors
-/// `file_failed` when it has none.
+/// `file_failed` when there is none.
 pub fn generate() -> Result<DeviceKey> {
     let mut bytes = [0; DeviceKey::LENGTH];
     random(&mut bytes)?;
     Ok(DeviceKey::new(bytes))
 }
 
-/// Fills `bytes` from the operating system's source of randomness.
+/// Fills `bytes` from the random source of the operating system.
 pub(crate) fn random(bytes: &mut [u8]) -> Result<()> {
     getrandom::fill(bytes).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
-            format!("the operating system gives no random bits: {error}"),
-            "run wimu where it does",
+        ErrorCode::FileFailed.error(
+            format!("no random numbers from the operating system: {error}"),
+            "run wimu on a system with a random source",
         )
     })
 }
 
-/// Writes a file for the user's eyes only onto the disk.
+/// Writes and syncs a file readable by the user only.
 fn write_new(path: &Path, text: &str) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
@@ -239,12 +237,12 @@ fn write_new(path: &Path, text: &str) -> io::Result<()> {
     file.sync_all()
 }
 
-/// What a file of the folder holds.
+/// Content of a file of the folder.
 enum Found {
     Key(DeviceKey),
     /// There is no such file.
     Nothing,
-    /// No key, and why.
+    /// Not a key, and why.
     Damaged(HostError),
 }
 
@@ -263,9 +261,7 @@ fn read(path: &Path) -> Result<Found> {
             .permissions()
             .mode();
         if mode & 0o077 != 0 {
-            return Err(HostError::new(
-                ErrorCode::FileUnreadable,
-                "others can read this key",
+            return Err(ErrorCode::FileUnreadable.error("others can read this key",
                 "set its mode to 600 (chmod 600), and give the device a new one: wimu key rotate",
             )
             .at(name));
@@ -279,15 +275,12 @@ fn read(path: &Path) -> Result<Found> {
     Ok(match key.try_into() {
         Ok(key) if digits.len() == 2 * DeviceKey::LENGTH => Found::Key(DeviceKey::new(key)),
         _ => Found::Damaged(
-            HostError::new(
-                ErrorCode::FileUnreadable,
-                format!(
-                    "a key is {} hexadecimal digits, this file holds {} bytes that are not",
+            ErrorCode::FileUnreadable.error(format!(
+                        "a key is {} hexadecimal digits, but the {} bytes of this file are not",
                     2 * DeviceKey::LENGTH,
                     digits.len()
                 ),
-                "put the right file back; if there is none, remove this one, have the board forget \
-                 its key by the gesture that its page describes, and run wimu key set",
+                    "restore the file; if it is lost, remove it, erase the board's key (gesture on its page), and run `wimu key set`",
             )
             .at(name),
         ),

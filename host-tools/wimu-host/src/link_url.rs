@@ -1,4 +1,4 @@
-//! What a user may write for a LINK or an input file.
+//! LINK and input file arguments.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -6,25 +6,25 @@ use std::str::FromStr;
 
 use crate::error::{ErrorCode, HostError, Result};
 
-/// Baud rate where none is given.
+/// Default baud rate.
 pub const DEFAULT_BAUD: u32 = 115_200;
 
 /// A link to a board.
 ///
-/// | text | means |
+/// | text | meaning |
 /// |---|---|
 /// | `serial:///dev/ttyACM0?baud=115200`, `serial://COM5` | a serial port; the baud rate is optional |
-/// | `serial:///dev/ttyACM0?baud=auto` | the same, at the rate at which a board answers |
+/// | `serial:///dev/ttyACM0?baud=auto` | the same, at the baud rate of the board, which is searched |
 /// | `/dev/ttyACM0`, `/dev/rfcomm0`, `/dev/cu.usbmodem1`, `COM5` | the same, at 115200 baud |
 /// | `tcp://127.0.0.1:7100`, `tcp://[::1]:7100` | a TCP server |
-/// | `auto` | the serial port whose USB identity is that of a known board |
+/// | `auto` | the serial port with the USB id of a known board |
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum LinkUrl {
     /// A serial port.
     Serial {
-        /// Path or name as the operating system has it.
+        /// Path or name in the operating system.
         path: String,
-        /// Baud rate; `None` to find the board's.
+        /// Baud rate; `None` to search it.
         baud: Option<u32>,
     },
     /// A TCP server.
@@ -34,7 +34,7 @@ pub enum LinkUrl {
         /// Port.
         port: u16,
     },
-    /// The only port that looks like a board.
+    /// The only port with the USB id of a known board.
     Auto,
 }
 
@@ -43,9 +43,7 @@ impl FromStr for LinkUrl {
 
     fn from_str(text: &str) -> Result<Self> {
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadLink,
-                message,
+            ErrorCode::BadLink.error(message,
                 "write serial:///dev/ttyACM0?baud=115200, COM5, /dev/ttyACM0, tcp://127.0.0.1:7100 or auto",
             )
             .at(text)
@@ -60,15 +58,15 @@ impl FromStr for LinkUrl {
             return parse_tcp(rest).map_err(bad);
         }
         if text.starts_with("ble://") {
-            return Err(HostError::new(
-                ErrorCode::LinkKindMissing,
-                "Bluetooth Low Energy is not built into this wimu",
-                "use a Bluetooth serial (SPP) adapter through its serial port, or a cable",
-            )
-            .at(text));
+            return Err(ErrorCode::LinkKindMissing
+                .error(
+                    "Bluetooth Low Energy is not built into this wimu",
+                    "use a Bluetooth serial (SPP) adapter through its serial port, or a cable",
+                )
+                .at(text));
         }
         if let Some((scheme, _)) = text.split_once("://") {
-            return Err(bad(format!("`{scheme}` is no kind of link")));
+            return Err(bad(format!("`{scheme}` is not a kind of link")));
         }
         if text.starts_with("/dev/") || is_com_port(text) {
             return Ok(Self::Serial {
@@ -82,7 +80,7 @@ impl FromStr for LinkUrl {
 
 fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
     let (path, query) = rest.split_once('?').unwrap_or((rest, ""));
-    // `serial:///COM5` has the URL's slash in front of a name that has none.
+    // `serial:///COM5` has the URL's slash before the name.
     let path = match path.strip_prefix('/') {
         Some(name) if is_com_port(name) => name,
         _ => path,
@@ -96,9 +94,9 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
             Some(("baud", "auto")) => baud = None,
             Some(("baud", value)) => {
                 let rate = value.parse().ok().filter(|baud| *baud > 0);
-                baud = Some(rate.ok_or_else(|| format!("`{value}` is no baud rate"))?);
+                baud = Some(rate.ok_or_else(|| format!("`{value}` is not a baud rate"))?);
             }
-            _ => return Err(format!("`{pair}` is no option of a serial link")),
+            _ => return Err(format!("`{pair}` is not an option of a serial link")),
         }
     }
     Ok(LinkUrl::Serial {
@@ -126,7 +124,7 @@ fn parse_tcp(rest: &str) -> Result<LinkUrl, String> {
         .parse()
         .ok()
         .filter(|port| *port > 0)
-        .ok_or_else(|| format!("`{port}` is no TCP port"))?;
+        .ok_or_else(|| format!("`{port}` is not a TCP port"))?;
     Ok(LinkUrl::Tcp {
         host: host.to_owned(),
         port,
@@ -155,19 +153,19 @@ impl fmt::Display for LinkUrl {
     }
 }
 
-/// Where a command takes its data from: a link, a recording or a CSV file.
+/// Input of a command: a link, a recording or a CSV file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Input {
     /// A live board.
     Link(LinkUrl),
-    /// A recording, by its content.
+    /// A recording, detected by content.
     Recording(PathBuf),
     /// A CSV file.
     Csv(PathBuf),
 }
 
 impl Input {
-    /// Tells a LINK from a file, and a recording from a CSV file by its first bytes.
+    /// Distinguishes a LINK from a file, and a recording from a CSV file by its first bytes.
     ///
     /// # Errors
     /// A LINK's own errors; `file_unreadable` when it is neither a LINK nor a readable file.
@@ -177,9 +175,7 @@ impl Input {
             return match text.parse() {
                 Ok(link) => Ok(Self::Link(link)),
                 Err(error) if text.contains("://") => Err(error),
-                Err(_) => Err(HostError::new(
-                    ErrorCode::FileUnreadable,
-                    "there is no such file, and it is not a LINK",
+                Err(_) => Err(ErrorCode::FileUnreadable.error("there is no such file, and it is not a LINK",
                     "name a recording (.mcap), a CSV file, or a LINK such as /dev/ttyACM0 or tcp://127.0.0.1:7100",
                 )
                 .at(text)),

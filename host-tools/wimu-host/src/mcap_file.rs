@@ -2,7 +2,7 @@
 //!
 //! An MCAP file of profile `ros2` with the topics `/wireless/bytes` and `/cable/bytes`
 //! (`std_msgs/msg/UInt8MultiArray`, `cdr`); beside them `/wireless/sent` and `/cable/sent`, what the
-//! host sent, by which clocks are told, and `/wireless/link` and `/cable/link`
+//! host sent, for the clock models, and `/wireless/link` and `/cable/link`
 //! (`std_msgs/msg/String`), where a link was lost and came back. Messages are logged in UTC; a metadata record `wimu`
 //! holds the one anchor between UTC and the host's monotonic clock, so that the reader gives the
 //! monotonic times back exactly. Whole chunks with a CRC are appended and flushed every second: a
@@ -32,7 +32,7 @@ pub use writer::{RecordingWriter, Topic};
 enum Content {
     Received,
     Sent,
-    /// Whether the link is there.
+    /// Whether the link is connected.
     State,
 }
 
@@ -82,7 +82,7 @@ const TEXT_SCHEMA_NAME: &str = "std_msgs/msg/String";
 const TEXT_SCHEMA: &str = "string data\n";
 const SCHEMA_NAME: &str = "std_msgs/msg/UInt8MultiArray";
 const SCHEMA: &str = "\
-# Bytes as received; the layout is empty.
+ # Bytes as received; the layout is empty.
 MultiArrayLayout layout
 uint8[] data
 ================================================================================
@@ -98,7 +98,7 @@ uint32 stride
 const METADATA: &str = "wimu";
 /// A chunk is closed after this time, or when it is full.
 const FLUSH_NS: u64 = 1_000_000_000;
-/// No record of a recording comes near this; a length beyond it is damage.
+/// Longest record, bytes: far above those of a recording, so that a greater length is damage.
 const MAX_RECORD_BYTES: usize = 64 * 1024 * 1024;
 
 /// One moment on the host's monotonic clock and in UTC.
@@ -133,7 +133,7 @@ impl ClockAnchor {
     }
 }
 
-/// Wraps, so that it can be undone whatever a file claims.
+/// Wraps, so that it is reversible for any times in a file.
 fn shift(time: u64, from: u64, to: u64) -> u64 {
     time.wrapping_sub(from).wrapping_add(to)
 }
@@ -163,7 +163,7 @@ pub enum Recorded {
         /// As sent.
         bytes: Vec<u8>,
     },
-    /// A link was lost: what it brings next does not follow what it brought before.
+    /// A link was lost: later data do not continue earlier ones.
     Lost {
         /// Which link.
         role: LinkRole,
@@ -179,11 +179,11 @@ pub enum Recorded {
         /// When, ns on the host's monotonic clock.
         host_ns: u64,
     },
-    /// A part of the file is damaged and left out: what the link brought in it is not known.
+    /// A part of the file is damaged and left out: the data of the link in it are unknown.
     Damaged {
         /// Which link.
         role: LinkRole,
-        /// From when on, ns on the host's monotonic clock.
+        /// Since when, ns on the host's monotonic clock.
         host_ns: u64,
     },
 }

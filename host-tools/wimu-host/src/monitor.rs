@@ -1,4 +1,4 @@
-//! Samples and slow sensors put together: what a person looks at.
+//! Samples combined with the latest data of slow sensors, for display.
 
 use std::collections::VecDeque;
 
@@ -11,10 +11,10 @@ use crate::decode::{Event, TimedSample, sequence_order};
 use crate::history::Boot;
 use crate::units::RawUnits;
 
-/// Samples kept while their corrected twin may still come.
+/// Raw samples kept for the corrected sample of the same number.
 const KEPT: usize = 256;
-/// Raw samples without a corrected one after which a link whose settings are not known carries raw
-/// ones only: two of the longest batches.
+/// Raw samples without a corrected one after which a link of unknown settings is taken to carry raw
+/// samples only: two of the longest batches.
 const UNDECIDED: usize = 2 * MAX_BATCH;
 
 /// A magnetic field.
@@ -22,11 +22,11 @@ const UNDECIDED: usize = 2 * MAX_BATCH;
 pub struct Field {
     /// nT: in body axes where it is calibrated, in those of the magnetometer where it is not.
     pub nt: [f64; 3],
-    /// Whether hard and soft iron are out of it.
+    /// Whether hard and soft iron are corrected.
     pub calibrated: bool,
 }
 
-/// Where body x points.
+/// Heading of body x.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heading {
     /// Clockwise from north, rad, −π..=π: from magnetic north where it is calibrated; where not,
@@ -37,7 +37,7 @@ pub struct Heading {
 }
 
 impl Heading {
-    /// As the device held it at an epoch; `None` before the first rest.
+    /// The device's heading at an epoch; `None` before the first rest.
     pub fn of(epoch: &Epoch) -> Option<Self> {
         let state = State::from(epoch.state);
         let integrator = Integrator::from_state(state).ok()?;
@@ -48,37 +48,37 @@ impl Heading {
     }
 }
 
-/// Everything known at one sample.
+/// All data at one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// Number of the sample.
     pub sequence: u32,
-    /// When it was taken, device clock.
+    /// Its time, device clock.
     pub time: DeviceTimeUs,
-    /// As the sensor put it out, if the link carries that.
+    /// Raw output, if the link carries it.
     pub raw: Option<Counts>,
     /// Specific force, body axes: corrected by the device, or from the counts at nominal
     /// sensitivity where [`corrected`](Self::corrected) is false.
     pub specific_force: SpecificForceMps2,
-    /// Whether the device has corrected it. An uncalibrated device corrects with a perfect model.
+    /// Whether the device has corrected it. An uncalibrated device corrects with an ideal model.
     pub corrected: bool,
-    /// The parameters that the device corrects with, if an epoch has told.
+    /// The device's parameters; `None` before the first epoch.
     pub parameters: Option<ParameterId>,
-    /// The latest magnetic field and temperature, if any came.
+    /// The latest magnetic field and temperature.
     pub environment: Option<Environment>,
     /// The field in it.
     pub field: Option<Field>,
-    /// The heading that the device holds, if it has been at rest.
+    /// The device's heading; `None` before the first rest.
     pub heading: Option<Heading>,
-    /// The latest velocity and position, if any came.
+    /// The latest velocity and position.
     pub navigation: Option<Navigation>,
 }
 
-/// Makes [`Reading`]s of a link's events: one for each corrected sample, or for each raw sample of
-/// a link that carries no corrected ones, but for those whose range no epoch has told yet.
+/// Combines a link's events to [`Reading`]s: one for each corrected sample, or for each raw sample of
+/// a link without corrected ones; raw samples of unknown range are left out.
 #[derive(Debug, Default)]
 pub struct Readings {
-    /// Raw samples whose corrected twins may still come, in order.
+    /// Raw samples whose corrected ones may still arrive, in order.
     raw: VecDeque<TimedSample>,
     units: RawUnits,
     parameters: Option<ParameterId>,
@@ -88,17 +88,17 @@ pub struct Readings {
     field: Option<Field>,
     heading: Option<Heading>,
     navigation: Option<Navigation>,
-    /// Whether corrected samples come; `None` until something tells.
+    /// Whether the link carries corrected samples; `None` if unknown.
     corrected_come: Option<bool>,
 }
 
 impl Readings {
-    /// None so far.
+    /// Before any event.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes an event and calls `each` with the readings that it completes, in order.
+    /// Takes an event and calls `each` with the completed readings, in order.
     pub fn push(&mut self, event: &Event, mut each: impl FnMut(Reading)) {
         self.known.take_parameters(event);
         match event {
@@ -119,7 +119,7 @@ impl Readings {
                 self.units.forget_old();
             }
             Event::Settings(settings) => {
-                // Either link's choice: where both carry corrected samples, none is made twice.
+                // The other link's setting counts too: then raw samples need not be converted here.
                 let either = settings.cable.corrected || settings.wireless.corrected;
                 self.corrected_come = Some(either);
             }
@@ -158,7 +158,7 @@ impl Readings {
         self.raw.drain(..old);
     }
 
-    /// Takes the raw sample of a corrected one's number, and those before it out.
+    /// Removes the raw samples up to that of a corrected one's number, and returns it.
     fn twin_of(&mut self, corrected: &TimedSample) -> Option<Counts> {
         let is_before =
             |raw: &TimedSample| sequence_order(raw.sequence, corrected.sequence).is_lt();

@@ -1,4 +1,4 @@
-//! Velocity and position of a recording: the device's own, and computed again.
+//! Velocity and position of a recording: as computed by the device, and recomputed.
 
 use wimu_integrator::{Config, Integrator, Navigation, Phase};
 use wimu_link::message::{self, WirePhase};
@@ -11,9 +11,9 @@ use wimu_nav::unit::UnitSample;
 use crate::history::Boot;
 use crate::motion::MotionRecording;
 use crate::replay::{Replay, Step};
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, Result};
 
-/// Most that a correction makes of 1 g of a board's range, m/s²: half as much again.
+/// Largest specific force after correction per *g* of full-scale range, m/s²: 1.5 g.
 const BEYOND_RANGE: f64 = 1.5 * wimu_model::STANDARD_GRAVITY_MPS2;
 
 /// Velocity and position after one sample.
@@ -27,7 +27,7 @@ pub struct Point {
     pub navigation: Navigation,
 }
 
-/// Where the device says it was.
+/// The positions computed by the device.
 pub fn device(boot: &Boot) -> Vec<Point> {
     boot.navigation
         .iter()
@@ -56,7 +56,7 @@ fn from_wire(sent: &message::Navigation) -> Navigation {
     }
 }
 
-/// The device's arithmetic over the recorded raw samples, from the first epoch on: the same as
+/// The device's arithmetic applied to the recorded raw samples, from the first epoch on: equal to
 /// [`device`], at every sample.
 pub fn replayed(boot: &Boot) -> Vec<Point> {
     Replay::new(boot, 0)
@@ -77,18 +77,13 @@ pub fn replayed(boot: &Boot) -> Vec<Point> {
 /// `no_rows` without an epoch; `data_refused` when the parameters cannot be compiled.
 pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<Vec<Point>> {
     let Some(first) = boot.epochs.first() else {
-        return Err(HostError::new(
-            ErrorCode::NoRows,
-            "no epoch was recorded, so the sample period is unknown",
+        return Err(ErrorCode::NoRows.error(
+            "the recording has no epoch, so the sample period is unknown",
             "record for longer than a second",
         ));
     };
     let refused = |message: String| {
-        HostError::new(
-            ErrorCode::DataRefused,
-            message,
-            "give the calibration of this sensor",
-        )
+        ErrorCode::DataRefused.error(message, "give the calibration of this sensor")
     };
     let temperature = boot
         .environment
@@ -97,7 +92,7 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
         .map(CentiCelsius);
     let corrector =
         Corrector::compile(parameters, temperature).map_err(|e| refused(e.to_string()))?;
-    // The latest epoch knows the sensor's true period best.
+    // The latest epoch has the best estimate of the true period.
     let period = boot
         .epochs
         .last()
@@ -132,8 +127,8 @@ pub fn recomputed(boot: &Boot, parameters: &ParameterSet, zupt: bool) -> Result<
         .collect())
 }
 
-/// The samples of a start for [`crate::inertial::navigate`], and its magnetic field where the
-/// magnetometer is calibrated: corrected by the device, or with other parameters.
+/// The samples of one start as input of [`crate::inertial::navigate`], with the magnetic field where the
+/// magnetometer is calibrated; corrected by the device, or with other parameters.
 ///
 /// # Errors
 /// `no_rows` with fewer than two samples; `data_refused` when the parameters cannot be compiled.
@@ -150,11 +145,8 @@ pub fn motion(
                 .find_map(|e| e.temperature_centi_c)
                 .map(CentiCelsius);
             let corrector = Corrector::compile(parameters, temperature).map_err(|error| {
-                HostError::new(
-                    ErrorCode::DataRefused,
-                    error.to_string(),
-                    "give the calibration of this sensor",
-                )
+                ErrorCode::DataRefused
+                    .error(error.to_string(), "give the calibration of this sensor")
             })?;
             let counts = boot
                 .raw
@@ -177,12 +169,12 @@ pub fn motion(
             .collect(),
     };
     if forces.len() < 2 {
-        return Err(HostError::new(
-            ErrorCode::NoRows,
-            "there are fewer than two samples that can be corrected",
-            "record for longer than a second",
-        )
-        .at(name));
+        return Err(ErrorCode::NoRows
+            .error(
+                "fewer than two samples can be corrected",
+                "record for longer than a second",
+            )
+            .at(name));
     }
     let mut fields = boot
         .environment
@@ -198,7 +190,7 @@ pub fn motion(
     let mut times_s = Vec::with_capacity(forces.len());
     let mut samples = Vec::with_capacity(forces.len());
     for (time, force) in &forces {
-        // Each field goes with the first sample after it.
+        // Each field belongs to the first sample after it.
         let mut field_ut = None;
         while let Some((_, field)) = fields.next_if(|(at, _)| *at <= time.0) {
             field_ut = Some(field);
@@ -224,7 +216,7 @@ pub fn motion(
     Ok(recording)
 }
 
-/// Length of the path through `points`, m, over those that are valid.
+/// Length of the path through the valid `points`, m.
 pub fn path_length_m(points: &[Point]) -> f64 {
     points
         .windows(2)

@@ -1,4 +1,4 @@
-//! Files that commands write: what stands there stays until the new file is whole.
+//! Output files: an existing file is replaced only when the new one is complete.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -8,23 +8,24 @@ use tempfile::{Builder, TempPath};
 
 use crate::{HostError, Result};
 
-/// Symbolic links are followed this often, as Linux does.
-const MOST_LINKS: usize = 40;
+/// Largest number of symbolic links that are followed, as in Linux.
+const MAX_LINKS: usize = 40;
 
-/// A file being written: a temporary one in the same folder, until [`finish`](Self::finish) gives it the file's name.
-/// Dropping it removes it. A pipe, a device or an open file of a process (`/dev/stdout`) is written directly.
+/// A file being written: a temporary file in the same folder until [`finish`](Self::finish) renames it.
+/// Dropping it removes the temporary file. A pipe, a device or an open file of a process (`/dev/stdout`) is written
+/// directly.
 #[derive(Debug)]
 pub struct OutputFile {
     name: String,
-    /// The temporary file, and the file whose place it takes.
+    /// The temporary file, and the path that it will get.
     draft: Option<(TempPath, PathBuf)>,
 }
 
 impl OutputFile {
-    /// Begins a file that replaces the one of its name, and keeps its mode; gives the file that receives the content.
+    /// Begins a file that replaces an existing one and keeps its mode; returns the file for the content.
     ///
     /// # Errors
-    /// `file_unreadable`, `file_failed`: the file of before is unchanged.
+    /// `file_unreadable`, `file_failed`: the existing file is unchanged.
     pub fn create(path: &Path) -> Result<(Self, File)> {
         let name = path.display().to_string();
         let (file, draft) = begun(path).map_err(|e| HostError::file(&name, "create", &e))?;
@@ -42,21 +43,21 @@ impl OutputFile {
         output.finish()
     }
 
-    /// What errors call it.
+    /// Name in errors.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The file that receives the content, for a writer that opens it by its name; it has the extension of the final one.
+    /// The file for the content, for a writer that opens it by name; it has the final extension.
     pub fn path(&self) -> &Path {
         let draft = self.draft.as_ref();
         draft.map_or(Path::new(&self.name), |(temporary, _)| temporary)
     }
 
-    /// Brings the content onto the disk, then takes the place of the file of before.
+    /// Syncs the content to disk, then replaces the existing file.
     ///
     /// # Errors
-    /// `file_failed`, `file_unreadable`: the file of before is unchanged.
+    /// `file_failed`, `file_unreadable`: the existing file is unchanged.
     pub fn finish(self) -> Result<()> {
         let Some((temporary, target)) = self.draft else {
             return Ok(());
@@ -73,7 +74,7 @@ fn begun(path: &Path) -> io::Result<(File, Option<(TempPath, PathBuf)>)> {
     let Some(target) = resolved(path) else {
         return Ok((File::create(path)?, None));
     };
-    // A file that may not be written is not replaced either.
+    // A write-protected file is not replaced either.
     let before = match File::options().write(true).open(&target) {
         Ok(file) if !file.metadata()?.is_file() => return Ok((file, None)),
         Ok(file) => Some(file.metadata()?),
@@ -84,14 +85,14 @@ fn begun(path: &Path) -> io::Result<(File, Option<(TempPath, PathBuf)>)> {
     let suffix = format!(".{extension}");
     let mut builder = Builder::new();
     builder.prefix(".wimu-").suffix(&suffix);
-    // Less the umask.
+    // The umask applies.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let folder = target.parent().filter(|f| !f.as_os_str().is_empty());
     let draft = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
     let (file, temporary) = draft.into_parts();
     if let Some(before) = before {
-        // Only root may give a file away, and some file systems know no modes.
+        // Only root may change the owner, and some file systems have no modes.
         #[cfg(unix)]
         {
             use std::os::unix::fs::{MetadataExt, fchown};
@@ -102,10 +103,10 @@ fn begun(path: &Path) -> io::Result<(File, Option<(TempPath, PathBuf)>)> {
     Ok((file, Some((temporary, target))))
 }
 
-/// Where symbolic links lead, also to a file that is yet to be made; `None` for an open file of a process.
+/// Target of symbolic links, also to a file that does not exist yet; `None` for an open file of a process.
 fn resolved(path: &Path) -> Option<PathBuf> {
     let mut at = path.to_owned();
-    for _ in 0..MOST_LINKS {
+    for _ in 0..MAX_LINKS {
         if at.starts_with("/proc") || at.starts_with("/dev/fd") {
             return None;
         }

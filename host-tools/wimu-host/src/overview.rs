@@ -1,4 +1,4 @@
-//! What is in a recording, without holding it: memory does not grow with its length.
+//! Summary of a recording, in memory that does not grow with its length.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -11,17 +11,17 @@ use wimu_model::ParameterId;
 
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::mcap_file::{ClockAnchor, Recorded, RecordingReader, Wholeness};
 use crate::units::RawUnits;
 use crate::walk::{Start, Step, Walker};
 
-/// Events of a link that are kept as text.
+/// Largest number of events of a link kept as text.
 const MAX_EVENTS: usize = 500;
-/// Changes of parameters of a link that are kept.
+/// Largest number of parameter changes kept of a link.
 const MAX_PARAMETERS: usize = 500;
 
-/// A recording in short.
+/// Summary of a recording.
 #[derive(Clone, Debug)]
 pub struct Overview {
     /// Its links, the cable first.
@@ -30,32 +30,32 @@ pub struct Overview {
     pub anchor: Option<ClockAnchor>,
     /// Host time from the first bytes to the last, ns.
     pub duration_ns: u64,
-    /// How whole the file is.
+    /// Completeness of the file.
     pub wholeness: Wholeness,
 }
 
-/// What one link has brought, in short.
+/// Summary of one link.
 #[derive(Clone, Debug)]
 pub struct LinkOverview {
     /// Which link.
     pub role: LinkRole,
-    /// Who the device is, as it said last.
+    /// The device, as last reported.
     pub hello: Option<Hello>,
     /// One for each start of the device, the latest last; at least one.
     pub boots: Vec<BootOverview>,
-    /// The parameters in use, one after the other: the first 500.
+    /// The parameters in use, in order: the first 500.
     pub parameter_ids: Vec<ParameterId>,
-    /// What happened on the device, with when: the first 500.
+    /// Events of the device with their times: the first 500.
     pub events: Vec<String>,
-    /// How many events there were more.
+    /// Number of further events.
     pub more_events: u64,
-    /// How it was, as it said last.
+    /// The latest status.
     pub status: Option<Status>,
-    /// What it carried and lost.
+    /// Statistics of the link.
     pub statistics: LinkStatistics,
 }
 
-/// What a link has brought from one start of the device to the next.
+/// Summary of a link in one start of the device.
 #[derive(Clone, Debug, Default)]
 pub struct BootOverview {
     /// Raw samples.
@@ -66,12 +66,12 @@ pub struct BootOverview {
     pub epochs: usize,
     /// Velocities and positions.
     pub navigation: usize,
-    /// The device's clock by all of it.
+    /// The device's clock.
     pub clock: Option<ClockModel>,
-    /// The parameter sets in use, each once, as the device said them: the first 500. A set is often
-    /// told after the first samples that it made.
+    /// The parameter sets in use, each once: the first 500. A set is often reported after the first samples corrected
+    /// with it.
     pub parameters: Vec<ActiveParameters>,
-    /// What its raw samples are.
+    /// Units of the raw samples.
     pub units: RawUnits,
     greeted: bool,
     estimator: ClockEstimator,
@@ -86,11 +86,10 @@ impl BootOverview {
 }
 
 impl Overview {
-    /// Reads a recording. One that was cut off gives what it has.
+    /// Reads a recording. One that was cut off gives its readable part.
     ///
     /// # Errors
-    /// Those of [`RecordingReader`]; `bad_recording` when all that boards say in it is of another
-    /// wire version.
+    /// Those of [`RecordingReader`]; `bad_recording` when all boards in it use another wire version.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let heard = listen(RecordingReader::open(path)?, &name, LinkOverview::new)?;
@@ -102,7 +101,7 @@ impl Overview {
         })
     }
 
-    /// The link of a role; without one, the cable if it has raw samples, else the one with most.
+    /// The link of a role; `None` takes the cable if it has raw samples, else the link with the most.
     ///
     /// # Errors
     /// `no_rows` when there is none.
@@ -175,7 +174,7 @@ impl Listen for LinkOverview {
             },
             Event::Parameters(set) => boot.use_parameters(*set),
             Event::Device { time, event } => {
-                // What is wrong is told again to whoever asks who is there.
+                // Persistent faults are reported again to each new listener.
                 let text = format!("{:.2} s: {event}", time.to_seconds());
                 if !self.events.contains(&text) {
                     if self.events.len() < MAX_EVENTS {
@@ -205,19 +204,19 @@ impl Listen for LinkOverview {
     }
 }
 
-/// What takes in what a link brings.
+/// Receives the data of a link.
 pub(crate) trait Listen {
-    /// Something has come, in this start of the device.
+    /// Takes an arrival in this start of the device.
     fn take(&mut self, start: Start, arrival: &Arrival);
-    /// The host has sent this.
+    /// Takes bytes sent by the host.
     fn asked(&mut self, host_ns: u64, bytes: &[u8]);
-    /// Whether anything could be read.
+    /// Whether any epoch could be decoded.
     fn has_epochs(&self) -> bool;
-    /// Nothing follows.
+    /// Ends the recording.
     fn finish(&mut self, statistics: LinkStatistics);
 }
 
-/// What was heard of a recording.
+/// The result of [`listen`].
 pub(crate) struct Heard<L> {
     /// The cable first.
     pub links: Vec<L>,
@@ -226,7 +225,7 @@ pub(crate) struct Heard<L> {
     pub wholeness: Wholeness,
 }
 
-/// Reads a recording from start to end, each link into what `new` makes for it.
+/// Reads a recording from start to end, each link into a listener made by `new`.
 pub(crate) fn listen<R: Read, L: Listen>(
     mut reader: RecordingReader<R>,
     name: &str,
@@ -261,13 +260,11 @@ pub(crate) fn listen<R: Read, L: Listen>(
     if !links.is_empty()
         && let Some(versions) = links.iter().map(foreign).collect::<Option<Vec<&u8>>>()
     {
-        return Err(HostError::new(
-            ErrorCode::BadRecording,
-            format!(
-                "the board spoke version {} of the protocol, this wimu reads version {WIRE_VERSION}",
+        return Err(ErrorCode::BadRecording.error(format!(
+                "the board uses version {} of the protocol, this wimu reads version {WIRE_VERSION}",
                 versions[0]
             ),
-            "read it with the wimu that recorded it",
+            "read it with the version of wimu that recorded it",
         )
         .at(name));
     }
@@ -279,8 +276,8 @@ pub(crate) fn listen<R: Read, L: Listen>(
     })
 }
 
-/// The link of a role; without one, the cable if it has raw samples, else the one with most. `of`
-/// tells a link's role and raw samples.
+/// The link of a role; `None` takes the cable if it has raw samples, else the link with the most. `of`
+/// returns role and number of raw samples of a link.
 pub(crate) fn choose<L>(
     links: &[L],
     role: Option<LinkRole>,
@@ -295,8 +292,7 @@ pub(crate) fn choose<L>(
     };
     found.ok_or_else(|| {
         let what = role.map_or("any link".to_owned(), |role| format!("the {role} link"));
-        HostError::new(
-            ErrorCode::NoRows,
+        ErrorCode::NoRows.error(
             format!("nothing was recorded on {what}"),
             "record again, or name the other link",
         )

@@ -1,6 +1,6 @@
-//! Numbers of things in words.
+//! Counts with singular and plural.
 
-/// `1 gap`, `2 gaps`, `3 stillnesses`.
+/// `1 gap`, `2 gaps`, `3 passes`.
 pub fn counted(count: usize, one: &str) -> String {
     let end = match (count, one.ends_with('s')) {
         (1, _) => "",

@@ -1,4 +1,4 @@
-//! Records everything that one or two links of a board bring.
+//! Recording of one or two links of a board.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,47 +17,47 @@ use crate::mcap_file::{ClockAnchor, Received, Recorded, RecordingWriter};
 use crate::transport::{self, Transport};
 use crate::{ErrorCode, HostError, LinkUrl, Result};
 
-/// How long a link may be silent before somebody looks whether to stop.
+/// Longest wait for data before the stop flag is checked.
 const GLANCE: Duration = Duration::from_millis(20);
-/// How often a lost link is tried.
+/// Interval between attempts to reopen a lost link.
 const TRY_EVERY: Duration = Duration::from_millis(500);
-/// What a link has brought is handed on as soon as it is this much, bytes.
+/// Data of a link are passed on at this size, bytes.
 const ENOUGH: u64 = 1 << 16;
-/// So often at most, before it is in the file: 64 MiB, or six seconds of a disk that stalls.
+/// Largest number of such pieces that wait for the file: 64 MiB, or six seconds of a stalled disk.
 const MAX_QUEUED: usize = 1024;
 
-/// What has been recorded so far, or in all.
+/// Progress or result of a recording.
 #[derive(Clone, Debug, Default)]
 pub struct Progress {
     /// The links.
     pub links: Vec<LinkProgress>,
-    /// Why the recording ended by itself: every link was lost and did not come back in time.
+    /// Why the recording ended: every link was lost and did not come back in time.
     pub ended: Option<HostError>,
 }
 
-/// What one link has brought.
+/// Progress of one link.
 #[derive(Clone, Debug)]
 pub struct LinkProgress {
     /// Which link.
     pub role: LinkRole,
-    /// What it carried and lost.
+    /// Its statistics.
     pub statistics: LinkStatistics,
     /// The board's clock by this link, since the board's last start.
     pub clock: Option<ClockSummary>,
-    /// Why it is lost at the moment.
+    /// Why it is lost at present.
     pub lost: Option<HostError>,
 }
 
 type LiveClient = Client<Tap<Box<dyn Transport + Send>>>;
 
-/// A recorder whose links are open and whose file is not yet made.
+/// A recorder with open links, before its file is created.
 pub struct Recorder {
     links: Vec<(LinkUrl, LiveClient)>,
     patience: Duration,
 }
 
 impl Recorder {
-    /// Connects to every link; from now on nothing that arrives is lost.
+    /// Connects to every link; data that arrive from now on are kept.
     ///
     /// # Errors
     /// Those of [`transport::open`] and [`Client::connect`]; `usage` when the links are of
@@ -78,8 +78,7 @@ impl Recorder {
                 } else {
                     continue;
                 };
-                return Err(HostError::new(
-                    ErrorCode::Usage,
+                return Err(ErrorCode::Usage.error(
                     format!("{} and {} {trouble}", other.name(), client.name()),
                     "give the wireless link and the cable of one board",
                 ));
@@ -91,24 +90,24 @@ impl Recorder {
         })
     }
 
-    /// Ends by itself when every link has been lost for this long; 30 s if nothing is said.
+    /// Sets the time after which a recording ends when every link is lost; default 30 s.
     #[must_use]
     pub fn with_patience(mut self, patience: Duration) -> Self {
         self.patience = patience;
         self
     }
 
-    /// Who answered on each link.
+    /// Identification received on each link.
     pub fn hellos(&self) -> impl Iterator<Item = &Hello> {
         self.links.iter().map(|(_, client)| client.hello())
     }
 
-    /// Records into a new file at `path` until `stop` is set or every link is lost for good;
-    /// `report` sees the progress a few times a second. A link that is lost is opened again, with
+    /// Records into a new file at `path` until `stop` is set or every link is lost for too long;
+    /// `report` gets the progress a few times a second. A lost link is opened again, with
     /// its gap in the file.
     ///
     /// # Errors
-    /// `file_exists`, `file_failed`; that a link was lost is none.
+    /// `file_exists`, `file_failed`; a lost link is not an error.
     pub fn run(
         mut self,
         path: &Path,
@@ -189,7 +188,7 @@ impl Recorder {
     }
 }
 
-/// What a listener tells.
+/// Message of a listener to the recorder.
 struct Heard {
     entries: Vec<Recorded>,
     statistics: LinkStatistics,
@@ -197,16 +196,16 @@ struct Heard {
     lost: Option<HostError>,
 }
 
-/// Listens on one link and asks the board for its time.
+/// Receives the data of one link and requests the board's time.
 struct Listener<'a> {
     role: LinkRole,
     url: LinkUrl,
     client: LiveClient,
     clock: ClockEstimator,
     pace: Pace,
-    /// Whether the board was asked if it has started anew.
+    /// Whether the board's identification was requested because it may have restarted.
     in_doubt: bool,
-    /// How the board said last that it is, on any link: a full one leaves that out.
+    /// The board's latest status on any link: a full link sheds it.
     board: &'a Mutex<Option<Status>>,
 }
 
@@ -225,7 +224,7 @@ impl Listener<'_> {
                     reason: error.message().to_owned(),
                 });
             }
-            // The estimate costs more than a look.
+            // The estimate takes longer than a read.
             let clock = (told_clock.elapsed() >= Duration::from_secs(2) || lost.is_some())
                 .then(|| {
                     told_clock = Instant::now();
@@ -258,7 +257,7 @@ impl Listener<'_> {
     fn listen(&mut self) -> Result<()> {
         let told = *self.board.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(status) = told {
-            self.pace.told(self.role, &status);
+            self.pace.report_status(self.role, &status);
         }
         let now = self.client.transport().now();
         if self.pace.is_due(now) {
@@ -293,7 +292,7 @@ impl Listener<'_> {
         Ok(())
     }
 
-    /// Tells the clock what was asked, before its answer is looked at.
+    /// Passes a time request to the clock estimator, before its answer.
     fn note_sent(&mut self) {
         if let Some(Tapped::Sent { host_ns, bytes }) = self.client.transport().last() {
             let (host_ns, bytes) = (*host_ns, bytes.clone());
@@ -340,7 +339,7 @@ impl Listener<'_> {
                 .iter()
                 .any(|entry| matches!(entry, Recorded::Received(_)));
             let mut entries = Vec::new();
-            // What another board has said is none of this recording's.
+            // The data of another board are not recorded.
             if let Some(host_ns) = opened_ns.filter(|_| back || (brought && !another)) {
                 entries.push(Recorded::Connected { role, host_ns });
                 entries.extend(heard);
@@ -368,21 +367,21 @@ impl Listener<'_> {
     }
 }
 
-/// One thing that went over a link.
+/// Data that passed over a link.
 #[derive(Clone, Debug)]
 pub enum Tapped {
-    /// Bytes from the board, with when they were read, ns on the link's clock.
+    /// Bytes from the board.
     Received {
-        /// When.
+        /// Time of reading, ns on the link's clock.
         host_ns: u64,
-        /// What.
+        /// As received.
         bytes: Vec<u8>,
     },
-    /// Bytes to the board, with when they began to be written, ns on the link's clock.
+    /// Bytes to the board.
     Sent {
-        /// When.
+        /// Time before writing, ns on the link's clock.
         host_ns: u64,
-        /// What.
+        /// As sent.
         bytes: Vec<u8>,
     },
 }
@@ -405,8 +404,7 @@ impl Tapped {
     }
 }
 
-/// A link that keeps a copy of all that goes over it, with the time. Only a device's key is left
-/// out: it has no place in a recording.
+/// A link that keeps a copy of all its data with their times, except a device's key.
 pub struct Tap<T> {
     inner: T,
     heard: Vec<Tapped>,
@@ -421,12 +419,12 @@ impl<T: Transport> Tap<T> {
         }
     }
 
-    /// What went over it since the last time.
+    /// The data since the last call.
     pub fn take(&mut self) -> Vec<Tapped> {
         std::mem::take(&mut self.heard)
     }
 
-    /// The latest of it.
+    /// The latest data.
     fn last(&self) -> Option<&Tapped> {
         self.heard.last()
     }

@@ -1,5 +1,5 @@
-//! The device's own arithmetic again: from raw samples and epochs, corrected samples, velocity and
-//! position bit for bit.
+//! Replay of the device's arithmetic: corrected samples, velocity and position from raw samples and epochs,
+//! bit for bit.
 
 use wimu_integrator::{Integrator, MagneticHeading, Navigation, State};
 use wimu_link::message::{ARITHMETIC_REVISION, EpochReason};
@@ -9,11 +9,11 @@ use crate::decode::{TimedSample, sequence_order};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::history::{Boot, EpochMark};
 
-/// A device sends an epoch at least this often, ns of samples; without the next one by then it is
-/// unknown what the device went on with.
+/// Longest interval between epochs, ns of samples; without the next one by then
+/// the state of the device is unknown.
 const EPOCH_WITHIN_NS: u64 = 1_000_000_000;
 
-/// What replaying came across.
+/// A step of a replay.
 #[derive(Debug)]
 #[allow(
     clippy::large_enum_variant,
@@ -26,16 +26,16 @@ pub enum Step {
     Epoch {
         /// Its index.
         index: usize,
-        /// Whether the device's state is the replayed one; `None` where it cannot be compared,
-        /// because the replay begins here or the device began anew.
+        /// Whether the device's state equals the replayed one; `None` where it cannot be compared,
+        /// because the replay or the device started here.
         agrees: Option<bool>,
     },
-    /// Nothing can be replayed until the next epoch: a raw sample or an epoch is missing.
+    /// Replay stops until the next epoch: a raw sample or an epoch is missing.
     Break {
         /// Sequence number of the first sample that is not replayed.
         sequence: u32,
     },
-    /// An epoch that nothing can be replayed from, and why.
+    /// An epoch from which no replay is possible.
     Unusable {
         /// Its index.
         index: usize,
@@ -44,7 +44,7 @@ pub enum Step {
     },
 }
 
-/// A raw sample and what the device made of it.
+/// A raw sample and the replayed results.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Replayed {
     /// The raw sample.
@@ -55,11 +55,10 @@ pub struct Replayed {
     pub navigation: Navigation,
 }
 
-/// Replays a boot's raw samples from an epoch on, over all epochs that follow.
+/// Replays the raw samples of a start from an epoch on.
 ///
-/// Within an unbroken run of samples everything is computed from the run's first epoch alone; later
-/// epochs tell the temperature, the period and the heading that the device went on with, and their states are
-/// compared.
+/// Within an uninterrupted run of samples everything is computed from the run's first epoch alone; later
+/// epochs give the temperature, the period and the heading, and their states are compared.
 pub struct Replay<'a> {
     boot: &'a Boot,
     /// The next epoch.
@@ -74,7 +73,7 @@ struct Running {
     integrator: Integrator,
     full_scale: i16,
     next_sequence: u32,
-    /// Samples since the latest epoch, and how many there may be without another.
+    /// Samples since the latest epoch, and their largest number without another one.
     since_epoch: u64,
     most: u64,
 }
@@ -82,13 +81,11 @@ struct Running {
 impl Running {
     fn from_epoch(boot: &Boot, mark: &EpochMark) -> Result<Self> {
         if !mark.epoch.state.is_ours() {
-            return Err(HostError::new(
-                ErrorCode::BadRecording,
-                format!(
-                    "the device computes by revision {}, this wimu by {ARITHMETIC_REVISION}: its samples cannot be computed again bit for bit",
+            return Err(ErrorCode::BadRecording.error(format!(
+                    "the device uses revision {} of the arithmetic, this wimu {ARITHMETIC_REVISION}: a bit-exact replay is not possible",
                     mark.epoch.state.revision
                 ),
-                "replay it with the wimu that belongs to the device's firmware; the samples themselves are readable",
+                "replay it with the wimu of the device's firmware version; the samples themselves are readable",
             ));
         }
         let state = State::from(mark.epoch.state);
@@ -102,7 +99,7 @@ impl Running {
         })
     }
 
-    /// Goes on with an epoch's parameters, temperature, period and range.
+    /// Continues with the parameters, temperature, period and range of an epoch.
     fn adopt(&mut self, boot: &Boot, mark: &EpochMark) -> Result<()> {
         self.corrector = corrector(boot, mark)?;
         self.integrator
@@ -131,8 +128,7 @@ fn most_samples(mark: &EpochMark) -> u64 {
 }
 
 fn unusable(error: impl std::error::Error) -> HostError {
-    HostError::new(
-        ErrorCode::BadRecording,
+    ErrorCode::BadRecording.error(
         format!("an epoch cannot be replayed: {error}"),
         "update firmware and wimu to one version",
     )
@@ -218,7 +214,7 @@ impl Iterator for Replay<'_> {
             None if self.epoch >= self.boot.epochs.len() => None,
             _ => {
                 self.running = None;
-                // Epochs of samples that are over have nothing to begin from.
+                // Epochs before this sample are skipped.
                 let epochs = &self.boot.epochs;
                 while epochs
                     .get(self.epoch)
@@ -232,35 +228,35 @@ impl Iterator for Replay<'_> {
     }
 }
 
-/// How a replay compares with what the device sent.
+/// Comparison of a replay with the data sent by the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct ReplayReport {
     /// Raw samples replayed.
     pub samples: u64,
     /// Corrected samples compared.
     pub corrected_compared: u64,
-    /// … of which differ in any bit.
+    /// Of these, different in any bit.
     pub corrected_differ: u64,
     /// Velocities and positions compared.
     pub navigation_compared: u64,
-    /// … of which differ in any bit.
+    /// Of these, different in any bit.
     pub navigation_differ: u64,
     /// Integrator states in epochs compared with those replayed from an earlier epoch.
     pub states_compared: u64,
-    /// … of which differ in any bit.
+    /// Of these, different in any bit.
     pub states_differ: u64,
-    /// Times that a missing sample or epoch made the replay begin again.
+    /// Restarts of the replay after a missing sample or epoch.
     pub breaks: u64,
-    /// Epochs that nothing could be replayed from.
+    /// Epochs from which no replay was possible.
     pub epochs_unusable: u64,
-    /// Samples not compared because an epoch after them was lost: it may have held for some of them.
+    /// Samples not compared because a lost epoch may have applied to some of them.
     pub samples_uncertain: u64,
     /// Sequence number at the first difference.
     pub first_difference: Option<u32>,
 }
 
 impl ReplayReport {
-    /// Whether everything that could be compared is the same, and something could.
+    /// Whether all compared data are equal, and there are any.
     pub fn is_exact(&self) -> bool {
         self.corrected_compared + self.navigation_compared + self.states_compared > 0
             && self.corrected_differ + self.navigation_differ + self.states_differ == 0
@@ -276,11 +272,11 @@ impl ReplayReport {
     }
 }
 
-/// Replays from the epoch of this index to the end of the boot, and compares with every corrected
+/// Replays from the epoch of this index to the end of the start, and compares with every corrected
 /// sample, velocity, position and state that the device sent.
 pub fn verify(boot: &Boot, epoch: usize) -> ReplayReport {
     let mut report = ReplayReport::default();
-    // What was compared since the latest epoch: certain once the next one has come.
+    // Compared since the latest epoch: counts once the next one has arrived without a loss.
     let mut span = ReplayReport::default();
     for step in Replay::new(boot, epoch) {
         match step {

@@ -1,12 +1,12 @@
-//! What links brought as ROS 2 messages beside the bytes, in a recording that any MCAP tool reads.
+//! Decoded data as ROS 2 messages beside the received bytes, in a recording that any MCAP tool reads.
 //!
 //! Under `/cable` and `/wireless`: `imu/data_raw` (counts at nominal sensitivity, sensor axes) and
 //! `imu/data` (corrected, body axes), both `sensor_msgs/msg/Imu` in m/s²; `imu/mag`
-//! (as the magnetometer puts it out, its axes) and, where the parameters in use have a magnetometer,
+//! (raw output of the magnetometer, its axes) and, where the parameters in use have a magnetometer,
 //! `imu/mag_corrected` (body axes), both `sensor_msgs/msg/MagneticField` in tesla; `imu/temperature`
 //! (`sensor_msgs/msg/Temperature`, °C).
-//! Stamps are device times through the clock model, in UTC; messages stand in the order of arrival. What there is none of has −1 as the first
-//! element of its covariance; a covariance of zeros is unknown.
+//! Stamps are device times through the clock model, in UTC; messages are in the order of arrival. An absent quantity
+//! has −1 as the first element of its covariance; a covariance of zeros is unknown.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,7 +22,7 @@ use crate::history::Boot;
 use crate::mcap_file::{RecordingReader, RecordingWriter, Topic, Wholeness};
 use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, Walker, walk};
-use crate::{ErrorCode, HostError, OutputFile, Result};
+use crate::{ErrorCode, OutputFile, Result};
 
 const FRAME_ID: &str = "imu_link";
 /// ROS's separator between a message's definition and those of its parts.
@@ -34,16 +34,16 @@ const NEXT: &str =
 pub struct Decoded {
     /// By topic.
     pub messages: BTreeMap<String, u64>,
-    /// Messages left out because no clock tells when they were.
+    /// Messages left out because their start has no clock model.
     pub without_time: u64,
-    /// Raw samples left out because the range may have changed there and no epoch tells.
+    /// Raw samples left out because their range is unknown: no epoch covers them.
     pub without_unit: u64,
-    /// Samples that came after later ones: they stand behind these.
+    /// Samples that arrived after later ones, and are stored after them.
     pub late: u64,
-    /// Batches of samples left out because no epoch tells their place, at the very end of the recording
-    /// too.
+    /// Batches of samples left out because no epoch followed that defines their numbers, also at the end of the
+    /// recording.
     pub unplaced: u64,
-    /// How whole the recording is.
+    /// Completeness of the recording.
     #[serde(flatten)]
     pub wholeness: Wholeness,
 }
@@ -102,11 +102,11 @@ impl Kind {
 }
 
 /// Copies the recording at `from` to `to`, with the decoded topics added. A link model
-/// is taken off the link that it names. Memory does not grow with the recording.
+/// is applied to the link that it names. Memory does not grow with the recording.
 ///
 /// # Errors
 /// Those of reading a recording and of [`OutputFile`]; `data_refused` when the link
-/// model is another device's.
+/// model is of another device.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
     let mut clocks = Clocks::default();
     let mut units: BTreeMap<Start, RawUnits> = BTreeMap::new();
@@ -114,7 +114,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         if let Step::Arrival(arrival) = &step {
             match (&arrival.event, link_model) {
                 (Event::Hello(hello), Some(model)) => model.check_device(hello.device_id)?,
-                // What one link has lost, the other may tell.
+                // An epoch that one link lost may have arrived on the other.
                 (Event::Epoch { epoch, .. }, _) => units.entry(start).or_default().see(epoch),
                 _ => {}
             }
@@ -125,12 +125,12 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     let clocks = clocks.models();
     let mut reader = RecordingReader::open(from)?;
     let Some(anchor) = reader.anchor()? else {
-        return Err(HostError::new(
-            ErrorCode::BadRecording,
-            "it has no anchor from the host's clock to UTC",
-            "give a file written by `wimu record`",
-        )
-        .at(from.display().to_string()));
+        return Err(ErrorCode::BadRecording
+            .error(
+                "it has no anchor from the host's clock to UTC",
+                "give a file written by `wimu record`",
+            )
+            .at(from.display().to_string()));
     };
     let (output, file) = OutputFile::create(to)?;
     let mut decoder = Writer {
@@ -155,7 +155,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
     decoder.decoded.unplaced = unplaced.sum();
     decoder.out.finish()?;
     decoder.decoded.wholeness = reader.wholeness();
-    // It may be the file that is replaced.
+    // `to` may be the same file.
     drop(reader);
     output.finish()?;
     Ok(decoder.decoded)
@@ -166,7 +166,7 @@ struct Writer<'a> {
     topics: BTreeMap<(u8, Kind), Topic>,
     /// Of raw samples.
     units: BTreeMap<Start, RawUnits>,
-    /// What tells how the field is corrected: parameters and the latest epoch.
+    /// Parameters and the latest epoch, by which the field is corrected.
     parameters: BTreeMap<(u8, Start), Boot>,
     link_model: Option<&'a LinkModel>,
     decoded: Decoded,
@@ -284,7 +284,7 @@ impl Writer<'_> {
         message.extend((FRAME_ID.len() as u32 + 1).to_le_bytes());
         message.extend(FRAME_ID.as_bytes());
         message.push(0);
-        // Numbers of eight bytes are aligned to the body, which begins behind the four first.
+        // Numbers of eight bytes are aligned relative to the body, which begins after four bytes.
         message.resize((message.len() - 4).next_multiple_of(8) + 4, 0);
         for field in fields {
             message.extend(field.to_le_bytes());

@@ -1,4 +1,4 @@
-//! Bytes to and from a board, blocking with time-outs: serial ports and TCP.
+//! Byte streams to and from a board, blocking with time-outs: serial ports and TCP.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
@@ -11,12 +11,12 @@ use serialport::{ClearBuffer, SerialPort, SerialPortType};
 use crate::error::{ErrorCode, HostError, Result};
 use crate::link_url::{DEFAULT_BAUD, LinkUrl};
 
-/// Longest wait for a connection, and for a link to take what is written.
+/// Longest wait for a connection, and for a link to accept data.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// A stream of bytes to and from a board.
+/// A byte stream to and from a board.
 pub trait Transport {
-    /// Reads what has arrived, at least one byte; `Ok(0)` when nothing has within `timeout`.
+    /// Reads available data, at least one byte; `Ok(0)` without any within `timeout`.
     ///
     /// # Errors
     /// `link_lost` when the other end is gone.
@@ -25,30 +25,29 @@ pub trait Transport {
     /// Writes all of `bytes`.
     ///
     /// # Errors
-    /// `link_lost` when the other end is gone or takes nothing for 3 s.
+    /// `link_lost` when the other end is gone or accepts nothing for 3 s.
     fn write_all(&mut self, bytes: &[u8]) -> Result<()>;
 
-    /// The monotonic clock by which this link waits: everything that times answers on it asks
-    /// here, so that a simulated link can run in virtual time.
+    /// The monotonic clock of this link: all times of data and answers on it are from this clock,
+    /// so that a simulated link can run in virtual time.
     fn now(&self) -> Duration {
         static START: OnceLock<Instant> = OnceLock::new();
         START.get_or_init(Instant::now).elapsed()
     }
 
-    /// The rate of the line at this end, bits/s; `None` for a link without one.
+    /// Baud rate at this end; `None` for a link without one.
     fn baud(&self) -> Option<u32> {
         None
     }
 
-    /// Changes it; what has arrived is dropped.
+    /// Changes the baud rate; received data are dropped.
     ///
     /// # Errors
-    /// `usage` for a link without a rate; `link_lost` when the port does not take it.
+    /// `usage` for a link without a baud rate; `link_lost` when the port refuses it.
     fn set_baud(&mut self, baud: u32) -> Result<()> {
-        Err(HostError::new(
-            ErrorCode::Usage,
-            format!("this link has no baud rate that could be {baud}"),
-            "give a serial port",
+        Err(ErrorCode::Usage.error(
+            format!("this link has no baud rate to set to {baud}"),
+            "name a serial port",
         ))
     }
 }
@@ -75,11 +74,11 @@ impl<T: Transport + ?Sized> Transport for Box<T> {
     }
 }
 
-/// Opens a link. [`LinkUrl::Auto`] opens the only port with the USB identity of a known board.
+/// Opens a link. [`LinkUrl::Auto`] opens the only port with the USB id of a known board.
 ///
 /// # Errors
-/// `link_absent`, `link_busy`, `link_permission`, `link_refused`; `bad_link` when `auto` has
-/// several ports to choose from: [`candidates`] lists them.
+/// `link_absent`, `link_busy`, `link_permission`, `link_refused`; `bad_link` when several ports
+/// match `auto`: [`candidates`] lists them.
 pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
     match link {
         LinkUrl::Serial { path, baud } => {
@@ -91,18 +90,18 @@ pub fn open(link: &LinkUrl) -> Result<Box<dyn Transport + Send>> {
             [only] => open(only),
             several => {
                 let names: Vec<_> = several.iter().map(LinkUrl::to_string).collect();
-                Err(HostError::new(
-                    ErrorCode::BadLink,
-                    format!("several ports may be a board: {}", names.join(", ")),
-                    "name one of them instead of `auto`",
-                )
-                .at("auto"))
+                Err(ErrorCode::BadLink
+                    .error(
+                        format!("several ports may be a board: {}", names.join(", ")),
+                        "name one of them instead of `auto`",
+                    )
+                    .at("auto"))
             }
         },
     }
 }
 
-/// What `auto` tries, in order: the serial ports with the USB identity of a known board. None is
+/// The ports that `auto` tries, in order: serial ports with the USB id of a known board. None is
 /// opened.
 ///
 /// # Errors
@@ -117,9 +116,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
         })
         .collect();
     if found.is_empty() {
-        Err(HostError::new(
-            ErrorCode::LinkAbsent,
-            "no serial port has the USB identity of a known board",
+        Err(ErrorCode::LinkAbsent.error("no serial port has the USB id of a known board",
             "plug the board in, or name its port: `wimu ports` lists them; `wimu simulate` needs none",
         )
         .at("auto"))
@@ -135,11 +132,11 @@ pub struct Port {
     pub path: String,
     /// USB vendor and product id, for a port on USB.
     pub usb: Option<UsbId>,
-    /// Product name that the device itself gives.
+    /// Product name that the device reports.
     pub product: Option<String>,
-    /// Serial number that the device itself gives.
+    /// Serial number that the device reports.
     pub serial_number: Option<String>,
-    /// What boards and adapters with this USB identity are.
+    /// Boards and adapters with this USB id.
     pub board: Option<&'static str>,
 }
 
@@ -153,7 +150,7 @@ pub struct UsbId {
 }
 
 impl UsbId {
-    /// The board or serial adapter of this identity, if it is one that wimu runs on or behind.
+    /// The board or serial adapter with this id, if wimu supports it.
     pub fn board(self) -> Option<&'static str> {
         KNOWN_BOARDS
             .iter()
@@ -186,8 +183,7 @@ const KNOWN_BOARDS: [(u16, Option<u16>, &str); 6] = [
 /// `link_absent` when the operating system does not list them.
 pub fn ports() -> Result<Vec<Port>> {
     let found = serialport::available_ports().map_err(|error| {
-        HostError::new(
-            ErrorCode::LinkAbsent,
+        ErrorCode::LinkAbsent.error(
             format!("the operating system does not list its serial ports: {error}"),
             "name the port",
         )
@@ -280,29 +276,21 @@ fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> HostError {
         })
     };
     let failure = match error.kind() {
-        _ if !exists => HostError::new(
-            ErrorCode::LinkAbsent,
-            "there is no such serial port",
-            "plug the board or adapter in, pair and bind a Bluetooth adapter (`sudo rfcomm bind 0 ADDRESS`), and see `wimu ports`",
+        _ if !exists => ErrorCode::LinkAbsent.error("there is no such serial port",
+            "plug in the board or adapter (bind a paired Bluetooth adapter: `sudo rfcomm bind 0 ADDRESS`); `wimu ports` lists the ports",
         ),
-        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => HostError::new(
-            ErrorCode::LinkPermission,
-            "this user may not open the port",
+        Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => ErrorCode::LinkPermission.error("no permission to open the port",
             "join the port's group (`sudo usermod -aG dialout $USER`, on Arch `uucp`) and log in again, or put \
              `SUBSYSTEM==\"tty\", ATTRS{idVendor}==\"0d28\", TAG+=\"uaccess\"` with the adapter's own id into \
              /etc/udev/rules.d/70-wimu.rules and plug it in again",
         ),
         // Windows calls a port that is open elsewhere a denied access.
         Kind::NoDevice | Kind::Io(ErrorKind::PermissionDenied | ErrorKind::WouldBlock) => {
-            HostError::new(
-                ErrorCode::LinkBusy,
-                "another program has the port open",
+            ErrorCode::LinkBusy.error("another program has the port open",
                 "close the other terminal, monitor or modem manager",
             )
         }
-        _ => HostError::new(
-            ErrorCode::LinkAbsent,
-            format!("the port does not open at {baud} baud: {error}"),
+        _ => ErrorCode::LinkAbsent.error(format!("the port does not open at {baud} baud: {error}"),
             "check that it is a serial port and that it supports this baud rate",
         ),
     };
@@ -319,12 +307,12 @@ impl TcpLink {
     fn open(link: &LinkUrl, host: &str, port: u16) -> Result<Self> {
         let name = link.to_string();
         let addresses = (host, port).to_socket_addrs().map_err(|error| {
-            HostError::new(
-                ErrorCode::LinkAbsent,
-                format!("the host `{host}` is not known: {error}"),
-                "check the name and the network",
-            )
-            .at(&name)
+            ErrorCode::LinkAbsent
+                .error(
+                    format!("unknown host `{host}`: {error}"),
+                    "check the name and the network",
+                )
+                .at(&name)
         })?;
         let mut last = io::Error::from(ErrorKind::AddrNotAvailable);
         for address in addresses {
@@ -345,13 +333,11 @@ impl TcpLink {
             }
         }
         Err(match last.kind() {
-            ErrorKind::ConnectionRefused => HostError::new(
-                ErrorCode::LinkRefused,
-                "nothing listens there",
+            ErrorKind::ConnectionRefused => ErrorCode::LinkRefused.error(
+                "nothing listens at this address",
                 "start `wimu simulate` first, or check the port",
             ),
-            _ => HostError::new(
-                ErrorCode::LinkAbsent,
+            _ => ErrorCode::LinkAbsent.error(
                 format!("the host does not answer: {last}"),
                 "check the address and the network",
             ),
@@ -362,7 +348,7 @@ impl TcpLink {
 
 impl Transport for TcpLink {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
-        // Zero would mean for ever.
+        // Zero would mean without limit.
         let timeout = Some(timeout.max(Duration::from_millis(1)));
         if self.timeout != timeout {
             self.stream
@@ -399,18 +385,18 @@ fn lost(name: &str, error: &io::Error) -> HostError {
         ErrorKind::UnexpectedEof => "the other end closed the link".to_owned(),
         ErrorKind::TimedOut | ErrorKind::WouldBlock => {
             format!(
-                "the other end has taken no bytes for {} s",
+                "the other end has accepted no data for {} s",
                 PATIENCE.as_secs()
             )
         }
         _ => format!("the link failed: {error}"),
     };
-    HostError::new(
-        ErrorCode::LinkLost,
-        message,
-        "check the cable, the adapter's power and its range, then connect again",
-    )
-    .at(name)
+    ErrorCode::LinkLost
+        .error(
+            message,
+            "check the cable, the adapter's power and its range, then connect again",
+        )
+        .at(name)
 }
 
 #[cfg(test)]

@@ -1,15 +1,15 @@
-//! What one LSB of a raw sample is. The range may change while samples flow: the epoch that holds for
-//! a sample's number tells, not the one that came last.
+//! Unit of raw samples. The range may change during a recording: the unit is that of the epoch which covers
+//! the sample's number, not of the latest one.
 
 use wimu_link::message::{Epoch, EpochReason};
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::decode::sequence_order;
 
-/// A device sends an epoch at least this often, ns of samples.
+/// Longest interval between epochs, ns of samples.
 const EPOCH_WITHIN_NS: u64 = 1_000_000_000;
 
-/// What the counts of a raw sample are.
+/// Unit of the counts of a raw sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RawUnit {
     /// Nominal sensitivity.
@@ -42,20 +42,20 @@ impl RawUnit {
     }
 }
 
-/// The units of a device's raw samples from one start to the next, by their sequence numbers.
+/// The units of a device's raw samples within one start, by their sequence numbers.
 ///
-/// Epochs may come in any order, more than once, and from both links. Where one is missing that may
-/// have changed the range, the unit is unknown until the next: from the last epoch of the old range to
-/// the first of the new one; and where three or more in a row are missing, even between two of the
-/// same range. Within a second before the first epoch and after the last, none need have been lost:
-/// theirs is the unit there. Memory grows with the number of places where epochs are missing only.
+/// Epochs may arrive in any order, more than once, and on both links. Where an epoch is missing that may
+/// have changed the range, the unit is unknown from the last epoch of the old range to
+/// the first of the new one; where three or more in a row are missing, even between two of the
+/// same range. Within a second before the first epoch and after the last, no epoch need be missing,
+/// and their unit applies. Memory grows only with the number of changes and losses.
 #[derive(Clone, Debug, Default)]
 pub struct RawUnits {
     /// By sequence number, without overlap.
     runs: Vec<Run>,
 }
 
-/// Epochs of one unit between which no other can have been.
+/// Epochs of one unit without a change between them.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     unit: RawUnit,
@@ -63,13 +63,13 @@ struct Run {
     last: Mark,
 }
 
-/// An epoch, as far as it tells about those around it.
+/// The properties of an epoch by which missing ones are detected.
 #[derive(Clone, Copy, Debug)]
 struct Mark {
     sequence: u32,
     number: u8,
     reason: EpochReason,
-    /// Within so many samples comes the next.
+    /// Largest number of samples until the next one.
     most: u32,
 }
 
@@ -84,12 +84,11 @@ impl Mark {
         }
     }
 
-    /// Of how many epochs the next is later by number; `None` if the numbers may have run around
-    /// meanwhile.
+    /// Number of epochs from this one to `next`; `None` if the epoch number may have wrapped.
     fn steps_to(&self, next: &Self) -> Option<u8> {
         let steps = next.number.wrapping_sub(self.number);
         let apart = u32::try_from(next.sequence.wrapping_sub(self.sequence) as i32).ok()?;
-        // The last of the steps may be an epoch that was sent again for a new listener.
+        // The last step may be an epoch repeated for a new listener.
         let most = u64::from(self.most.max(next.most)) * (u64::from(steps) + 1);
         (u64::from(apart) <= most).then_some(steps)
     }
@@ -109,8 +108,8 @@ impl Mark {
         }
     }
 
-    /// Whether the range of this epoch and of `next`, which is the same, is that of all samples
-    /// between: there and back are two changes.
+    /// Whether all samples up to `next`, which has the same range, have that range: a change and its reversal are two
+    /// epochs.
     fn holds_until(&self, next: &Self) -> bool {
         match self.steps_to(next) {
             Some(0 | 1) => true,
@@ -119,15 +118,15 @@ impl Mark {
         }
     }
 
-    /// Whether the range of this epoch ends with `next`, which is of another.
+    /// Whether the range of this epoch holds until `next`, which has another one.
     fn ends_with(&self, next: &Self) -> bool {
-        // One that was sent again for a new listener comes later than the change: it is periodic.
+        // An epoch repeated for a new listener is later than the change: it is periodic.
         self.steps_to(next) == Some(1) && next.may_change_range()
     }
 }
 
 impl RawUnits {
-    /// By these epochs.
+    /// The units defined by these epochs.
     pub fn of_epochs<'a>(epochs: impl IntoIterator<Item = &'a Epoch>) -> Self {
         let mut units = Self::default();
         for epoch in epochs {
@@ -170,21 +169,20 @@ impl RawUnits {
         self.runs.insert(at, run);
     }
 
-    /// Forgets what is before the latest change or loss of epochs but three: for what goes on without
-    /// end and only looks at the newest samples.
+    /// Keeps the latest four runs only: for endless data of which only the newest samples are used.
     pub fn forget_old(&mut self) {
         let old = self.runs.len().saturating_sub(4);
         self.runs.drain(..old);
     }
 
-    /// The unit of the raw sample of this number; `None` where no epoch tells.
+    /// The unit of the raw sample of this number; `None` if unknown.
     pub fn of(&self, sequence: u32) -> Option<RawUnit> {
         let at = self
             .runs
             .partition_point(|run| sequence_order(run.first.sequence, sequence).is_le());
         let after = self.runs.get(at);
         let Some(run) = at.checked_sub(1).and_then(|index| self.runs.get(index)) else {
-            // On their way when listening began: none need have been lost.
+            // Sent before reception began: no epoch need be missing.
             return after
                 .filter(|after| !after.first.may_change_range())
                 .filter(|after| after.first.sequence.wrapping_sub(sequence) <= after.first.most)

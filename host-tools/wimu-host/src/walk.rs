@@ -1,4 +1,4 @@
-//! A recording from its start to its end, an event at a time: memory does not grow with its length.
+//! A recording from its start to its end, one event at a time, in memory that does not grow with its length.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -10,14 +10,14 @@ use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
 use crate::mcap_file::{Recorded, RecordingReader};
 
-/// Something at its place in a recording.
+/// A step through a recording.
 #[derive(Debug)]
 #[allow(
     clippy::large_enum_variant,
     reason = "steps are handed on one at a time"
 )]
 pub enum Step {
-    /// A link brought something.
+    /// A link received something.
     Arrival(Arrival),
     /// The host sent these bytes.
     Sent {
@@ -36,17 +36,15 @@ pub enum Step {
         /// When, ns on the host's monotonic clock.
         host_ns: u64,
     },
-    /// A part of the file is damaged and left out: what the link brought in it is not known.
+    /// A part of the file is damaged and left out: what the link received in it is unknown.
     Damaged,
 }
 
-/// One start of the device, counted in the order in which the links tell of them: by what the decoder
-/// tells, as boot counts may repeat. The starts of two links are one that began at the same time and do
-/// not say different boot counts.
+/// One start of the device, numbered in the order of detection, because boot counts may repeat. Starts on two links are
+/// the same one if they began at the same time and have no different boot counts.
 pub type Start = u32;
 
-/// Walks through a recording; `each` gets every step with its link and the device's start.
-/// Returns what each link carried and lost.
+/// Reads a recording; `each` gets every step with its link and the device's start. Returns the statistics of each link.
 ///
 /// # Errors
 /// Those of [`RecordingReader::next_entry`], and of `each`.
@@ -61,7 +59,7 @@ pub fn walk<R: Read>(
     walker.finish(&mut each)
 }
 
-/// Makes steps of a recording's entries.
+/// Converts the entries of a recording to steps.
 #[derive(Debug, Default)]
 pub struct Walker {
     links: BTreeMap<u8, Link>,
@@ -75,7 +73,7 @@ impl Walker {
     }
 
     /// Takes the next entry; `each` gets the steps that it completes.
-    ///
+    /// Takes the next entry; `each` gets the completed steps.
     /// # Errors
     /// Those of `each`.
     pub fn push(
@@ -122,13 +120,13 @@ impl Walker {
         }
     }
 
-    /// The wire version of what each link, by its number, brought last of another version than ours.
+    /// The latest wire version other than ours on each link, by its number.
     pub(crate) fn foreign_versions(&self) -> BTreeMap<u8, u8> {
         let version = |(role, link): (&u8, &Link)| Some((*role, link.decoder.foreign_version()?));
         self.links.iter().filter_map(version).collect()
     }
 
-    /// The recording is over: what each link carried and lost.
+    /// Ends the recording; returns the statistics of each link.
     ///
     /// # Errors
     /// Those of `each`.
@@ -140,7 +138,7 @@ impl Walker {
         self.links
             .into_values()
             .map(|mut link| {
-                // Nobody said which start this was: the other link's, if there is one.
+                // The start of this link was never identified: it is the other link's, if there is one.
                 if link.place.before.is_none() {
                     link.place.now = link.place.now.or(known);
                 }
@@ -154,9 +152,9 @@ impl Walker {
     }
 }
 
-/// Steps before it is known which start they are of: more than arrive until it is.
+/// Steps held until their start is identified, at most.
 const MAX_HELD: usize = 4096;
-/// Starts of which two links say that they began so far apart are one, ns: a link may be late.
+/// Starts that two links report this far apart are one, ns: a link may be delayed.
 const SAME_START_NS: u64 = 5_000_000_000;
 
 #[derive(Debug)]
@@ -164,7 +162,7 @@ struct Link {
     role: LinkRole,
     decoder: Decoder,
     place: Place,
-    /// What came before the start was known.
+    /// Steps before the start was identified.
     held: Vec<Step>,
 }
 
@@ -184,16 +182,16 @@ impl Link {
     }
 }
 
-/// The starts that any link has told of.
+/// The starts reported by any link.
 #[derive(Debug, Default)]
 struct Starts(Vec<Known>);
 
 /// What is known of a start.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
-    /// When it began, ns of the host, as the latest epoch of any link tells.
+    /// When it began, host time, ns, by the latest epoch of any link.
     began_ns: Option<u64>,
-    /// As the device says: 0 at every start where it cannot count.
+    /// As the device reports it: 0 at every start if it cannot count.
     boot_count: Option<u32>,
 }
 
@@ -207,12 +205,11 @@ impl Starts {
         self.0.len() as Start - 1
     }
 
-    /// The start that a link is in which began so, given the one that it was in before; a new one if no
-    /// link has told of it.
+    /// The start of a link that began at `began`, after its start `before`; a new one if no link has reported it.
     fn find(&mut self, before: Option<Start>, began: Known) -> Start {
         let earliest = before.map_or(0, |before| before as usize + 1);
         let counted_before = before.and_then(|before| self.known(before).boot_count);
-        // A link may be later than anything, but a count that has gone on tells.
+        // A link may be delayed by any time, but a boot count that has increased identifies the start.
         let counts = began.boot_count.is_some()
             && counted_before.is_some()
             && began.boot_count != counted_before;
@@ -232,28 +229,28 @@ impl Starts {
         }
     }
 
-    /// Notes what a link says of a start that it is in.
-    fn note(&mut self, start: Start, said: Known) {
+    /// Stores what a link reports of its start.
+    fn note(&mut self, start: Start, reported: Known) {
         if let Some(known) = self.0.get_mut(start as usize) {
-            known.began_ns = said.began_ns.or(known.began_ns);
-            known.boot_count = known.boot_count.or(said.boot_count);
+            known.began_ns = reported.began_ns.or(known.began_ns);
+            known.boot_count = known.boot_count.or(reported.boot_count);
         }
     }
 }
 
-/// Which start a link is in.
+/// The start that a link is in.
 #[derive(Debug, Default)]
 struct Place {
     now: Option<Start>,
     before: Option<Start>,
-    /// What a new start has said of itself before it is known when it began.
+    /// Boot count of a new start before the time of its beginning is known.
     boot_count: Option<u32>,
 }
 
 impl Place {
     fn see(&mut self, arrival: &Arrival, starts: &mut Starts) {
         let began_ns = |time_us: u64| arrival.host_ns.saturating_sub(time_us.saturating_mul(1000));
-        let said = match &arrival.event {
+        let reported = match &arrival.event {
             Event::Restart { boot_count } => {
                 self.before = self.now.or(self.before);
                 self.now = None;
@@ -261,8 +258,7 @@ impl Place {
                 return;
             }
             Event::Hello(hello) => Known {
-                // Of a start that is known, a greeting that is late tells nothing new; and it may be
-                // the first sign of the next.
+                // A delayed greeting adds nothing to an identified start, and it may belong to the next one.
                 began_ns: self.now.is_none().then(|| began_ns(hello.uptime_us)),
                 boot_count: Some(hello.boot_count),
             },
@@ -273,11 +269,13 @@ impl Place {
             _ => return,
         };
         let before = self.before;
-        let start = *self.now.get_or_insert_with(|| starts.find(before, said));
-        starts.note(start, said);
+        let start = *self
+            .now
+            .get_or_insert_with(|| starts.find(before, reported));
+        starts.note(start, reported);
     }
 
-    /// The start; for want of a sign, a new one.
+    /// The start; a new one if none was identified.
     fn settle(&mut self, starts: &mut Starts) -> Start {
         let boot_count = self.boot_count;
         *self.now.get_or_insert_with(|| {
@@ -312,13 +310,13 @@ impl Clocks {
         }
     }
 
-    /// The best clocks there are: from both links.
+    /// The clock models from both links.
     pub fn models(&self) -> BTreeMap<Start, ClockModel> {
         let model = |(start, clock): (&Start, &ClockEstimator)| Some((*start, clock.model()?));
         self.joint.iter().filter_map(model).collect()
     }
 
-    /// A link's own view of the longest start.
+    /// A link's own model of its longest start.
     pub fn of_link(&self, role: LinkRole) -> Option<ClockModel> {
         self.single
             .iter()

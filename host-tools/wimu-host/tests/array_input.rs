@@ -8,6 +8,7 @@ use wimu_calib::Gravity;
 use wimu_host::array::{Agreement, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use wimu_host::inertial::{Choice, InertialPath, Method, Zupt, navigate_array};
 use wimu_host::{ErrorCode, HostError};
+use wimu_testkit::figure;
 
 const G: f64 = 9.80665;
 const RATE_HZ: f64 = 200.0;
@@ -233,6 +234,11 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
         }
         let rms = rate_rms(&path, &all.rates);
         println!("{name}: angular rate off by {rms:.3} rad/s rms");
+        if most.is_finite() {
+            let claim = format!("octahedron about the vertical, {name}: rate, rad/s rms");
+            let target = format!("below {most}");
+            figure(&claim, format!("{rms:.3}"), &target, rms < most);
+        }
         assert!(rms < most, "{name}: {rms} {:?}", path.remarks);
         assert!(
             says(&path, "even turn") && says(&path, "is assumed"),

@@ -11,26 +11,10 @@ use wimu_host::inertial::{
 };
 use wimu_host::motion::MotionRecording;
 use wimu_host::{ErrorCode, HostError};
+use wimu_testkit::{Lane, Random};
 
 const G: f64 = 9.80665;
 const UNIT: [Method; 3] = [Method::Tilt, Method::Strapdown, Method::Slide];
-
-/// The same numbers in every run.
-struct Random(u64);
-
-impl Random {
-    /// Of a standard deviation of 1.
-    fn normal(&mut self) -> f64 {
-        let mut unit = || {
-            self.0 = self
-                .0
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-        };
-        (0..12).map(|_| unit()).sum::<f64>() - 6.0
-    }
-}
 
 /// A file of this test's own.
 fn file(name: &str, text: &str) -> PathBuf {
@@ -81,7 +65,7 @@ fn choices() -> impl Iterator<Item = Choice> {
 
 /// 12 s at 100 Hz: rest, 4 s of shaking by so much, rest; `wild` values in fields of their own.
 fn table(shake: f64, wild: &[(usize, usize, f64)], columns: &[&str], seed: u64) -> String {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut text = format!("Time (s),{}\n", columns.join(","));
     for k in 0..1200_usize {
         let moves = (400..800).contains(&k);
@@ -126,7 +110,7 @@ fn wild() -> impl Strategy<Value = Vec<(usize, usize, f64)>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: Lane::current().choose([3, 12, 100]), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn what_a_unit_says_is_valid_is_a_number(

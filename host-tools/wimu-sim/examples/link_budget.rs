@@ -13,6 +13,7 @@ use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
+use wimu_testkit::figure;
 
 const SECONDS: u64 = 30;
 
@@ -26,13 +27,17 @@ fn main() -> wimu_host::Result<()> {
         "motion", "Hz", "B/sample", "Hz at 115200 baud"
     );
     for motion in ["rest", "hand"] {
+        let mut all = Vec::new();
         for rate_hz in [100, 400, 1344] {
             let bytes = bytes_per_sample(motion, rate_hz)?;
             println!(
                 "{motion:8} {rate_hz:6} {bytes:10.3} {:18.0}",
                 11_520.0 / bytes
             );
+            all.push(format!("{bytes:.2}"));
         }
+        let claim = format!("whole link, {motion}, 100, 400, 1344 Hz: bytes a sample");
+        figure(&claim, all.join(" / "), "–", true);
     }
     Ok(())
 }

@@ -193,7 +193,7 @@ impl Adxl345 {
         }
     }
 
-    /// A byte of the sample that is being read.
+    /// A byte of the sample being read.
     fn data(&mut self, register: u8) -> u8 {
         let shown = self.fifo.front().copied().unwrap_or(self.latest);
         let sample = *self.reading.get_or_insert(shown);
@@ -207,7 +207,7 @@ impl Adxl345 {
         value
     }
 
-    /// The FIFO moves on when a sample has been read, or the message has ended in it.
+    /// The FIFO advances when a sample has been read, or the message has ended within it.
     fn end_reading(&mut self) {
         if self.reading.take().is_some() {
             self.fifo.pop_front();

@@ -24,7 +24,7 @@ impl Attitude {
         Self([libm::cos(angle / 2.0), x, y, z])
     }
 
-    /// Turned from level by the shortest way until the body direction `up` (not zero) points up.
+    /// Rotated from level by the shortest rotation until the body direction `up` (not zero) points up.
     pub fn with_up(up: [f64; 3]) -> Self {
         let length = norm(up);
         let [x, y, z] = up.map(|u| u / length);
@@ -41,7 +41,7 @@ impl Attitude {
         self.0
     }
 
-    /// This attitude after first turning the body by `turn` about its own axes.
+    /// This attitude after first rotating the body by `turn` about its own axes.
     pub fn turned(self, turn: Self) -> Self {
         let ([a, b, c, d], [e, f, g, h]) = (self.0, turn.0);
         Self([
@@ -72,7 +72,7 @@ impl Attitude {
         2.0 * libm::atan2(norm([x, y, z]), w.abs())
     }
 
-    /// The attitude at `fraction` (0..=1) of the shortest turn to `other`: constant rate about
+    /// The attitude at `fraction` (0..=1) of the shortest rotation to `other`: constant rate about
     /// one axis, "slerp".
     pub fn toward(self, other: Self, fraction: f64) -> Self {
         let [w, x, y, z] = self.inverse().turned(other).0;

@@ -1,4 +1,4 @@
-//! A whole board: sensor, bus, links, memory, and the node that runs on real boards.
+//! A simulated board: sensor, bus, links, memory, and the node that runs on real boards.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -18,7 +18,7 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
-use wimu_node::{Accelerometer, DataReady, PatientBus, RateKeeper, Shared, Timer};
+use wimu_node::{Accelerometer, DataReady, RateKeeper, Shared, TimeoutBus, Timer};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
@@ -30,36 +30,36 @@ use crate::sensor::{DataReadyPin, Sensor};
 use crate::source::Source;
 use crate::storage::Storage;
 
-/// Which sensor a simulated board has.
+/// Sensor of a simulated board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SensorPart {
-    /// Accelerometer, magnetometer and thermometer, each sample by its data-ready.
+    /// Accelerometer, magnetometer and thermometer, read by data-ready.
     #[default]
     Lsm303agr,
-    /// Accelerometer only, through its FIFO.
+    /// Accelerometer only, read through its FIFO.
     Adxl345,
 }
 
-/// How a simulated board is made.
+/// Configuration of a simulated board.
 #[derive(Clone, Debug)]
 pub struct BoardConfig {
     /// The cable.
     pub cable: LinkConfig,
     /// The wireless link.
     pub wireless: LinkConfig,
-    /// What goes wrong on the cable. A rate of the line in it counts, and that in `cable` does not.
+    /// Faults of the cable. A baud rate in it replaces that in `cable`.
     pub cable_faults: LinkFaults,
-    /// What goes wrong on the wireless link, likewise.
+    /// Faults of the wireless link, likewise.
     pub wireless_faults: LinkFaults,
-    /// What the faults are drawn from: the same seed, the same faults.
+    /// Seed of the faults.
     pub fault_seed: u64,
-    /// How much faster its clock runs than the host's, 10⁻⁹, −10⁸..=10⁸.
+    /// Rate error of its clock against the host's, 10⁻⁹, −10⁸..=10⁸.
     pub clock_error_ppb: i32,
     /// Its memory.
     pub storage: Storage,
     /// Its sensor.
     pub sensor: SensorPart,
-    /// That sensor plays a recording of another one, whose sensitivity it does not know.
+    /// Whether the sensor replays a recording of another one, of unknown sensitivity.
     pub replay: bool,
     /// Its serial number.
     pub device_id: u64,
@@ -89,8 +89,8 @@ impl Default for BoardConfig {
 
 /// A simulated board: `wimu-node` with the drivers of boards on simulated hardware, in virtual time.
 ///
-/// Time passes only in [`run_until`](Self::run_until): as fast as the machine can, or paced by
-/// whoever calls it. The same calls give the same bytes in every run.
+/// Time passes only in [`run_until`](Self::run_until), as fast as possible or paced by the
+/// caller. The same calls give the same bytes in every run.
 pub struct Board {
     clock: VirtualClock,
     started_us: u64,
@@ -99,7 +99,7 @@ pub struct Board {
     bus_faults: Faults,
     cable: HostEnd,
     wireless: HostEnd,
-    /// Their faults, the cable's first.
+    /// Faults of the links, the cable's first.
     channels: [Option<Channels>; 2],
     shared: SharedMemory,
     node: Pin<Box<dyn Future<Output = ()>>>,
@@ -107,7 +107,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// Puts power on a board whose sensor takes its samples from `source`.
+    /// Starts a board whose sensor takes its samples from `source`.
     pub fn start(config: BoardConfig, source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
         let sensor = match config.sensor {
@@ -137,8 +137,8 @@ impl Board {
         }
     }
 
-    /// Takes power off and puts it back: the node starts anew with what its memory holds. Bytes
-    /// under way on the links are lost; time goes on, but the device's clock starts at 0.
+    /// Switches power off and on: the node restarts with the content of its memory. Bytes
+    /// under way on the links are lost; time continues, but the device's clock starts at 0.
     pub fn restart(&mut self) {
         self.sensor.power_cycle();
         self.started_us = self.clock.now();
@@ -154,7 +154,7 @@ impl Board {
             &self.channels,
             &self.shared,
         );
-        // The other ends know nothing of it.
+        // The other ends keep their baud rates.
         for (link, baud) in [&mut self.cable, &mut self.wireless].into_iter().zip(bauds) {
             if let Some(baud) = baud {
                 link.set_baud(baud);
@@ -163,7 +163,7 @@ impl Board {
         self.woken = Arc::new(Woken(AtomicBool::new(true)));
     }
 
-    /// Lets time pass up to `time_us` since the first start.
+    /// Runs up to `time_us` since the first start.
     pub fn run_until(&mut self, time_us: u64) {
         loop {
             self.poll();
@@ -176,7 +176,7 @@ impl Board {
         self.poll();
     }
 
-    /// Lets `time_us` pass in which the processor stands still, as while its flash is erased.
+    /// Lets `time_us` pass without the processor, as while its flash is erased.
     pub fn stall(&mut self, time_us: u64) {
         self.clock.advance_to(self.now_us() + time_us);
     }
@@ -186,33 +186,33 @@ impl Board {
         self.clock.now()
     }
 
-    /// When it has something to do by itself, µs since the first start.
+    /// Its next deadline, µs since the first start.
     pub fn next_deadline_us(&self) -> Option<u64> {
         self.clock.next_deadline()
     }
 
-    /// When it last started, µs since the first start: 0 on the device's clock.
+    /// Time of the last start, µs since the first start: 0 on the device's clock.
     pub fn started_us(&self) -> u64 {
         self.started_us
     }
 
-    /// The sensor, to break it or to give it other samples.
+    /// The sensor, for faults or other samples.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }
 
-    /// The sensor's bus, to break it.
+    /// Faults of the sensor's bus.
     pub fn bus_faults(&self) -> &Faults {
         &self.bus_faults
     }
 
-    /// Somebody presses button A for the `count`th time.
+    /// Presses button A for the `count`th time.
     pub fn press(&self, count: u16) {
         let timer = BoardTimer::new(&self.clock, self.started_us, &self.config);
         self.shared.mark(timer.now(), count);
     }
 
-    /// The gesture of an owner who has lost the key.
+    /// The gesture that erases a lost key.
     pub fn forget_key(&self) {
         self.shared.forget_key();
     }
@@ -230,7 +230,7 @@ impl Board {
         }
     }
 
-    /// The faults of a link and what they did so far; `None` for a link that has none.
+    /// Faults of a link and their statistics; `None` for a link without faults.
     pub fn faults(&self, role: LinkRole) -> Option<&Channels> {
         let [cable, wireless] = &self.channels;
         match role {
@@ -249,7 +249,7 @@ impl Board {
     }
 }
 
-/// Of the node's tasks.
+/// Memory shared by the node's tasks.
 type SharedMemory = Rc<Shared<NoopRawMutex>>;
 
 type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
@@ -300,7 +300,7 @@ fn boot(
         },
         ..Hello::new(LinkRole::Cable)
     };
-    let i2c = PatientBus::new(i2c, timer.clone());
+    let i2c = TimeoutBus::new(i2c, timer.clone());
     let storage = config.storage.clone();
     let links = [
         (cable_reader, cable_writer),
@@ -333,7 +333,7 @@ fn node(
     rates: [Option<(DeviceRate, u32)>; 2],
     shared: SharedMemory,
 ) -> Pin<Box<dyn Future<Output = ()>>> {
-    // Other bits at each start, and the same in every run: what is simulated has no secrets.
+    // Different at each start, and the same in every run: a simulation has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
     let clock = timer.clone();
     let board = wimu_node::Board {
@@ -358,7 +358,7 @@ fn node(
             keep(LinkRole::Cable, cable),
             keep(LinkRole::Wireless, wireless),
         );
-        // The keepers come first, so that a request finds them.
+        // The keepers are polled first, so that they are ready for a request.
         join(keepers, board.split(&shared).run()).await;
     })
 }
@@ -385,7 +385,7 @@ impl Wake for Woken {
 pub struct BoardTimer {
     clock: VirtualClock,
     started_us: u64,
-    /// 10⁻⁹ µs of the device to one of the simulation.
+    /// Rate of the device's clock, 10⁻⁹ µs per µs of the simulation.
     rate_ppb: u128,
 }
 
@@ -400,7 +400,7 @@ impl BoardTimer {
         }
     }
 
-    /// What it shows at `time_us` of the simulation.
+    /// The device time at `time_us` of the simulation.
     fn at(&self, time_us: u64) -> DeviceTimeUs {
         let passed = u128::from(time_us.saturating_sub(self.started_us));
         DeviceTimeUs((passed * self.rate_ppb / ONE_PPB) as u64)
@@ -413,7 +413,7 @@ impl Timer for BoardTimer {
     }
 
     async fn until(&self, moment: DeviceTimeUs) {
-        // The first µs at which `now` is there.
+        // The first µs at which `now` has reached it.
         let passed = (u128::from(moment.0) * ONE_PPB).div_ceil(self.rate_ppb);
         let passed = u64::try_from(passed).unwrap_or(u64::MAX);
         let until: Until = self.clock.until(passed.saturating_add(self.started_us));
@@ -421,7 +421,7 @@ impl Timer for BoardTimer {
     }
 }
 
-/// INT1 of the sensor, with the time at which it rose, as an interrupt would note it.
+/// INT1 of the sensor with the time of its rising edge, as in an interrupt handler.
 struct Stamped {
     pin: DataReadyPin,
     timer: BoardTimer,
@@ -434,10 +434,9 @@ impl DataReady for Stamped {
     }
 }
 
-/// A board whose time passes only when its host lets it, simulated or emulated: the same calls
-/// give the same bytes in every run.
+/// A board in virtual time, simulated or emulated: the same calls give the same bytes in every run.
 pub trait VirtualBoard {
-    /// Lets time pass up to `time_us` since the first start.
+    /// Runs up to `time_us` since the first start.
     ///
     /// # Errors
     /// When the board has failed.
@@ -446,16 +445,16 @@ pub trait VirtualBoard {
     /// Time since the first start, µs.
     fn now_us(&self) -> u64;
 
-    /// When it last started, µs since the first start: 0 on the device's clock.
+    /// Time of the last start, µs since the first start: 0 on the device's clock.
     fn started_us(&self) -> u64;
 
-    /// Takes power off and puts it back.
+    /// Switches power off and on.
     ///
     /// # Errors
     /// When it does not start.
     fn restart(&mut self) -> Result<()>;
 
-    /// What has arrived on a link since the last time.
+    /// Data received on a link since the last call.
     fn receive(&mut self, role: LinkRole) -> Vec<u8>;
 
     /// Sends bytes to the board on a link.
@@ -464,12 +463,12 @@ pub trait VirtualBoard {
     /// When the board has failed.
     fn send(&mut self, role: LinkRole, bytes: &[u8]) -> Result<()>;
 
-    /// How often the connection of a link has been lost so far; `None` while there is none.
+    /// Number of lost connections of a link so far; `None` while there is none.
     fn connection(&mut self, _role: LinkRole) -> Option<u64> {
         Some(0)
     }
 
-    /// The rate of the host's end of a link, bits/s; `None` for a link without, or with one that
+    /// Baud rate of the host's end of a link; `None` for a link without one, or with one that
     /// cannot be set.
     fn baud(&mut self, _role: LinkRole) -> Option<u32> {
         None
@@ -520,109 +519,19 @@ impl VirtualBoard for Board {
     }
 }
 
-/// A board of any kind whose wireless link goes through faults, such as an emulated one: a proxy on
-/// its line, which sees when bytes come to a millisecond.
-pub struct BehindFaults<R> {
-    /// The board.
-    pub board: R,
-    channels: Channels,
-}
-
-impl<R: VirtualBoard> BehindFaults<R> {
-    /// Puts the wireless link of `board` behind `faults`; the same seed, the same faults.
-    pub fn new(board: R, faults: &LinkFaults, seed: u64) -> Self {
-        let channels = Channels::new(faults, seed);
-        Self { board, channels }
-    }
-
-    /// What the faults did.
-    pub fn channels(&self) -> &Channels {
-        &self.channels
-    }
-
-    /// Carries what has come on either side by now.
-    fn carry(&mut self) -> Result<()> {
-        let now_ns = self.board.now_us() * 1000;
-        let sent = self.board.receive(LinkRole::Wireless);
-        self.channels.to_host.borrow_mut().push(now_ns, &sent);
-        let arrived = self
-            .channels
-            .to_device
-            .borrow_mut()
-            .pull(now_ns, usize::MAX);
-        match arrived.is_empty() {
-            true => Ok(()),
-            false => self.board.send(LinkRole::Wireless, &arrived),
-        }
-    }
-}
-
-impl<R: VirtualBoard> VirtualBoard for BehindFaults<R> {
-    fn run_until(&mut self, time_us: u64) -> Result<()> {
-        loop {
-            self.carry()?;
-            if self.board.now_us() >= time_us {
-                return Ok(());
-            }
-            let step_us = (self.board.now_us() + 1000).min(time_us);
-            self.board.run_until(step_us)?;
-        }
-    }
-
-    fn now_us(&self) -> u64 {
-        self.board.now_us()
-    }
-
-    fn started_us(&self) -> u64 {
-        self.board.started_us()
-    }
-
-    fn restart(&mut self) -> Result<()> {
-        self.channels.clear();
-        self.board.restart()
-    }
-
-    fn receive(&mut self, role: LinkRole) -> Vec<u8> {
-        let now_ns = self.board.now_us() * 1000;
-        match role {
-            LinkRole::Cable => self.board.receive(role),
-            _ => self.channels.to_host.borrow_mut().pull(now_ns, usize::MAX),
-        }
-    }
-
-    fn send(&mut self, role: LinkRole, bytes: &[u8]) -> Result<()> {
-        let now_ns = self.board.now_us() * 1000;
-        match role {
-            LinkRole::Cable => self.board.send(role, bytes),
-            _ => {
-                self.channels.to_device.borrow_mut().push(now_ns, bytes);
-                Ok(())
-            }
-        }
-    }
-
-    fn connection(&mut self, role: LinkRole) -> Option<u64> {
-        let now_ns = self.board.now_us() * 1000;
-        match role {
-            LinkRole::Cable => self.board.connection(role),
-            _ => self.channels.to_host.borrow().connection(now_ns),
-        }
-    }
-}
-
-/// One link of a board in virtual time, as the host's [`Transport`]: waiting for the board lets
-/// its time pass.
+/// One link of a board in virtual time, as the host's [`Transport`]: while the host waits,
+/// the board runs.
 pub struct SimLink<'a, R = Board> {
     board: &'a RefCell<R>,
     role: LinkRole,
-    /// The connection that it is.
+    /// Number of the connection.
     connection: Option<u64>,
     /// Arrived, not yet read.
     arrived: VecDeque<u8>,
 }
 
 impl<'a, R: VirtualBoard> SimLink<'a, R> {
-    /// The host's end of the link `role` of `board`. When the connection is lost it fails, and a new
+    /// The host's end of the link `role` of `board`. It fails when the connection is lost; then a new
     /// one is to be made.
     pub fn new(board: &'a RefCell<R>, role: LinkRole) -> Self {
         Self {

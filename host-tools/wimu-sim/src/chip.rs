@@ -1,14 +1,14 @@
-//! What a sensor's chip does, whichever it is.
+//! Interface of a sensor chip.
 
 use std::fmt;
 
 use crate::source::Source;
 
-/// The registers of a chip and what they do.
+/// The registers of a chip and their behaviour.
 pub(crate) trait Chip: fmt::Debug {
     /// Takes the samples that are due by `now` (µs).
     fn settle(&mut self, now: u64, source: &mut dyn Source);
-    /// All registers as after power came.
+    /// All registers as after power-on.
     fn reset(&mut self);
     /// Whether it answers at the 7-bit `address`.
     fn acknowledges(&self, address: u8) -> bool;
@@ -20,12 +20,12 @@ pub(crate) trait Chip: fmt::Debug {
     fn read(&mut self, address: u8) -> u8;
     /// The level of its interrupt line.
     fn interrupt(&self) -> bool;
-    /// When that may next change without anybody touching the chip, µs.
+    /// Time at which that may next change by itself, µs.
     fn next_change(&self) -> Option<u64>;
     /// Makes it identify itself as `identity`.
     fn set_identity(&mut self, identity: u8);
     /// Accelerometer samples taken since it was made, read or not.
     fn samples_taken(&self) -> u64;
-    /// Whether samples wait that were not read.
+    /// Whether unread samples are waiting.
     fn has_unread(&self) -> bool;
 }

@@ -1,4 +1,4 @@
-//! Time that passes only when everybody waits.
+//! Virtual time, which passes only while everything waits.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use std::task::{Context, Poll, Wake, Waker};
 /// A clock in µs that stands still until it is advanced; clones share it.
 ///
 /// Timers that are due at the same µs wake in the order in which they were first polled, so that
-/// a simulation is the same in every run. Single-threaded: wakers alone may cross threads.
+/// every run of a simulation is the same. Single-threaded: only wakers may cross threads.
 ///
 /// ```
 /// use wimu_sim::clock::VirtualClock;
@@ -58,7 +58,7 @@ impl VirtualClock {
         }
     }
 
-    /// When the next timer is due, µs; `None` when nobody waits for time.
+    /// Deadline of the next timer, µs; `None` without timers.
     pub fn next_deadline(&self) -> Option<u64> {
         let timers = self.0.timers.borrow();
         timers.waiting.keys().next().map(|&(deadline, _)| deadline)
@@ -66,7 +66,7 @@ impl VirtualClock {
 
     /// Moves the clock to `time` µs and wakes what is due; never moves it back.
     ///
-    /// Whoever is woken reads `time`, also when it was due earlier: step through
+    /// Woken tasks see `time`, even if they were due earlier: step through
     /// [`next_deadline`](Self::next_deadline) to keep every event at its own time.
     pub fn advance_to(&self, time: u64) {
         self.0.now.set(self.now().max(time));
@@ -87,7 +87,7 @@ impl VirtualClock {
     /// deadline.
     ///
     /// # Errors
-    /// [`Stalled`] when it waits for something other than time that nobody is left to bring.
+    /// [`Stalled`] when it waits for something other than time that nothing can provide.
     pub fn run<F: Future>(&self, future: F) -> Result<F::Output, Stalled> {
         match self.drive(pin!(future), u64::MAX) {
             Poll::Ready(output) => Ok(output),
@@ -151,7 +151,7 @@ impl embedded_hal_async::delay::DelayNs for VirtualClock {
     }
 }
 
-/// A future waits for something that nobody is left to bring.
+/// A future waits for something that nothing can provide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the simulation stalled at {at_us} µs: everything waits and no timer is set")]
 pub struct Stalled {

@@ -24,9 +24,9 @@ pub trait Target {
     fn read(&self, address: u8) -> u8;
 }
 
-/// The bus as its controller sees it; [`SimI2c::faults`] breaks it.
+/// The bus as its controller sees it; [`SimI2c::faults`] injects faults.
 ///
-/// A dropped transaction ends at the byte it had reached.
+/// A cancelled transaction ends at the byte it had reached.
 pub struct SimI2c {
     clock: VirtualClock,
     targets: Vec<Rc<dyn Target>>,
@@ -37,7 +37,7 @@ pub struct SimI2c {
 const BYTE_NS: u64 = 22_500;
 /// A start, repeated start or stop condition.
 const CONDITION_NS: u64 = 2_500;
-/// How often a controller looks whether a held line has been let go, µs.
+/// Interval at which a controller checks a line that is held low, µs.
 const HELD_US: u64 = 100;
 
 impl SimI2c {
@@ -50,7 +50,7 @@ impl SimI2c {
         }
     }
 
-    /// The handle that breaks this bus, also while it runs.
+    /// Handle for faults of this bus, also while it runs.
     pub fn faults(&self) -> Faults {
         self.faults.clone()
     }
@@ -71,7 +71,7 @@ impl I2c<SevenBitAddress> for SimI2c {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), I2cError> {
-        // As controllers do: without end.
+        // Like real controllers, without time-out.
         while self.faults.stuck() {
             self.clock.until(self.clock.now() + HELD_US).await;
         }
@@ -133,35 +133,36 @@ impl Error for I2cError {
     }
 }
 
-/// Breaks a bus while it runs; clones break the same one.
+/// Faults of a bus, also while it runs; clones control the same bus.
 #[derive(Clone, Debug, Default)]
 pub struct Faults(Rc<FaultState>);
 
 #[derive(Debug, Default)]
 struct FaultState {
     stuck: Cell<bool>,
-    /// Transactions that are still answered.
+    /// Number of transactions that are still answered.
     answered: Cell<Option<u32>>,
 }
 
 impl Faults {
-    /// Holds a line low, or lets it go: while held, no transaction begins.
+    /// Holds a line low, or releases it: while held, no transaction begins.
     pub fn set_stuck(&self, stuck: bool) {
         self.0.stuck.set(stuck);
     }
 
-    /// Lets `transactions` more be answered, and none after them: each is refused at its address.
+    /// Answers `transactions` more, and refuses all later ones at their address.
     pub fn refuse_after(&self, transactions: u32) {
         self.0.answered.set(Some(transactions));
     }
 
-    /// Mends everything.
+    /// Removes all faults.
     pub fn clear(&self) {
         self.0.stuck.set(false);
         self.0.answered.set(None);
     }
 
-    pub(crate) fn stuck(&self) -> bool {
+    /// Whether the bus is held low.
+    pub fn stuck(&self) -> bool {
         self.0.stuck.get()
     }
 

@@ -4,7 +4,6 @@
 pub mod adxl345;
 pub mod attitude;
 pub mod board;
-pub mod bridge;
 mod chip;
 pub mod clock;
 pub mod faults;
@@ -13,8 +12,6 @@ pub mod lsm303agr;
 pub mod lsm6dso;
 pub mod motion;
 pub mod pipe;
-#[cfg(unix)]
-pub mod qemu;
 mod random;
 mod sampling;
 pub mod scenario;

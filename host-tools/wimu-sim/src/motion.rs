@@ -1,4 +1,4 @@
-//! How a body moves: where it is and how it is turned, at any time.
+//! Motions of a body: position and attitude as functions of time.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -34,8 +34,8 @@ impl Pose {
     }
 }
 
-/// A motion that begins and ends at rest. The sensor sits at the body's origin: a turn alone gives
-/// it no acceleration.
+/// A motion that begins and ends at rest. The sensor is at the body's origin: a rotation alone causes
+/// no acceleration.
 pub trait Motion: fmt::Debug {
     /// The pose at `t` seconds from the motion's start; before it and after
     /// [`duration`](Self::duration) the body rests where it began or ended.
@@ -45,7 +45,7 @@ pub trait Motion: fmt::Debug {
     fn duration(&self) -> f64;
 }
 
-/// The names of [`named`], with what they do.
+/// The names accepted by [`named`], with descriptions.
 pub const NAMES: [(&str, &str); 6] = [
     ("rest", "level, for 10 s"),
     (
@@ -64,8 +64,8 @@ pub const NAMES: [(&str, &str); 6] = [
     ("hand", "waved about by hand for 10 s, up to 20 m/s²"),
 ];
 
-/// The motion of a name in [`NAMES`], or several joined with commas. Those with randomness in
-/// them depend on `seed`.
+/// The motion of a name in [`NAMES`], or several separated by commas. Random
+/// motions depend on `seed`.
 ///
 /// # Errors
 /// [`UnknownMotion`] for any other name.
@@ -86,17 +86,17 @@ pub fn named(names: &str, seed: u64) -> Result<Rc<dyn Motion>, UnknownMotion> {
     Ok(Rc::new(sequence))
 }
 
-/// A name that is no motion's.
+/// An unknown name of a motion.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no motion `{0}`; known are {list}", list = NAMES.map(|(name, _)| name).join(", "))]
 pub struct UnknownMotion(pub String);
 
-/// Nothing moves.
+/// Rest.
 #[derive(Clone, Copy, Debug)]
 pub struct Rest {
-    /// How the body lies.
+    /// Attitude of the body.
     pub attitude: Attitude,
-    /// For how long, s.
+    /// Duration, s.
     pub seconds: f64,
 }
 
@@ -120,7 +120,7 @@ impl Motion for Rest {
     }
 }
 
-/// A turn on the spot, smooth at both ends: equation (32).
+/// A rotation on the spot, smooth at both ends: equation (32).
 #[derive(Clone, Copy, Debug)]
 struct Turn {
     from: Attitude,
@@ -139,7 +139,7 @@ impl Motion for Turn {
     }
 }
 
-/// Motions one after the other: positions continue, and where attitudes differ the body turns in
+/// Motions in sequence: positions continue, and where attitudes differ the body rotates in
 /// between.
 #[derive(Clone, Debug, Default)]
 pub struct Sequence {
@@ -153,11 +153,11 @@ struct Part {
     motion: Rc<dyn Motion>,
 }
 
-/// How long a sequence takes for a turn, s.
+/// Duration of such a rotation, s.
 const TURN_SECONDS: f64 = 1.0;
 
 impl Sequence {
-    /// `motions` one after the other.
+    /// `motions` in sequence.
     pub fn new(motions: impl IntoIterator<Item = Rc<dyn Motion>>) -> Self {
         let mut sequence = Self::default();
         for motion in motions {
@@ -166,8 +166,8 @@ impl Sequence {
         sequence
     }
 
-    /// Appends `motion`, to begin at `start_s` or when the sequence ends if that is later, and
-    /// after a turn of 1 s if its first attitude is another. Returns when it begins, s.
+    /// Appends `motion`, to begin at `start_s` or at the end of the sequence if that is later,
+    /// after a rotation of 1 s if its first attitude differs. Returns when it begins, s.
     pub fn push_at(&mut self, start_s: f64, motion: Rc<dyn Motion>) -> f64 {
         let mut start_s = start_s.max(self.duration());
         let mut origin_m = [0.0; 3];
@@ -216,7 +216,7 @@ impl Motion for Sequence {
     }
 }
 
-/// Static poses in turn.
+/// Static poses in sequence.
 #[derive(Clone, Debug)]
 pub struct Poses {
     sequence: Sequence,
@@ -226,16 +226,16 @@ pub struct Poses {
 /// One static pose of [`Poses`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hold {
-    /// When the body has come to rest in it, s from the motion's start.
+    /// Time from which the body is at rest in it, s from the motion's start.
     pub start_s: f64,
-    /// When the body leaves it, s from the motion's start.
+    /// Time at which the body leaves it, s from the motion's start.
     pub end_s: f64,
-    /// How the body lies.
+    /// Attitude of the body.
     pub attitude: Attitude,
 }
 
 impl Poses {
-    /// `attitudes` in turn, each held for `hold_s` seconds.
+    /// `attitudes` in sequence, each held for `hold_s` seconds.
     pub fn new(attitudes: impl IntoIterator<Item = Attitude>, hold_s: f64) -> Self {
         let mut sequence = Sequence::default();
         let mut holds = Vec::new();
@@ -264,7 +264,7 @@ impl Poses {
         Self::new(up.map(Attitude::with_up), hold_s)
     }
 
-    /// The twelve corners of an icosahedron up in turn, each placed with errors of σ =
+    /// The twelve corners of an icosahedron up in sequence, each with placement errors of σ =
     /// `placement_sd_deg` about each body axis.
     pub fn twelve_by_hand(seed: u64, placement_sd_deg: f64, hold_s: f64) -> Self {
         let mut random = Random::new(seed, 1);
@@ -280,7 +280,7 @@ impl Poses {
         Self::new(attitudes, hold_s)
     }
 
-    /// Ten poses spread over the sphere, at a random turn of it.
+    /// Ten poses evenly spread over the sphere, in a random rotation.
     pub fn tilts(seed: u64, hold_s: f64) -> Self {
         let mut random = Random::new(seed, 2);
         let turn = [(); 3].map(|()| random.uniform(-PI, PI));
@@ -289,7 +289,7 @@ impl Poses {
         Self::new(up.map(Attitude::with_up), hold_s)
     }
 
-    /// The poses and when they are held.
+    /// The poses with their times.
     pub fn holds(&self) -> &[Hold] {
         &self.holds
     }
@@ -305,7 +305,7 @@ impl Motion for Poses {
     }
 }
 
-/// `count` unit vectors spread evenly over the sphere (Fibonacci's spiral).
+/// `count` unit vectors spread evenly over the sphere (Fibonacci spiral).
 pub fn sphere(count: usize) -> Vec<[f64; 3]> {
     let golden_angle = PI * (3.0 - libm::sqrt(5.0));
     let point = |i: usize| {
@@ -317,18 +317,18 @@ pub fn sphere(count: usize) -> Vec<[f64; 3]> {
     (0..count).map(point).collect()
 }
 
-/// A straight move along body x with the least jerk, between two rests: equation (31).
+/// A minimum-jerk straight move along body x, between two rests: equation (31).
 #[derive(Clone, Copy, Debug)]
 pub struct Slide {
-    /// How far, m; negative is backward.
+    /// Distance, m; negative is backward.
     pub distance_m: f64,
-    /// How long the move takes, s, more than 0.
+    /// Duration of the move, s, more than 0.
     pub move_s: f64,
     /// Rest before it, s.
     pub rest_before_s: f64,
     /// Rest after it, s.
     pub rest_after_s: f64,
-    /// How the body is held all the while.
+    /// Attitude of the body.
     pub attitude: Attitude,
 }
 
@@ -362,8 +362,8 @@ impl Motion for Slide {
     }
 }
 
-/// Waved about by hand: translation and rotation of random tones within 0.3 to 2.5 Hz, swelling
-/// up from rest and dying away to it: equation (33).
+/// Hand motion: translation and rotation of random tones within 0.3 to 2.5 Hz, with a smooth
+/// begin and end at rest: equation (33).
 #[derive(Clone, Debug)]
 pub struct Hand {
     seconds: f64,
@@ -457,7 +457,7 @@ impl Tones {
         Self([(); 5].map(|()| {
             let hz = random.uniform(low_hz, high_hz);
             Tone {
-                // A hand is slow where it reaches far.
+                // Slow motions have larger amplitudes.
                 amplitude: amplitude * low_hz / hz * random.uniform(0.5, 1.0),
                 rad_per_s: TAU * hz,
                 phase: random.uniform(0.0, TAU),

@@ -1,5 +1,5 @@
-//! A serial link between the simulated device and its host, with bounded buffers and, if asked
-//! for, a baud rate and faults.
+//! A serial link between the simulated device and its host, with bounded buffers and, optionally,
+//! a baud rate and faults.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -15,14 +15,13 @@ use wimu_node::LineRate;
 use crate::clock::VirtualClock;
 use crate::faults::{Channel, LinkFaults};
 
-/// Ten bits, ns at 1 baud.
+/// Bits per byte times ns per second.
 const BITS_PER_BYTE_NS: u64 = 10_000_000_000;
 
-/// What a link is like.
+/// Properties of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
-    /// Bits a second on the line, ten to a byte (8N1), each way; `None` for a link without a line
-    /// rate, such as TCP.
+    /// Baud rate in each direction (8N1); `None` for a link without one, such as TCP.
     pub baud: Option<u32>,
     /// Bytes the device's transmit buffer holds, at least 1.
     pub transmit_buffer: usize,
@@ -43,10 +42,10 @@ impl Default for LinkConfig {
 
 /// Makes a link; `clock` paces it.
 ///
-/// With a baud rate it is a UART without flow control: bytes leave whether or not the host reads
-/// (its buffer is endless), and bytes that reach a full receive buffer are lost and counted.
+/// With a baud rate it is a UART without flow control: bytes are sent whether or not the host reads
+/// (its buffer is unlimited), and bytes that reach a full receive buffer are lost and counted.
 /// Without one it is a TCP connection: a host that does not read stalls the device's writer, a
-/// device that does not read keeps the host's bytes waiting, and nothing is lost.
+/// device that does not read delays the host's bytes, and nothing is lost.
 ///
 /// # Panics
 /// When a buffer holds no byte, or the baud rate is 0.
@@ -54,7 +53,7 @@ pub fn link(clock: &VirtualClock, config: LinkConfig) -> (DeviceReader, DeviceWr
     faulty_link(clock, config, None)
 }
 
-/// Makes a link as [`link`] does, behind whose line the bytes go through `channels`.
+/// Makes a link as [`link`] does, with faults.
 ///
 /// # Panics
 /// As [`link`].
@@ -113,13 +112,13 @@ impl Channels {
         let shared = |channel| Rc::new(RefCell::new(channel));
         Self {
             to_host: shared(Channel::new(faults, seed)),
-            // Another seed, so that the directions have nothing in common.
+            // Another seed, so that the directions are independent.
             to_device: shared(Channel::new(faults, !seed).without_values()),
         }
     }
 
-    /// Forgets what is under way.
-    pub(crate) fn clear(&self) {
+    /// Drops bytes under way.
+    pub fn clear(&self) {
         self.to_host.borrow_mut().clear();
         self.to_device.borrow_mut().clear();
     }
@@ -128,31 +127,31 @@ impl Channels {
 /// One direction.
 #[derive(Debug, Default)]
 struct Line {
-    /// Those of the sender and of the receiver.
+    /// Baud rates of the sender and of the receiver.
     bauds: Option<[u32; 2]>,
-    /// Where they differ: bits that the receiver has made of the sender's so far, of a byte.
+    /// If they differ: accumulated bits of the receiver's next byte.
     misread: u32,
     byte_ns: Option<u64>,
     sender_holds: Option<usize>,
     receiver_holds: Option<usize>,
-    /// Accepted from the sender, not yet over the line.
+    /// Accepted from the sender, not yet sent over the line.
     sending: VecDeque<u8>,
-    /// When the first byte of `sending` is over the line, ns.
+    /// Time at which the first byte of `sending` has crossed the line, ns.
     next_arrival_ns: u64,
     channel: Option<Rc<RefCell<Channel>>>,
     arrived: VecDeque<u8>,
     lost: u64,
     receiver_gone: bool,
-    /// Waits for something other than time: room, or a byte.
+    /// Waits for an event other than time: room, or a byte.
     waiting: Option<Waker>,
 }
 
 impl Line {
-    /// Moves what has crossed the line, and the channel behind it, by `now`, µs.
+    /// Moves the bytes that have crossed the line and the channel by `now`, µs.
     fn settle(&mut self, now: u64) {
         let channel = self.channel.clone();
         while let Some(&byte) = self.sending.front() {
-            // Without a line rate, what finds no room waits with the sender.
+            // Without a baud rate, bytes without room wait at the sender.
             let full = match &channel {
                 Some(channel) => channel.borrow().room() == 0,
                 None => self.is_full(),
@@ -176,7 +175,7 @@ impl Line {
         }
         if let Some(channel) = channel {
             let mut channel = channel.borrow_mut();
-            // A UART's bytes arrive also where there is no room for them.
+            // A UART's bytes arrive even without room for them.
             let room = match self.byte_ns {
                 Some(_) => usize::MAX,
                 None => self
@@ -189,8 +188,8 @@ impl Line {
         }
     }
 
-    /// What the receiver makes of a byte: it, or where the rates differ too much some rubbish, as many
-    /// bytes as fit its time.
+    /// The bytes that the receiver reads for one byte: itself, or, if the baud rates differ too much, as many
+    /// invalid bytes as fit its time.
     fn read_as(&mut self, byte: u8) -> impl Iterator<Item = u8> + use<> {
         let [sender, receiver] = self.bauds.unwrap_or([1, 1]);
         let misread = sender.abs_diff(receiver) > sender / 25;
@@ -237,7 +236,7 @@ impl Line {
         }
     }
 
-    /// When the next byte reaches the receiver at the earliest, µs.
+    /// Earliest time at which the next byte reaches the receiver, µs.
     fn next_step_at(&self) -> Option<u64> {
         let crossing = (!self.sending.is_empty()).then(|| self.over_line_at(1));
         let due = self
@@ -248,18 +247,18 @@ impl Line {
         [crossing.flatten(), due].into_iter().flatten().min()
     }
 
-    /// Bytes the sender's buffer still takes.
+    /// Free bytes of the sender's buffer.
     fn room(&self) -> usize {
         let held = match self.byte_ns {
             Some(_) => self.sending.len(),
-            // Without a line, what nobody has read is still with the sender.
+            // Without a baud rate, unread bytes are still with the sender.
             None => self.sending.len() + self.arrived.len(),
         };
         let holds = self.sender_holds.unwrap_or(usize::MAX);
         holds.saturating_sub(held)
     }
 
-    /// When `count` bytes of `sending` will be over the line, µs; `None` without a line rate.
+    /// Time at which `count` bytes of `sending` have crossed the line, µs; `None` without a baud rate.
     fn over_line_at(&self, count: usize) -> Option<u64> {
         let further = self.byte_ns? * (count.max(1) as u64 - 1);
         Some((self.next_arrival_ns + further).div_ceil(1000))
@@ -281,7 +280,7 @@ impl Line {
     }
 }
 
-/// Waits until `ready` gives a value, looked for whenever the line's other end does something.
+/// Waits until `ready` returns a value, checked at each event at the line's other end.
 async fn when<T>(line: &RefCell<Line>, mut ready: impl FnMut(&mut Line) -> Option<T>) -> T {
     poll_fn(|context| {
         let mut line = line.borrow_mut();
@@ -296,7 +295,7 @@ async fn when<T>(line: &RefCell<Line>, mut ready: impl FnMut(&mut Line) -> Optio
     .await
 }
 
-/// The device's receiver. Reading is cancel-safe: a dropped read takes no byte.
+/// The device's receiver. Reading is cancel-safe: a cancelled read takes no byte.
 #[derive(Debug)]
 pub struct DeviceReader {
     clock: VirtualClock,
@@ -313,7 +312,7 @@ impl Read for DeviceReader {
             return Ok(0);
         }
         loop {
-            // Either bytes, or the time when the one on the line arrives.
+            // Either bytes, or the time of arrival of the next one.
             let step = when(&self.line, |line| {
                 line.settle(self.clock.now());
                 let count = buffer.len().min(line.arrived.len());
@@ -321,7 +320,7 @@ impl Read for DeviceReader {
                     for (to, from) in buffer.iter_mut().zip(line.arrived.drain(..count)) {
                         *to = from;
                     }
-                    // Without a line rate, this made room for what the host sent.
+                    // Without a baud rate, this makes room for further bytes of the host.
                     line.settle(self.clock.now());
                     Some(Ok(count))
                 } else {
@@ -336,7 +335,7 @@ impl Read for DeviceReader {
     }
 }
 
-/// The device's transmitter. A dropped write has written nothing.
+/// The device's transmitter. A cancelled write has written nothing.
 #[derive(Debug)]
 pub struct DeviceWriter {
     clock: VirtualClock,
@@ -374,8 +373,7 @@ impl Write for DeviceWriter {
         }
     }
 
-    /// With a baud rate, waits until every byte is over the line; without one there is nothing to
-    /// wait for.
+    /// With a baud rate, waits until every byte has crossed the line; without one, returns at once.
     async fn flush(&mut self) -> Result<(), Infallible> {
         let over = {
             let mut line = self.line.borrow_mut();
@@ -392,8 +390,7 @@ impl Write for DeviceWriter {
     }
 }
 
-/// The rate of a link's line at the device's end. What the two ends send and hear at different rates is
-/// rubbish.
+/// The baud rate of a link at the device's end. With different rates at both ends, data are invalid.
 #[derive(Debug)]
 pub struct DeviceRate {
     clock: VirtualClock,
@@ -414,7 +411,7 @@ impl LineRate for DeviceRate {
     }
 }
 
-/// The host's end: never waits. When it is dropped, what the device sends goes nowhere.
+/// The host's end, which never blocks. After it is dropped, data of the device are discarded.
 #[derive(Debug)]
 pub struct HostEnd {
     clock: VirtualClock,
@@ -423,20 +420,20 @@ pub struct HostEnd {
 }
 
 impl HostEnd {
-    /// The rate of this end's line, bits/s: the host's, or that of its radio adapter; `None` for a link
-    /// without.
+    /// Baud rate at this end: the host's, or that of its radio adapter; `None` for a link
+    /// without one.
     pub fn baud(&self) -> Option<u32> {
         self.to_device.borrow().bauds.map(|[sender, _]| sender)
     }
 
-    /// Changes it; of no effect on a link without one.
+    /// Changes it; without effect on a link without one.
     pub fn set_baud(&mut self, baud: u32) {
         let now = self.clock.now();
         self.to_device.borrow_mut().set_sender_baud(baud, now);
         self.to_host.borrow_mut().set_receiver_baud(baud, now);
     }
 
-    /// The device's end of the line's rate.
+    /// Control of the baud rate at the device's end.
     pub fn device_rate(&self) -> DeviceRate {
         DeviceRate {
             clock: self.clock.clone(),
@@ -454,14 +451,14 @@ impl HostEnd {
         bytes
     }
 
-    /// How many bytes [`pull`](Self::pull) would give now.
+    /// Number of bytes that [`pull`](Self::pull) would return now.
     pub fn available(&self) -> usize {
         let mut line = self.to_host.borrow_mut();
         line.settle(self.clock.now());
         line.arrived.len()
     }
 
-    /// When [`pull`](Self::pull) gives something, of what is under way, µs on the clock.
+    /// Time at which [`pull`](Self::pull) returns the next byte under way, µs on the clock.
     pub fn next_arrival_us(&self) -> Option<u64> {
         let mut line = self.to_host.borrow_mut();
         line.settle(self.clock.now());
@@ -472,7 +469,7 @@ impl HostEnd {
         }
     }
 
-    /// How often the connection has been lost so far; `None` while there is none.
+    /// Number of lost connections so far; `None` while there is none.
     pub fn connection(&self) -> Option<u64> {
         match &self.to_host.borrow().channel {
             Some(channel) => channel.borrow().connection(self.clock.now() * 1000),

@@ -1,4 +1,4 @@
-//! The world around the sensor: what moves it, gravity, the Earth's field, temperature.
+//! The environment of the sensor: motion, gravity, the Earth's field, temperature.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -8,7 +8,7 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 use crate::attitude::Attitude;
 use crate::motion::{Motion, Sequence};
 
-/// Everything true about the body at one time.
+/// The true state of the body at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyState {
     /// Specific force, m/s², body axes; at rest it is +g upward. Equation (30).
@@ -27,7 +27,7 @@ pub struct BodyState {
     pub temperature_c: f64,
 }
 
-/// What does not move.
+/// Constant conditions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct World {
     /// Local gravity, m/s², downward.
@@ -52,9 +52,9 @@ impl Default for World {
 /// Temperature over time, °C.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Temperature {
-    /// Always the same.
+    /// Constant.
     Constant(f64),
-    /// From one to another, linear between two times, s, the second after the first.
+    /// Linear between two times, s, the second after the first.
     Ramp {
         /// °C up to `start_s`.
         from_c: f64,
@@ -65,7 +65,7 @@ pub enum Temperature {
         /// When it has changed, s.
         end_s: f64,
     },
-    /// One, then another.
+    /// A step.
     Step {
         /// °C before `at_s`.
         before_c: f64,
@@ -105,8 +105,8 @@ impl Temperature {
     }
 }
 
-/// A world and the motions played in it; clones share the motions, so that a test can play one
-/// while the sensor runs, and ask for the truth at any time.
+/// A world and the motions played in it; clones share the motions, so that a test can add one
+/// while the sensor runs, and get the truth at any time.
 #[derive(Clone, Debug)]
 pub struct Scene {
     world: World,
@@ -122,19 +122,19 @@ impl Scene {
         }
     }
 
-    /// Plays `motion` from `start_s` on, s on the simulation's clock, or from the end of what is
-    /// playing if that is later, and after a smooth turn to its first attitude. Returns when the
+    /// Plays `motion` from `start_s` on, s on the simulation's clock, or from the end of the last one
+    /// if that is later, after a smooth rotation to its first attitude. Returns when the
     /// motion begins, s.
     pub fn play(&self, start_s: f64, motion: Rc<dyn Motion>) -> f64 {
         self.played.borrow_mut().push_at(start_s, motion)
     }
 
-    /// When everything played so far ends, s; 0 if nothing was.
+    /// End of everything played so far, s; 0 if nothing was.
     pub fn end_s(&self) -> f64 {
         self.played.borrow().duration()
     }
 
-    /// The truth at `time_s` on the simulation's clock, past or future.
+    /// The true state at `time_s` on the simulation's clock, past or future.
     pub fn state(&self, time_s: f64) -> BodyState {
         let pose = self.played.borrow().pose(time_s);
         let [east, north, up] = pose.acceleration_mps2;

@@ -1,4 +1,4 @@
-//! A simulated sensor: its chip at register level, its interrupt line, and how to take it away.
+//! A simulated sensor: its chip at register level, its interrupt line, and its removal.
 
 use std::cell::RefCell;
 use std::convert::Infallible;
@@ -17,10 +17,10 @@ use crate::i2c::Target;
 use crate::lsm303agr::Lsm303agr;
 use crate::source::Source;
 
-/// A simulated sensor; clones are the same one, so that one can be on the bus and another in the
-/// hands of a test.
+/// A simulated sensor; clones are the same one, so that one can be on the bus and another be controlled by
+/// a test.
 ///
-/// It computes its samples when somebody looks, up to the time the clock shows.
+/// Samples are computed on access, up to the time of the clock.
 #[derive(Clone, Debug)]
 pub struct Sensor {
     clock: VirtualClock,
@@ -36,24 +36,24 @@ struct State {
     watchers: Vec<Waker>,
 }
 
-/// The interrupt line: its level, and how often it changed, so that no edge is missed.
+/// The interrupt line: its level and its edges.
 #[derive(Clone, Copy, Debug, Default)]
 struct PinState {
     high: bool,
     rises: u64,
     falls: u64,
-    /// When it last rose, µs.
+    /// Time of the last rising edge, µs.
     rose_us: u64,
 }
 
 impl Sensor {
-    /// An LSM303AGR that has just got power, with samples from `source`; its interrupt line is
+    /// An LSM303AGR after power-on, with samples from `source`; its interrupt line is
     /// INT1.
     pub fn lsm303agr(clock: &VirtualClock, source: impl Source + 'static) -> Self {
         Self::of(clock, source, Box::new(Lsm303agr::default()))
     }
 
-    /// An ADXL345 that has just got power, with samples from `source`; its interrupt line is INT1.
+    /// An ADXL345 after power-on, with samples from `source`; its interrupt line is INT1.
     pub fn adxl345(clock: &VirtualClock, source: impl Source + 'static) -> Self {
         Self::of(clock, source, Box::new(Adxl345::default()))
     }
@@ -75,15 +75,15 @@ impl Sensor {
         }
     }
 
-    /// The interrupt line, for the microcontroller to wait on.
+    /// The interrupt line as a pin of the microcontroller.
     pub fn data_ready(&self) -> DataReadyPin {
         DataReadyPin {
             sensor: self.clone(),
         }
     }
 
-    /// Takes the sensor off the board, or puts it back: it answers at no address and its line is
-    /// low meanwhile; put back, it has just got power.
+    /// Removes the sensor from the board, or puts it back: absent, it answers at no address and its line is
+    /// low; put back, it is as after power-on.
     pub fn set_present(&self, present: bool) {
         self.change(|state, _| {
             if present && !state.present {
@@ -93,32 +93,27 @@ impl Sensor {
         });
     }
 
-    /// Makes the accelerometer identify itself as `id`. Survives loss of power.
+    /// Makes the accelerometer identify itself as `id`, also after power-on.
     pub fn set_who_am_i(&self, id: u8) {
         self.change(|state, _| state.chip.set_identity(id));
     }
 
-    /// Takes samples from `source` from now on.
-    pub fn set_source(&self, source: impl Source + 'static) {
-        self.change(|state, _| state.source = Box::new(source));
-    }
-
-    /// Takes power off and puts it back: all registers are as after a start.
+    /// Switches power off and on: all registers are reset.
     pub fn power_cycle(&self) {
         self.change(|state, _| state.chip.reset());
     }
 
-    /// How many accelerometer samples were taken since the sensor was made, read or not.
+    /// Number of accelerometer samples since the sensor was made, read or not.
     pub fn samples_taken(&self) -> u64 {
         self.look(|state, _| state.chip.samples_taken())
     }
 
-    /// Whether a replayed recording is at its end and its last sample was read.
+    /// Whether a replayed recording has ended and its last sample was read.
     pub fn finished(&self) -> bool {
         self.look(|state, _| state.source.exhausted() && !state.chip.has_unread())
     }
 
-    /// Brings the sensor up to now and lets `visit` see it.
+    /// Updates the sensor to the present time and calls `visit`.
     fn look<R>(&self, visit: impl FnOnce(&mut State, u64) -> R) -> R {
         let now = self.clock.now();
         let (result, watchers) = {
@@ -147,7 +142,7 @@ impl Sensor {
         }
     }
 
-    /// As [`look`](Self::look), where the change may move the next sample.
+    /// As [`look`](Self::look), for changes that may move the next sample.
     fn change(&self, change: impl FnOnce(&mut State, u64)) {
         let watchers = self.look(|state, now| {
             change(state, now);
@@ -221,12 +216,12 @@ impl DataReadyPin {
         self.sensor.look(|state, _| state.pin)
     }
 
-    /// When it last rose, µs on the simulation's clock: 0 if it never did.
+    /// Time of the last rising edge, µs on the simulation's clock; 0 without one.
     pub fn rose_us(&self) -> u64 {
         self.state().rose_us
     }
 
-    /// Waits until `reached` holds of the pin.
+    /// Waits until `reached` is true for the pin.
     async fn until(&self, reached: impl Fn(PinState) -> bool) {
         let mut timer = None;
         poll_fn(|context| self.poll(context, &mut timer, &reached)).await;

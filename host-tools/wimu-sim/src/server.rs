@@ -1,4 +1,4 @@
-//! A simulated board in real time behind two TCP ports, for any host that speaks the wire.
+//! A simulated board in real time behind two TCP ports.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -11,24 +11,26 @@ use wimu_link::LinkRole;
 
 use crate::board::Board;
 
-/// Bytes held for a client that reads slowly; beyond, the board's writer stalls and it sheds.
+/// Bytes held for a slow client; beyond, the board's writer stalls and it sheds frames.
 const HELD_BYTES: usize = 4096;
-/// How often somebody looks at least.
+/// Longest interval between looks at the links.
 const TICK: Duration = Duration::from_millis(1);
-/// The board runs for at most so long, by its own clock, before it is looked at.
+/// Longest run of the board between looks, in its own time.
 const STEP_US: u64 = 5000;
-/// Bytes that come one after the other are written together if no farther apart than this.
+/// Bytes that follow each other within this are written together.
 const TOGETHER: Duration = Duration::from_micros(250);
-/// And no more than these.
+/// Number of bytes that are written at once.
 const FEW_BYTES: usize = 512;
-/// A client that takes nothing for so long reads slowly.
+/// A client that accepts nothing for this long is slow.
 const WRITE_PATIENCE: Duration = Duration::from_millis(1);
+/// A second client is refused after this time: on a busy machine the end of the first is noticed late.
+const GRACE: Duration = Duration::from_millis(100);
 
-/// A board that listens. Each port takes one client at a time, as a serial port does; what the
-/// board says while nobody listens is lost.
+/// A board behind TCP ports. Each port accepts one client at a time, like a serial port; data
+/// sent without a client are lost.
 ///
-/// Bytes pass at their own time, not at that of a look now and then: the link's delays are to be
-/// those of its faults, and as sharp.
+/// Bytes are forwarded at their own time, not in fixed intervals, so that the link has the delays of its
+/// faults.
 pub struct Server {
     board: Board,
     cable: Port,
@@ -41,19 +43,19 @@ pub struct Server {
     hear: Sender<Heard>,
 }
 
-/// What a client has sent, or nothing: it has gone.
+/// Data of a client; empty when it has disconnected.
 struct Heard {
     role: LinkRole,
-    /// Which of the port's clients.
+    /// Number of the port's client.
     client: u64,
     bytes: Vec<u8>,
 }
 
 impl Server {
-    /// Puts `board` behind `cable` and `wireless`; port 0 takes any free one.
+    /// Connects `board` to `cable` and `wireless`; port 0 takes any free one.
     ///
     /// # Errors
-    /// When an address cannot be listened on, with the address.
+    /// When an address cannot be used, with the address.
     pub fn bind(
         board: Board,
         cable: SocketAddr,
@@ -73,15 +75,15 @@ impl Server {
         })
     }
 
-    /// Lets the board's time run `speed` times as fast. A board that runs faster than the clock waits for a
-    /// client that reads slowly, so that what arrives does not depend on the speed of this machine.
+    /// Runs the board `speed` times as fast as real time. A faster board waits for a
+    /// slow client, so that the received data do not depend on the speed of this machine.
     #[must_use]
     pub fn at_speed(mut self, speed: f64) -> Self {
         self.speed = speed;
         self
     }
 
-    /// Lets the board's time begin when the first client connects.
+    /// Starts the board's time when the first client connects.
     #[must_use]
     pub fn waiting_for_client(mut self) -> Self {
         self.wait_for_client = true;
@@ -91,7 +93,7 @@ impl Server {
     /// The address of a link.
     ///
     /// # Errors
-    /// What the operating system says.
+    /// Those of the operating system.
     pub fn address(&self, role: LinkRole) -> io::Result<SocketAddr> {
         match role {
             LinkRole::Cable => self.cable.listener.local_addr(),
@@ -104,13 +106,13 @@ impl Server {
         &mut self.board
     }
 
-    /// Serves until `stop` returns true; it sees the board a thousand times a second and more, and however
-    /// late that is, every 5 ms of the board's own time.
+    /// Runs until `stop` returns true; it is called at least a thousand times a second, and at
+    /// least every 5 ms of the board's own time.
     pub fn run(&mut self, mut stop: impl FnMut(&mut Board) -> bool) {
         while !stop(&mut self.board) && !self.tick(&mut stop) {
             self.wait();
         }
-        // What was on its way is delivered.
+        // Deliver data under way.
         let deadline = Instant::now() + Duration::from_secs(1);
         while Instant::now() < deadline && (self.cable.owes() || self.wireless.owes()) {
             self.tick(&mut |_| false);
@@ -118,7 +120,7 @@ impl Server {
         }
     }
 
-    /// Waits for a client's bytes, or until the board has something to do or to say.
+    /// Waits for data of a client, or until the board has something to do or to send.
     fn wait(&mut self) {
         let Some(started) = self.started else {
             return thread::sleep(TICK);
@@ -127,7 +129,7 @@ impl Server {
             |time_us: u64| started + Duration::from_secs_f64(time_us as f64 * 1e-6 / self.speed);
         let now = Instant::now();
         let mut until = now + TICK;
-        // A faster board would be up all the time: it has more to do, and nobody measures its delays.
+        // A faster board is always busy, and its delays are not measured.
         let is_punctual = self.speed <= 1.0;
         if let Some(time_us) = self.board.next_deadline_us().filter(|_| is_punctual) {
             until = until.min(at(time_us));
@@ -159,10 +161,10 @@ impl Server {
         }
     }
 
-    /// Carries what has arrived and lets the board catch up with the time, or until `stop` says so; whether
-    /// it does.
+    /// Forwards data and runs the board up to the present, or until `stop` returns true; returns whether
+    /// it did.
     fn tick(&mut self, stop: &mut impl FnMut(&mut Board) -> bool) -> bool {
-        // First, so that a client that has gone makes room for the next.
+        // First, so that a disconnected client makes room for the next.
         while let Ok(heard) = self.heard.try_recv() {
             self.take(heard);
         }
@@ -196,7 +198,7 @@ impl Server {
         for port in [&mut self.cable, &mut self.wireless] {
             port.deliver(&mut self.board);
         }
-        // It has heard that, and says when it has something to do.
+        // It has received the data, and updates its next deadline.
         self.board.run_until(self.board.now_us());
         stopped
     }
@@ -206,11 +208,13 @@ struct Port {
     role: LinkRole,
     listener: TcpListener,
     client: Option<Connected>,
-    /// Clients so far.
+    /// A client that came while `client` was connected, and when.
+    waiting: Option<(TcpStream, Instant)>,
+    /// Number of clients so far.
     clients: u64,
-    /// When it last looked for one.
+    /// Time of the last look for a client.
     looked: Instant,
-    /// The board's connection that the client has.
+    /// Number of the board's connection that the client uses.
     connection: Option<u64>,
     incoming: Vec<u8>,
     outgoing: VecDeque<u8>,
@@ -219,14 +223,14 @@ struct Port {
 /// A client.
 struct Connected {
     stream: TcpStream,
-    /// When it was last written to.
+    /// Time of the last write.
     written: Instant,
-    /// Whether it took nothing the last time in this tick.
+    /// Whether the last write of this tick was not accepted.
     is_slow: bool,
 }
 
 impl Drop for Connected {
-    /// Ends its listener, too.
+    /// Ends its receiver thread, too.
     fn drop(&mut self) {
         let _ = self.stream.shutdown(Shutdown::Both);
     }
@@ -240,6 +244,7 @@ impl Port {
             role,
             listener,
             client: None,
+            waiting: None,
             clients: 0,
             looked: Instant::now(),
             connection: Some(0),
@@ -252,12 +257,12 @@ impl Port {
         self.client.is_some() && !self.outgoing.is_empty()
     }
 
-    /// Whether its client took nothing the last time in this tick.
+    /// Whether its client did not accept the last write of this tick.
     fn is_slow(&self) -> bool {
         self.client.as_ref().is_some_and(|client| client.is_slow)
     }
 
-    /// Hangs up when the board's link is disconnected.
+    /// Disconnects the client when the board's link is disconnected.
     fn follow_connection(&mut self, board: &mut Board) {
         let connection = board.link(self.role).connection();
         if connection != self.connection {
@@ -266,7 +271,7 @@ impl Port {
         }
     }
 
-    /// Takes a client if there is none; turns a second one away, and any while the link is
+    /// Accepts a client if there is none; rejects a second one, and any while the link is
     /// disconnected.
     fn accept(&mut self, hear: &Sender<Heard>) {
         if let Some(client) = &mut self.client {
@@ -276,8 +281,14 @@ impl Port {
             return;
         }
         self.looked = Instant::now();
-        if let Ok((stream, _)) = self.listener.accept()
-            && self.client.is_none()
+        if self.waiting.is_none() {
+            let accepted = self.listener.accept().ok();
+            self.waiting = accepted.map(|(stream, _)| (stream, self.looked));
+        }
+        let free = self.client.is_none();
+        let decided = |(_, since): &mut (_, Instant)| free || since.elapsed() >= GRACE;
+        if let Some((stream, _)) = self.waiting.take_if(decided)
+            && free
             && self.connection.is_some()
             && let Ok(ear) = stream.try_clone()
             && stream.set_nonblocking(false).is_ok()
@@ -296,7 +307,7 @@ impl Port {
         }
     }
 
-    /// Takes what a client has sent, if it is still the port's.
+    /// Takes data of a client, if it is still the port's.
     fn take(&mut self, heard: Heard) {
         if heard.client != self.clients || self.client.is_none() {
         } else if heard.bytes.is_empty() {
@@ -306,7 +317,7 @@ impl Port {
         }
     }
 
-    /// Gives it to the board, whose time has caught up by now: it must not hear before it is asked.
+    /// Passes received data to the board after it has run up to the present, so that it does not receive too early.
     fn deliver(&mut self, board: &mut Board) {
         if !self.incoming.is_empty() {
             board.link(self.role).push(&self.incoming);
@@ -350,7 +361,7 @@ impl Port {
     }
 }
 
-/// Tells what a client sends, and when it has gone.
+/// Forwards the data of a client, and its end.
 fn listen(mut stream: TcpStream, role: LinkRole, client: u64, hear: &Sender<Heard>) {
     let mut bytes = [0; 1024];
     loop {

@@ -1,4 +1,4 @@
-//! Where a simulated sensor's samples come from: physics, or a recording.
+//! Sources of a simulated sensor's samples: physics, or a recording.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -9,12 +9,12 @@ use crate::random::Random;
 use crate::scene::Scene;
 use crate::truth::SensorTruth;
 
-/// One analog-to-digital conversion of an accelerometer, as its registers have set it up.
+/// One analog-to-digital conversion of an accelerometer, with the settings of its registers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conversion {
-    /// Counts the samples the sensor has taken, from 0.
+    /// Index of the sample, from 0.
     pub index: u64,
-    /// When, s on the simulation's clock.
+    /// Time, s on the simulation's clock.
     pub time_s: f64,
     /// Nominal samples a second.
     pub rate_hz: f64,
@@ -24,9 +24,9 @@ pub struct Conversion {
     pub bits: u32,
 }
 
-/// Gives a sensor its samples.
+/// Provides a sensor's samples.
 ///
-/// Samples are asked for in the order of their time, each index once.
+/// Samples are requested in the order of their time, each index once.
 pub trait Source: fmt::Debug {
     /// The register content of one accelerometer sample; `None` when there are no more.
     fn acceleration(&mut self, conversion: &Conversion) -> Option<Counts>;
@@ -34,7 +34,7 @@ pub trait Source: fmt::Debug {
     /// Magnetic flux density that the magnetometer sees at its sample `index`, nT.
     fn magnetic_field_nt(&mut self, index: u64, time_s: f64) -> [f64; 3];
 
-    /// Temperature that the sensor's thermometer sees, °C.
+    /// Temperature at the sensor's thermometer, °C.
     fn temperature_c(&mut self, time_s: f64) -> f64;
 
     /// How much longer than nominal the sensor's sample period is, ppm.
@@ -53,7 +53,7 @@ pub trait Source: fmt::Debug {
     }
 }
 
-/// A sensor with errors and noise, moved about in a scene.
+/// A sensor with errors and noise, moved in a scene.
 #[derive(Clone, Debug)]
 pub struct Physics {
     /// The sensor's errors.
@@ -114,7 +114,7 @@ impl Source for Physics {
 }
 
 /// The register content for an analog value, in LSB of 16 bits: rounded to the nearest step of
-/// `bits` bits (halves away from 0), held at the ends of the range, left-justified. Equation (35).
+/// `bits` bits (halves away from 0), limited to the range, left-justified. Equation (35).
 pub fn quantise(lsb: f64, bits: u32) -> i16 {
     let step = f64::from(1_u32 << (16 - bits));
     let half_range = f64::from(1_u32 << (bits - 1));
@@ -123,34 +123,26 @@ pub fn quantise(lsb: f64, bits: u32) -> i16 {
 }
 
 /// A recording: its counts appear in the output registers bit for bit, one per sample period,
-/// whatever range, resolution and rate are set. The field is 0, the temperature 25 °C unless set.
+/// whatever range, resolution and rate are set. The field is 0, the temperature 25 °C.
 #[derive(Clone, Debug)]
 pub struct Replay {
     samples: VecDeque<Counts>,
     waits: bool,
-    temperature_c: f64,
 }
 
 impl Replay {
-    /// Replays `samples` as a sensor would: what is not read before the next one is lost.
+    /// Replays `samples` as a sensor would: samples that are not read before the next one are lost.
     pub fn new(samples: impl IntoIterator<Item = Counts>) -> Self {
         Self {
             samples: samples.into_iter().collect(),
             waits: false,
-            temperature_c: 25.0,
         }
     }
 
-    /// Holds each sample until it was read: a reader that is late, or still setting the sensor
-    /// up, stretches the recording instead of losing parts of it.
+    /// Holds each sample until it was read: a slow reader, or the set-up of the sensor,
+    /// delays the recording instead of losing parts of it.
     pub fn waiting_for_reader(mut self) -> Self {
         self.waits = true;
-        self
-    }
-
-    /// Reports this temperature, °C.
-    pub fn at_temperature(mut self, celsius: f64) -> Self {
-        self.temperature_c = celsius;
         self
     }
 }
@@ -165,7 +157,7 @@ impl Source for Replay {
     }
 
     fn temperature_c(&mut self, _time_s: f64) -> f64 {
-        self.temperature_c
+        25.0
     }
 
     fn waits_for_reader(&self) -> bool {

@@ -1,4 +1,4 @@
-//! The simulated board's non-volatile memory: a NOR flash that can wear out, rot and lose power.
+//! The simulated board's non-volatile memory: a NOR flash that can wear out, lose bits and lose power.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -21,7 +21,7 @@ const WORD: usize = 4;
 /// How long an erase may take on an nRF52, ms.
 const PAUSE_MS: u16 = 90;
 
-/// Flash of four pages of 4 KiB that survives the board's restarts, and the program's if it is kept
+/// Flash of four pages of 4 KiB that survives restarts of the board, and of the program if it is kept
 /// in a file. Clones are the same flash.
 ///
 /// An erase sets all bits of a page, a write only clears bits, byte by byte from the first on.
@@ -57,12 +57,12 @@ impl Default for Chip {
 }
 
 impl Storage {
-    /// Flash that ends with the program.
+    /// Flash in memory.
     pub fn in_memory() -> Self {
         Self::default()
     }
 
-    /// Flash that holds `image`, the rest of it erased.
+    /// Flash that contains `image`, the rest erased.
     pub fn from_image(image: &[u8]) -> Self {
         let storage = Self::default();
         for (byte, kept) in storage.0.borrow_mut().bytes.iter_mut().zip(image) {
@@ -71,16 +71,15 @@ impl Storage {
         storage
     }
 
-    /// Flash kept in the file at `path`, which is made if it is absent. Every byte is in the file
-    /// when it is in the flash.
+    /// Flash kept in the file at `path`, created if absent. Every byte is written to the file immediately.
     ///
     /// # Errors
-    /// When the file cannot be opened or read. One that is damaged holds what can be read of it;
-    /// the node finds out.
+    /// When the file cannot be opened or read. A damaged file is read as far as possible;
+    /// the node detects the damage.
     pub fn in_file(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
         options.read(true).write(true).create(true).truncate(false);
-        // The board's key is in it.
+        // It contains the board's key.
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         let mut file = options.open(path)?;
@@ -91,39 +90,39 @@ impl Storage {
         Ok(storage)
     }
 
-    /// What it holds.
+    /// Its content.
     pub fn image(&self) -> Vec<u8> {
         self.0.borrow().bytes.clone()
     }
 
-    /// The node's records in it.
+    /// The node's store in it.
     pub fn store(&self) -> FlashStore<Self> {
         const LAYOUT: FlashLayout<Storage> = FlashLayout::new(0..(PAGES * PAGE) as u32);
         FlashStore::new(self.clone(), LAYOUT, PAUSE_MS)
     }
 
-    /// Makes every write and erase without effect from now on, or with one again.
+    /// Makes all writes and erases ineffective, or effective again.
     pub fn set_worn_out(&self, worn_out: bool) {
         self.0.borrow_mut().worn_out = worn_out;
     }
 
-    /// Wears out the byte at `at`: it reads 0 for ever once it is written or erased.
+    /// Wears out the byte at `at`: it reads 0 once it is written or erased.
     pub fn stick(&self, at: usize) {
         self.0.borrow_mut().stuck.insert(at);
     }
 
-    /// Takes power off after so many more bytes have been written or erased: whoever writes the
-    /// next one waits for ever. `None` gives power back.
+    /// Removes power after this many more bytes have been written or erased: the next write
+    /// never completes. `None` restores power.
     pub fn lose_power_after(&self, bytes: Option<u64>) {
         self.0.borrow_mut().left = bytes;
     }
 
-    /// Bytes written or erased so far.
+    /// Number of bytes written or erased so far.
     pub fn bytes_changed(&self) -> u64 {
         self.0.borrow().changed
     }
 
-    /// How often each page has been erased.
+    /// Number of erases of each page.
     pub fn erases(&self) -> [u32; PAGES] {
         self.0.borrow().erases
     }
@@ -149,7 +148,7 @@ impl Storage {
 }
 
 impl Chip {
-    /// Changes a byte; false when there is no power left to.
+    /// Changes a byte; false without power.
     fn change(&mut self, at: usize, change: impl FnOnce(u8) -> u8) -> bool {
         match &mut self.left {
             Some(0) => return false,
@@ -168,8 +167,7 @@ impl Chip {
         true
     }
 
-    /// Puts bytes into the file. A disk that is full is not the flash's fault: what it holds ends
-    /// with the program then.
+    /// Writes bytes to the file. On a full disk the content is kept in memory only.
     fn keep(&mut self, range: Range<usize>) {
         if let (Some(file), Some(bytes)) = (&mut self.file, self.bytes.get(range.clone())) {
             let _ = file

@@ -1,8 +1,6 @@
-//! What is wrong with a simulated sensor: hidden from the device, known to the test.
+//! The true errors of a simulated sensor, unknown to the device.
 
-use wimu_model::{
-    ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2, TemperatureTerms,
-};
+use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, TemperatureTerms};
 
 use crate::random::Random;
 
@@ -16,7 +14,7 @@ pub struct SensorTruth {
     pub noise_mps2_per_rthz: f64,
     /// How much longer than nominal the sensor's sample period is, ppm, −100 000..=100 000.
     pub period_error_ppm: f64,
-    /// What the sensor's thermometer reads too high, K.
+    /// Error of the sensor's thermometer, K: positive if it reads too high.
     pub thermometer_error_k: f64,
     /// The magnetometer's errors.
     pub magnetometer: MagnetometerTruth,
@@ -33,17 +31,17 @@ pub struct MagnetometerTruth {
     pub noise_nt: f64,
 }
 
-/// Which of a sensor's twelve terms are free.
+/// Which of a sensor's twelve terms are non-zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gauge {
-    /// All twelve: what a calibration with known orientations finds.
+    /// All twelve, as estimated by a calibration with known orientations.
     Full,
-    /// A is lower-triangular, nine terms: all that gravity alone can find, since it does not see
+    /// A is lower-triangular, nine terms: those that gravity alone can observe, since it is invariant to
     /// a rotation of the axes.
     LowerTriangular,
 }
 
-/// 220 µg/√Hz: what the LSM303AGR's accelerometer is like in high-resolution mode.
+/// 220 µg/√Hz: the LSM303AGR's accelerometer in high-resolution mode (datasheet).
 const LSM303AGR_NOISE_MPS2_PER_RTHZ: f64 = 220e-6 * STANDARD_GRAVITY_MPS2;
 /// 0.75 LSB of 3.9 mg in the 50 Hz of a rate of 100 Hz: the datasheet's x and y axes of an ADXL345.
 const ADXL345_NOISE_MPS2_PER_RTHZ: f64 = 414e-6 * STANDARD_GRAVITY_MPS2;
@@ -66,7 +64,7 @@ impl SensorTruth {
         }
     }
 
-    /// A bad but believable LSM303AGR; the same for the same `seed` and `gauge`.
+    /// A typical uncalibrated LSM303AGR; the same for the same `seed` and `gauge`.
     ///
     /// Per axis, uniform: bias 50 to 80 mg of either sign; scale within ±4 %; misalignments within
     /// ±sin 2°; bias slope within ±0.2 mg/K and scale slope within ±100 ppm/K about 25 °C; sample
@@ -74,7 +72,7 @@ impl SensorTruth {
     /// ±5 %. Noise 220 µg/√Hz and 300 nT.
     ///
     /// Uncalibrated, |y| − g is at least 400 mm/s² rms over the sphere of orientations: the bias
-    /// alone, at least √3 · 50 mg long, makes 490 mm/s² of it, equation (39).
+    /// alone, at least √3 · 50 mg long, contributes 490 mm/s², equation (39).
     pub fn random(seed: u64, gauge: Gauge) -> Self {
         let mut random = Random::new(seed, 0);
         let mg = STANDARD_GRAVITY_MPS2 * 1e-3;
@@ -123,7 +121,7 @@ impl SensorTruth {
         }
     }
 
-    /// A bad but believable ADXL345, as [`random`](Self::random) but for noise of 414 µg/√Hz and a
+    /// A typical uncalibrated ADXL345: as [`random`](Self::random), but with noise of 414 µg/√Hz and a
     /// sample period within ±5 %.
     pub fn random_adxl345(seed: u64, gauge: Gauge) -> Self {
         let mut random = Random::new(seed, 6);
@@ -132,16 +130,5 @@ impl SensorTruth {
             period_error_ppm: random.uniform(-50_000.0, 50_000.0),
             ..Self::random(seed, gauge)
         }
-    }
-
-    /// rms of |y| − g, m/s², over body directions `up` that point up in turn, each of length 1:
-    /// how wrong gravity looks through this sensor at its reference temperature, without noise.
-    pub fn uncalibrated_rms_mps2(&self, up: &[[f64; 3]]) -> f64 {
-        let squares = up.iter().map(|direction| {
-            let force = SpecificForceMps2(direction.map(|u| u * STANDARD_GRAVITY_MPS2));
-            let error = self.model.distort(force, None).norm() - STANDARD_GRAVITY_MPS2;
-            error * error
-        });
-        libm::sqrt(squares.sum::<f64>() / up.len() as f64)
     }
 }

@@ -9,6 +9,7 @@ use wimu_host::overview::Overview;
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs};
+use wimu_testkit::{Lane, Random, figure};
 
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 
@@ -42,7 +43,7 @@ fn write_long_file(path: &Path, minutes: u32) {
             ])
         });
         for role in ROLES {
-            let noise = u64::from(batch.wrapping_mul(2_654_435_761) >> 8);
+            let noise = Random::new(batch.into()).bits();
             let late_ns = match role {
                 LinkRole::Cable => 200_000 + noise % 100_000,
                 _ => 15_000_000 + noise % 50_000_000,
@@ -145,8 +146,11 @@ fn peaks_mb(test: &str, minutes: u32) -> [f64; STEPS.len()] {
     peaks
 }
 
-/// That no step needs more for a long file than for a short one, but for what the clock keeps.
-fn memory_is_the_same(test: &str, minutes: [u32; 2]) {
+/// A long file needs no more than a short one, but for what the clock keeps.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_does_not_grow_with_the_recording() {
+    let minutes = Lane::current().choose([[1, 4], [10, 40], [60, 1440]]);
     if let (Ok(step), Ok(path), Ok(minutes)) = (
         std::env::var(STEP),
         std::env::var(FILE),
@@ -156,27 +160,18 @@ fn memory_is_the_same(test: &str, minutes: [u32; 2]) {
         println!("PEAK {:.1} {samples}", peak_mb());
         return;
     }
+    let test = "long_files::memory_does_not_grow_with_the_recording";
     let [short, long] = minutes.map(|minutes| peaks_mb(test, minutes));
     for ((step, short), long) in STEPS.into_iter().zip(short).zip(long) {
+        figure(
+            &format!(
+                "`{step}` of {} and {} min at 100 Hz: memory",
+                minutes[0], minutes[1]
+            ),
+            format!("{short:.1} / {long:.1} MB"),
+            "4 MB more at most",
+            long < short + 4.0,
+        );
         assert!(long < short + 4.0, "{step}: {short} MB, then {long} MB");
     }
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-fn memory_does_not_grow_with_the_recording() {
-    memory_is_the_same(
-        "long_files::memory_does_not_grow_with_the_recording",
-        [20, 80],
-    );
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-#[ignore = "writes and reads files of 1 and 24 hours"]
-fn memory_is_the_same_for_an_hour_and_for_a_day() {
-    memory_is_the_same(
-        "long_files::memory_is_the_same_for_an_hour_and_for_a_day",
-        [60, 1440],
-    );
 }

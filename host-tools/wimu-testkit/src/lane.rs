@@ -25,12 +25,18 @@ impl Lane {
         }
     }
 
-    fn trials(self, full: usize) -> usize {
+    /// Which of a check's, a test's and a campaign's value applies.
+    pub fn choose<T>(self, [check, test, campaign]: [T; 3]) -> T {
         match self {
-            Self::Check => full.min(20),
-            Self::Test => (full / 10).clamp(full.min(20), full),
-            Self::Campaign => full,
+            Self::Check => check,
+            Self::Test => test,
+            Self::Campaign => campaign,
         }
+    }
+
+    fn trials(self, full: usize) -> usize {
+        let few = full.min(20);
+        self.choose([few, (full / 10).clamp(few, full), full])
     }
 }
 

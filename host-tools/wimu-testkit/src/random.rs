@@ -7,6 +7,7 @@ use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::SplitMix64;
 
 /// SplitMix64 (Steele, Lea, Flood 2014): the same numbers on every machine, in every run.
+#[derive(Clone)]
 pub struct Random(SplitMix64);
 
 impl Random {

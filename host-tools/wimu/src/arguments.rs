@@ -1,19 +1,26 @@
-//! What can be asked for.
+//! The commands and their options.
 
 mod calibration;
 mod device;
 mod navigate;
+mod relations;
+mod values;
 
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
-pub use device::{Carried, Change, Key, Params, Resolution, Settings};
+pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
 pub use navigate::{Navigate, NavigateMethod, ZeroVelocity};
+pub use relations::check;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use wimu_host::csv::Filter;
 
-/// A wireless IMU from an ordinary accelerometer: stream, record, calibrate, push back, navigate.
+use self::values::{from_to, seconds};
+
+/// Make a wireless inertial measurement unit of a MEMS accelerometer: record, calibrate, correct, navigate.
 ///
 /// LINK is tcp://127.0.0.1:7100, serial:///dev/ttyACM0?baud=115200, a port (COM5, /dev/rfcomm0) or
 /// `auto`.
@@ -21,9 +28,12 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 #[command(
     name = "wimu",
     version,
+    max_term_width = 100,
     after_help = "\
-Start with `wimu demo`. Exit codes: 0 done, 1 failed, 2 wrong usage or unreadable input,
-3 the data do not support an answer, 4 the device refused."
+Start with `wimu demo`.
+
+Exit codes: 0 done, 1 failed, 2 wrong usage or unreadable input, 3 the data do not support an answer, \
+4 the device refused."
 )]
 pub struct Arguments {
     /// Print JSON on stdout (streaming commands one object per line), human text on stderr
@@ -35,71 +45,69 @@ pub struct Arguments {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// The main job on a simulated board, in a few seconds
+    /// Record, calibrate and navigate with a simulated board, in a few seconds
     Demo(Demo),
-    /// A simulated board that listens on two TCP ports
+    /// Run a simulated board that listens on two TCP ports
     Simulate(Simulate),
-    /// The serial ports of this computer
+    /// List the serial ports of this computer
     Ports(Ports),
-    /// Live readings in the terminal
+    /// Show readings of a board or a recording
     Monitor(Monitor),
     /// Record everything a board sends, byte for byte
     Record(Record),
-    /// What is in a recording, or who is on a link
+    /// Show what a recording contains, or which device is on a link
     Info(Info),
-    /// A recording as a table
+    /// Convert a recording to a table, or a calibration to a source file
     Export(Export),
-    /// Estimate the error model of an accelerometer
+    /// Estimate the error model of an accelerometer, an array or a magnetometer
     Calibrate(Calibrate),
-    /// How the sensor sits in the body that it is mounted on
+    /// Estimate the rotation from the sensor to the body that it is mounted on
     Align(Align),
-    /// Noise density and bias instability of an accelerometer at rest
+    /// Estimate noise density and bias instability of an accelerometer at rest
     Allan(Allan),
-    /// The calibration on a device
+    /// Read, write or erase the calibration on a device
     Params {
         #[command(subcommand)]
         action: Params,
     },
-    /// The settings of a device
+    /// Read or change the settings of a device
     Settings {
         #[command(subcommand)]
         action: Settings,
     },
-    /// The key that writes to a device are signed with
-    Key {
-        #[command(subcommand)]
-        action: Key,
-    },
-    /// Wireless against cable: loss, latency, clock, values
+    /// Manage the key that signs writes to a device
+    Key(Key),
+    /// Compare wireless and cable: loss, latency, clock, values
     Compare(Compare),
-    /// Velocity and position: the device's own, and recomputed from its raw samples
+    /// Compute velocity and position with their uncertainty
     Navigate(Navigate),
-    /// Write the firmware onto a board through its debug probe
+    /// Write firmware to a board through its debug probe
     Flash(Flash),
 }
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu flash microbit-v2
-         wimu flash --list
-         wimu flash pico-adxl345 --image my.elf --probe 2e8a:000c
+Examples:
+  wimu flash microbit-v2
+  wimu flash --list
+  wimu flash pico-adxl345 --image my.elf --probe 2e8a:000c
 
-Without a probe: copy the image onto the drive that the board shows. The calibration stays, unless
-the chip is locked and --erase-all unlocks it.")]
+Without a probe, copy the image to the drive that the board shows. The calibration is kept, except \
+when --erase-all unlocks a locked chip.")]
 pub struct Flash {
-    /// The board
-    #[arg(value_enum)]
+    /// Board to write
+    #[arg(value_enum, required_unless_present = "list")]
     pub board: Option<Board>,
-    /// Its image, as ELF, Intel HEX or UF2; by default what `cargo xtask firmware` has written
+    /// Firmware image: ELF, Intel HEX or UF2 [default: the one that `cargo xtask firmware` wrote]
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
-    /// Which debug probe, where there are several
+    /// Debug probe to use, if there are several
     #[arg(long, value_name = "VENDOR:PRODUCT[:SERIAL]")]
     pub probe: Option<String>,
-    /// Print the debug probes that are plugged in
+    /// List the connected debug probes
     #[arg(long)]
     pub list: bool,
-    /// Unlock a locked chip, which erases all that is on it: firmware, calibration, key
+    /// Unlock a locked chip; this erases its firmware, calibration and key
     #[arg(long)]
     pub erase_all: bool,
 }
@@ -117,91 +125,110 @@ pub enum Board {
 #[derive(Args)]
 #[command(after_help = "Example: wimu demo --seed 7")]
 pub struct Demo {
-    /// Hidden errors and noise of the simulated sensor
+    /// Seed of the simulated sensor's errors and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Where the report with its pictures goes
+    /// Write the report with pictures to this file
     #[arg(
         long,
         value_name = "FILE.html",
         default_value = "wimu-demo-report.html"
     )]
     pub report: PathBuf,
-    /// Write the pictures of tilts and slide into this folder, as SVG and as PNG
+    /// Write the pictures to this folder, as SVG and PNG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
 }
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu simulate --motion twelve-poses,slide --seed 3
-         wimu simulate --replay recording.csv --speed 10 --exit-when-done
-         wimu simulate --faults noisy --clock-ppm 35
-         wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
-         wimu simulate --faults other-unit --faults cable:latency=2ms")]
+FAULTS is a list of presets and faults:
+  none                    no faults
+  bluetooth               serial adapter in range, 115200 baud
+  noisy                   2 % of the bytes lost, 1e-4 of the bits flipped, 50 ms of jitter, stalls
+  other-unit              samples with other bias, scale factor and noise than on the cable
+  baud=115200             rate of the simulated UART, bits/s
+  latency=20ms            delay of every byte
+  jitter=50ms             further delay of each packet, uniform from 0; exp:50ms exponential, mean 50 ms
+  loss=2%                 fraction of the bytes lost, in runs
+  burst=20                mean length of a run of lost bytes, bytes
+  bits=1e-4               fraction of the bits flipped
+  splice=1e-5             probability per byte that an earlier piece is inserted
+  duplicate=1e-5          probability per byte that the latest bytes are repeated
+  stall=3s@30s/60s        nothing passes for 3 s from 30 s on, every 60 s (without /60s once)
+  disconnect=3s@30s/60s   likewise; both ends lose the connection and the bytes under way
+  buffer=4096             bytes held during latency and stalls; a UART loses further ones, TCP waits
+  bias=10/-5/3mg          added to the samples of X/Y/Z; one number for all axes
+  scale=0.5/0/-0.5%       scale factor error of X/Y/Z, in % or ppm; one number for all axes
+  noise=2mg               standard deviation of noise added to each axis
+
+Examples:
+  wimu simulate --motion twelve-poses,slide --seed 3
+  wimu simulate --replay recording.csv --speed 10 --exit-when-done
+  wimu simulate --faults noisy --clock-ppm 35
+  wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
+  wimu simulate --faults other-unit --faults cable:latency=2ms")]
 pub struct Simulate {
-    /// The sensor on the board
+    /// Sensor on the board
     #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
     pub sensor: Sensor,
-    /// What happens to the board, in order and again: rest, six-positions, twelve-poses, tilts,
-    /// slide, hand
+    /// Motions of the board, in order and repeated: rest, six-positions, twelve-poses, tilts, slide,
+    /// hand
     #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
     pub motion: String,
-    /// Stream the raw counts of this CSV file instead; time begins when a host connects
+    /// Replay the raw counts of this CSV file instead; it starts when a host connects
     #[arg(long, value_name = "FILE.csv", conflicts_with = "motion")]
     pub replay: Option<PathBuf>,
-    /// Only the rows of the CSV file with these values, e.g. "IMU=0"
+    /// Rows of the CSV file to use: those whose columns have these values, such as "IMU=0"
     #[arg(long = "where", value_name = "COLUMN=VALUE,…", requires = "replay")]
-    pub filter: Option<String>,
-    /// Which accelerometer of a CSV file that has several
+    pub filter: Option<Filter>,
+    /// Number (from 0) of the accelerometer in a CSV file that has several
     #[arg(long, value_name = "N", requires = "replay")]
     pub accelerometer: Option<u32>,
-    /// Hidden errors and noise of the sensor
+    /// Seed of the sensor's errors and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Keep the board's memory in this file; without it, it ends with the program
+    /// Keep the board's flash memory in this file [default: in memory only]
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
-    /// Begin with the gesture of an owner who has lost the key: the board forgets key and settings
+    /// Start with the key reset at the board: it erases key and settings
     #[arg(long)]
     pub forget_key: bool,
-    /// Where the cable listens
+    /// Address of the cable
     #[arg(long, default_value = "127.0.0.1:7100", value_name = "ADDRESS")]
     pub cable: SocketAddr,
-    /// Where the wireless link listens
+    /// Address of the wireless link
     #[arg(long, default_value = "127.0.0.1:7101", value_name = "ADDRESS")]
     pub wireless: SocketAddr,
-    /// What goes wrong on a link, the wireless one unless `cable:` stands before it: presets (none,
-    /// bluetooth, noisy, other-unit) and baud, latency, jitter, loss, burst, bits, splice, duplicate,
-    /// stall, disconnect, buffer, bias, scale, noise; may be given for each link
+    /// Link faults, see FAULTS below; of the wireless link unless preceded by `cable:`
     #[arg(long, value_name = "[LINK:]FAULT=VALUE,…")]
     pub faults: Vec<String>,
-    /// How much faster the board's clock runs than this computer's, ppm
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    /// Rate error of the board's clock, ppm, positive if it is fast; at most ± 10000
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = from_to(-1e4, 1e4))]
     pub clock_ppm: f64,
-    /// Board seconds per second
-    #[arg(long, default_value_t = 1.0)]
+    /// Speed of the simulated time relative to real time, at most 1000
+    #[arg(long, default_value_t = 1.0, value_parser = from_to(1e-3, 1e3))]
     pub speed: f64,
-    /// When the board's button is pressed: a mark in the stream, the next position of a live calibration
-    #[arg(long, value_name = "SECONDS,…", value_delimiter = ',')]
+    /// Times at which the board's button is pressed, s after its start
+    #[arg(long, value_name = "SECONDS,…", value_delimiter = ',', value_parser = from_to(0.0, 1e9))]
     pub press: Vec<f64>,
-    /// Stop when the motion or the recording is over
+    /// Stop at the end of the motion or of the replayed file
     #[arg(long)]
     pub exit_when_done: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum Sensor {
-    /// Accelerometer, magnetometer, thermometer
+    /// Accelerometer, magnetometer and temperature sensor
     Lsm303agr,
-    /// Accelerometer only, through a FIFO
+    /// Accelerometer with a FIFO
     Adxl345,
 }
 
 #[derive(Args)]
 #[command(after_help = "Example: wimu ports --probe")]
 pub struct Ports {
-    /// Open the ports that look like a board and ask who is there, 1 s each
+    /// Open the ports that look like a board and identify it, 1 s each
     #[arg(long)]
     pub probe: bool,
 }
@@ -211,13 +238,13 @@ pub struct Ports {
 pub struct Monitor {
     /// A LINK, or a recording
     pub input: String,
-    /// Lines a second of device time; by default 1, with --json every reading; a terminal's line is
-    /// renewed 20 times a second
-    #[arg(long, value_name = "HZ")]
+    /// Lines per second of device time [default: 1; with --json every reading; in a terminal one line
+    /// that is refreshed 20 times a second]
+    #[arg(long, value_name = "HZ", value_parser = from_to(1e-6, 1e6))]
     pub rate: Option<f64>,
-    /// Stop after this many seconds
-    #[arg(long = "for", value_name = "SECONDS")]
-    pub seconds: Option<f64>,
+    /// Stop after this time, s
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
+    pub seconds: Option<Duration>,
 }
 
 #[derive(Args)]
@@ -225,23 +252,23 @@ pub struct Monitor {
 Example: wimu record tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100 -o session.mcap
 Ctrl-C ends the recording.")]
 pub struct Record {
-    /// A LINK
+    /// Serial port, tcp://HOST:PORT or `auto`
     pub link: String,
-    /// A second link of the same board, recorded beside the first
+    /// A second link of the same board, recorded with the first
     #[arg(long, value_name = "LINK")]
     pub cable: Option<String>,
-    /// The recording
+    /// Recording to write
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: PathBuf,
-    /// Add the decoded ROS 2 topics when the recording is over
+    /// Add decoded ROS 2 topics at the end of the recording
     #[arg(long)]
     pub decoded: bool,
-    /// A lost link is opened again; end when every link has been lost for this long
-    #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
-    pub reconnect: f64,
-    /// Stop after this many seconds
-    #[arg(long = "for", value_name = "SECONDS")]
-    pub seconds: Option<f64>,
+    /// Stop when all links have been lost for this time, s; until then each is opened again
+    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = seconds)]
+    pub reconnect: Duration,
+    /// Stop after this time, s
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
+    pub seconds: Option<Duration>,
 }
 
 #[derive(Args)]
@@ -253,65 +280,66 @@ pub struct Info {
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu compare session.mcap --report compare.html -o LINK.json
-         wimu compare reference.csv other.csv")]
+Examples:
+  wimu compare session.mcap --report compare.html -o LINK.json
+  wimu compare reference.csv other.csv")]
 pub struct Compare {
-    /// A recording of both links, or the CSV file of the reference
+    /// A recording of both links, or a CSV file of the reference
     pub input: String,
-    /// The CSV file of another device in the same motion, which must not repeat itself (that of
-    /// `wimu simulate --motion hand` does, every 10 s)
+    /// CSV file of another device in the same motion, which must not be periodic
+    #[arg(conflicts_with_all = ["output", "report", "pictures"])]
     pub other: Option<String>,
-    /// Write the wireless link's error model here; `wimu export --link-model` takes it off
+    /// Write the error model of the wireless link to this file, for `wimu export --link-model`
     #[arg(short, long, value_name = "LINK.json")]
     pub output: Option<PathBuf>,
-    /// Write a page with pictures here
+    /// Write a report with pictures to this file
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write each picture into this folder, as SVG and as PNG
+    /// Write the pictures to this folder, as SVG and PNG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
 }
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu export session.mcap -o session.csv --stream corrected
-         wimu export CAL.json --format c -o wimu_calibration.h
-         wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml")]
+Examples:
+  wimu export session.mcap -o session.csv --stream corrected
+  wimu export CAL.json --format c -o wimu_calibration.h
+  wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml")]
 pub struct Export {
     /// A recording, or a calibration for the formats rust, c and kalibr
     pub input: PathBuf,
-    /// The table, or the file for your own firmware or tools; without it a calibration is printed
+    /// File to write [default: a calibration is printed]
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
-    /// How it is written
+    /// Format of the output
     #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
     pub format: ExportFormat,
-    /// What `wimu allan --json` printed, for the noise that kalibr wants
+    /// Output of `wimu allan --json`: noise figures for kalibr
     #[arg(long, value_name = "NOISE.json")]
     pub noise: Option<PathBuf>,
-    /// Take this error model off its link, as `wimu compare -o` wrote it
+    /// Correct the samples with this link's error model, which `wimu compare -o` wrote
     #[arg(long, value_name = "LINK.json")]
     pub link_model: Option<PathBuf>,
-    /// What is written; the magnetic field is corrected with corrected only, where Field Calibrated
-    /// is 1
+    /// Stream to write. Only `corrected` has the corrected magnetic field, where `Field Calibrated` is 1
     #[arg(long, value_enum, default_value_t = Stream::Raw)]
     pub stream: Stream,
-    /// Of which link; without it, the cable if it was recorded
+    /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum)]
     pub link: Option<Role>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum ExportFormat {
-    /// A table
+    /// CSV table
     Csv,
-    /// A recording with decoded ROS 2 topics beside the bytes
+    /// Recording with decoded ROS 2 topics added
     Mcap,
-    /// A calibration as a Rust module for wimu-model
+    /// Calibration as a Rust module for wimu-model
     Rust,
-    /// A calibration as a C header without dependencies
+    /// Calibration as a C header without dependencies
     C,
-    /// A calibration as Kalibr's IMU file
+    /// Calibration as an IMU file for Kalibr
     Kalibr,
 }
 

@@ -6,20 +6,25 @@ mod output;
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use clap::error::ErrorKind;
-use wimu_host::{ErrorCode, HostError, Result};
+use clap::{CommandFactory, FromArgMatches};
+use wimu_host::Result;
 
 use crate::arguments::{Arguments, Command};
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
+    let parsed = Arguments::command().try_get_matches().and_then(|matches| {
+        let arguments = Arguments::from_arg_matches(&matches)?;
+        Ok((arguments, matches))
+    });
+    let (arguments, matches) = match parsed {
+        Ok(parsed) => parsed,
         Err(error) => return wrong_usage(&error),
     };
     let output = Output::new(arguments.json);
-    match run(arguments.command, output).and_then(|code| Output::finish().map(|()| code)) {
+    let done = arguments::check(&matches).and_then(|()| run(arguments.command, output));
+    match done.and_then(|code| Output::finish().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
             output.failure(&error);
@@ -28,7 +33,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Returns the exit code of a command that has done what it could.
+/// Runs a command; returns its exit code.
 fn run(command: Command, output: Output) -> Result<u8> {
     match command {
         Command::Align(arguments) => return command::align::run(&arguments, output),
@@ -44,31 +49,28 @@ fn run(command: Command, output: Output) -> Result<u8> {
         Command::Flash(arguments) => command::flash::run(&arguments, output),
         Command::Export(arguments) => command::export::run(&arguments, output),
         Command::Params { action } => command::params::run(&action, output),
-        Command::Key { action } => command::key::run(&action, output),
+        Command::Key(arguments) => command::key::run(&arguments, output),
         Command::Settings { action } => command::settings::run(&action, output),
         Command::Navigate(arguments) => command::navigate::run(&arguments, output),
     }
     .map(|()| 0)
 }
 
-/// Help and version are no failure; wrong usage is, and `--json` wants it as an object.
+/// Prints help, version or a usage error of clap; with `--json` an error is an object.
 fn wrong_usage(error: &clap::Error) -> ExitCode {
     let asked_for_help = matches!(
         error.kind(),
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion
     );
     if !asked_for_help && std::env::args().any(|argument| argument == "--json") {
-        // What clap says up to its own advice, in one line.
         let text = error.to_string();
-        let told: Vec<&str> = text
-            .lines()
-            .take_while(|line| !line.starts_with("Usage:"))
-            .map(str::trim)
+        let lines = text.lines().map(str::trim);
+        let message: Vec<&str> = lines
+            .take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"))
             .filter(|line| !line.is_empty())
             .collect();
-        let message = told.join(" ").trim_start_matches("error: ").to_owned();
-        let failure = HostError::new(ErrorCode::Usage, message, "see `wimu --help`");
-        Output::new(true).failure(&failure);
+        let message = message.join(" ").trim_start_matches("error: ").to_owned();
+        Output::new(true).failure(&usage(message, "see `wimu --help`"));
     } else {
         let _ = error.print();
     }

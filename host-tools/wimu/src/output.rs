@@ -1,4 +1,4 @@
-//! Where results and human text go.
+//! Results as text or JSON, and errors.
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,10 +7,10 @@ use serde::Serialize;
 use terminal_size::terminal_size;
 use wimu_host::{ErrorCode, HostError, Result};
 
-/// Whether something could not be written to stdout.
+/// Set when a write to stdout has failed.
 static FAILED: AtomicBool = AtomicBool::new(false);
 
-/// Remembers a failed write; returns whether it was done.
+/// Records a failed write; returns whether the write succeeded.
 fn note(outcome: io::Result<()>) -> bool {
     if let Err(error) = &outcome
         && error.kind() != io::ErrorKind::BrokenPipe
@@ -20,6 +20,20 @@ fn note(outcome: io::Result<()>) -> bool {
     outcome.is_ok()
 }
 
+/// The object of a command that succeeded.
+#[derive(Serialize)]
+struct Answer<'a, T> {
+    schema: &'static str,
+    status: &'static str,
+    #[serde(flatten)]
+    found: &'a T,
+}
+
+/// A `usage` error: what is wrong, and what to do.
+pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> HostError {
+    HostError::new(ErrorCode::Usage, message, remedy)
+}
+
 /// With `--json`, objects go to stdout and human text to stderr; without, human text to stdout.
 #[derive(Clone, Copy)]
 pub struct Output {
@@ -27,18 +41,18 @@ pub struct Output {
 }
 
 impl Output {
-    /// For a command with or without `--json`.
+    /// Output with or without `--json`.
     pub fn new(json: bool) -> Self {
         Self { json }
     }
 
-    /// Whether objects are wanted.
+    /// Whether `--json` was given.
     pub fn is_json(self) -> bool {
         self.json
     }
 
-    /// Human text.
-    pub fn say(self, text: impl AsRef<str>) {
+    /// Prints human text.
+    pub fn print(self, text: impl AsRef<str>) {
         let text = text.as_ref();
         if self.json {
             let _ = writeln!(io::stderr(), "{text}");
@@ -47,30 +61,28 @@ impl Output {
         }
     }
 
-    /// Whether everything could be written.
+    /// Checks that everything was written.
     ///
     /// # Errors
-    /// `file_failed` when stdout took less than all. Whoever closed the other end of a pipe has
-    /// seen enough: that is no failure.
+    /// `file_failed` when a write to stdout failed. A closed pipe is no failure.
     pub fn finish() -> Result<()> {
         if FAILED.load(Ordering::Relaxed) {
             return Err(HostError::new(
                 ErrorCode::FileFailed,
-                "what was to be printed could not be written",
-                "check where stdout goes, and that there is space",
+                "the output could not be written to stdout",
+                "check where stdout goes, and that the disk has space",
             ));
         }
         Ok(())
     }
 
-    /// Characters that a line holds where stdout is a terminal, but for the last column: behind it
-    /// some begin a new line.
+    /// Width of the terminal on stdout, characters, without the last column: some terminals wrap after it.
     pub fn width() -> Option<usize> {
         let (width, _) = io::stdout().is_terminal().then(terminal_size)??;
         Some(usize::from(width.0).saturating_sub(1))
     }
 
-    /// A line that the next one replaces, on a terminal; what is beyond its width is left out.
+    /// Prints a line that the next one replaces, on a terminal, cut to its width.
     pub fn refresh(self, text: &str) {
         let mut stderr = io::stderr();
         if stderr.is_terminal() {
@@ -81,12 +93,21 @@ impl Output {
         }
     }
 
-    /// Ends a refreshed line.
+    /// Clears the refreshed line.
     pub fn end_refresh(self) {
         self.refresh("");
     }
 
-    /// One object on a line of its own. Returns false when nobody reads any more.
+    /// Prints the object of a command that succeeded.
+    pub fn answer(self, schema: &'static str, found: &impl Serialize) {
+        self.object(&Answer {
+            schema,
+            status: "ok",
+            found,
+        });
+    }
+
+    /// Prints one object on a line. Returns false when the pipe is closed.
     pub fn object(self, object: &impl Serialize) -> bool {
         if !self.json {
             return true;
@@ -100,15 +121,14 @@ impl Output {
         )
     }
 
-    /// A failure, in the form that was asked for.
+    /// Prints an error, with `--json` as an object too.
     pub fn failure(self, error: &HostError) {
         if self.json {
             self.object(error);
         }
-        let place = error
-            .location()
-            .map_or(String::new(), |place| format!("{place}: "));
-        let _ = writeln!(io::stderr(), "wimu: {place}{}", error.message());
+        let location = error.location();
+        let location = location.map_or(String::new(), |location| format!("{location}: "));
+        let _ = writeln!(io::stderr(), "wimu: {location}{}", error.message());
         let _ = writeln!(io::stderr(), "      {}", error.remedy());
     }
 }

@@ -7,11 +7,11 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, wimu};
+use kit::{Transcript, folder, remarks, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
-const PLACES_MM: [[f64; 3]; 4] = [
+const POSITIONS_MM: [[f64; 3]; 4] = [
     [50.0, 50.0, 50.0],
     [50.0, -50.0, -50.0],
     [-50.0, 50.0, -50.0],
@@ -51,8 +51,8 @@ fn table(seconds: f64, motion: impl Fn(f64) -> ([f64; 3], f64, f64), unit: &str)
         let t = f64::from(k) / 100.0;
         let (force, rate, turn) = motion(t);
         write!(text, "{t:.2}").unwrap();
-        for (sensor, place) in PLACES_MM.into_iter().enumerate() {
-            let [x, y, _] = place.map(|c| c * 1e-3);
+        for (sensor, position) in POSITIONS_MM.into_iter().enumerate() {
+            let [x, y, _] = position.map(|c| c * 1e-3);
             let f = [
                 force[0] - turn * y - rate * rate * x,
                 force[1] + turn * x - rate * rate * y,
@@ -106,21 +106,17 @@ fn written(folder: &Path, name: &str, text: &str) -> String {
     path.display().to_string()
 }
 
-fn places(folder: &Path) -> String {
+fn positions(folder: &Path) -> String {
     let mut text = "X (mm),Y (mm),Z (mm)\n".to_owned();
-    for [x, y, z] in PLACES_MM {
+    for [x, y, z] in POSITIONS_MM {
         writeln!(text, "{x},{y},{z}").unwrap();
     }
-    written(folder, "places.csv", &text)
+    written(folder, "positions.csv", &text)
 }
 
-fn remarks(object: &Value) -> String {
-    object["remarks"].to_string()
-}
-
-/// Bias that is allowed for, as a remark has it.
+/// Bias that the navigation allows for, m/s², from the remark that states it.
 fn allowed_bias(object: &Value) -> f64 {
-    let all = remarks(object);
+    let all = remarks(object).join("\n");
     let (_, rest) = all.split_once("biases of ± ").expect(&all);
     rest.split(' ').next().unwrap().parse().unwrap()
 }
@@ -128,22 +124,21 @@ fn allowed_bias(object: &Value) -> f64 {
 #[test]
 fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     let folder = folder();
-    let places = places(folder.path());
+    let positions = positions(folder.path());
     let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "m/s²"));
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
-    let ran = wimu(&["calibrate", &rests, "--geometry", &places, "-o", &array]);
+    let ran = wimu(&["calibrate", &rests, "--geometry", &positions, "-o", &array]);
     let found = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("calibrate --geometry", &ran);
     assert_eq!(found["schema"], "wimu.array-calibration/1");
     assert!(
         found["disagreement_m_s2"].as_f64().unwrap() < 0.005,
         "{found}"
     );
-    // It never turned fast: places and delays are as given, and it says so.
-    assert!(
-        found["refined"].is_null() && remarks(&found).contains("stay as given"),
-        "{found}"
-    );
+    // It never turned fast: positions and delays stay as given.
+    assert!(found["refined"].is_null(), "{found}");
     for sensor in 0..4 {
         let (bias, _) = errors(sensor);
         let model = &found["sensors"][sensor]["model"];
@@ -152,21 +147,18 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
             assert!((of - bias).abs() < 0.01, "{sensor} {axis} {of} {bias}");
         }
     }
-    let with = wimu(&["navigate", &later, "--geometry", &array]).succeeds();
-    let without = wimu(&["navigate", &later, "--geometry", &places]).succeeds();
-    assert!(
-        remarks(&with).contains("error models of their own"),
-        "{with}"
-    );
-    assert!(remarks(&without).contains("not calibrated"), "{without}");
+    let ran = wimu(&["navigate", &later, "--geometry", &array]);
+    let with = texts.remarks("navigate, calibrated", &ran);
+    let ran = wimu(&["navigate", &later, "--geometry", &positions]);
+    let without = texts.remarks("navigate, not calibrated", &ran);
     assert!(allowed_bias(&with) < 0.2 * allowed_bias(&without));
-    assert!(!remarks(&with).contains("departs"), "{with}");
+    texts.check("calibrate_array");
 }
 
 #[test]
 fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
     let folder = folder();
-    let places = places(folder.path());
+    let positions = positions(folder.path());
     // Counts: each model is by the sensitivity of its own fit.
     let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "LSB"));
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "LSB"));
@@ -183,59 +175,41 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
         })
         .collect();
     let navigate = |order: &[usize]| {
-        let mut arguments = vec!["navigate", &later, "--geometry", &places];
+        let mut arguments = vec!["navigate", &later, "--geometry", &positions];
         arguments.extend(["--sensitivity", "4096"]);
         for k in order {
             arguments.extend(["--calibration", &files[*k]]);
         }
         wimu(&arguments)
     };
-    let found = navigate(&[0, 1, 2, 3]).succeeds();
-    assert!(
-        remarks(&found).contains("error models of their own"),
-        "{found}"
-    );
+    let mut texts = Transcript::default();
+    let found = texts.remarks("in their order", &navigate(&[0, 1, 2, 3]));
     // Gravity does not show how they are turned against each other: up to 12 mrad, 0.12 m/s².
     assert!(allowed_bias(&found) < 0.15, "{found}");
-    let swapped = navigate(&[3, 1, 2, 0]).succeeds();
-    assert!(
-        remarks(&swapped).contains("is its error model that of this sensor"),
-        "{swapped}"
-    );
-    let short = navigate(&[0, 1]).fails(2, "usage");
-    assert!(
-        short["message"]
-            .as_str()
-            .unwrap()
-            .contains("2 calibrations for 4 sensors")
-    );
-    // Without their places they are no array.
+    texts.remarks("two swapped", &navigate(&[3, 1, 2, 0]));
+    texts.fails("two of four", &navigate(&[0, 1]), 2, "usage");
+    texts.check("navigate_calibrations_one_by_one");
+    // Without their positions they are no array.
     wimu(&["navigate", &later, "--calibration", &files[0]]).fails(2, "csv_missing_column");
 }
 
 #[test]
 fn what_does_not_make_an_arrays_calibration_is_refused() {
     let folder = folder();
-    let places = places(folder.path());
+    let positions = positions(folder.path());
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
     let calibrate = |more: &[&str]| {
         wimu(
             &[
-                &["calibrate", &later, "--geometry", &places, "-o", &array],
+                &["calibrate", &later, "--geometry", &positions, "-o", &array],
                 more,
             ]
             .concat(),
         )
     };
-    let one_side = calibrate(&[]).fails(3, "data_refused");
-    assert!(
-        one_side["remedy"]
-            .as_str()
-            .unwrap()
-            .contains("a dozen orientations"),
-        "{one_side}"
-    );
+    let mut texts = Transcript::default();
+    texts.fails("one side up", &calibrate(&[]), 3, "data_refused");
     for more in [
         &["--method", "six-position"][..],
         &["--accelerometer", "0"],
@@ -243,20 +217,18 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
         &["--place-sd", "0"],
         &["--gravity", "99"],
     ] {
-        calibrate(more).fails(2, "usage");
+        texts.fails(more.join(" "), &calibrate(more), 2, "usage");
     }
     assert!(!Path::new(&array).exists());
     wimu(&["calibrate", &later, &later]).fails(2, "usage");
     wimu(&["calibrate", &later, "--delay-sd", "100"]).fails(2, "usage");
-    let all = wimu(&["calibrate", &later]).fails(2, "usage");
-    assert!(
-        all["remedy"].as_str().unwrap().contains("--geometry"),
-        "{all}"
-    );
+    let ran = wimu(&["calibrate", &later]);
+    texts.fails("several accelerometers in a file", &ran, 2, "usage");
+    texts.check("calibrate_array_refusals");
     // Geometries by hand.
     let sensor = |model: Value| {
-        let place = [0.01, 0.0, 0.0];
-        serde_json::json!({ "places_m": [place, place, place], "model": model })
+        let position = [0.01, 0.0, 0.0];
+        serde_json::json!({ "places_m": [position, position, position], "model": model })
     };
     for model in [
         serde_json::json!({ "bias_m_s2": [0, 0, 0], "matrix": [[0, 0, 0], [0, 1, 0], [0, 0, 1]] }),
@@ -275,7 +247,7 @@ fn what_does_not_make_an_arrays_calibration_is_refused() {
         "navigate",
         &later,
         "--geometry",
-        &places,
+        &positions,
         "--calibration",
         &other,
     ];
@@ -305,33 +277,31 @@ fn poses_and_turns(t: f64) -> ([f64; 3], f64, f64) {
 #[test]
 fn a_geometry_that_cannot_be_navigated_with_is_not_written() {
     let folder = folder();
-    let both = table(55.0, poses_and_turns, "m/s²");
+    let both = table(45.0, poses_and_turns, "m/s²");
     let both = written(folder.path(), "both.csv", &both);
     let array = folder.path().join("ARRAY.json").display().to_string();
-    let calibrate = |places: &[[f64; 3]]| {
+    let calibrate = |positions: &[[f64; 3]]| {
         let mut text = "X (mm),Y (mm),Z (mm)\n".to_owned();
-        for [x, y, z] in places {
+        for [x, y, z] in positions {
             writeln!(text, "{x},{y},{z}").unwrap();
         }
-        let places = written(folder.path(), "tried.csv", &text);
-        wimu(&["calibrate", &both, "--geometry", &places, "-o", &array])
+        let positions = written(folder.path(), "tried.csv", &text);
+        wimu(&["calibrate", &both, "--geometry", &positions, "-o", &array])
     };
-    let [a, b, c, d] = PLACES_MM;
-    for (places, why) in [
-        ([d, b, c, a], "contradict each other"),
-        ([a, a, a, a], "at one place"),
+    let [a, b, c, d] = POSITIONS_MM;
+    let mut texts = Transcript::default();
+    for (case, positions) in [
+        ("two swapped", [d, b, c, a]),
+        ("all at one position", [a, a, a, a]),
         (
+            "all on one line",
             [-3.0, -1.0, 1.0, 3.0].map(|x| [10.0 * x, 0.0, 0.0]),
-            "on one line",
         ),
     ] {
-        let refused = calibrate(&places).fails(3, "data_refused");
-        assert!(
-            refused["message"].as_str().unwrap().contains(why),
-            "{refused}"
-        );
+        texts.fails(case, &calibrate(&positions), 3, "data_refused");
         assert!(!Path::new(&array).exists());
     }
-    let right = remarks(&calibrate(&PLACES_MM).succeeds());
-    assert!(right.contains("fits no motion"), "{right}");
+    // The shaking is that of the sensors, not of one rigid body.
+    texts.remarks("right", &calibrate(&POSITIONS_MM));
+    texts.check("calibrate_array_geometries");
 }

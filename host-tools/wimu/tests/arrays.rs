@@ -6,22 +6,24 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Ran, Simulator, folder, record_until, wimu};
+use kit::{
+    Background, Ran, Simulator, Transcript, folder, line_number, record_until, remarks, wimu,
+};
 
-const PLACES: [[f64; 3]; 4] = [
+const POSITIONS: [[f64; 3]; 4] = [
     [0.05, 0.05, 0.05],
     [0.05, -0.05, -0.05],
     [-0.05, 0.05, -0.05],
     [-0.05, -0.05, 0.05],
 ];
 
-/// A table of places.
-fn geometry(folder: &Path, places: &[[f64; 3]]) -> String {
+/// A table of positions.
+fn geometry(folder: &Path, positions: &[[f64; 3]]) -> String {
     let mut text = "X (m),Y (m),Z (m)\n".to_owned();
-    for [x, y, z] in places {
+    for [x, y, z] in positions {
         writeln!(text, "{x},{y},{z}").unwrap();
     }
-    written(folder, "places.csv", &text)
+    written(folder, "positions.csv", &text)
 }
 
 fn written(folder: &Path, name: &str, text: &str) -> String {
@@ -57,29 +59,24 @@ fn navigate(recording: &str, geometry: &str) -> Ran {
     wimu(&["navigate", recording, "--geometry", geometry])
 }
 
-fn remarks(ran: &Ran) -> String {
-    let object = ran.succeeds();
-    let all = object["remarks"].as_array().unwrap();
-    let texts: Vec<&str> = all.iter().map(|r| r.as_str().unwrap()).collect();
-    texts.join("; ")
-}
-
 #[test]
 fn an_array_at_rest_is_navigated_with_its_horizon() {
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |_, _| true);
     let path = folder.path().join("path.csv");
     let path = path.to_str().unwrap();
-    let geometry = ["--geometry", &places, "-o", path];
+    let geometry = ["--geometry", &positions, "-o", path];
     let ran = wimu(&[&["navigate", &board, "--method", "array"][..], &geometry].concat());
     let object = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("navigate --method array", &ran);
+    texts.check("navigate_array");
     assert_eq!(object["method"], "array");
     assert!(object["horizon"]["to_1_m_s"].is_null() && object["valid_share"].as_f64() > Some(0.8));
-    assert!(remarks(&ran).contains("not calibrated"), "{ran:?}");
     let table = fs::read_to_string(path).unwrap();
     assert!(table.starts_with("Time (s),Position E (m)") && table.lines().count() == 401);
-    // Without ZUPT the stillness at the start is the alignment, but nothing holds velocity.
+    // Without ZUPT the rest at the start gives the alignment, but nothing constrains the velocity.
     let with = |zupt: &str| {
         let arguments = ["navigate", &board, "--zupt", zupt];
         let object = wimu(&[&arguments[..], &geometry[..2]].concat()).succeeds();
@@ -97,27 +94,21 @@ fn an_array_at_rest_is_navigated_with_its_horizon() {
 fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
     let folder = folder();
     let board = recording(folder.path(), |_, _| true);
-    let cases: [(&[[f64; 3]], i32, &str, &str); 4] = [
-        (&PLACES[..3], 2, "usage", "3 sensors, the recording 4"),
+    let mut texts = Transcript::default();
+    let cases: [(&str, &[[f64; 3]], i32, &str); 4] = [
+        ("3 of 4", &POSITIONS[..3], 2, "usage"),
+        ("one position", &[[0.1, 0.0, 0.0]; 4], 3, "data_refused"),
         (
-            &[[0.1, 0.0, 0.0]; 4],
-            3,
-            "data_refused",
-            "all sensors are at one place",
-        ),
-        (
+            "one line",
             &[[0.0; 3], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.4, 0.0, 0.0]],
             3,
             "data_refused",
-            "one line; add one off it",
         ),
-        (&[], 2, "usage", "the geometry has 0 sensors"),
+        ("empty", &[], 2, "usage"),
     ];
-    for (places, exit, code, message) in cases {
-        let places = geometry(folder.path(), places);
-        let object = navigate(&board, &places).fails(exit, code);
-        let text = object["message"].as_str().unwrap();
-        assert!(text.contains(message), "{text}");
+    for (case, positions, exit, code) in cases {
+        let positions = geometry(folder.path(), positions);
+        texts.fails(case, &navigate(&board, &positions), exit, code);
     }
     for (text, code) in [
         ("X (m),Y (m),Z (m)\n0.01,zero,0\n", "csv_bad_number"),
@@ -134,41 +125,37 @@ fn geometries_that_cannot_work_are_refused_with_what_is_missing() {
         ),
     ] {
         let wrong = written(folder.path(), "wrong.txt", text);
-        navigate(&board, &wrong).fails(2, code);
+        texts.fails(format_args!("{text:?}"), &navigate(&board, &wrong), 2, code);
     }
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     wimu(&["navigate", &board, "--method", "array"]).fails(2, "usage");
     wimu(&["navigate", &board, &board]).fails(2, "usage");
     wimu(&[
         "navigate",
         &board,
         "--geometry",
-        &places,
+        &positions,
         "--method",
         "tilt",
     ])
     .fails(2, "usage");
-    let refine = ["--refine", &places];
-    wimu(&[&["navigate", &board, "--geometry", &places][..], &refine].concat()).fails(2, "usage");
+    let refine = ["--refine", &positions];
+    wimu(&[&["navigate", &board, "--geometry", &positions][..], &refine].concat())
+        .fails(2, "usage");
     // At rest nothing shows where the sensors are.
     let out = folder.path().join("refined.json");
     let refine = ["--refine", out.to_str().unwrap()];
-    let ran = wimu(&[&["navigate", &board, "--geometry", &places][..], &refine].concat());
-    let object = ran.fails(3, "data_refused");
-    assert!(
-        object["message"]
-            .as_str()
-            .unwrap()
-            .contains("0 samples only"),
-        "{object}"
-    );
+    let ran = wimu(&[&["navigate", &board, "--geometry", &positions][..], &refine].concat());
+    texts.fails("--refine at rest", &ran, 3, "data_refused");
     assert!(!out.exists());
+    texts.check("navigate_geometries_that_are_refused");
 }
 
 #[test]
-fn dead_saturated_and_missing_sensors_are_said() {
+fn dead_saturated_and_missing_sensors_are_reported() {
+    let mut texts = Transcript::default();
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     // Three others are in a plane and suffice for ω̇ and s.
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[7..10] {
@@ -176,87 +163,68 @@ fn dead_saturated_and_missing_sensors_are_said() {
         }
         true
     });
-    let said = remarks(&navigate(&board, &places));
-    assert!(
-        said.contains("sensor 2 (from 0) is left out: its output never moves"),
-        "{said}"
-    );
+    texts.remarks("sensor 2 at 0", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if (200..210).contains(&k) {
             fields[4] = "1000000".to_owned();
         }
         true
     });
-    let said = remarks(&navigate(&board, &places));
-    assert!(
-        said.contains("full scale, 2000 m/s², in 10 outputs, first at 2.00 s (line 202)")
-            && said.contains("10 of sensor 1"),
-        "{said}"
-    );
-    // In counts it is known that it is the limit.
+    let case = "10 outputs beyond full scale";
+    texts.remarks(case, &navigate(&board, &positions));
+    // In counts the limit is known.
     let counts = fs::read_to_string(&board).unwrap();
     fs::write(&board, counts.replace("(m/s²)", "(LSB)")).unwrap();
     let of_counts = ["--sensitivity", "9.80665"];
-    let ran = wimu(&[&["navigate", &board, "--geometry", &places], &of_counts[..]].concat());
-    let said = remarks(&ran);
-    assert!(
-        said.contains("10 samples without the sensors that were at their limit"),
-        "{said}"
+    let ran = wimu(
+        &[
+            &["navigate", &board, "--geometry", &positions],
+            &of_counts[..],
+        ]
+        .concat(),
     );
-    assert!(!said.contains("full scale"), "{said}");
+    texts.remarks("the same in counts", &ran);
     let board = recording(folder.path(), |_, fields| {
         for field in &mut fields[4..] {
             *field = "0".to_owned();
         }
         true
     });
-    let object = navigate(&board, &places).fails(3, "data_refused");
-    assert!(
-        object["message"]
-            .as_str()
-            .unwrap()
-            .contains("3 usable axes, 6 are needed"),
-        "{object}"
-    );
+    let ran = navigate(&board, &positions);
+    texts.fails("three of four sensors at 0", &ran, 3, "data_refused");
+    texts.check("navigate_array_dead_sensors");
 }
 
 #[test]
-fn gaps_times_that_jump_and_what_is_no_number_are_said() {
+fn gaps_times_that_jump_and_values_that_are_no_number_are_reported() {
+    let mut texts = Transcript::default();
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |k, _| !(150..200).contains(&k));
-    let said = remarks(&navigate(&board, &places));
-    assert!(said.contains("1 gap longer than 0.25 s"), "{said}");
+    texts.remarks("gap", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[0] = "0.5".to_owned();
         }
         true
     });
-    let object = navigate(&board, &places).fails(2, "csv_time_backwards");
-    assert!(
-        object["where"].as_str().unwrap().contains("line 102"),
-        "{object}"
-    );
+    let object = navigate(&board, &positions).fails(2, "csv_time_backwards");
+    assert_eq!(line_number(&object), Some(102), "{object}");
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[5] = "NuN".to_owned();
         }
         true
     });
-    let object = navigate(&board, &places).fails(2, "csv_bad_number");
-    assert!(
-        object["where"].as_str().unwrap().contains("line 102"),
-        "{object}"
-    );
+    let object = navigate(&board, &positions).fails(2, "csv_bad_number");
+    assert_eq!(line_number(&object), Some(102), "{object}");
     let board = recording(folder.path(), |k, fields| {
         if k == 100 {
             fields[0] = fields[0].replace("1.000", "0.990");
         }
         true
     });
-    let said = remarks(&navigate(&board, &places));
-    assert!(said.contains("1 sample whose time stood still"), "{said}");
+    texts.remarks("a time twice", &navigate(&board, &positions));
     // It never rests.
     let board = recording(folder.path(), |k, fields| {
         for (i, field) in fields[1..].iter_mut().enumerate() {
@@ -264,11 +232,9 @@ fn gaps_times_that_jump_and_what_is_no_number_are_said() {
         }
         true
     });
-    let object = navigate(&board, &places).fails(3, "data_refused");
-    assert!(
-        object["message"].as_str().unwrap().contains("no rest"),
-        "{object}"
-    );
+    let ran = navigate(&board, &positions);
+    texts.fails("no rest", &ran, 3, "data_refused");
+    texts.check("navigate_array_gaps");
 }
 
 #[test]
@@ -290,34 +256,31 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
             link["raw_samples"].as_u64() > Some(450)
         });
     }
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let (a, b) = (files[0].as_str(), files[1].as_str());
-    let ran = wimu(&["navigate", a, b, a, b, "--geometry", &places]);
+    let ran = wimu(&["navigate", a, b, a, b, "--geometry", &positions]);
     let object = ran.succeeds();
     assert_eq!(object["method"], "array");
     assert!(object["duration_s"].as_f64().unwrap() > 3.0, "{object}");
     assert!(object["valid_share"].as_f64().unwrap() > 0.6, "{object}");
-    let said = remarks(&ran);
-    assert!(
-        said.contains("b.mcap: ") && said.contains("its clock known to"),
-        "{said}"
-    );
-    assert!(said.contains("interpolated to common times"), "{said}");
-    // Raw samples of both are what a calibration of them as one array reads; one side up does not suffice.
-    let calibrate = ["calibrate", a, b, a, b, "--geometry", &places];
-    let refused = wimu(&calibrate).fails(3, "data_refused");
-    assert!(
-        refused["message"].as_str().unwrap().contains("static pose"),
-        "{refused}"
-    );
+    // Each board's clock is reported under the name of its recording.
+    for name in &files {
+        let clocks = remarks(&object).into_iter();
+        let clocks = clocks.filter(|text| text.starts_with(name));
+        assert_eq!(clocks.count(), 2, "{object}");
+    }
+    // A calibration of them as one array reads the raw samples of both; one side up does not suffice.
+    let calibrate = ["calibrate", a, b, a, b, "--geometry", &positions];
+    wimu(&calibrate).fails(3, "data_refused");
     wimu(&["navigate", a, b]).fails(2, "usage");
-    wimu(&["navigate", a, b, "--geometry", &places]).fails(2, "usage");
+    wimu(&["navigate", a, b, "--geometry", &positions]).fails(2, "usage");
 }
 
 #[test]
-fn what_one_sensor_does_not_give_or_gives_as_spikes_is_left_out_and_the_rest_is_found() {
+fn missing_samples_and_spikes_of_one_sensor_are_left_out() {
+    let mut texts = Transcript::default();
     let folder = folder();
-    let places = geometry(folder.path(), &PLACES);
+    let positions = geometry(folder.path(), &POSITIONS);
     let board = recording(folder.path(), |k, fields| {
         // A bias, which must not make the mean jump where the sensor is absent.
         let y: f64 = fields[5].parse().unwrap();
@@ -330,52 +293,42 @@ fn what_one_sensor_does_not_give_or_gives_as_spikes_is_left_out_and_the_rest_is_
         }
         true
     });
-    let said = remarks(&navigate(&board, &places));
-    assert!(
-        said.contains("4 samples of sensor 1 (from 0), first at 1.00 s"),
-        "{said}"
-    );
-    assert!(said.contains("sensor 2 (from 0) from 3.00 s on"), "{said}");
-    assert!(!said.contains("no rest"), "{said}");
+    texts.remarks("missing samples", &navigate(&board, &positions));
     let board = recording(folder.path(), |k, fields| {
         if k % 17 == 3 {
             fields[10 + k % 3] = format!("{}", 40.0 + k as f64);
         }
         true
     });
-    let ran = navigate(&board, &places);
-    let said = remarks(&ran);
-    assert!(said.contains("24 of sensor 3 (from 0)"), "{said}");
-    assert_eq!(ran.succeeds()["final_valid"], true);
+    let object = texts.remarks("spikes", &navigate(&board, &positions));
+    assert_eq!(object["final_valid"], true);
+    texts.check("navigate_array_missing_samples");
 }
 
 #[test]
-fn delays_that_the_geometry_knows_are_nothing_to_remark() {
+fn delays_that_the_geometry_gives_are_not_remarked() {
     let folder = folder();
     let board = recording(folder.path(), |_, _| true);
     let sensors: Vec<serde_json::Value> = (0..4)
-        .map(|k| serde_json::json!({"places_m": [PLACES[k], PLACES[k], PLACES[k]], "delay_us": 250.0 * k as f64}))
+        .map(|k| serde_json::json!({"places_m": [POSITIONS[k], POSITIONS[k], POSITIONS[k]], "delay_us": 250.0 * k as f64}))
         .collect();
     let known = serde_json::json!({"schema": "wimu.array/1", "sensors": sensors}).to_string();
     let known = written(folder.path(), "known.json", &known);
-    let ran = navigate(&board, &known);
-    let said = remarks(&ran);
-    assert!(!said.contains("no rest at the start"), "{said}");
-    assert!(
-        !said.contains("did not give") && !said.contains("missing"),
-        "{said}"
-    );
-    assert_eq!(ran.succeeds()["final_valid"], true);
+    let mut texts = Transcript::default();
+    let object = texts.remarks("delays of 0 to 750 µs", &navigate(&board, &known));
+    assert_eq!(object["final_valid"], true);
+    texts.check("navigate_array_known_delays");
 }
 
 #[test]
-fn a_path_says_whose_it_is_where_that_is_not_the_origin_and_that_places_were_not_checked() {
+fn the_reference_point_of_a_path_and_unchecked_positions_are_remarked() {
     let folder = folder();
     let board = recording(folder.path(), |_, _| true);
-    let centred = remarks(&navigate(&board, &geometry(folder.path(), &PLACES)));
-    assert!(!centred.contains("centre of the sensors"), "{centred}");
-    assert!(centred.contains("was not checked"), "{centred}");
-    let beside = PLACES.map(|[x, y, z]| [x + 0.1, y, z]);
-    let beside = remarks(&navigate(&board, &geometry(folder.path(), &beside)));
-    assert!(beside.contains("at 100.0 0.0 0.0 mm"), "{beside}");
+    let mut texts = Transcript::default();
+    let centred = geometry(folder.path(), &POSITIONS);
+    texts.remarks("origin at the centre", &navigate(&board, &centred));
+    let beside = POSITIONS.map(|[x, y, z]| [x + 0.1, y, z]);
+    let beside = geometry(folder.path(), &beside);
+    texts.remarks("origin 100 mm beside", &navigate(&board, &beside));
+    texts.check("navigate_array_reference_point");
 }

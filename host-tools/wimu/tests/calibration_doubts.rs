@@ -1,11 +1,11 @@
-//! What a calibration cannot know, and says: bad poses, temperature, turns off level, stuck and clipped axes.
+//! Findings of a calibration: bad poses, temperature, rotations off level, stuck and clipped axes.
 
 use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
 
-use kit::{Ran, folder, noise, spread, wimu};
+use kit::{Ran, Transcript, folder, noise, spread, wimu};
 
 const G: f64 = 9.80665;
 
@@ -56,27 +56,16 @@ fn run(text: &str, flags: &[&str]) -> Ran {
     wimu(&[&["calibrate", &path][..], flags].concat())
 }
 
-fn reason(text: &str, flags: &[&str]) -> String {
-    let ran = run(text, flags);
-    assert_eq!(ran.code, 3, "{ran:?}");
-    ran.object()["reason"].as_str().unwrap().to_owned()
-}
-
 #[test]
 fn one_bad_pose_of_twelve_is_named_and_of_twenty_left_out() {
     let bad = |k: usize, mean: [f64; 3]| {
         if k == 5 { mean.map(|y| 1.05 * y) } else { mean }
     };
+    let mut texts = Transcript::default();
     for model in ["9", "auto"] {
         let flags = ["--poses", "--model", model];
         let ran = run(&means(&spread(12), bad), &flags);
-        assert_eq!(ran.code, 3, "{ran:?}");
-        let report = ran.object();
-        let said = report["reason"].as_str().unwrap();
-        assert!(
-            said.contains("pose 5 (from 0) is 4") || said.contains("pose 5 (from 0) is 5"),
-            "{said}"
-        );
+        let report = texts.refuses(format_args!("pose 5 of 12, {model}"), &ran);
         assert_eq!(
             report["next_poses"].as_array().unwrap().len(),
             2,
@@ -86,10 +75,11 @@ fn one_bad_pose_of_twelve_is_named_and_of_twenty_left_out() {
         assert_eq!(report["rejected_poses"], serde_json::json!([5]));
         run(&means(&spread(12), |_, mean| mean), &flags).succeeds();
     }
+    texts.check("calibrate_one_bad_pose");
 }
 
 #[test]
-fn a_sensor_that_moves_with_temperature_is_answered_or_the_refusal_says_how() {
+fn a_bias_that_depends_on_temperature_is_fitted_or_the_refusal_names_the_model() {
     let mut noise = noise();
     let mut rows = Vec::new();
     for (k, up) in spread(24).into_iter().enumerate() {
@@ -100,31 +90,29 @@ fn a_sensor_that_moves_with_temperature_is_answered_or_the_refusal_says_how() {
     }
     let text = csv("m/s²", rows.iter().copied());
     let report = run(&text, &["--poses", "--model", "auto"]).succeeds();
-    let terms = report["terms"].to_string();
-    assert!(terms.contains("bias_temperature"), "{terms}");
+    let terms = report["terms"].as_array().unwrap();
+    assert!(terms.contains(&"bias_temperature".into()), "{report}");
     let slope = report["model"]["temperature"]["bias_mps2_per_k"][0]
         .as_f64()
         .unwrap();
     assert!((slope - 0.02).abs() < 0.001, "{slope}");
-    let said = reason(&text, &["--poses", "--model", "9"]);
-    assert!(
-        said.contains("from 10 to 40 °C") && said.contains("--model auto+temperature"),
-        "{said}"
-    );
+    let mut texts = Transcript::default();
+    let ran = run(&text, &["--poses", "--model", "9"]);
+    texts.refuses("10 to 40 °C, --model 9", &ran);
 
-    // A thermometer that shows its own noise only tells of nothing.
+    // A thermometer that shows nothing but its own noise.
     for row in &mut rows {
         row.2 = Some(25.0 + 0.2 * noise());
     }
-    let said = reason(
-        &csv("m/s²", rows.into_iter()),
-        &["--poses", "--model", "9+temperature"],
-    );
-    assert!(said.contains("within 1 K"), "{said}");
+    let text = csv("m/s²", rows.into_iter());
+    let ran = run(&text, &["--poses", "--model", "9+temperature"]);
+    texts.refuses("25 °C, --model 9+temperature", &ran);
+    texts.check("calibrate_temperature");
 }
 
 #[test]
-fn what_a_single_turn_hides_is_said_and_more_than_a_bias_can_be_is_refused() {
+fn an_axle_off_level_is_remarked_and_beyond_a_possible_bias_refused() {
+    let mut texts = Transcript::default();
     let turn = |steps: u32, level_deg: f64| -> String {
         let (along, flat) = level_deg.to_radians().sin_cos();
         let ups: Vec<[f64; 3]> = (0..steps)
@@ -139,14 +127,8 @@ fn what_a_single_turn_hides_is_said_and_more_than_a_bias_can_be_is_refused() {
     for (steps, method) in [(4, "four-angle"), (3, "three-angle")] {
         let flags = ["--poses", "--method", method];
         let level = run(&turn(steps, 0.0), &flags).succeeds();
-        let tilted = run(&turn(steps, 9.0), &flags).succeeds();
-        let remarks = tilted["remarks"].to_string();
-        assert!(remarks.contains("an axle 9° from level"), "{remarks}");
-        assert_eq!(
-            steps == 3,
-            remarks.contains("to check them by"),
-            "{remarks}"
-        );
+        let ran = run(&turn(steps, 9.0), &flags);
+        let tilted = texts.remarks(format_args!("{method}, 9° from level"), &ran);
         let scale = |report: &serde_json::Value| {
             let half = report["half_width_95"][3].as_f64().unwrap();
             (report["model"]["matrix"][0][0].as_f64().unwrap(), half)
@@ -156,13 +138,15 @@ fn what_a_single_turn_hides_is_said_and_more_than_a_bias_can_be_is_refused() {
             (found - truth).abs() <= half,
             "{found} ± {half} for {truth}"
         );
-        let said = reason(&turn(steps, 14.0), &flags);
-        assert!(said.contains("it is 14° from level"), "{said}");
+        let ran = run(&turn(steps, 14.0), &flags);
+        texts.refuses(format_args!("{method}, 14° from level"), &ran);
     }
+    texts.check("calibrate_axle_off_level");
 }
 
 #[test]
-fn a_turn_that_comes_back_to_its_beginning_counts_and_misalignment_leaves_no_doubt() {
+fn a_rotation_that_returns_to_its_start_counts_and_misalignment_is_no_error() {
+    let mut texts = Transcript::default();
     let turn = |steps: u32, poses: u32| -> String {
         let ups: Vec<[f64; 3]> = (0..poses)
             .map(|k| {
@@ -177,48 +161,46 @@ fn a_turn_that_comes_back_to_its_beginning_counts_and_misalignment_leaves_no_dou
         let flags = ["--poses", "--method", method];
         let once = run(&turn(steps, steps), &flags).succeeds();
         for poses in [steps + 1, 2 * steps + 1] {
-            let closed = run(&turn(steps, poses), &flags).succeeds();
+            let ran = run(&turn(steps, poses), &flags);
+            let closed = texts.remarks(format_args!("{method}, {poses} poses"), &ran);
             assert_eq!(closed["poses"], poses - 1);
-            let remarks = closed["remarks"].to_string();
-            assert!(remarks.contains("back at the beginning"), "{remarks}");
-            assert!(!remarks.contains("what is left"), "{remarks}");
             let bias = |report: &serde_json::Value| report["model"]["bias_m_s2"][0].as_f64();
             let apart = bias(&closed).unwrap() - bias(&once).unwrap();
             assert!(apart.abs() < 0.01, "{apart}");
         }
-        let said = reason(&turn(steps, steps + 2), &flags);
-        let named = format!("poses {steps} to {} (from 0) are not", steps + 1);
-        assert!(said.contains(&named), "{said}");
+        let ran = run(&turn(steps, steps + 2), &flags);
+        texts.refuses(format_args!("{method}, two poses more"), &ran);
     }
+    texts.check("calibrate_closed_rotation");
 }
 
 #[test]
-fn a_bias_that_moves_in_no_straight_line_is_told_beside_a_drift() {
+fn a_bias_that_does_not_drift_linearly_is_remarked() {
     // In an order that does not go with the time.
     let ups: Vec<[f64; 3]> = (0..40).map(|k| spread(40)[17 * k % 40]).collect();
-    let remarks = |course: &dyn Fn(f64) -> f64| {
+    let drifting = |course: &dyn Fn(f64) -> f64| {
         let moved =
             |k: usize, force: [f64; 3]| force.map(|axis| axis + 0.05 * course(k as f64 / 39.0));
-        let report = run(&means(&ups, moved), &["--poses", "--model", "9+drift"]).succeeds();
-        report["remarks"].to_string()
+        run(&means(&ups, moved), &["--poses", "--model", "9+drift"])
     };
-    let bent = remarks(&|s| 1.0 - (-5.0 * s).exp());
-    assert!(bent.contains("in a straight line"), "{bent}");
-    let straight = remarks(&|s| s);
-    assert!(!straight.contains("in a straight line"), "{straight}");
+    let mut texts = Transcript::default();
+    texts.remarks("exponential", &drifting(&|s| 1.0 - (-5.0 * s).exp()));
+    texts.remarks("linear", &drifting(&|s| s));
+    texts.check("calibrate_drift");
 }
 
 #[test]
-fn poses_that_were_divided_by_their_length_are_told_so() {
+fn poses_that_were_divided_by_their_length_are_remarked() {
     let normal = |_: usize, force: [f64; 3]| {
         let size = force.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
         force.map(|axis| G * axis / size)
     };
-    let remarks = |text: &str| run(text, &["--poses"]).succeeds()["remarks"].to_string();
-    let divided = remarks(&means(&spread(20), normal));
-    assert!(divided.contains("look normalised"), "{divided}");
-    let plain = remarks(&means(&spread(20), |_, force| force));
-    assert!(!plain.contains("look normalised"), "{plain}");
+    let mut texts = Transcript::default();
+    let divided = means(&spread(20), normal);
+    texts.remarks("divided", &run(&divided, &["--poses"]));
+    let plain = means(&spread(20), |_, force| force);
+    texts.remarks("plain", &run(&plain, &["--poses"]));
+    texts.check("calibrate_normalised_poses");
 }
 
 #[test]
@@ -232,15 +214,15 @@ fn an_axis_at_full_scale_and_one_limit_of_several_are_named() {
         }
     }
     let stuck = csv("LSB", rows.into_iter());
+    let mut texts = Transcript::default();
     for flags in [
         &["--sensitivity", "16384"][..],
         &["--sensitivity", "16384", "--model", "auto"],
         &[],
     ] {
-        let said = reason(&stuck, flags);
-        assert!(
-            said.contains("axis X reads the same in every pose"),
-            "{said}"
+        texts.refuses(
+            format_args!("X stuck {}", flags.join(" ")),
+            &run(&stuck, flags),
         );
     }
 
@@ -254,25 +236,20 @@ fn an_axis_at_full_scale_and_one_limit_of_several_are_named() {
     }
     let six = ["--poses", "--method", "six-position"];
     run(&means(&sides, |_, mean| mean), &six).succeeds();
-    let said = reason(
-        &means(&sides, |_, mean| mean.map(|y| y.clamp(-9.3, 9.3))),
-        &six,
-    );
-    assert!(said.contains("stops at one reading"), "{said}");
+    let clipped = means(&sides, |_, mean| mean.map(|y| y.clamp(-9.3, 9.3)));
+    texts.refuses("clipped at 9.3 m/s²", &run(&clipped, &six));
+    texts.check("calibrate_stuck_and_clipped_axes");
 }
 
 #[test]
-fn two_poses_in_g_are_left_out_and_said_to_be_in_g() {
+fn two_poses_in_g_are_left_out_and_remarked() {
     let text = means(
         &spread(24),
         |k, mean| if k < 2 { mean.map(|y| y / G) } else { mean },
     );
-    let report = run(&text, &["--poses"]).succeeds();
-    let remarks = report["remarks"].to_string();
-    assert!(
-        remarks.contains("look like g among poses in m/s²"),
-        "{remarks}"
-    );
+    let mut texts = Transcript::default();
+    let report = texts.remarks("2 of 24", &run(&text, &["--poses"]));
+    texts.check("calibrate_two_poses_in_g");
     let mut left_out: Vec<u64> = report["rejected_poses"]
         .as_array()
         .unwrap()
@@ -284,7 +261,7 @@ fn two_poses_in_g_are_left_out_and_said_to_be_in_g() {
 }
 
 #[test]
-fn a_board_in_counts_that_was_turned_while_its_noise_was_taken_is_said_to_have_moved() {
+fn a_board_that_was_rotated_during_an_allan_measurement_is_refused_as_moving() {
     let mut noise = noise();
     let rows = (0..6000).map(|k| {
         let angle = if k < 3000 { 0.0 } else { 2.6 };
@@ -295,18 +272,13 @@ fn a_board_in_counts_that_was_turned_while_its_noise_was_taken_is_said_to_have_m
     let folder = folder();
     let path = folder.path().join("data.csv").display().to_string();
     fs::write(&path, csv("LSB", rows)).unwrap();
-    let ran = wimu(&["allan", &path]);
-    assert_eq!(ran.code, 3, "{ran:?}");
-    let report = ran.object();
-    let said = report["reason"].as_str().unwrap();
-    assert!(
-        said.contains("moved about") && !said.contains("looks like"),
-        "{said}"
-    );
+    let mut texts = Transcript::default();
+    texts.refuses("rotated in the middle", &wimu(&["allan", &path]));
+    texts.check("allan_in_motion");
 }
 
 #[test]
-fn a_sensor_that_is_turned_slowly_all_the_time_is_told_to_rest() {
+fn a_sensor_that_is_rotated_slowly_all_the_time_is_refused() {
     let mut noise = noise();
     let rows = (0..6000).map(|k| {
         let time = f64::from(k) * 0.02;
@@ -316,9 +288,7 @@ fn a_sensor_that_is_turned_slowly_all_the_time_is_told_to_rest() {
         let mean = output([flat * angle.cos(), flat * angle.sin(), along]);
         (time, mean.map(|y| y + 0.005 * noise()), None)
     });
-    let said = reason(&csv("m/s²", rows), &[]);
-    assert!(
-        said.contains("turned all the time, by 3° in a second"),
-        "{said}"
-    );
+    let mut texts = Transcript::default();
+    texts.refuses("3 °/s", &run(&csv("m/s²", rows), &[]));
+    texts.check("calibrate_slow_rotation");
 }

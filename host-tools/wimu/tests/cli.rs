@@ -1,5 +1,5 @@
-//! The tool as scripts use it: exit codes, and one JSON object that says what went wrong, where,
-//! and what to do.
+//! The tool as scripts use it: exit codes, and one JSON object that names the fault, its location and a
+//! remedy.
 
 use crate::kit;
 
@@ -10,12 +10,13 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use kit::{Background, Simulator, folder, in_folder, wimu};
+use kit::{Background, Simulator, Transcript, folder, in_folder, line_number, verbatim, wimu};
 
 const XYZ: &str = "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)";
 
 #[test]
 fn wrong_usage_ends_with_2_and_one_object() {
+    let mut texts = Transcript::default();
     for arguments in [
         &[][..],
         &["bogus"],
@@ -24,7 +25,7 @@ fn wrong_usage_ends_with_2_and_one_object() {
         &["settings", "set", "tcp://127.0.0.1:1"],
         &["simulate", "--motion", "rest", "--replay", "a.csv"],
     ] {
-        wimu(arguments).fails(2, "usage");
+        texts.fails(arguments.join(" "), &wimu(arguments), 2, "usage");
     }
     for (arguments, code) in [
         (&["simulate", "--speed", "0"][..], "usage"),
@@ -39,46 +40,76 @@ fn wrong_usage_ends_with_2_and_one_object() {
         (&["info", "no-such-file.mcap"], "file_unreadable"),
         (&["calibrate", "no-such-file.csv"], "file_unreadable"),
     ] {
-        wimu(arguments).fails(2, code);
+        texts.fails(arguments.join(" "), &wimu(arguments), 2, code);
     }
     let (csv, _folder) = in_folder("means.csv");
     fs::write(&csv, format!("{XYZ}\n0,0,1\n")).unwrap();
     for flags in [&["--push"][..], &["--where", "nonsense"]] {
-        wimu(&[&["calibrate", &csv][..], flags].concat()).fails(2, "usage");
+        let ran = wimu(&[&["calibrate", &csv][..], flags].concat());
+        texts.fails(flags.join(" "), &ran, 2, "usage");
+    }
+    texts.check("wrong_usage");
+}
+
+/// The help of a command followed by that of its own commands.
+fn help(command: &[&str]) -> String {
+    let ran = wimu(&[command, &["--help"]].concat());
+    assert_eq!(ran.code, 0, "{ran:?}");
+    let command_line = [&["wimu"], command, &["--help"]].concat().join(" ");
+    let mut text = format!("$ {command_line}\n{}", ran.stdout);
+    if !command.is_empty() {
+        for name in commands(&ran.stdout) {
+            text += "\n";
+            text += &help(&[command, &[name]].concat());
+        }
+    }
+    text
+}
+
+/// The commands that a help lists.
+fn commands(help: &str) -> Vec<&str> {
+    let lines = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let names = lines.map_while(|line| line.strip_prefix("  ")?.split_whitespace().next());
+    names.filter(|name| *name != "help").collect()
+}
+
+#[test]
+fn help_and_version_end_with_0() {
+    assert_eq!(wimu(&["--version"]).code, 0);
+    let top = help(&[]);
+    verbatim("help", &top);
+    let all = commands(&top);
+    assert!(all.len() > 10, "{top}");
+    for name in all {
+        verbatim(&format!("help_{name}"), &help(&[name]));
     }
 }
 
 #[test]
-fn help_and_version_are_no_failure() {
-    for arguments in [&["--help"][..], &["--version"], &["calibrate", "--help"]] {
-        let ran = wimu(arguments);
-        assert_eq!(ran.code, 0, "{ran:?}");
-        assert!(ran.stdout.contains("wimu"));
-    }
-}
-
-#[test]
-fn a_link_that_is_not_there_says_so() {
+fn a_link_that_cannot_be_opened_is_named() {
+    let mut texts = Transcript::default();
     // A port that was free a moment ago.
     let free = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = free.local_addr().unwrap();
     drop(free);
     let link = format!("tcp://{address}");
     for command in ["monitor", "info"] {
-        let failure = wimu(&[command, &link]).fails(1, "link_refused");
+        let failure = texts.fails(command, &wimu(&[command, &link]), 1, "link_refused");
         assert_eq!(failure["where"], link);
     }
     wimu(&["params", "get", &link]).fails(1, "link_refused");
     wimu(&["settings", "get", &link]).fails(1, "link_refused");
     let port = "/dev/wimu-has-no-such-port";
-    let failure = wimu(&["monitor", port]).fails(1, "link_absent");
+    let failure = texts.fails("no such port", &wimu(&["monitor", port]), 1, "link_absent");
     assert_eq!(failure["where"], port);
     let (file, _folder) = in_folder("out.mcap");
-    wimu(&["record", &link, "-o", &file]).fails(1, "link_refused");
+    let ran = wimu(&["record", &link, "-o", &file]);
+    texts.fails("record", &ran, 1, "link_refused");
     assert!(!Path::new(&file).exists(), "nothing was recorded");
+    texts.check("links_that_cannot_be_opened");
 }
 
-/// A TCP server that is no board: says `speech` over and over, or nothing.
+/// A TCP server that is no board: repeats `speech`, or stays silent.
 fn stranger(speech: Option<&'static [u8]>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -100,109 +131,121 @@ fn stranger(speech: Option<&'static [u8]>) -> String {
 }
 
 #[test]
-fn what_is_no_wimu_board_is_called_so() {
-    for (speech, tell_tale) in [
-        (None, "nothing answers"),
-        (
-            Some(&b"HTTP/1.1 400 Bad Request\r\n\r\n\0"[..]),
-            "bytes arrived",
-        ),
-        (Some(&b"\0\0\0\0\0\0\0\0"[..]), "bytes arrived"),
-        (Some(&b"\x01\x02\x03\xff\x80"[..]), "bytes arrived"),
-    ] {
+fn a_peer_that_is_no_wimu_board_is_reported() {
+    let mut texts = Transcript::default();
+    let cases = [
+        ("silence", None),
+        ("HTTP", Some(&b"HTTP/1.1 400 Bad Request\r\n\r\n\0"[..])),
+        ("zeros", Some(&b"\0\0\0\0\0\0\0\0"[..])),
+        ("other bytes", Some(&b"\x01\x02\x03\xff\x80"[..])),
+    ];
+    // All at once: each waits for its timeout.
+    let running = cases.map(|(case, speech)| {
         let link = stranger(speech);
-        let failure = wimu(&["info", &link]).fails(1, "not_a_wimu_board");
-        let message = failure["message"].as_str().unwrap();
-        assert!(message.contains(tell_tale), "{message}");
+        (case, Background::start(&["info", &link]), link)
+    });
+    for (case, process, link) in running {
+        let failure = texts.fails(case, &process.finish(), 1, "not_a_wimu_board");
         assert_eq!(failure["where"], link);
     }
+    texts.check_live("peers_that_are_no_board");
 }
 
 #[test]
-fn a_board_of_another_wire_version_is_called_so() {
+fn a_board_of_another_wire_version_is_reported() {
     // Telemetry of version 3, empty.
     let link = stranger(Some(&[6, 0x34, 0xFF, 0x8D, 0x04, 0xA5, 0]));
-    for command in [&["info", &link][..], &["params", "get", &link]] {
-        let failure = wimu(command).fails(1, "protocol_version");
-        let message = failure["message"].as_str().unwrap();
-        assert!(message.contains("version 3"), "{message}");
+    let mut texts = Transcript::default();
+    let commands = [&["info", &link][..], &["params", "get", &link]];
+    for process in commands.map(Background::start) {
+        let ran = process.finish();
+        let failure = texts.fails("version 3", &ran, 1, "protocol_version");
         assert_eq!(failure["where"], link);
     }
+    texts.check("board_of_another_wire_version");
 }
 
 #[test]
-fn a_link_or_an_address_in_use_says_so() {
+fn a_link_or_an_address_in_use_is_reported() {
+    let mut texts = Transcript::default();
     let board = Simulator::start(&[]);
     let address = board.cable.strip_prefix("tcp://").unwrap();
-    let failure =
-        wimu(&["simulate", "--cable", address, "--wireless", "127.0.0.1:0"]).fails(1, "link_busy");
+    let ran = wimu(&["simulate", "--cable", address, "--wireless", "127.0.0.1:0"]);
+    let failure = texts.fails("address", &ran, 1, "link_busy");
     assert_eq!(failure["where"], address);
 
     let _first = Background::start(&["monitor", &board.wireless]).after_a_line();
-    let failure = wimu(&["info", &board.wireless]).fails(1, "link_busy");
+    let ran = wimu(&["info", &board.wireless]);
+    let failure = texts.fails("link", &ran, 1, "link_busy");
     assert_eq!(failure["where"], board.wireless);
+    texts.check("links_in_use");
 }
 
 #[test]
-fn a_csv_that_cannot_be_read_says_where_and_why() {
+fn a_csv_that_cannot_be_read_is_reported_with_line_and_cause() {
     let folder = folder();
-    for (text, code, place) in [
-        (String::new(), "csv_empty", ""),
-        ("1,2,3\n4,5,6\n".into(), "csv_no_header", "line 1"),
+    let mut texts = Transcript::default();
+    for (text, code, line) in [
+        (String::new(), "csv_empty", None),
+        ("1,2,3\n4,5,6\n".into(), "csv_no_header", Some(1)),
         (
             "Accelerometer X (g),Accelerometer Y (g)\n0,1\n".into(),
             "csv_missing_column",
-            "line 1",
+            Some(1),
         ),
         (
             "Time (s),Range (m)\n0,1\n".into(),
             "csv_missing_column",
-            "line 1",
+            Some(1),
         ),
         (
             format!("Time (s),{XYZ}\n0,0,0,1\n1,0,abc,1\n"),
             "csv_bad_number",
-            "line 3",
+            Some(3),
         ),
         (
             format!("Time (s),{XYZ}\n0,0,0,1\n1,0,0,1\n2,0,0,NaN\n"),
             "csv_bad_number",
-            "line 4",
+            Some(4),
         ),
         (
             "Accelerometer X (g),Accelerometer Y (LSB),Accelerometer Z (g)\n0,0,1\n".into(),
             "csv_mixed_units",
-            "line 1",
+            Some(1),
         ),
         (
             "Accelerometer X (furlong),Accelerometer Y (g),Accelerometer Z (g)\n0,0,1\n".into(),
             "csv_unknown_unit",
-            "line 1",
+            Some(1),
         ),
         (
             format!("Time (s),{XYZ}\n0,0,0,1\n1,0,0,1\n0.5,0,0,1\n"),
             "csv_time_backwards",
-            "line 4",
+            Some(4),
         ),
-        (format!("{XYZ}\n0,0,1\n0,1\n"), "csv_field_count", "line 3"),
-        (format!("{XYZ}\n"), "no_rows", ""),
+        (format!("{XYZ}\n0,0,1\n0,1\n"), "csv_field_count", Some(3)),
+        (format!("{XYZ}\n"), "no_rows", None),
     ] {
         let path = folder.path().join("input.csv");
         fs::write(&path, &text).unwrap();
         let file = path.to_str().unwrap();
-        let failure = wimu(&["calibrate", file]).fails(2, code);
-        let found = failure["where"].as_str().unwrap();
-        assert!(
-            found.contains("input.csv") && found.contains(place),
-            "{code}: {found}"
+        let failure = texts.fails(
+            format_args!("{text:?}"),
+            &wimu(&["calibrate", file]),
+            2,
+            code,
         );
-        if !place.is_empty() {
+        assert!(failure["where"].as_str().unwrap().starts_with(file));
+        assert_eq!(line_number(&failure), line, "{failure}");
+        if line.is_some() {
             wimu(&["simulate", "--replay", file]).fails(2, code);
         }
     }
     let path = folder.path().join("bytes.csv");
     fs::write(&path, b"Accelerometer X (g)\xff\n").unwrap();
-    wimu(&["calibrate", path.to_str().unwrap()]).fails(2, "csv_not_utf8");
+    let ran = wimu(&["calibrate", path.to_str().unwrap()]);
+    texts.fails("not UTF-8", &ran, 2, "csv_not_utf8");
+    texts.check("csv_that_cannot_be_read");
 }
 
 #[test]
@@ -230,20 +273,28 @@ fn data_that_support_no_answer_end_with_3_and_one_report() {
 }
 
 #[test]
-fn a_file_that_is_no_recording_or_calibration_says_so() {
+fn a_file_that_is_no_recording_or_calibration_is_reported() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let file = |name: &str, text: &[u8]| {
         let path = folder.path().join(name);
         fs::write(&path, text).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    wimu(&["info", &file("a.mcap", b"")]).fails(2, "bad_recording");
-    wimu(&["info", &file("b.mcap", b"this is a letter")]).fails(2, "bad_recording");
-    wimu(&["navigate", &file("c.mcap", b"\x89MCAP0\r\n\x01")]).fails(2, "bad_recording");
-    let link = "tcp://127.0.0.1:1";
-    for text in [&b"{"[..], b"[]", b"{}", b"{\"schema\":\"wimu.error/1\"}"] {
-        let cal = file("CAL.json", text);
-        let failure = wimu(&["params", "push", link, &cal]).fails(2, "bad_calibration");
-        assert!(failure["where"].as_str().unwrap().contains("CAL.json"));
+    for (command, name, bytes) in [
+        ("info", "empty.mcap", &b""[..]),
+        ("info", "letter.mcap", b"this is a letter"),
+        ("navigate", "start.mcap", b"\x89MCAP0\r\n\x01"),
+    ] {
+        let ran = wimu(&[command, &file(name, bytes)]);
+        texts.fails(format_args!("{command} {name}"), &ran, 2, "bad_recording");
     }
+    let link = "tcp://127.0.0.1:1";
+    for text in ["{", "[]", "{}", "{\"schema\":\"wimu.error/1\"}"] {
+        let cal = file("CAL.json", text.as_bytes());
+        let ran = wimu(&["params", "push", link, &cal]);
+        let failure = texts.fails(text, &ran, 2, "bad_calibration");
+        assert!(failure["where"].as_str().unwrap().starts_with(&cal));
+    }
+    texts.check("files_that_are_no_recording_or_calibration");
 }

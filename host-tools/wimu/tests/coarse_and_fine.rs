@@ -5,7 +5,7 @@ use crate::kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, noise, wimu};
+use kit::{Ran, Transcript, folder, noise, wimu};
 
 const SIDES: [[f64; 3]; 6] = [
     [1.0, 0.0, 0.0],
@@ -52,12 +52,11 @@ fn six_sides(per_g: f64, bias: [f64; 3], count: impl Fn(f64) -> f64) -> String {
     text
 }
 
-fn calibrated(text: &str, more: &[&str]) -> (i32, String) {
+fn calibrated(text: &str, more: &[&str]) -> Ran {
     let folder = folder();
     let csv = folder.path().join("six.csv").display().to_string();
     fs::write(&csv, text).unwrap();
-    let ran = wimu(&[&["calibrate", &csv, "--gravity", "9.80665"], more].concat());
-    (ran.code, format!("{}{}", ran.stdout, ran.stderr))
+    wimu(&[&["calibrate", &csv, "--gravity", "9.80665"], more].concat())
 }
 
 #[test]
@@ -72,11 +71,8 @@ fn coarse_counts_that_stop_nowhere_are_calibrated() {
         for bias in biases {
             let text = six_sides(per_g, bias, f64::round);
             let per_g = per_g.to_string();
-            let (code, said) = calibrated(
-                &text,
-                &["--method", "six-position", "--sensitivity", &per_g],
-            );
-            assert!(code == 0, "{per_g} {bias:?}: {said}");
+            let flags = ["--method", "six-position", "--sensitivity", &per_g];
+            calibrated(&text, &flags).succeeds();
         }
     }
 }
@@ -84,11 +80,11 @@ fn coarse_counts_that_stop_nowhere_are_calibrated() {
 #[test]
 fn a_sensor_of_20_bits_is_calibrated_though_no_board_takes_its_sensitivity() {
     let text = six_sides(256_000.0, [0.1, -0.12, 0.05], f64::round);
-    let (code, said) = calibrated(
-        &text,
-        &["--method", "six-position", "--sensitivity", "256000"],
-    );
-    assert!(code == 0 && said.contains("cannot be pushed"), "{said}");
-    let (code, said) = calibrated(&text, &["--sensitivity", "1e12"]);
-    assert!(code == 2 && said.contains("no sensor's"), "{said}");
+    let flags = ["--method", "six-position", "--sensitivity", "256000"];
+    let mut texts = Transcript::default();
+    let report = texts.remarks("256000 LSB/g", &calibrated(&text, &flags));
+    assert!(report["parameters"].is_null(), "{report}");
+    let ran = calibrated(&text, &["--sensitivity", "1e12"]);
+    texts.fails("1e12 LSB/g", &ran, 2, "usage");
+    texts.check("calibrate_sensitivity_beyond_a_boards");
 }

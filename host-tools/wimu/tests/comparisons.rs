@@ -1,12 +1,11 @@
-//! `wimu compare` on recordings that leave something to be desired. Their frames are made here, as a
-//! board sends them.
+//! `wimu compare` on recordings with faults. Their frames are made here, as a board sends them.
 
 use crate::kit;
 
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, wimu};
+use kit::{Transcript, folder, wimu};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
@@ -17,9 +16,9 @@ const WIRELESS: LinkRole = LinkRole::Wireless;
 /// Samples of a batch.
 const BATCH: u32 = 16;
 
-/// A stretch of a board's life: a second of samples and more.
+/// A part of a session, at least a second of samples.
 #[derive(Clone, Copy)]
-struct Stretch {
+struct Part {
     device_id: u64,
     boot: u32,
     /// Batches from and to.
@@ -30,11 +29,11 @@ struct Stretch {
     began_s: f64,
     /// Added to every value, LSB.
     bias_lsb: i16,
-    /// Every so many batches the two next ones change places.
+    /// Whether some neighbouring batches are swapped.
     swaps: bool,
 }
 
-impl Default for Stretch {
+impl Default for Part {
     fn default() -> Self {
         Self {
             device_id: 0x5157_0001,
@@ -49,26 +48,26 @@ impl Default for Stretch {
     }
 }
 
-/// What a link brought, with host times, ns.
-type Brought = Vec<(LinkRole, u64, Vec<u8>)>;
+/// Frames of a link with their host times, ns.
+type Frames = Vec<(LinkRole, u64, Vec<u8>)>;
 
-impl Stretch {
-    fn on(&self, role: LinkRole) -> Brought {
+impl Part {
+    fn on(&self, role: LinkRole) -> Frames {
         let mut frame = [0; MAX_FRAME];
-        let mut brought = Vec::new();
+        let mut frames = Vec::new();
         let hello = Hello {
             boot_count: self.boot,
             device_id: self.device_id,
             ..Hello::new(role)
         };
-        let late_ns = if role == CABLE { 200_000 } else { 20_000_000 };
-        let host_ns = |time_us: u64| (self.began_s * 1e9) as u64 + time_us * 1000 + late_ns;
+        let delay_ns = if role == CABLE { 200_000 } else { 20_000_000 };
+        let host_ns = |time_us: u64| (self.began_s * 1e9) as u64 + time_us * 1000 + delay_ns;
         let period_us = 1_000_000 / u64::from(self.rate_hz);
         let time_us = |batch: u32| 1_000_000 + u64::from(batch * BATCH) * period_us;
         let (from, to) = self.batches;
         let length = hello.encode(&mut frame).unwrap();
         let start_ns = host_ns(time_us(from));
-        brought.push((role, start_ns, frame[..length].to_vec()));
+        frames.push((role, start_ns, frame[..length].to_vec()));
         for number in from..to {
             let first = number * BATCH;
             if number == from || number % 6 == 0 {
@@ -86,7 +85,7 @@ impl Stretch {
                     state: WireState::default(),
                 });
                 let length = epoch.encode(&mut frame).unwrap();
-                brought.push((role, host_ns(time_us(number)), frame[..length].to_vec()));
+                frames.push((role, host_ns(time_us(number)), frame[..length].to_vec()));
             }
             let samples: [Counts; BATCH as usize] = std::array::from_fn(|k| {
                 let phase = f64::from(first + k as u32) * 0.11;
@@ -97,26 +96,26 @@ impl Stretch {
             let time = DeviceTimeUs(time_us(number));
             let length = batch::encode(first, time, &samples, &mut frame).unwrap();
             let at_ns = host_ns(time_us(number + 1));
-            brought.push((role, at_ns, frame[..length].to_vec()));
+            frames.push((role, at_ns, frame[..length].to_vec()));
         }
         if self.swaps {
-            for pair in brought[8..].chunks_exact_mut(9) {
+            for pair in frames[8..].chunks_exact_mut(9) {
                 let [(.., one), (.., other)] = &mut pair[..2] else {
                     continue;
                 };
                 std::mem::swap(one, other);
             }
         }
-        brought
+        frames
     }
 
-    fn on_both(&self) -> Brought {
+    fn on_both(&self) -> Frames {
         [self.on(CABLE), self.on(WIRELESS)].concat()
     }
 }
 
 /// A recording of it, in `folder`.
-fn file(folder: &Path, mut brought: Brought) -> String {
+fn file(folder: &Path, mut frames: Frames) -> String {
     let path = folder.join("made.mcap");
     let _ = fs::remove_file(&path);
     let anchor = ClockAnchor {
@@ -124,66 +123,63 @@ fn file(folder: &Path, mut brought: Brought) -> String {
         utc_ns: 1_795_222_920_000_000_000,
     };
     let mut writer = RecordingWriter::create(&path, anchor).unwrap();
-    brought.sort_by_key(|(_, host_ns, _)| *host_ns);
-    for (role, host_ns, bytes) in brought {
+    frames.sort_by_key(|(_, host_ns, _)| *host_ns);
+    for (role, host_ns, bytes) in frames {
         writer.append(role, host_ns, &bytes).unwrap();
     }
     writer.finish().unwrap();
     path.to_str().unwrap().to_owned()
 }
 
-/// That `wimu compare` refuses it with exit code 3, naming this.
-fn is_refused(brought: Brought, named: &str) {
-    let folder = folder();
-    let failure = wimu(&["compare", &file(folder.path(), brought)]).fails(3, "data_refused");
-    let message = failure["message"].as_str().unwrap();
-    assert!(message.contains(named), "{message}");
-}
-
 /// What `wimu compare` finds, all pairs identical.
-fn is_compared(brought: Brought) -> serde_json::Value {
+fn compared(frames: Frames) -> serde_json::Value {
     let folder = folder();
-    let found = wimu(&["compare", &file(folder.path(), brought)]).succeeds();
+    let found = wimu(&["compare", &file(folder.path(), frames)]).succeeds();
     assert_eq!(found["schema"], "wimu.compare/1");
     assert_eq!(found["pairs"], found["identical"], "{found}");
     found
 }
 
 #[test]
-fn a_recording_of_one_link_is_refused_naming_the_other() {
-    is_refused(Stretch::default().on(CABLE), "the wireless link is missing");
-    is_refused(Stretch::default().on(WIRELESS), "the cable link is missing");
-    is_refused(Vec::new(), "missing");
-}
-
-#[test]
-fn links_of_two_boards_are_refused_naming_them() {
-    let stranger = Stretch {
+fn recordings_without_two_links_of_one_board_at_once_are_refused() {
+    let first = Part::default();
+    let stranger = Part {
         device_id: 0xabcd,
-        ..Stretch::default()
+        ..first
     };
-    let brought = [Stretch::default().on(CABLE), stranger.on(WIRELESS)].concat();
-    is_refused(brought, "000000000000abcd");
-}
-
-#[test]
-fn links_that_were_never_there_at_once_are_refused() {
-    let later = Stretch {
+    let later = Part {
         batches: (200, 260),
-        ..Stretch::default()
+        ..first
     };
-    let brought = [Stretch::default().on(CABLE), later.on(WIRELESS)].concat();
-    is_refused(brought, "no sample in common");
+    let mut texts = Transcript::default();
+    for (case, frames) in [
+        ("cable alone", first.on(CABLE)),
+        ("wireless alone", first.on(WIRELESS)),
+        ("neither", Vec::new()),
+        (
+            "two boards",
+            [first.on(CABLE), stranger.on(WIRELESS)].concat(),
+        ),
+        (
+            "one after the other",
+            [first.on(CABLE), later.on(WIRELESS)].concat(),
+        ),
+    ] {
+        let folder = folder();
+        let ran = wimu(&["compare", &file(folder.path(), frames)]);
+        texts.fails(case, &ran, 3, "data_refused");
+    }
+    texts.check("compare_refusals");
 }
 
 #[test]
 fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_other() {
-    let again = Stretch {
+    let again = Part {
         boot: 2,
         began_s: 30.0,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let found = is_compared([Stretch::default().on_both(), again.on_both()].concat());
+    let found = compared([Part::default().on_both(), again.on_both()].concat());
     assert_eq!(
         (&found["starts"], &found["pairs"]),
         (&2.into(), &3200.into())
@@ -195,11 +191,11 @@ fn a_restart_in_the_middle_is_two_starts_and_pairs_no_sample_with_one_of_the_oth
 
 #[test]
 fn samples_out_of_order_make_no_wrong_pair() {
-    let swapped = Stretch {
+    let swapped = Part {
         swaps: true,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let found = is_compared([Stretch::default().on(CABLE), swapped.on(WIRELESS)].concat());
+    let found = compared([Part::default().on(CABLE), swapped.on(WIRELESS)].concat());
     // What comes late is paired all the same.
     let wireless = &found["links"][1];
     let late = wireless["late"].as_u64().unwrap();
@@ -214,9 +210,9 @@ fn samples_out_of_order_make_no_wrong_pair() {
 
 #[test]
 fn samples_out_of_order_are_all_in_the_decoded_topics() {
-    let swapped = Stretch {
+    let swapped = Part {
         swaps: true,
-        ..Stretch::default()
+        ..Part::default()
     };
     let folder = folder();
     let recorded = file(folder.path(), swapped.on(WIRELESS));
@@ -232,11 +228,11 @@ fn samples_out_of_order_are_all_in_the_decoded_topics() {
 
 #[test]
 fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
-    let first = Stretch {
+    let first = Part {
         boot: 0,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let again = Stretch {
+    let again = Part {
         batches: (0, 60),
         began_s: 30.0,
         ..first
@@ -255,10 +251,12 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
             "{link}"
         );
     }
+    let mut texts = Transcript::default();
     let ran = wimu(&["info", &session]);
-    assert!(ran.stderr.contains("2 starts of the board"), "{ran:?}");
     assert_eq!(ran.succeeds()["links"][1]["starts"], 2);
-    // Where the cable knows the start that a sample of the wireless link is of, so does a calibration.
+    texts.text("info", &ran);
+    texts.check("info_two_starts");
+    // Where the cable shows which start a sample of the wireless link belongs to, a calibration uses it.
     let found = wimu(&["calibrate", &session, "--method", "reference"]).object();
     assert_eq!(found["samples"], 2560, "{found}");
     // Times go on over the restart, the first start's from 1 s on, the second's from 31 s.
@@ -276,37 +274,38 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
 }
 
 #[test]
-fn what_is_held_at_the_very_end_is_counted_and_said() {
+fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
     // A second of a new start that nothing announces: not enough to know that it is one.
-    let again = Stretch {
+    let again = Part {
         batches: (0, 6),
         began_s: 30.0,
-        ..Stretch::default()
+        ..Part::default()
     };
     let folder = folder();
-    let brought = [Stretch::default().on_both(), again.on_both()].concat();
-    let session = file(folder.path(), brought);
-    let says = "6 batches whose place no epoch tells";
-    let ran = wimu(&["info", &session]);
-    assert!(ran.stderr.contains(says), "{ran:?}");
+    let frames = [Part::default().on_both(), again.on_both()].concat();
+    let session = file(folder.path(), frames);
+    let mut texts = Transcript::default();
+    texts.text("info", &wimu(&["info", &session]));
     let ran = wimu(&["compare", &session]);
-    assert!(ran.stderr.contains(says), "{ran:?}");
     assert_eq!(ran.succeeds()["links"][0]["unplaced"], 6);
+    texts.text("compare", &ran);
     let output = folder.path().join("decoded.mcap").display().to_string();
     let ran = wimu(&["export", &session, "--format", "mcap", "-o", &output]);
-    assert!(ran.stderr.contains("12 batches left out"), "{ran:?}");
+    ran.succeeds();
+    texts.text("export", &ran);
+    texts.check("unplaced_batches");
 }
 
 #[test]
 fn range_and_rate_may_change_on_the_way() {
-    let first = Stretch::default();
-    let wider = Stretch {
+    let first = Part::default();
+    let wider = Part {
         batches: (100, 160),
         range_g: 8,
         ..first
     };
     // 100 batches at 100 Hz took 16 s; the next 60 at 400 Hz begin where they ended.
-    let faster = Stretch {
+    let faster = Part {
         batches: (160, 320),
         rate_hz: 400,
         began_s: 25.6 - 6.4,
@@ -314,7 +313,7 @@ fn range_and_rate_may_change_on_the_way() {
         ..first
     };
     let parts = [first, wider, faster].map(|part| part.on_both());
-    let found = is_compared(parts.concat());
+    let found = compared(parts.concat());
     assert!(found["pairs"].as_u64().unwrap() >= 2560, "{found}");
     let values = &found["values"]["axes"][0];
     assert!(
@@ -357,7 +356,11 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
     // The other in g, half as fast, begun 1.3 s later, 2 % more sensitive.
     let scale = 5.0 * 1.02 / 9.80665;
     let other = table(&folder.path().join("b.csv"), "g", scale, 50.0, 1.3);
-    let found = wimu(&["compare", &reference, &other]).succeeds();
+    let ran = wimu(&["compare", &reference, &other]);
+    let found = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("compare FILE FILE", &ran);
+    texts.check("compare_two_tables");
     for axis in found["axes"].as_array().unwrap() {
         let scale = axis["line"]["scale"].as_f64().unwrap();
         assert!((scale - 1.02).abs() < 0.005, "{found}");
@@ -374,7 +377,7 @@ fn two_tables_of_different_ranges_and_rates_are_compared() {
 }
 
 #[test]
-fn which_of_two_tables_is_the_noisier_does_not_bend_the_scale_factor() {
+fn the_noisier_of_two_tables_does_not_bias_the_scale_factor() {
     let folder = folder();
     let mut state = 1_u64;
     // Uniform, 0.6 m/s² (1 σ), on the motion's 4.
@@ -400,7 +403,7 @@ fn which_of_two_tables_is_the_noisier_does_not_bend_the_scale_factor() {
 #[test]
 fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
     let folder = folder();
-    let session = file(folder.path(), Stretch::default().on_both());
+    let session = file(folder.path(), Part::default().on_both());
     let pictures = folder.path().join("pictures");
     let page = folder.path().join("page.html");
     wimu(&[
@@ -432,12 +435,12 @@ fn pictures_are_drawn_as_svg_and_png_and_as_a_page() {
 #[test]
 fn a_link_model_takes_off_what_the_comparison_found() {
     let folder = folder();
-    let other = Stretch {
+    let other = Part {
         bias_lsb: 40,
-        ..Stretch::default()
+        ..Part::default()
     };
-    let brought = [Stretch::default().on(CABLE), other.on(WIRELESS)].concat();
-    let session = file(folder.path(), brought);
+    let frames = [Part::default().on(CABLE), other.on(WIRELESS)].concat();
+    let session = file(folder.path(), frames);
     let model = folder.path().join("link.json").display().to_string();
     wimu(&["compare", &session, "-o", &model]).succeeds();
     // The first accelerometer value of each row, LSB.

@@ -1,11 +1,11 @@
-//! The demo does the main job, and README shows what it shows.
+//! The demo does the main job, and README shows its output.
 
 use crate::kit;
 
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, wimu};
+use kit::{Transcript, folder, snapshot, wimu};
 
 #[test]
 fn readme_shows_what_the_demo_prints_and_draws() {
@@ -23,23 +23,19 @@ fn readme_shows_what_the_demo_prints_and_draws() {
     let object = ran.succeeds();
     assert_eq!(object["replay_exact"], true);
     let readme = fs::read_to_string(repository.join("README.md")).unwrap();
-    // The last line says how long it took.
-    let story = ran
-        .stderr
-        .lines()
-        .take_while(|line| !line.contains("board's life"));
-    let mut lines = 0;
+    // The last line gives the run time.
+    let lines: Vec<&str> = ran.stderr.lines().collect();
+    let (_, story) = lines.split_last().unwrap();
+    assert!(story.len() > 10, "{ran:?}");
     for line in story {
         assert!(
             readme.contains(line),
-            "README lacks what `wimu demo` prints now: {line}"
+            "README lacks this line of `wimu demo`: {line}"
         );
-        lines += 1;
     }
-    assert_eq!(lines, 12);
-    // What it tells to try finds the two slides of 1 m at which it is calibrated.
-    let last = ran.stderr.lines().last().unwrap();
-    assert!(last.contains("`wimu navigate --method slide`"), "{last}");
+    let mut texts = Transcript::default();
+    texts.text("demo", &ran);
+    // The command that the demo advises finds the two slides of 1 m in its recording.
     let recording = report.with_extension("mcap");
     let found = wimu(&["navigate", recording.to_str().unwrap(), "--method", "slide"]);
     let moves = &found.succeeds()["path"]["moves"];
@@ -48,8 +44,10 @@ fn readme_shows_what_the_demo_prints_and_draws() {
         assert_eq!(one["valid"], true);
         assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{one}");
     }
-    let headline = found.stderr.lines().next().unwrap();
-    assert!(headline.starts_with("2 moves, "), "{headline}");
+    assert_eq!(moves.as_array().unwrap().len(), 2);
+    // The run time.
+    let time = [(r"\d+(\.\d+)? s\b", "# s")];
+    snapshot("demo", texts.as_str(), &time);
     for picture in ["tilts.svg", "slide.svg"] {
         let drawn = fs::read_to_string(folder.join(picture)).unwrap();
         let shown = fs::read_to_string(repository.join("docs/pictures").join(picture)).unwrap();

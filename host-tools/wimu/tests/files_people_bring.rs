@@ -1,11 +1,11 @@
-//! Recordings of other people's loggers: pauses, ranges, weights, names and marks as they have them.
+//! Recordings of other loggers: pauses, ranges, weights, column names and separators.
 
 use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
 
-use kit::{in_folder, noise, spread, wimu};
+use kit::{Transcript, in_folder, line_number, noise, snapshot, spread, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -37,10 +37,6 @@ fn turned(ups: &[[f64; 3]], drift: [f64; 3], pause_s: f64) -> String {
     text
 }
 
-fn remarks(report: &Value) -> String {
-    report["remarks"].to_string()
-}
-
 #[test]
 fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
     let (csv, _folder) = in_folder("turned.csv");
@@ -53,12 +49,14 @@ fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
         "--model",
         "9+drift",
     ];
+    let mut texts = Transcript::default();
     // In no order, so that the drift is not taken for the sensor's.
     let even = spread(24);
     let ups: Vec<_> = (0..24).map(|k| even[7 * k % 24]).collect();
     for pause_s in [0.0, 1200.0] {
         fs::write(&csv, turned(&ups, drift, pause_s)).unwrap();
-        let report = wimu(&of).succeeds();
+        let ran = wimu(&of);
+        let report = texts.remarks(format_args!("pause of {pause_s} s"), &ran);
         assert_eq!(report["poses"], 24, "{report}");
         let span = report["drift"]["span_s"].as_f64().unwrap();
         let poses = report["static_poses"].as_array().unwrap();
@@ -74,11 +72,10 @@ fn a_pause_of_the_logger_is_part_of_the_time_that_a_drift_takes() {
             assert!((change - truth).abs() < 0.004, "{change} {truth} {pause_s}");
         }
         assert!(report["rms_mm_s2"].as_f64().unwrap() < 2.0, "{report}");
-        let told = remarks(&report).contains("missing in 1 place, 1200.0 s");
-        assert_eq!(told, pause_s > 0.0, "{report}");
         let first = poses[12]["first_sample"].as_u64().unwrap();
         assert!((2400..2430).contains(&first), "{first}");
     }
+    texts.check("calibrate_pause");
 }
 
 #[test]
@@ -101,10 +98,13 @@ fn the_noise_is_not_taken_across_a_pause() {
             .unwrap();
         }
         fs::write(&csv, text).unwrap();
-        wimu(&["allan", &csv]).succeeds()
+        wimu(&["allan", &csv])
     };
-    // What the sensor did meanwhile is not seen.
-    let (still, moved) = (run(0.0), run(0.05));
+    // The change of bias within the pause does not show.
+    let mut texts = Transcript::default();
+    let still = run(0.0).succeeds();
+    let moved = texts.remarks("pause of 100 s", &run(0.05));
+    texts.check("allan_pause");
     let curve = |report: &Value| -> Vec<f64> {
         let points = report["points"].as_array().unwrap().iter();
         points
@@ -115,8 +115,6 @@ fn the_noise_is_not_taken_across_a_pause() {
     for (a, b) in curve(&still).into_iter().zip(curve(&moved)) {
         assert!((a - b).abs() < 1e-6, "{a} {b}");
     }
-    let told = remarks(&moved);
-    assert!(told.contains("missing in 1 place, 100.0 s"), "{told}");
     assert!((moved["rate_hz"].as_f64().unwrap() - 100.0).abs() < 1e-6);
 }
 
@@ -132,7 +130,8 @@ fn counts(per_g: f64) -> String {
 }
 
 #[test]
-fn a_range_that_nobody_said_is_said_to_be_a_guess() {
+fn a_range_that_is_not_given_is_remarked_as_assumed() {
+    let mut texts = Transcript::default();
     let (csv, folder) = in_folder("counts.csv");
     fs::write(&csv, counts(256.0)).unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
@@ -146,38 +145,30 @@ fn a_range_that_nobody_said_is_said_to_be_a_guess() {
         "-o",
         &cal,
     ];
-    let guessed = wimu(&of).succeeds();
+    let guessed = texts.remarks("no range", &wimu(&of));
     assert_eq!(guessed["range_source"], "sixteen_bits");
-    assert!(
-        remarks(&guessed).contains("the range is not known"),
-        "{guessed}"
-    );
-    assert!(remarks(&guessed).contains("--range"), "{guessed}");
     assert!(guessed["units"]["bias_percent_of_full_scale"].is_null());
     let export = ["export", &cal, "--format", "c", "-o", &header];
-    let exported = wimu(&export).succeeds();
-    assert!(
-        remarks(&exported).contains("range is not known"),
-        "{exported}"
-    );
+    texts.remarks("no range, exported", &wimu(&export));
 
-    let told = wimu(&[&of[..], &["--range", "2"]].concat()).succeeds();
-    assert_eq!(told["parameters"]["range_g"], 2);
+    let ran = wimu(&[&of[..], &["--range", "2"]].concat());
+    let given = texts.remarks("--range 2", &ran);
+    assert_eq!(given["parameters"]["range_g"], 2);
     assert_eq!(
-        (&told["range_g"], &told["range_source"]),
+        (&given["range_g"], &given["range_source"]),
         (&2.into(), &"given".into())
     );
-    assert!(!remarks(&told).contains("range"), "{told}");
-    assert!(told["units"]["bias_percent_of_full_scale"].is_array());
+    assert!(given["units"]["bias_percent_of_full_scale"].is_array());
     assert_eq!(wimu(&export).succeeds()["remarks"], serde_json::json!([]));
-    let text = fs::read_to_string(&header).unwrap();
-    assert!(text.contains("+/-2 g accelerometer"), "{text}");
     for wrong in ["0", "128", "-2", "two"] {
         assert_eq!(wimu(&[&of[..], &["--range", wrong]].concat()).code, 2);
     }
-    // What has a range of its own is not told another.
-    let recording = wimu(&["calibrate", "tcp://127.0.0.1:1", "--range", "2"]);
-    recording.fails(2, "usage");
+    // A board reports its own range.
+    let link = wimu(&["calibrate", "tcp://127.0.0.1:1", "--range", "2"]);
+    texts.fails("--range with a LINK", &link, 2, "usage");
+    texts.check("calibrate_range");
+    let text = fs::read_to_string(&header).unwrap();
+    snapshot("export_c", &text, &[]);
 }
 
 #[test]
@@ -188,7 +179,6 @@ fn a_coarse_sensor_is_calibrated_and_cannot_be_pushed() {
     let report = wimu(&[&of[..], &["64"]].concat()).succeeds();
     assert_eq!(report["sensitivity_lsb_per_g"], 64.0);
     assert!(report["parameters"].is_null());
-    assert!(remarks(&report).contains("cannot be pushed"), "{report}");
     let bias = report["model"]["bias_m_s2"][0].as_f64().unwrap();
     assert!(bias.abs() < 0.01, "{report}");
     for wrong in ["0", "-5", "NaN", "1e9"] {
@@ -221,30 +211,29 @@ fn poses_count_by_their_samples_where_these_make_a_difference() {
         }
         text
     };
-    let (mut with, mut without, mut told) = (0.0, 0.0, 0);
+    let (mut with, mut without) = (0.0, 0.0);
+    let mut texts = Transcript::default();
     for column in [true, false] {
         let mut rough = noise();
-        for _ in 0..10 {
+        for round in 0..10 {
             fs::write(&csv, table(&mut rough, column)).unwrap();
-            let report = wimu(&of).succeeds();
+            let ran = wimu(&of);
+            let report = match round {
+                0 => texts.remarks(format_args!("column `Samples`: {column}"), &ran),
+                _ => ran.succeeds(),
+            };
             *(if column { &mut with } else { &mut without }) += bias(&report).powi(2);
-            let weighted = remarks(&report).contains("count by it");
-            assert!(column || !weighted, "{report}");
-            told += u32::from(weighted);
         }
     }
-    assert!(with < 0.5 * without && told > 5, "{with} {without} {told}");
+    assert!(with < 0.5 * without, "{with} {without}");
 
     for wrong in ["0", "-5", "100.5", "many", ""] {
         let text = table(&mut noise(), true).replace(",1000\n", &format!(",{wrong}\n"));
         fs::write(&csv, text).unwrap();
-        let told = wimu(&of).fails(2, "csv_bad_number");
-        assert!(
-            told["where"].as_str().unwrap().contains("column `Samples`"),
-            "{told}"
-        );
-        assert!(told["where"].as_str().unwrap().contains("line 3"), "{told}");
+        let failure = texts.fails(format_args!("{wrong:?}"), &wimu(&of), 2, "csv_bad_number");
+        assert_eq!(line_number(&failure), Some(3), "{failure}");
     }
+    texts.check("calibrate_column_samples");
 }
 
 #[test]
@@ -275,20 +264,15 @@ fn files_of_other_programs_are_read_or_their_columns_named() {
         assert_eq!(report["model"], expected["model"]);
         assert_eq!(report["rate_hz"], expected["rate_hz"]);
     }
+    let mut texts = Transcript::default();
     for theirs in ["acc_#", "Linear Acceleration # (m/s^2)", "Accel # (raw)"] {
+        // The name of the time lacks its unit.
         fs::write(&csv, format!("time,{}\n{body}", names(theirs, ","))).unwrap();
-        let told = wimu(&["calibrate", &csv]);
-        assert_eq!(told.code, 2, "{told:?}");
-        let said = told.object().to_string();
-        // The name of the time lacks its unit, or the accelerometer is not there.
-        assert!(said.contains("csv_unknown_unit"), "{said}");
+        let ran = wimu(&["calibrate", &csv]);
+        texts.fails(format_args!("time, {theirs}"), &ran, 2, "csv_unknown_unit");
         fs::write(&csv, format!("Time (s),{}\n{body}", names(theirs, ","))).unwrap();
-        let told = wimu(&["calibrate", &csv]).fails(2, "csv_missing_column");
-        let said = told["message"].as_str().unwrap();
-        assert!(said.contains(&theirs.replace('#', "x")), "{told}");
-        assert!(
-            told["remedy"].as_str().unwrap().contains("mg or m/s²"),
-            "{told}"
-        );
+        let ran = wimu(&["calibrate", &csv]);
+        texts.fails(theirs, &ran, 2, "csv_missing_column");
     }
+    texts.check("calibrate_other_column_names");
 }

@@ -5,7 +5,7 @@ use crate::kit;
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, wimu};
+use kit::{Transcript, folder, wimu};
 
 /// Holds of 3 s at 100 Hz, each axis in counts.
 fn held(poses: &[[i32; 3]]) -> String {
@@ -53,8 +53,9 @@ fn counts_too_coarse_for_noise_that_stop_at_full_scale_are_refused() {
         [-1, 7, 255],
         [-1, 7, -248],
     ]));
-    assert_eq!(stuck.code, 3, "{stuck:?}");
-    assert!(stuck.stderr.contains("saturated"), "{stuck:?}");
+    let mut texts = Transcript::default();
+    texts.refuses("nine bits", &stuck);
+    texts.check("calibrate_coarse_full_scale");
     // The same sensor a little below.
     let free = run(held(&[
         [251, 12, 5],
@@ -82,11 +83,11 @@ fn axes_that_are_always_at_one_end_or_the_other_are_refused() {
         write!(text, "\n{:.2},{x},{y},{z}", k as f64 * 0.01).unwrap();
     }
     fs::write(&csv, text).unwrap();
+    let mut texts = Transcript::default();
     for model in ["auto", "3", "6", "9"] {
-        let refused = wimu(&["calibrate", &csv, "--model", model]);
-        assert_eq!(refused.code, 3, "{model}: {refused:?}");
-        assert!(refused.stderr.contains("saturated"), "{model}: {refused:?}");
+        texts.refuses(model, &wimu(&["calibrate", &csv, "--model", model]));
     }
+    texts.check("calibrate_always_at_full_scale");
 }
 
 #[test]
@@ -107,7 +108,8 @@ fn means_of_poses_at_full_scale_are_refused() {
     }
     fs::write(&csv, text).unwrap();
     let poses = ["calibrate", &csv, "--poses", "--sensitivity", "32767"];
-    let refused = wimu(&[&poses[..], &["--method", "six-position"]].concat());
-    assert_eq!(refused.code, 3, "{refused:?}");
-    assert!(refused.stderr.contains("saturated"), "{refused:?}");
+    let ran = wimu(&[&poses[..], &["--method", "six-position"]].concat());
+    let mut texts = Transcript::default();
+    texts.refuses("six-position", &ran);
+    texts.check("calibrate_means_at_full_scale");
 }

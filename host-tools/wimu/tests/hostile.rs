@@ -1,4 +1,4 @@
-//! What a broken or hostile link may bring: `monitor` and `record` take it in bounded memory.
+//! Input from a broken or hostile link: `monitor` and `record` take it in bounded memory.
 #![cfg(target_os = "linux")]
 
 use crate::kit;
@@ -17,6 +17,7 @@ use wimu_link::message::{
 };
 use wimu_link::{Answer, Hello, LinkRole, MAX_FRAME, Telemetry, batch, frame::EncodeError};
 use wimu_model::{Counts, DeviceTimeUs, ParameterSet, Sensitivity};
+use wimu_testkit::trials;
 
 /// Bytes that a line of 921 600 baud carries in a second.
 const LINE_BYTES: usize = 92_160;
@@ -24,12 +25,12 @@ const LINE_BYTES: usize = 92_160;
 const PERIOD_US: u64 = 100;
 /// What a command may take at most, KiB.
 const MOST_KIB: u64 = 100_000;
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIME_LIMIT: Duration = Duration::from_secs(300);
 
-/// Puts step `n` of what a link brings into `out`.
-type Way = fn(n: u64, out: &mut Vec<u8>);
+/// Appends step `n` of the input to `out`.
+type Step = fn(n: u64, out: &mut Vec<u8>);
 
-const WAYS: [(&str, Way); 10] = [
+const INPUTS: [(&str, Step); 10] = [
     ("a pause without end", |n, out| {
         event(
             out,
@@ -50,7 +51,7 @@ const WAYS: [(&str, Way); 10] = [
     ("a frame without end", |_, out| out.extend([0x55; 1024])),
     ("numbers that no device reaches", |n, out| {
         telemetry(n, out);
-        say(
+        put_message(
             out,
             &Telemetry::Environment(Environment {
                 time_us: any(n),
@@ -58,7 +59,7 @@ const WAYS: [(&str, Way); 10] = [
             }),
         );
         let state = wimu_integrator::Navigation::default();
-        say(
+        put_message(
             out,
             &Telemetry::Navigation(Navigation::new(any(n) as u32, &state)),
         );
@@ -77,7 +78,7 @@ const WAYS: [(&str, Way); 10] = [
     }),
     ("ever new parameters", |n, out| {
         telemetry(n, out);
-        say(out, &Telemetry::Parameters(parameters(n)));
+        put_message(out, &Telemetry::Parameters(parameters(n)));
     }),
     ("answers that nobody asked for", |n, out| {
         let reply = Reply {
@@ -96,12 +97,12 @@ fn put(out: &mut Vec<u8>, encode: impl FnOnce(&mut [u8]) -> Result<usize, Encode
     out.extend(&frame[..length]);
 }
 
-fn say(out: &mut Vec<u8>, message: &Telemetry) {
+fn put_message(out: &mut Vec<u8>, message: &Telemetry) {
     put(out, |frame| message.encode(frame));
 }
 
 fn event(out: &mut Vec<u8>, time_us: u64, event: Event) {
-    say(out, &Telemetry::Event { time_us, event });
+    put_message(out, &Telemetry::Event { time_us, event });
 }
 
 fn hello(out: &mut Vec<u8>, device_id: u64) {
@@ -113,7 +114,7 @@ fn hello(out: &mut Vec<u8>, device_id: u64) {
 }
 
 fn epoch(out: &mut Vec<u8>, sequence: u32, time_us: u64, period_ns: u32) {
-    say(
+    put_message(
         out,
         &Telemetry::Epoch(Epoch {
             reason: EpochReason::Periodic,
@@ -169,8 +170,8 @@ fn any(n: u64) -> u64 {
     (mixed ^ (mixed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9)
 }
 
-/// Brings `bytes` bytes in this way to the host that connects, in no time or so many a second.
-fn bring(listener: TcpListener, way: Way, bytes: usize, rate: Option<usize>) {
+/// Sends `bytes` bytes, made by `step`, to the host that connects: at once, or at `rate` bytes a second.
+fn send(listener: TcpListener, step: Step, bytes: usize, rate: Option<usize>) {
     let (mut host, _) = listener.accept().expect("a host");
     // Nobody is there when it comes back.
     drop(listener);
@@ -183,7 +184,7 @@ fn bring(listener: TcpListener, way: Way, bytes: usize, rate: Option<usize>) {
     let start = Instant::now();
     let mut sent = 0;
     for n in 0.. {
-        way(n, &mut out);
+        step(n, &mut out);
         if out.len() >= 1000 {
             if host.write_all(&out).is_err() {
                 break;
@@ -211,7 +212,7 @@ fn peak_kib(name: &str, arguments: &[&str]) -> u64 {
         .stderr(Stdio::null())
         .spawn()
         .expect("wimu was built");
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIME_LIMIT;
     let mut peak = 0;
     while child.try_wait().expect("a child").is_none() {
         let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
@@ -232,14 +233,14 @@ fn peak_kib(name: &str, arguments: &[&str]) -> u64 {
     peak
 }
 
-/// `command` on a link that brings `bytes` bytes in this way.
-fn survives(command: &str, name: &str, way: Way, bytes: usize, rate: Option<usize>) -> u64 {
+/// Peak memory, KiB, of `command` on a link that sends `bytes` bytes made by `step`.
+fn survives(command: &str, name: &str, step: Step, bytes: usize, rate: Option<usize>) -> u64 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let link = format!("tcp://{}", listener.local_addr().expect("an address"));
     let folder = folder();
     let file = folder.path().join("hostile.mcap");
     let file = file.to_str().expect("text");
-    let far = thread::spawn(move || bring(listener, way, bytes, rate));
+    let far = thread::spawn(move || send(listener, step, bytes, rate));
     let peak = match command {
         "record" => peak_kib(name, &["record", &link, "-o", file, "--reconnect", "0"]),
         _ => peak_kib(name, &[command, &link]),
@@ -254,17 +255,18 @@ fn survives(command: &str, name: &str, way: Way, bytes: usize, rate: Option<usiz
 }
 
 fn all_stay_small(command: &str, rate: Option<usize>) {
-    let minute = 60 * LINE_BYTES;
+    // A minute of a line in a campaign.
+    let bytes = trials(60) * LINE_BYTES;
     let peaks: Vec<_> = match rate {
-        None => WAYS
+        None => INPUTS
             .iter()
-            .map(|(name, way)| (*name, survives(command, name, *way, minute, rate)))
+            .map(|(name, step)| (*name, survives(command, name, *step, bytes, rate)))
             .collect(),
         Some(_) => thread::scope(|scope| {
-            let all = WAYS.map(|(name, way)| {
+            let all = INPUTS.map(|(name, step)| {
                 (
                     name,
-                    scope.spawn(move || survives(command, name, way, minute, rate)),
+                    scope.spawn(move || survives(command, name, step, bytes, rate)),
                 )
             });
             all.into_iter()
@@ -307,8 +309,8 @@ fn a_pause_without_end_does_not_hold_up_a_question() {
     // Nobody answers; the telemetry goes on for as long as somebody listens.
     let peak = survives(
         "info",
-        WAYS[0].0,
-        WAYS[0].1,
+        INPUTS[0].0,
+        INPUTS[0].1,
         90 * LINE_BYTES,
         Some(LINE_BYTES),
     );

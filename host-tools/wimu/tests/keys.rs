@@ -6,10 +6,10 @@ use crate::kit;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Simulator, folder};
+use kit::{Background, Simulator, Transcript, folder};
 
 #[test]
-fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
+fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     use std::os::unix::fs::PermissionsExt;
 
     let folder = folder();
@@ -21,16 +21,22 @@ fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
     let set = |user: &Path, link: &str, rate: &str| {
         run_as(user, &["settings", "set", link, "--rate", rate])
     };
-    set(&owner, &board.wireless, "50").fails(4, "key_needed");
+    let mut texts = Transcript::default();
+    let ran = set(&owner, &board.wireless, "50");
+    texts.fails("settings set by radio, no key", &ran, 4, "key_needed");
     // A key never travels over the radio.
-    run_as(&owner, &["key", "set", &board.wireless]).fails(4, "key_needed");
-    let status = run_as(&owner, &["key", "status", &board.cable]).succeeds();
+    let ran = run_as(&owner, &["key", "set", &board.wireless]);
+    texts.fails("key set by radio", &ran, 4, "key_needed");
+    let ran = run_as(&owner, &["key", "status", &board.cable]);
+    texts.text("key status, none", &ran);
+    let status = ran.succeeds();
     assert_eq!(
         (&status["set"], &status["ours"]),
         (&false.into(), &false.into())
     );
 
     let ran = run_as(&owner, &["key", "set", &board.cable]);
+    texts.text("key set", &ran);
     let status = ran.succeeds();
     assert_eq!(
         (&status["set"], &status["ours"]),
@@ -44,17 +50,28 @@ fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
     );
     assert_eq!(fs::read_dir(&keys).unwrap().count(), 1);
     let key = fs::read_to_string(&file).unwrap();
-    for said in [&ran.stdout, &ran.stderr] {
-        assert!(!said.contains(key.trim()), "the key is told");
+    for text in [&ran.stdout, &ran.stderr] {
+        assert!(!text.contains(key.trim()), "the key is printed");
     }
     for link in [&board.wireless, &board.cable] {
-        assert_eq!(set(&owner, link, "200").succeeds()["rate_hz"], 200);
-        set(&other, link, "50").fails(4, "key_needed");
+        let ran = set(&owner, link, "200");
+        assert_eq!(ran.succeeds()["rate_hz"], 200);
+        texts.text("settings set", &ran);
+        let ran = set(&other, link, "50");
+        texts.fails("settings set, another's key", &ran, 4, "key_needed");
     }
-    run_as(&other, &["key", "set", &board.cable]).fails(4, "key_needed");
-    run_as(&other, &["key", "rotate", &board.cable]).fails(4, "key_needed");
-    run_as(&other, &["key", "forget", &board.cable]).fails(4, "key_needed");
-    let status = run_as(&other, &["key", "status", &board.wireless]).succeeds();
+    for action in ["set", "rotate", "forget"] {
+        let ran = run_as(&other, &["key", action, &board.cable]);
+        texts.fails(
+            format_args!("key {action}, another's key"),
+            &ran,
+            4,
+            "key_needed",
+        );
+    }
+    let ran = run_as(&other, &["key", "status", &board.wireless]);
+    texts.text("key status, another's key", &ran);
+    let status = ran.succeeds();
     assert_eq!(
         (&status["set"], &status["ours"]),
         (&true.into(), &false.into())
@@ -67,7 +84,9 @@ fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
         set(&owner, &board.wireless, "100").succeeds()["rate_hz"],
         100
     );
-    run_as(&owner, &["key", "rotate", &board.cable]).succeeds();
+    let ran = run_as(&owner, &["key", "rotate", &board.cable]);
+    ran.succeeds();
+    texts.text("key rotate", &ran);
     assert_ne!(fs::read_to_string(&file).unwrap(), key);
     assert_eq!(set(&owner, &board.wireless, "50").succeeds()["rate_hz"], 50);
     // The old one is worth nothing.
@@ -78,11 +97,14 @@ fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
     set(&other, &board.wireless, "100").fails(4, "key_needed");
     // A file that holds no key is named.
     fs::write(&copy, &key[1..]).unwrap();
-    let failure = set(&other, &board.wireless, "100").fails(2, "file_unreadable");
+    let ran = set(&other, &board.wireless, "100");
+    let failure = texts.fails("damaged key file", &ran, 2, "file_unreadable");
     assert!(failure["where"].as_str().unwrap().ends_with(".key"));
 
-    let status = run_as(&owner, &["key", "forget", &board.cable]).succeeds();
-    assert_eq!(status["set"], false);
+    let ran = run_as(&owner, &["key", "forget", &board.cable]);
+    texts.text("key forget", &ran);
+    assert_eq!(ran.succeeds()["set"], false);
+    texts.check_live("key");
     assert!(!file.exists());
     set(&other, &board.cable, "100").fails(2, "file_unreadable");
     fs::remove_file(&copy).unwrap();
@@ -90,7 +112,8 @@ fn a_key_lets_its_owner_write_over_the_wireless_link_and_nobody_else() {
 }
 
 #[test]
-fn a_device_that_cannot_read_its_own_key_says_so_until_it_has_forgotten_it() {
+fn a_device_that_cannot_read_its_own_key_reports_it_until_the_key_is_erased() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let store = folder.path().join("board.store");
     let arguments = ["--store", store.to_str().unwrap(), "--motion", "rest"];
@@ -112,20 +135,16 @@ fn a_device_that_cannot_read_its_own_key_says_so_until_it_has_forgotten_it() {
     let mut image = fs::read(&store).unwrap();
     // A zero is stored otherwise: some four bytes of the key have none.
     let mut pieces = key_bytes.windows(4).filter(|piece| !piece.contains(&0));
-    let place = pieces.find_map(|piece| image.windows(4).position(|bytes| bytes == piece));
-    image[place.expect("the key in the store")] ^= 1;
+    let offset = pieces.find_map(|piece| image.windows(4).position(|bytes| bytes == piece));
+    image[offset.expect("the key in the store")] ^= 1;
     fs::write(&store, image).unwrap();
 
     let board = Simulator::start(&arguments);
-    let status = key("status", &board);
-    assert!(status.stderr.contains("cannot read"), "{status:?}");
+    texts.text("status", &key("status", &board));
     for action in ["set", "rotate", "forget"] {
-        let failure = key(action, &board).fails(4, "device_refused");
-        assert!(
-            failure["remedy"].as_str().unwrap().contains("gesture"),
-            "{failure}"
-        );
+        texts.fails(action, &key(action, &board), 4, "device_refused");
     }
+    texts.check("key_that_its_device_cannot_read");
     drop(board);
     let board = Simulator::start(&[&arguments[..], &["--forget-key"]].concat());
     key("set", &board).succeeds();

@@ -1,27 +1,26 @@
-//! Commands that read a LINK as they read a file.
+//! Commands that read a LINK like a file.
 
 use crate::kit;
 
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Simulator, folder, wimu};
+use kit::{Background, Simulator, Transcript, folder, record_motion, wimu};
 use wimu_host::calibration::read_parameters;
 
-const SEED: &str = "5";
+const SEED: u64 = 5;
 
 /// The calibration of the simulated accelerometer of [`SEED`].
 fn calibrated(to: &str) {
-    let motion = ["--motion", "twelve-poses", "--seed", SEED, "--speed", "20"];
-    let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
     let recording = format!("{to}.mcap");
-    board.record_to_the_end(&recording);
+    record_motion("twelve-poses", SEED, &recording);
     wimu(&["calibrate", &recording, "-o", to]).succeeds();
 }
 
 #[test]
 fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
-    let board = Simulator::start(&["--motion", "rest", "--seed", SEED, "--speed", "20"]);
+    let seed = SEED.to_string();
+    let board = Simulator::start(&["--motion", "rest", "--seed", &seed, "--speed", "20"]);
     let timed = wimu(&["allan", &board.cable, "--for", "3"]).succeeds();
     assert_eq!(timed["schema"], "wimu.noise/1");
     // 220 µg/√Hz and what rounding to 12 bits adds.
@@ -35,9 +34,9 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
         let interval = density["interval_95"].as_array().unwrap();
         assert!(interval[0].as_f64().unwrap() < value && value < interval[1].as_f64().unwrap());
     }
-    // Interrupted before there is enough: refused, and said what it lacks.
-    let listening = Background::start(&["allan", &board.cable]).says("leave the board", 1);
-    std::thread::sleep(std::time::Duration::from_millis(1500));
+    // Interrupted after its first line: refused if there is too little.
+    let listening = Background::start(&["allan", &board.cable]).prints("\n", 1);
+    std::thread::sleep(std::time::Duration::from_millis(500));
     #[cfg(unix)]
     {
         let ran = listening.signal("-INT");
@@ -52,12 +51,13 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
 }
 
 #[test]
-fn align_listens_until_it_knows_and_pushes_what_changes_the_boards_output() {
+fn align_listens_until_the_alignment_is_found_and_pushes_it() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (accelerometer, aligned) = (path("A.json"), path("ALIGNED.json"));
     calibrated(&accelerometer);
-    let motion = ["--motion", "six-positions", "--seed", SEED, "--speed", "4"];
+    let seed = SEED.to_string();
+    let motion = ["--motion", "six-positions", "--seed", &seed, "--speed", "4"];
     let idle = Simulator::start(&motion);
     wimu(&["align", &idle.cable, "--up", "z,x"]).fails(2, "usage");
     // It waits for somebody to listen.
@@ -108,29 +108,25 @@ fn align_listens_until_it_knows_and_pushes_what_changes_the_boards_output() {
 }
 
 #[test]
-fn what_leaves_an_alignment_open_is_refused() {
+fn an_ambiguous_alignment_is_refused() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let accelerometer = path("A.json");
     calibrated(&accelerometer);
     let calibration = ["--calibration", &accelerometer];
     let recording = path("A.json.mcap");
-    let refused = |arguments: &[&str]| {
+    let mut refused = |case: &str, arguments: &[&str]| {
         let ran = wimu(&[&["align", &recording][..], arguments, &calibration].concat());
-        assert_eq!(ran.code, 3, "{ran:?}");
-        let object = ran.object();
-        assert_eq!(object["status"], "refused");
-        object["reason"].as_str().unwrap().to_owned()
+        texts.refuses(case, &ran);
     };
-    // Two directions of one line, three that are not as said, more than there are, no push.
-    let alike = refused(&["--up", "z,z", "--rests", "0,1"]);
-    assert!(alike.contains("miss") || alike.contains("line"));
-    assert!(refused(&["--up", "z,-z,x,-x", "--rests", "0,1,2,3"]).contains("misses by"));
-    // It rested more often than was named.
-    assert!(refused(&["--up", "z,x"]).contains("--rests"));
+    refused("parallel", &["--up", "z,z", "--rests", "0,1"]);
+    let four = ["--up", "z,-z,x,-x", "--rests", "0,1,2,3"];
+    refused("contradictory", &four);
+    refused("more rests than directions", &["--up", "z,x"]);
     let many = vec!["z"; 40].join(",");
-    assert!(refused(&["--up", &many]).contains("rests found, 40 are needed"));
-    assert!(!refused(&["--forward"]).is_empty());
+    refused("more directions than rests", &["--up", &many]);
+    refused("no acceleration forward", &["--forward"]);
     let wrong = wimu(&["align", &recording, "--up", "z,q"]);
     wrong.fails(2, "usage");
     wimu(&["align", &recording, "--up", "z"]).fails(2, "usage");
@@ -151,11 +147,6 @@ fn what_leaves_an_alignment_open_is_refused() {
     }
     fs::write(&shaken, text).unwrap();
     let ran = wimu(&[&["align", &shaken, "--up", "z,x"][..], &calibration].concat());
-    assert_eq!(ran.code, 3, "{ran:?}");
-    assert!(
-        ran.object()["reason"]
-            .as_str()
-            .unwrap()
-            .contains("0 rests found")
-    );
+    texts.refuses("no rest", &ran);
+    texts.check("align_refusals");
 }

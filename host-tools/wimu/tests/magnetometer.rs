@@ -6,23 +6,14 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Links, Simulator, folder, in_folder, wimu};
+use kit::{Transcript, folder, in_folder, record_calibrated, record_motion, wimu};
 use wimu_host::calibration::read_parameters;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
 const SEED: u64 = 3;
 
-/// Records a simulated board through these motions to their end.
-fn session(motion: &str, to: &str) {
-    let seed = SEED.to_string();
-    let motion = ["--motion", motion, "--seed", &seed];
-    let pace = ["--speed", "20", "--exit-when-done"];
-    let board = Simulator::start(&[&motion[..], &pace].concat());
-    board.record_to_the_end(to);
-}
-
-/// S Rᵀ of a calibration against the iron of the truth, brought to determinant one, and the hard
-/// iron; each within four of its own standard deviations.
+/// Asserts that S Rᵀ of a calibration, scaled to determinant one, and its hard iron are the truth's within
+/// four of their own standard deviations.
 fn agrees_with_the_truth(calibration: &Path) {
     let truth = SensorTruth::random(SEED, Gauge::LowerTriangular).magnetometer;
     let model = read_parameters(calibration).unwrap().magnetometer.unwrap();
@@ -46,7 +37,7 @@ fn agrees_with_the_truth(calibration: &Path) {
     for column in 0..3 {
         let mut unit = [0.0; 3];
         unit[column] = 1.0;
-        // Rᵀ e: what the rotation makes of e when it is turned back.
+        // Rᵀ e.
         let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
             .map(|axis| mounting.rotation.rotate(axis));
         let back = rows.map(|row| (0..3).map(|k| row[k] * unit[k]).sum::<f64>());
@@ -66,13 +57,17 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (recording, accelerometer, both) = (path("s.mcap"), path("A.json"), path("BOTH.json"));
-    session("twelve-poses,six-positions,tilts", &recording);
+    record_motion("twelve-poses,six-positions,tilts", SEED, &recording);
     let of = ["calibrate", &recording, "--sensor", "magnetometer"];
-    // The board's accelerometer is uncalibrated, and nothing else says how it is.
+    // The board's accelerometer is uncalibrated, and no other calibration is given.
     wimu(&of).fails(3, "data_refused");
     wimu(&["calibrate", &recording, "-o", &accelerometer]).succeeds();
     let with = ["--with", &accelerometer, "-o", &both];
-    let report = wimu(&[&of[..], &with].concat()).succeeds();
+    let ran = wimu(&[&of[..], &with].concat());
+    let report = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("calibrate --sensor magnetometer", &ran);
+    texts.check("calibrate_magnetometer");
     assert_eq!(report["sensor"], "magnetometer");
     assert!(report["poses"].as_array().unwrap().len() >= 20, "{report}");
     // 20 µT north, 44 µT down.
@@ -91,12 +86,8 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     wimu(&accelerometer_with).fails(2, "usage");
 
     // Pushed, exports have the field with and without its errors, and say which is which.
-    let seed = SEED.to_string();
-    let motion = ["--motion", "tilts", "--seed", &seed, "--speed", "10"];
-    let board = Simulator::start(&motion);
-    wimu(&["params", "push", &board.cable, &both]).succeeds();
     let pushed = path("pushed.mcap");
-    board.record_samples(Links::Cable, &pushed, 2500);
+    record_calibrated(&both, "tilts", SEED, &pushed);
     let spread = |stream: &str| {
         let table = path(&format!("{stream}.csv"));
         wimu(&["export", &pushed, "-o", &table, "--stream", stream]).succeeds();
@@ -125,14 +116,11 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     assert!(count("/cable/imu/mag_corrected") > 10, "{exported}");
     assert!(count("/cable/imu/mag") >= count("/cable/imu/mag_corrected"));
 
-    // A board says itself how its accelerometer is calibrated; one pose is too few.
-    let resting = Simulator::start(&["--motion", "rest", "--seed", &seed, "--speed", "10"]);
-    wimu(&["params", "push", &resting.cable, &both]).succeeds();
+    // A board reports the calibration of its accelerometer; one pose is too few.
     let still = path("still.mcap");
-    resting.record_samples(Links::Cable, &still, 500);
+    record_calibrated(&both, "rest", SEED, &still);
     let alone = wimu(&["calibrate", &still, "--sensor", "magnetometer"]);
-    assert_eq!(alone.code, 3, "{alone:?}");
-    assert_eq!(alone.object()["status"], "refused");
+    alone.refuses();
 }
 
 #[test]
@@ -140,7 +128,7 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (recording, accelerometer, never) = (path("six.mcap"), path("A.json"), path("NO.json"));
-    session("six-positions", &recording);
+    record_motion("six-positions", SEED, &recording);
     wimu(&[
         "calibrate",
         &recording,
@@ -152,10 +140,8 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     .succeeds();
     let with = ["--sensor", "magnetometer", "--with", &accelerometer];
     let few = wimu(&[&["calibrate", &recording, "-o", &never][..], &with].concat());
-    assert_eq!(few.code, 3, "{few:?}");
-    let report = few.object();
-    let reason = report["reason"].as_str().unwrap();
-    assert!(reason.contains("12 are needed"), "{reason}");
+    let mut texts = Transcript::default();
+    let report = texts.refuses("six poses", &few);
     assert!(report["parameters"].is_null() && !Path::new(&never).exists());
 
     // Means of poses in a file: the same orientation over and over, then without a magnetometer.
@@ -176,26 +162,18 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     fs::write(&csv, &text).unwrap();
     let of = ["calibrate", &csv, "--poses"];
     let same = wimu(&[&of[..], &with].concat());
-    assert_eq!(same.code, 3, "{same:?}");
-    let report = same.object();
+    let report = texts.refuses("one orientation", &same);
     assert_eq!(report["poses"].as_array().unwrap().len(), 20);
-    assert!(
-        report["reason"].as_str().unwrap().contains("determine"),
-        "{report}"
-    );
-    // A CSV file does not say how its accelerometer is calibrated.
-    wimu(&[&of[..], &["--sensor", "magnetometer"]].concat()).fails(3, "data_refused");
+    // A CSV file does not contain the calibration of its accelerometer.
+    let ran = wimu(&[&of[..], &["--sensor", "magnetometer"]].concat());
+    texts.fails("accelerometer not calibrated", &ran, 3, "data_refused");
 
     let mut text = axes("Accelerometer", "m/s²");
     for _ in 0..20 {
         write!(text, "\n0,0,9.81").unwrap();
     }
     fs::write(&csv, text).unwrap();
-    let without = wimu(&[&of[..], &with].concat()).fails(2, "csv_missing_column");
-    assert!(
-        without["remedy"]
-            .as_str()
-            .unwrap()
-            .contains("Magnetometer X (µT)")
-    );
+    let ran = wimu(&[&of[..], &with].concat());
+    texts.fails("no magnetometer", &ran, 2, "csv_missing_column");
+    texts.check("calibrate_magnetometer_too_little");
 }

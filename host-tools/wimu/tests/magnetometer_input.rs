@@ -1,12 +1,13 @@
-//! What people give `wimu calibrate --sensor magnetometer`.
+//! Wrong input of `wimu calibrate --sensor magnetometer`.
 
 use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
 
-use kit::{Links, Simulator, folder, wimu};
+use kit::{Ran, Transcript, folder, record_motion_of, wimu};
 use serde_json::Value;
+use wimu_sim::board::SensorPart;
 
 /// A sensor held in 30 orientations: accelerometer with a bias of 0.1 m/s² on X, field of 48.3 µT, 65.6°
 /// down, hard iron of 12, −7 and 20 µT.
@@ -60,15 +61,16 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     let sensitivity = ["--sensitivity", "16384"];
     let of = ["calibrate", &csv, "--poses", "-o"];
     wimu(&[&of[..], &[&accelerometer], &sensitivity].concat()).succeeds();
-    let run = |poses: &[([f64; 3], [f64; 3])], unit: &str, report: &str| {
+    let run = |poses: &[([f64; 3], [f64; 3])], unit: &str, report: &str| -> Ran {
         fs::write(&csv, table(poses, unit)).unwrap();
         let _ = fs::remove_file(&both);
         let with = ["--sensor", "magnetometer", "--with", &accelerometer];
         let to = [&both, "--report", report];
         let done = wimu(&[&of[..], &to, &with].concat());
         assert_eq!(done.code == 0, fs::exists(&both).unwrap(), "{done:?}");
-        (done.code, done.object())
+        done
     };
+    let mut texts = Transcript::default();
     let changed = |change: &dyn Fn(usize, &mut [f64; 3])| {
         let mut poses = poses();
         for (k, (_, field)) in poses.iter_mut().enumerate() {
@@ -87,16 +89,13 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
         off.map(|(f, t)| (f - t).abs()).fold(0.0, f64::max) < 0.2
     };
 
-    // As it should be, in each unit, with a page.
+    // Right input in each unit, with a page.
     let page = path("page.html");
     for (unit, per_ut) in [("µT", 1.0), ("uT", 1.0), ("T", 1e-6), ("G", 0.01)] {
         let scaled = changed(&|_, field| *field = field.map(|axis| axis * per_ut));
-        let (code, report) = run(&scaled, unit, &page);
-        assert_eq!(code, 0, "{unit}: {report}");
+        let report = texts.remarks(unit, &run(&scaled, unit, &page));
         assert!(near(&hard_iron(&report)), "{unit}: {report}");
         assert!((report["dip_deg"].as_f64().unwrap() - 65.6).abs() < 0.5);
-        let remark = report["remarks"][0].as_str().unwrap();
-        assert!(remark.contains("--dip"), "{report}");
     }
     assert!(fs::read_to_string(&page).unwrap().contains("|B|"));
 
@@ -106,8 +105,8 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
             field[k % 3] += 9.0;
         }
     });
-    let (code, report) = run(&beside, "µT", &page);
-    assert_eq!(code, 0, "{report}");
+    let ran = run(&beside, "µT", &page);
+    let report = texts.remarks("disturbed in two poses", &ran);
     let rejected: Vec<u64> = report["rejected_poses"]
         .as_array()
         .unwrap()
@@ -118,107 +117,86 @@ fn every_bad_input_is_named_and_none_becomes_a_calibration() {
     assert!(rejected.len() == 2 && near(&hard_iron(&report)), "{report}");
 
     type Change<'a> = &'a dyn Fn(usize, &mut [f64; 3]);
-    let refused: [(Change, &str, &str); 7] = [
+    let refused: [(&str, Change, &str); 7] = [
         (
+            "disturbed in every other pose",
             &|k, field| field[k % 3] += if k % 2 == 0 { 15.0 } else { 0.0 },
             "µT",
-            "the same in all poses",
         ),
-        (&|_, field| field[1] = 3.0, "µT", "axis Y says the same"),
+        ("axis Y constant", &|_, field| field[1] = 3.0, "µT"),
         (
+            "axis Z clipped at 25 µT",
             &|_, field| field[2] = field[2].min(25.0),
             "µT",
-            "axis Z stands at 25.0",
         ),
-        // µT in a column that says T or G, and T in one that says µT.
-        (&|_, _| {}, "T", "check the unit"),
-        (&|_, _| {}, "G", "check the unit"),
+        ("µT called T", &|_, _| {}, "T"),
+        ("µT called G", &|_, _| {}, "G"),
         (
+            "T called µT",
             &|_, field| *field = field.map(|axis| axis * 1e-6),
             "µT",
-            "check the unit",
         ),
-        // All fields in a plane, tilted against the axes.
         (
+            "all in a plane, tilted against the axes",
             &|_, field| field[2] = 0.5 * field[0] - 0.3 * field[1] + 1.0,
             "µT",
-            "do not determine",
         ),
     ];
-    for (change, unit, reason) in refused {
-        let (code, report) = run(&changed(change), unit, &page);
-        let told = report["reason"].as_str().unwrap();
-        assert!(code == 3 && told.contains(reason), "{reason}: {report}");
+    for (case, change, unit) in refused {
+        let report = texts.refuses(case, &run(&changed(change), unit, &page));
         assert!(report["parameters"].is_null());
     }
 
-    // A phone beside eleven poses of thirty: these are named, and no pose is advised that mends nothing.
-    let (code, report) = run(
-        &changed(&|k, field| field[0] += if k < 11 { 14.0 } else { 0.0 }),
-        "µT",
-        &page,
-    );
-    let told = report["reason"].as_str().unwrap();
-    assert!(
-        code == 3 && told.contains("disturbed in poses") && told.contains(", 8, 9, 10 (from 0)"),
-        "{report}"
-    );
+    // A phone beside eleven poses of thirty: these are named; no further pose helps.
+    let disturbed = changed(&|k, field| field[0] += if k < 11 { 14.0 } else { 0.0 });
+    let ran = run(&disturbed, "µT", &page);
+    let report = texts.refuses("disturbed in eleven poses", &ran);
     assert_eq!(report["next_poses"].as_array().unwrap().len(), 0);
 
     // An axis that the driver negates, and the same readings south of the magnetic equator.
     let negated = changed(&|_, field| field[1] = -field[1]);
-    let (code, report) = run(&negated, "µT", &page);
-    let told = report["reason"].as_str().unwrap();
-    assert!(
-        code == 3 && told.contains("axis Y is negated") && told.contains("--dip -66"),
-        "{report}"
-    );
-    let dipping = |place: &str| {
+    texts.refuses("axis Y negated", &run(&negated, "µT", &page));
+    let dipping = |dip: &str| {
         let with = [
             "--sensor",
             "magnetometer",
             "--with",
             &accelerometer,
             "--dip",
-            place,
+            dip,
         ];
         wimu(&[&of[..], &[both.as_str()], &with].concat())
     };
     let south = dipping("-60").succeeds();
     assert_eq!(south["remarks"].as_array().unwrap().len(), 0, "{south}");
-    let bent = dipping("-30").succeeds();
-    assert!(bent["remarks"][0].as_str().unwrap().contains("bends"));
-    assert_eq!(dipping("60").code, 3);
+    texts.remarks("axis Y negated, --dip -30", &dipping("-30"));
+    texts.refuses("axis Y negated, --dip 60", &dipping("60"));
     dipping("100").fails(2, "usage");
 
     // Too few, and which to add.
-    let (code, report) = run(&poses()[..8], "µT", &page);
-    assert_eq!(code, 3);
+    let report = texts.refuses("eight poses", &run(&poses()[..8], "µT", &page));
     let next = &report["next_poses"][0];
     assert!(
         !next["instruction"].as_str().unwrap().is_empty(),
         "{report}"
     );
     assert!(report["poses_worth_adding"].as_u64().unwrap() > 0);
+    texts.check("calibrate_magnetometer_input");
 }
 
 #[test]
-fn a_board_without_a_magnetometer_is_told_so() {
+fn a_board_without_a_magnetometer_is_refused() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (recording, accelerometer) = (path("s.mcap"), path("A.json"));
-    let (csv, motion) = (path("p.csv"), ["--sensor", "adxl345", "--speed", "10"]);
+    let csv = path("p.csv");
     fs::write(&csv, table(&poses(), "µT")).unwrap();
     let of = ["calibrate", &csv, "--poses", "--sensitivity", "256"];
     wimu(&[&of[..], &["-o", &accelerometer]].concat()).succeeds();
-    let board = Simulator::start(&motion);
-    board.record_samples(Links::Cable, &recording, 1500);
+    record_motion_of(SensorPart::Adxl345, "rest", 1, &recording);
     let of = ["calibrate", &recording, "--sensor", "magnetometer"];
-    let told = wimu(&[&of[..], &["--with", &accelerometer]].concat()).fails(3, "data_refused");
-    assert!(
-        told["message"]
-            .as_str()
-            .unwrap()
-            .contains("no magnetometer")
-    );
+    let ran = wimu(&[&of[..], &["--with", &accelerometer]].concat());
+    let mut texts = Transcript::default();
+    texts.fails("ADXL345", &ran, 3, "data_refused");
+    texts.check("calibrate_no_magnetometer");
 }

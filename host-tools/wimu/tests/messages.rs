@@ -1,4 +1,4 @@
-//! What people are told who give a command the wrong thing.
+//! Messages to users who give a command the wrong input.
 
 use crate::kit;
 
@@ -6,47 +6,42 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, noise, spread, wimu};
+use kit::{Transcript, folder, noise, spread, wimu};
 
 const XYZ: &str = "Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²)";
 
 #[test]
 fn files_of_other_programs_are_named_with_the_export_that_works() {
     let folder = folder();
-    let starts: [(&[u8], &str, &str); 12] = [
-        (b"PK\x03\x04\x14\0", "ZIP", "unpack"),
-        (b"\x1f\x8b\x08\0", "gzip", "gunzip"),
-        (b"\x28\xb5\x2f\xfd", "zstd", "zstd -d"),
-        (b"\x04\x22\x4d\x18", "lz4", "lz4 -d"),
-        (b"PAR1\x15\0", "Parquet", "read_parquet"),
-        (b"#ROSBAG V2.0\nE\0", "ROS 1 bag", "rostopic"),
-        (b"SQLite format 3\0", "ROS 2 bag", "Imu topic"),
-        (b"MATLAB 5.0 MAT-file, \xff", "MATLAB", "writetable"),
-        (b"\x89HDF\r\n\x1a\n", "HDF5", "to_csv"),
-        (b"ULog\x01\x12\x35\x01", "PX4", "ulog2csv"),
-        (b"\xa3\x95\x80\x80YFMT", "ArduPilot", "mavlogdump"),
-        (
-            b"H Product:Blackbox flight",
-            "Betaflight",
-            "blackbox_decode",
-        ),
+    let starts: [(&[u8], &str); 12] = [
+        (b"PK\x03\x04\x14\0", "ZIP"),
+        (b"\x1f\x8b\x08\0", "gzip"),
+        (b"\x28\xb5\x2f\xfd", "zstd"),
+        (b"\x04\x22\x4d\x18", "lz4"),
+        (b"PAR1\x15\0", "Parquet"),
+        (b"#ROSBAG V2.0\nE\0", "ROS 1 bag"),
+        (b"SQLite format 3\0", "ROS 2 bag"),
+        (b"MATLAB 5.0 MAT-file, \xff", "MATLAB"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"ULog\x01\x12\x35\x01", "PX4"),
+        (b"\xa3\x95\x80\x80YFMT", "ArduPilot"),
+        (b"H Product:Blackbox flight", "Betaflight"),
     ];
-    for (start, name, export) in starts {
+    let mut texts = Transcript::default();
+    for (start, name) in starts {
         let path = folder.path().join("log.csv");
         fs::write(&path, [start, &[0xff, 0, b'\n', 0xfe]].concat()).unwrap();
         let path = path.to_str().unwrap();
-        for command in ["calibrate", "allan", "navigate"] {
-            let failure = wimu(&[command, path]).fails(2, "unknown_format");
-            let said = failure["message"].as_str().unwrap();
-            assert!(said.contains(name), "{command}: {failure}");
-            let remedy = failure["remedy"].as_str().unwrap();
-            assert!(remedy.contains(export), "{command}: {failure}");
+        let failure = texts.fails(name, &wimu(&["calibrate", path]), 2, "unknown_format");
+        for command in ["allan", "navigate"] {
+            assert_eq!(wimu(&[command, path]).fails(2, "unknown_format"), failure);
         }
     }
-    // By their own names, where the recordings are there.
+    texts.check("files_of_other_programs");
+    // Real files, where they are present: recognised, whatever their extension.
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/formats");
     for (file, name) in [
-        ("ros1_imu_uwb.bag", "ROS 1 bag"),
+        ("ros1_imu_uwb.bag", "ROS 1"),
         ("px4_cubeorange.ulg", "PX4"),
         ("ardupilot_plane.BIN", "ArduPilot"),
         ("betaflight_omnibus.BFL", "Betaflight"),
@@ -58,8 +53,8 @@ fn files_of_other_programs_are_named_with_the_export_that_works() {
         }
         for command in ["calibrate", "navigate"] {
             let failure = wimu(&[command, path.to_str().unwrap()]).fails(2, "unknown_format");
-            let said = failure["message"].as_str().unwrap();
-            assert!(said.contains(name), "{command}: {failure}");
+            let message = failure["message"].as_str().unwrap();
+            assert!(message.contains(name), "{command}: {failure}");
         }
     }
 }
@@ -80,19 +75,15 @@ fn several_sensors_or_runs_in_a_file_ask_for_where() {
         }
     }
     fs::write(&path, text).unwrap();
+    let mut texts = Transcript::default();
     for command in ["calibrate", "allan", "navigate"] {
-        let failure = wimu(&[command, file]).fails(2, "usage");
-        let said = failure["message"].as_str().unwrap();
-        assert!(said.contains("`Run` is 1, 2; `IMU` is 0, 1"), "{failure}");
-        let remedy = failure["remedy"].as_str().unwrap();
-        assert!(remedy.contains("--where \"Run=1,IMU=0\""), "{failure}");
+        texts.fails(command, &wimu(&[command, file]), 2, "usage");
     }
     // Half of it is not enough, all of it is.
-    let failure = wimu(&["allan", file, "--where", "IMU=1"]).fails(2, "usage");
-    let said = failure["message"].as_str().unwrap();
-    assert!(said.contains("`Run` is 1, 2") && !said.contains("IMU"));
+    let ran = wimu(&["allan", file, "--where", "IMU=1"]);
+    texts.fails("--where IMU=1", &ran, 2, "usage");
     let ran = wimu(&["allan", file, "--where", "IMU=1,Run=2"]);
-    assert!(!ran.stderr.contains("--where"), "{ran:?}");
+    assert_ne!(ran.object()["code"], "usage", "{ran:?}");
 
     // Means over poses of several runs of one sensor are one calibration; those of two sensors are none.
     let poses = |imus: &[u32]| {
@@ -107,13 +98,8 @@ fn several_sensors_or_runs_in_a_file_ask_for_where() {
         wimu(&["calibrate", file, "--poses"])
     };
     poses(&[3]).succeeds();
-    let failure = poses(&[3, 4]).fails(2, "usage");
-    assert!(
-        failure["message"]
-            .as_str()
-            .unwrap()
-            .contains("`IMU` is 3, 4")
-    );
+    texts.fails("--poses of two sensors", &poses(&[3, 4]), 2, "usage");
+    texts.check("several_sensors_in_a_file");
 }
 
 #[test]
@@ -130,35 +116,26 @@ fn poses_of_a_continuous_recording_are_refused() {
         fs::write(&path, text).unwrap();
         wimu(&["calibrate", path.to_str().unwrap(), "--poses"])
     };
+    let mut texts = Transcript::default();
     for (rows, step_s) in [(101, 0.01), (101, 0.19)] {
-        let failure = table(rows, step_s).fails(2, "usage");
-        let said = failure["message"].as_str().unwrap();
-        assert!(said.contains("continuous recording"), "{failure}");
-        assert!(
-            failure["remedy"]
-                .as_str()
-                .unwrap()
-                .contains("leave --poses out")
-        );
+        let case = format!("{rows} rows, {step_s} s apart");
+        texts.fails(case, &table(rows, step_s), 2, "usage");
     }
+    texts.check("calibrate_poses_of_a_recording");
     for (rows, step_s) in [(100, 0.01), (101, 0.21), (1001, 5.0)] {
         let ran = table(rows, step_s);
-        assert!(
-            !ran.stderr.contains("continuous"),
-            "{rows} {step_s}: {ran:?}"
-        );
+        assert_ne!(ran.object()["code"], "usage", "{rows} {step_s}: {ran:?}");
     }
 }
 
 #[test]
-fn navigate_says_that_a_link_is_recorded_first() {
-    let failure = wimu(&["navigate", "tcp://127.0.0.1:7100"]).fails(2, "usage");
-    let remedy = failure["remedy"].as_str().unwrap();
-    assert!(
-        remedy.contains("`wimu record tcp://127.0.0.1:7100 -o FILE.mcap`"),
-        "{failure}"
-    );
-    wimu(&["navigate", "no/such/file.mcap"]).fails(2, "file_unreadable");
+fn navigate_refuses_a_link() {
+    let mut texts = Transcript::default();
+    let ran = wimu(&["navigate", "tcp://127.0.0.1:7100"]);
+    texts.fails("LINK", &ran, 2, "usage");
+    let ran = wimu(&["navigate", "no/such/file.mcap"]);
+    texts.fails("no file", &ran, 2, "file_unreadable");
+    texts.check("navigate_needs_a_file");
 }
 
 #[test]
@@ -167,10 +144,11 @@ fn a_magnetometer_that_is_not_calibrated_is_not_called_absent() {
     let path = folder.path().join("walk.csv");
     let mut noise = noise();
     let field = "Magnetometer X (µT),Magnetometer Y (µT),Magnetometer Z (µT)";
-    for (calibrated, expected, not) in [
-        ("0", "it is not calibrated", "no magnetometer"),
-        ("1", "", "calibrated"),
-        ("", "no magnetometer", "not calibrated"),
+    let mut texts = Transcript::default();
+    for (calibrated, case) in [
+        ("0", "not calibrated"),
+        ("1", "calibrated"),
+        ("", "no magnetometer"),
     ] {
         let mut text = format!("Time (s),{XYZ},{field},Field Calibrated\n");
         for k in 0..600 {
@@ -188,12 +166,8 @@ fn a_magnetometer_that_is_not_calibrated_is_not_called_absent() {
             .unwrap();
         }
         fs::write(&path, text).unwrap();
-        let said = wimu(&["navigate", path.to_str().unwrap(), "--method", "tilt"]).succeeds();
-        let remarks = said["remarks"].to_string();
-        assert!(remarks.contains(expected), "{calibrated}: {remarks}");
-        assert!(!remarks.contains(not), "{calibrated}: {remarks}");
-        if calibrated == "0" {
-            assert!(remarks.contains("--sensor magnetometer"), "{remarks}");
-        }
+        let ran = wimu(&["navigate", path.to_str().unwrap(), "--method", "tilt"]);
+        texts.remarks(case, &ran);
     }
+    texts.check("navigate_magnetometer");
 }

@@ -1,4 +1,4 @@
-//! `wimu navigate` as scripts use it: columns, keys, reports and what is refused.
+//! `wimu navigate` as scripts use it: columns, keys, reports and refusals.
 
 use crate::kit;
 
@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Simulator, folder, wimu};
+use kit::{Transcript, folder, line_number, record_motion, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -114,6 +114,7 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
     let csv = made.write(folder.path(), "in.csv");
     let out = folder.path().join("path.csv").display().to_string();
     let page = folder.path().join("page.html").display().to_string();
+    let mut texts = Transcript::default();
     for (method, found) in [
         ("auto", "strapdown"),
         ("strapdown", "strapdown"),
@@ -123,51 +124,38 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
         let arguments = ["navigate", &csv, "--method", method, "--limit", "0.5"];
         let files = ["-o", &out, "--report", &page];
         let ran = wimu(&[&arguments[..], &files].concat());
-        let said = ran.succeeds();
-        assert_eq!(said["schema"], "wimu.path/1");
+        let report = ran.succeeds();
+        assert_eq!(report["schema"], "wimu.path/1");
         assert_eq!(
-            (said["status"].as_str(), said["method"].as_str()),
+            (report["status"].as_str(), report["method"].as_str()),
             (Some("ok"), Some(found))
         );
-        assert!((number(&said, "/duration_s") - 7.99).abs() < 1e-9);
+        assert!((number(&report, "/duration_s") - 7.99).abs() < 1e-9);
         // Over the samples that are known to the limit.
-        assert!((0.1..1.5).contains(&number(&said, "/distance_m")), "{said}");
+        assert!(
+            (0.1..1.5).contains(&number(&report, "/distance_m")),
+            "{report}"
+        );
         for axis in 0..3 {
-            number(&said, &format!("/final_position_m/{axis}"));
-            assert!(number(&said, &format!("/final_sigma_m/{axis}")) >= 0.0);
+            number(&report, &format!("/final_position_m/{axis}"));
+            assert!(number(&report, &format!("/final_sigma_m/{axis}")) >= 0.0);
         }
-        assert!(said["final_valid"].is_boolean());
-        assert!((0.0..=1.0).contains(&number(&said, "/valid_share")));
-        assert_eq!(number(&said, "/horizon/limit_m"), 0.5);
+        assert!(report["final_valid"].is_boolean());
+        assert!((0.0..=1.0).contains(&number(&report, "/valid_share")));
+        assert_eq!(number(&report, "/horizon/limit_m"), 0.5);
         for key in ["to_0_1_m_s", "to_1_m_s", "to_limit_s"] {
-            let value = &said["horizon"][key];
+            let value = &report["horizon"][key];
             assert!(
                 value.is_null() || value.as_f64().is_some_and(|s| s > 0.0),
-                "{said}"
+                "{report}"
             );
         }
-        assert!(number(&said, "/nees/samples") > 100.0);
-        assert!(number(&said, "/nees/share_below_7_81") > 0.85, "{said}");
-        number(&said, "/nees/median");
-        assert!(said["remarks"].is_array() && said["drift"].is_null());
-        let headline = ran.stderr.lines().next().unwrap();
-        let begins = match method {
-            "slide" => "moved 0.5",
-            _ => "position at ",
-        };
-        assert!(headline.starts_with(begins), "{headline}");
-        assert_eq!(ran.stderr.matches(headline).count(), 1, "{}", ran.stderr);
-        assert!(
-            ran.stderr.contains("(--zupt on, the default)"),
-            "{}",
-            ran.stderr
-        );
-        for limit in ["0.1 m", "1 m", "0.5 m"] {
-            let said = ran
-                .stderr
-                .lines()
-                .any(|line| line.starts_with("horizon: 1 σ") && line.contains(limit));
-            assert!(said, "{}", ran.stderr);
+        assert!(number(&report, "/nees/samples") > 100.0);
+        assert!(number(&report, "/nees/share_below_7_81") > 0.85, "{report}");
+        number(&report, "/nees/median");
+        assert!(report["remarks"].is_array() && report["drift"].is_null());
+        if method != "auto" {
+            texts.text(format_args!("navigate --method {method}"), &ran);
         }
 
         let text = fs::read_to_string(&out).unwrap();
@@ -192,9 +180,9 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
             assert!((length - 1.0).abs() < 1e-4);
         }
         if method == "slide" {
-            let length = number(&said, "/moves/0/length_m");
-            let sd = number(&said, "/moves/0/length_sd_m");
-            assert!((length - 0.5).abs() < 2.0 * sd && sd < 0.05, "{said}");
+            let length = number(&report, "/moves/0/length_m");
+            let sd = number(&report, "/moves/0/length_sd_m");
+            assert!((length - 0.5).abs() < 2.0 * sd && sd < 0.05, "{report}");
         }
         let page = fs::read_to_string(&page).unwrap();
         assert!(
@@ -202,19 +190,20 @@ fn every_method_writes_the_promised_columns_and_keys_and_a_report() {
             "{method}: position, its σ and the plan"
         );
     }
+    texts.check("navigate");
 }
 
 #[test]
-fn zero_velocity_is_taken_at_rests_unless_it_is_off_and_the_covariance_says_how() {
+fn zero_velocity_updates_follow_their_option_and_so_does_the_covariance() {
     let folder = folder();
     let csv = PLAIN.write(folder.path(), "in.csv");
     let found = |zupt: &[&str], name: &str| {
-        let said = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
-        assert_eq!(said["zupt"], name);
+        let report = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
+        assert_eq!(report["zupt"], name);
         let sigma = (0..3)
-            .map(|i| number(&said, &format!("/final_sigma_m/{i}")))
+            .map(|i| number(&report, &format!("/final_sigma_m/{i}")))
             .sum::<f64>();
-        (sigma, said["final_position_m"].clone())
+        (sigma, report["final_position_m"].clone())
     };
     let (cautious, cautious_m) = found(&["--zupt", "cautious"], "cautious");
     let (on, on_m) = found(&["--zupt", "on"], "on");
@@ -225,25 +214,24 @@ fn zero_velocity_is_taken_at_rests_unless_it_is_off_and_the_covariance_says_how(
 }
 
 #[test]
-fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_said() {
+fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_reported() {
     let folder = folder();
-    let remark = |made: Made, name: &str, text: &str| {
-        let csv = made.write(folder.path(), name);
-        let said = wimu(&["navigate", &csv, "--method", "tilt"]).succeeds();
-        let remarks = said["remarks"].to_string();
-        assert!(remarks.contains(text), "{remarks}");
-        said
+    let mut texts = Transcript::default();
+    let mut remark = |made: Made, case: &str| {
+        let csv = made.write(folder.path(), "in.csv");
+        let ran = wimu(&["navigate", &csv, "--method", "tilt"]);
+        texts.remarks(case, &ran);
     };
     let without = Made {
         field: false,
         ..PLAIN
     };
-    remark(without, "without.csv", "no magnetometer");
+    remark(without, "no magnetometer");
     let magnet = Made {
         magnet_s: 5.5,
         ..PLAIN
     };
-    remark(magnet, "magnet.csv", "magnetic field was disturbed");
+    remark(magnet, "magnet");
     let shaken = Made {
         shaken: true,
         ..PLAIN
@@ -251,16 +239,19 @@ fn a_missing_magnetometer_a_magnet_and_a_start_in_motion_are_said() {
     let csv = shaken.write(folder.path(), "shaken.csv");
     let ran = wimu(&["navigate", &csv, "--method", "tilt"]);
     if ran.code == 0 {
-        let said = ran.succeeds();
-        assert!(number(&said, "/horizon/to_1_m_s") < 5.0, "{said}");
+        let report = ran.succeeds();
+        assert!(number(&report, "/horizon/to_1_m_s") < 5.0, "{report}");
     } else {
         ran.fails(3, "data_refused");
     }
-    wimu(&["navigate", &csv, "--method", "slide"]).fails(3, "data_refused");
+    let ran = wimu(&["navigate", &csv, "--method", "slide"]);
+    texts.fails("start in motion, slide", &ran, 3, "data_refused");
+    texts.check("navigate_magnets_and_motion");
 }
 
 #[test]
-fn gaps_and_time_that_stands_still_are_said_and_damaged_files_refused_with_their_line() {
+fn gaps_and_repeated_times_are_reported_and_damaged_files_refused_with_their_line() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let text = PLAIN.text();
     let lines: Vec<&str> = text.lines().collect();
@@ -270,67 +261,53 @@ fn gaps_and_time_that_stands_still_are_said_and_damaged_files_refused_with_their
         path.display().to_string()
     };
     let gap = write("gap.csv", &[&lines[..320], &lines[370..]].concat());
-    let said = wimu(&["navigate", &gap]).succeeds();
-    assert!(
-        said["remarks"].to_string().contains("1 gap longer"),
-        "{said}"
-    );
-    assert!(number(&said, "/valid_share") < 0.95);
+    let report = texts.remarks("gap of 0.5 s", &wimu(&["navigate", &gap]));
+    assert!(number(&report, "/valid_share") < 0.95);
     let still = write("still.csv", &[&lines[..320], &lines[319..]].concat());
-    let said = wimu(&["navigate", &still]).succeeds();
-    assert!(
-        said["remarks"].to_string().contains("time stood still"),
-        "{said}"
-    );
+    texts.remarks("a time twice", &wimu(&["navigate", &still]));
 
     let back = write("back.csv", &[&lines[..320], &lines[100..]].concat());
-    let failure = wimu(&["navigate", &back]).fails(2, "csv_time_backwards");
-    assert!(
-        failure["where"].as_str().unwrap().contains("line 321"),
-        "{failure}"
-    );
+    let failure = texts.fails("back", &wimu(&["navigate", &back]), 2, "csv_time_backwards");
+    assert_eq!(line_number(&failure), Some(321), "{failure}");
     let broken = lines[300].replacen(",", ",NaN,", 1);
     let nan = write(
         "nan.csv",
         &[&lines[..300], &[&broken[..]], &lines[301..]].concat(),
     );
-    let failure = wimu(&["navigate", &nan]).fails(2, "csv_field_count");
-    assert!(
-        failure["where"].as_str().unwrap().contains("line 301"),
-        "{failure}"
-    );
+    let failure = texts.fails("field", &wimu(&["navigate", &nan]), 2, "csv_field_count");
+    assert_eq!(line_number(&failure), Some(301), "{failure}");
     let mut cells: Vec<&str> = lines[300].split(',').collect();
     cells[2] = "N.N";
     let nan = write(
         "nan2.csv",
         &[&lines[..300], &[&cells.join(",")[..]], &lines[301..]].concat(),
     );
-    let failure = wimu(&["navigate", &nan]).fails(2, "csv_bad_number");
-    assert!(
-        failure["where"].as_str().unwrap().contains("line 301"),
-        "{failure}"
-    );
+    let failure = texts.fails("number", &wimu(&["navigate", &nan]), 2, "csv_bad_number");
+    assert_eq!(line_number(&failure), Some(301), "{failure}");
     let short = write("short.csv", &lines[..2]);
-    wimu(&["navigate", &short]).fails(2, "no_rows");
+    texts.fails("one row", &wimu(&["navigate", &short]), 2, "no_rows");
     let counts = lines[0].replace("(m/s²)", "(LSB)");
     let raw = write("raw.csv", &[&[&counts[..]], &lines[1..]].concat());
-    wimu(&["navigate", &raw]).fails(2, "unknown_format");
+    texts.fails("counts", &wimu(&["navigate", &raw]), 2, "unknown_format");
     let unit = Made {
         gyroscope: true,
         ..PLAIN
     };
     let text = unit.text().replacen("(deg/s)", "(LSB)", 3);
     let unit = write("unit.csv", &[text.trim_end()]);
-    wimu(&["navigate", &unit]).fails(2, "unknown_format");
+    let ran = wimu(&["navigate", &unit]);
+    texts.fails("gyroscope in counts", &ran, 2, "unknown_format");
+    texts.check("navigate_gaps_and_damaged_files");
 }
 
 #[test]
-fn what_cannot_go_together_is_wrong_usage_and_says_what_to_do() {
+fn options_that_exclude_each_other_are_wrong_usage() {
     let folder = folder();
     let csv = PLAIN.write(folder.path(), "in.csv");
-    let usage = |more: &[&str]| {
-        let failure = wimu(&[&["navigate", &csv], more].concat()).fails(2, "usage");
-        assert!(!failure["remedy"].as_str().unwrap().is_empty());
+    let mut texts = Transcript::default();
+    let mut usage = |more: &[&str]| {
+        let ran = wimu(&[&["navigate", &csv], more].concat());
+        texts.fails(more.join(" "), &ran, 2, "usage");
     };
     usage(&["--limit", "0"]);
     usage(&["--limit", "NaN"]);
@@ -342,7 +319,9 @@ fn what_cannot_go_together_is_wrong_usage_and_says_what_to_do() {
     usage(&["-o", &csv]);
     usage(&["--report", &csv]);
     usage(&["--method", "magic"]);
-    wimu(&["navigate", &csv, "--method", "strapdown"]).fails(3, "data_refused");
+    let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
+    texts.fails("no gyroscope, strapdown", &ran, 3, "data_refused");
+    texts.check("navigate_usage");
 }
 
 #[test]
@@ -362,25 +341,23 @@ fn how_the_bias_settles_is_fitted_to_a_recording_at_rest_and_taken_out() {
         fs::write(&path, text).unwrap();
     };
     write(0.08);
-    let said = wimu(&["navigate", &csv, "--drift", &path]).succeeds();
+    let ran = wimu(&["navigate", &csv, "--drift", &path]);
+    let mut texts = Transcript::default();
+    let report = texts.remarks("bias drift of 0.08 m/s²", &ran);
     let (rise, sd) = (
-        number(&said, "/drift/rise_m_s2/0"),
-        number(&said, "/drift/rise_sd_m_s2/0"),
+        number(&report, "/drift/rise_m_s2/0"),
+        number(&report, "/drift/rise_sd_m_s2/0"),
     );
-    assert!((rise - 0.08).abs() < 4.0 * sd && sd < 0.01, "{said}");
+    assert!((rise - 0.08).abs() < 4.0 * sd && sd < 0.01, "{report}");
     let (time, sd) = (
-        number(&said, "/drift/time_s"),
-        number(&said, "/drift/time_sd_s"),
+        number(&report, "/drift/time_s"),
+        number(&report, "/drift/time_sd_s"),
     );
-    assert!((time - 90.0).abs() < 4.0 * sd && sd < 30.0, "{said}");
+    assert!((time - 90.0).abs() < 4.0 * sd && sd < 30.0, "{report}");
     write(0.0);
-    let failure = wimu(&["navigate", &csv, "--drift", &path]).fails(3, "data_refused");
-    assert!(
-        failure["message"]
-            .as_str()
-            .unwrap()
-            .contains("no axis drifts")
-    );
+    let ran = wimu(&["navigate", &csv, "--drift", &path]);
+    texts.fails("no drift", &ran, 3, "data_refused");
+    texts.check("navigate_drift");
 }
 
 #[test]
@@ -389,28 +366,25 @@ fn a_boards_recording_is_navigated_by_every_method_that_it_supports() {
     let session = folder.path().join("s.mcap").display().to_string();
     let out = folder.path().join("path.csv").display().to_string();
     let page = folder.path().join("page.html").display().to_string();
-    let motion = ["--motion", "slide", "--seed", "4"];
-    let pace = ["--speed", "10", "--exit-when-done"];
-    let board = Simulator::start(&[&motion[..], &pace].concat());
-    board.record_to_the_end(&session);
-    let said = wimu(&["navigate", &session]).succeeds();
-    assert!(said["starts"][0]["replay"].is_object(), "{said}");
-    assert_eq!(said["path"]["method"], "tilt");
+    record_motion("slide", 4, &session);
+    let report = wimu(&["navigate", &session]).succeeds();
+    assert!(report["starts"][0]["replay"].is_object(), "{report}");
+    assert_eq!(report["path"]["method"], "tilt");
     for method in ["tilt", "slide"] {
         let files = ["-o", &out, "--report", &page];
         let arguments = ["navigate", &session, "--method", method];
-        let said = wimu(&[&arguments[..], &files].concat()).succeeds();
-        assert_eq!(said["path"]["method"], method);
-        assert!(number(&said, "/path/duration_s") > 3.0);
+        let report = wimu(&[&arguments[..], &files].concat()).succeeds();
+        assert_eq!(report["path"]["method"], method);
+        assert!(number(&report, "/path/duration_s") > 3.0);
         let text = fs::read_to_string(&out).unwrap();
-        assert!(text.starts_with("Time (s),Position E (m)") && text.contains("Sigma E (m)"));
+        assert!(text.starts_with("Time (s),Position E (m)"), "{text}");
         assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
     }
     let limits = wimu(&["navigate", &session, "--limit", "0.3", "--zupt", "off"]).succeeds();
     assert_eq!(number(&limits, "/path/horizon/limit_m"), 0.3);
     wimu(&["navigate", &session, "--method", "strapdown"]).fails(3, "data_refused");
     wimu(&["navigate", &session, "--method", "array"]).fails(2, "usage");
-    // A path says nothing of where boards sit on their body.
+    // A path holds no positions of boards on their body.
     wimu(&["navigate", &session, "--geometry", &out]).fails(2, "csv_missing_column");
 }
 
@@ -424,12 +398,12 @@ fn the_librarys_example_finds_the_same_numbers() {
     for gyroscope in [true, false] {
         let made = Made { gyroscope, ..PLAIN };
         let csv = made.write(folder.path(), "in.csv");
-        let said = wimu(&["navigate", &csv]).succeeds();
+        let report = wimu(&["navigate", &csv]).succeeds();
         let path = example::path_of(Path::new(&csv)).unwrap();
         let last = path.points[path.points.len() - 1];
         // JSON's decimals are read back to the last bit but one.
         let same = |key: &str, value: f64| {
-            let found = number(&said, key);
+            let found = number(&report, key);
             assert!(
                 (found - value).abs() <= 1e-12 * value.abs(),
                 "{key}: {found} {value}"
@@ -442,7 +416,7 @@ fn the_librarys_example_finds_the_same_numbers() {
         }
         match path.horizon_s(0.1) {
             Some(seconds) => same("/horizon/to_0_1_m_s", seconds),
-            None => assert!(said["horizon"]["to_0_1_m_s"].is_null()),
+            None => assert!(report["horizon"]["to_0_1_m_s"].is_null()),
         }
         let (median, below) = path.consistency().unwrap();
         same("/nees/median", median);
@@ -451,26 +425,22 @@ fn the_librarys_example_finds_the_same_numbers() {
 }
 
 #[test]
-fn readmes_own_sequence_ends_with_the_length_of_the_simulated_slide() {
+fn the_sequence_in_readme_ends_with_the_length_of_the_simulated_slide() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (session, cal) = (path("session.mcap"), path("CAL.json"));
     // The poses and the slide again and again: the first slide, and what comes after it.
-    let motion = ["--motion", "twelve-poses,slide,twelve-poses"];
-    let board = Simulator::start(&[&motion[..], &["--speed", "20", "--exit-when-done"]].concat());
-    board.record_to_the_end(&session);
+    record_motion("twelve-poses,slide,twelve-poses", 1, &session);
     wimu(&["calibrate", &session, "-o", &cal]).succeeds();
     let corrected = ["navigate", &session, "--calibration", &cal];
     let ran = wimu(&[&corrected[..], &["--method", "slide"]].concat());
-    let said = ran.succeeds();
-    let moves = said["path"]["moves"].as_array().unwrap();
-    assert_eq!(moves.len(), 1, "{said}");
+    let report = ran.succeeds();
+    let moves = report["path"]["moves"].as_array().unwrap();
+    assert_eq!(moves.len(), 1, "{report}");
     // The truth is 1 m.
     let [length, sd] = ["/length_m", "/length_sd_m"].map(|key| number(&moves[0], key));
-    assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{said}");
-    let headline = ran.stderr.lines().next().unwrap();
-    assert!(
-        headline.starts_with(&format!("moved {length:.3} ± {sd:.3} m, from ")),
-        "{headline}"
-    );
+    assert!((length - 1.0).abs() < 2.0 * sd && sd < 0.05, "{report}");
+    let mut texts = Transcript::default();
+    texts.text("navigate RECORDING --method slide", &ran);
+    texts.check("navigate_recording");
 }

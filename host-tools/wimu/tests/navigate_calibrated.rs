@@ -1,4 +1,4 @@
-//! From a calibration to a path: what `wimu calibrate` makes of a table corrects the tables that `wimu navigate` reads.
+//! From a calibration to a path: the calibration of a table corrects the tables that `wimu navigate` reads.
 
 use crate::kit;
 
@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, noise, spread, wimu};
+use kit::{Transcript, folder, noise, spread, wimu};
 use serde_json::Value;
 
 const G: f64 = 9.80665;
@@ -66,12 +66,9 @@ fn write(folder: &Path, name: &str, unit: &str, forces: &[[f64; 3]]) -> String {
     path.display().to_string()
 }
 
-fn remarks(said: &Value) -> String {
-    said["remarks"].to_string()
-}
-
 #[test]
 fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
+    let mut texts = Transcript::default();
     let folder = folder();
     for (unit, other) in [("LSB", "LSB"), ("m/s²", "g"), ("g", "m/s²")] {
         let model = folder.path().join("CAL.json").display().to_string();
@@ -86,26 +83,25 @@ fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
             "--calibration",
             &model,
         ];
-        let said = wimu(&run).succeeds();
-        assert!(
-            remarks(&said).contains("the calibration is applied"),
-            "{said}"
-        );
-        let length = said["moves"][0]["length_m"].as_f64().unwrap();
+        let case = format!("{other}, calibrated in {unit}");
+        let report = texts.remarks(case, &wimu(&run));
+        let length = report["moves"][0]["length_m"].as_f64().unwrap();
         assert!((length - 0.4).abs() < 0.003, "{unit} {other}: {length}");
-        let tilt = wimu(&["navigate", &csv, "--calibration", &model]).succeeds();
-        assert!(!remarks(&tilt).contains("calibrate it"), "{tilt}");
+        let ran = wimu(&["navigate", &csv, "--calibration", &model]);
+        texts.remarks("the same, tilt", &ran);
     }
     // Without it the scale factor is 2 % off, and gravity 2.5 %.
     let csv = write(folder.path(), "slide.csv", "m/s²", &slide());
-    let said = wimu(&["navigate", &csv, "--method", "slide"]).succeeds();
-    let length = said["moves"][0]["length_m"].as_f64().unwrap();
+    let ran = wimu(&["navigate", &csv, "--method", "slide"]);
+    let report = texts.remarks("not calibrated", &ran);
+    let length = report["moves"][0]["length_m"].as_f64().unwrap();
     assert!((length - 0.4).abs() > 0.006, "{length}");
-    assert!(remarks(&said).contains("calibrate it"), "{said}");
+    texts.check("navigate_calibrated");
 }
 
 #[test]
 fn a_calibration_of_another_unit_is_refused_and_each_remedy_works() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let calibrated = |unit: &str, name: &str| {
         let model = folder.path().join(name).display().to_string();
@@ -117,42 +113,22 @@ fn a_calibration_of_another_unit_is_refused_and_each_remedy_works() {
     let counts = write(folder.path(), "counts.csv", "LSB", &slide());
     let si = write(folder.path(), "si.csv", "m/s²", &slide());
     let run = |csv: &str, more: &[&str]| wimu(&[&["navigate", csv], more].concat());
-    let refused = |csv: &str, more: &[&str], message: &str, remedy: &str| {
-        let failure = run(csv, more).fails(2, "unknown_format");
-        assert!(
-            failure["message"].as_str().unwrap().contains(message),
-            "{failure}"
-        );
-        assert!(
-            failure["remedy"].as_str().unwrap().contains(remedy),
-            "{failure}"
-        );
-    };
-    refused(
-        &si,
-        &["--calibration", &of_counts],
-        "one of raw counts",
-        "(LSB)",
-    );
-    refused(
-        &counts,
-        &["--calibration", &of_si],
-        "one of m/s²",
-        "--sensitivity",
-    );
-    refused(&counts, &[], "raw counts", "--calibration CAL.json");
-    refused(
-        &counts,
-        &["--calibration", &of_counts, "--sensitivity", "8192"],
-        "8192 LSB",
-        "range",
-    );
+    let other = ["--calibration", &of_counts, "--sensitivity", "8192"];
+    for (case, csv, more) in [
+        ("m/s² by counts", &si, &["--calibration", &of_counts][..]),
+        ("counts by m/s²", &counts, &["--calibration", &of_si]),
+        ("counts, not calibrated", &counts, &[]),
+        ("another sensitivity", &counts, &other),
+    ] {
+        texts.fails(case, &run(csv, more), 2, "unknown_format");
+    }
     run(&counts, &["--calibration", &of_counts]).succeeds();
     run(&counts, &["--calibration", &of_si, "--sensitivity", "4096"]).succeeds();
-    let said = run(&counts, &["--sensitivity", "4096"]).succeeds();
-    assert!(remarks(&said).contains("calibrate it"), "{said}");
+    let ran = run(&counts, &["--sensitivity", "4096"]);
+    texts.remarks("counts, sensitivity alone", &ran);
     let twice = ["--calibration", &of_si, "--calibration", &of_si];
-    run(&si, &twice).fails(2, "usage");
+    texts.fails("two calibrations", &run(&si, &twice), 2, "usage");
+    texts.check("navigate_calibration_of_another_unit");
 }
 
 #[test]
@@ -173,8 +149,8 @@ fn what_a_calibration_leaves_unknown_is_in_the_paths_deviation() {
             "--calibration",
             &model,
         ];
-        let said = wimu(&run).succeeds();
-        said["final_sigma_m"][2].as_f64().unwrap()
+        let report = wimu(&run).succeeds();
+        report["final_sigma_m"][2].as_f64().unwrap()
     };
     let known = sigma();
     // The same model from a worse session.

@@ -1,4 +1,4 @@
-//! What `wimu navigate` makes of input that is not what it says: units, dead axes, no rest.
+//! `wimu navigate` on input with faults: wrong units, dead axes, no rest.
 
 use crate::kit;
 
@@ -6,8 +6,9 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Simulator, folder, wimu};
+use kit::{Transcript, folder, record_motion, remarks, wimu};
 use serde_json::Value;
+use wimu_testkit::trials;
 
 const G: f64 = 9.80665;
 
@@ -21,7 +22,7 @@ fn noise(k: u32) -> f64 {
     ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// A sample: time, force, angular rate, place.
+/// A sample: time, force, angular rate, position along x.
 #[derive(Clone, Copy)]
 struct Sample {
     t: f64,
@@ -30,23 +31,23 @@ struct Sample {
     x: f64,
 }
 
-/// Moves along x, `way` m in `last` s each, to and fro, with rests of 1.5 s between, from 2 s on, at 100 Hz.
-fn moves(way: f64, last: f64) -> Vec<Sample> {
+/// Moves of `length_m` along x in `last` s each, to and fro, with rests of 1.5 s between, from 2 s on, at 100 Hz.
+fn moves(length_m: f64, last: f64) -> Vec<Sample> {
     let period = last + 1.5;
     let count = ((2.0 + 3.0 * period) * 100.0) as u32;
     let sample = |k: u32| {
         let t = f64::from(k) * 0.01;
-        let (mut x, mut push) = (0.0, 0.0);
+        let (mut x, mut acceleration) = (0.0, 0.0);
         for n in 0..3 {
             let tau = ((t - 2.0 - f64::from(n) * period) / last).clamp(0.0, 1.0);
-            let sign = if n % 2 == 0 { way } else { -way };
+            let sign = if n % 2 == 0 { length_m } else { -length_m };
             x += sign * tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
-            push += sign * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (last * last);
+            acceleration += sign * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / (last * last);
         }
         let n = |i: u32| 0.08 * noise(6 * k + i);
         Sample {
             t,
-            force: [0.03 + push + n(0), -0.02 + n(1), G + n(2)],
+            force: [0.03 + acceleration + n(0), -0.02 + n(1), G + n(2)],
             rate: [3, 4, 5].map(|i| 0.004 + 0.1 * n(i)),
             x,
         }
@@ -76,10 +77,6 @@ fn write(folder: &Path, header: &str, samples: &[Sample]) -> String {
     path.display().to_string()
 }
 
-fn remarks(said: &Value) -> String {
-    said["remarks"].to_string()
-}
-
 fn number(value: &Value, pointer: &str) -> f64 {
     let found = value.pointer(pointer).and_then(Value::as_f64);
     found.unwrap_or_else(|| panic!("{pointer} of {value}"))
@@ -88,18 +85,19 @@ fn number(value: &Value, pointer: &str) -> f64 {
 #[test]
 fn accelerations_that_are_not_gravity_at_rest_are_refused_with_the_unit_that_they_look_like() {
     let folder = folder();
-    for (factor, remedy) in [(1.0 / G, "is g"), (0.0, "works"), (1000.0, "unit")] {
+    let mut texts = Transcript::default();
+    for (case, factor) in [("g", 1.0 / G), ("zeros", 0.0), ("mm/s²", 1000.0)] {
         let mut samples = moves(0.4, 1.0);
         for sample in &mut samples {
             sample.force = sample.force.map(|f| f * factor);
         }
         let csv = write(folder.path(), &format!("{FORCE}{RATE}"), &samples);
         for method in ["strapdown", "tilt", "slide"] {
-            let failure = wimu(&["navigate", &csv, "--method", method]).fails(3, "data_refused");
-            let text = failure["remedy"].as_str().unwrap();
-            assert!(text.contains(remedy), "{factor} {method}: {failure}");
+            let ran = wimu(&["navigate", &csv, "--method", method]);
+            texts.fails(format_args!("{case}, {method}"), &ran, 3, "data_refused");
         }
     }
+    texts.check("navigate_wrong_units");
 }
 
 #[test]
@@ -110,13 +108,14 @@ fn times_in_another_unit_are_refused_with_the_name_of_the_column() {
         sample.t *= 1000.0;
     }
     let csv = write(folder.path(), FORCE, &samples);
-    let failure = wimu(&["navigate", &csv]).fails(3, "data_refused");
-    let remedy = failure["remedy"].as_str().unwrap();
-    assert!(remedy.contains("`Time (ms)`"), "{failure}");
+    let mut texts = Transcript::default();
+    texts.fails("ms called s", &wimu(&["navigate", &csv]), 3, "data_refused");
+    texts.check("navigate_times_in_another_unit");
 }
 
 #[test]
-fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
+fn a_dead_axis_is_reported_and_invalidates_what_depends_on_it() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let header = format!("{FORCE}{RATE}{TRUTH}");
     let mut samples = moves(0.4, 1.0);
@@ -125,12 +124,9 @@ fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
     }
     let csv = write(folder.path(), &header, &samples);
     for method in ["strapdown", "slide"] {
-        let said = wimu(&["navigate", &csv, "--method", method]).succeeds();
-        assert!(
-            remarks(&said).contains("accelerometer Y gives one"),
-            "{said}"
-        );
-        assert!(number(&said, "/valid_share") < 0.4, "{said}");
+        let ran = wimu(&["navigate", &csv, "--method", method]);
+        let report = texts.remarks(format_args!("accelerometer Y, {method}"), &ran);
+        assert!(number(&report, "/valid_share") < 0.4, "{report}");
     }
     // Shaken about y from the first move on, the gyroscope's z stuck.
     let mut samples = moves(0.4, 1.0);
@@ -140,89 +136,89 @@ fn a_dead_axis_is_said_and_what_it_spoils_is_not_valid() {
         sample.rate[2] = 0.7;
     }
     let csv = write(folder.path(), &header, &samples);
-    let said = wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds();
-    assert!(remarks(&said).contains("gyroscope Z gives one"), "{said}");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
+    let report = texts.remarks("gyroscope Z", &ran);
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
     // Laid on its side at the end, and all of the gyroscope silent.
     let mut samples = moves(0.4, 1.0);
     let from = samples.len() - 250;
-    for (place, sample) in samples.iter_mut().enumerate() {
+    for (k, sample) in samples.iter_mut().enumerate() {
         sample.rate = [0.0; 3];
-        if place >= from {
+        if k >= from {
             let [x, y, z] = sample.force;
             sample.force = [x, -z, y];
         }
     }
     let csv = write(folder.path(), &header, &samples);
-    let said = wimu(&["navigate", &csv]).succeeds();
-    assert!(
-        remarks(&said).contains("all axes of the gyroscope"),
-        "{said}"
-    );
+    texts.remarks("gyroscope, all axes", &wimu(&["navigate", &csv]));
+    texts.check("navigate_dead_axes");
 }
 
 #[test]
-fn an_accelerometer_that_freezes_gives_no_number_and_coarse_steps_and_held_samples_are_no_freezing()
-{
+fn a_frozen_accelerometer_is_invalid_and_coarse_steps_and_held_samples_are_not_frozen() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let header = format!("{FORCE}{RATE}{TRUTH}");
     let ran = |samples: &[Sample]| {
         let csv = write(folder.path(), &header, samples);
-        wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds()
+        wimu(&["navigate", &csv, "--method", "strapdown"])
     };
-    let frozen = "all axes of the accelerometer";
     // In the middle of the first move.
     let mut samples = moves(0.4, 1.0);
     let last = samples[240].force;
     for sample in &mut samples[241..] {
         sample.force = last;
     }
-    let said = ran(&samples);
-    assert!(remarks(&said).contains(frozen), "{said}");
-    assert!(number(&said, "/valid_share") < 241.0 / 950.0, "{said}");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
-    // Steps that the noise at rest is less than.
+    let report = texts.remarks("frozen", &ran(&samples));
+    assert!(number(&report, "/valid_share") < 241.0 / 950.0, "{report}");
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
+    // Steps larger than the noise at rest.
     let mut samples = moves(0.4, 1.0);
     for sample in &mut samples {
         sample.force = sample.force.map(|f| (f / 0.15).round() * 0.15);
     }
-    let said = ran(&samples);
-    assert!(!remarks(&said).contains(frozen), "{said}");
+    texts.remarks("coarse steps", &ran(&samples));
     // A fifth of the rate.
     let mut samples = moves(0.4, 1.0);
     for k in 0..samples.len() {
         samples[k].force = samples[k - k % 5].force;
     }
-    let said = ran(&samples);
-    assert!(!remarks(&said).contains(frozen), "{said}");
+    texts.remarks("held samples", &ran(&samples));
+    texts.check("navigate_frozen_accelerometer");
 }
 
 #[test]
-fn columns_that_are_nearly_right_are_refused_or_said() {
+fn columns_that_are_nearly_right_are_refused_or_remarked() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let samples = moves(0.4, 1.0);
     let ran = |rate: &str, truth: &str| {
         let header = format!("{FORCE}{rate}{truth}");
         wimu(&["navigate", &write(folder.path(), &header, &samples)])
     };
-    ran(&RATE.replace("Gyroscope Y (rad/s)", "Other"), "").fails(2, "csv_missing_column");
-    ran(RATE, &TRUTH.replace("Position E (m)", "Position E (mm)")).fails(2, "unknown_format");
-    ran(&RATE.replace("Z (rad/s)", "Z (rpm)"), "").fails(2, "unknown_format");
-    let said = ran(&RATE.replace("Gyroscope", "Gyro "), "").succeeds();
-    assert_eq!(said["method"], "tilt");
-    assert!(remarks(&said).contains("is not read"), "{said}");
+    let missing = ran(&RATE.replace("Gyroscope Y (rad/s)", "Other"), "");
+    texts.fails("no Gyroscope Y", &missing, 2, "csv_missing_column");
+    let mm = ran(RATE, &TRUTH.replace("Position E (m)", "Position E (mm)"));
+    texts.fails("truth in mm", &mm, 2, "unknown_format");
+    let rpm = ran(&RATE.replace("Z (rad/s)", "Z (rpm)"), "");
+    texts.fails("rpm", &rpm, 2, "unknown_format");
+    let gyro = ran(&RATE.replace("Gyroscope", "Gyro "), "");
+    let report = texts.remarks("Gyro for Gyroscope", &gyro);
+    assert_eq!(report["method"], "tilt");
+    texts.check("navigate_columns");
     // Each axis has its own unit.
     let mut samples = samples.clone();
     for sample in &mut samples {
         sample.rate[0] = sample.rate[0].to_degrees();
     }
     let header = format!("{FORCE}{}{TRUTH}", RATE.replace("X (rad/s)", "X (deg/s)"));
-    let said = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+    let report = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
 }
 
 #[test]
-fn without_a_rest_at_the_start_position_is_measured_from_the_first_rest_and_that_is_said() {
+fn without_a_rest_at_the_start_the_origin_is_the_first_rest() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let samples = moves(0.4, 2.0);
     // From the middle of the first move.
@@ -232,17 +228,18 @@ fn without_a_rest_at_the_start_position_is_measured_from_the_first_rest_and_that
         &samples[300..],
     );
     for method in ["strapdown", "tilt"] {
-        let said = wimu(&["navigate", &csv, "--method", method]).succeeds();
-        assert!(remarks(&said).contains("no rest at the start"), "{said}");
-        let below = number(&said, "/nees/share_below_7_81");
-        assert!(method == "tilt" || below > 0.9, "{said}");
+        let ran = wimu(&["navigate", &csv, "--method", method]);
+        let report = texts.remarks(method, &ran);
+        let below = number(&report, "/nees/share_below_7_81");
+        assert!(method == "tilt" || below > 0.9, "{report}");
     }
     let zupt = ["navigate", &csv, "--method", "strapdown", "--zupt", "off"];
-    wimu(&zupt).fails(3, "data_refused");
+    texts.fails("--zupt off", &wimu(&zupt), 3, "data_refused");
+    texts.check("navigate_start_in_motion");
 }
 
 #[test]
-fn even_motion_after_a_push_stays_known_with_a_gyroscope() {
+fn constant_velocity_after_an_acceleration_is_tracked_with_a_gyroscope() {
     let folder = folder();
     // 1 m/s for 8 s.
     let mut samples = moves(0.0, 1.0);
@@ -254,18 +251,20 @@ fn even_motion_after_a_push_stays_known_with_a_gyroscope() {
             let tau = (sample.t - from).clamp(0.0, 1.0);
             2.0 * (std::f64::consts::PI * tau).sin().powi(2)
         };
-        let push = ramp(3.0) - ramp(12.0);
-        sample.force[0] += push;
-        v += 0.01 * push;
+        let acceleration = ramp(3.0) - ramp(12.0);
+        sample.force[0] += acceleration;
+        v += 0.01 * acceleration;
         x += 0.01 * v;
         sample.x = x;
     }
     let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
-    let said = wimu(&["navigate", &csv, "--method", "strapdown"]).succeeds();
-    assert!(remarks(&said).contains("even motion"), "{said}");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.95, "{said}");
-    let end = number(&said, "/final_position_m/0");
-    assert!((end - 9.0).abs() < 1.0, "{said}");
+    let ran = wimu(&["navigate", &csv, "--method", "strapdown"]);
+    let mut texts = Transcript::default();
+    let report = texts.remarks("1 m/s for 8 s", &ran);
+    texts.check("navigate_constant_velocity");
+    assert!(number(&report, "/nees/share_below_7_81") > 0.95, "{report}");
+    let end = number(&report, "/final_position_m/0");
+    assert!((end - 9.0).abs() < 1.0, "{report}");
 }
 
 #[test]
@@ -273,9 +272,7 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (session, table) = (path("s.mcap"), path("s.csv"));
-    let motion = ["--motion", "slide", "--seed", "4", "--speed", "10"];
-    let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
-    board.record_to_the_end(&session);
+    record_motion("slide", 4, &session);
     wimu(&["export", &session, "--stream", "corrected", "-o", &table]).succeeds();
     let tilt = |input: &str| wimu(&["navigate", input, "--method", "tilt"]).succeeds();
     let (of_session, of_table) = (tilt(&session), tilt(&table));
@@ -290,21 +287,16 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
         assert!((a - b).abs() < 1e-3 + 1e-3 * a.abs(), "{key}: {a} {b}");
     }
     // The board's magnetometer is not calibrated: both leave it out.
-    for said in [of_session, &of_table] {
-        assert!(remarks(said).contains("it is not calibrated"), "{said}");
-    }
-    let failure = wimu(&["navigate", &session, "--method", "strapdown"]).fails(3, "data_refused");
-    assert!(
-        failure["remedy"]
-            .as_str()
-            .unwrap()
-            .contains("wimu's boards"),
-        "{failure}"
-    );
+    let mut texts = Transcript::default();
+    texts.list("recording", remarks(of_session));
+    texts.list("table", remarks(&of_table));
+    let ran = wimu(&["navigate", &session, "--method", "strapdown"]);
+    texts.fails("recording, strapdown", &ran, 3, "data_refused");
+    texts.check("navigate_recording_and_table");
 }
 
 #[test]
-fn what_rests_assume_is_told_and_clipped_samples_are_doubted() {
+fn undetected_velocity_at_rests_is_reported_and_clipped_samples_are_invalid() {
     let folder = folder();
     let header = format!("{FORCE}{RATE}{TRUTH}");
     // Pushed to 0.02 m/s within 1 s, then 20 s evenly: no rest ends, and nothing shows it.
@@ -328,14 +320,17 @@ fn what_rests_assume_is_told_and_clipped_samples_are_doubted() {
     fs::write(&csv, text).unwrap();
     for method in ["strapdown", "tilt"] {
         let cautious = ["navigate", &csv, "--method", method, "--zupt", "cautious"];
-        let said = wimu(&cautious).succeeds();
-        let off = (number(&said, "/final_position_m/0") - last).abs();
-        assert!(number(&said, "/stillness/unseen_m") > off / 2.0, "{said}");
-        assert!(number(&said, "/nees/share_below_7_81") > 0.97, "{said}");
+        let report = wimu(&cautious).succeeds();
+        let off = (number(&report, "/final_position_m/0") - last).abs();
+        assert!(
+            number(&report, "/stillness/unseen_m") > off / 2.0,
+            "{report}"
+        );
+        assert!(number(&report, "/nees/share_below_7_81") > 0.97, "{report}");
         let on = ["navigate", &csv, "--method", method, "--zupt", "on"];
         let stated = wimu(&on).succeeds();
         assert!(number(&stated, "/nees/share_below_7_81") < 0.5, "{stated}");
-        assert!(number(&said, "/stillness/unseen_m_s") > 0.02, "{said}");
+        assert!(number(&report, "/stillness/unseen_m_s") > 0.02, "{report}");
         let off = wimu(&["navigate", &csv, "--method", method, "--zupt", "off"]).succeeds();
         assert!(off["stillness"].is_null(), "{off}");
     }
@@ -344,13 +339,15 @@ fn what_rests_assume_is_told_and_clipped_samples_are_doubted() {
     for sample in &mut samples[250..256] {
         sample.force[0] = 2.0 * G;
     }
-    let said = wimu(&["navigate", &write(folder.path(), &header, &samples)]).succeeds();
-    assert!(remarks(&said).contains("clips in 6 samples"), "{said}");
-    assert!(number(&said, "/valid_share") < 0.95, "{said}");
+    let ran = wimu(&["navigate", &write(folder.path(), &header, &samples)]);
+    let mut texts = Transcript::default();
+    let report = texts.remarks("6 samples at 2 g", &ran);
+    assert!(number(&report, "/valid_share") < 0.95, "{report}");
+    texts.check("navigate_clipped");
 }
 
 #[test]
-fn a_short_failure_of_the_gyroscope_is_bridged_and_said() {
+fn a_short_failure_of_the_gyroscope_is_bridged_and_reported() {
     let folder = folder();
     let samples = moves(0.4, 1.0);
     let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &samples);
@@ -363,14 +360,17 @@ fn a_short_failure_of_the_gyroscope_is_bridged_and_said() {
         cells.join(",") + "\n"
     };
     fs::write(&csv, text.lines().enumerate().map(cut).collect::<String>()).unwrap();
-    let said = wimu(&["navigate", &csv, "--zupt", "on"]).succeeds();
-    assert!(remarks(&said).contains("missing in 20 samples"), "{said}");
-    assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
-    assert!(number(&said, "/valid_share") > 0.8, "{said}");
+    let mut texts = Transcript::default();
+    let ran = wimu(&["navigate", &csv, "--zupt", "on"]);
+    let report = texts.remarks("20 samples missing", &ran);
+    texts.check("navigate_gyroscope_fails");
+    assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
+    assert!(number(&report, "/valid_share") > 0.8, "{report}");
 }
 
 #[test]
-fn samples_that_are_no_numbers_count_as_missing_and_most_of_them_are_refused() {
+fn samples_that_are_no_numbers_count_as_missing_and_many_of_them_are_refused() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let samples = moves(0.4, 1.0);
     let header = format!("{FORCE}{RATE}{TRUTH}");
@@ -385,35 +385,30 @@ fn samples_that_are_no_numbers_count_as_missing_and_most_of_them_are_refused() {
         wimu(&["navigate", &csv, "--method", method, "--zupt", "on"])
     };
     for method in ["strapdown", "tilt", "slide"] {
-        // One now and then, as if its line were missing.
-        let said = run(&|k| k % 97 == 50, method).succeeds();
-        let count = samples.len().div_ceil(97) - usize::from(samples.len() % 97 <= 50);
-        let told = format!(
-            "(Y) gives no number in {count} of {} samples",
-            samples.len()
-        );
-        assert!(remarks(&said).contains(&told), "{said}");
-        assert!(number(&said, "/valid_share") > 0.5, "{said}");
+        // Single samples, as if their lines were missing.
+        let ran = run(&|k| k % 97 == 50, method);
+        let report = texts.remarks(format_args!("one of 97, {method}"), &ran);
+        assert!(number(&report, "/valid_share") > 0.5, "{report}");
         assert!(
-            number(&said, "/nees/share_below_7_81") > 0.9,
-            "{method} {said}"
+            number(&report, "/nees/share_below_7_81") > 0.9,
+            "{method} {report}"
         );
         // From then on none: it is not valid there.
-        let said = run(&|k| k > 600, method).succeeds();
-        assert_eq!(said["final_valid"], false, "{said}");
-        // For so long that nobody knows what happened.
-        let said = run(&|k| (230..270).contains(&k), method).succeeds();
-        assert!(remarks(&said).contains("gap"), "{said}");
-        assert!(number(&said, "/valid_share") < 0.97, "{said}");
+        let report = run(&|k| k > 600, method).succeeds();
+        assert_eq!(report["final_valid"], false, "{report}");
+        // Too long to be bridged.
+        let ran = run(&|k| (230..270).contains(&k), method);
+        let report = texts.remarks(format_args!("0.4 s, {method}"), &ran);
+        assert!(number(&report, "/valid_share") < 0.97, "{report}");
     }
-    let failure = run(&|k| k > 300, "tilt").fails(3, "data_refused");
-    let message = failure["message"].as_str().unwrap();
-    assert!(message.contains("(Y) gives no number"), "{failure}");
-    assert!(message.contains("first at 3.01 s"), "{failure}");
+    let ran = run(&|k| k > 300, "tilt");
+    texts.fails("from 3.01 s on", &ran, 3, "data_refused");
+    texts.check("navigate_no_numbers");
 }
 
 #[test]
-fn a_wild_value_is_left_out_and_nothing_but_wild_values_is_refused() {
+fn outliers_are_left_out_and_a_recording_of_outliers_is_refused() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let header = format!("{FORCE}{RATE}{TRUTH}");
     let run = |wild: &dyn Fn(usize) -> bool, value: f64, method: &str| {
@@ -428,23 +423,28 @@ fn a_wild_value_is_left_out_and_nothing_but_wild_values_is_refused() {
     };
     for method in ["strapdown", "tilt", "slide"] {
         for value in [65_536.0, 1e308] {
-            let said = run(&|k| k == 300, value, method).succeeds();
-            let told = "2000 m/s², in 1 sample, first at 3.00 s (line 302)";
-            assert!(remarks(&said).contains(told), "{said}");
-            assert!(number(&said, "/distance_m") < 5.0, "{said}");
-            assert!(number(&said, "/nees/share_below_7_81") > 0.9, "{said}");
+            let ran = run(&|k| k == 300, value, method);
+            let report = texts.remarks(format_args!("{value:e}, {method}"), &ran);
+            assert!(number(&report, "/distance_m") < 5.0, "{report}");
+            assert!(number(&report, "/nees/share_below_7_81") > 0.9, "{report}");
         }
-        let failure = run(&|k| k % 3 != 0, 3000.0, method).fails(3, "data_refused");
-        let message = failure["message"].as_str().unwrap();
-        assert!(message.contains("more than its full scale"), "{failure}");
+        let ran = run(&|k| k % 3 != 0, 3000.0, method);
+        texts.fails(
+            format_args!("two of three, {method}"),
+            &ran,
+            3,
+            "data_refused",
+        );
     }
+    texts.check("navigate_outliers");
 }
 
 #[test]
 fn a_coarse_axis_that_repeats_itself_is_not_dead() {
     let folder = folder();
     let step = 0.08;
-    for seed in 0..30_u32 {
+    let mut expected = None;
+    for seed in 0..trials(30) as u32 {
         let mut samples = moves(0.4, 1.0);
         for (k, sample) in samples.iter_mut().enumerate() {
             for (axis, force) in sample.force.iter_mut().enumerate() {
@@ -453,16 +453,16 @@ fn a_coarse_axis_that_repeats_itself_is_not_dead() {
                 *force = ((*force + lies + fine) / step).round() * step;
             }
         }
-        let said = wimu(&["navigate", &write(folder.path(), FORCE, &samples)]).succeeds();
-        assert!(
-            !remarks(&said).contains("one and the same"),
-            "{seed}: {said}"
-        );
+        let report = wimu(&["navigate", &write(folder.path(), FORCE, &samples)]).succeeds();
+        // A dead axis would be a remark more.
+        let count = remarks(&report).len();
+        assert_eq!(*expected.get_or_insert(count), count, "{seed}: {report}");
+        assert!(number(&report, "/valid_share") > 0.0, "{seed}: {report}");
     }
 }
 
 #[test]
-fn a_magnetometer_that_stands_still_while_the_unit_tilts_is_left_out_and_said() {
+fn a_constant_magnetometer_of_a_tilting_unit_is_left_out_and_reported() {
     let folder = folder();
     let mut text =
         format!("Time (s),{FORCE},Magnetometer X (µT),Magnetometer Y (µT),Magnetometer Z (µT)\n");
@@ -476,17 +476,15 @@ fn a_magnetometer_that_stands_still_while_the_unit_tilts_is_left_out_and_said() 
     }
     let path = folder.path().join("dead.csv").display().to_string();
     fs::write(&path, text).unwrap();
-    let said = wimu(&["navigate", &path]).succeeds();
-    assert!(
-        remarks(&said).contains("the magnetometer gives one and the same value from 0.00 s"),
-        "{said}"
-    );
-    assert!(remarks(&said).contains("no magnetometer"), "{said}");
+    let mut texts = Transcript::default();
+    texts.remarks("constant magnetometer", &wimu(&["navigate", &path]));
+    texts.check("navigate_constant_magnetometer");
 }
 
 #[test]
 fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
     let folder = folder();
+    let mut texts = Transcript::default();
     for (rest_s, warms) in [(60_u32, 0.1_f64), (120, 0.1), (120, 1.0), (60, 0.0)] {
         let mut samples = moves(0.4, 1.0);
         let still: Vec<Sample> = samples[..150].to_vec();
@@ -501,15 +499,17 @@ fn a_gyroscope_that_warms_up_over_a_long_first_rest_is_navigated() {
             sample.force[1] += 0.02 * noise(7 * k as u32);
         }
         let csv = write(folder.path(), &format!("{FORCE}{RATE}{TRUTH}"), &all);
-        let said = wimu(&["navigate", &csv, "--method", "strapdown", "--zupt", "on"]).succeeds();
-        assert_eq!(remarks(&said).contains("warms up"), warms > 0.0, "{said}");
+        let ran = wimu(&["navigate", &csv, "--method", "strapdown", "--zupt", "on"]);
+        let case = format!("{warms} °/s, rest of {rest_s} s");
+        let report = texts.remarks(case, &ran);
         assert!(
-            number(&said, "/nees/share_below_7_81") > 0.9,
-            "{rest_s} {warms} {said}"
+            number(&report, "/nees/share_below_7_81") > 0.9,
+            "{rest_s} {warms} {report}"
         );
         assert!(
-            number(&said, "/valid_share") > 0.9,
-            "{rest_s} {warms} {said}"
+            number(&report, "/valid_share") > 0.9,
+            "{rest_s} {warms} {report}"
         );
     }
+    texts.check("navigate_gyroscope_warms_up");
 }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use kit::{folder, wimu};
+use kit::{Transcript, folder, line_number, wimu};
 use wimu_host::array::{Board, BoardOptions};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::message::{Epoch, EpochReason, WireState};
@@ -105,10 +105,10 @@ fn file(folder: &Path, links: &[Vec<(LinkRole, u64, Vec<u8>)>]) -> String {
     path.to_str().unwrap().to_owned()
 }
 
-/// The magnitudes of `imu/data_raw` by link, m/s², and what the command said.
+/// The magnitudes of `imu/data_raw` by link, m/s², and the report of the command.
 fn decoded(session: &str, folder: &Path) -> (BTreeMap<String, Vec<f64>>, serde_json::Value) {
     let output = folder.join("decoded.mcap").display().to_string();
-    let said = wimu(&["export", session, "--format", "mcap", "-o", &output]).succeeds();
+    let report = wimu(&["export", session, "--format", "mcap", "-o", &output]).succeeds();
     let bytes = fs::read(output).unwrap();
     let mut found: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).unwrap() {
@@ -125,7 +125,7 @@ fn decoded(session: &str, folder: &Path) -> (BTreeMap<String, Vec<f64>>, serde_j
             found.entry(link.to_owned()).or_default().push(magnitude);
         }
     }
-    (found, said)
+    (found, report)
 }
 
 fn are_one_g(magnitudes: &[f64]) {
@@ -142,12 +142,12 @@ fn samples_that_epochs_overtake_keep_their_own_range() {
     let folder = folder();
     let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 700, &[])];
     let session = file(folder.path(), &links);
-    let (found, said) = decoded(&session, folder.path());
+    let (found, report) = decoded(&session, folder.path());
     for link in ["/cable", "/wireless"] {
         assert_eq!(found[link].len(), SAMPLES as usize);
         are_one_g(&found[link]);
     }
-    assert_eq!(said["without_unit"], 0, "{said}");
+    assert_eq!(report["without_unit"], 0, "{report}");
     let compared = wimu(&["compare", &session]).succeeds();
     assert_eq!(compared["without_unit"], 0, "{compared}");
     for link in compared["links"].as_array().unwrap() {
@@ -160,21 +160,21 @@ fn samples_that_epochs_overtake_keep_their_own_range() {
 fn where_the_epoch_of_a_change_is_lost_samples_are_left_out_and_counted() {
     let folder = folder();
     let session = file(folder.path(), &[link(ROLES[1], 300, &[480])]);
-    let (found, said) = decoded(&session, folder.path());
+    let (found, report) = decoded(&session, folder.path());
     // From after the last epoch of the old range to the first of the new one.
     let unknown = 560 - 400 - 1;
-    assert_eq!(said["without_unit"], unknown, "{said}");
+    assert_eq!(report["without_unit"], unknown, "{report}");
     assert_eq!(found["/wireless"].len(), (SAMPLES - unknown) as usize);
     are_one_g(&found["/wireless"]);
 }
 
 #[test]
-fn what_one_link_has_lost_the_other_tells() {
+fn an_epoch_lost_on_one_link_is_taken_from_the_other() {
     let folder = folder();
     let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 300, &[480, 960])];
     let session = file(folder.path(), &links);
-    let (found, said) = decoded(&session, folder.path());
-    assert_eq!(said["without_unit"], 0, "{said}");
+    let (found, report) = decoded(&session, folder.path());
+    assert_eq!(report["without_unit"], 0, "{report}");
     are_one_g(&found["/wireless"]);
     let compared = wimu(&["compare", &session]).succeeds();
     assert_eq!(compared["without_unit"], 0, "{compared}");
@@ -192,7 +192,7 @@ fn pairs_of_an_unknown_range_are_left_out_of_the_values() {
 #[test]
 fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range() {
     let folder = folder();
-    // The wireless link has lost a change, which the cable tells.
+    // The wireless link has lost a change, which the cable has.
     let links = [link(ROLES[0], 0, &[]), link(ROLES[1], 300, &[960])];
     let session = file(folder.path(), &links);
     let found = wimu(&["calibrate", &session, "--method", "reference"]).succeeds();
@@ -210,13 +210,15 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
     assert_eq!(magnitudes.len(), SAMPLES as usize);
     are_one_g(&magnitudes);
 
-    // Where nothing tells, samples are left out, and it says so.
+    // Samples whose range is unknown are left out, which is reported.
     let links = ROLES.map(|role| link(role, 0, &[960]));
     let folder = kit::folder();
     let session = file(folder.path(), &links);
     let ran = wimu(&["calibrate", &session, "--method", "reference"]);
-    assert!(ran.stderr.contains("159 samples are left out"), "{ran:?}");
     let found = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("159 samples of unknown range", &ran);
+    texts.check("calibrate_reference");
     assert_eq!(found["samples"], SAMPLES - 159, "{found}");
     let at = found["axes"][0]["at_m_s2"].as_f64().unwrap();
     assert!((at - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{found}");
@@ -235,21 +237,22 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
 fn samples_before_the_first_epoch_are_decoded() {
     let folder = folder();
     let session = file(folder.path(), &[link(ROLES[1], 0, &[0])]);
-    let (found, said) = decoded(&session, folder.path());
-    assert_eq!(said["without_unit"], 0, "{said}");
+    let (found, report) = decoded(&session, folder.path());
+    assert_eq!(report["without_unit"], 0, "{report}");
     assert_eq!(found["/wireless"].len(), SAMPLES as usize);
 }
 
 #[test]
-fn a_table_of_counts_tells_the_unit_of_each_row_and_is_read_for_one_range() {
+fn a_table_of_counts_gives_the_unit_of_each_row_and_is_read_for_one_range() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let session = file(folder.path(), &[link(ROLES[0], 0, &[960])]);
     let table = folder.path().join("a.csv").display().to_string();
     let ran = wimu(&["export", &session, "-o", &table]);
-    assert!(ran.stderr.contains("the range changes"), "{ran:?}");
-    let said = ran.succeeds();
+    texts.text("export", &ran);
+    let report = ran.succeeds();
     assert_eq!(
-        (&said["rows"], &said["without_unit"]),
+        (&report["rows"], &report["without_unit"]),
         (&SAMPLES.into(), &159.into())
     );
     let text = fs::read_to_string(&table).unwrap();
@@ -260,23 +263,17 @@ fn a_table_of_counts_tells_the_unit_of_each_row_and_is_read_for_one_range() {
         let (x, sensitivity) = (fields[1], fields[fields.len() - 1]);
         assert!(sensitivity.is_empty() || x == sensitivity, "{line}");
     }
-    let failure = wimu(&["allan", &table]).fails(2, "csv_mixed_units");
-    assert!(
-        failure["where"].as_str().unwrap().contains("line 482"),
-        "{failure}"
-    );
-    let remedy = failure["remedy"].as_str().unwrap();
-    assert!(
-        remedy.contains("--where \"Sensitivity (LSB/g)=16384\""),
-        "{remedy}"
-    );
+    let failure = texts.fails("allan", &wimu(&["allan", &table]), 2, "csv_mixed_units");
+    assert_eq!(line_number(&failure), Some(482), "{failure}");
+    texts.check("table_of_several_ranges");
     let one = "Sensitivity (LSB/g)=2048";
     let noise = wimu(&["allan", &table, "--where", one, "--sensitivity", "2048"]).object();
     assert_ne!(noise["code"], "csv_mixed_units", "{noise}");
 }
 
 #[test]
-fn a_damaged_or_cut_file_is_said() {
+fn a_damaged_or_cut_file_is_reported() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let links = ROLES.map(|role| link(role, 20, &[]));
     let session = file(folder.path(), &links);
@@ -284,7 +281,7 @@ fn a_damaged_or_cut_file_is_said() {
     let mut damaged = whole.clone();
     damaged[whole.len() / 2] ^= 0x10;
     let cut = whole[..whole.len() / 2].to_vec();
-    for (bytes, says, chunks) in [(damaged, "damaged part", 1), (cut, "cut off", 0)] {
+    for (case, bytes, chunks) in [("damaged", damaged, 1), ("cut", cut, 0)] {
         fs::write(&session, bytes).unwrap();
         let table = folder
             .path()
@@ -306,8 +303,8 @@ fn a_damaged_or_cut_file_is_said() {
             let object = ran.succeeds();
             assert_eq!(object["damaged_chunks"], chunks, "{ran:?}");
             assert_eq!(object["truncated"], chunks == 0, "{ran:?}");
-            assert!(ran.stderr.contains(says), "{ran:?}");
-            // What is wrong with the file is no fault of the links.
+            texts.text(format_args!("{case}, {}", arguments[0]), &ran);
+            // A fault of the file is none of the links.
             for link in object["links"].as_array().into_iter().flatten() {
                 let statistics = link.get("statistics");
                 let counts = match statistics {
@@ -318,4 +315,5 @@ fn a_damaged_or_cut_file_is_said() {
             }
         }
     }
+    texts.check("damaged_recordings");
 }

@@ -1,4 +1,4 @@
-//! `wimu record`: links that end, come back or are cut off, and what others read in its files.
+//! `wimu record`: links that end, come back or are cut off, and its files as other programs read them.
 
 use crate::kit;
 
@@ -9,6 +9,7 @@ use std::path::Path;
 
 use kit::{Background, Simulator, folder, record_until, wimu};
 use serde_json::Value;
+use wimu_testkit::Lane;
 
 #[cfg(unix)]
 #[test]
@@ -68,7 +69,7 @@ fn a_link_that_ends_while_recording_keeps_what_it_brought() {
     assert!(info["links"][0]["raw_samples"].as_u64().unwrap() > 100);
 }
 
-/// A relay to a board's link that hangs up once, after so many bytes, and of which the connection numbered
+/// A relay to a board's link that hangs up once, after `after` bytes, and of which the connection numbered
 /// `deaf` carries nothing to the board; its LINK.
 fn hangs_up_once(link: &str, after: usize, deaf: Option<usize>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -105,7 +106,7 @@ fn hangs_up_once(link: &str, after: usize, deaf: Option<usize>) -> String {
 }
 
 #[test]
-fn what_a_board_brings_that_does_not_hear_is_in_the_file_as_it_is_in_the_summary() {
+fn samples_of_a_board_that_receives_nothing_are_counted_alike_in_file_and_summary() {
     let folder = folder();
     let path = folder.path().join("deaf.mcap");
     let file = path.to_str().unwrap();
@@ -114,14 +115,18 @@ fn what_a_board_brings_that_does_not_hear_is_in_the_file_as_it_is_in_the_summary
     let recorder = Background::start(&["record", &relay, "-o", file]);
     let recorded = record_until(recorder, file, |link| {
         link["statistics"]["interruptions"].as_u64() >= Some(2)
-            && link["raw_samples"].as_u64() > Some(100)
+            // More than the first two connections bring: the third is open.
+            && link["raw_samples"].as_u64() > Some(700)
     });
     let info = wimu(&["info", file]).succeeds();
-    let (said, kept) = (&recorded["links"][0], &info["links"][0]["statistics"]);
+    let (report, kept) = (&recorded["links"][0], &info["links"][0]["statistics"]);
     assert!(kept["interruptions"].as_u64() >= Some(2), "{kept}");
-    for what in ["bytes", "frames", "raw", "interruptions"] {
-        assert_eq!(said[what], kept[what], "{what}");
+    for what in ["bytes", "frames", "raw"] {
+        assert_eq!(report[what], kept[what], "{what}");
     }
+    // The file leaves out an attempt that brought nothing.
+    let count = |of: &Value| of["interruptions"].as_u64();
+    assert!(count(report) >= count(kept), "{report} {kept}");
     assert!(kept["raw"]["missing"].as_u64().unwrap() > 0, "{kept}");
 }
 
@@ -156,7 +161,7 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
                 count(&statistics["frames_damaged"]) <= damaged,
                 "{statistics}"
             );
-            // It brought more afterwards than before.
+            // Most of the samples arrived after the interruption.
             assert!(count(&statistics["raw"]["received"]) > 400, "{statistics}");
         }
     }
@@ -170,7 +175,7 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
     }
 }
 
-/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason said, without one.
+/// A Python with `rosbags` in it, kept for the next run; `None`, with the reason printed, without one.
 fn python_with_rosbags() -> Option<std::path::PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags");
     let python = folder.join("bin/python");
@@ -245,14 +250,14 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
         file,
         "--decoded",
     ];
-    let said = record_until(Background::start(&arguments), file, |link| {
+    let report = record_until(Background::start(&arguments), file, |link| {
         link["raw_samples"].as_u64() > Some(500)
     });
-    let decoded = &said["decoded"];
+    let decoded = &report["decoded"];
     assert_eq!(
         (&decoded["without_unit"], &decoded["late"]),
         (&0.into(), &0.into()),
-        "{said}"
+        "{report}"
     );
     // It is still a recording, and decodes again to the same.
     let info = wimu(&["info", file]).succeeds();
@@ -270,6 +275,10 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
     assert_eq!(decoded["messages"]["/cable/imu/data_raw"], raw);
 
+    if Lane::current() == Lane::Check {
+        println!("skipped: `rosbags` is installed in the larger lanes only");
+        return;
+    }
     let Some(python) = python_with_rosbags() else {
         return;
     };

@@ -1,20 +1,19 @@
-//! What people give `wimu calibrate --method reference`.
+//! Input of `wimu calibrate --method reference`.
 
 use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
 
-use kit::{in_folder, wimu};
-use serde_json::Value;
+use kit::{Ran, Transcript, in_folder, wimu};
 
-/// Two accelerometers at 100 Hz, both said to be in m/s²: what the reference shows at time t, and what
-/// becomes of it in the other.
-fn report(
+/// Calibrates two accelerometers at 100 Hz, both in columns of m/s²: the force on the reference at time t,
+/// and the other's output for it.
+fn run(
     rows: u32,
     reference: impl Fn(f64) -> [f64; 3],
     output: impl Fn([f64; 3]) -> [f64; 3],
-) -> (i32, Value, String) {
+) -> Ran {
     let mut text = String::from("Time (s)");
     for sensor in [0, 1] {
         for axis in ["X", "Y", "Z"] {
@@ -33,8 +32,7 @@ fn report(
     }
     let (csv, _folder) = in_folder("two.csv");
     fs::write(&csv, text).unwrap();
-    let ran = wimu(&["calibrate", &csv, "--method", "reference"]);
-    (ran.code, ran.object(), ran.stderr)
+    wimu(&["calibrate", &csv, "--method", "reference"])
 }
 
 fn moving(t: f64) -> [f64; 3] {
@@ -46,9 +44,9 @@ fn moving(t: f64) -> [f64; 3] {
 }
 
 #[test]
-fn at_one_pose_the_offset_alone_is_told_and_that_it_is() {
-    let (code, report, said) = report(2000, |_| [0.1, -0.2, 9.8], |f| f.map(|f| 1.02 * f + 0.3));
-    assert_eq!(code, 0, "{report}");
+fn at_one_pose_only_the_offset_is_reported() {
+    let ran = run(2000, |_| [0.1, -0.2, 9.8], |f| f.map(|f| 1.02 * f + 0.3));
+    let report = ran.succeeds();
     assert_eq!(report["terms"], serde_json::json!(["offset"]));
     for (axis, offset) in [0.302, 0.296, 0.496].into_iter().enumerate() {
         let found = &report["axes"][axis];
@@ -57,67 +55,45 @@ fn at_one_pose_the_offset_alone_is_told_and_that_it_is() {
         assert!(off.abs() < 0.002, "{report}");
         assert_eq!(report["model"]["matrix"][axis][axis], 1.0);
     }
-    assert!(
-        said.contains("bias and scale factor cannot be told apart"),
-        "{said}"
-    );
+    let mut texts = Transcript::default();
+    texts.text("calibrate --method reference at one pose", &ran);
+    texts.check("calibrate_reference_one_pose");
 }
 
 #[test]
-fn what_tells_nothing_about_a_stream_is_refused_with_the_reason() {
+fn streams_that_determine_nothing_are_refused_with_the_reason() {
     let same = |force: [f64; 3]| force;
     let short = |t: f64| match t {
         ..0.5 => moving(6.0 * t).map(|f| 3.0 * f),
         _ => [0.0, 0.0, 9.8],
     };
-    let (_, good, _) = report(2000, moving, same);
-    assert_eq!(good["status"], "ok", "{good}");
+    run(2000, moving, same).succeeds();
+    let mut texts = Transcript::default();
     type Output = fn([f64; 3]) -> [f64; 3];
     let mirrored: Output = |[x, y, z]| [x, -y, z];
     let in_g: Output = |force| force.map(|f| f / 9.80665);
     let dead: Output = |[x, _, z]| [x, 1.0, z];
-    for (rows, output, reason) in [
-        (4, same as Output, "8 are needed"),
-        (
-            2000,
-            mirrored,
-            "axis Y of one stream is that of the other negated",
-        ),
-        (2000, in_g, "looks like g"),
-        (2000, dead, "different motions"),
+    for (case, rows, output) in [
+        ("4 rows", 4, same as Output),
+        ("Y negated", 2000, mirrored),
+        ("output in g", 2000, in_g),
+        ("Y constant", 2000, dead),
     ] {
-        let (code, report, _) = report(rows, moving, output);
-        let told = report["reason"].as_str().unwrap_or_default();
-        assert!(code == 3 && told.contains(reason), "{reason}: {report}");
+        let report = texts.refuses(case, &run(rows, moving, output));
         assert!(report["model"].is_null());
     }
-    let (code, report, _) = report(2000, short, same);
-    let told = report["reason"].as_str().unwrap_or_default();
-    assert!(code == 3 && told.contains("one short part"), "{report}");
+    texts.refuses("motion of 0.5 s", &run(2000, short, same));
+    let in_g = |t: f64| moving(t).map(|f| f / 9.80665);
+    let ran = run(2000, in_g, |f| f.map(|f| 1.02 * f));
+    texts.refuses("both in g", &ran);
+    let ran = run(2000, moving, |f| f.map(|f| 1671.0 * f));
+    texts.refuses("output in counts", &ran);
+    texts.check("calibrate_reference_refusals");
 }
 
 #[test]
-fn streams_in_another_unit_are_told_so() {
-    let (code, found, said) = report(
-        2000,
-        |t| moving(t).map(|f| f / 9.80665),
-        |f| f.map(|f| 1.02 * f),
-    );
-    assert_eq!(code, 3, "{found}");
-    assert!(
-        said.contains("the reference is") && said.contains("looks like g"),
-        "{said}"
-    );
-    let (code, found, said) = report(2000, moving, |f| f.map(|f| 1671.0 * f));
-    assert_eq!(code, 3, "{found}");
-    assert!(
-        said.contains("the output is") && said.contains("looks like counts"),
-        "{said}"
-    );
-}
-
-#[test]
-fn a_reference_of_another_sensitivity_is_said_by_its_own_flag() {
+fn a_reference_of_another_sensitivity_has_its_own_option() {
+    let mut texts = Transcript::default();
     let (csv, _folder) = in_folder("counts.csv");
     let mut text = String::from("Time (s)");
     for sensor in [0, 1] {
@@ -136,11 +112,9 @@ fn a_reference_of_another_sensitivity_is_said_by_its_own_flag() {
     let of = ["calibrate", &csv, "--method", "reference"];
     let with = |flags: &[&str]| wimu(&[&of[..], flags].concat());
     for flags in [&[][..], &["--sensitivity", "16384"]] {
-        let ran = with(flags);
-        assert_eq!(ran.code, 3, "{ran:?}");
-        let told = ran.object()["reason"].to_string();
-        assert!(told.contains("--reference-sensitivity"), "{told}");
+        texts.refuses(format_args!("{flags:?}"), &with(flags));
     }
+    texts.check("calibrate_reference_sensitivity");
     let both = ["--sensitivity", "4096", "--reference-sensitivity", "16384"];
     let found = with(&both).succeeds();
     for axis in 0..3 {

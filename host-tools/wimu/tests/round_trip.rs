@@ -1,5 +1,5 @@
-//! A calibration of every method goes to a board and back, and into other people's firmware, without
-//! losing a digit.
+//! A calibration of every method goes to a board and back, and into other firmware, without losing a
+//! digit.
 
 use crate::kit;
 
@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use kit::{Simulator, folder, wimu};
+use kit::{Simulator, Transcript, folder, wimu};
 use wimu_host::calibration::read_parameters;
 use wimu_model::{
     CentiCelsius, Counts, ErrorModel, ErrorTerms, ParameterSet, SpecificForceMps2, TemperatureTerms,
@@ -205,7 +205,10 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     ];
     off(0.010, &rests);
     let newer = path("NEW.json");
-    let report = wimu(&[&update[..], &["-o", &newer]].concat()).succeeds();
+    let ran = wimu(&[&update[..], &["-o", &newer]].concat());
+    let report = ran.succeeds();
+    let mut texts = Transcript::default();
+    texts.text("calibrate --method update", &ran);
     assert_eq!(report["contradictions"], 0);
     assert_eq!(report["rests"].as_array().unwrap().len(), 30);
     let change = report["bias_change_m_s2"][0].as_f64().unwrap();
@@ -222,10 +225,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     wimu(&["export", &newer, "--format", "c", "-o", &path("c")]).succeeds();
     // A sensor that was knocked: refused.
     off(0.3, &rests);
-    let refused = wimu(&update);
-    assert_eq!(refused.code, 3, "{refused:?}");
-    let reason = refused.object()["reason"].to_string();
-    assert!(reason.contains("does not hold any more"), "{reason}");
+    texts.refuses("bias changed by 0.3 m/s²", &wimu(&update));
     // One rest of six, 2 % off: it is named, and to be held again.
     let text = table(&many()[..6]);
     let knocked = text.lines().enumerate().map(|(k, line)| {
@@ -237,13 +237,8 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
         fields.join(",") + "\n"
     });
     fs::write(&rests, knocked.collect::<String>()).unwrap();
-    let refused = wimu(&update);
-    assert_eq!(refused.code, 3, "{refused:?}");
-    let reason = refused.object()["reason"].to_string();
-    assert!(
-        reason.contains("rest 3 (from 0") && reason.contains("again"),
-        "{reason}"
-    );
+    texts.refuses("rest 3 of 6 off by 2 %", &wimu(&update));
+    texts.check("calibrate_update");
     wimu(&update[..5]).fails(2, "usage");
     wimu(&[&update[..], &["--model", "9"]].concat()).fails(2, "usage");
 }

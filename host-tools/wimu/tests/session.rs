@@ -5,8 +5,9 @@ use crate::kit;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Links, Simulator, folder, wimu};
+use kit::{Background, Links, Simulator, Transcript, folder, record_motion, wimu};
 use serde_json::Value;
+use wimu_testkit::Lane;
 
 /// Whether an object has these keys, none of them null.
 fn has(object: &Value, keys: &[&str]) {
@@ -18,30 +19,46 @@ fn has(object: &Value, keys: &[&str]) {
 #[cfg(unix)]
 #[test]
 fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
+    let mut texts = Transcript::default();
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (session, cal, table) = (path("session.mcap"), path("CAL.json"), path("session.csv"));
-    let board = Simulator::start(&["--motion", "twelve-poses,slide", "--speed", "15"]);
+    let live = path("live.mcap");
+    let board = Simulator::start(&["--motion", "hand"]);
 
     // Both links at once, byte for byte.
-    let recorded = board.record_samples(Links::Both, &session, 7000);
+    let recorded = board.record_samples(Links::Both, &live, 400);
     assert_eq!(recorded["schema"], "wimu.record/1");
     let links = recorded["links"].as_array().unwrap();
     assert_eq!(links.len(), 2);
     for link in links {
-        assert!(link["raw"]["received"].as_u64().unwrap() >= 7000, "{link}");
+        assert!(link["raw"]["received"].as_u64().unwrap() >= 400, "{link}");
         assert_eq!(link["raw"]["missing"], 0, "{link}");
         assert_eq!(link["frames_damaged"], 0, "{link}");
     }
     // A recording is not overwritten.
-    wimu(&["record", &board.wireless, "-o", &session, "--for", "1"]).fails(2, "file_exists");
+    let ran = wimu(&["record", &board.wireless, "-o", &live, "--for", "1"]);
+    texts.fails("record again", &ran, 2, "file_exists");
 
-    let info = wimu(&["info", &session]).succeeds();
+    let ran = wimu(&["info", &live]);
+    let info = ran.succeeds();
     assert_eq!(info["schema"], "wimu.info/1");
     assert_eq!(info["truncated"], false);
     assert_eq!(info["links"].as_array().unwrap().len(), 2);
+    // The samples of both links are equal.
+    let against = wimu(&["calibrate", &live, "--method", "reference"]).succeeds();
+    assert_eq!(against["method"], "reference");
+    for axis in 0..3 {
+        assert_eq!(against["model"]["bias_m_s2"][axis], 0.0);
+        assert_eq!(against["model"]["matrix"][axis][axis], 1.0);
+    }
 
-    let exported = wimu(&["export", &session, "-o", &table]).succeeds();
+    // A longer session of the same board.
+    record_motion("twelve-poses,slide", 1, &session);
+    texts.text("info RECORDING", &wimu(&["info", &session]));
+    let ran = wimu(&["export", &session, "-o", &table]);
+    let exported = ran.succeeds();
+    texts.text("export", &ran);
     let rows = exported["rows"].as_u64().unwrap();
     let text = fs::read_to_string(&table).unwrap();
     assert_eq!(text.lines().count() as u64, rows + 1);
@@ -53,14 +70,6 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     for stream in ["corrected", "navigation"] {
         let out = path(&format!("{stream}.csv"));
         wimu(&["export", &session, "-o", &out, "--stream", stream]).succeeds();
-    }
-
-    // What came over both links is the same, sample by sample.
-    let against = wimu(&["calibrate", &session, "--method", "reference"]).succeeds();
-    assert_eq!(against["method"], "reference");
-    for axis in 0..3 {
-        assert_eq!(against["model"]["bias_m_s2"][axis], 0.0);
-        assert_eq!(against["model"]["matrix"][axis][axis], 1.0);
     }
 
     let report = wimu(&["calibrate", &session, "-o", &cal]).succeeds();
@@ -87,22 +96,24 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     );
     assert!(report["poses"].as_u64().unwrap() >= 12);
     assert!(report["rms_mm_s2"].as_f64().unwrap() < 5.0);
-    // The exported table says the same as the recording.
+    // The exported table gives the same calibration as the recording.
     let from_table = wimu(&["calibrate", &table, "--sensitivity", "16384"]).succeeds();
     assert_eq!(from_table["model"], report["model"]);
 
-    // Only the cable writes, and says what it would change.
+    // Only the cable writes; a dry run lists the changes.
     let dry = wimu(&["params", "push", &board.cable, &cal, "--dry-run"]);
     assert_eq!(dry.succeeds()["calibrated"], false);
-    assert!(dry.stderr.contains("nothing was written"), "{dry:?}");
-    let failure = wimu(&["params", "push", &board.wireless, &cal]).fails(4, "key_needed");
-    assert!(failure["remedy"].as_str().unwrap().contains("cable"));
+    texts.text("params push --dry-run", &dry);
+    let ran = wimu(&["params", "push", &board.wireless, &cal]);
+    texts.fails("params push by radio", &ran, 4, "key_needed");
     let held = wimu(&["params", "push", &board.cable, &cal]).succeeds();
     assert_eq!(held["parameter_id"], report["parameter_id"]);
     let again = path("held.json");
-    let held = wimu(&["params", "get", &board.wireless, "-o", &again]).succeeds();
+    let ran = wimu(&["params", "get", &board.wireless, "-o", &again]);
+    let held = ran.succeeds();
+    texts.text("params get", &ran);
     assert_eq!(held["parameters"], report["parameters"]);
-    // All that the calibration says of itself is there.
+    // The quality of the calibration is stored with it.
     let quality = &held["parameters"]["quality"];
     assert_eq!(quality["method"], "multi-position");
     assert_eq!(quality["poses"], report["poses"]);
@@ -116,7 +127,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     let navigated = wimu(&["navigate", &session]).succeeds();
     let replay = &navigated["starts"][0]["replay"];
     assert!(
-        replay["corrected_compared"].as_u64().unwrap() >= 7000,
+        replay["corrected_compared"].as_u64().unwrap() >= 5000,
         "{replay}"
     );
     for differ in ["corrected_differ", "navigation_differ", "states_differ"] {
@@ -125,9 +136,8 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     wimu(&["navigate", &session, "--calibration", &cal, "--zupt", "off"]).succeeds();
 
     // Settings: refused with the nearest, then taken.
-    let failure =
-        wimu(&["settings", "set", &board.cable, "--rate", "333"]).fails(4, "device_refused");
-    assert!(failure["remedy"].as_str().unwrap().contains("400 Hz"));
+    let ran = wimu(&["settings", "set", &board.cable, "--rate", "333"]);
+    texts.fails("settings set --rate 333", &ran, 4, "device_refused");
     wimu(&["settings", "set", &board.wireless, "--rate", "200"]).fails(4, "key_needed");
     let set = wimu(&[
         "settings",
@@ -154,10 +164,15 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     }
     assert_eq!(lines[lines.len() - 1]["corrected"], true);
 
-    let held = wimu(&["params", "factory-reset", &board.cable]).succeeds();
-    assert_eq!(held["calibrated"], false);
-    let settings = wimu(&["settings", "get", &board.cable]).succeeds();
-    assert_eq!(settings["rate_hz"], 100);
+    // By now its rate is measured.
+    texts.text("info LINK", &wimu(&["info", &board.cable]));
+    let ran = wimu(&["params", "factory-reset", &board.cable]);
+    assert_eq!(ran.succeeds()["calibrated"], false);
+    texts.text("params factory-reset", &ran);
+    let ran = wimu(&["settings", "get", &board.cable]);
+    assert_eq!(ran.succeeds()["rate_hz"], 100);
+    texts.text("settings get", &ran);
+    texts.check_live("session");
 }
 
 #[test]
@@ -214,7 +229,9 @@ fn a_replayed_file_calibrates_as_the_file_itself() {
     let made = path("made.csv");
     fs::write(&made, six_positions()).unwrap();
     let mut files = vec![made];
-    if real.exists() {
+    if Lane::current() == Lane::Check {
+        println!("skipped: the larger lanes replay {}", real.display());
+    } else if real.exists() {
         files.push(real.to_str().unwrap().to_owned());
     } else {
         println!("skipped: {} is absent", real.display());
@@ -224,7 +241,7 @@ fn a_replayed_file_calibrates_as_the_file_itself() {
         let board = Simulator::start(&["--replay", file, "--speed", "50", "--exit-when-done"]);
         let wireless = board.wireless.as_str();
         let record = Background::start(&["record", wireless, "-o", &session, "--reconnect", "0.5"]);
-        // The board goes when it is done; what came is in the file.
+        // The board exits when the replay is done.
         record.finish().succeeds();
         let rows = fs::read_to_string(file).unwrap().lines().count() - 1;
         let info = wimu(&["info", &session]).succeeds();

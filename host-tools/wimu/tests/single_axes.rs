@@ -1,11 +1,11 @@
-//! Arrays of single axes, and geometries that have a name.
+//! Arrays of single axes, and named geometries.
 
 use crate::kit;
 
 use std::fmt::Write;
 use std::fs;
 
-use kit::{folder, noise, wimu};
+use kit::{Transcript, folder, noise, wimu};
 use serde_json::{Value, json};
 
 const G: f64 = 9.80665;
@@ -44,7 +44,7 @@ fn felt([x, y, _]: [f64; 3], d: [f64; 3], [_, rate, turning]: [f64; 3]) -> f64 {
     d.iter().zip(f).map(|(d, f)| d * f).sum::<f64>() / size
 }
 
-/// A table at 100 Hz of axes at these places, with the truth.
+/// A table at 100 Hz of axes at these positions, with the truth.
 fn table(columns: &[String], axes: &[([f64; 3], [f64; 3])]) -> String {
     let mut text = format!("Time (s),{}", columns.join(","));
     text.push_str(",Truth Position E (m),Truth Position N (m),Truth Position U (m)");
@@ -53,8 +53,8 @@ fn table(columns: &[String], axes: &[([f64; 3], [f64; 3])]) -> String {
     for k in 0..1000 {
         let t = f64::from(k) / 100.0;
         write!(text, "{t:.2}").unwrap();
-        for (place, direction) in axes {
-            let value = felt(*place, *direction, turn(t)) + 0.01 * noise();
+        for (position, direction) in axes {
+            let value = felt(*position, *direction, turn(t)) + 0.01 * noise();
             write!(text, ",{value:.5}").unwrap();
         }
         let (sin, cos) = (turn(t)[0] / 2.0).sin_cos();
@@ -64,7 +64,7 @@ fn table(columns: &[String], axes: &[([f64; 3], [f64; 3])]) -> String {
 }
 
 fn cube() -> Vec<([f64; 3], [f64; 3])> {
-    CUBE.map(|(place, direction)| (place.map(|c| 0.05 * c), direction))
+    CUBE.map(|(position, direction)| (position.map(|c| 0.05 * c), direction))
         .to_vec()
 }
 
@@ -109,14 +109,10 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
         "-o",
         &out.display().to_string(),
     ]);
-    let found = ran.succeeds();
-    let said = found["remarks"].to_string();
-    assert!(
-        said.contains("do not show the angular rate itself"),
-        "{said}"
-    );
+    let mut texts = Transcript::default();
+    let found = texts.remarks("cube:100mm", &ran);
     let turned = heading(&out);
-    println!("turned by {turned:.3} rad of {:.3}; {said}", turn(10.0)[0]);
+    println!("turned by {turned:.3} rad of {:.3}", turn(10.0)[0]);
     assert!(apart(turned, turn(10.0)[0]) < 0.05, "{turned}");
     assert!(
         found["nees"]["share"]
@@ -128,7 +124,7 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
     let axes: Vec<Value> = cube()
         .iter()
         .enumerate()
-        .map(|(k, (place, direction))| json!({"place_m": place, "direction": direction, "column": format!("Face {k}")}))
+        .map(|(k, (position, direction))| json!({"place_m": position, "direction": direction, "column": format!("Face {k}")}))
         .collect();
     let geometry = json!({"schema": "wimu.array/1", "axes": axes});
     fs::write(at("cube.json"), geometry.to_string()).unwrap();
@@ -148,17 +144,19 @@ fn a_cube_of_six_single_axes_is_navigated_by_its_name_and_by_its_axes() {
     ])
     .succeeds();
     assert!(apart(heading(&out), turn(10.0)[0]) < 0.05);
-    // What is missing is said, with its column.
-    let refused = wimu(&["navigate", &at("faces.csv"), "--geometry", "cube:100mm"]);
-    let error = refused.fails(2, "csv_missing_column");
-    assert!(error["remedy"].to_string().contains("column"), "{error}");
-    for wrong in ["cube:100", "cube:-1mm", "board:9.5mm", "four:"] {
-        let error = wimu(&["navigate", &at("cube.csv"), "--geometry", wrong]).fails(2, "usage");
-        assert!(
-            error["remedy"].to_string().contains("cube:100mm"),
-            "{error}"
-        );
+    let ran = wimu(&["navigate", &at("faces.csv"), "--geometry", "cube:100mm"]);
+    texts.fails("other columns", &ran, 2, "csv_missing_column");
+    for wrong in [
+        "cube:100",
+        "cube:-1mm",
+        "board:9.5mm",
+        "four:",
+        "hexagon:3mm",
+    ] {
+        let ran = wimu(&["navigate", &at("cube.csv"), "--geometry", wrong]);
+        texts.fails(wrong, &ran, 2, "usage");
     }
+    texts.check("navigate_single_axes");
 }
 
 #[test]
@@ -166,21 +164,21 @@ fn triads_of_a_preset_are_those_at_the_same_places() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name).display().to_string();
     let p = 0.05;
-    let places = [[p, p, p], [p, -p, -p], [-p, p, -p], [-p, -p, p]];
+    let positions = [[p, p, p], [p, -p, -p], [-p, p, -p], [-p, -p, p]];
     let units = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let axes: Vec<([f64; 3], [f64; 3])> = places
+    let axes: Vec<([f64; 3], [f64; 3])> = positions
         .iter()
-        .flat_map(|place| units.map(|unit| (*place, unit)))
+        .flat_map(|position| units.map(|unit| (*position, unit)))
         .collect();
     let columns: Vec<String> = (0..12)
         .map(|k| format!("Accelerometer {} {} (m/s²)", k / 3, ["X", "Y", "Z"][k % 3]))
         .collect();
     fs::write(at("four.csv"), table(&columns, &axes)).unwrap();
     let mut text = "X (m),Y (m),Z (m)\n".to_owned();
-    for [x, y, z] in places {
+    for [x, y, z] in positions {
         writeln!(text, "{x},{y},{z}").unwrap();
     }
-    fs::write(at("places.csv"), text).unwrap();
+    fs::write(at("positions.csv"), text).unwrap();
     let run = |geometry: &str| {
         wimu(&[
             "navigate",
@@ -195,7 +193,7 @@ fn triads_of_a_preset_are_those_at_the_same_places() {
         .succeeds();
         fs::read_to_string(at("path.csv")).unwrap()
     };
-    let (named, tabled) = (run("four:86.60254037844386mm"), run(&at("places.csv")));
+    let (named, tabled) = (run("four:86.60254037844386mm"), run(&at("positions.csv")));
     assert_eq!(named, tabled);
     assert!(apart(heading(&folder.path().join("path.csv")), turn(10.0)[0]) < 0.05);
 }
@@ -214,12 +212,8 @@ fn an_axis_that_never_moves_is_named() {
     };
     let lines: Vec<String> = text.lines().enumerate().map(dead).collect();
     fs::write(&file, lines.join("\n")).unwrap();
-    let refused = wimu(&["navigate", &file, "--geometry", "cube:100mm"]).fails(3, "data_refused");
-    let message = refused["message"].as_str().unwrap();
-    assert!(
-        message.contains("`Accelerometer 2` never moves"),
-        "{message}"
-    );
-    let none = wimu(&["navigate", &file, "--geometry", "hexagon:3mm"]).fails(2, "usage");
-    assert!(none["remedy"].as_str().unwrap().contains("octahedron:ARM"));
+    let ran = wimu(&["navigate", &file, "--geometry", "cube:100mm"]);
+    let mut texts = Transcript::default();
+    texts.fails("constant axis", &ran, 3, "data_refused");
+    texts.check("navigate_single_axes_dead");
 }

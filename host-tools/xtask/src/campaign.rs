@@ -13,14 +13,48 @@ use crate::setup::cargo;
 /// Where results are kept.
 pub const RESULTS: &str = "docs/validation";
 
+// Sources of commands.
+const ARITHMETIC: [&str; 2] = ["crates/wimu-model/src", "crates/wimu-integrator/src"];
+const CALIBRATION: [&str; 2] = ["crates/wimu-model/src", "crates/wimu-calib/src"];
+const NAVIGATION: [&str; 1] = ["crates/wimu-nav/src"];
+const HOST_NAVIGATION: [&str; 7] = [
+    "crates/wimu-nav/src",
+    "host-tools/wimu-host/src/array",
+    "host-tools/wimu-host/src/array.rs",
+    "host-tools/wimu-host/src/inertial",
+    "host-tools/wimu-host/src/motion",
+    "host-tools/wimu-host/src/motion.rs",
+    "host-tools/wimu-host/examples",
+];
+const LINK: [&str; 3] = [
+    "crates/wimu-link/src",
+    "crates/wimu-node/src",
+    "host-tools/wimu-sim/src",
+];
+const LOOP: [&str; 6] = [
+    "crates/wimu-model/src",
+    "crates/wimu-calib/src",
+    "crates/wimu-integrator/src",
+    "crates/wimu-link/src",
+    "crates/wimu-node/src",
+    "host-tools/wimu-sim/src",
+];
+const STORAGE: [&str; 2] = ["crates/wimu-node/src", "host-tools/wimu-sim/src/storage.rs"];
+const CLOCKS: [&str; 5] = [
+    "host-tools/wimu-sim/src",
+    "host-tools/wimu-host/src/clock",
+    "host-tools/wimu-host/src/clock.rs",
+    "host-tools/wimu-host/src/compare",
+    "host-tools/wimu-host/src/compare.rs",
+];
 /// What a device runs.
 const DEVICE: [&str; 7] = [
-    "crates/wimu-model",
-    "crates/wimu-integrator",
-    "crates/wimu-calib",
-    "crates/wimu-link",
-    "crates/wimu-node",
-    "crates/wimu-adxl345",
+    "crates/wimu-model/src",
+    "crates/wimu-integrator/src",
+    "crates/wimu-calib/src",
+    "crates/wimu-link/src",
+    "crates/wimu-node/src",
+    "crates/wimu-adxl345/src",
     "firmware",
 ];
 
@@ -39,7 +73,25 @@ struct Run {
     sources: &'static [&'static str],
 }
 
-pub const CAMPAIGNS: [Campaign; 7] = [
+pub const CAMPAIGNS: [Campaign; 9] = [
+    Campaign {
+        name: "arithmetic",
+        about: "corrector and integrator against f64 and exact integers",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-model --test all -- --include-ignored",
+                sources: &ARITHMETIC,
+            },
+            Run {
+                command: "test --release -p wimu-integrator --test behaviour -- --include-ignored",
+                sources: &ARITHMETIC,
+            },
+            Run {
+                command: "run --release -p wimu-integrator --example accuracy",
+                sources: &ARITHMETIC,
+            },
+        ],
+    },
     Campaign {
         name: "device",
         about: "flash and RAM of the images, instructions of a sample",
@@ -57,10 +109,23 @@ pub const CAMPAIGNS: [Campaign; 7] = [
     Campaign {
         name: "calibration",
         about: "intervals, refusals and outliers over simulated sensors; public recordings",
-        runs: &[Run {
-            command: "test --release -p wimu-calib --test all -- --include-ignored",
-            sources: &["crates/wimu-model", "crates/wimu-calib"],
-        }],
+        runs: &[
+            Run {
+                command: "test --release -p wimu-calib --test all -- --include-ignored",
+                sources: &CALIBRATION,
+            },
+            Run {
+                command: "test --release -p wimu-host --lib -- calibration::advice",
+                sources: &[
+                    "crates/wimu-calib/src",
+                    "host-tools/wimu-host/src/calibration",
+                ],
+            },
+            Run {
+                command: "run --release -p wimu-calib --example speed",
+                sources: &CALIBRATION,
+            },
+        ],
     },
     Campaign {
         name: "navigation",
@@ -68,63 +133,111 @@ pub const CAMPAIGNS: [Campaign; 7] = [
         runs: &[
             Run {
                 command: "test --release -p wimu-nav --test all -- --include-ignored",
-                sources: &["crates/wimu-model", "crates/wimu-nav"],
+                sources: &NAVIGATION,
+            },
+            Run {
+                command: "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: slides:: violent::",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-nav --example consistency 500",
+                sources: &NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-nav --example journeys 300",
+                sources: &NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-host --example array_journeys 40",
+                sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "run --release -p wimu-host --example bench_nav {data}",
+                sources: &HOST_NAVIGATION,
             },
             Run {
                 command: "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
-                sources: &[
-                    "crates/wimu-model",
-                    "crates/wimu-nav",
-                    "host-tools/wimu-host/src/array",
-                    "host-tools/wimu-host/src/inertial",
-                    "host-tools/wimu-host/src/motion",
-                    "host-tools/wimu-host/examples/score_navigation",
-                ],
+                sources: &HOST_NAVIGATION,
             },
         ],
     },
     Campaign {
         name: "link",
-        about: "forged requests, bad lines, pushes, unsigned floods",
+        about: "bytes of a sample, decoding, forged requests, bad lines, pushes, floods",
         runs: &[
             Run {
                 command: "test --release -p wimu-link --test all -- --include-ignored",
-                sources: &["crates/wimu-link"],
+                sources: &["crates/wimu-link/src"],
             },
             Run {
-                command: "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::",
-                sources: &[
-                    "crates/wimu-link",
-                    "crates/wimu-node",
-                    "host-tools/wimu-sim",
-                    "tests",
-                ],
+                command: "run --release -p wimu-link --example wire_budget -- {data}",
+                sources: &["crates/wimu-link/src"],
+            },
+            Run {
+                command: "run --release -p wimu-sim --example link_budget",
+                sources: &LINK,
+            },
+            Run {
+                command: "test --release -p wimu-tests --test all -- --include-ignored pushes:: noisy_link:: board::flood --skip pico::",
+                sources: &LINK,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example noisy_link",
+                sources: &LINK,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example decode_rate",
+                sources: &["crates/wimu-link/src", "host-tools/wimu-host/src/decode"],
             },
         ],
     },
     Campaign {
-        name: "storage",
-        about: "power cuts at every byte, unstable cells, damaged pages",
+        name: "loop",
+        about: "calibration, push, restart, slides and heading on simulated boards",
         runs: &[Run {
-            command: "test --release -p wimu-tests --test all -- --include-ignored store::",
-            sources: &["crates/wimu-node", "tests/tests/store"],
+            command: "test --release -p wimu-tests --test all -- --include-ignored first_light:: board::heading real_input:: --skip pico:: --skip qemu::",
+            sources: &LOOP,
         }],
     },
     Campaign {
+        name: "storage",
+        about: "power cuts at every byte, unstable cells, damaged pages",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-tests --test all -- --include-ignored store:: --skip pico::",
+                sources: &STORAGE,
+            },
+            Run {
+                command: "run --release -p wimu-tests --example fuzz 20000 7 store",
+                sources: &STORAGE,
+            },
+        ],
+    },
+    Campaign {
         name: "fuzz",
-        about: "random and damaged bytes for every decoder",
+        about: "random, damaged and reordered bytes for every decoder",
         runs: &[Run {
             command: "run --release -p wimu-tests --example fuzz 10000000 7",
-            sources: &["crates", "tests/src", "tests/examples"],
+            sources: &[
+                "crates/wimu-link/src",
+                "host-tools/wimu-host/src/decode",
+                "tests/src",
+            ],
         }],
     },
     Campaign {
         name: "clocks",
-        about: "clock models of links with jitter; recordings of a day",
-        runs: &[Run {
-            command: "test --release -p wimu-sim --test all -- --include-ignored",
-            sources: &["host-tools/wimu-sim", "host-tools/wimu-host/src/clock"],
-        }],
+        about: "clock models of links with jitter, comparison of links, recordings of a day",
+        runs: &[
+            Run {
+                command: "test --release -p wimu-host --lib -- --include-ignored clock:: compare::",
+                sources: &CLOCKS,
+            },
+            Run {
+                command: "test --release -p wimu-sim --test all -- --include-ignored clocks:: compare:: long_files::",
+                sources: &CLOCKS,
+            },
+        ],
     },
 ];
 
@@ -145,10 +258,11 @@ pub fn names() -> String {
 }
 
 /// Runs the commands of a campaign and writes the results of each as it ends: a campaign that was
-/// interrupted goes on with those commands whose results are missing or stale.
+/// interrupted goes on with those commands whose results are missing or stale. The figures of a command
+/// that fails are kept, and marked.
 ///
 /// # Errors
-/// Says which command failed, or which of its sources are not committed.
+/// Says which commands failed, or which of their sources are not committed.
 pub fn run(name: &str, seed: u64) -> Result<(), String> {
     let campaign = CAMPAIGNS.iter().find(|campaign| campaign.name == name);
     let campaign = campaign.ok_or("there is no such campaign")?;
@@ -178,7 +292,15 @@ pub fn run(name: &str, seed: u64) -> Result<(), String> {
         fs::write(&file, format!("{done:#}\n")).map_err(|e| format!("{}: {e}", file.display()))?;
     }
     println!("{}", file.display());
-    Ok(())
+    let failed = campaign.results(&done).into_iter();
+    let failed = failed.filter(|(result, _)| result["passed"] == false);
+    let failed: Vec<_> = failed
+        .map(|(result, _)| result["command"].to_string())
+        .collect();
+    match failed.is_empty() {
+        true => Ok(()),
+        false => Err(format!("failed: {}", failed.join(", "))),
+    }
 }
 
 impl Campaign {
@@ -210,11 +332,11 @@ impl Run {
         let _ = fs::remove_file(&lines);
         let start = Instant::now();
         let command = self.command.replace("{data}", DATA);
-        cargo(&command.replace("{results}", RESULTS))
+        let outcome = cargo(&command.replace("{results}", RESULTS))
             .with("WIMU_LANE", "campaign")
             .with("WIMU_SEED", &seed.to_string())
             .with("WIMU_RESULTS", &lines.display().to_string())
-            .run()?;
+            .run();
         let mut figures = read_lines(&fs::read_to_string(&lines).unwrap_or_default())?;
         let _ = fs::remove_file(&lines);
         // Parallel tests record in any order.
@@ -224,6 +346,7 @@ impl Run {
             "commit": revision("HEAD").ok_or("this is no git checkout")?,
             "sources": self.hashes(),
             "minutes": (start.elapsed().as_secs_f64() / 6.0).round() / 10.0,
+            "passed": outcome.is_ok(),
             "figures": figures,
         }))
     }

@@ -142,7 +142,7 @@ pub fn qemu_image() -> Result<PathBuf, String> {
     }
 }
 
-/// Starts the board in QEMU with a moving sensor, until Ctrl-C; `options` are those of wimu-sim's
+/// Starts the board in QEMU with a moving sensor, until Ctrl-C; `options` are those of wimu-tests'
 /// example `qemu`.
 ///
 /// # Errors
@@ -153,7 +153,7 @@ pub fn qemu(options: &[String]) -> Result<(), String> {
     } else {
         qemu_image()?
     };
-    let start = setup::cargo("run --release --quiet -p wimu-sim --example qemu --");
+    let start = setup::cargo("run --release --quiet -p wimu-tests --example qemu --");
     let start = options
         .iter()
         .fold(start.word(&image.display().to_string()), |start, option| {

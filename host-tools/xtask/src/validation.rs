@@ -44,10 +44,15 @@ pub fn write() -> Result<(), String> {
 /// The table of a command: one row a figure, missed targets included.
 fn section(result: &Value, fresh: bool) -> Result<String, String> {
     let mut text = format!(
-        "\n    cargo {}\n\n{} minutes at commit {:.8}.\n\n| claim | figure | target |\n|---|---|---|\n",
+        "\n    cargo {}\n\n{} minutes at commit {:.8}{}.\n\n| claim | figure | target |\n|---|---|---|\n",
         result["command"].as_str().unwrap_or_default(),
         result["minutes"],
         result["commit"].as_str().unwrap_or_default(),
+        if result["passed"] == false {
+            ", **fails**"
+        } else {
+            ""
+        },
     );
     for figure in result["figures"].as_array().into_iter().flatten() {
         let field = |key: &str| figure[key].as_str().unwrap_or_default().replace('|', "\\|");

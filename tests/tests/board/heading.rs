@@ -10,6 +10,7 @@ use wimu_sim::board::BoardConfig;
 use wimu_sim::motion;
 use wimu_sim::scene::World;
 use wimu_sim::truth::{Gauge, SensorTruth};
+use wimu_testkit::{Coverage, Lane, coverage_figure};
 use wimu_tests::{ROLES, Rig, assert_replays, sensor};
 
 /// What a session in many orientations finds of the sensor of `seed`.
@@ -41,7 +42,7 @@ fn off_rad(epoch: &Epoch, attitude: wimu_sim::attitude::Attitude) -> f64 {
 #[test]
 fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_deviation() {
     let (mut deviations, mut iron) = (Vec::new(), Vec::new());
-    for seed in 1..=6 {
+    for seed in 1..=Lane::current().choose([1, 6, 60]) {
         let set = calibrated(seed);
         let truth = SensorTruth::random(seed, Gauge::LowerTriangular).magnetometer;
         let found = *set.magnetometer.expect("calibrated").terms();
@@ -88,26 +89,30 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
             assert_replays(rig.boot(role));
         }
     }
-    let iron_within = |bound: f64| iron.iter().filter(|off| off.abs() <= bound).count();
-    println!(
-        "hard iron of {} axes: {} within 2 σ, {} within 3 σ",
-        iron.len(),
-        iron_within(2.0),
-        iron_within(3.0)
-    );
-    assert!(iron_within(2.0) >= 15 && iron_within(4.0) == iron.len());
-    let within = |bound: f64| {
-        let inside = deviations.iter().filter(|d| d.abs() <= bound).count();
-        inside as f64 / deviations.len() as f64
+    let within = |all: &[f64], bound: f64| -> Coverage {
+        all.iter().map(|off| off.abs() <= bound).collect()
     };
+    let largest = |all: &[f64]| all.iter().fold(0.0, |most: f64, off| most.max(off.abs()));
     println!(
-        "{} headings: {:.0} % within 1 σ, {:.0} % within 2 σ, {:.1} σ at most",
-        deviations.len(),
-        100.0 * within(1.0),
-        100.0 * within(2.0),
-        deviations
-            .iter()
-            .fold(0.0, |most: f64, d| most.max(d.abs()))
+        "largest: iron {:.1} σ, heading {:.1} σ",
+        largest(&iron),
+        largest(&deviations)
     );
-    assert!(within(1.0) > 0.6 && within(2.0) > 0.93 && within(4.0) == 1.0);
+    let held = within(&iron, 1.96);
+    coverage_figure(
+        "hard iron found on a board: 95 % intervals",
+        &[held],
+        0.93..=0.97,
+    );
+    held.assert_can_be(0.9..=1.0, "hard iron");
+    // The stated deviation includes disturbances, which this field does not have.
+    let held = within(&deviations, 1.96);
+    coverage_figure(
+        "headings of a board at rest: 95 % intervals",
+        &[held],
+        0.93..=1.0,
+    );
+    held.assert_can_be(0.93..=1.0, "headings");
+    within(&deviations, 1.0).assert_can_be(0.6..=1.0, "headings within 1 σ");
+    assert!(largest(&iron) < 5.0 && largest(&deviations) < 5.0);
 }

@@ -8,7 +8,7 @@ use wimu_link::{Answer, Command, Deframer, LinkRole, WIRE_VERSION};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::World;
-use wimu_tests::{ROLES, Rig, Seeded, assert_replays, frame_of, gaps, sensor, who_are_you};
+use wimu_tests::{ROLES, Random, Rig, assert_replays, damage, frame_of, gaps, sensor, who_are_you};
 
 const ROOMY: LinkConfig = LinkConfig {
     baud: None,
@@ -82,7 +82,7 @@ fn flood(role: LinkRole, mut rubbish: impl FnMut(&mut Rig) -> Vec<u8>) -> (Rig, 
 #[test]
 fn random_bytes_on_one_link_are_counted_and_harm_nothing() {
     for role in ROLES {
-        let mut seeded = Seeded(1);
+        let mut seeded = Random::new(1);
         let (rig, status) = flood(role, |_| seeded.bytes(100));
         assert!(damaged(&status, role) > 100, "{status:?}");
         rig.link(role).assert_perfect();
@@ -101,7 +101,7 @@ fn bytes_without_an_end_of_frame_harm_nothing() {
 #[test]
 fn damaged_spliced_and_truncated_requests_are_counted_and_none_is_obeyed() {
     for role in ROLES {
-        let mut seeded = Seeded(2);
+        let mut seeded = Random::new(2);
         let mut sent = 0;
         let (mut rig, status) = flood(role, |rig| {
             let wanted = Settings {
@@ -111,7 +111,7 @@ fn damaged_spliced_and_truncated_requests_are_counted_and_none_is_obeyed() {
             let mut frame = rig.frame_of(Command::SetSettings(wanted));
             let whole = frame.clone();
             while frame == whole || passes(&frame) {
-                seeded.damage(&mut frame);
+                damage(&mut seeded, &mut frame);
             }
             sent += 1;
             frame
@@ -135,7 +135,7 @@ fn passes(bytes: &[u8]) -> bool {
 #[test]
 fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
     for role in ROLES {
-        let mut seeded = Seeded(3);
+        let mut seeded = Random::new(3);
         let mut sent = 0;
         let (rig, status) = flood(role, |_| {
             sent += 1;
@@ -173,7 +173,7 @@ fn unknown_kinds_and_versions_are_counted_and_not_fatal() {
 #[test]
 fn intact_frames_with_random_bodies_harm_nothing() {
     for role in ROLES {
-        let mut seeded = Seeded(4);
+        let mut seeded = Random::new(4);
         let (mut rig, _) = flood(role, |_| {
             let length = seeded.below(60);
             let body = seeded.bytes(length);
@@ -321,10 +321,10 @@ fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
     let truth = rig.boot(LinkRole::Cable);
     let clean = rig.link(LinkRole::Cable).bytes();
     for seed in 0..60 {
-        let mut seeded = Seeded(seed);
+        let mut seeded = Random::new(seed);
         let mut bytes = clean.clone();
         for _ in 0..1 + seeded.below(40) {
-            seeded.damage(&mut bytes);
+            damage(&mut seeded, &mut bytes);
         }
         let mut decoder = Decoder::new();
         let mut record = LinkHistory::new(LinkRole::Cable);

@@ -3,6 +3,7 @@
 use wimu_link::message::{Event, Payload, SensorStatus, Status, parameter_id};
 use wimu_link::{Answer, Command, LinkRole, Settings};
 use wimu_model::{ParameterId, ParameterSet, Sensitivity};
+use wimu_testkit::figure;
 use wimu_tests::{ROLES, who_are_you};
 
 use super::run::{CABLE, Run, WIRELESS, cut, happens, rate, request, run, send};
@@ -39,7 +40,9 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
         ],
     );
     let stack = run.report["stack_bytes"].as_u64().expect("a number");
-    println!("stack: {stack} bytes at most");
+    let claim = "Pico: stack while a set is staged, stored and read, bytes";
+    let target = format!("at most {MOST_STACK}");
+    figure(claim, stack, &target, stack <= MOST_STACK);
     assert!(stack <= MOST_STACK, "{stack}");
     for role in ROLES {
         let ids: Vec<_> = run
@@ -84,12 +87,17 @@ fn power_that_fails_in_the_middle_of_any_write_leaves_the_old_set_or_the_new_one
         assert!(!unreadable, "cut {count}: {:?}", boot.events);
         outcomes.push(hello.parameter_id);
     }
-    println!("{} cuts", outcomes.len());
     assert!(outcomes.len() >= 3, "{outcomes:?}");
     let (old, new) = (parameter_id(&old), parameter_id(&new));
     assert!(
         outcomes.iter().all(|id| [old, new].contains(id)),
         "{outcomes:?}"
+    );
+    figure(
+        "Pico: power cut within a write of a set: neither old nor new",
+        format!("0 of {}", outcomes.len()),
+        "none",
+        true,
     );
     assert!(outcomes.is_sorted_by_key(|id| *id == new), "{outcomes:?}");
 }
@@ -152,7 +160,12 @@ fn no_sample_is_lost_at_the_highest_rate_with_both_links_shedding_and_a_set_bein
         overruns,
         bus_errors,
     } = status.sensor;
-    println!("800 Hz: {samples} samples, {missed} missed, {overruns} overruns");
+    figure(
+        "Pico, 800 Hz, both links busy, a set written: samples missed",
+        format!("{} of {samples}", missed + overruns),
+        "none",
+        missed + overruns == 0,
+    );
     assert_eq!((missed, overruns, bus_errors), (0, 0, 0));
     assert_eq!(run.report["overruns"], 0);
     assert!(samples > 5_000, "{samples}");
@@ -166,9 +179,11 @@ fn what_the_fifo_cannot_hold_while_the_flash_is_erased_is_counted_to_the_sample(
         let run = pushed_at(rate_hz, 30, flash);
         let sensor = status(&run).sensor;
         let overwritten = run.report["overruns"].as_u64().expect("a number");
-        println!(
-            "{rate_hz} Hz, {flash}: {} missed of {overwritten} overwritten",
-            sensor.missed
+        figure(
+            &format!("Pico, {rate_hz} Hz, {flash}: missed samples that are counted"),
+            format!("{} of {overwritten}", sensor.missed),
+            "within 2",
+            u64::from(sensor.missed).abs_diff(overwritten) <= 2,
         );
         assert!(rate_hz > 100 || overwritten == 0, "{overwritten}");
         assert!(

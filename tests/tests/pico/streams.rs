@@ -4,6 +4,7 @@ use wimu_link::auth::DeviceKey;
 use wimu_link::hello::{Capabilities, board};
 use wimu_link::message::{BusFault, Event};
 use wimu_link::{Answer, Command, LinkRole, Settings};
+use wimu_testkit::figure;
 use wimu_tests::{ROLES, assert_replays, gaps, who_are_you};
 
 use super::run::{CABLE, WIRELESS, happens, request, run, send};
@@ -53,7 +54,12 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
             least = least.min(late);
             most = most.max(late);
         }
-        println!("{role}: sample times {least:.1} to {most:.1} µs after the sensor took them");
+        figure(
+            &format!("Pico, 400 Hz, {role}: sample times after the sensor's, µs"),
+            format!("{least:.1} to {most:.1}"),
+            "± 5 of a constant",
+            most - least <= 10.0,
+        );
         assert!(
             most - least <= 10.0 && least >= -5.0,
             "{least} to {most} µs"
@@ -145,10 +151,12 @@ fn interrupts_are_never_off_for_long_not_for_keys_either() {
         ],
     );
     let ns = run.report["longest_masked"]["ns"].as_u64().expect("a time");
-    println!(
-        "{} µs at most, until {}",
-        ns / 1000,
-        run.report["longest_masked"]["until"]
+    println!("until {}", run.report["longest_masked"]["until"]);
+    figure(
+        "Pico: interrupts masked at most, µs",
+        format!("{:.0}", ns as f64 / 1000.0),
+        "at most 50",
+        ns <= 50_000,
     );
     // The data-ready line's time is taken in one. A frame is queued in 19 µs, a new correction in 40.
     assert!(ns <= 50_000, "{ns} ns");

@@ -5,11 +5,11 @@ use std::cell::RefCell;
 use wimu_host::compare::compare;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_link::LinkRole;
-use wimu_sim::board::BehindFaults;
 use wimu_sim::faults::LinkFaults;
-use wimu_sim::qemu::QemuBoard;
 use wimu_sim::scenario::Host;
 use wimu_sim::scene::World;
+use wimu_tests::behind_faults::BehindFaults;
+use wimu_tests::qemu::QemuBoard;
 
 use super::{folder, machine, sensor};
 

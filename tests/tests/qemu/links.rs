@@ -17,9 +17,9 @@ use wimu_host::transport::{self, Transport};
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result, replay};
 use wimu_link::message::Event as DeviceEvent;
 use wimu_link::{Deframer, Kind, LinkRole, WIRE_VERSION};
-use wimu_sim::qemu::{FreeRunning, Listen};
 use wimu_sim::scene::World;
-use wimu_tests::{frame_of, who_are_you};
+use wimu_tests::qemu::{FreeRunning, Listen};
+use wimu_tests::{Random, frame_of, who_are_you};
 
 use super::{folder, machine, sensor};
 
@@ -192,9 +192,7 @@ fn a_client_that_floods_or_leaves_stops_no_sampling() {
         let mut flooding = connect(tcp(wireless));
         let boots = flooding.client.hello().boot_count;
         // Frames' ends among them, so that there is something to be damaged.
-        let noise: Vec<u8> = (0..100_000_u32)
-            .map(|n| (n.wrapping_mul(n) >> 7) as u8)
-            .collect();
+        let noise = Random::new(1).bytes(100_000);
         let sent = flooding.client.transport().write_all(&noise);
         sent.expect("sent");
         cable.hear(300);

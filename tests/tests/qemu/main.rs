@@ -18,13 +18,14 @@ use wimu_host::{ErrorCode, replay};
 use wimu_link::LinkRole;
 use wimu_link::message::{EpochReason, Event as DeviceEvent, Settings};
 use wimu_model::{Alignment, ParameterId, ParameterSet, Sensitivity};
-use wimu_sim::board::BehindFaults;
 use wimu_sim::motion;
-use wimu_sim::qemu::{Machine, QemuBoard};
 use wimu_sim::scenario::{Calibration, FirstLight, Host, Outcome};
 use wimu_sim::scene::{Scene, Temperature, World};
 use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
+use wimu_testkit::figure;
+use wimu_tests::behind_faults::BehindFaults;
+use wimu_tests::qemu::{Machine, QemuBoard};
 
 /// A board whose memory and log are in `folder`.
 fn machine(folder: &Path) -> Machine {
@@ -78,6 +79,7 @@ fn first_light(seed: u64, calibration: Calibration) -> Outcome {
 #[test]
 #[ignore = "needs QEMU and the firmware: cargo xtask test --only qemu"]
 fn first_light_on_a_cortex_m() {
+    let mut worst = [0.0_f64; 3];
     for (seed, calibration) in [
         (1, Calibration::TwelvePoses),
         (2, Calibration::SixPositions),
@@ -89,6 +91,8 @@ fn first_light_on_a_cortex_m() {
             before >= 0.4 && after < 0.005 && before / after >= 50.0,
             "{before} → {after} m/s² rms"
         );
+        let found = [after, outcome.slide.calibrated_m, outcome.slide.zupt_m];
+        worst = [0, 1, 2].map(|k| worst[k].max(found[k]));
         assert_eq!(outcome.tilts.len(), 10);
         assert_ne!(outcome.pushed, ParameterId::UNCALIBRATED);
         assert_eq!(outcome.pushed, outcome.after_restart);
@@ -106,6 +110,19 @@ fn first_light_on_a_cortex_m() {
             assert!(replay.corrected_compared > 4000 && replay.navigation_compared > 400);
         }
     }
+    let [tilts, slide, zupt] = worst.map(|value| value * 1e3);
+    figure(
+        "first light on a Cortex-M4F in QEMU: |f| − g of tilts, mm/s² rms",
+        format!("{tilts:.2}"),
+        "below 5",
+        tilts < 5.0,
+    );
+    figure(
+        "first light in QEMU: slide of 1 m, without and with ZUPT, mm",
+        format!("{slide:.1} / {zupt:.1}"),
+        "below 100 / 20",
+        slide < 100.0 && zupt < 20.0,
+    );
 }
 
 #[test]
@@ -175,6 +192,18 @@ fn ten_minutes_replay_bit_for_bit_over_gaps_temperature_parameters_and_settings(
         };
         let replay = replay::verify(boot, 0);
         println!("{:?}: {replay:?}", link.role);
+        figure(
+            &format!(
+                "replay of 620 s of a Cortex-M4F, {}: values that differ",
+                link.role
+            ),
+            format!(
+                "0 of {}",
+                replay.corrected_compared + replay.navigation_compared
+            ),
+            "none",
+            replay.is_exact(),
+        );
         assert!(replay.is_exact(), "{replay:?}");
         assert!(replay.corrected_compared > 60_000 && replay.navigation_compared > 5_500);
         let compared = boot.corrected.len() as u64 - replay.corrected_compared;

@@ -11,9 +11,10 @@ use std::time::Duration;
 use wimu_host::ErrorCode;
 use wimu_link::LinkRole;
 use wimu_link::message::Event as DeviceEvent;
-use wimu_sim::qemu::QemuBoard;
 use wimu_sim::scenario::Host;
 use wimu_sim::scene::{Scene, World};
+use wimu_testkit::{Random, figure};
+use wimu_tests::qemu::QemuBoard;
 
 use super::{folder, machine, memory, parameters, sensor};
 
@@ -32,12 +33,7 @@ fn started(folder: &Path) -> (RefCell<QemuBoard>, Scene) {
 fn a_corrupted_memory_is_reported_and_taken_for_locked_until_it_is_erased() {
     let folder = folder();
     // 16 MiB, of which the first pages are used: noise, the same in every run.
-    let mut state = 1_u32;
-    let noise = (0..64 * 1024).map(|_| {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 24) as u8
-    });
-    let mut bytes: Vec<u8> = noise.collect();
+    let mut bytes = Random::new(1).bytes(64 * 1024);
     bytes.resize(16 << 20, 0);
     fs::write(memory(folder.path()), bytes).expect("written");
 
@@ -89,6 +85,12 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
         holds = found;
     }
     println!("lost before the new set stood, after, never: {outcomes:?}");
+    figure(
+        "power lost in QEMU at any third word of a push: neither old nor new",
+        format!("0 of {}", outcomes[0] + outcomes[1]),
+        "none",
+        true,
+    );
     assert!(outcomes[0] > 20 && outcomes[2] == 1, "{outcomes:?}");
 }
 
@@ -107,15 +109,12 @@ fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
     let mut holds = ids[1];
     let mut outcomes = [0; 2];
     let mut unfinished = 0;
-    let mut state = 1_u64;
+    let mut random = Random::new(1);
     for kill in 0..kills {
         board.borrow_mut().machine().slow_flash = Some(CYCLES);
         host.restart().expect("it starts");
         let id = board.borrow().process_id().to_string();
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        let delay = Duration::from_micros((state >> 33) % 900_000);
+        let delay = Duration::from_micros(random.below(900_000) as u64);
         let before = flash(&memory);
         let watched = memory.clone();
         let killer = thread::spawn(move || {
@@ -151,8 +150,12 @@ fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
 fn a_machine_killed_while_it_writes_holds_the_old_parameters_or_the_new() {
     let kills = std::env::var("WIMU_KILLS").map_or(8, |kills| kills.parse().expect("a number"));
     let ([old, new], unfinished) = killed_while_writing(kills);
-    println!(
-        "kill -9 {kills} times: {unfinished} writes unfinished; the old set {old} times, the new {new}"
+    println!("{unfinished} writes unfinished; the old set {old} times, the new {new}");
+    figure(
+        "QEMU killed while it writes a push: neither old nor new",
+        format!("0 of {kills}"),
+        "none",
+        true,
     );
     assert!(unfinished * 4 > kills, "{unfinished} of {kills}");
 }
@@ -216,5 +219,11 @@ fn power_lost_while_a_page_is_erased_leaves_the_old_parameters_or_the_new() {
         assert_eq!(again.0, ids[new]);
     }
     println!("lost before the new set stood, after: {outcomes:?}");
+    figure(
+        "power lost in QEMU while a page is erased: neither old nor new",
+        format!("0 of {}", outcomes[0] + outcomes[1]),
+        "none",
+        true,
+    );
     assert!(outcomes[0] > 10, "{outcomes:?}");
 }

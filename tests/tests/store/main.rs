@@ -1,7 +1,4 @@
 //! The store in a flash that loses power at every byte, wears out, fills up and rots.
-//!
-//! The whole campaign, which prints its counts:
-//! `cargo test --release -p wimu-tests --test all store -- --ignored --nocapture`.
 
 mod cells;
 
@@ -13,7 +10,8 @@ use std::task::{Context, Poll, Waker};
 
 use wimu_node::{FlashLayout, FlashStore, Key, MAX_RECORD, Store, StoreFault};
 use wimu_sim::storage::Storage;
-use wimu_tests::Seeded;
+use wimu_testkit::{Lane, figure, trials};
+use wimu_tests::Random;
 
 /// What a future that needs no waiting returns; `None` when power was lost.
 fn done<T>(future: impl Future<Output = T>) -> Option<T> {
@@ -77,7 +75,7 @@ enum Change {
 
 impl Change {
     /// As hosts do: parameters and settings mostly, keys and starts often, resets now and then.
-    fn random(source: &mut Seeded) -> Self {
+    fn random(source: &mut Random) -> Self {
         let (key, length) = match source.below(20) {
             0..8 => (KEYS[source.below(4)], 250 + source.below(400)),
             8..12 => (Key::Settings, 30),
@@ -136,7 +134,7 @@ struct Counts {
 /// Makes `changes` changes, and each again and again with power lost after every `stride` bytes
 /// of it; then once more, with power lost again while the flash is repaired.
 fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
-    let mut source = Seeded(seed);
+    let mut source = Random::new(seed);
     let mut counts = Counts::default();
     let storage = Storage::in_memory();
     let mut model = Model::new();
@@ -203,30 +201,40 @@ fn lose_power(pages: usize, seed: u64, changes: u64, stride: u64) -> Counts {
 
 #[test]
 fn power_lost_at_any_byte_leaves_the_old_records_or_the_new() {
-    for (pages, changes) in [(2, 70), (4, 110)] {
-        let counts = lose_power(pages, 1, changes, 23);
+    let ([two, four], stride, seed) =
+        Lane::current().choose([([20, 30], 61, 1), ([50, 80], 37, 1), ([240, 240], 1, 2)]);
+    let mut all = Counts::default();
+    for (pages, changes) in [(2, two), (4, four)] {
+        // Asserts that each cut leaves the old records or the new, and a store that can be written.
+        let counts = lose_power(pages, seed, changes, stride);
         println!("{pages} pages: {counts:?}");
-        assert!(counts.cuts > 2000 && counts.erases > 3, "{counts:?}");
-        assert!(counts.kept_old > 50 && counts.took_new > 50, "{counts:?}");
+        all.cuts += counts.cuts;
+        all.cuts_in_repairs += counts.cuts_in_repairs;
+        all.kept_old += counts.kept_old;
+        all.took_new += counts.took_new;
+        all.erases += counts.erases;
     }
-}
-
-#[test]
-#[ignore = "takes minutes; run it with --release"]
-fn power_lost_at_every_byte_leaves_the_old_records_or_the_new() {
-    for pages in [2, 4] {
-        let counts = lose_power(pages, 2, 240, 1);
-        println!(
-            "{pages} pages: {counts:?}: 0 bad states, 0 committed records lost, 0 damaged records"
-        );
-        assert!(counts.changes >= 200 && counts.cuts >= 30_000);
-    }
+    figure(
+        "power lost after any byte of a change: neither old nor new records",
+        format!("0 of {}", all.cuts),
+        "none",
+        true,
+    );
+    figure(
+        "power lost again during the repair",
+        format!("0 of {}", all.cuts_in_repairs),
+        "none",
+        true,
+    );
+    let least = Lane::current().choose([200, 2000, 60_000]);
+    assert!(all.cuts >= least && all.erases > 3, "{all:?}");
+    assert!(all.kept_old > 20 && all.took_new > 20, "{all:?}");
 }
 
 /// A store that holds a record under every key, but for `spare` bytes less in each.
 fn filled(storage: &Storage, pages: usize, spare: usize) -> Model {
     let mut store = start(storage, pages);
-    let mut source = Seeded(7);
+    let mut source = Random::new(7);
     for key in KEYS {
         let record = source.bytes(MAX_RECORD - spare);
         assert_eq!(done(store.save(key, &record)), Some(Ok(())), "{key:?}");
@@ -238,7 +246,7 @@ fn filled(storage: &Storage, pages: usize, spare: usize) -> Model {
 fn a_full_store_refuses_what_does_not_fit_and_keeps_what_it_holds() {
     let storage = Storage::in_memory();
     let mut store = start(&storage, 2);
-    let mut source = Seeded(3);
+    let mut source = Random::new(3);
     let mut model = Model::new();
     let mut refused = 0;
     // More ranges than any sensor has.
@@ -279,7 +287,7 @@ fn a_full_store_refuses_what_does_not_fit_and_keeps_what_it_holds() {
 fn what_a_node_keeps_fits_at_its_longest_and_can_be_changed_for_ever() {
     let storage = Storage::in_memory();
     let mut store = start(&storage, 4);
-    let mut source = Seeded(11);
+    let mut source = Random::new(11);
     let mut model = Model::new();
     for round in 0..200 {
         let key = KEYS[round % KEYS.len()];
@@ -300,7 +308,7 @@ fn a_full_store_wears_its_pages_evenly_and_slowly() {
     const LONGEST_SET: usize = 854;
     let storage = Storage::in_memory();
     let mut store = start(&storage, 4);
-    let mut source = Seeded(13);
+    let mut source = Random::new(13);
     let mut save = |key: Key, length: usize| {
         let record = source.bytes(length);
         assert_eq!(done(store.save(key, &record)), Some(Ok(())), "{key:?}");
@@ -329,17 +337,22 @@ fn a_full_store_wears_its_pages_evenly_and_slowly() {
         most.map_or(0.0, f64::from)
     };
     let before = storage.erases();
-    for push in 0..800 {
+    let saves = Lane::current().choose([200, 800, 800]);
+    for push in 0..saves {
         save(sets[push % 4], LONGEST_SET);
     }
-    let pushes = 800.0 / worn(before);
+    let pushes = saves as f64 / worn(before);
     let before = storage.erases();
-    for _ in 0..4000 {
+    let saves = 5 * saves;
+    for _ in 0..saves {
         save(Key::BootCount, 12);
     }
-    let starts = 4000.0 / worn(before);
-    println!(
-        "full store, four pages: a page is erased once in {pushes:.1} pushes or {starts:.1} starts"
+    let starts = saves as f64 / worn(before);
+    figure(
+        "full store of four pages: pushes and starts for an erase of a page",
+        format!("{pushes:.1} / {starts:.1}"),
+        "at least 8 / 50",
+        pushes >= 8.0 && starts >= 50.0,
     );
     assert!(pushes >= 8.0 && starts >= 50.0, "{pushes} {starts}");
 }
@@ -356,10 +369,10 @@ fn worn_out_flash_refuses_writes_and_keeps_what_it_holds() {
             worn.stick(at);
         }
         let mut store = worn.store();
-        let mut source = Seeded(page as u64);
+        let mut source = Random::new(page as u64);
         let mut model = model.clone();
         let mut refused = 0;
-        for _ in 0..60 {
+        for _ in 0..Lane::current().choose([20, 60, 60]) {
             let change = Change::random(&mut source);
             match change.make(&mut store).expect("power") {
                 Ok(()) => model = change.apply(&model),
@@ -403,8 +416,9 @@ fn a_record_that_is_damaged_after_it_was_saved_is_an_error_and_no_older_one() {
 #[test]
 fn what_stands_behind_a_hole_in_a_page_never_returns() {
     let settings = |generation: u8| vec![generation; 100];
-    let mut worth = 0;
-    for hole in (0..0x400).step_by(4) {
+    let (mut worth, mut holes) = (0, 0);
+    for hole in (0..0x400).step_by(Lane::current().choose([16, 4, 4])) {
+        holes += 1;
         let storage = Storage::in_memory();
         let mut store = start(&storage, 2);
         for generation in 1..4 {
@@ -432,14 +446,14 @@ fn what_stands_behind_a_hole_in_a_page_never_returns() {
             }
         }
     }
-    assert!(worth > 200, "{worth} of 256 could be saved");
+    assert!(5 * worth > 4 * holes, "{worth} of {holes} could be saved");
 }
 
 #[test]
 fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() {
     let storage = Storage::in_memory();
     let mut store = storage.store();
-    let mut source = Seeded(5);
+    let mut source = Random::new(5);
     let mut model = Model::new();
     let mut older: Vec<Model> = Vec::new();
     for _ in 0..12 {
@@ -475,14 +489,19 @@ fn any_single_byte_damaged_loses_at_most_one_record_and_never_returns_another() 
         assert!(lost <= 1, "byte {at}: {lost}");
         reported += lost;
     }
-    println!("{used} bytes damaged, one at a time: {reported} times a record was reported");
+    figure(
+        "one damaged byte of a store: more than one record lost, or a wrong one",
+        format!("0 of {used}"),
+        "none",
+        true,
+    );
     assert!(reported > 100);
 }
 
 #[test]
 fn noise_is_reported_and_can_be_written_again() {
-    for seed in 0..300 {
-        let mut source = Seeded(seed);
+    for seed in 0..trials(3000) as u64 {
+        let mut source = Random::new(seed);
         let length = 1 + source.below(4 * 4096);
         let noise = source.bytes(length);
         let storage = Storage::from_image(&noise);

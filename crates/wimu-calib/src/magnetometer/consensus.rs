@@ -1,4 +1,4 @@
-//! Which poses were disturbed, where the others agree on one field.
+//! Detection of poses in a disturbed field by random sample consensus (RANSAC).
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,24 +6,24 @@ use super::fit::{Iron, Scaled, hard, inverse_soft, start};
 use super::{EARTHS_NT, FEWEST, MagneticPose};
 use crate::Rejected;
 
-/// Poses of a trial: as many as the ellipsoid has parameters.
+/// Number of poses in a sample: the parameters of an ellipsoid.
 const TRIAL: usize = 9;
-/// Of so many trials one is without a disturbed pose, 19 times of 20, where three of eight are disturbed.
+/// Number of samples: one of them is undisturbed with probability 0.95 if three of eight poses are
+/// disturbed.
 const TRIALS: u32 = 300;
-/// Fits to those that agree, at most.
+/// Largest number of refits to the inliers.
 const REFITS: usize = 5;
-/// A pose agrees when its field is within this share of all others'.
+/// Largest relative deviation of the field magnitude of an inlier.
 const AGREES: f64 = 0.02;
-/// Soft iron stretches the field no more than this, one direction against another. A longer ellipsoid
-/// passes by all poses, and tells nothing.
+/// Largest ratio of the axes of the ellipsoid by soft iron. A longer ellipsoid fits any poses.
 const MOST_STRETCH: f64 = 2.0;
-/// The eigenvalues of the directions' scatter sum to one.
+/// Smallest eigenvalue of the scatter of the orientations, whose eigenvalues have sum one.
 const SPREAD: f64 = 0.12;
-/// Least variance of the field's output along any direction, per that along another.
+/// Smallest over largest eigenvalue of the scatter of the outputs.
 const LEAST_DEPTH: f64 = 0.02;
 
-/// The share of the field that is disturbed, rms, the poses where it is, and how many there are; `None`
-/// where the poses do not say that. Equation (56).
+/// The rms relative disturbance of the field, the disturbed poses, and their number; `None` if the
+/// poses do not show it. Equation (56).
 pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)> {
     let n = poses.len() as f64;
     let scaled = Scaled::of(poses.iter())?;
@@ -31,12 +31,13 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
     let off = |theta: &Iron, p: &MagneticPose| {
         (inverse_soft(theta) * (point(p) - hard(theta))).norm() - 1.0
     };
-    // Poses that agree, less how far they are from doing so perfectly.
+    // Number of inliers, reduced by their squared deviations.
     let agreeing = |theta: &Iron| {
         let lack = |p: &MagneticPose| (off(theta, p) / AGREES).abs().min(1.0);
         poses.iter().map(|p| 1.0 - lack(p) * lack(p)).sum::<f64>()
     };
-    // Through so many points, if it can be that of a magnetometer in the Earth's field.
+    // The ellipsoid through `points`, if it is plausible for a magnetometer in the field of the
+    // Earth.
     let ellipsoid = |points: &mut dyn Iterator<Item = Vector3<f64>>| -> Option<Iron> {
         let theta = start(points)?;
         let axes = inverse_soft(&theta).symmetric_eigenvalues();
@@ -44,7 +45,7 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
         let sound = axes.max() < axes.min() * MOST_STRETCH && EARTHS_NT.contains(&field_nt);
         sound.then_some(theta)
     };
-    // All that agree make it better, and more agree with that.
+    // Refits to the inliers while their number increases.
     let refined = |mut score: f64, mut theta: Iron| {
         for _ in 0..REFITS {
             let mut points = poses
@@ -64,7 +65,7 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
     };
     let mut best: Option<(f64, Iron)> = None;
     let mut most_at_first = 0.0_f64;
-    // Any numbers that look random do; the same ones give the same answer every time.
+    // A fixed pseudorandom sequence, for reproducible results.
     let mut state = 1_u64;
     for _ in 0..TRIALS {
         let mut chosen = [usize::MAX; TRIAL];
@@ -86,7 +87,7 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
         };
         let score = agreeing(&theta);
         most_at_first = most_at_first.max(score);
-        // Noise bends what goes through nine poses: nearly as good is good enough to be refined.
+        // Noise distorts a fit through nine poses: nearly as many inliers suffice for refinement.
         if score < 0.75 * most_at_first {
             continue;
         }
@@ -111,7 +112,7 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
         let squares = poses.iter().map(|p| off(&theta, p) * off(&theta, p));
         return Some((libm::sqrt(squares.sum::<f64>() / n), found, left));
     }
-    // Hardly any agree: was it turned to all sides, in a field that has all directions?
+    // Few inliers: was the sensor turned in all directions?
     let scatter = |v: &dyn Fn(&MagneticPose) -> Vector3<f64>| {
         let sum: Matrix3<f64> = poses.iter().map(|p| v(p) * v(p).transpose()).sum();
         let values = sum.symmetric_eigenvalues();

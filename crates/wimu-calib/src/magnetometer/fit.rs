@@ -1,4 +1,4 @@
-//! The fits: an ellipsoid through the field's outputs, and the rotation that makes its dip constant.
+//! Fits of the iron parameters to the magnitude of the field, and of the rotation to its dip.
 
 use core::cmp::Ordering;
 
@@ -9,20 +9,21 @@ use wimu_model::{
 
 use super::{EARTHS_NT, MagneticPose, MagneticRefusal};
 
+use crate::ellipsoid::ellipsoid;
 use crate::{Rejected, student};
 
-/// Beyond, the poses do not tell the model.
+/// Largest condition number.
 const MOST_CONDITION: f64 = 30.0;
-/// Beyond, as a share of the field, this is no constant field.
+/// Largest residual, fraction of the field, rms.
 const MOST_RMS: f64 = 0.05;
-/// Left-out error per residual's standard deviation, at most.
+/// Largest leave-one-out error, standard deviations of a residual.
 const MOST_LEFT_OUT: f64 = 10.0;
-/// Chance that a good set of poses loses one.
+/// Probability that a set without outliers loses a pose.
 const SIGNIFICANCE: f64 = 1e-3;
-/// Spread of the dip beyond which the axes do not belong together, rad rms.
+/// Largest standard deviation of the dip, rad.
 const MOST_DIP_RMS: f64 = 0.1;
 
-/// The places of xx, yy, zz, xy, xz, yz.
+/// Matrix elements of xx, yy, zz, xy, xz, yz.
 const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
 fn symmetric(w: &[f64]) -> Matrix3<f64> {
@@ -34,9 +35,10 @@ fn symmetric(w: &[f64]) -> Matrix3<f64> {
     m
 }
 
-/// Outputs about their centre, in units of their spread, so that all parameters are of order one.
+/// Normalisation of the outputs by their mean and rms deviation, so that all parameters are of
+/// order one.
 pub(super) struct Scaled {
-    /// The first output, nT: what differs from it keeps its digits.
+    /// The first output, nT: differences from it keep their digits.
     origin: [f64; 3],
     centre: Vector3<f64>,
     pub(super) unit_nt: f64,
@@ -66,14 +68,14 @@ impl Scaled {
         (off - self.centre) / self.unit_nt
     }
 
-    /// The output that a point stands for, nT.
+    /// The output for a normalised point, nT.
     fn output_nt(&self, point: &Vector3<f64>) -> [f32; 3] {
         let off = self.centre + point * self.unit_nt;
         core::array::from_fn(|k| (self.origin[k] + off[k]) as f32)
     }
 }
 
-/// Hard iron, then W, the inverse of the soft iron per the field.
+/// Hard iron, then W, the inverse soft iron relative to the field.
 pub(super) type Iron = SVector<f64, 9>;
 
 pub(super) fn hard(theta: &Iron) -> Vector3<f64> {
@@ -84,7 +86,7 @@ pub(super) fn inverse_soft(theta: &Iron) -> Matrix3<f64> {
     symmetric(&theta.as_slice()[3..])
 }
 
-/// |B| − 1 at a point, and its derivatives.
+/// Residual |B| − 1 at a point, and its derivatives.
 fn row(theta: &Iron, point: Vector3<f64>) -> (f64, Iron) {
     let w = inverse_soft(theta);
     let off = point - hard(theta);
@@ -105,13 +107,13 @@ fn row(theta: &Iron, point: Vector3<f64>) -> (f64, Iron) {
     (size - 1.0, row)
 }
 
-/// A step so small that the next is rounding.
+/// Convergence threshold: smaller steps are rounding.
 fn last_step() -> f64 {
     f64::EPSILON * 500.0
 }
 
-/// The model of all poses but those rejected; `suspect` is the pose that the others contradict most,
-/// if one is beyond chance.
+/// The model of all poses that are not rejected. `suspect` is the most significant outlier, if
+/// there is one.
 pub(super) fn model(
     all: &[MagneticPose],
     rejected: &Rejected,
@@ -171,11 +173,11 @@ pub(super) fn model(
     if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
         return Err(MagneticRefusal::PoorPrediction { share: loo });
     }
-    // The iron alone leaves the unit of the field open: S has determinant one.
+    // The scale of the field is not observable: S is normalised to determinant one.
     let w = inverse_soft(&theta);
     let raw = w.try_inverse().ok_or(none)?;
     let size = libm::cbrt(raw.determinant());
-    // Also where it is none.
+    // Also if it is NaN.
     if !matches!(size.partial_cmp(&0.0), Some(Ordering::Greater)) {
         return Err(none);
     }
@@ -185,7 +187,7 @@ pub(super) fn model(
     for (sd_of, (r, c)) in soft_sd.iter_mut().zip(PLACES) {
         let mut slope = Iron::zeros();
         for (k, (i, j)) in PLACES.into_iter().enumerate() {
-            // dS = −S dW S/det^⅓ and what keeps the determinant.
+            // dS = −S dW S/det^⅓, and the change of the normalisation.
             let mut along = raw[(r, i)] * raw[(j, c)];
             let mut trace = raw[(i, j)];
             if i != j {
@@ -226,27 +228,10 @@ pub(super) fn model(
     MagnetometerModel::new(terms).map_err(MagneticRefusal::OutOfBounds)
 }
 
-/// The ellipsoid mᵀQm + 2pᵀm = 1 by linear least squares, as (11), with the symmetric root.
+/// Starting values from an ellipsoid fit, equation (11), with the symmetric root.
 pub(super) fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<Iron> {
-    let mut information = SMatrix::<f64, 9, 9>::zeros();
-    let mut right = Iron::zeros();
-    for m in points {
-        let row = Iron::from_fn(|k, _| match k {
-            0..3 => 2.0 * m[k],
-            k => {
-                let (r, c) = PLACES[k - 3];
-                let product = m[r] * m[c];
-                if r == c { product } else { 2.0 * product }
-            }
-        });
-        information.ger(1.0, &row, &row, 1.0);
-        right += row;
-    }
-    let solution = Cholesky::new(information)?.solve(&right);
-    let q = inverse_soft(&solution);
-    let centre = -(q.try_inverse()? * hard(&solution));
-    let size = 1.0 + centre.dot(&(q * centre));
-    let eigen = (q / size).symmetric_eigen();
+    let (centre, q) = ellipsoid(points)?;
+    let eigen = q.symmetric_eigen();
     let positive = eigen.eigenvalues.iter().all(|value| *value > 0.0);
     let roots = Matrix3::from_diagonal(&eigen.eigenvalues.map(|v| libm::sqrt(v.max(0.0))));
     let w = eigen.eigenvectors * roots * eigen.eigenvectors.transpose();
@@ -260,8 +245,7 @@ pub(super) fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<Iron> 
     (positive && theta.iter().all(|t| t.is_finite())).then_some(theta)
 }
 
-/// up · R b less the level that it is to have, and its derivatives: a small rotation δ of R b adds
-/// δ × R b.
+/// Residual up · R b − level, and its derivatives: a small rotation δ of R b adds δ × R b.
 fn level_row(
     turn: &Rotation3<f64>,
     level: f64,
@@ -274,8 +258,8 @@ fn level_row(
     (up.dot(&turned) - level, row)
 }
 
-/// The rotation from magnetometer to accelerometer under which up · R b is the same in all poses: their
-/// places, b and up; and the pose that the others contradict most, if one is beyond chance.
+/// The rotation from magnetometer to accelerometer axes for which up · R b is constant, from the
+/// index, field direction b and up of each pose; and the most significant outlier, if there is one.
 fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
     seen: impl Fn() -> I,
 ) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
@@ -285,7 +269,7 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
         condition: f64::INFINITY,
     };
     let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
-    // The 24 ways in which chips' axes can lie to each other are the starts.
+    // Starting values: the 24 rotations that map axes to axes.
     for turn in 0..24 {
         let quarters = |count: i32| core::f64::consts::FRAC_PI_2 * f64::from(count);
         let face = match turn / 4 {
@@ -353,7 +337,7 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
     Ok((found, worst.beyond_chance(cost, have, 4)))
 }
 
-/// The pose that fits worst.
+/// The pose with the largest residual.
 #[derive(Default)]
 struct Worst {
     place: usize,
@@ -368,13 +352,13 @@ impl Worst {
         }
     }
 
-    /// It, where it is further from the model of the others than the worst of so many poses is by
-    /// chance: equation (16), with the variance that the others show.
+    /// The pose, if its residual is significant: equation (16), with the variance of the other
+    /// poses.
     fn beyond_chance(&self, squares: f64, poses: usize, parameters: usize) -> Option<usize> {
         let freedom = poses.checked_sub(parameters + 1).filter(|left| *left > 1)? as f64;
         let variance = (squares - self.square) / freedom;
         let most = student::two_sided(SIGNIFICANCE / poses as f64, freedom);
-        // What is rounding is no contradiction.
+        // Rounding is not significant.
         (self.square > 1e-12 && self.square > most * most * variance).then_some(self.place)
     }
 }

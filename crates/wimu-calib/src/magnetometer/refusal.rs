@@ -1,21 +1,22 @@
-//! Why there is no model of a magnetometer, and what to do about it.
+//! Reasons why a magnetometer model cannot be estimated, and what to do.
 
 use core::fmt;
 
 use wimu_model::MagnetometerError;
 
 use crate::Rejected;
+use crate::orientation::axis_name as name;
 
-/// Why there is no model of a magnetometer.
+/// Why a magnetometer model cannot be estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum MagneticRefusal {
     /// Too few poses.
     TooFewPoses {
-        /// How many there are.
+        /// Number of poses.
         have: usize,
-        /// How many are needed.
+        /// Required number of poses.
         need: usize,
     },
     /// A pose has a value that is zero, infinite or not a number.
@@ -23,17 +24,17 @@ pub enum MagneticRefusal {
         /// Its index.
         pose: usize,
     },
-    /// The field is not of the Earth's size: its unit is another, or it is no field.
+    /// The magnitude of the field is not that of the Earth: another unit, or not a field.
     NotEarths {
-        /// What it seems to be, nT.
+        /// Apparent magnitude, nT.
         field_nt: f64,
     },
-    /// An axis says the same in all poses.
+    /// An axis has constant output.
     Dead {
         /// 0 = X.
         axis: usize,
     },
-    /// An axis stands at its limit in several poses.
+    /// An axis is clipped in several poses.
     Clipped {
         /// 0 = X.
         axis: usize,
@@ -42,40 +43,40 @@ pub enum MagneticRefusal {
     },
     /// The poses do not determine hard and soft iron, or a rotation.
     NotObservable {
-        /// Condition of the fit; infinite where there is none.
+        /// Condition number; infinite if singular.
         condition: f64,
     },
     /// The field was not the same in all poses.
     FieldNotConstant {
-        /// What is left, as a share of the field, rms.
+        /// Residual, fraction of the field, rms.
         share: f64,
-        /// The poses that depart from what most have in common, or the one that departs most.
+        /// The outliers, or the pose with the largest residual.
         disturbed: Disturbed,
     },
-    /// One pose decides alone.
+    /// A single pose dominates the fit.
     PoorPrediction {
-        /// Left-out error, as a share of the field, rms.
+        /// Leave-one-out error, fraction of the field, rms.
         share: f64,
     },
     /// No rotation makes the dip the same in all poses.
     DipNotConstant {
-        /// Its spread, rad rms.
+        /// Standard deviation of the dip, rad.
         spread_rad: f64,
-        /// The pose that departs most.
+        /// The pose with the largest residual.
         pose: usize,
     },
-    /// The dip is opposite to that of the place: the axes are left-handed.
+    /// The dip is opposite to that of the location: the axes are left-handed.
     Mirrored {
-        /// What it seems to be, rad, positive down.
+        /// Apparent dip, rad, positive down.
         dip_rad: f64,
-        /// What makes them so, where the magnetometer's axes are parallel to the accelerometer's.
+        /// The cause, if the axes of magnetometer and accelerometer are parallel.
         axes: MirroredAxes,
     },
-    /// The result is no magnetometer's.
+    /// A parameter is out of bounds.
     OutOfBounds(MagnetometerError),
 }
 
-/// Poses in which the field was another, the first [`Disturbed::MOST`] of them.
+/// Poses in a disturbed field, up to [`Disturbed::MOST`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Disturbed {
@@ -84,7 +85,7 @@ pub struct Disturbed {
 }
 
 impl Disturbed {
-    /// More are not named.
+    /// Largest number of indices.
     pub const MOST: usize = 16;
 
     /// Their indices.
@@ -104,7 +105,7 @@ impl From<Rejected> for Disturbed {
     }
 }
 
-/// What is wrong with a left-handed magnetometer.
+/// Cause of a left-handed magnetometer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MirroredAxes {
@@ -114,8 +115,8 @@ pub enum MirroredAxes {
     All,
     /// These two are exchanged.
     Exchanged(usize, usize),
-    /// One is negated or two are exchanged; the magnetometer is not mounted parallel to the
-    /// accelerometer, so that nothing tells which.
+    /// One axis is negated or two are exchanged. The magnetometer is not parallel to the
+    /// accelerometer, so the cause cannot be identified.
     Unknown,
 }
 
@@ -137,10 +138,6 @@ impl fmt::Display for MirroredAxes {
     }
 }
 
-fn name(axis: usize) -> &'static str {
-    ["X", "Y", "Z"].get(axis).copied().unwrap_or("?")
-}
-
 impl fmt::Display for MagneticRefusal {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
@@ -150,7 +147,7 @@ impl fmt::Display for MagneticRefusal {
             ),
             Self::NotFinite { pose } => write!(
                 out,
-                "pose {pose} (from 0) has a field or a direction that is none: remove it"
+                "pose {pose} (from 0) has a field or a direction that is zero or not finite: remove it"
             ),
             Self::NotEarths { field_nt } => write!(
                 out,
@@ -204,25 +201,28 @@ impl fmt::Display for MagneticRefusal {
             }
             Self::PoorPrediction { share } => write!(
                 out,
-                "a pose left out is missed by {:.2} % of the field rms, far more than those that are fitted: one \
-                 decides alone; add orientations",
+                "the leave-one-out error is {:.2} % of the field rms, far above the residual: a single \
+                 pose dominates the fit; add orientations",
                 share * 100.0
             ),
             Self::DipNotConstant { spread_rad, pose } => write!(
                 out,
                 "the dip is not the same in all poses ({:.1}° rms, most in pose {pose} from 0): the \
-                 field was disturbed, or field and direction are not of the same time; take the poses \
-                 again away from iron, currents and phones",
+                 field was disturbed, or field and direction are of different times; repeat the poses \
+                 away from iron, currents and phones",
                 spread_rad.to_degrees()
             ),
             Self::Mirrored { dip_rad, axes } => write!(
                 out,
-                "the field's dip seems to be {:+.0}°, opposite to that of the place: {axes}; mend the \
-                 order and signs of its axes where they are read, or say the dip of the place where \
-                 that is no error (negative south of the magnetic equator)",
+                "the field's dip seems to be {:+.0}°, opposite to that of the location: {axes}; correct \
+                 the order and signs of its axes in the driver or, if they are right, give the dip of \
+                 the location (negative south of the magnetic equator)",
                 dip_rad.to_degrees()
             ),
-            Self::OutOfBounds(error) => write!(out, "the result is no magnetometer's: {error}"),
+            Self::OutOfBounds(error) => write!(
+                out,
+                "the result is not plausible for a magnetometer: {error}"
+            ),
         }
     }
 }

@@ -1,74 +1,46 @@
-//! Whether what looks like noise of long times is one event: a sensor that warms up, or a jump.
+//! Whether a single event explains the noise at long averaging times: warm-up, or a jump.
 
-/// Most blocks; two become one when they are full.
+use crate::blocks::Blocks;
+
+/// Largest number of blocks.
 const BLOCKS: usize = 32;
-/// Fewest steps between blocks that tell a course.
+/// Smallest number of differences between blocks.
 const FEWEST: usize = 8;
-/// The share of the squares of J steps that one course takes is above this per √J once in a hundred random
-/// walks: 0.64 of 15 steps, 0.54 of 22, 0.46 of 31.
+/// Significance threshold times √J of the fraction of the sum of squares of J differences that one
+/// event explains: exceeded by 1 % of random walks (0.64 for J = 15, 0.54 for 22, 0.46 for 31).
 const CHANCE: f64 = 2.7;
-/// A course falls from step to step by these: 0 is a jump, 1 a steady drift.
+/// Decay factors of an event from one difference to the next: 0 is a jump, 1 a linear drift.
 const DECAYS: [f64; 14] = [
     0.0, 0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.0,
 ];
 
-/// Sums over blocks of time, whose length grows with the data.
+/// Block means over the whole recording.
 #[derive(Clone, Debug)]
-pub(super) struct Course {
-    sums: [[f64; 3]; BLOCKS],
-    full: usize,
-    /// Samples of a full block, and of the one that is filled.
-    length: u64,
-    filled: u64,
-}
+pub(super) struct Course(Blocks<[f64; 3], BLOCKS>);
 
 impl Course {
     pub(super) fn new() -> Self {
-        Self {
-            sums: [[0.0; 3]; BLOCKS],
-            full: 0,
-            length: 1,
-            filled: 0,
-        }
+        Self(Blocks::new())
     }
 
     pub(super) fn take(&mut self, off: [f64; 3]) {
-        if self.full == BLOCKS {
-            for k in 0..BLOCKS / 2 {
-                let [even, odd] = [self.sums[2 * k], self.sums[2 * k + 1]];
-                self.sums[k] = [0, 1, 2].map(|axis: usize| even[axis] + odd[axis]);
-            }
-            for sums in self.sums.iter_mut().skip(BLOCKS / 2) {
-                *sums = [0.0; 3];
-            }
-            self.full = BLOCKS / 2;
-            self.length *= 2;
-        }
-        if let Some(sums) = self.sums.get_mut(self.full) {
-            for (sum, off) in sums.iter_mut().zip(off) {
-                *sum += off;
-            }
-        }
-        self.filled += 1;
-        if self.filled >= self.length {
-            self.full += 1;
-            self.filled = 0;
+        let merge = |a: &[f64; 3], b: &[f64; 3]| [0, 1, 2].map(|axis: usize| a[axis] + b[axis]);
+        for (sum, off) in self.0.next(merge).into_iter().flatten().zip(off) {
+            *sum += off;
         }
     }
 
-    /// Whether the steps between the blocks' means are those of one course, more than chance makes of
-    /// a random walk: a jump or a decaying drift from any time on. `beside_ramp`: besides a steady one.
+    /// Whether a single event, a jump or a decaying drift that starts at any time, explains
+    /// significantly more of the differences between block means than in a random walk. With
+    /// `beside_ramp`, a linear drift is removed first.
     pub(super) fn is_one(&self, axis: usize, beside_ramp: bool) -> bool {
-        let mut steps = [0.0; BLOCKS];
-        let sums = || self.sums.iter().take(self.full).map(|sums| sums[axis]);
-        for (step, (before, after)) in steps.iter_mut().zip(sums().zip(sums().skip(1))) {
-            *step = after - before;
-        }
-        let count = self.full.saturating_sub(1);
+        let steps = self.0.complete().windows(2);
+        let mut steps: heapless::Vec<f64, BLOCKS> =
+            steps.map(|pair| pair[1][axis] - pair[0][axis]).collect();
+        let count = steps.len();
         if count < FEWEST {
             return false;
         }
-        let steps = &mut steps[..count.min(BLOCKS)];
         let n = count as f64;
         if beside_ramp {
             let mean = steps.iter().sum::<f64>() / n;
@@ -91,7 +63,7 @@ impl Course {
                 } else {
                     square
                 };
-                // A steady drift has nothing beside itself.
+                // A linear drift was removed already.
                 if own > 1e-6 * square {
                     share = share.max(product * product / own);
                 }

@@ -1,46 +1,57 @@
-//! From an Allan deviation to the terms of noise: equation (53).
+//! Fit of noise terms to an Allan deviation: equation (53).
 
 use nalgebra::{Cholesky, Const, SMatrix, SVector};
 
 use super::{Measured, POINTS, cluster};
 use crate::student;
 
-/// 2 ln 2 / π: flicker noise of B² has this Allan variance.
+/// 2 ln 2 / π: Allan variance of flicker noise per B².
 const FLICKER: f64 = 0.441_271_200_305_303_2;
-/// A term is there when it lowers −2 ln of the likelihood by more than this.
+/// Penalty per term on −2 ln likelihood in the selection of a set of terms.
 const WORTH: f64 = 10.0;
-/// A set with one term less is as likely with this much more.
+/// Penalty per term in the weights of the other sets.
 const LIKELY: f64 = 9.0;
-/// By how much sets without a term must be worse for it to be told; and where they have a ramp
-/// in the place of K, which is as long a curve's other way to rise.
+/// Smallest increase of the penalised −2 ln likelihood without a term that makes it significant;
+/// and for K against sets with a ramp instead, the other explanation of a rising curve.
 const SEEN: f64 = 10.0;
 const SEEN_BESIDE_RAMP: f64 = 1.0;
-/// Kinds of noise: Q, N, B, K.
+/// Number of noise terms: Q, N, B, K.
 const NOISES: usize = 4;
 /// Pairs of them.
-const PRODUCTS: usize = NOISES * (NOISES + 1) / 2;
-/// Terms: those, and the ramp R.
+const PAIRS: [(usize, usize); 10] = [
+    (0, 0),
+    (0, 1),
+    (0, 2),
+    (0, 3),
+    (1, 1),
+    (1, 2),
+    (1, 3),
+    (2, 2),
+    (2, 3),
+    (3, 3),
+];
+/// Number of terms: the noise terms and the ramp R.
 const TERMS: usize = 5;
 const QUANTISATION: usize = 0;
 const WHITE: usize = 1;
 const WALK: usize = 3;
 const RAMP: usize = 4;
-/// Points up to this many octaves apart are known to be correlated; beyond, they hardly are.
+/// Number of octaves over which the correlation of points is computed; beyond, it is negligible.
 const OCTAVES: usize = 6;
-/// Rounds of weights by what was fitted the round before.
+/// Largest number of reweighting iterations.
 const ROUNDS: usize = 8;
-/// A filter takes at least this share from the first point.
+/// Smallest fraction of the first point that a low-pass filter removes.
 const FILTERED: f64 = 0.1;
-/// Points beside the terms that a curve without its first ones needs.
+/// Spare points required after points are left out.
 const SPARE: usize = 2;
-/// Least share of a variance that is each point's own.
+/// Smallest uncorrelated fraction of the variance of a point.
 const OWN: f64 = 1e-6;
 
 type Information = SMatrix<f64, TERMS, TERMS>;
 type Weights = Cholesky<f64, Const<POINTS>>;
 
-/// Degrees of freedom of σ²(τ) of `n` samples in clusters of `m`: the fewest of white, flicker and
-/// random-walk noise.
+/// Degrees of freedom of σ²(τ) of `n` samples in clusters of `m`: the smallest of white, flicker
+/// and random-walk noise.
 pub(super) fn fewest_edf(n: f64, m: f64) -> f64 {
     if n < 3.0 * m {
         return 0.0;
@@ -57,7 +68,7 @@ pub(super) fn fewest_edf(n: f64, m: f64) -> f64 {
     white.min(flicker).min(walk)
 }
 
-/// What Q², N², B², K² and R² add to the Allan variance at τ: equation (53).
+/// Allan variance at τ per Q², N², B², K² and R²: equation (53).
 fn shares(tau_s: f64) -> [f64; TERMS] {
     let square = tau_s * tau_s;
     [
@@ -73,8 +84,8 @@ fn total(terms: &[f64; TERMS], tau_s: f64) -> f64 {
     terms.iter().zip(shares(tau_s)).map(|(t, x)| t * x).sum()
 }
 
-/// Generalised covariances of the running sum at a distance of `t` samples, of Q² f², N² f, B²/2π
-/// and K²/12f: whatever fourth differences leave.
+/// Generalised covariances of the running sum at a lag of `t` samples, per Q² f², N² f, B²/2π and
+/// K²/12f. They determine the covariances of second differences.
 fn covariances(t: i64) -> [f64; NOISES] {
     let far = t.unsigned_abs() as f64;
     let quantised = if t == 0 { 1.0 } else { 0.0 };
@@ -86,16 +97,16 @@ fn covariances(t: i64) -> [f64; NOISES] {
     [quantised, -0.5 * far, flicker, far * far * far]
 }
 
-/// Σ over all pairs of second differences at two averaging times of the products of their
-/// covariances by the terms of noise: what decides how well points are known, and how much of it
-/// they share.
+/// Covariances of the points: sums over all pairs of second differences at two averaging times of
+/// the products of their covariances.
 pub(super) struct Spans {
-    /// By the shorter averaging time, how many octaves longer the other is, and pair of terms.
-    sums: [[[f64; PRODUCTS]; OCTAVES]; POINTS],
+    /// Indexed by the shorter averaging time, the number of octaves to the longer one, and the pair
+    /// of terms.
+    sums: [[[f64; PAIRS.len()]; OCTAVES]; POINTS],
 }
 
 impl Spans {
-    /// For an unbroken run of `samples`, and `counts` second differences at each averaging time in
+    /// For a gap-free run of `samples`, and `counts` second differences at each averaging time over
     /// all runs.
     pub(super) fn new(samples: u64, counts: &[f64; POINTS]) -> Self {
         let samples = i64::try_from(samples).unwrap_or(i64::MAX / 4);
@@ -105,9 +116,9 @@ impl Spans {
             let left = samples - 2 * cluster(place) as i64;
             if left < 0 { 0 } else { left / step(place) + 1 }
         };
-        let mut sums = [[[0.0; PRODUCTS]; OCTAVES]; POINTS];
+        let mut sums = [[[0.0; PAIRS.len()]; OCTAVES]; POINTS];
         for octaves in 0..OCTAVES {
-            // Averaging times of 8 samples and more are as that of 8, but for their scale.
+            // Beyond 8 samples, averaging times differ only by a scale.
             for like in 0..4.min(POINTS) {
                 let (short, long) = (1_i64 << like, 1_i64 << (like + octaves));
                 for lag in -3 * long - 2 * short..=3 * long {
@@ -120,7 +131,7 @@ impl Spans {
                         }
                         let (near, far) = (step(place), step(other));
                         let apart = lag * near;
-                        // Pairs of differences that are so far apart.
+                        // Number of pairs at this lag.
                         let first = (-apart).max(0) as u64;
                         let first = first.div_ceil(far as u64) as i64;
                         let room = (differences(place) - 1) * near - apart;
@@ -142,18 +153,14 @@ impl Spans {
                     continue;
                 };
                 let n = [place, other].map(|place| differences(place) as f64);
-                // What other runs add makes it better known.
+                // Further runs reduce the variance.
                 let runs = n[1] / all.max(1.0);
                 let scale = m / cluster(place.min(3)) as f64;
                 let per = runs / (2.0 * m * m * long * long * n[0] * n[1]);
-                let mut pair = 0;
-                for a in 0..NOISES {
-                    for b in a..NOISES {
-                        let power = libm::pow(scale, (a + b) as f64);
-                        let twice = if a == b { 1.0 } else { 2.0 };
-                        sums[pair] *= twice * power * per;
-                        pair += 1;
-                    }
+                for (sum, (a, b)) in sums.iter_mut().zip(PAIRS) {
+                    let power = libm::pow(scale, (a + b) as f64);
+                    let twice = if a == b { 1.0 } else { 2.0 };
+                    *sum *= twice * power * per;
                 }
             }
         }
@@ -163,20 +170,16 @@ impl Spans {
     /// Covariance of the Allan variances at two averaging times.
     fn covariance(&self, short: usize, long: usize, terms: &[f64; NOISES]) -> f64 {
         let sums = self.sums.get(short).and_then(|s| s.get(long - short));
-        let mut products = sums.into_iter().flatten();
-        let mut covariance = 0.0;
-        for a in 0..NOISES {
-            for b in a..NOISES {
-                covariance += terms[a] * terms[b] * products.next().unwrap_or(&0.0);
-            }
-        }
-        covariance
+        let products = sums.into_iter().flatten().zip(PAIRS);
+        products.fold(0.0, |sum, (product, (a, b))| {
+            sum + terms[a] * terms[b] * product
+        })
     }
 }
 
-/// Products of the covariances of two second differences, of `short` and `long` samples and `lag`
-/// apart, for each pair of terms.
-fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
+/// Products of the covariances of two second differences, of `short` and `long` samples at a lag of
+/// `lag`, for each pair of terms.
+fn products(lag: i64, short: i64, long: i64) -> [f64; PAIRS.len()] {
     const WEIGHTS: [f64; 3] = [1.0, -2.0, 1.0];
     let mut found = [0.0; NOISES];
     for (i, a) in (0..).zip(WEIGHTS) {
@@ -187,41 +190,33 @@ fn products(lag: i64, short: i64, long: i64) -> [f64; PRODUCTS] {
             }
         }
     }
-    let mut products = [0.0; PRODUCTS];
-    let mut pair = 0;
-    for a in 0..NOISES {
-        for b in a..NOISES {
-            products[pair] = found[a] * found[b];
-            pair += 1;
-        }
-    }
-    products
+    PAIRS.map(|(a, b)| found[a] * found[b])
 }
 
 /// The points of an axis.
 #[derive(Clone, Copy)]
 pub(super) struct Curve {
     rate_hz: f64,
-    /// Of the longest unbroken run.
+    /// Length of the longest run without a gap.
     samples: f64,
     variance: SVector<f64, POINTS>,
     edf: SVector<f64, POINTS>,
-    /// Places from this one on, up to but without `used`.
+    /// Points from `from` up to but excluding `used` are fitted.
     from: usize,
     used: usize,
 }
 
-/// What a curve says.
+/// Result of a fit.
 pub(super) struct Fitted {
-    /// Terms and their standard deviations, `None` for those that are not seen.
+    /// Terms with standard deviations; `None` if not significant.
     pub(super) terms: [Option<Measured>; TERMS],
     /// χ² per degree of freedom.
     pub(super) misfit: f64,
-    /// Averaging time that they are from on, where the output is filtered, s.
+    /// Shortest averaging time of the fit, s, if the output is filtered.
     pub(super) white_from_s: Option<f64>,
 }
 
-/// A set of terms, as bits, their values, and their covariance.
+/// A fit of a set of terms (a bit each), with covariance.
 #[derive(Clone, Copy)]
 struct Fit {
     set: u32,
@@ -232,7 +227,7 @@ struct Fit {
     cost: f64,
 }
 
-/// The likeliest terms, and whether what they leave of the curve may be chance.
+/// The best set of terms, and whether it fits the curve.
 struct Likeliest {
     fitted: Fitted,
     is_by_chance: bool,
@@ -270,16 +265,16 @@ impl Curve {
         cluster(place) as f64 / self.rate_hz
     }
 
-    /// Of the whole curve; or, where no terms explain that and it begins below white noise, of what
-    /// is beyond a low-pass filter.
+    /// Fits the whole curve or, if no set of terms fits and the curve starts below white noise, the
+    /// part beyond a low-pass filter.
     pub(super) fn fit(&self, spans: &Spans) -> Option<Fitted> {
         let whole = self.likeliest(spans)?;
         let filtered = (!whole.is_by_chance).then(|| self.beyond_filter(spans));
         Some(filtered.flatten().unwrap_or(whole.fitted))
     }
 
-    /// Beyond its memory, white noise that was filtered has the variance N²/τ − C/τ²: N is from the
-    /// shortest averaging time that explains the rest, and one octave beyond.
+    /// Beyond the memory of a filter, filtered white noise has the variance N²/τ − C/τ². The fit
+    /// starts one octave above the shortest averaging time from which a set of terms fits.
     fn beyond_filter(&self, spans: &Spans) -> Option<Fitted> {
         let last = self.used.checked_sub(2 + SPARE)?;
         let beyond = |from: usize| Self { from, ..*self }.likeliest(spans);
@@ -288,7 +283,7 @@ impl Curve {
         let from = (first + 1).min(last);
         let found = beyond(from).filter(|found| found.is_by_chance)?;
         let white = found.fitted.terms[WHITE]?.value;
-        // Hum and vibration add to white noise, a filter takes from it; and what is white at first is not filtered.
+        // A filter reduces the first points; hum and vibration increase them.
         let share = |place: usize| self.variance[place] * self.tau_s(place) / (white * white);
         let rises = share(0) < (1.0 - 0.5 * FILTERED) * share(1);
         let is_less =
@@ -299,9 +294,9 @@ impl Curve {
         })
     }
 
-    /// Of all sets of terms with N and none below zero, the likeliest with a penalty per term; what other
-    /// sets would say is in the standard deviations, as likely as they are. Beyond a filter 3Q² stands for
-    /// what that takes, and is in all sets.
+    /// Selects, among all sets of non-negative terms with N, the one with the best penalised
+    /// likelihood. The standard deviations include the differences to the other sets, weighted by
+    /// their likelihood. With a filter, −3Q² represents its effect and is in every set.
     fn likeliest(&self, spans: &Spans) -> Option<Likeliest> {
         let is_filtered = self.from > 0;
         let fits: [Option<Fit>; 1 << TERMS] = core::array::from_fn(|set| {
@@ -317,7 +312,7 @@ impl Curve {
         let penalised = |fit: &Fit| fit.cost + WORTH * f64::from(fit.set.count_ones());
         let fits = || fits.iter().flatten();
         let best = fits().min_by(|a, b| penalised(a).total_cmp(&penalised(b)))?;
-        // What no set of terms explains makes all of them less certain.
+        // A poor fit increases all standard deviations.
         let points = self.used.saturating_sub(self.from);
         let freedom = points.saturating_sub(best.set.count_ones() as usize).max(1);
         let left = best.chi_square / freedom as f64;
@@ -327,7 +322,7 @@ impl Curve {
             (cost(fit) - cost(best)).max(0.0)
         };
         let terms = core::array::from_fn(|k| {
-            // A term is seen where no set without it does nearly as well.
+            // A term is significant if no set without it fits nearly as well.
             let mut without = fits().filter(|fit| !fit.has(k));
             let enough = |fit: &Fit| match (k, fit.has(RAMP)) {
                 (WALK, true) => SEEN_BESIDE_RAMP,
@@ -338,7 +333,7 @@ impl Curve {
                 && is_noise
                 && (k == WHITE || without.all(|fit| worse(fit) > enough(fit)));
             let (mut weight, mut variance) = (0.0, 0.0);
-            // A ramp in the place of K says that there is none.
+            // A ramp instead of K means K = 0.
             let says = |fit: &&Fit| fit.has(k) || (k == WALK && fit.has(RAMP));
             for fit in fits().filter(says) {
                 let likely = libm::exp(-0.5 * worse(fit));
@@ -369,10 +364,10 @@ impl Curve {
         })
     }
 
-    /// The terms of `set` by generalised least squares with the covariance of the points that they
-    /// make themselves.
+    /// Generalised least squares for the terms of `set`, with the covariance of the points computed
+    /// from the terms.
     fn converged(&self, set: u32, spans: &Spans) -> Option<Fit> {
-        // What is expected is what was measured, and points are independent, in the first round.
+        // First iteration: observed values as expectation, independent points.
         let independent = SMatrix::from_diagonal(&self.edf.map(|edf| 2.0 / edf));
         let mut fit = self.solve(set, &self.variance, &Weights::new(independent)?)?;
         for _ in 0..ROUNDS {
@@ -380,7 +375,7 @@ impl Curve {
             let terms = fit.terms.map(|term| term.max(0.0));
             let [q, n, b, k, r] = terms;
             let parts = [q * f * f, n * f, b / core::f64::consts::TAU, k / (12.0 * f)];
-            // What a filter takes is part of what is expected, and no noise.
+            // The effect of a filter is part of the expectation, but not noise.
             let signed = [fit.terms[QUANTISATION], n, b, k, r];
             let mut expected = self.variance;
             for place in self.from..self.used {
@@ -411,9 +406,9 @@ impl Curve {
         Some(fit)
     }
 
-    /// Standard deviation of a point from noise that does not part from the ramp R² over the recording:
-    /// the variance of the mean of its differences is 4/3 (m/(n − 2m))² of their Allan variance. Two points
-    /// share 3/2 (m/M)^(3/2) of it: white noise at the ends of the recording, weighted by triangles.
+    /// Standard deviation of a point from the product of noise and the ramp R²: the variance of the
+    /// mean of its differences is 4/3 (m/(n − 2m))² of their Allan variance. The correlation of two
+    /// points is 3/2 (m/M)^(3/2).
     fn beside_ramp(&self, place: usize, square: f64, expected: f64) -> f64 {
         let tau = self.tau_s(place);
         let ramp = square * tau * tau;
@@ -423,10 +418,10 @@ impl Curve {
         share * libm::sqrt(ramp * noise * 4.0 / 3.0)
     }
 
-    /// The terms of `set`, the others 0.
+    /// Weighted least squares for the terms of `set`; the others are 0.
     fn solve(&self, set: u32, expected: &SVector<f64, POINTS>, weights: &Weights) -> Option<Fit> {
         let inside = |k: usize| set >> k & 1 == 1;
-        // As a share of the noise to be expected, which spans decades.
+        // Relative to the expectation, because the values span decades.
         let mut design = SMatrix::<f64, POINTS, TERMS>::zeros();
         let mut seen = SVector::<f64, POINTS>::zeros();
         let mut spread = 0.0;

@@ -1,35 +1,35 @@
-//! Whether the output ends where the sensor's range does, and not where the noise does.
+//! Detection of clipped output.
 
-/// Fewer samples at the very end are no sign.
+/// Smallest number of samples at an extreme value.
 const FEWEST: u64 = 10;
-/// A tail of noise falls towards its end: so many times as many samples there as next to it are no chance, nor are so
-/// many standard deviations more,
+/// Clipping thresholds: ratio of the number of samples at the extreme value to that at the next
+/// one, or their difference in standard deviations.
 const PER_NEXT: u64 = 3;
 const DEVIATIONS: u64 = 5;
-/// where the noise is so many steps of the output or more.
+/// Smallest noise for the test, quantisation steps.
 const LEAST_STEPS: f64 = 1.0;
 
-/// Whether an output stops at its limit: `at_end` samples at rest are at the highest or lowest value that there is,
-/// `next` at the one beside it, and the noise is `noise_steps` steps of the output, 1 σ. Of coarser
-/// outputs this tells nothing: false.
+/// Whether an output is clipped: `at_end` samples at rest have the highest or lowest value, `next`
+/// the adjacent one, and the noise is `noise_steps` quantisation steps, 1 σ. False for coarser
+/// outputs, where the test does not apply.
 ///
 /// ```
 /// // 40 of the samples read 32767, two 32766; the noise is 20 counts.
-/// assert!(wimu_calib::stops_at_limit(40, 2, 20.0));
-/// assert!(!wimu_calib::stops_at_limit(1, 2, 20.0));
+/// assert!(wimu_calib::is_clipped(40, 2, 20.0));
+/// assert!(!wimu_calib::is_clipped(1, 2, 20.0));
 /// ```
-pub fn stops_at_limit(at_end: u64, next: u64, noise_steps: f64) -> bool {
+pub fn is_clipped(at_end: u64, next: u64, noise_steps: f64) -> bool {
     let more = at_end.saturating_sub(next);
     let chance = DEVIATIONS * DEVIATIONS * at_end.saturating_add(next);
     let is_no_chance = at_end / PER_NEXT >= next || more.saturating_mul(more) > chance;
     at_end >= FEWEST && is_no_chance && noise_steps > LEAST_STEPS
 }
 
-/// The highest and the lowest output, negated, of X, Y, Z.
+/// The highest value, and the negated lowest, of X, Y, Z.
 #[derive(Clone, Debug)]
 pub(super) struct Ends([[End; 2]; 3]);
 
-/// The end value and the one next to it, and how often each came.
+/// The extreme value and the adjacent one, with their numbers of samples.
 #[derive(Clone, Copy, Debug)]
 struct End {
     at: f64,
@@ -57,10 +57,10 @@ impl Ends {
         }
     }
 
-    /// Samples at the ends of an axis that no noise, of so many steps of the output, puts there.
+    /// Number of clipped samples of an axis, for noise in quantisation steps.
     pub(super) fn clipped(&self, axis: usize, noise_steps: f64) -> u64 {
         let ends = self.0.get(axis).into_iter().flatten();
-        ends.filter(|end| stops_at_limit(end.samples, end.next_samples, noise_steps))
+        ends.filter(|end| is_clipped(end.samples, end.next_samples, noise_steps))
             .map(|end| end.samples)
             .sum()
     }

@@ -1,27 +1,27 @@
-//! Whether a sensor was at rest while its noise was measured.
+//! Check that the sensor was at rest during a noise measurement.
 
-/// A second at rest has a mean this near to that of any other, m/s²: 20 mg, drift included.
+/// Largest difference between the means of two seconds at rest, m/s²: 20 mg, drift included.
 const MOST_WANDER_MPS2: f64 = 0.2;
-/// A second at rest has no more than this many times the usual variance.
+/// Largest variance of a second at rest, relative to the geometric mean.
 const MOST_BURST: f64 = 20.0;
-/// More than this is no noise, m/s² rms in a second.
+/// Largest noise, m/s² rms in a second.
 const MOST_NOISE_MPS2: f64 = 0.5;
 
-/// Whether the sensor was at rest: seconds compared with each other.
+/// Statistics of blocks of one second.
 #[derive(Clone, Debug)]
 pub(super) struct Rest {
     rate_hz: f64,
-    /// Samples of a block.
+    /// Block length, samples.
     length: u32,
     filled: u32,
     blocks: u64,
     sum: [f64; 3],
     squares: [f64; 3],
-    /// Least and largest block mean, and when.
+    /// Smallest and largest block mean, and their times.
     least: [f64; 3],
     largest: [(f64, f64); 3],
     least_at: [f64; 3],
-    /// Σ of the logarithm of the blocks' variances; the largest, and when.
+    /// Sum of the logarithms of the block variances; the largest variance, and its time.
     logarithms: [f64; 3],
     noisiest: [(f64, f64); 3],
     samples: u64,
@@ -82,12 +82,12 @@ impl Rest {
         self.gap();
     }
 
-    /// When it moved, s, and which axis.
+    /// Time of a motion, s, and the axis.
     pub(super) fn moved(&self) -> Option<(f64, usize)> {
         (0..3).find_map(|axis| {
             let usual = libm::exp(self.logarithms[axis] / self.blocks.max(1) as f64);
             let (variance, when) = self.noisiest[axis];
-            // The allowance is for axes that say the same most of the time.
+            // The lower bound is for axes with mostly constant output.
             if variance > MOST_BURST * usual.max(1e-5)
                 || variance > MOST_NOISE_MPS2 * MOST_NOISE_MPS2
             {

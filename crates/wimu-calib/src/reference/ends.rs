@@ -1,12 +1,12 @@
-//! Where a stream stops: readings that pile up at an end of an axis while the other stream goes on.
+//! Detection of clipping in one of two streams.
 
 use super::sums::AxisSums;
 
-/// So many samples at one reading are a pile.
+/// Smallest number of samples at an extreme value.
 const PILE: f64 = 10.0;
-/// The other stream goes on where it is beyond by more than so many standard deviations of chance,
+/// Significance threshold for the excess of the other stream, standard deviations.
 const DEVIATIONS: f64 = 4.0;
-/// and by this much of the steps of both, which rounding hides.
+/// Excess that quantisation can hide, in quantisation steps of both streams.
 const HIDDEN_STEPS: f64 = 0.5;
 
 /// The samples at the lowest or highest reading of one side.
@@ -14,7 +14,7 @@ const HIDDEN_STEPS: f64 = 0.5;
 struct End {
     at: f64,
     n: f64,
-    /// Σ of the other side and of its squares.
+    /// Sums of the other side and its squares.
     other: f64,
     squares: f64,
 }
@@ -41,12 +41,12 @@ impl End {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ends {
     ends: [[End; 2]; 2],
-    /// The sample before, and the least change from one to the next.
+    /// The previous sample, and the smallest change from one to the next.
     last: [f64; 2],
     step: [Option<f64>; 2],
 }
 
-/// A reading that a stream stops at.
+/// A limit at which a stream is clipped.
 pub(super) struct Stopped {
     /// 0 the reference, 1 the output.
     pub side: usize,
@@ -89,9 +89,9 @@ impl Ends {
         self.last = pair;
     }
 
-    /// The first end that a side stops at, the output's first: with the line through its other samples,
-    /// the other side is beyond it on the mean, where noise at an end, chosen by its reading, is on this
-    /// side of it.
+    /// The first extreme value, of the output if possible, at which a stream is clipped: on average
+    /// the other stream exceeds the regression line through the remaining samples. Noise, which is
+    /// selected by the extreme value, has the opposite effect.
     pub fn stopped(&self, all: &AxisSums, delta: f64) -> Option<Stopped> {
         [1, 0]
             .into_iter()
@@ -117,7 +117,7 @@ impl Ends {
             let other = end.other / n;
             let [x, y] = if side == 0 { [at, other] } else { [other, at] };
             let off = y - moments.y - slope * (x - moments.x);
-            // An output that stops at its high end falls short; a reference that does is passed.
+            // A clipped output is too small; a clipped reference is exceeded.
             let off = if side == 0 && slope < 0.0 { -off } else { off };
             let short = if high == side { -off } else { off };
             (short > DEVIATIONS * noise / libm::sqrt(n) + hidden).then_some(Stopped {

@@ -1,57 +1,51 @@
-//! What an axis of the output makes of all axes of the reference: equation (50).
+//! Regression of an axis of the output on all axes of the reference: equation (50).
 
 use core::array::from_fn;
 
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
-use super::sums::{LAGS, Spread, Sums};
+use super::sums::{Central, LAGS, Pair, Sums};
 use crate::terms::USUAL_ACROSS;
 
-/// Neighbouring samples show the same motion where they are correlated at least this much as each
-/// is with itself.
+/// Smallest lagged over unlagged covariance for samples with common motion.
 const LEAST_SHARED: f64 = 0.9;
-/// What is left counts as white when its correlation with that some samples away is below this, or
-/// so many standard deviations of that of white noise.
+/// Largest autocorrelation of white residuals: absolute, and in standard deviations of that of
+/// white noise.
 const WHITE: f64 = 0.05;
 const WHITE_DEVIATIONS: f64 = 3.0;
-/// Half the way from bound to bound in standard deviations, for a 95 % interval of 15 degrees of freedom.
+/// Standard deviation of the mean of the bounds relative to their difference, for a 95 % interval
+/// with 15 degrees of freedom.
 const BOUND: f64 = 0.25;
-/// Most steps to the noise; they converge quadratically.
+/// Largest number of iterations; convergence is quadratic.
 const STEPS: usize = 60;
 
-/// b, then what is seen of each axis of the reference, less 1 of its own.
+/// b, then the row of A − I.
 pub(super) type Row = Vector4<f64>;
 
-/// One axis of the output, and which of the reference it is fitted to.
+/// A regression: one axis of the output, and the axes of the reference that it is fitted to.
 #[derive(Clone, Copy)]
 pub(super) struct Fitting {
     pub axis: usize,
-    /// What sums are about: reference, output.
-    pub origins: [[f64; 2]; 3],
+    /// Origins of the sums: reference, output.
+    pub origins: Pair,
     pub with: [bool; 3],
 }
 
-/// How a row is found.
+/// Method of a regression.
 #[derive(Clone, Copy)]
 pub(super) enum How {
-    /// By the variance of the output's noise per that of the reference's.
+    /// With the ratio of noise variances, output over reference.
     Deming(f64),
-    /// From samples a lag of [`LAGS`] apart.
+    /// From lagged products, index into [`LAGS`].
     Neighbours(usize),
-    /// The middle between all noise on one side and on the other.
+    /// The mean of the bounds: all noise in one stream or in the other.
     Bounds,
 }
 
 impl Fitting {
-    /// To the axes that move by `least` or more on their own, without what goes along with those
-    /// that are in; to its own alone if they are `parallel`.
-    pub fn new(
-        axis: usize,
-        origins: [[f64; 2]; 3],
-        spread: &Spread,
-        least: f64,
-        parallel: bool,
-    ) -> Self {
+    /// Selects the axes whose motion, without the part that is correlated with the axes already
+    /// selected, is at least `least` rms. With `parallel`, only the own axis.
+    pub fn new(axis: usize, origins: Pair, spread: &Central, least: f64, parallel: bool) -> Self {
         let mut fitting = Self {
             axis,
             origins,
@@ -71,15 +65,15 @@ impl Fitting {
         fitting
     }
 
-    /// How much `other`, which is not in, goes along with each that is.
-    fn along(&self, spread: &Spread, other: usize) -> Option<Vector3<f64>> {
+    /// Regression of `other`, which is not fitted, on the fitted axes.
+    fn along(&self, spread: &Central, other: usize) -> Option<Vector3<f64>> {
         self.solve(spread, [0.0; 3], |i| spread.xx[(i, other)])
     }
 
-    /// (xx − diag `noise`)⁻¹ `right` over the axes that are in.
+    /// (xx − diag `noise`)⁻¹ `right`, restricted to the fitted axes.
     fn solve(
         &self,
-        spread: &Spread,
+        spread: &Central,
         noise: [f64; 3],
         right: impl Fn(usize) -> f64,
     ) -> Option<Vector3<f64>> {
@@ -92,22 +86,22 @@ impl Fitting {
         Some(matrix.cholesky()?.solve(&right))
     }
 
-    /// Covariance of the reference with output less reference.
-    fn apart(&self, spread: &Spread, i: usize) -> f64 {
-        spread.xy[i][self.axis] - spread.xx[(i, self.axis)]
+    /// Covariance of the reference with output minus reference.
+    fn apart(&self, spread: &Central, i: usize) -> f64 {
+        spread.xy[(i, self.axis)] - spread.xx[(i, self.axis)]
     }
 
-    /// What these leave of the output, squared.
-    pub fn left(&self, spread: &Spread, sees: &Vector3<f64>) -> f64 {
+    /// Residual variance of the output.
+    pub fn left(&self, spread: &Central, sees: &Vector3<f64>) -> f64 {
         let own = self.axis;
-        let apart = spread.yy[own] - 2.0 * spread.xy[own][own] + spread.xx[(own, own)];
+        let apart = spread.yy[own] - 2.0 * spread.xy[(own, own)] + spread.xx[(own, own)];
         let with = Vector3::from_fn(|i, _| self.apart(spread, i));
         apart - 2.0 * sees.dot(&with) + sees.dot(&(spread.xx * sees))
     }
 
-    /// Least squares whose residual's variance is told apart as δ to the output and `shares` to the
-    /// axes of the reference, Newton's rule for their common factor.
-    fn deming(&self, spread: &Spread, delta: f64, shares: [f64; 3]) -> Option<Vector3<f64>> {
+    /// Errors-in-variables regression: the residual variance is divided in the ratio δ for the
+    /// output and `shares` for the axes of the reference. Newton iteration for their common factor.
+    fn deming(&self, spread: &Central, delta: f64, shares: [f64; 3]) -> Option<Vector3<f64>> {
         let own = Vector3::from_fn(|i, _| f64::from(u8::from(i == self.axis)));
         let (mut last, mut factor) = (0.0, 0.0_f64);
         let mut best = None;
@@ -115,7 +109,7 @@ impl Fitting {
             let noise = shares.map(|share| share * factor);
             let found = self.solve(spread, noise, |i| self.apart(spread, i) + noise[i] * own[i]);
             let Some(sees) = found else {
-                // Beyond all that moves.
+                // The noise exceeds the motion.
                 best?;
                 factor = 0.5 * (last + factor);
                 continue;
@@ -131,30 +125,34 @@ impl Fitting {
         best
     }
 
-    /// With b: the line goes through the means.
-    fn row(&self, spread: &Spread, sees: Vector3<f64>) -> Row {
-        let [x, y] = self.origins[self.axis];
+    /// Adds b: the regression passes through the means.
+    fn row(&self, spread: &Central, sees: Vector3<f64>) -> Row {
+        let [x, y] = self.origins.map(|origin| origin[self.axis]);
         let apart = (y - x) + (spread.y[self.axis] - spread.x[self.axis]);
-        let mean = Vector3::from(self.means(spread));
-        Vector4::new(apart - sees.dot(&mean), sees[0], sees[1], sees[2])
+        Vector4::new(
+            apart - sees.dot(&self.means(spread)),
+            sees[0],
+            sees[1],
+            sees[2],
+        )
     }
 
-    /// Of the reference.
-    fn means(&self, spread: &Spread) -> [f64; 3] {
-        from_fn(|i| self.origins[i][0] + spread.x[i])
+    /// Means of the reference.
+    fn means(&self, spread: &Central) -> Vector3<f64> {
+        self.origins[0] + spread.x
     }
 
-    /// From all noise on the output to all on the axis of the reference.
-    fn bounds(&self, spread: &Spread) -> Option<[Row; 2]> {
+    /// Bounds: all noise in the output, all in the own axis of the reference.
+    fn bounds(&self, spread: &Central) -> Option<[Row; 2]> {
         let low = self.deming(spread, 1.0, [0.0; 3])?;
         let own = from_fn(|i| f64::from(u8::from(i == self.axis)));
         let high = self.deming(spread, 0.0, own)?;
         Some([low, high].map(|sees| self.row(spread, sees)))
     }
 
-    /// The row.
+    /// The row by the given method.
     pub fn find(&self, sums: &Sums, how: How) -> Option<Row> {
-        let spread = sums.spread();
+        let spread = sums.central();
         let shares = self.with.map(|with| f64::from(u8::from(with)));
         let row = match how {
             How::Deming(delta) => self.row(&spread, self.deming(&spread, delta, shares)?),
@@ -169,13 +167,13 @@ impl Fitting {
         row.iter().all(|value| value.is_finite()).then_some(row)
     }
 
-    /// By the farthest neighbours that share the motion and not what is left of it.
+    /// The method with the longest lag at which the motion is correlated and the residual is white.
     pub fn how(&self, sums: &Sums) -> How {
-        let (spread, own) = (sums.spread(), self.axis);
+        let (spread, own) = (sums.central(), self.axis);
         let white = WHITE.max(WHITE_DEVIATIONS / libm::sqrt(spread.n));
         let told = |lag: &usize| {
             let shared = sums.lagged(*lag)?;
-            if shared.xy[own][own] < LEAST_SHARED * spread.xy[own][own] {
+            if shared.xy[(own, own)] < LEAST_SHARED * spread.xy[(own, own)] {
                 return None;
             }
             let shares = self.with.map(|with| f64::from(u8::from(with)));
@@ -187,15 +185,15 @@ impl Fitting {
         lag.map_or(How::Bounds, How::Neighbours)
     }
 
-    /// Covariance from the scatter of the blocks, each with the row found without it, and degrees of
-    /// freedom of each of its variances: equation (51).
+    /// Covariance from the differences between blocks, each with the row fitted without it, and the
+    /// degrees of freedom of each variance: equation (51).
     pub fn scatter(
         &self,
         row: &Row,
         all: &Sums,
         blocks: impl Iterator<Item = (Sums, Option<Row>)>,
     ) -> Option<(Matrix4<f64>, [f64; 4])> {
-        // In coordinates in which all samples tell as much of each direction.
+        // In coordinates with unit information.
         let whole = self.information(all).cholesky()?;
         let root = whole.l();
         let inverse = root.solve_lower_triangular(&Matrix4::identity())?;
@@ -209,7 +207,7 @@ impl Fitting {
                 let told = column.dot(&(share * column)) / column.norm_squared();
                 *square += told * told;
             }
-            // What a block tells is in the whole, too, and what is left of it there as much less.
+            // A block is part of the whole, which reduces the difference accordingly.
             let own = SymmetricEigen::new(share);
             let of = own.eigenvectors.transpose() * off;
             let less = own
@@ -220,16 +218,17 @@ impl Fitting {
                 .solve_upper_triangular(&(own.eigenvectors * of.component_mul(&less)))?;
             covariance += off * off.transpose();
         }
-        // As few blocks as tell most, one for the mean.
+        // Effective number of blocks, minus one for the mean.
         Some((
             covariance,
             squares.map(|square| (1.0 / square - 1.0).max(1.0)),
         ))
     }
 
-    /// What samples tell of a row, per variance of one: sums of products of 1 and the axes that are in.
+    /// Information on a row for unit variance of a sample: sums of products of 1 and the fitted
+    /// axes.
     fn information(&self, sums: &Sums) -> Matrix4<f64> {
-        let spread = sums.spread();
+        let spread = sums.central();
         let mean = self.means(&spread);
         let with = |i: usize| i == 0 || self.with[i - 1];
         Matrix4::from_fn(|i, j| match (i, j) {
@@ -240,8 +239,8 @@ impl Fitting {
         }) + Matrix4::from_fn(|i, j| f64::from(u8::from(i == j && !with(i))))
     }
 
-    /// Adds what is no scatter from block to block: of the way the row was found, and of the axes of the
-    /// reference that are not in.
+    /// Adds the covariance that does not show between blocks: from the method, and from the axes of
+    /// the reference that are not fitted.
     pub fn add_unseen(
         &self,
         covariance: &mut Matrix4<f64>,
@@ -249,22 +248,22 @@ impl Fitting {
         how: How,
         parallel: bool,
     ) -> Option<()> {
-        let spread = sums.spread();
+        let spread = sums.central();
         match how {
             How::Deming(_) => {}
             How::Neighbours(lag) => {
-                // What they share of the noise is the output's, or its axis's.
+                // Correlated noise belongs to the output or to its axis.
                 let shared = sums.lagged(lag)?;
                 let sees = self.find(sums, how)?.fixed_rows::<3>(1).into_owned();
                 let alike = self.left(&shared, &sees);
                 let own = |i: usize| if i == self.axis { alike } else { 0.0 };
                 let off = self.solve(&shared, [0.0; 3], own)?;
-                let bias = -off.dot(&Vector3::from(self.means(&spread)));
+                let bias = -off.dot(&self.means(&spread));
                 let off = Vector4::new(bias, off[0], off[1], off[2]);
                 *covariance += off * off.transpose();
             }
             How::Bounds => {
-                // The truth may be at one of them, and its noise comes on top.
+                // The true value may be at one of the bounds, with noise in addition.
                 let [low, high] = self.bounds(&spread)?;
                 let off = BOUND * (high - low);
                 let size = off[1 + self.axis].abs();
@@ -276,10 +275,10 @@ impl Fitting {
         }
         let out = |other: &usize| !parallel && !self.with[*other];
         for other in (0..3).filter(out) {
-            // Its mean passes for bias, and what goes along for what is seen of the others.
+            // Its mean appears as bias, the correlated part as sensitivity to other axes.
             let along = self.along(&spread, other)?;
             let means = self.means(&spread);
-            let mean = means[other] - along.dot(&Vector3::from(means));
+            let mean = means[other] - along.dot(&means);
             let mut off = Vector4::new(mean, along[0], along[1], along[2]);
             off[1 + other] = -1.0;
             *covariance += USUAL_ACROSS * USUAL_ACROSS * off * off.transpose();

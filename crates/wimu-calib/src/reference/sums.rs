@@ -1,121 +1,67 @@
-//! Sums over blocks of two streams, and what follows from them.
+//! Sums over samples of two streams, and the moments that follow from them.
 
-use core::array::from_fn;
+use nalgebra::{Matrix3, Vector3};
 
-use nalgebra::Matrix3;
-
-/// Distances in samples at which neighbours are compared.
+/// Lags of the lagged products, samples.
 pub(super) const LAGS: [usize; 5] = [1, 2, 4, 8, 16];
 
-/// Reference and output of three axes.
-type Pairs = [[f64; 2]; 3];
+/// A sample of the reference and of the output, m/s².
+pub(super) type Pair = [Vector3<f64>; 2];
 
-/// The last samples, for the lags.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Recent {
-    pairs: [Pairs; LAGS[LAGS.len() - 1]],
-    /// Unbroken samples so far.
-    run: usize,
-}
+/// The latest samples, oldest first, without a gap: as many as the longest lag.
+pub(super) type Recent = heapless::Deque<Pair, { LAGS[LAGS.len() - 1] }>;
 
-impl Recent {
-    pub fn none() -> Self {
-        Self {
-            pairs: [[[0.0; 2]; 3]; LAGS[LAGS.len() - 1]],
-            run: 0,
-        }
-    }
-
-    /// The pairs `lag` samples ago, if none is missing since.
-    fn before(&self, lag: usize) -> Option<Pairs> {
-        let place = self.run.checked_sub(lag)? % self.pairs.len();
-        self.pairs.get(place).copied()
-    }
-
-    fn take(&mut self, pairs: Pairs) {
-        let place = self.run % self.pairs.len();
-        if let Some(kept) = self.pairs.get_mut(place) {
-            *kept = pairs;
-        }
-        self.run += 1;
-    }
-}
-
-/// Sums over samples x of the reference and y of the output; in f64 once they are looked at.
-#[derive(Clone, Copy, Debug)]
+/// Sums over samples x of the reference and y of the output.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
     /// Of each sample with itself.
     own: Products,
-    /// Of each sample with the one so many before.
+    /// Of each sample with the earlier one at each of [`LAGS`].
     lagged: [Products; LAGS.len()],
 }
 
-/// Sums over two samples some way apart, and of their products, each the mean of both ways.
-#[derive(Clone, Copy, Debug)]
+/// Sums of the products of two samples at a fixed lag, symmetrised over the two.
+#[derive(Clone, Copy, Debug, Default)]
 struct Products {
     n: f64,
-    x: [f64; 3],
-    y: [f64; 3],
-    /// Of the reference's axes: XX, YY, ZZ, XY, XZ, YZ.
-    xx: [f64; 6],
-    /// Of each axis of the reference, row, with each of the output.
-    xy: [[f64; 3]; 3],
-    /// Of each axis of the output.
-    yy: [f64; 3],
+    x: Vector3<f64>,
+    y: Vector3<f64>,
+    xx: Matrix3<f64>,
+    /// Axes of the reference (rows) with those of the output (columns).
+    xy: Matrix3<f64>,
+    /// Each axis of the output with itself.
+    yy: Vector3<f64>,
 }
 
-/// Which axes [`Products::xx`] are of.
-const AXES: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
-
 impl Products {
-    const NONE: Self = Self {
-        n: 0.0,
-        x: [0.0; 3],
-        y: [0.0; 3],
-        xx: [0.0; 6],
-        xy: [[0.0; 3]; 3],
-        yy: [0.0; 3],
-    };
-
-    fn take(&mut self, now: Pairs, then: Pairs) {
+    fn take(&mut self, [x, y]: &Pair, [earlier_x, earlier_y]: &Pair) {
         let half = 0.5;
         self.n += 1.0;
-        for (sum, [i, j]) in self.xx.iter_mut().zip(AXES) {
-            *sum += half * (now[i][0] * then[j][0] + now[j][0] * then[i][0]);
-        }
-        for i in 0..3 {
-            for j in 0..3 {
-                self.xy[i][j] += half * (now[i][0] * then[j][1] + now[j][1] * then[i][0]);
-            }
-            self.yy[i] += now[i][1] * then[i][1];
-            self.x[i] += half * (now[i][0] + then[i][0]);
-            self.y[i] += half * (now[i][1] + then[i][1]);
-        }
+        self.xx += (x * earlier_x.transpose() + earlier_x * x.transpose()) * half;
+        self.xy += (x * earlier_y.transpose() + earlier_x * y.transpose()) * half;
+        self.yy += y.component_mul(earlier_y);
+        self.x += (x + earlier_x) * half;
+        self.y += (y + earlier_y) * half;
     }
 
     fn plus(&self, other: &Self, sign: f64) -> Self {
         Self {
             n: self.n + sign * other.n,
-            x: from_fn(|i| self.x[i] + sign * other.x[i]),
-            y: from_fn(|i| self.y[i] + sign * other.y[i]),
-            xx: from_fn(|i| self.xx[i] + sign * other.xx[i]),
-            xy: from_fn(|i| from_fn(|j| self.xy[i][j] + sign * other.xy[i][j])),
-            yy: from_fn(|i| self.yy[i] + sign * other.yy[i]),
+            x: self.x + other.x * sign,
+            y: self.y + other.y * sign,
+            xx: self.xx + other.xx * sign,
+            xy: self.xy + other.xy * sign,
+            yy: self.yy + other.yy * sign,
         }
     }
 
-    fn spread(&self) -> Spread {
-        let (x, y) = (self.x.map(|x| x / self.n), self.y.map(|y| y / self.n));
-        let mut xx = Matrix3::zeros();
-        for (sum, [i, j]) in self.xx.into_iter().zip(AXES) {
-            let value = sum / self.n - x[i] * x[j];
-            (xx[(i, j)], xx[(j, i)]) = (value, value);
-        }
-        Spread {
-            n: self.n,
-            xx,
-            xy: from_fn(|i| from_fn(|j| self.xy[i][j] / self.n - x[i] * y[j])),
-            yy: from_fn(|i| self.yy[i] / self.n - y[i] * y[i]),
+    fn central(&self) -> Central {
+        let (n, x, y) = (self.n, self.x / self.n, self.y / self.n);
+        Central {
+            n,
+            xx: self.xx / n - x * x.transpose(),
+            xy: self.xy / n - x * y.transpose(),
+            yy: self.yy / n - y.component_mul(&y),
             x,
             y,
         }
@@ -123,38 +69,37 @@ impl Products {
 }
 
 impl Sums {
-    pub const NONE: Self = Self {
-        own: Products::NONE,
-        lagged: [Products::NONE; LAGS.len()],
-    };
-
-    /// Takes the next pairs, `recent` being those before them.
-    pub fn take(&mut self, pairs: Pairs, recent: &mut Recent) {
+    /// Adds the next sample; `recent` holds the ones before it.
+    pub fn take(&mut self, pair: Pair, recent: &mut Recent) {
         for (products, lag) in self.lagged.iter_mut().zip(LAGS) {
-            if let Some(before) = recent.before(lag) {
-                products.take(pairs, before);
+            let earlier = recent.len().checked_sub(lag).and_then(|k| recent.get(k));
+            if let Some(earlier) = earlier {
+                products.take(&pair, earlier);
             }
         }
-        recent.take(pairs);
-        self.own.take(pairs, pairs);
+        self.own.take(&pair, &pair);
+        if recent.is_full() {
+            recent.pop_front();
+        }
+        let _ = recent.push_back(pair);
     }
 
     /// With `sign` times `other` added.
     pub fn plus(&self, other: &Self, sign: f64) -> Self {
         Self {
             own: self.own.plus(&other.own, sign),
-            lagged: from_fn(|i| self.lagged[i].plus(&other.lagged[i], sign)),
+            lagged: core::array::from_fn(|i| self.lagged[i].plus(&other.lagged[i], sign)),
         }
     }
 
-    pub fn spread(&self) -> Spread {
-        self.own.spread()
+    pub fn central(&self) -> Central {
+        self.own.central()
     }
 
-    /// The same of samples a lag of [`LAGS`] apart, where noise that is white has no part.
-    pub fn lagged(&self, lag: usize) -> Option<Spread> {
+    /// Moments of samples at a lag, given by its index in [`LAGS`]: white noise does not contribute.
+    pub fn lagged(&self, lag: usize) -> Option<Central> {
         let products = self.lagged.get(lag).filter(|products| products.n >= 1.0)?;
-        Some(products.spread())
+        Some(products.central())
     }
 
     /// Of one axis.
@@ -163,32 +108,33 @@ impl Sums {
             n: self.own.n,
             x: self.own.x[axis],
             y: self.own.y[axis],
-            xx: self.own.xx[axis],
-            xy: self.own.xy[axis][axis],
+            xx: self.own.xx[(axis, axis)],
+            xy: self.own.xy[(axis, axis)],
             yy: self.own.yy[axis],
         }
     }
 }
 
 /// Means and central second moments of all axes.
-pub(super) struct Spread {
+pub(super) struct Central {
     pub n: f64,
-    pub x: [f64; 3],
-    pub y: [f64; 3],
+    pub x: Vector3<f64>,
+    pub y: Vector3<f64>,
     pub xx: Matrix3<f64>,
-    /// Of each axis of the reference, row, with each of the output.
-    pub xy: [[f64; 3]; 3],
-    pub yy: [f64; 3],
+    /// Axes of the reference (rows) with those of the output (columns).
+    pub xy: Matrix3<f64>,
+    /// Each axis of the output with itself.
+    pub yy: Vector3<f64>,
 }
 
-impl Spread {
+impl Central {
     /// Those of one axis.
     pub fn axis(&self, axis: usize) -> Moments {
         Moments {
             x: self.x[axis],
             y: self.y[axis],
             xx: self.xx[(axis, axis)],
-            xy: self.xy[axis][axis],
+            xy: self.xy[(axis, axis)],
             yy: self.yy[axis],
         }
     }
@@ -264,42 +210,5 @@ impl Moments {
     /// What is left of y less `slope` times x, squared.
     pub fn left(&self, slope: f64) -> f64 {
         self.yy - 2.0 * slope * self.xy + slope * slope * self.xx
-    }
-}
-
-/// Spread of estimates made without one block each: equation (51).
-pub(super) struct Jackknife<const N: usize> {
-    count: f64,
-    mean: [f64; N],
-    squares: [[f64; N]; N],
-}
-
-impl<const N: usize> Default for Jackknife<N> {
-    fn default() -> Self {
-        Self {
-            count: 0.0,
-            mean: [0.0; N],
-            squares: [[0.0; N]; N],
-        }
-    }
-}
-
-impl<const N: usize> Jackknife<N> {
-    pub fn take(&mut self, estimate: [f64; N]) {
-        self.count += 1.0;
-        let before: [f64; N] = from_fn(|i| estimate[i] - self.mean[i]);
-        for (mean, step) in self.mean.iter_mut().zip(before) {
-            *mean += step / self.count;
-        }
-        for i in 0..N {
-            for j in 0..N {
-                self.squares[i][j] += before[i] * (estimate[j] - self.mean[j]);
-            }
-        }
-    }
-
-    pub fn covariance(&self) -> [[f64; N]; N] {
-        let factor = (self.count - 1.0) / self.count;
-        from_fn(|i| from_fn(|j| factor * 0.5 * (self.squares[i][j] + self.squares[j][i])))
     }
 }

@@ -1,23 +1,22 @@
 //! Lossless batches of accelerometer samples.
 //!
-//! A batch decodes alone, so that a lost one costs nothing but itself. Every axis is predicted
-//! from its own past, and what the prediction missed is Rice-coded; an axis that would not get
-//! shorter is sent as it is. All in whole numbers. Equations (20) to (24) of
-//! docs/EQUATIONS.md.
+//! Each batch is decoded independently of others. Every axis is predicted from its previous samples,
+//! and the residuals are Rice-coded; an axis that this would not shorten is sent with a fixed width. All
+//! arithmetic is in integers. Equations (20) to (24) of docs/EQUATIONS.md.
 //!
 //! Body of a frame of kind 3:
 //!
 //! | offset | size | field |
 //! |---|---|---|
-//! | 0 | 1 | samples less one in bits 0 to 4; bit 5: [`Stream`], 0 raw, 1 corrected; bit 6: a shift follows; bit 7: only every n-th sample is there |
+//! | 0 | 1 | bits 0 to 4: number of samples minus one; bit 5: [`Stream`], 0 raw, 1 corrected; bit 6: a shift follows; bit 7: decimated, only every n-th sample is included |
 //! | 1 | 2 | low 16 bits of the first sample's sequence number, low byte first |
 //! | 3 | 3 | low 24 bits of the first sample's device time, µs, low byte first |
 //! | 6 | 1 | only with bit 7: n, 2 to 255 |
 //! | 6, 7 with bit 7 | – | bits, most significant first, zeros up to the next whole byte |
 //!
-//! In the bits, F stands for 4 in a raw batch and 5 in a corrected one, W for 16 and 32:
+//! In the bits, F is 4 and W is 16 in a raw batch; F is 5 and W is 32 in a corrected one:
 //!
-//! - if a shift follows: the shift, F bits. All values below are to be shifted left by it.
+//! - if a shift follows: the shift, F bits. All values below are shifted left by it.
 //! - for X, then Y, then Z: the coding in two bits,
 //!   - 0, fixed width: L in F bits, then each sample in L + 1 bits, two's complement;
 //!   - 1 mean, 3 linear: the Rice parameter k; the first sample; the residual of every other sample,
@@ -41,7 +40,7 @@ use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 use crate::bits::{BitReader, Remainder};
 use crate::frame::{self, EncodeError, Kind};
 
-/// The most samples in a batch.
+/// Most samples in a batch.
 pub const MAX_BATCH: usize = 32;
 
 const HEADER: usize = 6;
@@ -49,15 +48,15 @@ const CORRECTED_BIT: u8 = 1 << 5;
 const SHIFT_BIT: u8 = 1 << 6;
 const DECIMATED_BIT: u8 = 1 << 7;
 
-/// Every axis at full width, with its coding and length, in 26 bits with the shift; up to a whole
-/// number of words.
+/// Longest body of a batch, bytes: all axes at full width, 26 bits for shift, codings and lengths, rounded
+/// up to whole words.
 const MAX_BATCH_BODY: usize =
     HEADER + 1 + (26_usize.div_ceil(8) + MAX_BATCH * 3 * 4).next_multiple_of(4);
 
-/// This many ones are an escape.
+/// Ones that make an escape code.
 const ESCAPE: u32 = 12;
 
-/// What the samples of a batch are.
+/// The type of the samples of a batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Stream {
@@ -68,7 +67,7 @@ pub enum Stream {
 }
 
 impl Stream {
-    /// W: values and residuals are numbers of this many bits.
+    /// W: bits of values and residuals.
     const fn width(self) -> u32 {
         match self {
             Self::Raw => 16,
@@ -76,7 +75,7 @@ impl Stream {
         }
     }
 
-    /// F: the bits of a number below the width.
+    /// F: bits of a number below W.
     const fn field(self) -> u32 {
         match self {
             Self::Raw => 4,
@@ -84,8 +83,8 @@ impl Stream {
         }
     }
 
-    /// The largest Rice parameter that the encoder uses: below W, and with the longest prefix a
-    /// code still has 32 bits.
+    /// The largest Rice parameter that the encoder uses: below W, and short enough that a code with the
+    /// longest prefix has at most 32 bits.
     const fn largest_k(self) -> u32 {
         match self {
             Self::Raw => 15,
@@ -93,17 +92,17 @@ impl Stream {
         }
     }
 
-    /// The sum of the residuals of a batch, before they are wrapped.
+    /// Adds a folded residual, which is not wrapped yet, to the sum of a batch.
     #[inline]
     const fn add(self, sum: u32, folded: u32) -> u32 {
         match self {
-            // 31 times 2¹⁹ at most.
+            // At most 31 · 2¹⁹.
             Self::Raw => sum + folded,
             Self::Corrected => sum.saturating_add(folded),
         }
     }
 
-    /// Whether numbers with this sum can have more than W bits.
+    /// Whether a folded residual of a batch with this sum may exceed W bits.
     const fn can_be_exceeded_in(self, sum: u32) -> bool {
         matches!(self, Self::Raw) && sum > u16::MAX as u32
     }
@@ -122,12 +121,12 @@ mod sealed {
     impl Sealed for wimu_model::SpecificForceQ16 {}
 }
 
-/// What a batch can hold: [`Counts`] or [`SpecificForceQ16`].
+/// A sample of a batch: [`Counts`] or [`SpecificForceQ16`].
 pub trait Sample: Copy + sealed::Sealed {
     /// The stream that such samples make.
     const STREAM: Stream;
 
-    /// X, Y or Z by its index; Z from 2 on, so that a loop need not check.
+    /// X, Y or Z by its index; indices above 2 give Z, which avoids a bounds check.
     fn axis(&self, axis: usize) -> i32;
 }
 
@@ -152,8 +151,8 @@ impl Sample for SpecificForceQ16 {
 /// Packs 1 to [`MAX_BATCH`] consecutive samples into a frame; returns the frame's length, bytes.
 ///
 /// `first_sequence` and `first_time` are those of the first sample; their low bits travel, and
-/// [`extend_sequence`] and [`extend_time`] complete them. What `frame` has beyond the frame's length
-/// is of no meaning afterwards.
+/// [`extend_sequence`] and [`extend_time`] complete them. The bytes of `frame` beyond
+/// the frame's length are undefined afterwards.
 ///
 /// ```
 /// use wimu_link::{Batch, Deframer, MAX_FRAME, batch};
@@ -168,7 +167,7 @@ impl Sample for SpecificForceQ16 {
 ///     let Some(frame) = deframer.push(*byte) else { continue };
 ///     let batch = Batch::decode(frame?.body)?;
 ///     assert!(batch.counts().eq(samples));
-///     // An epoch told the host roughly where the device is.
+///     // An earlier epoch gives an approximate sequence number.
 ///     assert_eq!(batch::extend_sequence(batch.sequence_low(), 69_950), 70_000);
 /// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -186,9 +185,8 @@ pub fn encode<S: Sample>(
     encode_every(NonZeroU8::MIN, first_sequence, first_time, samples, frame)
 }
 
-/// Packs samples as [`encode`] does, of which `every` − 1 that the sensor took between one and the
-/// next are left out: a decimated stream. Nothing is filtered: what moves faster than half the rate
-/// that is left is folded below it (aliasing).
+/// Packs samples as [`encode`] does, in a stream decimated by `every`. There is no anti-aliasing filter:
+/// frequencies above half the decimated rate are aliased.
 ///
 /// # Errors
 /// Those of [`encode`].
@@ -199,8 +197,8 @@ pub fn encode_every<S: Sample>(
     samples: &[S],
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    // The far end of `frame` has room for the body of all but the longest batches of corrected
-    // samples; to clear a buffer of its own would take an eighth of the time of packing.
+    // The end of `frame` has room for the body of all but the longest batches of corrected samples.
+    // Clearing a separate buffer would take an eighth of the time of packing.
     let body_room = HEADER + 9 + samples.len() * 3 * (S::STREAM.width() as usize / 8);
     let frame_room = frame::MAX_FRAME - frame::MAX_BODY + body_room;
     if let Some((frame, body)) = frame.split_at_mut_checked(frame.len().wrapping_sub(body_room))
@@ -276,7 +274,7 @@ impl Batch {
             reader.pull(stream.field())
         };
         let samples = batch.samples.get_mut(..batch.length).unwrap_or_default();
-        // Each with the stream's numbers in it.
+        // One instance for each stream, with its constants.
         match stream {
             Stream::Raw => unpacking::decode_axes::<Counts>(samples, shift, &mut reader)?,
             Stream::Corrected => {
@@ -301,7 +299,7 @@ impl Batch {
         self.length
     }
 
-    /// From one sample's sequence number to the next one's, 1..=255: 1 if none is left out.
+    /// Decimation: difference of the sequence numbers of consecutive samples, 1..=255.
     pub fn every(&self) -> u8 {
         self.every
     }
@@ -344,17 +342,17 @@ impl Batch {
     }
 }
 
-/// Why a body is no batch. The frame's CRC has passed, so this is a fault of the sender.
+/// Why a body is not a batch. The frame's CRC was valid, so this is a fault of the sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BatchError {
     /// The body ends before its samples do.
     TooShort,
-    /// The body goes on after its samples.
+    /// The body is longer than its samples.
     TooLong,
-    /// It says that it is decimated, by 0 or 1.
+    /// It is marked as decimated, but by 0 or 1.
     Decimation,
-    /// A coding, a Rice parameter or a residual that the stream cannot have.
+    /// An invalid coding, Rice parameter or residual.
     Value,
 }
 
@@ -363,9 +361,9 @@ impl fmt::Display for BatchError {
         out.write_str("a batch of samples cannot be read: ")?;
         out.write_str(match self {
             Self::TooShort => "it ends before its samples do",
-            Self::TooLong => "it goes on after its samples",
-            Self::Decimation => "it says that it is decimated, but by 0 or 1",
-            Self::Value => "it holds a coding or a residual that no sender makes",
+            Self::TooLong => "it is longer than its samples",
+            Self::Decimation => "it is marked as decimated, but by 0 or 1",
+            Self::Value => "it holds an invalid coding or residual",
         })?;
         out.write_str("; update host and device to the same wire version")
     }
@@ -384,7 +382,7 @@ pub fn extend_sequence(low: u16, near: u32) -> u32 {
 /// long as `near` is less than 2²³ µs (8.3 s) away.
 pub fn extend_time(low: u32, near: DeviceTimeUs) -> DeviceTimeUs {
     let ahead = (low.wrapping_sub(near.0 as u32) << 8) as i32 >> 8;
-    // Before the device's start there is no time.
+    // A time before the device's start is not possible.
     DeviceTimeUs(
         near.0
             .checked_add_signed(i64::from(ahead))

@@ -1,4 +1,4 @@
-//! The sender's half: which way of coding, and the bits.
+//! The encoder: chooses the coding and writes the bits.
 
 use core::num::NonZeroU8;
 
@@ -9,7 +9,7 @@ use super::{CORRECTED_BIT, DECIMATED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT, 
 use crate::bits::BitWriter;
 use crate::frame::EncodeError;
 
-/// The predictor is chosen by this many samples of X.
+/// Samples of X that choose the predictor.
 const TRIED: usize = 8;
 
 /// Packs samples into the body of a frame; returns its length, bytes.
@@ -49,7 +49,7 @@ pub(super) fn encode_body<S: Sample>(
 
     let mut packer = Packer {
         writer: BitWriter::new(bits),
-        missed: [0; MAX_BATCH - 1],
+        residuals: [0; MAX_BATCH - 1],
         coding: None,
         latest_k: None,
     };
@@ -67,7 +67,7 @@ pub(super) fn encode_body<S: Sample>(
     Ok(HEADER + usize::from(decimated) + packed)
 }
 
-/// How many low bits are zero in all samples: equation (20).
+/// Number of low bits that are zero in all samples: equation (20).
 fn common_shift<S: Sample>(samples: &[S]) -> u32 {
     let mut used = 0;
     for few in samples.chunks(4) {
@@ -81,7 +81,7 @@ fn common_shift<S: Sample>(samples: &[S]) -> u32 {
     if used == 0 { 0 } else { used.trailing_zeros() }
 }
 
-/// `value`, or −`value` − 1 if it is negative.
+/// `value`, or −`value` − 1 if `value` is negative.
 fn magnitude(value: i32) -> u32 {
     (value ^ (value >> 31)) as u32
 }
@@ -103,7 +103,7 @@ fn k_code(stream: Stream, k: u32, latest: Option<u32>) -> (u32, u32) {
     }
 }
 
-/// One axis of samples, their common shift undone.
+/// One axis of samples, shifted right by their common shift.
 #[derive(Clone, Copy)]
 struct Axis<'s, S> {
     samples: &'s [S],
@@ -111,84 +111,85 @@ struct Axis<'s, S> {
     shift: u32,
 }
 
-// The loops over samples are functions of their own, so that each has all registers for itself.
+// The loops over samples are separate functions, so that each can use all registers.
 impl<S: Sample> Axis<'_, S> {
     #[inline]
     fn value(&self, sample: &S) -> i32 {
         sample.axis(self.axis) >> self.shift
     }
 
-    /// The bits of the longest value, without its sign.
+    /// Bits of the longest value, without its sign.
     fn longest(&self) -> u32 {
         bit_length((self.samples.iter()).fold(0, |longest, s| longest | magnitude(self.value(s))))
     }
 
-    /// The line where the first samples after the first bend less than they move, the mean
-    /// otherwise.
+    /// Linear if the second differences of the first samples are smaller than the first differences, else
+    /// mean.
     #[inline(never)]
     fn likely_coding(self, first: i32) -> Coding {
         let mut previous = first;
         let mut slope = (self.samples.first()).map_or(0, |s| self.value(s).wrapping_sub(first));
-        let (mut moved, mut bent) = (0, 0);
+        let (mut first_differences, mut second_differences) = (0, 0);
         for sample in self.samples.iter().take(TRIED) {
             let value = self.value(sample);
             let step = value.wrapping_sub(previous);
-            moved = S::STREAM.add(moved, magnitude(step));
-            bent = S::STREAM.add(bent, magnitude(step.wrapping_sub(slope)));
+            first_differences = S::STREAM.add(first_differences, magnitude(step));
+            second_differences =
+                S::STREAM.add(second_differences, magnitude(step.wrapping_sub(slope)));
             (previous, slope) = (value, step);
         }
-        if bent < moved {
+        if second_differences < first_differences {
             Coding::Linear
         } else {
             Coding::Mean
         }
     }
 
-    /// What the mean misses of the samples after the first, folded but not yet wrapped to W bits,
-    /// and its sum.
+    /// The residuals of the mean for the samples after the first, folded but not yet wrapped to W bits;
+    /// returns their sum.
     #[inline(never)]
-    fn miss_by_mean(self, first: i32, missed: &mut Missed) -> u32 {
+    fn mean_residuals(self, first: i32, residuals: &mut Residuals) -> u32 {
         let mut mean = Mean::of(first);
         let mut sum = 0;
-        for ((sample, folded), gain) in self.samples.iter().zip(missed).zip(&MEAN_GAINS) {
-            let missed = self.value(sample).wrapping_sub(mean.rounded());
-            *folded = fold(missed);
+        for ((sample, folded), gain) in self.samples.iter().zip(residuals).zip(&MEAN_GAINS) {
+            let residual = self.value(sample).wrapping_sub(mean.rounded());
+            *folded = fold(residual);
             sum = S::STREAM.add(sum, *folded);
-            mean.improve(missed, *gain);
+            mean.correct(residual, *gain);
         }
         sum
     }
 
-    /// The same of the line through the two samples before.
+    /// The same for the linear prediction from the two previous samples.
     #[inline(never)]
-    fn miss_by_line(self, first: i32, missed: &mut Missed) -> u32 {
+    fn linear_residuals(self, first: i32, residuals: &mut Residuals) -> u32 {
         let (mut previous, mut slope) = (first, 0_i32);
         let mut sum = 0;
-        for (sample, missed) in self.samples.iter().zip(missed) {
+        for (sample, folded) in self.samples.iter().zip(residuals) {
             let value = self.value(sample);
             let step = value.wrapping_sub(previous);
-            *missed = fold(step.wrapping_sub(slope));
-            sum = S::STREAM.add(sum, *missed);
+            *folded = fold(step.wrapping_sub(slope));
+            sum = S::STREAM.add(sum, *folded);
             (previous, slope) = (value, step);
         }
         sum
     }
 }
 
-/// Room for what a predictor misses of the samples after the first: cleared once a batch.
-type Missed = [u32; MAX_BATCH - 1];
+/// Residuals of the samples after the first. Cleared once per batch.
+type Residuals = [u32; MAX_BATCH - 1];
 
-/// What goes on from axis to axis.
+/// State shared by the axes of a batch.
 struct Packer<'a> {
     writer: BitWriter<'a>,
-    missed: Missed,
-    /// Chosen by the first axis, for all.
+    residuals: Residuals,
+    /// Chosen from the first axis, used for all.
     coding: Option<Coding>,
     latest_k: Option<u32>,
 }
 
 impl Packer<'_> {
-    // Not inlined three times over, which would only be larger.
+    // Not inlined, to keep the code small.
     #[inline(never)]
     fn pack<S: Sample>(&mut self, all: Axis<'_, S>) {
         let stream = S::STREAM;
@@ -203,22 +204,21 @@ impl Packer<'_> {
         };
         let coding = *(self.coding).get_or_insert_with(|| rest.likely_coding(first));
         let sum = match coding {
-            Coding::Linear => rest.miss_by_line(first, &mut self.missed),
-            _ => rest.miss_by_mean(first, &mut self.missed),
+            Coding::Linear => rest.linear_residuals(first, &mut self.residuals),
+            _ => rest.mean_residuals(first, &mut self.residuals),
         };
-        let missed = self
-            .missed
+        let residuals = self
+            .residuals
             .get_mut(..rest.samples.len())
             .unwrap_or_default();
         if stream.can_be_exceeded_in(sum) {
-            for missed in &mut *missed {
-                *missed = fold(stream.wrap(unfold(*missed)));
+            for folded in &mut *residuals {
+                *folded = fold(stream.wrap(unfold(*folded)));
             }
         }
 
-        // The best Rice parameter is the logarithm of the mean residual, or one less for a bit or
-        // two.
-        let average = sum / (missed.len() as u32).max(1);
+        // k = floor(log2 of the mean residual). k − 1 is sometimes better, by one or two bits.
+        let average = sum / (residuals.len() as u32).max(1);
         let k = average.max(1).ilog2().min(stream.largest_k());
         let (code, code_bits) = k_code(stream, k, self.latest_k);
         let first_magnitude = magnitude(first);
@@ -231,17 +231,17 @@ impl Packer<'_> {
         let writer = &mut self.writer;
         let start = writer.place();
         match stream {
-            // 13 bits and 14 at most.
+            // At most 13 and 14 bits.
             Stream::Raw => writer.push(head << tail_bits | tail, head_bits + tail_bits),
             Stream::Corrected => {
                 writer.push(head, head_bits);
                 writer.push(tail, tail_bits);
             }
         }
-        writer.push_rice(missed, k, ESCAPE, stream.width());
+        writer.push_rice(residuals, k, ESCAPE, stream.width());
 
-        // An axis that would not get shorter is sent as it is. Its longest sample is looked for
-        // only where the first one does not show already that it would.
+        // Fixed width if that is not longer. The longest sample is searched only if the length of the first
+        // one does not decide.
         let coded = writer.bits_since(&start);
         let fixed = |length: u32| 2 + field + (length + 1) * all.samples.len() as u32;
         if coded < fixed(first_length) || coded < fixed(all.longest()) {

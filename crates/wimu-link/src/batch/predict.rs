@@ -14,7 +14,7 @@ pub(super) enum Coding {
 }
 
 impl Coding {
-    /// `None` for a number that codes nothing.
+    /// `None` for an unused number.
     pub(super) fn from_bits(bits: u32) -> Option<Self> {
         match bits {
             0 => Some(Self::Fixed),
@@ -25,8 +25,8 @@ impl Coding {
     }
 }
 
-/// The past of an axis, and what it foretells: equation (21).
-pub(super) trait Past: Copy {
+/// A predictor of an axis: equation (21).
+pub(super) trait Predictor: Copy {
     fn of(first: i32) -> Self;
 
     fn predict(&self) -> i32;
@@ -34,11 +34,11 @@ pub(super) trait Past: Copy {
     /// Takes the next value; `weight` is one of [`MEAN_WEIGHTS`].
     fn add(&mut self, value: i32, weight: i32);
 
-    /// The same for the value that is predicted and `residual`, without waiting for it.
-    fn go_on(&mut self, residual: i32, weight: i32);
+    /// The same for the predicted value plus `residual`, without that sum.
+    fn advance(&mut self, residual: i32, weight: i32);
 }
 
-impl Past for Mean {
+impl Predictor for Mean {
     #[inline]
     fn of(first: i32) -> Self {
         Mean::of(first)
@@ -51,24 +51,24 @@ impl Past for Mean {
 
     #[inline]
     fn add(&mut self, value: i32, weight: i32) {
-        let missed = value.wrapping_sub(self.rounded());
-        self.go_on(missed, weight);
+        let residual = value.wrapping_sub(self.rounded());
+        self.advance(residual, weight);
     }
 
     #[inline]
-    fn go_on(&mut self, residual: i32, weight: i32) {
+    fn advance(&mut self, residual: i32, weight: i32) {
         self.0 = self.0.wrapping_add(residual.wrapping_mul(weight));
     }
 }
 
-/// The line through the two values before.
+/// Linear extrapolation from the two previous values.
 #[derive(Clone, Copy)]
 pub(super) struct Linear {
     previous: i32,
     slope: i32,
 }
 
-impl Past for Linear {
+impl Predictor for Linear {
     #[inline]
     fn of(first: i32) -> Self {
         Self {
@@ -89,13 +89,13 @@ impl Past for Linear {
     }
 
     #[inline]
-    fn go_on(&mut self, residual: i32, _weight: i32) {
+    fn advance(&mut self, residual: i32, _weight: i32) {
         self.slope = self.slope.wrapping_add(residual);
         self.previous = self.previous.wrapping_add(self.slope);
     }
 }
 
-/// A mean that forgets slowly, 2^−4 per LSB and half an LSB more, so that cut off it is rounded.
+/// Running mean, 2^−4 of a value's LSB, plus half a value's LSB, so that truncation rounds.
 #[derive(Clone, Copy)]
 pub(super) struct Mean(i32);
 
@@ -110,26 +110,26 @@ impl Mean {
         self.0 >> MEAN_BITS
     }
 
-    /// Moves by 2^(`gain` − 4) of what it missed.
+    /// Corrects the mean by 2^(`gain` − 4) of a residual.
     #[inline]
-    pub(super) fn improve(&mut self, missed: i32, gain: u8) {
-        self.0 = self.0.wrapping_add(missed.wrapping_shl(u32::from(gain)));
+    pub(super) fn correct(&mut self, residual: i32, gain: u8) {
+        self.0 = self.0.wrapping_add(residual.wrapping_shl(u32::from(gain)));
     }
 }
 
-/// The gain of a mean of `count` samples, the new one included: 4 − ⌊log2 `count`⌋. The mean of 32,
-/// for which that is negative, predicts nothing any more.
+/// The gain of a mean of `count` samples, including the new one: 4 − ⌊log2 `count`⌋, at least 0. The mean of
+/// 32 samples is the last and not used for a prediction.
 const fn mean_gain(count: u32) -> u8 {
     MEAN_BITS.saturating_sub(count.ilog2()) as u8
 }
 
-/// A residual, folded to a whole number: equation (22).
+/// A residual, mapped to an unsigned number: equation (22).
 #[inline]
 pub(super) fn fold(residual: i32) -> u32 {
     ((residual << 1) ^ (residual >> 31)) as u32
 }
 
-/// The residual of which `folded` was made.
+/// The inverse of [`fold`].
 #[inline]
 pub(super) fn unfold(folded: u32) -> i32 {
     (folded >> 1) as i32 ^ -((folded & 1) as i32)
@@ -146,7 +146,7 @@ pub(super) const MEAN_GAINS: [u8; MAX_BATCH - 1] = {
     gains
 };
 
-/// What a reader multiplies by, to the same effect: 2 to the power of the gain.
+/// The gains as factors, for the decoder: 2 to the power of the gain.
 pub(super) static MEAN_WEIGHTS: [i32; MAX_BATCH - 1] = {
     let mut weights = [0; MAX_BATCH - 1];
     let mut index = 0;

@@ -1,6 +1,6 @@
-//! The reader's half: values from bits.
+//! The decoder: values from bits.
 
-use super::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Past, unfold};
+use super::predict::{Coding, Linear, MEAN_WEIGHTS, Mean, Predictor, unfold};
 use super::{BatchError, ESCAPE, MAX_BATCH, Sample, Stream};
 use crate::bits::BitReader;
 
@@ -26,7 +26,7 @@ fn decode_axis<S: Sample>(
 ) -> Result<(), BatchError> {
     let stream = S::STREAM;
     let field = stream.field();
-    // What stands before the residuals has 45 bits at most.
+    // The fields before the residuals have at most 45 bits.
     reader.refill();
     let coding = Coding::from_bits(reader.take(2)).ok_or(BatchError::Value)?;
     let shifted = |value: i32| stream.wrap(value << shift);
@@ -43,7 +43,7 @@ fn decode_axis<S: Sample>(
         None => reader.take(field),
         Some(latest) => match reader.peek(3) {
             code @ 0..0b110 => {
-                // Without a branch: which it is cannot be foretold.
+                // Branch-free, because the branch would be unpredictable.
                 let differs = code >> 2;
                 reader.take(1 + 2 * differs);
                 latest
@@ -69,7 +69,7 @@ fn decode_axis<S: Sample>(
     }
 }
 
-/// An axis that is predicted.
+/// An axis with a predictor.
 #[derive(Clone, Copy)]
 struct Axis {
     axis: usize,
@@ -78,9 +78,9 @@ struct Axis {
 }
 
 impl Axis {
-    // Not inlined, so that each loop has all registers for itself.
+    // Not inlined, so that each loop can use all registers.
     #[inline(never)]
-    fn decode<S: Sample, P: Past>(
+    fn decode<S: Sample, P: Predictor>(
         self,
         first: i32,
         samples: &mut [[i32; 3]],
@@ -93,7 +93,7 @@ impl Axis {
             return Ok(());
         };
         first_sample[axis] = stream.wrap(first << shift);
-        // The bits first and then the values: neither waits for the other.
+        // First all residuals, then all values: the two loops have independent dependency chains.
         let mut folded = [0; MAX_BATCH];
         let folded = folded.get_mut(..rest.len()).unwrap_or_default();
         let mut bits = *reader;
@@ -103,7 +103,7 @@ impl Axis {
             all |= number;
             *residual = number as u32;
         };
-        // A raw residual has 27 bits at most, a corrected one 43.
+        // A raw residual has at most 27 bits, a corrected one 43.
         let (pairs, last) = folded.as_chunks_mut::<2>();
         for [one, other] in pairs {
             bits.refill();
@@ -120,24 +120,24 @@ impl Axis {
         if all >> width != 0 {
             return Err(BatchError::Value);
         }
-        let mut past = P::of(first);
+        let mut predictor = P::of(first);
         let (mut beyond, half) = (0, 1_i32.unbounded_shl(width - 1));
         for ((sample, &residual), &weight) in rest.iter_mut().zip(&*folded).zip(&MEAN_WEIGHTS) {
             let residual = unfold(residual);
-            let sum = past.predict().wrapping_add(residual);
-            // Above W bits if it is negative or too large.
+            let sum = predictor.predict().wrapping_add(residual);
+            // Has bits above W if the value is out of range.
             beyond |= sum.wrapping_add(half) as u32;
             sample[axis] = sum;
-            past.go_on(residual, weight);
+            predictor.advance(residual, weight);
         }
         if beyond.unbounded_shr(width) != 0 {
-            // The next prediction waits for the value then.
-            let mut past = P::of(first);
+            // Slow path: each value is wrapped before the next prediction.
+            let mut predictor = P::of(first);
             for ((sample, &residual), &weight) in rest.iter_mut().zip(&*folded).zip(&MEAN_WEIGHTS) {
                 let residual = unfold(residual);
-                let value = stream.wrap(past.predict().wrapping_add(residual));
+                let value = stream.wrap(predictor.predict().wrapping_add(residual));
                 sample[axis] = value;
-                past.add(value, weight);
+                predictor.add(value, weight);
             }
         }
         *reader = bits;

@@ -1,10 +1,10 @@
-//! The numbers and names in a [`Hello`](super::Hello).
+//! Numbers and names in a [`Hello`](super::Hello).
 
 use core::fmt;
 
 pub(super) const NAME_LENGTH: usize = 15;
 
-/// Numbers of boards in [`Hello::board`](super::Hello::board). Numbers are never used twice; 0 is any other.
+/// Numbers of boards in [`Hello::board`](super::Hello::board). Numbers are never reused; 0 is any other.
 pub mod board {
     /// The simulated board.
     pub const SIMULATED: u16 = 1;
@@ -16,7 +16,7 @@ pub mod board {
     pub const QEMU_MPS2: u16 = 4;
 }
 
-/// Numbers of sensors in [`Hello::sensor`](super::Hello::sensor). Numbers are never used twice; 0 is any other.
+/// Numbers of sensors in [`Hello::sensor`](super::Hello::sensor). Numbers are never reused; 0 is any other.
 pub mod sensor {
     /// ST LSM303AGR.
     pub const LSM303AGR: u16 = 1;
@@ -25,7 +25,7 @@ pub mod sensor {
     /// The samples of a recording.
     pub const REPLAY: u16 = 3;
 
-    /// What people call it.
+    /// The sensor's name.
     pub const fn name(number: u16) -> &'static str {
         match number {
             LSM303AGR => "LSM303AGR",
@@ -35,167 +35,101 @@ pub mod sensor {
         }
     }
 
-    /// Whether the number names one model of accelerometer, all of whose pieces have the same ranges,
-    /// axes and sensitivities.
+    /// Whether the number identifies a model of accelerometer, with its ranges, axes and sensitivities.
     pub const fn is_one_model(number: u16) -> bool {
         number != 0 && number != REPLAY
     }
 }
 
-/// Which of a device's links this is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum LinkRole {
-    /// A cable, number 1: who holds it holds the device.
-    Cable,
-    /// A radio, number 2: anyone in range can talk to it.
-    Wireless,
-    /// A role that this crate does not know; it has no rights beyond a radio's.
-    Other(u8),
-}
-
-impl LinkRole {
-    /// Its number on the wire.
-    pub const fn number(self) -> u8 {
-        match self {
-            Self::Cable => 1,
-            Self::Wireless => 2,
-            Self::Other(number) => number,
+/// An enum that travels as a number of one byte. A number that this crate does not know is kept.
+macro_rules! numbered {
+    (
+        $(#[$attribute:meta])*
+        $name:ident, other: $other:literal {
+            $($(#[$doc:meta])* $variant:ident = $number:literal, $text:literal;)+
         }
-    }
-
-    pub(super) const fn from_number(number: u8) -> Self {
-        match number {
-            1 => Self::Cable,
-            2 => Self::Wireless,
-            other => Self::Other(other),
+    ) => {
+        $(#[$attribute])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub enum $name {
+            $($(#[$doc])* $variant,)+
+            /// A number that this crate does not know.
+            Other(u8),
         }
-    }
-}
 
-impl fmt::Display for LinkRole {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Cable => out.write_str("cable"),
-            Self::Wireless => out.write_str("wireless"),
-            Self::Other(number) => write!(out, "role {number}"),
+        impl $name {
+            /// Its number on the wire.
+            pub const fn number(self) -> u8 {
+                match self {
+                    $(Self::$variant => $number,)+
+                    Self::Other(number) => number,
+                }
+            }
+
+            pub(super) const fn from_number(number: u8) -> Self {
+                match number {
+                    $($number => Self::$variant,)+
+                    other => Self::Other(other),
+                }
+            }
         }
-    }
-}
 
-/// Who may write on a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum WriteAccess {
-    /// Anyone, without a signature: number 0.
-    Open,
-    /// Who has the device's key: number 1. As long as the device has none, nobody.
-    Key,
-    /// Nobody: number 2. At most a new key is taken, signed with the one before, over the cable.
-    Locked,
-    /// An access that this crate does not know.
-    Other(u8),
-}
-
-impl WriteAccess {
-    /// Its number on the wire.
-    pub const fn number(self) -> u8 {
-        match self {
-            Self::Open => 0,
-            Self::Key => 1,
-            Self::Locked => 2,
-            Self::Other(number) => number,
+        impl fmt::Display for $name {
+            fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    $(Self::$variant => out.write_str($text),)+
+                    Self::Other(number) => write!(out, concat!($other, " {}"), number),
+                }
+            }
         }
-    }
+    };
+}
 
-    pub(super) const fn from_number(number: u8) -> Self {
-        match number {
-            0 => Self::Open,
-            1 => Self::Key,
-            2 => Self::Locked,
-            other => Self::Other(other),
-        }
+numbered! {
+    /// The role of a link. An unknown role has no more rights than a radio.
+    LinkRole, other: "role" {
+        /// A cable, number 1: using it takes physical access to the device.
+        Cable = 1, "cable";
+        /// A radio, number 2: anyone in range can use it.
+        Wireless = 2, "wireless";
     }
 }
 
-impl fmt::Display for WriteAccess {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Open => out.write_str("open"),
-            Self::Key => out.write_str("key"),
-            Self::Locked => out.write_str("locked"),
-            Self::Other(number) => write!(out, "access {number}"),
-        }
+numbered! {
+    /// Who may write on a link.
+    WriteAccess, other: "access" {
+        /// Number 0: anyone, without a signature.
+        Open = 0, "open";
+        /// Number 1: only requests signed with the device's key; no writes while the device has no key.
+        Key = 1, "key";
+        /// Number 2: no writes. If the stored key is readable, a new key signed with it is still accepted
+        /// over the cable.
+        Locked = 2, "locked";
     }
 }
 
-/// Why a device last started.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum ResetReason {
-    /// The device cannot tell: number 0.
-    Unknown,
-    /// Power came: number 1.
-    PowerOn,
-    /// The reset pin or button: number 2.
-    Pin,
-    /// A watchdog: number 3.
-    Watchdog,
-    /// The firmware asked for it: number 4.
-    Software,
-    /// The supply dipped: number 5.
-    BrownOut,
-    /// A fault or panic: number 6.
-    Fault,
-    /// A reason that this crate does not know.
-    Other(u8),
-}
-
-impl ResetReason {
-    /// Its number on the wire.
-    pub const fn number(self) -> u8 {
-        match self {
-            Self::Unknown => 0,
-            Self::PowerOn => 1,
-            Self::Pin => 2,
-            Self::Watchdog => 3,
-            Self::Software => 4,
-            Self::BrownOut => 5,
-            Self::Fault => 6,
-            Self::Other(number) => number,
-        }
-    }
-
-    pub(super) const fn from_number(number: u8) -> Self {
-        match number {
-            0 => Self::Unknown,
-            1 => Self::PowerOn,
-            2 => Self::Pin,
-            3 => Self::Watchdog,
-            4 => Self::Software,
-            5 => Self::BrownOut,
-            6 => Self::Fault,
-            other => Self::Other(other),
-        }
+numbered! {
+    /// Why a device last started.
+    ResetReason, other: "reason" {
+        /// The device does not know: number 0.
+        Unknown = 0, "unknown";
+        /// Power-on: number 1.
+        PowerOn = 1, "power on";
+        /// The reset pin or button: number 2.
+        Pin = 2, "reset pin";
+        /// A watchdog: number 3.
+        Watchdog = 3, "watchdog";
+        /// A reset by the firmware: number 4.
+        Software = 4, "software";
+        /// A low supply voltage: number 5.
+        BrownOut = 5, "brown-out";
+        /// A processor fault or a panic: number 6.
+        Fault = 6, "fault";
     }
 }
 
-impl fmt::Display for ResetReason {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::Unknown => "unknown",
-            Self::PowerOn => "power on",
-            Self::Pin => "reset pin",
-            Self::Watchdog => "watchdog",
-            Self::Software => "software",
-            Self::BrownOut => "brown-out",
-            Self::Fault => "fault",
-            Self::Other(number) => return write!(out, "reason {number}"),
-        })
-    }
-}
-
-/// What a device has, as a set of bits; bits that this crate does not know are kept.
+/// The capabilities of a device, a set of bits; unknown bits are kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Capabilities(pub u32);
@@ -207,7 +141,7 @@ impl Capabilities {
     pub const MAGNETOMETER: Self = Self(1 << 1);
     /// A thermometer.
     pub const TEMPERATURE: Self = Self(1 << 2);
-    /// Sample times are those of the sensor's data-ready signal, not of reading it.
+    /// Sample times are those of the sensor's data-ready signal, not of the read.
     pub const DATA_READY: Self = Self(1 << 3);
     /// Parameters and settings survive a restart.
     pub const STORE: Self = Self(1 << 4);
@@ -289,11 +223,11 @@ impl defmt::Format for Name {
     }
 }
 
-/// Where a firmware stopped.
+/// Where the firmware stopped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fault {
-    /// Line of the source file; the address of the instruction where `file` names none.
+    /// Line of the source file; for a processor fault, the address of the instruction.
     pub line: u32,
     /// The end of the source file's path, or the kind of the processor's fault.
     pub file: Name,
@@ -334,10 +268,9 @@ impl fmt::Display for Fault {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Part {
-    /// A number of [`board`] or [`sensor`], 0 for one that has none, or one that this crate does
-    /// not know.
+    /// A number of [`board`] or [`sensor`]; 0 without a number. May be unknown to this crate.
     pub number: u16,
-    /// Its name, for people.
+    /// Its name for display.
     pub name: Name,
 }
 

@@ -1,15 +1,15 @@
-//! Who a device is: the one message that every host reads from every firmware, for ever.
+//! The identity of a device: the one message that every host can read from every firmware.
 //!
 //! `Hello` and `WhoAreYou` are laid out by hand at fixed offsets. All numbers are little-endian. A
-//! length says where the fixed part ends: a later version may add fields before that end and
-//! extensions after it, and changes nothing else. A reader takes the fields it knows, skips the
-//! rest, and keeps numbers whose meaning it does not know.
+//! length field gives the end of the fixed part. Later versions may add fields before that end and
+//! extensions after it, and change nothing else. A reader decodes the fields it knows, skips the rest, and
+//! keeps unknown numbers.
 //!
 //! | offset | size | field of `Hello` (frame kind 1) |
 //! |---|---|---|
 //! | 0 | 4 | `WIMU` in ASCII |
-//! | 4 | 1 | length of the fixed part, this field and the four before it included: 80 or more |
-//! | 5 | 1 | wire version that the device speaks |
+//! | 4 | 1 | length of the fixed part, bytes, from offset 0: 80 or more |
+//! | 5 | 1 | wire version of the device |
 //! | 6 | 1 | role of this link: [`LinkRole`] |
 //! | 7 | 1 | write access on this link: [`WriteAccess`] |
 //! | 8 | 8 | device id |
@@ -33,8 +33,8 @@
 //! | offset | size | field of `WhoAreYou` (frame kind 2) |
 //! |---|---|---|
 //! | 0 | 4 | `WIMU` in ASCII |
-//! | 4 | 1 | length of the fixed part: 6 or more |
-//! | 5 | 1 | wire version that the host speaks |
+//! | 4 | 1 | length of the fixed part, bytes, from offset 0: 6 or more |
+//! | 5 | 1 | wire version of the host |
 
 use core::fmt;
 
@@ -53,7 +53,7 @@ const WHO_LENGTH: usize = 6;
 const SENSITIVITY_KNOWN: u8 = 1;
 const FAULT: u8 = 1;
 
-/// Who a device is, what it has and how it is. Sent at start and when asked.
+/// Identity, capabilities and state of a device. Sent at start and on request.
 ///
 /// ```
 /// use wimu_link::hello::{Capabilities, Hello, LinkRole, Part, board, sensor};
@@ -79,17 +79,17 @@ const FAULT: u8 = 1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hello {
-    /// The wire version that the device speaks.
+    /// Wire version of the device.
     pub wire_version: u8,
-    /// Which of its links this is.
+    /// Role of this link.
     pub role: LinkRole,
     /// Who may write on this link.
     pub access: WriteAccess,
-    /// Tells devices apart; the chip's serial number, as a rule.
+    /// Identifies the device; usually the chip's serial number.
     pub device_id: u64,
-    /// How often it has started.
+    /// Number of starts.
     pub boot_count: u32,
-    /// What it has.
+    /// Its capabilities.
     pub capabilities: Capabilities,
     /// The parameters in use.
     pub parameter_id: ParameterId,
@@ -99,9 +99,9 @@ pub struct Hello {
     pub firmware: [u16; 3],
     /// Why it last started.
     pub reset_reason: ResetReason,
-    /// Where its firmware stopped before that, if it did and the device kept it.
+    /// Where its firmware stopped before that start, if the device has recorded it.
     pub fault: Option<Fault>,
-    /// Whether the sensor's nominal sensitivity is known; it is not for a replayed recording.
+    /// Whether the sensor's nominal sensitivity is known; false for a replayed recording.
     pub sensitivity_known: bool,
     /// Its board.
     pub board: Part,
@@ -110,7 +110,7 @@ pub struct Hello {
 }
 
 impl Hello {
-    /// A device of which nothing is said yet but the role of this link; nobody may write.
+    /// A device of which only the role of this link is known; writes are locked.
     pub const fn new(role: LinkRole) -> Self {
         Self {
             wire_version: WIRE_VERSION,
@@ -130,7 +130,7 @@ impl Hello {
         }
     }
 
-    /// Puts it into a frame; returns the frame's length, bytes.
+    /// Encodes it into a frame; returns the frame's length, bytes.
     ///
     /// # Errors
     /// [`EncodeError::NoRoom`] when the frame does not fit.
@@ -141,7 +141,7 @@ impl Hello {
         } else {
             0
         };
-        // Each piece is as long as its place in the table.
+        // The pieces have the sizes of the table above.
         frame::build(Kind::Hello, frame, &mut |body| {
             body.push(&MAGIC)?;
             body.push(&[
@@ -178,7 +178,7 @@ impl Hello {
     /// Reads the body of a frame of kind [`Kind::Hello`], of this wire version or any other.
     ///
     /// # Errors
-    /// [`HelloError`] when it is no `Hello` or shorter than the fields above.
+    /// [`HelloError`] when it is not a `Hello` or too short.
     pub fn decode(body: &[u8]) -> Result<Self, HelloError> {
         let fixed = fixed_part(body, HELLO_LENGTH)?;
         let mut fields = Fields(fixed);
@@ -233,8 +233,8 @@ impl Hello {
     }
 }
 
-/// The extensions of a [`Hello`]'s body, number and content, in their order, those that this
-/// version does not know included; ends at the first one that is cut off.
+/// Number and content of the extensions of a [`Hello`]'s body, including unknown ones, up to the first
+/// truncated one.
 pub fn extensions(body: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let fixed = fixed_part(body, HELLO_LENGTH).map_or(body.len(), <[u8]>::len);
     let mut rest = body.get(fixed..).unwrap_or_default();
@@ -250,12 +250,12 @@ pub fn extensions(body: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WhoAreYou {
-    /// The wire version that the host speaks.
+    /// Wire version of the host.
     pub wire_version: u8,
 }
 
 impl WhoAreYou {
-    /// Puts it into a frame; returns the frame's length, bytes.
+    /// Encodes it into a frame; returns the frame's length, bytes.
     ///
     /// # Errors
     /// [`EncodeError::NoRoom`] when the frame does not fit.
@@ -269,7 +269,7 @@ impl WhoAreYou {
     /// Reads the body of a frame of kind [`Kind::WhoAreYou`], of this wire version or any other.
     ///
     /// # Errors
-    /// [`HelloError`] when it is none or too short.
+    /// [`HelloError`] when it is not a `WhoAreYou` or too short.
     pub fn decode(body: &[u8]) -> Result<Self, HelloError> {
         let mut fields = Fields(fixed_part(body, WHO_LENGTH)?);
         fields.take::<5>()?;
@@ -279,7 +279,7 @@ impl WhoAreYou {
 }
 
 impl Default for WhoAreYou {
-    /// A host that speaks this crate's version.
+    /// A host with this crate's wire version.
     fn default() -> Self {
         Self {
             wire_version: WIRE_VERSION,
@@ -287,7 +287,7 @@ impl Default for WhoAreYou {
     }
 }
 
-/// The fixed part of `body`, if it is marked as ours and at least `least` bytes long.
+/// The fixed part of `body`, if it begins with `WIMU` and has at least `least` bytes.
 fn fixed_part(body: &[u8], least: usize) -> Result<&[u8], HelloError> {
     let rest = body.strip_prefix(&MAGIC).ok_or(HelloError::NotWimu)?;
     let length = usize::from(*rest.first().ok_or(HelloError::TooShort)?);
@@ -297,7 +297,7 @@ fn fixed_part(body: &[u8], least: usize) -> Result<&[u8], HelloError> {
     body.get(..length).ok_or(HelloError::TooShort)
 }
 
-/// Fields one after another.
+/// Reads fields in sequence.
 struct Fields<'a>(&'a [u8]);
 
 impl Fields<'_> {
@@ -311,13 +311,13 @@ impl Fields<'_> {
     }
 }
 
-/// Why a body is no [`Hello`] or [`WhoAreYou`].
+/// Why a body is not a [`Hello`] or [`WhoAreYou`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HelloError {
     /// It does not begin with `WIMU`.
     NotWimu,
-    /// It ends before the fields that every version has.
+    /// It is shorter than the fields of every version.
     TooShort,
 }
 
@@ -325,10 +325,10 @@ impl fmt::Display for HelloError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::NotWimu => {
-                "the other end is no wimu device: its greeting does not begin with WIMU; check the port"
+                "the other end is not a wimu device: its Hello does not begin with WIMU; check the port"
             }
             Self::TooShort => {
-                "the other end's greeting is cut off: it is shorter than every version's; update that end"
+                "the other end's Hello is truncated; update that end"
             }
         })
     }

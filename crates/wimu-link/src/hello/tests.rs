@@ -136,7 +136,7 @@ fn where_the_firmware_stopped_is_an_extension() {
     assert_eq!(fault.to_string(), "panic at …/src/sampler.rs:321");
     let processor = Fault::processor("hard fault", 0x1000_0231);
     assert_eq!(processor.to_string(), "hard fault at 0x10000231");
-    // One that is cut off is none.
+    // A truncated one is ignored.
     for cut in 80..length {
         let hello = Hello::decode(&body[..cut]).unwrap();
         assert_eq!(hello.fault, None, "{cut}");

@@ -1,21 +1,21 @@
-//! The layout of large messages, said once for both directions: each field is exchanged for the
-//! bytes on the wire. One function a message, whichever way it goes: a microcontroller has it once.
+//! The layout of large messages. One function per message serves encoding and decoding, so that the code
+//! exists once: each field is exchanged with the bytes on the wire.
 
 use super::MessageError;
 use crate::checksum::Digest;
 
 /// One end of an exchange.
 pub(super) trait Wire {
-    /// Whether it is a reader.
+    /// Whether this end decodes.
     fn reads(&self) -> bool {
         false
     }
 
-    /// A reader puts the next bytes in place of `bytes`; a writer takes them.
+    /// A reader overwrites `bytes` with the next bytes; a writer appends them.
     fn exchange(&mut self, bytes: &mut [u8]) -> Result<(), MessageError>;
 }
 
-/// Bytes that are read.
+/// Bytes to decode.
 pub(super) struct Reader<'a>(pub(super) &'a [u8]);
 
 impl Wire for Reader<'_> {
@@ -34,7 +34,7 @@ impl Wire for Reader<'_> {
     }
 }
 
-/// Room that is written to, and how much of it is.
+/// A buffer to encode into, and the length written.
 pub(super) struct Writer<'a>(pub(super) &'a mut [u8], pub(super) usize);
 
 impl Wire for Writer<'_> {
@@ -58,7 +58,7 @@ pub(super) fn byte(wire: &mut dyn Wire, value: &mut u8) -> Result<(), MessageErr
     wire.exchange(core::slice::from_mut(value))
 }
 
-/// As a varint.
+/// A varint.
 pub(super) fn number(wire: &mut dyn Wire, value: &mut u64) -> Result<(), MessageError> {
     let mut rest = *value;
     let mut read = 0;
@@ -109,16 +109,16 @@ pub(super) fn float(wire: &mut dyn Wire, value: &mut f32) -> Result<(), MessageE
     floats(wire, core::slice::from_mut(value))
 }
 
-/// Whether a value follows, and then the value, which a reader makes from `blank`.
+/// A flag, and the value if it is set. A reader decodes into `blank`.
 pub(super) fn option<T>(
     wire: &mut dyn Wire,
     value: &mut Option<T>,
     blank: T,
     content: fn(&mut dyn Wire, &mut T) -> Result<(), MessageError>,
 ) -> Result<(), MessageError> {
-    let mut there = u8::from(value.is_some());
-    byte(wire, &mut there)?;
-    match there {
+    let mut flag = u8::from(value.is_some());
+    byte(wire, &mut flag)?;
+    match flag {
         0 => *value = None,
         1 => return content(wire, value.get_or_insert(blank)),
         _ => return Err(MessageError::Malformed),
@@ -126,7 +126,7 @@ pub(super) fn option<T>(
     Ok(())
 }
 
-/// A number that is there, or that the message ends before.
+/// An optional number at the end of a message, without a flag.
 pub(super) fn at_the_end(wire: &mut dyn Wire, value: &mut Option<u16>) -> Result<(), MessageError> {
     if value.is_none() && !wire.reads() {
         return Ok(());

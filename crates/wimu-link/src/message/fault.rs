@@ -1,4 +1,4 @@
-//! Why parameters are refused.
+//! Faults of parameter sets.
 
 use core::fmt;
 
@@ -10,7 +10,8 @@ use wimu_model::{
 
 use crate::hello::sensor;
 
-/// An enum of the model as it travels, and both conversions. The wire has a variant's place: append only.
+/// The wire form of an enum of the model, with both conversions. The wire holds the variant's index, so
+/// variants are only appended.
 macro_rules! mirrored {
     ($(#[$attribute:meta])* $wire:ident of $model:ident { $($name:ident),+ $(,)? }) => {
         $(#[$attribute])*
@@ -35,7 +36,7 @@ macro_rules! mirrored {
 pub(super) use mirrored;
 
 mirrored! {
-    /// A term of the error model, as a fault names it. On the wire: append only.
+    /// A term of the error model. Append only.
     #[derive(Serialize, Deserialize)]
     WireTerm of Term {
         Bias,
@@ -50,18 +51,18 @@ mirrored! {
 }
 
 mirrored! {
-    /// [`QualityError`] as it travels. Append only.
+    /// Wire form of [`QualityError`]. Append only.
     #[derive(Serialize, Deserialize)]
     WireQualityFault of QualityError { Temperature, Residual, Condition, Deviation }
 }
 
 mirrored! {
-    /// [`MagnetometerError`] as it travels. Append only.
+    /// Wire form of [`MagnetometerError`]. Append only.
     #[derive(Serialize, Deserialize)]
     WireMagnetometerFault of MagnetometerError { HardIron, SoftIron, Field, Quality, Dip }
 }
 
-/// Why parameters are none. On the wire: append only.
+/// Why a parameter set is invalid. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ParameterFault {
@@ -85,28 +86,27 @@ pub enum ParameterFault {
         /// The highest allowed.
         high: f64,
     },
-    /// The matrix cannot be inverted, or is mirrored; holds its determinant.
+    /// The matrix is singular or a reflection; holds its determinant.
     Singular(f64),
-    /// The sensitivity is out of bounds; holds it, LSB/*g*.
+    /// The sensitivity is out of bounds; holds its value, LSB/*g*.
     Sensitivity(f64),
-    /// The alignment is no rotation; holds the quaternion's length.
+    /// The alignment is not a rotation; holds the quaternion's norm.
     Alignment(f64),
-    /// Corrected samples would not fit 32 bits.
+    /// Corrected samples would overflow 32 bits.
     Overflow,
-    /// The matrix cannot be inverted at the device's temperature.
+    /// The matrix is singular at the device's temperature.
     SingularAtTemperature,
-    /// A covariance is none.
+    /// A covariance is invalid: not finite, or without a Cholesky factor.
     Covariance,
-    /// What the calibration says of itself makes no sense.
+    /// The quality of the calibration is invalid.
     Quality(WireQualityFault),
-    /// The magnetometer's model makes no sense.
+    /// The magnetometer's model is invalid.
     Magnetometer(WireMagnetometerFault),
-    /// The parameters are of another model of accelerometer, both a number of
-    /// [`sensor`](crate::hello::sensor).
+    /// The parameters were made for another model of accelerometer.
     OtherSensor {
-        /// Theirs.
+        /// That of the parameters, a number of [`sensor`](crate::hello::sensor).
         parameters: u16,
-        /// The device's.
+        /// The device's, likewise.
         device: u16,
     },
 }
@@ -176,7 +176,7 @@ impl From<CompileError> for ParameterFault {
 }
 
 impl fmt::Display for ParameterFault {
-    /// In the words of the model's own errors.
+    /// The messages of the model's errors.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::NotFinite { term, axis } => ModelError::NotFinite {
@@ -208,7 +208,7 @@ impl fmt::Display for ParameterFault {
             Self::Magnetometer(fault) => MagnetometerError::from(fault).fmt(out),
             Self::OtherSensor { parameters, device } => write!(
                 out,
-                "they are of sensor {parameters} ({}), the device has {device} ({})",
+                "made for sensor {parameters} ({}), but the device has {device} ({})",
                 sensor::name(parameters),
                 sensor::name(device)
             ),

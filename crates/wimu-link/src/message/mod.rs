@@ -1,13 +1,13 @@
-//! What device and host say to each other, beyond who they are and samples.
+//! Messages between device and host, other than `Hello` and batches of samples.
 //!
 //! Bodies are `postcard`: fields in order without names; unsigned numbers above 8 bits as varints
-//! (7 bits a byte, lowest first), signed ones folded first (0, −1, 1, −2, …); floating point in 8
-//! or 4 bytes, lowest first; an enum as the varint of its variant's place, then the variant's fields.
+//! (7 bits a byte, least significant first), signed ones zigzag-coded (0, −1, 1, −2, …); floating point in
+//! 8 or 4 bytes, little-endian; an enum as the varint of its variant's index, then the variant's fields.
 //!
-//! **The wire only grows.** A variant keeps its place and its fields for ever; new ones come last. What a
-//! device sends may gain fields at the end of the body, and nowhere else: a host that does not know
-//! them leaves them, and takes events and refusals that it does not know for [`Event::Other`] and
-//! [`Refusal::Other`]. A request is obeyed only by a device that knows all of it.
+//! **Compatibility.** A variant keeps its index and its fields; new variants are appended. Messages of a
+//! device may gain fields at the end of the body only. A host ignores unknown fields, and decodes unknown
+//! events and refusals as [`Event::Other`] and [`Refusal::Other`]. A device executes a request only if it
+//! knows all of it.
 
 use core::fmt;
 
@@ -41,7 +41,7 @@ pub use telemetry::{
 macro_rules! framed {
     ($message:ident $(<$parameters:ident>)?, $kind:ident) => {
         impl$(<$parameters: Serialize>)? $message$(<$parameters>)? {
-            /// Puts it into a frame; returns the frame's length, bytes.
+            /// Encodes it into a frame; returns the frame's length, bytes.
             ///
             /// # Errors
             /// [`EncodeError::NoRoom`] when the frame does not fit.
@@ -67,7 +67,7 @@ fn encode<T: Serialize>(kind: Kind, message: &T, frame: &mut [u8]) -> Result<usi
     })
 }
 
-/// A message that is known to its end.
+/// A message without additional fields.
 fn decode<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
     match postcard::take_from_bytes(body)? {
         (message, []) => Ok(message),
@@ -75,23 +75,23 @@ fn decode<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
     }
 }
 
-/// A message that may have grown since.
+/// A message that may have additional fields at its end.
 fn decode_beginning<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, MessageError> {
     let (message, _) = postcard::take_from_bytes(body)?;
     Ok(message)
 }
 
-/// Gives `message`'s wire form to `mac`.
+/// Updates `mac` with the wire form of `message`.
 pub(crate) fn feed<T: Serialize>(message: &T, mac: &mut impl Update) {
-    // Neither the sink nor plain numbers can fail.
+    // Neither the sink nor the serialization of numbers can fail.
     let _ = serialize(message, &mut |bytes| {
         mac.update(bytes);
         true
     });
 }
 
-/// Gives `message`'s wire form to `sink`, which says whether it has taken it. One sink for all that
-/// is done with messages, so that there is one serializer of each.
+/// Passes the wire form of `message` to `sink`, which returns whether it accepted the bytes. All uses share
+/// this sink type, so that each message has one serializer.
 fn serialize<T: Serialize>(
     message: &T,
     sink: &mut dyn FnMut(&[u8]) -> bool,
@@ -121,15 +121,15 @@ impl Flavor for Sink<'_> {
     }
 }
 
-/// Why a body is no message. The frame's CRC has passed, so the sender speaks otherwise.
+/// Why a body is not a message. The frame's CRC was valid, so the sender uses another version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MessageError {
     /// The body ends before the message does.
     TooShort,
-    /// The body goes on after the message.
+    /// The body is longer than the message.
     TooLong {
-        /// For so many bytes.
+        /// Bytes after the message.
         extra: usize,
     },
     /// A variant or value that this version does not have.
@@ -147,11 +147,11 @@ impl From<postcard::Error> for MessageError {
 
 impl fmt::Display for MessageError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("a message cannot be read: ")?;
+        out.write_str("a message cannot be decoded: ")?;
         match self {
             Self::TooShort => out.write_str("it ends too early")?,
             Self::TooLong { extra } => write!(out, "{extra} bytes follow it")?,
-            Self::Malformed => out.write_str("it has a value that is unknown here")?,
+            Self::Malformed => out.write_str("it contains an unknown value")?,
         }
         out.write_str("; update the older of firmware and wimu")
     }

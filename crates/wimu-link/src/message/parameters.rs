@@ -17,7 +17,7 @@ use super::quality::{WireMagnetometer, WireQuality, rotation_covariance, rotatio
 use crate::checksum::{Digest, crc_32c};
 use crate::frame::EncodeError;
 
-/// A [`ParameterSet`] as it travels: plain numbers, in this order, not checked yet.
+/// Wire form of a [`ParameterSet`]: numbers in this order, not validated.
 ///
 /// ```
 /// use wimu_link::message::{ParameterFault, WireParameters};
@@ -55,19 +55,19 @@ pub struct WireParameters {
     pub nonlinearity: [f64; 3],
     /// Sensor axes to body axes, quaternion W, X, Y, Z.
     pub alignment_wxyz: [f64; 4],
-    /// Covariance of the alignment's error, rad², as the Cholesky factor, row by row.
+    /// Cholesky factor (lower triangular) of the covariance of the alignment error, rad, row by row.
     pub alignment_factor: Option<[f32; 6]>,
-    /// How the model was estimated and how good it is.
+    /// Method and quality of the calibration.
     pub quality: Option<WireQuality>,
     /// The magnetometer's model.
     pub magnetometer: Option<WireMagnetometer>,
-    /// The accelerometer that was calibrated, a number of [`sensor`](crate::hello::sensor). A set that
-    /// ends before it has none, and any later field will be like this.
+    /// The accelerometer that was calibrated, a number of [`sensor`](crate::hello::sensor). `None` if the
+    /// set ends before it. Later fields will be optional in the same way.
     pub sensor: Option<u16>,
 }
 
 impl WireParameters {
-    /// The most bytes that one takes on the wire.
+    /// Longest wire form, bytes.
     pub const MAX: usize = 837;
 
     const BLANK: Self = Self {
@@ -92,7 +92,7 @@ impl WireParameters {
         at_the_end(wire, &mut self.sensor)
     }
 
-    /// What wire version 0 had.
+    /// The fields of wire version 0.
     fn exchange_v0(&mut self, wire: &mut dyn Wire) -> Result<(), MessageError> {
         byte(wire, &mut self.range_g)?;
         for values in [
@@ -128,7 +128,7 @@ impl WireParameters {
         )
     }
 
-    /// Takes the rotations of `set`, which was made from it: they are of length 1 there.
+    /// Replaces the quaternions by the normalised ones of `set`, which was decoded from `self`.
     pub fn take_rotations(&mut self, set: &ParameterSet) {
         self.alignment_wxyz = set.alignment.quaternion();
         let theirs = set.magnetometer.as_ref();
@@ -155,7 +155,7 @@ impl WireParameters {
     /// Reads a wire form.
     ///
     /// # Errors
-    /// [`MessageError`] when `bytes` are not exactly one.
+    /// [`MessageError`] when `bytes` are not exactly one set.
     pub fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
         let mut reader = Reader(bytes);
         let mut parameters = Self::BLANK;
@@ -167,7 +167,7 @@ impl WireParameters {
     }
 }
 
-// In messages that serde lays out, a set is its bytes, one after another.
+// Within messages that serde encodes, a set is the sequence of its bytes.
 
 impl Serialize for WireParameters {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -231,14 +231,14 @@ impl<'de> Deserialize<'de> for WireParameters {
     }
 }
 
-/// A parameter set as the bytes of its wire form: what a device keeps, for it has no use for most of
-/// what is in them.
+/// A parameter set as the bytes of its wire form. A device keeps this form because it does not use most of
+/// the content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EncodedParameters<'a>(pub &'a [u8]);
 
 impl<'a> EncodedParameters<'a> {
-    /// The set of wire version 0 that stands first in `bytes`, and what follows it.
+    /// The set of wire version 0 at the start of `bytes`, and the rest.
     pub(super) fn split_off_v0(bytes: &'a [u8]) -> Result<(Self, &'a [u8]), MessageError> {
         let mut reader = Reader(bytes);
         let mut parameters = WireParameters::BLANK;
@@ -255,7 +255,7 @@ impl<'a> EncodedParameters<'a> {
         WireParameters::decode(self.0)
     }
 
-    /// The set's id, as [`parameter_id`] makes it.
+    /// The set's id, equal to [`parameter_id`].
     pub fn id(self) -> ParameterId {
         ParameterId(crc_32c(self.0).max(1))
     }
@@ -272,7 +272,7 @@ impl Serialize for EncodedParameters<'_> {
 }
 
 impl<'de> Deserialize<'de> for EncodedParameters<'de> {
-    /// Fails: the bytes do not say where they end. What is around them must.
+    /// Fails: the bytes do not contain their length. The enclosing message decodes them.
     fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
         Err(de::Error::custom("parameters of unknown length"))
     }
@@ -303,8 +303,8 @@ impl From<&ParameterSet> for WireParameters {
 impl TryFrom<&WireParameters> for ParameterSet {
     type Error = ParameterFault;
 
-    /// Checks every number. Whether the set compiles to integers,
-    /// [`Corrector::compile`](wimu_model::Corrector::compile) finds out.
+    /// Validates every number. [`Corrector::compile`](wimu_model::Corrector::compile) checks whether the set
+    /// can be compiled to integers.
     fn try_from(wire: &WireParameters) -> Result<Self, ParameterFault> {
         Ok(Self {
             range_g: wire.range_g,
@@ -336,7 +336,7 @@ impl TryFrom<&WireParameters> for ParameterSet {
 /// The id of `set`: CRC-32C of its wire form, 1 in place of 0, which is the uncalibrated set's.
 pub fn parameter_id(set: &ParameterSet) -> ParameterId {
     let mut digest = Digest::new();
-    // A digest takes whatever it is given.
+    // A digest cannot fail.
     let _ = WireParameters::from(set).exchange(&mut digest);
     ParameterId(digest.finalize().max(1))
 }

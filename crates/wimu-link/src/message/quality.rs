@@ -1,4 +1,4 @@
-//! What a parameter set carries beside the error model.
+//! Quality of the calibration and the magnetometer's model on the wire.
 
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, CovarianceError,
@@ -11,7 +11,7 @@ use super::exchange::{Wire, doubles, float, floats, number, number_32, option};
 use super::fault::{ParameterFault, mirrored};
 
 mirrored! {
-    /// [`CalibrationMethod`] as it travels. Append only.
+    /// Wire form of [`CalibrationMethod`]. Append only.
     WireMethod of CalibrationMethod {
         MultiPosition,
         SixPosition,
@@ -22,13 +22,13 @@ mirrored! {
     }
 }
 
-/// [`CalibrationQuality`] as it travels, not checked yet.
+/// Wire form of [`CalibrationQuality`], not validated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireQuality {
     /// How the model was estimated.
     pub method: WireMethod,
-    /// When, s since 1970 UTC.
+    /// Time of the calibration, s since 1970 UTC.
     pub utc_s: Option<u64>,
     /// Temperature, °C: mean, lowest and highest at which the model holds.
     pub temperature_c: Option<[f32; 3]>,
@@ -38,17 +38,18 @@ pub struct WireQuality {
     pub dof: u32,
     /// |f| − g over the poses, m/s² rms.
     pub rms_mps2: f32,
-    /// The same with each left out.
+    /// Leave-one-out residual, m/s² rms.
     pub loo_rms_mps2: Option<f32>,
-    /// Condition of the fit.
+    /// Condition number of the fit.
     pub condition: Option<f32>,
-    /// Covariance of the bias, then A row by row, as the Cholesky factor, row by row: 78 numbers.
+    /// Cholesky factor (lower triangular, 12 rows, 78 numbers) of the covariance of b₀ and A, row by row. Rows
+    /// 1 to 3: b₀, m/s². Rows 4 to 12: A row by row, dimensionless.
     pub covariance_factor: [[f32; 13]; 6],
-    /// Standard deviations of b₁, b₂, s₁ and q.
+    /// Standard deviations: b₁, m/s² per K; b₂, m/s² per K²; s₁, 1/K; q, s²/m.
     pub other_sd: [[f32; 3]; 4],
 }
 
-/// [`MagnetometerModel`] as it travels, not checked yet.
+/// Wire form of [`MagnetometerModel`], not validated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireMagnetometer {
@@ -66,25 +67,25 @@ pub struct WireMagnetometer {
     pub poses: u32,
     /// |B| less the field, nT rms.
     pub rms_nt: f32,
-    /// The same with each left out.
+    /// Leave-one-out residual, nT rms.
     pub loo_rms_nt: f32,
-    /// Condition of the fit.
+    /// Condition number of the fit.
     pub condition: f32,
-    /// Its mounting.
+    /// Rotation to the accelerometer's axes, if known.
     pub to_accelerometer: Option<WireMagnetometerRotation>,
 }
 
-/// [`MagnetometerRotation`] as it travels.
+/// Wire form of [`MagnetometerRotation`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireMagnetometerRotation {
     /// Magnetometer axes to accelerometer axes, quaternion W, X, Y, Z.
     pub rotation_wxyz: [f64; 4],
-    /// Covariance of its error, rad², as the Cholesky factor, row by row.
+    /// Cholesky factor (lower triangular) of the covariance of the rotation's error, rad, row by row.
     pub factor: [f32; 6],
-    /// Dip of the field, rad.
+    /// Magnetic dip (inclination), rad.
     pub dip_rad: f32,
-    /// Its spread over the poses, rad rms.
+    /// Residual of the dip over the poses, rad rms.
     pub dip_rms_rad: f32,
 }
 
@@ -199,39 +200,28 @@ pub(super) fn rotation_covariance(factor: [f32; 6]) -> Result<RotationCovariance
     RotationCovariance::from_factor([factor])
 }
 
-// The patterns name every field, so that a field added to the model cannot be forgotten here.
+// Both directions name every field, so a field added to the model cannot be forgotten here.
 
 impl From<&CalibrationQuality> for WireQuality {
     fn from(quality: &CalibrationQuality) -> Self {
-        let QualityTerms {
-            method,
-            utc_s,
-            temperature,
-            poses,
-            dof,
-            rms_mps2,
-            loo_rms_mps2,
-            condition,
-            covariance,
-            other_sd:
-                TermDeviations {
-                    bias_mps2_per_k,
-                    bias_mps2_per_k2,
-                    scale_per_k,
-                    nonlinearity,
-                },
-        } = *quality.terms();
+        let terms = quality.terms();
+        let sd = &terms.other_sd;
         Self {
-            method: method.into(),
-            utc_s,
-            temperature_c: temperature.map(|t| [t.mean_c, t.lowest_c, t.highest_c]),
-            poses,
-            dof,
-            rms_mps2,
-            loo_rms_mps2,
-            condition,
-            covariance_factor: covariance.factor(),
-            other_sd: [bias_mps2_per_k, bias_mps2_per_k2, scale_per_k, nonlinearity],
+            method: terms.method.into(),
+            utc_s: terms.utc_s,
+            temperature_c: (terms.temperature).map(|t| [t.mean_c, t.lowest_c, t.highest_c]),
+            poses: terms.poses,
+            dof: terms.dof,
+            rms_mps2: terms.rms_mps2,
+            loo_rms_mps2: terms.loo_rms_mps2,
+            condition: terms.condition,
+            covariance_factor: terms.covariance.factor(),
+            other_sd: [
+                sd.bias_mps2_per_k,
+                sd.bias_mps2_per_k2,
+                sd.scale_per_k,
+                sd.nonlinearity,
+            ],
         }
     }
 }
@@ -268,18 +258,7 @@ impl TryFrom<&WireQuality> for CalibrationQuality {
 
 impl From<&MagnetometerModel> for WireMagnetometer {
     fn from(model: &MagnetometerModel) -> Self {
-        let MagnetometerTerms {
-            hard_iron_nt,
-            hard_iron_sd_nt,
-            soft_iron,
-            soft_iron_sd,
-            field_nt,
-            poses,
-            rms_nt,
-            loo_rms_nt,
-            condition,
-            to_accelerometer,
-        } = *model.terms();
+        let terms = model.terms();
         let rotation = |rotation: MagnetometerRotation| WireMagnetometerRotation {
             rotation_wxyz: rotation.rotation.quaternion(),
             factor: rotation_factor(rotation.covariance),
@@ -287,16 +266,16 @@ impl From<&MagnetometerModel> for WireMagnetometer {
             dip_rms_rad: rotation.dip_rms_rad,
         };
         Self {
-            hard_iron_nt,
-            hard_iron_sd_nt,
-            soft_iron,
-            soft_iron_sd,
-            field_nt,
-            poses,
-            rms_nt,
-            loo_rms_nt,
-            condition,
-            to_accelerometer: to_accelerometer.map(rotation),
+            hard_iron_nt: terms.hard_iron_nt,
+            hard_iron_sd_nt: terms.hard_iron_sd_nt,
+            soft_iron: terms.soft_iron,
+            soft_iron_sd: terms.soft_iron_sd,
+            field_nt: terms.field_nt,
+            poses: terms.poses,
+            rms_nt: terms.rms_nt,
+            loo_rms_nt: terms.loo_rms_nt,
+            condition: terms.condition,
+            to_accelerometer: terms.to_accelerometer.map(rotation),
         }
     }
 }

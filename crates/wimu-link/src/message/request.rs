@@ -1,4 +1,4 @@
-//! What a host asks for, and what it is answered.
+//! Requests of a host, and their answers.
 
 use core::fmt;
 
@@ -12,7 +12,7 @@ use super::settings::Settings;
 use super::telemetry::{ActiveParameters, Status};
 use crate::auth::{DeviceKey, KeyId, Nonce};
 
-/// 8 bytes that prove who wrote a request or reply ([`auth`](crate::auth)), or none.
+/// The signature of a request or reply, 8 bytes ([`auth`](crate::auth)), or none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Signature {
@@ -40,7 +40,7 @@ impl Signature {
         })
     }
 
-    /// One of 8 bytes.
+    /// A signature of 8 bytes.
     pub(crate) const fn whole(bytes: [u8; Self::MAX]) -> Self {
         Self {
             length: Self::MAX as u8,
@@ -80,19 +80,18 @@ impl<'de> Deserialize<'de> for Signature {
     }
 }
 
-/// A host asks for something. [`Requester`](crate::Requester) makes them and
-/// [`Responder`](crate::Responder) takes them.
+/// A request of a host. [`Requester`](crate::Requester) makes requests and
+/// [`Responder`](crate::Responder) processes them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Request {
-    /// Unsigned: chosen by the host at random when it connects. Signed: the number that the device
-    /// gave the session.
+    /// Unsigned: a random number of the host. Signed: the session's number, assigned by the device.
     pub session: u32,
-    /// One more with each request of a session; the same when one is repeated.
+    /// Incremented with each request of a session; unchanged when a request is repeated.
     pub id: u32,
-    /// Proves a session ([`auth`](crate::auth)).
+    /// Authenticates the request ([`auth`](crate::auth)).
     pub signature: Signature,
-    /// What it asks for.
+    /// The command.
     pub command: Command,
 }
 
@@ -100,13 +99,13 @@ impl Request {
     /// Reads the body of a frame of kind [`Kind::Request`](crate::Kind::Request).
     ///
     /// # Errors
-    /// [`MessageError`] when it is not exactly one request that is known here.
+    /// [`MessageError`] when it is not exactly one known request.
     pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
         super::decode(body)
     }
 }
 
-/// What stands before the command in a [`Request`], and before the answer in a [`Reply`].
+/// The fields before the command of a [`Request`], and before the answer of a [`Reply`].
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Head {
     pub(crate) session: u32,
@@ -115,16 +114,16 @@ pub(crate) struct Head {
 }
 
 impl Head {
-    /// The head of a body, and the rest: a command or an answer, perhaps one that is unknown here.
+    /// The head of a body, and the rest: a command or an answer, which may be unknown.
     pub(crate) fn split(body: &[u8]) -> Result<(Self, &[u8]), MessageError> {
         postcard::take_from_bytes(body).map_err(MessageError::from)
     }
 }
 
-/// What a host can ask for, and what it returns. Absolute, so that twice is once. Append only.
+/// A command, and the payload that it returns. Commands set absolute values, so that repeating one has no
+/// further effect. Append only.
 ///
-/// Here and in what a device says, `P` is a parameter set: a device leaves it as it travels
-/// ([`EncodedParameters`]).
+/// `P` is a parameter set; a device keeps it in its wire form ([`EncodedParameters`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
@@ -144,24 +143,24 @@ pub enum Command<P = WireParameters> {
     GetSettings,
     /// Store these settings and use them: [`Payload::Settings`].
     SetSettings(Settings),
-    /// How the device is: [`Payload::Status`].
+    /// The device's status: [`Payload::Status`].
     GetStatus,
     /// Run the line of a link at another rate: [`Payload::None`], at the old rate.
     ///
-    /// The device changes when its answer is over the line. If this is the line that the request came
-    /// on, it goes back unless an undamaged frame of a host comes within 5 s; then it stores the rate.
-    /// Another link's rate is stored at once.
+    /// The rate changes after the answer has been sent. If the request came on the same line, the device
+    /// returns to the old rate unless it receives an undamaged frame within 5 s; then it stores the rate.
+    /// The rate of another link is stored at once.
     SetLineRate {
         /// Number of the link's role: [`LinkRole::number`](crate::LinkRole::number).
         link: u8,
-        /// Bits a second.
+        /// The rate, bit/s.
         baud: u32,
     },
-    /// Begin a session whose requests are signed: [`Payload::Session`]. Unsigned itself.
+    /// Begin a session with signed requests: [`Payload::Session`]. Not signed.
     OpenSession,
-    /// Which key the device has: [`Payload::KeyStatus`].
+    /// The id of the device's key: [`Payload::KeyStatus`].
     GetKeyStatus,
-    /// Take this key in place of the one before, on the cable only: [`Payload::KeyStatus`].
+    /// Replace the key, on the cable only: [`Payload::KeyStatus`].
     SetKey(DeviceKey),
     /// Forget the key, on the cable only: [`Payload::KeyStatus`].
     ForgetKey,
@@ -170,10 +169,10 @@ pub enum Command<P = WireParameters> {
 }
 
 impl<'a> Command<EncodedParameters<'a>> {
-    /// Reads a command whose parameters are left where they are.
+    /// Decodes a command, except for its parameters.
     pub(crate) fn take(bytes: &'a [u8]) -> Result<Self, MessageError> {
         match bytes {
-            // The place of the variant; its only field takes the rest.
+            // The index of the variant; its only field is the rest.
             [1, parameters @ ..] => {
                 let parameters = EncodedParameters(parameters);
                 parameters.decode()?;
@@ -183,7 +182,7 @@ impl<'a> Command<EncodedParameters<'a>> {
         }
     }
 
-    /// The same with the parameters read.
+    /// The same with decoded parameters.
     ///
     /// # Errors
     /// [`MessageError`] when the parameters are not exactly one set.
@@ -193,7 +192,7 @@ impl<'a> Command<EncodedParameters<'a>> {
 }
 
 impl<P> Command<P> {
-    /// The same with what `change` makes of the parameters.
+    /// The same with converted parameters.
     ///
     /// # Errors
     /// Those of `change`.
@@ -215,7 +214,7 @@ impl<P> Command<P> {
         })
     }
 
-    /// Whether it changes what the device keeps.
+    /// Whether it changes the device's state.
     pub fn is_write(&self) -> bool {
         match self {
             Self::GetParameters
@@ -247,18 +246,18 @@ pub struct Reply<P = WireParameters> {
     pub session: u32,
     /// The request's.
     pub id: u32,
-    /// Proves the device, if the request was signed with the right key.
+    /// Authenticates the reply, if the request was signed with the right key.
     pub signature: Signature,
     /// The answer.
     pub answer: Answer<P>,
 }
 
 impl Reply {
-    /// Reads the body of a frame of kind [`Kind::Reply`](crate::Kind::Reply). It may go on behind what
-    /// is known here; a refusal that is not known is [`Refusal::Other`].
+    /// Reads the body of a frame of kind [`Kind::Reply`](crate::Kind::Reply). Additional fields at
+    /// the end are ignored; an unknown refusal is [`Refusal::Other`].
     ///
     /// # Errors
-    /// [`MessageError`] when it is no reply, or an answer to what this version cannot ask.
+    /// [`MessageError`] when it is not a known reply.
     pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
         let (head, answer) = Head::split(body)?;
         Ok(Self {
@@ -271,7 +270,7 @@ impl Reply {
 }
 
 impl Answer {
-    /// Reads what stands behind a reply's head.
+    /// Decodes the part of a reply after its head.
     pub(crate) fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
         const REFUSED: u32 = 1;
         super::decode_beginning(bytes).or_else(|error| {
@@ -285,20 +284,20 @@ impl Answer {
     }
 }
 
-/// What came of a request. Append only.
+/// The result of a request. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
 pub enum Answer<P = WireParameters> {
-    /// It was done.
+    /// It was executed.
     Accepted(Payload<P>),
-    /// It was not done.
+    /// It was not executed.
     Refused(Refusal),
     /// The device does not know this command.
     Unknown,
 }
 
-/// What an accepted request returns. Append only.
+/// The payload of an accepted request. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
@@ -314,21 +313,21 @@ pub enum Payload<P = WireParameters> {
     },
     /// The settings in use.
     Settings(Settings),
-    /// How the device is.
+    /// The device's status.
     Status(Status),
-    /// A session, for requests to be signed in.
+    /// A session for signed requests.
     Session {
         /// Its number, the session of signed requests.
         number: u32,
-        /// What their signatures are made with.
+        /// The nonce for their signatures.
         nonce: Nonce,
     },
-    /// Which key the device has.
+    /// The device's key.
     KeyStatus {
-        /// Its name; `None` if the device has no key.
+        /// Its id; `None` if the device has no key.
         key: Option<KeyId>,
     },
-    /// The time on the device's clock when it took the request.
+    /// The device's clock when it executed the request.
     Time {
         /// µs since the device's start.
         uptime_us: u64,
@@ -339,63 +338,62 @@ pub enum Payload<P = WireParameters> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
-    /// Writing on this link takes the device's key.
+    /// Writes on this link need a key, and the device has none.
     KeyNeeded,
-    /// Nobody may write on this link.
+    /// Writes on this link are locked: the device cannot read its key or boot count.
     Locked,
-    /// The parameters are none.
+    /// The parameters are invalid.
     InvalidParameters(ParameterFault),
-    /// The parameters are for another full-scale range than the device is set to, both ± *g*.
+    /// The parameters are for another full-scale range than the device's.
     WrongRange {
-        /// Theirs.
+        /// That of the parameters, ± *g*.
         parameters_g: u8,
-        /// The device's.
+        /// The device's, ± *g*.
         device_g: u8,
     },
     /// A commit without staged parameters.
     NothingStaged,
-    /// A commit names other parameters than are staged.
+    /// The commit's id differs from that of the staged parameters.
     HashMismatch {
-        /// The id of those that are.
+        /// The id of the staged parameters.
         staged: u32,
     },
-    /// The sensor cannot be set so.
+    /// The device does not support these settings.
     UnsupportedSettings {
-        /// The nearest that it can.
+        /// The nearest supported settings.
         nearest: Settings,
     },
-    /// The store could not be written; the device holds what it held.
+    /// The store could not be written; the device is unchanged.
     StoreFailed,
     /// The sensor does not answer.
     SensorFailed,
-    /// The request is older than one already answered, or its id was used for another.
+    /// The request is older than an answered one, or its id was used for another request.
     Stale,
     /// The parameters are for another sensitivity than the sensor has at this range.
     WrongSensitivity {
-        /// Theirs, LSB/*g*.
+        /// That of the parameters, LSB/*g*.
         parameters_lsb_per_g: f64,
         /// The sensor's, LSB/*g*.
         device_lsb_per_g: f64,
     },
-    /// The link has no rate that could be set, or there is no such link.
+    /// The link's rate cannot be set, or there is no such link.
     FixedLineRate,
-    /// An adapter at the other end of the line decides its rate: who asks over the radio cannot
-    /// change both ends.
+    /// The radio adapter on the line determines its rate, which cannot be changed over that link.
     AdapterLineRate,
-    /// The line cannot run at this rate.
+    /// The line does not support this rate.
     UnsupportedLineRate {
-        /// The nearest that it can, bits a second.
+        /// The nearest supported rate, bit/s.
         nearest: u32,
     },
     /// The device has a key, and the request is not signed.
     SignatureNeeded,
-    /// The signature is not of the device's key, or was damaged.
+    /// The signature does not match the device's key.
     WrongSignature,
-    /// There is no such session: the device has started anew, or others took its place.
+    /// The session has ended: the device has restarted, or newer sessions have replaced it.
     SessionEnded,
     /// Keys are set and forgotten over the cable only.
     CableOnly,
-    /// A reason that this version does not know, or knows too little of; never sent. Keep it last.
+    /// A reason that is unknown to this version; never sent. Keep it last.
     #[serde(skip)]
     Other {
         /// Its number.
@@ -410,7 +408,7 @@ impl fmt::Display for Refusal {
                 "writing on this link takes a key, and the device has none; run `wimu key set` once over the cable",
             ),
             Self::Locked => out.write_str(
-                "nobody may write on this link: the device cannot read its key or how often it has started; run `wimu key rotate` over the cable, or where that is refused too erase the key at the board (docs/SECURITY.md, lost key)",
+                "writes are locked: the device cannot read its key or boot count. Run `wimu key rotate` over the cable; if refused, see docs/SECURITY.md (lost key)",
             ),
             Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
             Self::WrongRange {
@@ -429,15 +427,18 @@ impl fmt::Display for Refusal {
             ),
             Self::UnsupportedSettings { nearest } => write!(
                 out,
-                "the sensor cannot be set so; the nearest is ±{} g at {} Hz, {:?} resolution, batches of {} and {}",
+                "the device does not support these settings; nearest: ±{} g at {} Hz, {} resolution, batch cable {} / wireless {}, every {} / {}, gravity {} m/s²",
                 nearest.range_g,
                 nearest.rate_hz,
                 nearest.resolution,
                 nearest.cable.batch,
-                nearest.wireless.batch
+                nearest.wireless.batch,
+                nearest.cable.every,
+                nearest.wireless.every,
+                f64::from(nearest.gravity_um_s2) / 1e6
             ),
             Self::StoreFailed => out.write_str(
-                "the device could not write its store and holds what it held; try again, then replace the device",
+                "the device could not write its store and is unchanged; try again, then replace the device",
             ),
             Self::SensorFailed => {
                 out.write_str("the accelerometer does not answer; check its wiring")
@@ -446,16 +447,16 @@ impl fmt::Display for Refusal {
                 "the request is older than one already answered; ask again in a new session",
             ),
             Self::SignatureNeeded => out.write_str(
-                "the device takes only what is signed with its key; use the computer that has the key, or erase it at the board",
+                "the device accepts only requests signed with its key; use the computer that has the key, or erase the key at the board",
             ),
             Self::WrongSignature => out.write_str(
-                "the key is not the device's; use the computer that has its key, or erase it at the board",
+                "this is not the device's key; use the computer that has the key, or erase the key at the board",
             ),
             Self::SessionEnded => {
-                out.write_str("the device has begun anew, or others have; ask again")
+                out.write_str("the session has ended because the device restarted or other sessions replaced it; try again")
             }
             Self::CableOnly => {
-                out.write_str("keys are changed over the cable only; connect it there")
+                out.write_str("keys are changed over the cable only; connect the cable")
             }
             Self::WrongSensitivity {
                 parameters_lsb_per_g,
@@ -466,16 +467,16 @@ impl fmt::Display for Refusal {
             ),
             Self::Other { number } => write!(
                 out,
-                "the device refuses for a reason that this version does not know (refusal {number}); update this end"
+                "the device refuses for a reason unknown to this version (refusal {number}); update this end"
             ),
             Self::FixedLineRate => {
-                out.write_str("this link's rate cannot be set on the device; use it as it is")
+                out.write_str("this link's rate cannot be set on the device; use its present rate")
             }
             Self::AdapterLineRate => out.write_str(
-                "a radio adapter decides this line's rate; set the adapter (AT+UART=115200,0,0 or the like), the device finds its rate by itself",
+                "the radio adapter determines this line's rate; set it there (for example AT+UART=115200,0,0), the device detects the rate",
             ),
             Self::UnsupportedLineRate { nearest } => {
-                write!(out, "the line cannot run at this rate; the nearest is {nearest} baud")
+                write!(out, "the line does not support this rate; the nearest is {nearest} baud")
             }
         }
     }

@@ -1,8 +1,10 @@
-//! How a device measures and what it sends.
+//! Settings of a device.
+
+use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// What travels on a link.
+/// The streams of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Streams {
@@ -14,10 +16,10 @@ pub struct Streams {
     pub navigation: bool,
     /// Magnetic field and temperature.
     pub environment: bool,
-    /// Samples to a batch, 1..=32.
+    /// Samples per batch, 1..=32.
     pub batch: u8,
-    /// Of raw and corrected samples only those travel whose sequence number is a multiple of this,
-    /// 1..=255; as they are, not filtered.
+    /// Decimation of raw and corrected samples, 1..=255: only samples whose sequence number is a multiple
+    /// are sent, without an anti-aliasing filter.
     pub every: u8,
 }
 
@@ -35,19 +37,29 @@ impl Default for Streams {
     }
 }
 
-/// Power against noise. Append only.
+/// Trade-off between power and noise. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Resolution {
-    /// Least power (8 bits on an LSM303AGR).
+    /// Lowest power (8 bits on an LSM303AGR).
     LowPower,
-    /// Between (10 bits).
+    /// Normal mode (10 bits).
     Normal,
-    /// Least noise (12 bits).
+    /// Lowest noise (12 bits).
     High,
 }
 
-/// How a device measures and what it sends.
+impl fmt::Display for Resolution {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::LowPower => "low",
+            Self::Normal => "normal",
+            Self::High => "high",
+        })
+    }
+}
+
+/// Settings of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Settings {
@@ -55,20 +67,20 @@ pub struct Settings {
     pub range_g: u8,
     /// Output data rate, Hz.
     pub rate_hz: u16,
-    /// Power against noise.
+    /// Trade-off between power and noise.
     pub resolution: Resolution,
     /// Take the velocity at every rest as zero (ZUPT).
     pub zupt: bool,
     /// Magnitude of local gravity, µm/s².
     pub gravity_um_s2: u32,
-    /// What travels on the cable.
+    /// Streams of the cable.
     pub cable: Streams,
-    /// What travels on the wireless link.
+    /// Streams of the wireless link.
     pub wireless: Streams,
 }
 
 impl Default for Settings {
-    /// ±2 *g*, 100 Hz, least noise, ZUPT, standard gravity, everything on both links.
+    /// ±2 *g*, 100 Hz, lowest noise, ZUPT, standard gravity, everything on both links.
     fn default() -> Self {
         Self {
             range_g: 2,

@@ -7,25 +7,25 @@ use serde::{Deserialize, Serialize};
 use wimu_integrator::{Config, Flags, Phase, Run, Segment, State, Window};
 use wimu_model::PeriodNs;
 
-/// [`wimu_integrator::State`] as it travels, field by field. Whether it is one that an integrator
-/// can be in, [`Integrator::from_state`](wimu_integrator::Integrator::from_state) finds out.
+/// Wire form of [`wimu_integrator::State`].
+/// [`Integrator::from_state`](wimu_integrator::Integrator::from_state) validates it.
 ///
-/// It is the last of an epoch and begins with its revision, so that a host that knows another one
-/// still reads the epoch: [`is_ours`](Self::is_ours) is false then, and all other fields are 0.
+/// It is the last field of an epoch and begins with its revision, so that a host with another revision can
+/// decode the epoch: [`is_ours`](Self::is_ours) is false then, and all other fields are 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireState {
-    /// The revision of the arithmetic that made it, and of the fields that follow.
+    /// Revision of the arithmetic, and of the following fields.
     pub revision: u8,
     /// Sample period, ns.
     pub period_ns: u32,
-    /// Whether velocity is taken as zero at every rest.
+    /// Whether zero-velocity updates (ZUPT) are applied.
     pub zupt: bool,
     /// Magnitude of local gravity, µm/s².
     pub gravity_um_s2: u32,
-    /// Where it stands.
+    /// Its phase.
     pub phase: WirePhase,
-    /// What is wrong: the bits of [`Flags`].
+    /// The bits of [`Flags`].
     pub flags: u8,
     /// Mean specific force over the latest rest, 2⁻³² m/s², body axes.
     pub rest_mean: [i64; 3],
@@ -37,27 +37,27 @@ pub struct WireState {
     pub base_velocity_nmps: [i64; 3],
     /// Time from the latest rest to the start of the segment, ns.
     pub base_since_rest_ns: u64,
-    /// The samples since.
+    /// The segment: samples since then.
     pub segment: WireSegment,
-    /// The stillness detector's window.
+    /// The present window of the stationarity detector.
     pub window: WireWindow,
-    /// The quiet windows before it.
+    /// The preceding windows at rest.
     pub run: Option<WireRun>,
     /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated.
     pub heading_sd_mrad: Option<u16>,
 }
 
-/// The revision of what `wimu_model::Corrector` and `wimu_integrator::Integrator` compute, bit for bit,
-/// and of their state. Whoever changes a bit of either gives them another one.
+/// Revision of the results of `wimu_model::Corrector` and `wimu_integrator::Integrator`, bit for bit, and of
+/// their state. It changes with any change of a result.
 pub const ARITHMETIC_REVISION: u8 = 1;
 
 impl WireState {
-    /// Whether this crate's revision made it: only then can samples be replayed from it.
+    /// Whether it has this crate's revision, so that samples can be replayed from it.
     pub fn is_ours(&self) -> bool {
         self.revision == ARITHMETIC_REVISION
     }
 
-    /// One that says nothing but its revision.
+    /// A state with only a revision.
     fn of_revision(revision: u8) -> Self {
         Self {
             revision,
@@ -87,7 +87,7 @@ impl Default for WireState {
 
 impl<'de> Deserialize<'de> for WireState {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        /// The fields behind the revision, in their order.
+        /// The fields after the revision, in order.
         type Fields = (
             (u32, bool, u32, WirePhase, u8),
             ([i64; 3], [i32; 3], [i64; 3], [i64; 3], u64),
@@ -137,7 +137,7 @@ impl<'de> Deserialize<'de> for WireState {
     }
 }
 
-/// [`Phase`] as it travels. Append only.
+/// Wire form of [`Phase`]. Append only.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum WirePhase {
@@ -150,7 +150,7 @@ pub enum WirePhase {
     Moving,
 }
 
-/// [`Segment`] as it travels.
+/// Wire form of [`Segment`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireSegment {
@@ -160,15 +160,15 @@ pub struct WireSegment {
     pub velocity_sum: [i64; 3],
     /// Position, 2⁻¹⁸·Δt² m, body axes.
     pub position_sum: [i64; 3],
-    /// The latest sample, 2⁻¹⁶ m/s².
+    /// Latest sample minus gravity (rounded to 2⁻¹⁶ m/s²), 2⁻¹⁶ m/s².
     pub previous: Option<[i32; 3]>,
 }
 
-/// [`Window`] as it travels.
+/// Wire form of [`Window`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireWindow {
-    /// The segment as it stood when the window began.
+    /// The segment at the start of the window.
     pub start: WireSegment,
     /// Samples so far.
     pub samples: u16,
@@ -180,17 +180,17 @@ pub struct WireWindow {
     pub squares: u64,
 }
 
-/// [`Run`] as it travels.
+/// Wire form of [`Run`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WireRun {
-    /// How many windows.
+    /// Number of windows.
     pub windows: u16,
-    /// Sum over all of them but the latest, 2⁻¹⁶ m/s².
+    /// Σ (f_k + f_k+1) over all windows except the latest, 2⁻¹⁶ m/s².
     pub sum: [i64; 3],
-    /// Sum over the latest, 2⁻¹⁶ m/s².
+    /// Σ (f_k + f_k+1) over the latest window, 2⁻¹⁶ m/s².
     pub latest: [i64; 3],
-    /// The segment as it stood when the first window ended.
+    /// The segment at the end of the first window.
     pub start: WireSegment,
 }
 
@@ -214,9 +214,9 @@ impl From<WirePhase> for Phase {
     }
 }
 
-// The patterns name every field, so that a field added to the state cannot be forgotten here.
+// Both directions name every field, so a field added to the state cannot be forgotten here.
 
-/// Both directions of a struct whose fields travel as they are, or through `into()`.
+/// Both conversions of a struct whose fields are equal or converted with `into()`.
 macro_rules! mirror {
     ($wire:ident, $model:ident, [$($same:ident),*], [$($into:ident),*]) => {
         impl From<$model> for $wire {
@@ -249,81 +249,45 @@ mirror!(WireRun, Run, [windows, sum, latest], [start]);
 
 impl From<State> for WireState {
     fn from(state: State) -> Self {
-        let State {
-            config:
-                Config {
-                    period: PeriodNs(period_ns),
-                    zupt,
-                    gravity_um_s2,
-                },
-            phase,
-            flags: Flags(flags),
-            rest_mean,
-            east,
-            base_position_nm,
-            base_velocity_nmps,
-            base_since_rest_ns,
-            segment,
-            window,
-            run,
-            heading_sd_mrad,
-        } = state;
         Self {
             revision: ARITHMETIC_REVISION,
-            period_ns,
-            zupt,
-            gravity_um_s2,
-            phase: phase.into(),
-            flags,
-            rest_mean,
-            east,
-            base_position_nm,
-            base_velocity_nmps,
-            base_since_rest_ns,
-            segment: segment.into(),
-            window: window.into(),
-            run: run.map(WireRun::from),
-            heading_sd_mrad,
+            period_ns: state.config.period.0,
+            zupt: state.config.zupt,
+            gravity_um_s2: state.config.gravity_um_s2,
+            phase: state.phase.into(),
+            flags: state.flags.0,
+            rest_mean: state.rest_mean,
+            east: state.east,
+            base_position_nm: state.base_position_nm,
+            base_velocity_nmps: state.base_velocity_nmps,
+            base_since_rest_ns: state.base_since_rest_ns,
+            segment: state.segment.into(),
+            window: state.window.into(),
+            run: state.run.map(WireRun::from),
+            heading_sd_mrad: state.heading_sd_mrad,
         }
     }
 }
 
 impl From<WireState> for State {
     fn from(wire: WireState) -> Self {
-        let WireState {
-            revision: _,
-            period_ns,
-            zupt,
-            gravity_um_s2,
-            phase,
-            flags,
-            rest_mean,
-            east,
-            base_position_nm,
-            base_velocity_nmps,
-            base_since_rest_ns,
-            segment,
-            window,
-            run,
-            heading_sd_mrad,
-        } = wire;
         Self {
             config: Config {
-                period: PeriodNs(period_ns),
-                zupt,
-                gravity_um_s2,
+                period: PeriodNs(wire.period_ns),
+                zupt: wire.zupt,
+                gravity_um_s2: wire.gravity_um_s2,
             },
-            phase: phase.into(),
-            flags: Flags(flags),
-            rest_mean,
-            east,
-            base_position_nm,
-            base_velocity_nmps,
-            base_since_rest_ns,
-            segment: segment.into(),
-            window: window.into(),
-            run: run.map(Run::from),
-            heading_sd_mrad,
+            phase: wire.phase.into(),
+            flags: Flags(wire.flags),
+            rest_mean: wire.rest_mean,
+            east: wire.east,
+            base_position_nm: wire.base_position_nm,
+            base_velocity_nmps: wire.base_velocity_nmps,
+            base_since_rest_ns: wire.base_since_rest_ns,
+            segment: wire.segment.into(),
+            window: wire.window.into(),
+            run: wire.run.map(Run::from),
+            heading_sd_mrad: wire.heading_sd_mrad,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What a device sends unasked.
+//! Messages that a device sends without a request.
 
 use core::fmt;
 
@@ -12,12 +12,12 @@ use super::settings::Settings;
 use super::state::{WirePhase, WireState};
 use crate::frame::{Kind, WIRE_VERSION};
 
-/// Everything that a device sends unasked besides samples. Append only.
+/// Messages that a device sends without a request, other than samples. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(clippy::large_enum_variant, reason = "there is no heap to box on")]
 pub enum Telemetry<P = WireParameters> {
-    /// From here on samples can be replayed.
+    /// A start point for replaying samples.
     Epoch(Epoch),
     /// Magnetic field and temperature, at their own rate.
     Environment(Environment),
@@ -27,19 +27,18 @@ pub enum Telemetry<P = WireParameters> {
     Parameters(ActiveParameters<P>),
     /// The settings in use.
     Settings(Settings),
-    /// How the device is.
+    /// The device's status.
     Status(Status),
-    /// Something happened.
+    /// An event.
     Event {
-        /// When, device time, µs.
+        /// Device time, µs.
         time_us: u64,
-        /// What.
+        /// The event.
         event: Event,
     },
 }
 
-/// The messages that a device also stores, so that its store needs no layout of its own; later
-/// firmware reads them for ever.
+/// The messages that a device also stores. All later firmware can read them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Record<'a> {
@@ -50,7 +49,7 @@ pub enum Record<'a> {
 }
 
 impl<'a> Record<'a> {
-    /// Reads what has been [opened](crate::frame::open): of this wire version or an earlier one.
+    /// Decodes an [opened](crate::frame::open) record of this wire version or an earlier one.
     ///
     /// # Errors
     /// [`MessageError`] when it is not exactly one of these messages.
@@ -59,7 +58,7 @@ impl<'a> Record<'a> {
         const V0: u8 = TELEMETRY;
         const V1: u8 = (WIRE_VERSION << 4) | TELEMETRY;
         match opened {
-            // The places of the variants, and a set that is there.
+            // The index of the variant, the id, and a set.
             [V1, 3, rest @ ..] => match postcard::take_from_bytes::<u32>(rest)? {
                 (_, [1, set @ ..]) => {
                     let parameters = EncodedParameters(set);
@@ -68,7 +67,7 @@ impl<'a> Record<'a> {
                 }
                 _ => Err(MessageError::Malformed),
             },
-            // The set's id was behind it.
+            // Version 0: the id follows the set.
             [V0, 3, 1, rest @ ..] => {
                 let (parameters, id) = EncodedParameters::split_off_v0(rest)?;
                 super::decode::<u32>(id)?;
@@ -81,11 +80,11 @@ impl<'a> Record<'a> {
 }
 
 impl Telemetry {
-    /// Reads the body of a frame of kind [`Kind::Telemetry`](crate::Kind::Telemetry). It may go on
-    /// behind what is known here; an event that is not known is [`Event::Other`].
+    /// Reads the body of a frame of kind [`Kind::Telemetry`](crate::Kind::Telemetry). Additional
+    /// fields at the end are ignored; an unknown event is [`Event::Other`].
     ///
     /// # Errors
-    /// [`MessageError`] when it is none, or one of a kind that this version does not know.
+    /// [`MessageError`] when it is not a known message.
     pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
         const EVENT: u32 = 6;
         super::decode_beginning(body).or_else(|error| {
@@ -106,7 +105,7 @@ impl Telemetry {
 pub enum EpochReason {
     /// The device has started.
     Start,
-    /// A second has passed.
+    /// Regular interval, at most 1 s.
     Periodic,
     /// Samples were missed.
     Gap,
@@ -118,9 +117,9 @@ pub enum EpochReason {
     Settings,
     /// The parameters have changed.
     Parameters,
-    /// The magnetometer has told the heading.
+    /// The magnetometer has updated the heading.
     Heading,
-    /// A number that this version does not know.
+    /// A number that is unknown to this version.
     Other(u32),
 }
 
@@ -139,10 +138,10 @@ impl EpochReason {
 
 impl Serialize for EpochReason {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let place = Self::KNOWN.iter().position(|known| known == self);
-        serializer.serialize_u32(match (place, self) {
+        let index = Self::KNOWN.iter().position(|known| known == self);
+        serializer.serialize_u32(match (index, self) {
             (None, Self::Other(number)) => *number,
-            (place, _) => place.unwrap_or(0) as u32,
+            (index, _) => index.unwrap_or(0) as u32,
         })
     }
 }
@@ -155,26 +154,27 @@ impl<'de> Deserialize<'de> for EpochReason {
     }
 }
 
-/// All that decides the device's corrected samples, velocities and positions from a sample on: a
-/// host that runs the same crates over the raw samples from there gets them bit for bit, until the
-/// next epoch or missing sample. Never shed.
+/// The complete state that determines the device's corrected samples, velocities and positions from a sample
+/// on. A host that runs the same crates over the raw samples reproduces them bit for bit, until the next
+/// epoch or a missing sample. Kept: dropped only when the link has stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Epoch {
     /// Why it begins.
     pub reason: EpochReason,
-    /// Counts the epochs that a device sends on its links, modulo 256: a number left out is an epoch
-    /// that was lost. One that is sent to a new listener alone bears the number of the one before.
+    /// Number of the epoch, modulo 256: a missing number is a lost epoch. An epoch for a new listener only
+    /// repeats the latest number.
     pub number: u8,
-    /// Sequence number of the first sample that it holds for.
+    /// Sequence number of its first sample.
     pub sequence: u32,
-    /// When that sample is expected, device time, µs.
+    /// Expected device time of that sample, µs.
     pub time_us: u64,
     /// Sample period, ns.
     pub period_ns: u32,
     /// Full-scale range, ± *g*.
     pub range_g: u8,
-    /// Nominal sensitivity of the sensor at that range, LSB/*g*: with id 0, all there is.
+    /// Nominal sensitivity of the sensor at that range, LSB/*g*. With parameter id 0 samples are corrected with
+    /// this sensitivity only.
     pub sensitivity_lsb_per_g: f64,
     /// Positive full scale of the counts, LSB: at or beyond it an axis is saturated.
     pub full_scale: i16,
@@ -193,11 +193,11 @@ impl Epoch {
     }
 }
 
-/// What the slow sensors say. A device without one sends `None`.
+/// Magnetic field and temperature; `None` without the sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Environment {
-    /// When, device time, µs.
+    /// Device time, µs.
     pub time_us: u64,
     /// Magnetic flux density, nT, magnetometer axes.
     pub magnetic_field_nt: Option<[i32; 3]>,
@@ -217,12 +217,12 @@ pub struct Navigation {
     pub velocity_nmps: [i64; 3],
     /// Time since velocity was last known to be zero, ms.
     pub since_rest_ms: u32,
-    /// Where the integrator stands; while searching, the numbers mean nothing.
+    /// Phase of the integrator; while searching, position and velocity are undefined.
     pub phase: WirePhase,
-    /// What is wrong with the numbers: the bits of [`wimu_integrator::Flags`].
+    /// The bits of [`wimu_integrator::Flags`].
     pub flags: u8,
-    /// Standard deviation of the heading against magnetic north, mrad; `None`: uncalibrated, north
-    /// is where the first rest had it or the magnetometer told last.
+    /// Standard deviation of the heading against magnetic north, mrad; `None`:
+    /// uncalibrated, north is that of the first rest or of the latest magnetometer heading.
     pub heading_sd_mrad: Option<u16>,
 }
 
@@ -251,7 +251,7 @@ pub struct ActiveParameters<P = WireParameters> {
     pub active: Option<P>,
 }
 
-/// How a device is. Counts start with the device and wrap.
+/// Status of a device. Counts begin at its start and wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
@@ -265,12 +265,12 @@ pub struct Status {
     pub sensor: SensorStatus,
     /// Sample period as measured against the device's clock, ns; `None` until it is known.
     pub measured_period_ns: Option<u32>,
-    /// Jitter of the data-ready times, ns: how far the time from one to the next is from the
-    /// measured period, the mean of the latest (equation (95)); `None` until it is known.
+    /// Jitter of the data-ready times, ns: running mean of the deviation of their intervals from the measured
+    /// period (equation (95)); `None` until it is known.
     pub jitter_ns: Option<u32>,
 }
 
-/// How a link is.
+/// Status of a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LinkStatus {
@@ -278,47 +278,47 @@ pub struct LinkStatus {
     pub frames_sent: u32,
     /// Bytes sent.
     pub bytes_sent: u64,
-    /// Frames of telemetry and samples dropped because the link was too slow.
+    /// Frames dropped because the link was too slow; after a stall, kept frames too.
     pub telemetry_shed: u32,
     /// Damaged frames received.
     pub frames_damaged: u32,
-    /// Requests that came again: the host had not got the answer.
+    /// Repeated requests: the host had not received the answer.
     pub requests_repeated: u32,
 }
 
-/// How the accelerometer is.
+/// Status of the accelerometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SensorStatus {
     /// Samples read.
     pub samples: u32,
-    /// Samples that the sensor took and nobody read.
+    /// Samples lost before they were read.
     pub missed: u32,
-    /// Times that the sensor said it overwrote data.
+    /// Overruns reported by the sensor.
     pub overruns: u32,
     /// Bus transfers that failed.
     pub bus_errors: u32,
 }
 
-/// How a sensor's bus failed. Append only.
+/// Fault of a sensor's bus. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BusFault {
-    /// Nobody answers at the sensor's address.
+    /// No acknowledgement at the sensor's address.
     NoAnswer,
     /// The transfer failed.
     Transfer,
-    /// No data came in time.
+    /// No data in time.
     Timeout,
 }
 
-/// Something that happened to a device. Append only.
+/// An event on a device. Append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
-    /// The accelerometer is gone; the device goes on trying.
+    /// The accelerometer has failed; the device keeps trying to restart it.
     SensorLost(BusFault),
-    /// The accelerometer is there again.
+    /// The accelerometer works again.
     SensorFound,
     /// Another chip answers at the accelerometer's address.
     WrongSensor {
@@ -331,27 +331,27 @@ pub enum Event {
     StoreUnreadable,
     /// Stored parameters are not used.
     ModelRejected(ParameterFault),
-    /// The stored settings do not fit the sensor; the nearest that do are used.
+    /// The sensor does not support the stored settings; the nearest ones are used.
     SettingsAdjusted,
-    /// The device is about to write its flash and hears nothing meanwhile.
+    /// The device is about to write its flash and receives nothing meanwhile.
     Pause {
-        /// For how long at most, ms.
+        /// Longest duration, ms.
         longest_ms: u16,
     },
-    /// The button at the device was pressed: a position is taken, the next one follows.
+    /// The button at the device was pressed, to mark a position.
     Marked {
-        /// How often since the device's start, this time included.
+        /// Number of presses since the device's start.
         count: u16,
     },
-    /// At rest |f| is not g as the calibration promises: it no longer holds. Said at the second
-    /// rest in a row.
+    /// |f| at rest contradicts the calibration, which no longer holds. Reported at the second consecutive
+    /// such rest.
     CalibrationContradicted {
         /// |f| − g, µm/s².
         residual_um_s2: i32,
-        /// Its standard deviation if the calibration held, µm/s².
+        /// Standard deviation of that residual under the calibration, µm/s².
         expected_um_s2: u32,
     },
-    /// Something that this version does not know; never sent. Keep it last.
+    /// An event that is unknown to this version; never sent. Keep it last.
     #[serde(skip)]
     Other {
         /// Its number.
@@ -363,18 +363,18 @@ impl fmt::Display for Event {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::SensorLost(BusFault::NoAnswer) => out.write_str(
-                "the accelerometer does not answer on its bus; check its wiring and supply; the device goes on trying",
+                "the accelerometer does not answer on its bus; check its wiring and supply; the device keeps trying",
             ),
             Self::SensorLost(BusFault::Transfer) => out.write_str(
-                "transfers on the accelerometer's bus fail; check its wiring; the device goes on trying",
+                "transfers on the accelerometer's bus fail; check its wiring; the device keeps trying",
             ),
             Self::SensorLost(BusFault::Timeout) => out.write_str(
-                "the accelerometer has no new data in time; check its wiring; the device goes on trying",
+                "the accelerometer has no new data in time; check its wiring; the device keeps trying",
             ),
             Self::SensorFound => out.write_str("the accelerometer answers"),
             Self::WrongSensor { expected, found } => write!(
                 out,
-                "the chip at the accelerometer's address says it is 0x{found:02x}, expected 0x{expected:02x}; check that the firmware is for this board"
+                "the chip at the accelerometer's address identifies itself as 0x{found:02x}, expected 0x{expected:02x}; check that the firmware is for this board"
             ),
             Self::StoreUnreadable => out.write_str(
                 "stored parameters or settings cannot be read, the device runs on defaults; push them again",
@@ -384,7 +384,7 @@ impl fmt::Display for Event {
                 "the stored calibration is not used: {fault}; calibrate again"
             ),
             Self::SettingsAdjusted => out.write_str(
-                "the stored settings do not fit the sensor, the nearest that do are used; see `wimu settings get`",
+                "the sensor does not support the stored settings and uses the nearest ones; see `wimu settings get`",
             ),
             Self::Marked { count } => write!(out, "the button was pressed: mark {count}"),
             Self::CalibrationContradicted {
@@ -392,13 +392,13 @@ impl fmt::Display for Event {
                 expected_um_s2,
             } => write!(
                 out,
-                "the calibration no longer holds: at rest |f| is off g by {:.1} mm/s², with a standard deviation of {:.1}; calibrate again",
+                "the calibration no longer holds: at rest |f| − g is {:.1} mm/s², expected standard deviation {:.1} mm/s²; calibrate again",
                 f64::from(*residual_um_s2) * 1e-3,
                 f64::from(*expected_um_s2) * 1e-3
             ),
             Self::Other { number } => write!(
                 out,
-                "something happened that this version does not know (event {number}); update this end"
+                "an event unknown to this version occurred (event {number}); update this end"
             ),
             Self::Pause { longest_ms } => {
                 write!(out, "the device writes its flash for up to {longest_ms} ms")

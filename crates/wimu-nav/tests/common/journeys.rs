@@ -1,7 +1,10 @@
 //! Journeys of one unit between rests, with their truth: slow moves, carts, turns, pushes.
 
 use super::{Random, cross};
+use std::ops::RangeInclusive;
+
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, Zupt};
+use wimu_testkit::Coverage;
 
 const G: f64 = 9.80665;
 const FIELD: [f64; 3] = [0.0, 20.0, -44.0];
@@ -442,6 +445,7 @@ pub fn travel(journey: Journey, how: Recorded, seed: u64) -> Shown {
 /// What many journeys of one kind show.
 pub struct Journeys {
     name: String,
+    all: Vec<Shown>,
     /// Mean share of valid samples, and of those at which it moved.
     pub valid: f64,
     pub moving: f64,
@@ -516,7 +520,28 @@ impl Journeys {
             unseen_m: median(&|s| s.unseen_m),
             end_m: median(&|s| s.end_m),
             rests: median(&|s| s.rests),
+            all,
         }
+    }
+
+    /// Journeys on which no valid component is off by more than `deviations`.
+    pub fn within(&self, deviations: f64) -> Coverage {
+        let all = self.all.iter();
+        all.map(|shown| shown.worst <= deviations).collect()
+    }
+
+    /// Standard error of `below`: samples of one journey share their errors, journeys do not.
+    fn below_se(&self) -> f64 {
+        let judged: f64 = self.all.iter().map(|s| s.judged).sum();
+        let departs = |s: &Shown| s.judged * (s.below - self.below);
+        let squares: f64 = self.all.iter().map(|s| departs(s).powi(2)).sum();
+        squares.sqrt() / judged.max(f64::MIN_POSITIVE)
+    }
+
+    /// Whether the true share of samples with a NEES below 7.81 can be in `range`: within 4 standard errors.
+    pub fn below_can_be(&self, range: RangeInclusive<f64>) -> bool {
+        let nearest = self.below.clamp(*range.start(), *range.end());
+        (self.below - nearest).abs() <= 4.0 * self.below_se()
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{Random, cross};
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample, Zupt};
+use wimu_testkit::Coverage;
 
 pub const G: f64 = 9.80665;
 const FIELD: [f64; 3] = [0.0, 20.0, -44.0];
@@ -383,7 +384,7 @@ pub struct Consistency {
     name: String,
     /// After 1, 2 and 5 s: median error, m, share of NEES below 7.81 and median NEES.
     pub error: [f64; 3],
-    pub below: [f64; 3],
+    pub below: [Coverage; 3],
     pub nees: [f64; 3],
     /// Mean NIS of gravity.
     pub nis: f64,
@@ -399,10 +400,7 @@ impl Consistency {
             all.sort_by(f64::total_cmp);
             all[all.len() / 2]
         };
-        let share = |h: usize| {
-            let below = runs.iter().filter(|r| r.nees[h] < 7.81).count();
-            below as f64 / runs.len() as f64
-        };
+        let share = |h: usize| runs.iter().map(|r| r.nees[h] < 7.81).collect();
         Self {
             name: format!(
                 "{kind:?} {rate} Hz{}",
@@ -425,7 +423,7 @@ impl std::fmt::Display for Consistency {
             nees: n,
             nis,
         } = self;
-        let b = b.map(|b| 100.0 * b);
+        let b = b.map(|b| 100.0 * b.fraction());
         write!(
             f,
             "{name:<28} {:.3} {:.3} {:.3} | {:4.0} {:4.0} {:4.0} | {:.2} {:.2} {:.2} | {nis:.2}",

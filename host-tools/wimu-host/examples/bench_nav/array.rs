@@ -10,6 +10,7 @@ use wimu_host::array::{
 };
 use wimu_nav::Zupt;
 use wimu_nav::array::ArrayState;
+use wimu_testkit::figure;
 
 /// LSB per deg/s of the gyroscopes.
 const GYROSCOPE: f64 = 16.4;
@@ -148,24 +149,34 @@ pub fn bench(data: &Path) {
             wrong += usize::from(along < 0.0);
         }
         sizes.sort_by(f64::total_cmp);
-        println!(
-            "{name:<44}{:>10.1}{:>10.1}{:>10.2} %",
-            (squares / sizes.len() as f64).sqrt() / DEG,
-            sizes[sizes.len() / 2] / DEG,
-            100.0 * wrong as f64 / scored.len() as f64
+        let rms = (squares / sizes.len() as f64).sqrt() / DEG;
+        let median = sizes[sizes.len() / 2] / DEG;
+        let wrong = 100.0 * wrong as f64 / scored.len() as f64;
+        println!("{name:<44}{rms:>10.1}{median:>10.1}{wrong:>10.2} %");
+        [rms, median, wrong]
+    };
+    let barred = |name: &str, [rms, median, wrong]: [f64; 3]| {
+        figure(
+            &format!("mimu4444_run1, {name}: rate, deg/s rms / median / wrong sign"),
+            format!("{rms:.1} / {median:.1} / {wrong:.2} %"),
+            "150 / 53 / 2 %",
+            rms < 150.0 && median < 53.0 && wrong < 2.0,
         );
     };
     let rates = |states: &[ArrayState<f64>]| -> Vec<[f64; 3]> {
         states.iter().map(|s| s.rate_rad_s).collect()
     };
     let (drawn_rate, found_rate) = (rates(&as_drawn), rates(&as_found));
-    score("filter (up to now), places as drawn", &drawn_rate, &truth);
-    score("filter (up to now), places as found", &found_rate, &truth);
-    score(
+    let found = score("filter (up to now), places as drawn", &drawn_rate, &truth);
+    barred("as drawn", found);
+    let found = score("filter (up to now), places as found", &found_rate, &truth);
+    barred("as found", found);
+    let found = score(
         "smoother (all samples), places as drawn",
         &motion.rate_rad_s,
         &truth,
     );
+    barred("smoother", found);
     for later_ms in [0.5, 1.0, 1.5, 2.0] {
         let moved = interpolated(&truth, later_ms * 1e-3 / period);
         score(
@@ -184,20 +195,19 @@ pub fn bench(data: &Path) {
             .collect();
         nees.sort_by(f64::total_cmp);
         let below = nees.iter().filter(|n| **n < 7.81).count();
-        println!(
-            "NEES of the rate, {name}: median {:.2} (2.37 is right), below 7.81 in {:.0} % (95 is right)",
-            nees[nees.len() / 2],
-            100.0 * below as f64 / nees.len() as f64
+        let below = 100.0 * below as f64 / nees.len() as f64;
+        let median = nees[nees.len() / 2];
+        figure(
+            &format!("rate of mimu4444_run1, {name}: NEES < 7.81, median"),
+            format!("{below:.0} %, {median:.2}"),
+            "90–98 %, 1.5–3.5",
+            (90.0..=98.0).contains(&below) && (1.5..=3.5).contains(&median),
         );
     };
-    consistency("places as drawn", &as_drawn, &truth);
-    consistency("places as found", &as_found, &truth);
+    consistency("as drawn", &as_drawn, &truth);
+    consistency("as found", &as_found, &truth);
     let moved = interpolated(&truth, 1.5e-3 / period);
-    consistency(
-        "places as drawn, gyroscopes taken 1.5 ms earlier",
-        &as_drawn,
-        &moved,
-    );
+    consistency("gyroscopes 1.5 ms earlier", &as_drawn, &moved);
 }
 
 /// Mean of the gyroscopes less that of the first rest, rad/s, and where one of them is at its limit.

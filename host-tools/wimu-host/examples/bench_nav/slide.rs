@@ -6,6 +6,7 @@ use wimu_host::inertial::{Choice, Leg, Method, legs, navigate};
 use wimu_host::motion::MotionRecording;
 use wimu_nav::slide::SlideConfig;
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+use wimu_testkit::{Random, figure};
 
 const G: f64 = 9.80665;
 
@@ -42,6 +43,13 @@ pub fn bench(data: &Path) {
             "0.4",
             100.0 * inside as f64 / errors.len() as f64
         );
+        let median = errors[errors.len() / 2] * 100.0;
+        figure(
+            &format!("robot runs of 40 cm, {peak} m/s²: median error, cm (Liu & Pang {they})"),
+            format!("{median:.3}"),
+            "at most 0.4",
+            median <= 0.4,
+        );
         println!(
             "  without the correction at the end: {:.3}",
             plain[plain.len() / 2] * 100.0
@@ -52,17 +60,8 @@ pub fn bench(data: &Path) {
 
 /// Rest, a move of 40 cm, rest, the move back, …: the unit wobbles while it moves.
 fn robot_run(seed: u64, peak: f64) -> (Vec<f64>, Vec<UnitSample>) {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 1;
-    let mut unit = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    };
-    let mut normal = {
-        let mut u = move || unit();
-        move || (-2.0 * (1.0 - u()).ln()).sqrt() * (std::f64::consts::TAU * u()).cos()
-    };
+    let mut random = Random::new(seed);
+    let mut normal = move || random.normal();
     // Path of least jerk: its largest acceleration is 10/√3 d/T².
     let duration = (10.0 / 3f64.sqrt() * 0.4 / peak).sqrt();
     let fine = 2000.0;
@@ -158,10 +157,19 @@ fn robot_arm(data: &Path) {
             match navigate(&recording, &choice) {
                 Ok(path) => {
                     if let Some((median, below)) = path.consistency() {
-                        println!(
-                            "the path: {:.0} % of the samples valid; NEES median {median:.2}, below 7.81 in {:.0} %",
-                            100.0 * path.valid_share(),
-                            100.0 * below
+                        let below = 100.0 * below;
+                        println!("{:.0} % of the samples valid", 100.0 * path.valid_share());
+                        let short = name.trim_end_matches("_mpu9150");
+                        let with = if gyroscope {
+                            "gyroscope"
+                        } else {
+                            "no gyroscope"
+                        };
+                        figure(
+                            &format!("{short}, slide, {with}: NEES < 7.81, median"),
+                            format!("{below:.0} %, {median:.2}"),
+                            "90–98 %, 1.5–3.5",
+                            (90.0..=98.0).contains(&below) && (1.5..=3.5).contains(&median),
                         );
                     }
                     for remark in &path.remarks {
@@ -279,6 +287,7 @@ fn straight_moves(recording: &MotionRecording) {
     let shared = |leg: &Leg, from: usize, to: usize| {
         (to.min(leg.after.first)).saturating_sub(from.max(leg.before.end))
     };
+    let mut worst = 0.0_f64;
     for (from, to) in straight(recording) {
         let truth = apart(place(from), place(to));
         let leg = found
@@ -303,6 +312,7 @@ fn straight_moves(recording: &MotionRecording) {
             .sum();
         let sd = variance.max(0.0).sqrt();
         let error = length - truth;
+        worst = worst.max(error.abs() / sd);
         println!(
             "{:>6.2}{:>9.2}{truth:>12.3}{length:>12.3}{error:>11.3}{sd:>10.3}{:>10.1}",
             times[from],
@@ -310,4 +320,14 @@ fn straight_moves(recording: &MotionRecording) {
             error / sd
         );
     }
+    let with = match recording.samples.iter().any(|s| s.rate_rad_s.is_some()) {
+        true => "gyroscope",
+        false => "no gyroscope",
+    };
+    figure(
+        &format!("robot_arm_linear, slide, {with}: largest error of a straight move"),
+        format!("{worst:.1} σ"),
+        "at most 2 σ",
+        worst <= 2.0,
+    );
 }

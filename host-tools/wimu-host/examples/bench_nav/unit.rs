@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use wimu_host::motion::{MotionRecording, Truth};
 use wimu_nav::unit::{UnitConfig, UnitFilter, UnitSample};
+use wimu_testkit::figure;
 
 use crate::low_pass::LowPass;
 
@@ -44,27 +45,63 @@ pub fn bench(data: &Path) {
             m[2],
             ratios.join(" / ")
         );
+        m.iter()
+            .zip(plain.medians())
+            .map(|(a, b)| a / b)
+            .collect::<Vec<f64>>()
     };
     table("baseline, τ = 1 s", &plain, None);
-    for (name, gyroscope, bar) in [
-        ("accelerometer + magnetometer", false, 0.8),
-        ("with the gyroscope", true, 0.3),
+    for (name, short, gyroscope, bar) in [
+        ("accelerometer + magnetometer", "no gyroscope", false, 0.8),
+        ("with the gyroscope", "gyroscope", true, 0.3),
     ] {
         let still = filtered(&recording, gravity, &starts, [0.0; 3], gyroscope);
         let moved = filtered(&recording, gravity, &starts, [3.0, 0.0, 0.0], gyroscope);
-        table(name, &still, Some(bar));
+        let ratios = table(name, &still, Some(bar));
+        let joined = |values: &[f64], digits: usize| {
+            let all: Vec<String> = values.iter().map(|v| format!("{v:.digits$}")).collect();
+            all.join(" / ")
+        };
+        figure(
+            &format!("BROAD slow A, {short}: median error over low-pass, 1 / 2 / 5 s"),
+            joined(&ratios, 2),
+            &format!("at most {bar}"),
+            ratios.iter().all(|ratio| *ratio <= bar),
+        );
         let apart = still.greatest_difference(&moved);
-        println!("  3 m/s added to truth and start: errors change by {apart:.1e} m at most");
+        if gyroscope {
+            figure(
+                "BROAD slow A: change of errors where 3 m/s is added, m",
+                format!("{apart:.0e}"),
+                "below 1e-9",
+                apart < 1e-9,
+            );
+        }
+        let (mut shares, mut medians) = (Vec::new(), Vec::new());
         for (h, horizon) in HORIZONS_S.iter().enumerate() {
             let mut nees: Vec<f64> = still.nees.iter().map(|n| n[h]).collect();
             nees.sort_by(f64::total_cmp);
             let below = nees.iter().filter(|n| **n < 7.81).count();
+            let below = 100.0 * below as f64 / nees.len() as f64;
+            let median = nees[nees.len() / 2];
             println!(
-                "  position NEES after {horizon} s: below 7.81 in {:.0} % (bar 90-98), median {:.2} (bar 1.5-3.5)",
-                100.0 * below as f64 / nees.len() as f64,
-                nees[nees.len() / 2]
+                "  position NEES after {horizon} s: below 7.81 in {below:.0} %, median {median:.2}"
             );
+            shares.push(below);
+            medians.push(median);
         }
+        figure(
+            &format!("BROAD slow A, {short}: NEES < 7.81 after 1 / 2 / 5 s"),
+            joined(&shares, 0) + " %",
+            "90–98 %",
+            shares.iter().all(|share| (90.0..=98.0).contains(share)),
+        );
+        figure(
+            &format!("BROAD slow A, {short}: median NEES after 1 / 2 / 5 s"),
+            joined(&medians, 2),
+            "1.5–3.5",
+            medians.iter().all(|median| (1.5..=3.5).contains(median)),
+        );
     }
     speed(&recording, gravity);
 }
@@ -234,6 +271,7 @@ fn baseline(
 }
 
 fn speed(recording: &MotionRecording, gravity: f64) {
+    let mut slowest = f64::INFINITY;
     for gyroscope in [false, true] {
         let samples: Vec<UnitSample> = (0..recording.samples.len())
             .map(|k| sample(recording, k, gyroscope))
@@ -260,5 +298,12 @@ fn speed(recording: &MotionRecording, gravity: f64) {
             rate * 1e-6,
             if sum.is_nan() { "!" } else { "" }
         );
+        slowest = slowest.min(rate * 1e-6);
     }
+    figure(
+        "one-unit filter on a host core, million samples a second",
+        format!("{slowest:.2}"),
+        "at least 1",
+        slowest >= 1.0,
+    );
 }

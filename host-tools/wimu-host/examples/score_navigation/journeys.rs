@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use wimu_host::motion::{MotionRecording, Truth};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::unit::UnitSample;
+use wimu_testkit::Random;
 
 use crate::recording::{Recording, SIMULATED};
 use crate::settings::Settings;
@@ -61,34 +62,24 @@ pub enum Kind {
 
 pub const KINDS: [Kind; 3] = [Kind::StopAndGo, Kind::Hand, Kind::Steps];
 
-/// SplitMix64: the same numbers in every run.
-pub struct Random(pub u64);
+/// Draws of vectors.
+pub trait Draw {
+    fn vector(&mut self, sd: f64) -> Vector3<f64>;
+    fn axis(&mut self) -> Vector3<f64>;
+    fn between(&mut self, from: f64, to: f64) -> f64;
+}
 
-impl Random {
-    pub fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+impl Draw for Random {
+    fn vector(&mut self, sd: f64) -> Vector3<f64> {
+        self.normals(sd).into()
     }
 
-    /// Standard normal, by Box and Muller.
-    pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (TAU * self.unit()).cos()
-    }
-
-    pub fn vector(&mut self, sd: f64) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| self.normal() * sd)
-    }
-
-    fn direction(&mut self) -> Vector3<f64> {
+    fn axis(&mut self) -> Vector3<f64> {
         self.vector(1.0).normalize()
     }
 
     fn between(&mut self, from: f64, to: f64) -> f64 {
-        from + (to - from) * self.unit()
+        from + (to - from) * self.uniform()
     }
 }
 
@@ -125,7 +116,7 @@ fn smooth(x: f64) -> f64 {
 
 impl Motion {
     fn new(kind: Kind, random: &mut Random) -> Self {
-        let heading = TAU * random.unit();
+        let heading = TAU * random.uniform();
         let mut motion = Self {
             heading,
             moves: Vec::new(),
@@ -135,8 +126,8 @@ impl Motion {
         match kind {
             Kind::StopAndGo => {
                 for _ in 0..8 {
-                    let displacement = random.direction() * random.between(0.3, 1.0);
-                    let rotation = random.direction() * random.between(0.0, 0.8);
+                    let displacement = random.axis() * random.between(0.3, 1.0);
+                    let rotation = random.axis() * random.between(0.0, 0.8);
                     let duration_s = random.between(1.0, 3.0);
                     motion.add(displacement, rotation, duration_s, random.between(1.0, 3.0));
                 }
@@ -154,7 +145,7 @@ impl Motion {
                         displacement: random.vector(0.06),
                         rotation: random.vector(0.04),
                         omega: TAU * random.between(0.4, 1.0),
-                        phase: TAU * random.unit(),
+                        phase: TAU * random.uniform(),
                     });
                 }
                 motion.end_s += 20.0;
@@ -231,7 +222,7 @@ pub fn kind(number: u64) -> Kind {
 
 /// Journey `number` of a seed, at 100 Hz.
 pub fn journey(kind: Kind, seed: u64, number: u64, errors: &SensorErrors) -> Recording {
-    let mut random = Random(
+    let mut random = Random::new(
         seed.wrapping_mul(0x1_0000_0001)
             .wrapping_add(number * 7919 + 17),
     );

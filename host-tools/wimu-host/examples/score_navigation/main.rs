@@ -9,6 +9,7 @@ mod journeys;
 mod low_pass;
 mod methods;
 mod output;
+mod record;
 mod recording;
 mod report;
 mod score;
@@ -83,6 +84,7 @@ fn main() -> Result<(), String> {
         report.journeys = Some(score_journeys(&options));
     }
     report.count();
+    record::record(&report);
     println!(
         "\nvalues that are not finite, in all: {}",
         report.non_finite

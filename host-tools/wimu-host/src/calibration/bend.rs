@@ -1,20 +1,20 @@
-//! Whether the bias moved in another course than the straight line of a drift.
+//! Test whether the bias drift was linear in time.
 
 use wimu_calib::{Estimate, Pose, Term};
 
 use super::input::magnitude;
 
-/// Columns of the fit: bias, symmetric matrix, drift; then what bends.
+/// Columns of the fit: bias, symmetric matrix and linear drift; then the quadratic drift.
 const FITTED: usize = 12;
-const BENDS: usize = 3;
-/// Degrees of freedom that have to be left.
-const SPARE: usize = 3;
-/// Standard deviations that chance has once in 500 times, one-sided.
-const BEYOND_CHANCE: f64 = 2.88;
-/// A column of which less is its own is none.
-const OWN: f64 = 1e-6;
+const QUADRATIC: usize = 3;
+/// Fewest degrees of freedom left.
+const MIN_DOF: usize = 3;
+/// Threshold of the test, standard deviations: exceeded by chance once in 500 times (one-sided).
+const THRESHOLD: f64 = 2.88;
+/// A column with a smaller fraction independent of the others makes the fit singular.
+const MIN_INDEPENDENT: f64 = 1e-6;
 
-/// What a bias that bends under a drift does to the answer; `None` where the poses show none.
+/// Remark on a significant quadratic drift beside the linear one that was fitted.
 pub(super) fn remark(poses: &[Pose], estimate: &Estimate) -> Option<&'static str> {
     let drift = estimate
         .drift
@@ -24,8 +24,8 @@ pub(super) fn remark(poses: &[Pose], estimate: &Estimate) -> Option<&'static str
         .zip(poses)
         .filter_map(|(k, pose)| (!rejected.contains(&k)).then_some(pose))
         .collect();
-    let freedom = kept.len().checked_sub(FITTED + BENDS + SPARE)? + SPARE;
-    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); FITTED + BENDS];
+    let freedom = kept.len().checked_sub(FITTED + QUADRATIC + MIN_DOF)? + MIN_DOF;
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); FITTED + QUADRATIC];
     let mut left = Vec::new();
     for pose in kept {
         let size = magnitude(pose.mean_mps2);
@@ -43,28 +43,28 @@ pub(super) fn remark(poses: &[Pose], estimate: &Estimate) -> Option<&'static str
         }
         left.push(estimate.residual_mps2(pose));
     }
-    // Each column, and then what is left, less what the columns before it explain.
+    // Gram and Schmidt: each column, then the residuals, less their projections on the columns before.
     let mut basis: Vec<Vec<f64>> = Vec::new();
-    let mut by_bends = 0.0;
+    let mut by_quadratic = 0.0;
     for (number, column) in columns.into_iter().enumerate() {
         let whole = dot(&column, &column);
         let own = without(column, &basis);
         let square = dot(&own, &own);
-        if square <= OWN * whole {
+        if square <= MIN_INDEPENDENT * whole {
             return None;
         }
         let unit: Vec<f64> = own.iter().map(|value| value / square.sqrt()).collect();
         if number >= FITTED {
-            by_bends += dot(&unit, &left).powi(2);
+            by_quadratic += dot(&unit, &left).powi(2);
         }
         basis.push(unit);
     }
     let rest = without(left, &basis);
     let noise = dot(&rest, &rest) / freedom as f64;
-    let ratio = by_bends / BENDS as f64 / noise;
-    (fisher(ratio, BENDS as f64, freedom as f64) > BEYOND_CHANCE).then_some(
-        "the bias did not move in a straight line, as when a sensor warms up: the bias at the end is farther off than \
-         its interval says; record again when the sensor is warm, or with its temperature and --model auto+temperature",
+    let ratio = by_quadratic / QUADRATIC as f64 / noise;
+    (normal_of_fisher(ratio, QUADRATIC as f64, freedom as f64) > THRESHOLD).then_some(
+        "the bias drift was not linear, as during warm-up: the error of the bias at the end exceeds its interval; record \
+         again when the sensor is warm, or with its temperature and --model auto+temperature",
     )
 }
 
@@ -72,7 +72,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// `column` less what lies along the unit vectors of `basis`.
+/// `column` less its projections on the unit vectors of `basis`.
 fn without(mut column: Vec<f64>, basis: &[Vec<f64>]) -> Vec<f64> {
     for unit in basis {
         let along = dot(&column, unit);
@@ -83,8 +83,8 @@ fn without(mut column: Vec<f64>, basis: &[Vec<f64>]) -> Vec<f64> {
     column
 }
 
-/// Fisher's ratio of `a` and `b` degrees of freedom in standard deviations, by Wilson and Hilferty's cube roots.
-fn fisher(ratio: f64, a: f64, b: f64) -> f64 {
+/// Fisher's variance ratio with `a` and `b` degrees of freedom as a standard normal deviate (Wilson and Hilferty).
+fn normal_of_fisher(ratio: f64, a: f64, b: f64) -> f64 {
     let root = ratio.cbrt();
     let [a, b] = [a, b].map(|freedom| 2.0 / (9.0 * freedom));
     ((1.0 - b) * root - (1.0 - a)) / (b * root * root + a).sqrt()

@@ -1,35 +1,34 @@
-//! An estimate beside its sensor's datasheet.
+//! Comparison of an estimate with the sensor's datasheet.
 
 use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{Datasheet, Estimate, Finding, Quantity, Verdict};
 
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 
 /// The datasheet of the sensor called `name`.
 ///
 /// # Errors
-/// `usage` when it is not known; the remedy lists those that are.
+/// `usage` when it is unknown; the remedy lists the known ones.
 pub fn datasheet(name: &str) -> Result<&'static Datasheet> {
     Datasheet::of(name).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::Usage,
-            format!("no datasheet of a sensor {name:?} is known"),
+        ErrorCode::Usage.error(
+            format!("no datasheet is known for the sensor {name:?}"),
             format!(
-                "known are {}; leave --sensor-model out for others",
+                "known sensors: {}; for others leave out --sensor-model",
                 Datasheet::KNOWN.map(|known| known.sensor).join(", ")
             ),
         )
     })
 }
 
-/// A parameter beside the datasheet's limit.
+/// A parameter compared with the datasheet's limit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LimitReport {
-    /// What, such as "zero-g offset".
+    /// Quantity, such as "zero-g offset".
     pub quantity: String,
-    /// Of which axis, or of which two.
+    /// Axis, or two axes.
     pub of: &'static str,
     /// Unit of the numbers.
     pub unit: &'static str,
@@ -37,31 +36,31 @@ pub struct LimitReport {
     pub value: f64,
     /// Half its 95 % interval.
     pub half_width_95: f64,
-    /// The largest size that the datasheet names.
+    /// Largest magnitude in the datasheet.
     pub limit: f64,
-    /// Whether the maker guarantees it, or calls it typical.
+    /// Whether the limit is guaranteed or typical.
     pub guaranteed: bool,
-    /// `within`, `unclear` or `beyond`, going by the interval.
+    /// `within`, `unclear` or `beyond`, by the interval.
     pub verdict: String,
 }
 
-/// An estimate beside its sensor's datasheet.
+/// Comparison of an estimate with its sensor's datasheet.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DatasheetReport {
     /// The sensor.
     pub sensor: &'static str,
-    /// Where the limits are from.
+    /// The document with the limits.
     pub document: &'static str,
-    /// How many parameters are beyond their limits.
+    /// Number of parameters beyond their limits.
     pub beyond: usize,
-    /// How many of those limits the maker guarantees.
+    /// Number of guaranteed limits among them.
     pub beyond_guaranteed: usize,
-    /// Each fitted parameter that the datasheet has a limit for.
+    /// The fitted parameters that the datasheet limits.
     pub limits: Vec<LimitReport>,
 }
 
 impl DatasheetReport {
-    /// `sensitivity_lsb_per_g` is that by which counts came to m/s²; `None` for data in g or m/s².
+    /// `sensitivity_lsb_per_g` is that which converted counts to m/s²; `None` for data in g or m/s².
     pub(super) fn new(
         datasheet: &Datasheet,
         estimate: &Estimate,
@@ -126,9 +125,9 @@ fn limit(finding: &Finding) -> LimitReport {
 impl fmt::Display for DatasheetReport {
     /// A line for each quantity.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "beside the datasheet ({}):", self.document)?;
+        write!(out, "compared with the datasheet ({}):", self.document)?;
         if self.limits.is_empty() {
-            return write!(out, " it has no limit for what was fitted");
+            return write!(out, " no limits for the fitted parameters");
         }
         for of_one in self.limits.chunk_by(|a, b| a.quantity == b.quantity) {
             let Some(first) = of_one.first() else {
@@ -154,17 +153,17 @@ impl fmt::Display for DatasheetReport {
             0 => {
                 let unclear = self.limits.iter().filter(|l| l.verdict != "within").count();
                 match unclear {
-                    0 => write!(out, "\n  all {count} are within"),
+                    0 => write!(out, "\n  all {count} within the limits"),
                     _ => write!(
                         out,
-                        "\n  none of {count} is beyond, {unclear} cannot be told"
+                        "\n  none of {count} beyond the limits, {unclear} unclear"
                     ),
                 }
             }
             beyond => write!(
                 out,
-                "\n  {beyond} of {count} beyond, {} of them guaranteed: is it this sensor, at its nominal \
-                 sensitivity and about 25 °C?",
+                "\n  {beyond} of {count} beyond the limits ({} guaranteed): check that it is this sensor, at its nominal \
+                 sensitivity and about 25 °C",
                 self.beyond_guaranteed
             ),
         }

@@ -1,4 +1,4 @@
-//! A calibration for someone's own firmware or tools.
+//! Export of a calibration to other firmware and tools.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -11,38 +11,38 @@ use wimu_model::{Alignment, Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2};
 use crate::allan::NoiseReport;
 use crate::error::{ErrorCode, HostError, Result};
 
-/// Noise of the accelerometer as Kalibr takes it, from `wimu allan`.
+/// Noise of the accelerometer for Kalibr, from `wimu allan`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalibrNoise {
     /// Velocity random walk N, m/s/√s.
     pub density: f64,
     /// Acceleration random walk K, m/s²/√s; above 0.
     pub random_walk: f64,
-    /// Whether it was seen; else it is the most that was not.
+    /// Whether it was observed; else it is an upper bound.
     pub random_walk_seen: bool,
     /// Sample rate, Hz.
     pub rate_hz: f64,
-    /// Whether an axis' counts are coarser than its noise: then this is the noise of rounding.
+    /// Whether the counts of an axis are coarser than its noise: then the density is that of the quantisation.
     pub coarse: bool,
 }
 
 impl KalibrNoise {
-    /// Reads what `wimu allan --json` printed; of the three axes the noisiest counts. Of an acceleration
-    /// random walk that was not seen the most that would not have been is taken: Kalibr wants a number
-    /// above 0. It alone would be σ(τ) = K √(τ/3) at the lowest σ.
+    /// Reads the output of `wimu allan --json`; the noisiest axis counts. For an acceleration random walk that was
+    /// not observed, the upper bound is taken, because Kalibr needs a number above 0: alone it would be
+    /// σ(τ) = K √(τ/3) at the lowest σ.
     ///
     /// # Errors
-    /// `file_unreadable`; `bad_calibration` when it is no such report, or one that was refused.
+    /// `file_unreadable`; `bad_calibration` when it is not such a report, or was refused.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
         let bad = || {
-            HostError::new(
-                ErrorCode::BadCalibration,
-                "this is no noise report",
-                "make it with `wimu allan --json rest.mcap > NOISE.json`",
-            )
-            .at(&name)
+            ErrorCode::BadCalibration
+                .error(
+                    "this is not a noise report",
+                    "make it with `wimu allan --json rest.mcap > NOISE.json`",
+                )
+                .at(&name)
         };
         let report: Value = serde_json::from_str(&text).map_err(|_| bad())?;
         if report["schema"] != NoiseReport::SCHEMA || report["status"] != "ok" {
@@ -78,19 +78,19 @@ impl KalibrNoise {
     }
 }
 
-/// What it is a calibration of; nobody may have said its range.
+/// Description of the accelerometer; its range may be unknown.
 fn accelerometer(set: &ParameterSet, range_known: bool) -> String {
     let (range_g, lsb_per_g) = (set.range_g, set.sensitivity.lsb_per_g());
     if range_known {
         format!("a +/-{range_g} g accelerometer")
     } else {
         format!(
-            "an accelerometer of {lsb_per_g:.0} LSB/g; its range is not known (+/-{range_g} g if it had 16 bits)"
+            "an accelerometer of {lsb_per_g:.0} LSB/g; its range is unknown (+/-{range_g} g if it has 16 bits)"
         )
     }
 }
 
-/// A Rust module that builds the set with `wimu-model`. Where the range is not known, it says so.
+/// A Rust module that builds the set with `wimu-model`; a comment says if the range is unknown.
 pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
     let terms = set.model.terms();
     let t = &terms.temperature;
@@ -123,8 +123,7 @@ pub fn to_rust(set: &ParameterSet, range_known: bool) -> String {
     )
 }
 
-/// A C header with one function: counts to specific force in body axes. Where the range is not known, it
-/// says so.
+/// A C header with one function: counts to specific force in body axes; a comment says if the range is unknown.
 pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
     let terms = set.model.terms();
     let t = &terms.temperature;
@@ -173,7 +172,7 @@ pub fn to_c(set: &ParameterSet, range_known: bool) -> String {
     out
 }
 
-/// What of a set [`to_kalibr`] leaves out, in lines for people: Kalibr's file has no place for it.
+/// What [`to_kalibr`] leaves out of a set, as lines of text: Kalibr's file has no field for it.
 pub fn not_in_kalibr(set: &ParameterSet) -> Vec<String> {
     let terms = set.model.terms();
     let t = &terms.temperature;
@@ -181,7 +180,7 @@ pub fn not_in_kalibr(set: &ParameterSet) -> Vec<String> {
     let mut left_out = Vec::new();
     if moves != [[0.0; 3]; 3] {
         left_out.push(format!(
-            "M and b are those at {:.2} °C: how they go with the temperature is left out",
+            "M and b are those at {:.2} °C: their temperature coefficients are left out",
             t.reference_c
         ));
     }
@@ -210,7 +209,7 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
             "{}update_rate: {:?}\n# m/s^2/sqrt(Hz) in Kalibr's convention: the velocity random walk, m/s/sqrt(s)\n\
              accelerometer_noise_density: {:?}\n{}accelerometer_random_walk: {:?}",
             if noise.coarse {
-                "# Counts are coarser than the noise: this is the noise of rounding, the sensor's is another.\n"
+                "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.\n"
             } else {
                 ""
             },
@@ -219,7 +218,7 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
             if noise.random_walk_seen {
                 ""
             } else {
-                "# Not seen in the recording: it is this at the most, m/s^2/sqrt(s).\n"
+                "# Not observed in the recording: upper bound, m/s^2/sqrt(s).\n"
             },
             noise.random_walk
         ),
@@ -231,8 +230,8 @@ pub fn to_kalibr(set: &ParameterSet, noise: Option<KalibrNoise>) -> String {
     };
     let _ = writeln!(
         out,
-        "# Output = M * specific force + b, sensor axes, m/s^2. A gyroscope is not wimu's business:\n\
-         # gyroscope_noise_density and gyroscope_random_walk are yours to add."
+        "# Output = M * specific force + b, sensor axes, m/s^2. The gyroscope's noise is not calibrated by wimu:\n\
+         # add gyroscope_noise_density and gyroscope_random_walk."
     );
     for line in not_in_kalibr(set) {
         let _ = writeln!(out, "# {line}.");

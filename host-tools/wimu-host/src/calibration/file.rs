@@ -1,4 +1,4 @@
-//! A calibration as a file.
+//! Calibration files.
 
 use std::path::Path;
 
@@ -17,8 +17,8 @@ use crate::error::{ErrorCode, HostError, Result};
 /// Reads the parameters of a calibration file, for a board.
 ///
 /// # Errors
-/// `file_unreadable`; `bad_calibration` when it is no calibration, was refused, has no sensitivity
-/// or holds numbers that are out of bounds.
+/// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, has no sensitivity
+/// or contains numbers that are out of bounds.
 pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     #[derive(Deserialize)]
     struct File {
@@ -31,13 +31,12 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         sensitivity_lsb_per_g: Option<f64>,
     }
     let name = path.display().to_string();
-    let bad =
-        |message: String, remedy: &str| HostError::new(ErrorCode::BadCalibration, message, remedy);
+    let bad = |message: String, remedy: &str| ErrorCode::BadCalibration.error(message, remedy);
     let held = |file: &File| file.schema.as_deref() == Some(HELD_SCHEMA);
     let make = "make it with `wimu calibrate … -o CAL.json`";
     let text = std::fs::read_to_string(path).map_err(|e| HostError::file(&name, "read", &e))?;
     let file: File = serde_json::from_str(&text).map_err(|error| {
-        bad(format!("this is no calibration: {error}"), make).at(format!(
+        bad(format!("this is not a calibration file: {error}"), make).at(format!(
             "{name} line {}, column {}",
             error.line(),
             error.column()
@@ -64,10 +63,10 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         )
         .at(name));
     }
-    let said_twice = !held(&file);
+    let has_model = !held(&file);
     let set = file.parameters.ok_or_else(|| {
         let why = match file.sensitivity_lsb_per_g {
-            Some(own) => format!("{own:.1} LSB/g is not what a board can be told"),
+            Some(own) => format!("{own:.1} LSB/g is outside the range of boards"),
             None => "its data were in m/s² or g".to_owned(),
         };
         bad(
@@ -76,12 +75,12 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
         )
         .at(&name)
     })?;
-    // The file says everything twice; where it disagrees, nobody knows what was meant.
+    // The file contains the model twice; where both differ, it is unknown which one is meant.
     let id_agrees =
         file.parameter_id.as_deref() == Some(&wimu_link::message::parameter_id(&set).to_string());
-    if !id_agrees || (said_twice && file.model.as_ref() != Some(set.model.terms())) {
+    if !id_agrees || (has_model && file.model.as_ref() != Some(set.model.terms())) {
         return Err(bad(
-            "it has been changed by hand: its parts disagree".to_owned(),
+            "the file was edited: its model, parameters and parameter_id differ".to_owned(),
             "undo the change, or calibrate again",
         )
         .at(name));
@@ -89,29 +88,28 @@ pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
     Ok(set)
 }
 
-/// What a calibration file says of one sensor's errors.
+/// The error model in a calibration file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StoredModel {
     /// The error model, sensor axes.
     pub model: ErrorModel,
-    /// The sensitivity by which counts become its output; `None` where its data were in m/s² or g and nobody said
-    /// one.
+    /// Sensitivity that converts counts into its output; `None` where its data were in m/s² or g and none was given.
     pub sensitivity_lsb_per_g: Option<f64>,
-    /// Whether it was made from counts: then it is not of output in m/s², which somebody else has scaled.
+    /// Whether it was estimated from counts: then it does not apply to output in m/s², which was scaled elsewhere.
     pub of_counts: bool,
-    /// What it leaves unknown of a bias, scale and axes at 1 *g* among it, m/s²: one standard deviation of the worst
-    /// axis; 0 where the file does not say.
+    /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², of bias, scale factor and misalignment
+    /// together; 0 where the file does not contain it.
     pub bias_sd_mps2: f64,
     /// Sensor axes to body axes.
     pub alignment: Alignment,
-    /// That of the magnetometer beside it.
+    /// Model of the magnetometer beside it.
     pub magnetometer: Option<MagnetometerModel>,
 }
 
-/// Reads the error model of a calibration file, of a sensor that need not be on a board.
+/// Reads the error model of a calibration file, of any sensor.
 ///
 /// # Errors
-/// `file_unreadable`; `bad_calibration` when it is no calibration, was refused, or holds numbers that are
+/// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused, or contains numbers that are
 /// out of bounds.
 pub fn read_model(path: &Path) -> Result<StoredModel> {
     #[derive(Deserialize)]
@@ -129,7 +127,7 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
     let file = serde_json::from_str::<File>(&text).ok();
     let of_counts = match file.as_ref().and_then(|file| file.unit.as_deref()) {
         Some(unit) => unit == AccelerationUnit::Lsb.as_str(),
-        // A board's, or of files that do not say it yet.
+        // A board's, or a file of an earlier version.
         None => file.as_ref().is_none_or(|file| {
             let parameters = file.parameters.as_ref().is_some_and(|p| !p.is_null());
             parameters || file.sensitivity_lsb_per_g.is_some()
@@ -163,7 +161,7 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
             alignment: Alignment::IDENTITY,
             magnetometer: None,
         }),
-        // It has all that a board takes, or says what is wrong with it.
+        // It contains a board's parameters, or an error.
         _ => read_parameters(path).map(|set| StoredModel {
             model: set.model,
             sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
@@ -175,7 +173,7 @@ pub fn read_model(path: &Path) -> Result<StoredModel> {
     }
 }
 
-/// What a calibration file says of its range where nobody knew it; `None` where it is known.
+/// Remark on a calibration file whose range was assumed.
 pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
     let file: serde_json::Value = serde_json::from_str(&text).ok()?;
@@ -192,8 +190,7 @@ pub fn range_remark(path: &Path, set: &ParameterSet) -> Option<String> {
 /// `file_failed`, `file_unreadable`.
 pub fn write_report(path: &Path, report: &impl Serialize) -> Result<()> {
     let json = serde_json::to_string_pretty(report).map_err(|error| {
-        HostError::new(
-            ErrorCode::FileFailed,
+        ErrorCode::FileFailed.error(
             format!("the report cannot be written as JSON: {error}"),
             "report this as a fault of wimu",
         )

@@ -1,4 +1,4 @@
-//! The static poses of a dataset, and what its values can be.
+//! The static poses of a dataset, and checks of its unit.
 
 use std::collections::HashSet;
 
@@ -8,19 +8,19 @@ use wimu_model::Sensitivity;
 use super::saturation;
 use crate::dataset::{Dataset, Output, OutputUnit};
 
-/// Static poses in the unit of their dataset.
+/// Static poses at an assumed scale.
 pub(super) struct Poses {
     pub poses: Vec<Pose>,
-    /// m/s² per unit under which they were looked for.
+    /// m/s² per unit at which they were searched.
     pub scale: f64,
-    /// An axis that stood at its limit in some of them.
+    /// An axis that was saturated in some of them.
     pub saturated: Option<usize>,
 }
 
 impl Poses {
-    /// Takes out what is equal to an earlier pose to the last digit: a file that was joined to itself, or
-    /// a logger that repeats, tells nothing new. Says how many they were.
-    pub fn take_out_repeated(&mut self) -> usize {
+    /// Removes poses that are exactly equal to an earlier one (a file joined to itself, or a logger that repeats).
+    /// Returns their number.
+    pub fn remove_repeated(&mut self) -> usize {
         let all = self.poses.len();
         let mut seen = HashSet::with_capacity(all);
         self.poses
@@ -28,14 +28,16 @@ impl Poses {
         all - self.poses.len()
     }
 
-    /// Takes out the pose after a turn of `steps` that comes back to where the turn began, if whole turns are left
-    /// without it. Says how many they were.
-    pub fn take_out_closing(&mut self, steps: usize) -> usize {
+    /// Removes the pose after a rotation of `steps` that repeats the rotation's first step, if whole rotations remain.
+    /// Returns their number.
+    pub fn remove_closing(&mut self, steps: usize) -> usize {
         let mut kept = Vec::with_capacity(self.poses.len());
         let mut rest = self.poses.as_slice();
         while let Some((turn, after)) = rest.split_at_checked(steps) {
             kept.extend_from_slice(turn);
-            let comes_back = after.first().is_some_and(|pose| alike(&turn[0], pose));
+            let comes_back = after
+                .first()
+                .is_some_and(|pose| same_orientation(&turn[0], pose));
             let is_over = !after.len().is_multiple_of(steps);
             rest = after
                 .get(usize::from(is_over && comes_back)..)
@@ -49,7 +51,7 @@ impl Poses {
         closing
     }
 
-    /// The same at another scale.
+    /// The poses at another scale.
     pub fn scaled(&self, scale: f64) -> Vec<Pose> {
         let change = scale / self.scale;
         let scaled = |pose: &Pose| Pose {
@@ -62,13 +64,13 @@ impl Poses {
     }
 }
 
-/// cos 10°: poses whose outputs point less apart are of one orientation.
-const ALIKE: f64 = 0.984_8;
+/// Cosine of 10°: poses closer than that have the same orientation.
+const SAME_ORIENTATION_COS: f64 = 0.984_8;
 
-fn alike(a: &Pose, b: &Pose) -> bool {
+fn same_orientation(a: &Pose, b: &Pose) -> bool {
     let [a, b] = [a.mean_mps2, b.mean_mps2];
     let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
-    dot > ALIKE * magnitude(a) * magnitude(b)
+    dot > SAME_ORIENTATION_COS * magnitude(a) * magnitude(b)
 }
 
 pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {
@@ -80,7 +82,7 @@ pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {
             samples: output.samples,
             temperature_c: output.temperature_c,
             first_sample: index as u64,
-            // Without times nothing shows a drift.
+            // Without times no drift can be fitted.
             time_s: output.time_s.unwrap_or(0.0),
             ..Pose::from_mean(output.value.map(|axis| axis * scale))
         };
@@ -101,8 +103,7 @@ pub(super) fn poses(data: &Dataset, scale: f64, gravity_mps2: f64) -> Poses {
     }
 }
 
-/// Samples among which hardly a pose is found may be in another unit than is said: then their noise
-/// passes for motion. Those of unknown worth have none.
+/// A wrong unit of samples in which few poses were found: in it, noise looks like motion.
 pub(super) fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Option<Refusal> {
     let known = match data.unit {
         OutputUnit::Mps2 => true,
@@ -116,7 +117,7 @@ pub(super) fn wrong_unit(data: &Dataset, found: &Poses, gravity: Gravity) -> Opt
     Some(Refusal::UnexpectedMagnitude { mean_mps2, hint })
 }
 
-/// What an output that is so long at rest, m/s², looks like where it cannot be gravity.
+/// The likely unit of an output of this magnitude at rest, m/s², if it cannot be gravity.
 fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
     let typical = Pose::from_mean([mps2, 0.0, 0.0]);
     let bias = MultiPosition {
@@ -129,8 +130,8 @@ fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
     }
 }
 
-/// m/s² per unit of a dataset's values: by the sensitivity given, else the board's, else so that the
-/// median output is `gravity_mps2`.
+/// m/s² per unit of a dataset: by the given sensitivity, else the board's, else so that the median magnitude is
+/// `gravity_mps2`.
 pub(crate) fn mps2_per_unit(data: &Dataset, given: Option<Sensitivity>, gravity_mps2: f64) -> f64 {
     match (data.unit, given) {
         (OutputUnit::Mps2, _) => 1.0,

@@ -1,4 +1,4 @@
-//! Hard and soft iron of a magnetometer, and how it lies to the calibrated accelerometer beside it.
+//! Calibration of a magnetometer: hard and soft iron, and its rotation to the calibrated accelerometer beside it.
 
 use std::fmt;
 
@@ -14,11 +14,11 @@ use super::input::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
 use crate::dataset::{Dataset, OutputUnit, RateSource};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 use crate::html::Report;
 
-/// What `wimu calibrate --sensor magnetometer` says, and a file that `wimu params push` reads.
-#[derive(Clone, Debug, Serialize)]
+/// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu params push` reads.
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct MagnetometerReport {
     /// [`HELD_SCHEMA`].
     pub schema: &'static str,
@@ -26,7 +26,7 @@ pub struct MagnetometerReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
-    /// What the numbers do not show.
+    /// What a user should know beside the numbers.
     pub remarks: Vec<String>,
     /// The data.
     pub source: String,
@@ -36,17 +36,17 @@ pub struct MagnetometerReport {
     pub rests: usize,
     /// Those with a magnetic field.
     pub poses: Vec<FieldPose>,
-    /// Poses left out of the fit, by their place from 0: the field was disturbed there.
+    /// Poses left out of the fit because the field was disturbed, by index from 0.
     pub rejected_poses: Vec<usize>,
-    /// Orientations that would help most, in this order, each with another side to the north.
+    /// Recommended orientations, the most useful first, each with another side to the north.
     pub next_poses: Vec<NextPose>,
-    /// How many more orientations are worth taking.
+    /// How many more orientations are worthwhile.
     pub poses_worth_adding: usize,
     /// Hard and soft iron with their standard deviations, residuals, condition and rotation.
     pub magnetometer: Option<MagnetometerTerms>,
     /// Standard deviation of the rotation's error about the accelerometer's axes, degrees.
     pub rotation_sd_deg: Option<[f64; 3]>,
-    /// 95 % intervals are values plus and minus these.
+    /// Half widths of the 95 % intervals.
     pub half_width_95: Option<MagneticHalfWidths>,
     /// Angle of the field below the horizontal, degrees.
     pub dip_deg: Option<f64>,
@@ -72,26 +72,26 @@ pub struct MagneticHalfWidths {
 pub struct FieldPose {
     /// Index of the rest's first sample.
     pub first_sample: u64,
-    /// How many measurements of the field fell into it.
+    /// Number of measurements of the field in it.
     pub fields: usize,
-    /// Their median per axis as the magnetometer put it out, µT.
+    /// Their median per axis, raw output, µT.
     pub output_ut: [f64; 3],
-    /// Length of the corrected field less that of all, µT.
+    /// Magnitude of the corrected field less the mean magnitude, µT.
     pub residual_ut: Option<f64>,
 }
 
 impl MagnetometerReport {
-    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
     pub fn exit_code(&self) -> u8 {
         if self.parameters.is_some() { 0 } else { 3 }
     }
 }
 
-/// Estimates the magnetometer beside an accelerometer that `set` corrects; its model takes the place
-/// of the one in `set`. `dip_rad` is the field's dip at the place, rad, positive down; without it the field
-/// points down.
+/// Estimates the magnetometer beside an accelerometer that `set` corrects; its model replaces
+/// the one in `set`. `dip_rad` is the dip of the local field, rad, positive down; without it the field
+/// is assumed to point down.
 ///
-/// Data that do not support an answer give a report that says so.
+/// Data that do not support an answer give a report with status `refused`.
 ///
 /// # Errors
 /// `csv_missing_column`, `data_refused` without a magnetic field; `data_refused` when the data were
@@ -143,21 +143,14 @@ pub fn calibrate_magnetometer(
     let mut report = MagnetometerReport {
         schema: HELD_SCHEMA,
         status: "refused",
-        reason: None,
         remarks: data.temperature_remark(set).into_iter().collect(),
         source: data.name.clone(),
         sensor: "magnetometer",
         rests: rests.len(),
         poses,
-        rejected_poses: Vec::new(),
         next_poses: advice(&guide),
         poses_worth_adding: guide.worth(|_| true),
-        magnetometer: None,
-        rotation_sd_deg: None,
-        half_width_95: None,
-        dip_deg: None,
-        parameters: None,
-        parameter_id: None,
+        ..MagnetometerReport::default()
     };
     match magnetometer(&fitted, dip_rad) {
         Err(refusal) => {
@@ -167,7 +160,7 @@ pub fn calibrate_magnetometer(
                 }
                 _ => refusal.to_string(),
             });
-            // More poses mend neither the axes nor the place.
+            // Other refusals are not resolved by more poses.
             if !matches!(
                 refusal,
                 MagneticRefusal::TooFewPoses { .. }
@@ -188,14 +181,10 @@ pub fn calibrate_magnetometer(
 fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
     if data.outputs.iter().all(|o| o.magnetic_field_nt.is_none()) {
         let error = match data.rate_source {
-            RateSource::Device => HostError::new(
-                ErrorCode::DataRefused,
-                "no magnetic field came over the link: the board has no magnetometer, or does not send it",
+            RateSource::Device => ErrorCode::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
                 "use a board that has one, and have its link carry `environment`: see `wimu settings set --help`",
             ),
-            _ => HostError::new(
-                ErrorCode::CsvMissingColumn,
-                "there is no magnetometer in it",
+            _ => ErrorCode::CsvMissingColumn.error("the file has no magnetometer",
                 "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
             ),
         };
@@ -205,10 +194,8 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
         OutputUnit::Counts {
             range_g: Some(range_g),
             ..
-        } if range_g != set.range_g => Err(HostError::new(
-            ErrorCode::DataRefused,
-            format!(
-                "it was recorded at ±{range_g} g, the accelerometer's calibration is for ±{} g",
+        } if range_g != set.range_g => Err(ErrorCode::DataRefused.error(format!(
+                    "the data were recorded at ±{range_g} g, the accelerometer's calibration is for ±{} g",
                 set.range_g
             ),
             "calibrate the accelerometer at that range first",
@@ -218,16 +205,15 @@ fn check(data: &Dataset, set: &ParameterSet) -> Result<()> {
     }
 }
 
-/// A dip nearer to level than this tells nothing of the axes' signs, degrees.
-const LEVEL_DEG: f64 = 5.0;
-/// Walls and floors bend the field by less than this, degrees.
-const BENT_DEG: f64 = 15.0;
+/// Below this dip the signs of the axes are not observable, degrees. Chosen.
+const MIN_DIP_DEG: f64 = 5.0;
+/// Largest distortion of the dip by walls and floors, degrees. Chosen.
+const MAX_DISTORTION_DEG: f64 = 15.0;
 
-/// More orientations than this are not listed.
-const ADVISED: usize = 3;
+/// Largest number of recommended orientations.
+const MAX_ADVISED: usize = 3;
 
-/// The orientations that add most. Whatever turns gravity to other sides of the board turns the field
-/// too.
+/// The most useful orientations. Any rotation that changes the direction of gravity changes that of the field too.
 fn advice(guide: &Guide) -> Vec<NextPose> {
     let mut guide = guide.clone();
     let next = std::iter::from_fn(|| {
@@ -235,10 +221,10 @@ fn advice(guide: &Guide) -> Vec<NextPose> {
         guide.take(next.up());
         Some(next.into())
     });
-    next.take(ADVISED).collect()
+    next.take(MAX_ADVISED).collect()
 }
 
-/// Per axis: a value that is left over from the motion before does not move it.
+/// Median per axis: robust against a reading from before the rest.
 fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
     let last = fields.len().checked_sub(1)?;
     Some([0, 1, 2].map(|axis| {
@@ -260,7 +246,7 @@ impl MagnetometerReport {
         let few = self.poses.iter().filter(|pose| pose.fields < 2).count();
         if few > 0 && !data.poses {
             remarks.push(format!(
-                "{few} of {} poses have one reading of the field only: hold them longer",
+                "{few} of {} poses have only one measurement of the field: hold them longer",
                 self.poses.len()
             ));
         }
@@ -268,38 +254,34 @@ impl MagnetometerReport {
             return remarks;
         };
         match dip_rad.map(f64::to_degrees) {
-            _ if dip.abs() < LEVEL_DEG => remarks.push(
-                "the field is nearly level: nothing here shows an axis of the magnetometer that is \
-                 negated or exchanged"
-                    .to_owned(),
+            _ if dip.abs() < MIN_DIP_DEG => remarks.push(
+                "the field is nearly horizontal: a negated or exchanged axis of the magnetometer cannot be detected".to_owned(),
             ),
             None => remarks.push(
-                "the field is taken to point down, as it does north of the magnetic equator; south of \
-                 it add --dip, such as --dip -60: else an axis that is negated passes unseen"
-                    .to_owned(),
+                "the field is assumed to point down, as north of the magnetic equator; south of it give --dip, such as \
+                 --dip -60, to detect a negated axis".to_owned(),
             ),
-            Some(place) if (dip - place).abs() > BENT_DEG => remarks.push(format!(
-                "the dip was found to be {dip:+.1}°, {place:+.1}° was given: iron about bends the field, \
-                 or the accelerometer's calibration is not this sensor's"
+            Some(place) if (dip - place).abs() > MAX_DISTORTION_DEG => remarks.push(format!(
+                    "the estimated dip is {dip:+.1}°, the given one {place:+.1}°: iron nearby distorts the field, or the \
+                     accelerometer's calibration is of another sensor"
             )),
             Some(_) => {}
         }
         remarks
     }
 
-    fn say_next(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn write_next(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for pose in &self.next_poses {
             write!(
                 out,
-                "\nadd a pose with {}: {}; another side to the north than before",
+                "\nadd a pose with {}: {}, and another side to the north than before",
                 pose.text, pose.instruction
             )?;
         }
         Ok(())
     }
 
-    /// The report as one HTML page: what was printed, |B| of each pose as put out and less the field
-    /// after correction, and a table of the poses.
+    /// The report as one HTML page: the text, |B| of each pose before and after correction, and a table of the poses.
     ///
     /// # Errors
     /// `file_failed` when a picture cannot be drawn.
@@ -316,7 +298,7 @@ impl MagnetometerReport {
         let after = numbered(&|pose| pose.residual_ut);
         for (title, name, points) in [
             ("|B| before correction", "before", before),
-            ("|B| less the field after correction", "after", after),
+            ("|B| less the mean field after correction", "after", after),
         ] {
             if points.is_empty() {
                 continue;
@@ -325,15 +307,8 @@ impl MagnetometerReport {
                 title: title.to_owned(),
                 x: "pose".to_owned(),
                 y: "µT".to_owned(),
-                log: false,
-                y_range: None,
-                bands: Vec::new(),
-                marked: Vec::new(),
-                series: vec![Series {
-                    name: name.to_owned(),
-                    points,
-                    dots: true,
-                }],
+                series: vec![Series::dots(name, points)],
+                ..Chart::default()
             })?;
         }
         let rows: Vec<Vec<String>> = self
@@ -358,7 +333,7 @@ impl MagnetometerReport {
                 "pose",
                 "output, µT",
                 "readings",
-                "|B| less the field, µT",
+                "|B| less the mean field, µT",
                 "",
             ],
             &rows,
@@ -410,7 +385,7 @@ impl fmt::Display for MagnetometerReport {
         let Some(m) = &self.magnetometer else {
             let reason = self.reason.as_deref().unwrap_or("no reason");
             write!(out, "\nrefused: {reason}")?;
-            return self.say_next(out);
+            return self.write_next(out);
         };
         let list = |values: &[f32], digits: usize| {
             let each = values.iter().map(|value| format!("{value:+.digits$}"));
@@ -420,7 +395,7 @@ impl fmt::Display for MagnetometerReport {
         write!(
             out,
             "\nhard iron {} µT, 1 σ {}{}\nsoft iron xx yy zz xy xz yz {}\n     1 σ {}\n\
-             field {:.2} µT, {:.3} µT rms, left out {:.3}, condition {:.1}",
+             field {:.2} µT, {:.3} µT rms, leave-one-out {:.3}, condition {:.1}",
             ut(m.hard_iron_nt),
             ut(m.hard_iron_sd_nt),
             self.half_width_95.map_or(String::new(), |half_width| {
@@ -449,17 +424,17 @@ impl fmt::Display for MagnetometerReport {
             let off = off.unwrap_or_default();
             write!(
                 out,
-                "\npose {pose} (from 0) left out: the field was disturbed there, |B| by {off:+.2} µT"
+                "\npose {pose} (from 0) left out: field disturbed, |B| differs by {off:+.2} µT"
             )?;
         }
         for remark in &self.remarks {
             write!(out, "\n{remark}")?;
         }
         match self.poses_worth_adding {
-            0 => write!(out, "\nmore poses would change little"),
+            0 => write!(out, "\nmore poses would improve it little"),
             more => {
-                write!(out, "\n{more} more poses are worth it")?;
-                self.say_next(out)
+                write!(out, "\n{more} more poses are worthwhile")?;
+                self.write_next(out)
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The numbers of an estimate, as they are reported.
+//! The numbers of an estimate in the form of the report.
 
 use wimu_calib::{Estimate, Method, Parameter, Pose};
 use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, TemperatureTerms};
@@ -6,7 +6,7 @@ use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, TemperatureTerms};
 use super::range::Range;
 use super::{DriftReport, Fit, OtherUnits, Source, StaticPose};
 
-/// More poses than anyone holds still for.
+/// Largest number of poses that a report lists.
 pub(super) const MAX_POSES: usize = 1000;
 
 pub(super) fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
@@ -77,7 +77,7 @@ pub(super) fn numbers(estimate: &Estimate, range: Option<Range>) -> Fit {
     }
 }
 
-/// What is listed of each pose.
+/// The report of each pose.
 pub(super) fn static_poses(poses: &[Pose], estimate: Option<&Estimate>) -> Vec<StaticPose> {
     if poses.len() > MAX_POSES {
         return Vec::new();
@@ -94,7 +94,7 @@ pub(super) fn static_poses(poses: &[Pose], estimate: Option<&Estimate>) -> Vec<S
     poses.iter().map(one).collect()
 }
 
-/// Standard deviations of nothing.
+/// Standard deviations of no terms.
 pub(super) fn no_terms() -> ErrorTerms {
     ErrorTerms {
         matrix: [[0.0; 3]; 3],

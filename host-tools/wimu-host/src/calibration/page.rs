@@ -1,20 +1,18 @@
-//! A calibration's report with its pictures.
+//! The report of a calibration as a page.
 
-use super::{CalibrationReport, DatasheetReport};
+use super::{CalibrationReport, DatasheetReport, magnitude};
 use crate::chart::{Chart, Series};
 use crate::error::Result;
 use crate::html::Report;
 
 impl CalibrationReport {
-    /// The report as one HTML page: what was printed, |f| − g of each pose before and after, and a
-    /// table of the poses.
+    /// The report as one HTML page: the text, |f| − g of each pose before and after, and a table of the poses.
     ///
     /// # Errors
     /// `file_failed` when a picture cannot be drawn.
     pub fn page(&self) -> Result<Report> {
         let mut page = Report::new(format!("Calibration of {}", self.source));
         page.printed(&self.to_string());
-        let magnitude = |v: [f64; 3]| v.iter().map(|c| c * c).sum::<f64>().sqrt();
         let before =
             |k: usize| (magnitude(self.static_poses[k].mean_m_s2) - self.gravity_m_s2) * 1e3;
         let numbered = |value: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
@@ -22,16 +20,14 @@ impl CalibrationReport {
                 .filter_map(|k| Some((k as f64, value(k)?)))
                 .collect()
         };
-        let dots = |name: &str, points: Vec<(f64, f64)>| Series {
-            name: name.to_owned(),
-            points,
-            dots: true,
-        };
         let after = numbered(&|k| self.static_poses[k].residual_mm_s2);
         let uncorrected = numbered(&|k| Some(before(k)));
         for (title, series) in [
-            ("|f| − g before correction", dots("before", uncorrected)),
-            ("|f| − g after correction", dots("after", after)),
+            (
+                "|f| − g before correction",
+                Series::dots("before", uncorrected),
+            ),
+            ("|f| − g after correction", Series::dots("after", after)),
         ] {
             if series.points.is_empty() {
                 continue;
@@ -40,11 +36,8 @@ impl CalibrationReport {
                 title: title.to_owned(),
                 x: "pose".to_owned(),
                 y: "mm/s²".to_owned(),
-                log: false,
-                y_range: None,
-                bands: Vec::new(),
-                marked: Vec::new(),
                 series: vec![series],
+                ..Chart::default()
             })?;
         }
         let sky = |up: [f64; 3]| {
@@ -56,19 +49,17 @@ impl CalibrationReport {
         let held: Vec<_> = held.filter_map(|pose| sky(pose.mean_m_s2)).collect();
         let advised: Vec<_> = self.next_poses.iter().filter_map(|p| sky(p.up)).collect();
         if !held.is_empty() {
-            let mut series = vec![dots("held", held)];
+            let mut series = vec![Series::dots("held", held)];
             if !advised.is_empty() {
-                series.push(dots("add", advised));
+                series.push(Series::dots("add", advised));
             }
             page.chart(&Chart {
-                title: "What pointed up: poses all over the picture tell most".to_owned(),
-                x: "about Z from X towards Y, degrees".to_owned(),
-                y: "above the XY plane, degrees".to_owned(),
-                log: false,
+                title: "Upward directions of the poses: they should cover the picture".to_owned(),
+                x: "azimuth about Z from X towards Y, degrees".to_owned(),
+                y: "elevation above the XY plane, degrees".to_owned(),
                 y_range: Some((-95.0, 95.0)),
-                bands: Vec::new(),
-                marked: Vec::new(),
                 series,
+                ..Chart::default()
             })?;
         }
         if let Some(datasheet) = &self.datasheet {
@@ -85,7 +76,7 @@ impl CalibrationReport {
                     k.to_string(),
                     format!("{x:+.4} {y:+.4} {z:+.4}"),
                     pose.samples.to_string(),
-                    // Of means alone it is not known.
+                    // Unknown for pose means.
                     match magnitude(pose.sd_m_s2) {
                         0.0 => String::new(),
                         noise => format!("{:.2}", noise * 1e3),

@@ -5,7 +5,7 @@ use wimu_model::Sensitivity;
 use super::Source;
 use crate::dataset::OutputUnit;
 
-/// A full-scale range, and who said it.
+/// A full-scale range, and its source.
 #[derive(Clone, Copy)]
 pub(super) struct Range {
     /// ± *g*.
@@ -14,7 +14,7 @@ pub(super) struct Range {
 }
 
 impl Range {
-    /// As the data say it, else as given, else as 16 bits have it at this sensitivity.
+    /// From the data, else as given, else that of 16 bits at this sensitivity.
     pub fn of(
         unit: OutputUnit,
         given: Option<u8>,
@@ -24,19 +24,19 @@ impl Range {
             OutputUnit::Counts { range_g, .. } => range_g,
             OutputUnit::Mps2 => None,
         };
-        let told = |source| move |g| Self { g, source };
+        let from = |source| move |g| Self { g, source };
         let likely = || sensitivity.map(likely_range_g);
-        (board.map(told(Source::Board)))
-            .or_else(|| given.map(told(Source::Given)))
-            .or_else(|| likely().map(told(Source::SixteenBits)))
+        (board.map(from(Source::Board)))
+            .or_else(|| given.map(from(Source::Given)))
+            .or_else(|| likely().map(from(Source::SixteenBits)))
     }
 
-    /// That nobody has said it.
+    /// Remark on an assumed range.
     pub fn remark(self, sensitivity: Sensitivity) -> Option<String> {
         (self.source == Source::SixteenBits).then(|| {
             format!(
-                "the range is not known: ±{} g is taken, as of 16 bits at {:.0} LSB/g; a board takes the \
-                 calibration only at its range: say it with --range",
+                    "the range is unknown: ±{} g assumed (16 bits at {:.0} LSB/g); a board accepts the calibration at this range \
+                     only: give the range with --range",
                 self.g,
                 sensitivity.lsb_per_g()
             )
@@ -44,8 +44,8 @@ impl Range {
     }
 }
 
-/// The usual full-scale range of 16 bits at this sensitivity: the power of two below it, a tenth
-/// allowed for the sensor's own scale error.
+/// The usual full-scale range of 16 bits at this sensitivity: the power of two below it, with 10 % for the scale
+/// error of the sensor.
 pub(super) fn likely_range_g(sensitivity: Sensitivity) -> u8 {
     let full_scale_g = 1.1 * 32768.0 / sensitivity.lsb_per_g();
     2_u8.pow((full_scale_g.log2().floor() as u32).min(7))

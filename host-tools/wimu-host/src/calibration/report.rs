@@ -1,4 +1,4 @@
-//! What comes of a calibration: for people, for machines, and for a board.
+//! The result of a calibration: as text, as JSON, and as parameters for a board.
 
 use std::fmt;
 
@@ -9,31 +9,32 @@ use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, STANDARD_GRAVITY_M
 
 use super::{DatasheetReport, MethodChoice};
 use crate::dataset::RateSource;
+use crate::plural::counted;
 
 /// Where a number comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
-    /// The user said it.
+    /// Given by the user.
     Given,
     /// The default.
     Default,
-    /// The board knows it.
+    /// Reported by the board.
     Board,
     /// The fit, so that the mean scale factor is 1.
     Fit,
-    /// Nothing: a sensor of 16 bits would have it at this sensitivity.
+    /// Assumed: the range that a 16-bit sensor has at this sensitivity.
     SixteenBits,
 }
 
-/// A pose that would help.
+/// A recommended pose.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NextPose {
-    /// What points up, a unit vector in sensor axes.
+    /// Direction that points up, a unit vector in sensor axes.
     pub up: [f64; 3],
-    /// The same in words.
+    /// The same as text.
     pub text: String,
-    /// How to get there, step by step.
+    /// Instruction to a person.
     pub instruction: String,
 }
 
@@ -52,8 +53,8 @@ impl From<Orientation> for NextPose {
 pub struct Fit {
     /// The parameters of A and b that were fitted, by name.
     pub fitted: Vec<String>,
-    /// Those that nothing was seen of, by name: the model has a perfect sensor's, `sd` what datasheets
-    /// make likely.
+    /// Parameters that were not observed, by name: the model has the ideal value, `sd` the standard deviation typical of
+    /// datasheets.
     pub not_observed: Vec<String>,
     /// Degrees of freedom.
     pub dof: usize,
@@ -61,37 +62,34 @@ pub struct Fit {
     pub rms_mm_s2: f64,
     /// The largest of them, mm/s².
     pub max_mm_s2: f64,
-    /// |f| − g of each pose under the model fitted without it, mm/s² rms; `None` where no pose can
-    /// be spared.
+    /// |f| − g of each pose under the model fitted without it, mm/s² rms; `None` where no pose can be left out.
     pub loo_rms_mm_s2: Option<f64>,
-    /// The same with all visits of the pose's orientation left out, which is what decides; `None` where
-    /// orientations did not come again.
+    /// The same with all visits of the pose's orientation left out, which decides; `None` where no orientation was
+    /// visited again.
     pub loo_orientation_rms_mm_s2: Option<f64>,
     /// Orientations among the poses: those within 10° of each other are visits of one.
     pub orientations: usize,
-    /// Condition of the fit, 1 is best.
+    /// Condition number of the fit; 1 is best.
     pub condition: f64,
-    /// Standard deviation of |f| − g to be expected in the worst orientation, mm/s².
+    /// Expected standard deviation of |f| − g in the worst orientation, mm/s².
     pub worst_sd_mm_s2: f64,
-    /// Share of the 26 orientations (sides, edges, corners) within 40° of a pose's, 0 to 1.
+    /// Fraction of the 26 orientations (sides, edges, corners) within 40° of a pose's, 0 to 1.
     pub coverage: f64,
     /// Mean temperature of the poses, °C.
     pub temperature_c: Option<f64>,
-    /// Lowest and highest of them, °C: temperature terms hold between them.
+    /// Lowest and highest temperature of the poses, °C: temperature terms are valid between them.
     pub temperature_range_c: Option<[f64; 2]>,
-    /// How the bias moved over the session, where that was fitted: the model's is that at its end.
+    /// Bias drift over the session, where it was fitted: the model's bias is that at the end.
     pub drift: Option<DriftReport>,
     /// Placement error that the standard deviations include, 1 σ, where orientations were known.
     pub placement_sd_deg: Option<f64>,
-    /// What positions differ by from visit to visit beyond noise and placement, mm/s², 1 σ, which
-    /// they include too.
+    /// Repeatability of positions beyond noise and placement, mm/s², 1 σ; included in the standard deviations.
     pub revisit_sd_mm_s2: Option<f64>,
     /// The error model.
     pub model: ErrorTerms,
-    /// Standard deviations, 1 σ, in the model's shape; 0 for what is 0 by choice or a term not fitted.
+    /// Standard deviations, 1 σ, in the model's shape; 0 for terms that are fixed or not fitted.
     pub sd: ErrorTerms,
-    /// Half the 95 % interval of each, the bias, then A row by row; Student's; `None` for what was not
-    /// observed.
+    /// Half width of the 95 % interval (Student's t) of the bias, then of A row by row; `None` for what was not observed.
     pub half_width_95: [Option<f64>; Parameter::COUNT],
     /// Bias and scale error in other units.
     pub units: OtherUnits,
@@ -99,7 +97,7 @@ pub struct Fit {
     pub covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
 }
 
-/// How the bias moved over a session, in proportion to time.
+/// Bias drift over a session, linear in time.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct DriftReport {
     /// From the first pose to the last, m/s².
@@ -110,7 +108,7 @@ pub struct DriftReport {
     pub span_s: f64,
 }
 
-/// A model's numbers as datasheets have them.
+/// A model's numbers in the units of datasheets.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct OtherUnits {
     /// Bias, mg.
@@ -124,15 +122,15 @@ pub struct OtherUnits {
 /// One static pose.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StaticPose {
-    /// Mean output by the nominal sensitivity, m/s².
+    /// Mean output at the nominal sensitivity, m/s².
     pub mean_m_s2: [f64; 3],
-    /// Standard deviation of a sample, m/s²; 0 where it is not known.
+    /// Standard deviation of a sample, m/s²; 0 where it is unknown.
     pub sd_m_s2: [f64; 3],
-    /// Samples that the mean is of.
+    /// Number of samples in the mean.
     pub samples: u32,
-    /// Row or sample with which it begins, from 0.
+    /// Its first row or sample, from 0.
     pub first_sample: u64,
-    /// Middle of it, s.
+    /// Its middle, s.
     pub time_s: f64,
     /// Mean temperature, °C.
     pub temperature_c: Option<f64>,
@@ -140,8 +138,7 @@ pub struct StaticPose {
     pub residual_mm_s2: Option<f64>,
 }
 
-/// What came of a calibration: the JSON of `wimu calibrate`, and the file that `wimu params push`
-/// reads.
+/// The result of a calibration: the JSON of `wimu calibrate`, and the file that `wimu params push` reads.
 #[derive(Clone, Debug, Serialize)]
 pub struct CalibrationReport {
     /// [`CalibrationReport::SCHEMA`].
@@ -150,55 +147,54 @@ pub struct CalibrationReport {
     pub status: &'static str,
     /// Why it was refused, and what to do.
     pub reason: Option<String>,
-    /// What the numbers do not show and a user should know.
+    /// What a user should know beside the numbers.
     pub remarks: Vec<String>,
     /// The data.
     pub source: String,
     /// `multi-position`, `six-position`, `four-angle` or `three-angle`.
     pub method: &'static str,
-    /// What was fitted.
+    /// Terms that were fitted.
     pub terms: Vec<&'static str>,
-    /// How many static poses were found or given.
+    /// Number of static poses found or given.
     pub poses: usize,
-    /// Sample rate at which poses were looked for, Hz, and where it comes from; `None` for pose
-    /// means.
+    /// Sample rate at which poses were searched, Hz; `None` for pose means.
     pub rate_hz: Option<f64>,
-    /// Where the rate comes from.
+    /// Source of the rate.
     pub rate_source: Option<RateSource>,
     /// Gravity, m/s².
     pub gravity_m_s2: f64,
     /// Its standard deviation, m/s².
     pub gravity_sd_m_s2: f64,
-    /// Where it comes from.
+    /// Source of gravity.
     pub gravity_source: Source,
-    /// What the data were in: `LSB`, or `m/s²` for g too.
+    /// Unit of the data: `LSB`, or `m/s²` for g too.
     pub unit: &'static str,
-    /// Nominal sensitivity, LSB/g; `None` for data in m/s² without one given.
+    /// Nominal sensitivity, LSB/g; `None` for data in m/s² without a given one.
     pub sensitivity_lsb_per_g: Option<f64>,
-    /// Where it comes from.
+    /// Source of the sensitivity.
     pub sensitivity_source: Option<Source>,
-    /// Full-scale range, ± *g*; `None` without a sensitivity, where nothing says it.
+    /// Full-scale range, ± *g*; `None` where it is unknown.
     pub range_g: Option<u8>,
-    /// Where it comes from.
+    /// Source of the range.
     pub range_source: Option<Source>,
     /// |y| − g over all poses before correction, mm/s² rms.
     pub uncalibrated_rms_mm_s2: Option<f64>,
     /// The estimate, if there is one.
     #[serde(flatten)]
     pub fit: Option<Fit>,
-    /// Poses left out of the fit, by their place from 0.
+    /// Poses left out of the fit, by index from 0.
     pub rejected_poses: Vec<usize>,
-    /// How many the fit does without: of very many more than are named.
+    /// Number of poses left out; of very many, not all are listed.
     pub rejected: usize,
-    /// Poses that would help most, in this order: against a refusal, or to make an answer better.
+    /// Recommended poses, the most useful first: against a refusal, or to improve the answer.
     pub next_poses: Vec<NextPose>,
-    /// How many more poses are worth taking: each lowers the error to be expected by 3 % or more.
+    /// How many more poses are worthwhile: each lowers the expected error by 3 % or more.
     pub poses_worth_adding: usize,
-    /// The poses that were found or given; none listed beyond 1000.
+    /// The poses that were found or given; empty above 1000.
     pub static_poses: Vec<StaticPose>,
-    /// The estimate beside the sensor's datasheet, where the sensor is known.
+    /// Comparison with the sensor's datasheet, where the sensor is known.
     pub datasheet: Option<DatasheetReport>,
-    /// What a board takes; `None` when the data's sensitivity is not known.
+    /// The set for a board; `None` when the data's sensitivity is unknown.
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
     pub parameter_id: Option<String>,
@@ -208,7 +204,7 @@ impl CalibrationReport {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.calibration/1";
 
-    /// Exit code of a command that ends with it: 0, or 3 when the data do not support an answer.
+    /// Exit code of a command that ends with it: 0, or 3 when it was refused.
     pub fn exit_code(&self) -> u8 {
         if self.fit.is_some() { 0 } else { 3 }
     }
@@ -225,10 +221,9 @@ impl fmt::Display for CalibrationReport {
         };
         writeln!(
             out,
-            "{}: {} static pose{}, {}, g = {}{} m/s²",
+            "{}: {}, {}, g = {}{} m/s²",
             self.source,
-            self.poses,
-            if self.poses == 1 { "" } else { "s" },
+            counted(self.poses, "static pose"),
             self.method,
             self.gravity_m_s2,
             uncertain(self.gravity_sd_m_s2),
@@ -237,9 +232,9 @@ impl fmt::Display for CalibrationReport {
             (self.sensitivity_lsb_per_g, self.sensitivity_source)
         {
             let source = match source {
-                Source::Fit => "the mean of the fit",
+                Source::Fit => "mean of the fit",
                 Source::Board => "the board's",
-                Source::Given | Source::Default | Source::SixteenBits => "as given",
+                Source::Given | Source::Default | Source::SixteenBits => "given",
             };
             writeln!(out, "sensitivity {sensitivity:.3} LSB/g ({source})")?;
         }
@@ -308,16 +303,13 @@ impl fmt::Display for CalibrationReport {
             fit.max_mm_s2
         )?;
         match fit.loo_rms_mm_s2 {
-            Some(loo) => write!(out, "left out one at a time: {loo:.3} mm/s² rms")?,
-            None => write!(
-                out,
-                "no pose can be left out: nothing tells the error elsewhere"
-            )?,
+            Some(loo) => write!(out, "leave-one-out: {loo:.3} mm/s² rms")?,
+            None => write!(out, "leave-one-out: not possible, too few poses")?,
         }
         if let Some(loo) = fit.loo_orientation_rms_mm_s2 {
             write!(
                 out,
-                "; with all visits of its orientation, of {}: {loo:.3}",
+                "; leave-one-orientation-out ({} orientations): {loo:.3}",
                 fit.orientations
             )?;
         }
@@ -332,7 +324,7 @@ impl fmt::Display for CalibrationReport {
             let [x, y, z] = drift.change_m_s2.map(|axis| axis * 1e3);
             writeln!(
                 out,
-                "drift over {:.0} s: {x:+.1} {y:+.1} {z:+.1} mm/s²; the bias is that at the end",
+                "bias drift over {:.0} s: {x:+.1} {y:+.1} {z:+.1} mm/s²; the bias is that at the end",
                 drift.span_s
             )?;
         }
@@ -342,8 +334,7 @@ impl fmt::Display for CalibrationReport {
                 let [x, y, z] = terms.bias_mps2_per_k.map(|slope| slope * 1e3);
                 writeln!(
                     out,
-                    "with temperature: bias {x:+.2} {y:+.2} {z:+.2} mm/s²/K; holds from {low:.1} to \
-                     {high:.1} °C"
+                    "temperature coefficients of the bias: {x:+.2} {y:+.2} {z:+.2} mm/s²/K, valid from {low:.1} to {high:.1} °C"
                 )?;
             }
         }
@@ -363,12 +354,16 @@ impl fmt::Display for CalibrationReport {
             .map(|(k, residual)| format!("{k} ({residual:+.2})"))
             .collect();
         if !listed.is_empty() {
-            writeln!(out, "worst poses (from 0), mm/s²: {}", listed.join(", "))?;
+            writeln!(
+                out,
+                "largest residuals, poses (from 0), mm/s²: {}",
+                listed.join(", ")
+            )?;
         }
         if !self.rejected_poses.is_empty() {
             writeln!(
                 out,
-                "left out of the fit, the others contradict them: poses {:?}{}",
+                "poses left out because the others contradict them: {:?}{}",
                 self.rejected_poses,
                 match self.rejected.saturating_sub(self.rejected_poses.len()) {
                     0 => String::new(),
@@ -381,16 +376,13 @@ impl fmt::Display for CalibrationReport {
         }
         match (self.poses_worth_adding, self.next_poses.first()) {
             _ if self.method != MethodChoice::MultiPosition.name() => {
-                write!(
-                    out,
-                    "how good the placement was decides more than more poses would"
-                )
+                write!(out, "more poses improve it less than better placement")
             }
-            (0, _) | (_, None) => write!(out, "more poses would change little"),
-            (1, Some(next)) => write!(out, "one more pose is worth it: {}", next.instruction),
+            (0, _) | (_, None) => write!(out, "more poses would improve it little"),
+            (1, Some(next)) => write!(out, "one more pose is worthwhile: {}", next.instruction),
             (more, Some(next)) => write!(
                 out,
-                "{more} more poses are worth it; the next: {}",
+                "{more} more poses are worthwhile; the next: {}",
                 next.instruction
             ),
         }
@@ -407,11 +399,11 @@ const MISALIGNMENTS: [(&str, usize, usize); 6] = [
     ("m_yz", 2, 1),
 ];
 
-/// Name of the JSON object of `wimu params`.
+/// Name of the JSON objects that hold a parameter set: of `wimu params`, alignment and magnetometer.
 pub const HELD_SCHEMA: &str = "wimu.params/1";
 
-/// The parameters, by name, that nothing was seen of when a set was made: they are a perfect sensor's,
-/// their standard deviations what datasheets make likely.
+/// The parameters, by name, that were not observed when a set was made: they have the ideal value and the standard
+/// deviation typical of datasheets.
 pub fn not_observed(set: &ParameterSet) -> Vec<String> {
     let Some(quality) = &set.quality else {
         return Vec::new();
@@ -447,21 +439,21 @@ pub fn not_observed(set: &ParameterSet) -> Vec<String> {
         .collect()
 }
 
-/// What a parameter set says beside its error model, in lines for people.
+/// A parameter set beside its error model, as lines of text.
 pub fn describe(set: &ParameterSet) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(SensorId(number)) = set.sensor {
-        lines.push(format!("of sensor {}", sensor::name(number)));
+        lines.push(format!("sensor: {}", sensor::name(number)));
     }
     match &set.quality {
-        None => lines.push("nothing is said of how the model was estimated".to_owned()),
+        None => lines.push("no information on how the model was estimated".to_owned()),
         Some(quality) => {
             let q = quality.terms();
             let sd = |place: usize| q.covariance.sd(place);
             let unseen = not_observed(set);
             if !unseen.is_empty() {
                 lines.push(format!(
-                    "not observed, taken as those of a perfect sensor: {}",
+                    "not observed, taken as ideal: {}",
                     unseen.join(", ")
                 ));
             }
@@ -482,7 +474,7 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
                 q.rms_mps2 * 1e3
             );
             if let Some(loo) = q.loo_rms_mps2 {
-                line += &format!(", left out {:.2}", loo * 1e3);
+                line += &format!(", leave-one-out {:.2}", loo * 1e3);
             }
             if let Some(condition) = q.condition {
                 line += &format!(", condition {condition:.1}");
@@ -490,7 +482,7 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
             lines.push(line);
             if let Some(t) = q.temperature {
                 lines.push(format!(
-                    "at {:.1} °C, holds from {:.1} to {:.1} °C",
+                    "at {:.1} °C, valid from {:.1} to {:.1} °C",
                     t.mean_c, t.lowest_c, t.highest_c
                 ));
             }
@@ -503,13 +495,13 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
     let known = match set.alignment_covariance {
         Some(c) => {
             let [x, y, z] = [0, 1, 2].map(|axis| c.sd(axis).to_degrees());
-            format!(" ± {x:.2} {y:.2} {z:.2}° about the body's axes")
+            format!(" ± {x:.2} {y:.2} {z:.2}° about the body axes")
         }
-        None => " (nobody measured it)".to_owned(),
+        None => " (not measured)".to_owned(),
     };
     lines.push(format!("alignment {w:+.5} {x:+.5} {y:+.5} {z:+.5}{known}"));
     match &set.magnetometer {
-        None => lines.push("magnetometer uncalibrated: no heading".to_owned()),
+        None => lines.push("magnetometer not calibrated: no heading".to_owned()),
         Some(model) => {
             let m = model.terms();
             let [x, y, z] = m.hard_iron_nt.map(|h| h / 1e3);
@@ -520,7 +512,7 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
                 if m.to_accelerometer.is_some() {
                     ""
                 } else {
-                    "; its rotation is not known: no heading"
+                        "; its rotation is unknown: no heading"
                 }
             ));
         }
@@ -528,9 +520,9 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
     lines
 }
 
-/// The date and time of day of a UTC time in s since 1970.
+/// Date and time of day of a UTC time in s since 1970.
 fn date(utc_s: u64) -> String {
-    // Years from March on, in eras of 400 years, which all have as many days.
+    // Years from March on, in eras of 400 years (Hinnant, "chrono-compatible low-level date algorithms").
     let days = utc_s / 86_400 + 719_468;
     let day_of_era = days % 146_097;
     let year_of_era =

@@ -1,8 +1,8 @@
-//! Axes that stood at their limit.
+//! Detection of saturated axes.
 
-use wimu_calib::{Pose, stops_at_limit};
+use wimu_calib::{Pose, is_clipped};
 
-/// The axis that stood at its limit in some poses, all the time or when its noise took it there.
+/// The axis whose noise is cut off at the limit of its output in some poses.
 pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {
     let mut values = [const { Vec::new() }; 3];
     let mut holds = poses.iter().peekable();
@@ -27,7 +27,7 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
         let mut noises: Vec<f64> = poses.iter().map(|pose| pose.sd_mps2[axis]).collect();
         noises.sort_by(f64::total_cmp);
         let usual = noises.get(noises.len() / 2).copied().unwrap_or(0.0);
-        // Values from that end on.
+        // Occurrences of the two outermost values at one end.
         let at_limit = |from_end: &mut dyn Iterator<Item = f64>| {
             let mut counts = [0; 2];
             let (mut place, mut last) = (0, None);
@@ -39,21 +39,21 @@ pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -
                     None => break,
                 }
             }
-            stops_at_limit(counts[0], counts[1], usual / step)
+            is_clipped(counts[0], counts[1], usual / step)
         };
         at_limit(&mut values.iter().copied()) || at_limit(&mut values.iter().rev().copied())
     })
 }
 
-/// Counts from which on a power of two is no likely reading of 1 g.
-const LEAST_FULL_SCALE: f64 = 255.0;
-/// So many of the six ends of the axes are not at full scale by chance.
-const ENDS: usize = 3;
-/// How near to it the mean of a rest is, counts.
+/// Smallest full scale that is searched, counts: below, 1 g may read a power of two.
+const MIN_FULL_SCALE: f64 = 255.0;
+/// Fewest of the six ends of the axes that are at the limit: fewer may be a coincidence.
+const MIN_ENDS: usize = 3;
+/// Largest difference of a pose's mean from full scale, counts.
 const AT_FULL_SCALE: f64 = 0.25;
 
-/// The axis that rests at full scale, where rests of several do: the counts reach from −2ᵏ to 2ᵏ − 1 and not
-/// beyond, as those of a sensor of that many bits. Shows what is too coarse for noise to show.
+/// The axis at full scale, where poses of several ends are: the counts range from −2ᵏ to 2ᵏ − 1, as those of a sensor
+/// with that number of bits. Also detects saturation of outputs that are coarser than their noise.
 pub(super) fn full_scale(
     samples: &[[f64; 3]],
     poses: &[Pose],
@@ -63,7 +63,7 @@ pub(super) fn full_scale(
     let all = || samples.iter().flatten().map(|y| (y / lsb_mps2).round());
     let (low, high) = (all().fold(0.0, f64::min), all().fold(0.0, f64::max));
     let power = (high + 1.0).log2();
-    if high < LEAST_FULL_SCALE || low != -high - 1.0 || power.fract() != 0.0 {
+    if high < MIN_FULL_SCALE || low != -high - 1.0 || power.fract() != 0.0 {
         return None;
     }
     let reaches = |axis: usize, limit: f64| {
@@ -73,17 +73,15 @@ pub(super) fn full_scale(
     let ends = || (0..3).flat_map(|axis| [(axis, low), (axis, high)]);
     let at = || ends().filter(|&(axis, limit)| reaches(axis, limit));
     at().next()
-        .filter(|_| at().count() >= ENDS)
+        .filter(|_| at().count() >= MIN_ENDS)
         .map(|(axis, _)| axis)
 }
 
-/// So many of the six ends of the axes are not of one size, to the last digit, by chance,
-const EQUAL_ENDS: usize = 3;
-/// unless it is gravity, within this share, as of a perfect sensor.
+/// A limit within this fraction of gravity may be the reading of an ideal sensor.
 const GRAVITY_ITSELF: f64 = 0.003;
 
-/// An axis that reads no more than other axes do, or as much up as down, to the last digit: a limit that nobody
-/// declared. Where digits are so few that other readings are equal, too, it tells nothing.
+/// An axis whose extreme reading equals that of other ends exactly: an undeclared limit. Not decidable where other
+/// readings are equal too, because they have few digits.
 pub(super) fn equal_ends(poses: &[Pose], gravity_mps2: f64) -> Option<usize> {
     let mut sizes: Vec<f64> = poses
         .iter()
@@ -100,6 +98,6 @@ pub(super) fn equal_ends(poses: &[Pose], gravity_mps2: f64) -> Option<usize> {
     let ends = (0..3).flat_map(|axis| [(axis, limit), (axis, -limit)]);
     let at: Vec<(usize, f64)> = ends.filter(reaches).collect();
     at.first()
-        .filter(|_| at.len() >= EQUAL_ENDS)
+        .filter(|_| at.len() >= MIN_ENDS)
         .map(|(axis, _)| *axis)
 }

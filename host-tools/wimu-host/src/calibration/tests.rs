@@ -4,6 +4,7 @@ use wimu_calib::Orientation;
 use wimu_link::message::{Epoch, EpochReason, WireState};
 use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry, batch};
 use wimu_model::{Counts, DeviceTimeUs, ErrorModel, ErrorTerms, SpecificForceMps2};
+use wimu_testkit::Random;
 
 use super::range::likely_range_g;
 use super::*;
@@ -74,7 +75,7 @@ fn the_error_model_comes_back() {
     assert_eq!(report.parameters, None);
     let text = report.to_string();
     assert!(
-        text.contains("bias +0.5000") && text.contains("left out"),
+        text.contains("bias +0.5000") && text.contains("leave-one-out"),
         "{text}"
     );
 }
@@ -256,7 +257,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
     )
     .unwrap();
     for (text, part) in [
-        ("{".to_owned(), "no calibration"),
+        ("{".to_owned(), "not a calibration"),
         ("{\"status\": \"ok\"}".to_owned(), "schema is missing"),
         (
             good.replace("calibration/1", "calibration/9"),
@@ -289,7 +290,7 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
 
 /// Counts of a sensor turned through 12 orientations and held in each, with some noise.
 fn turned_counts() -> Vec<[i16; 3]> {
-    let mut noise = 1_u32;
+    let mut random = Random::new(1);
     let mut counts = Vec::new();
     for orientation in Orientation::ALL.into_iter().step_by(2) {
         for step in 0..200 {
@@ -298,10 +299,8 @@ fn turned_counts() -> Vec<[i16; 3]> {
             } else {
                 0.0
             };
-            counts.push(orientation.up().map(|axis| {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (axis * 2050.0 + turning) as i16 + (noise >> 30) as i16
-            }));
+            let up = orientation.up();
+            counts.push(up.map(|axis| (axis * 2050.0 + turning) as i16 + random.below(4) as i16));
         }
     }
     counts
@@ -470,7 +469,7 @@ fn a_navigation_grade_sensor_needs_nine_parameters() {
     let nine = fit(ModelChoice::default());
     assert!(
         nine.to_string()
-            .contains("worst poses (from 0), mm/s²: 28 "),
+            .contains("largest residuals, poses (from 0), mm/s²: 28 "),
         "{nine}"
     );
     let [nine, six, auto] = [

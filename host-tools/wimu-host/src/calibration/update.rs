@@ -1,4 +1,4 @@
-//! A stored calibration against later rests: whether it still holds, and what it is by now.
+//! Check of a stored calibration against later rests, and its update.
 
 use std::fmt;
 
@@ -10,23 +10,23 @@ use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, 
 use super::CalibrationReport;
 use super::input::poses;
 use crate::dataset::{Dataset, OutputUnit};
-use crate::error::{ErrorCode, HostError, Result};
+use crate::error::{ErrorCode, Result};
 
-/// What a rest says about the stored calibration.
+/// A rest compared with the stored calibration.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct RestReport {
-    /// Sample or row with which it begins, from 0.
+    /// Its first row or sample, from 0.
     pub first_sample: u64,
-    /// |f| − g before it was taken into account, mm/s².
+    /// |f| − g before the rest was used, mm/s².
     pub residual_mm_s2: f64,
-    /// Its standard deviation if the calibration holds, mm/s².
+    /// Its standard deviation if the calibration is still valid, mm/s².
     pub expected_sd_mm_s2: f64,
-    /// Whether it holds as far as this rest tells: one in a thousand says no by chance.
+    /// Whether it agrees with the calibration: a valid one is contradicted once in 1000 rests.
     pub holds: bool,
 }
 
-/// What `wimu calibrate --method update` says, and the file that `wimu params push` reads.
-#[derive(Clone, Debug, Serialize)]
+/// The report of `wimu calibrate --method update`, and the file that `wimu params push` reads.
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct UpdateReport {
     /// [`CalibrationReport::SCHEMA`].
     pub schema: &'static str,
@@ -38,41 +38,41 @@ pub struct UpdateReport {
     pub source: String,
     /// `update`.
     pub method: &'static str,
-    /// Id of the calibration that was checked.
+    /// Id of the stored calibration.
     pub stored_id: String,
     /// Gravity, m/s².
     pub gravity_m_s2: f64,
-    /// Rests that were found or given.
+    /// Number of rests found or given.
     pub poses: usize,
-    /// How many contradict the calibration; they change nothing.
+    /// Number of rests that contradict the calibration; they are not used.
     pub contradictions: u32,
-    /// Each rest, in order.
+    /// The rests, in order.
     pub rests: Vec<RestReport>,
-    /// By how much the bias moved, m/s².
+    /// Change of the bias, m/s².
     pub bias_change_m_s2: Option<[f64; 3]>,
-    /// The error model by now.
+    /// The updated error model.
     pub model: Option<ErrorTerms>,
     /// Standard deviations of the bias, then A row by row.
     pub sd: Option<[f64; Parameter::COUNT]>,
-    /// What a board takes.
+    /// The set for a board.
     pub parameters: Option<ParameterSet>,
     /// Id of that set.
     pub parameter_id: Option<String>,
 }
 
 impl UpdateReport {
-    /// Exit code of a command that ends with it: 0, or 3 when the calibration does not hold or the
-    /// data do not tell.
+    /// Exit code of a command that ends with it: 0, or 3 when the calibration is no longer valid or
+    /// the data do not support an answer.
     pub fn exit_code(&self) -> u8 {
         if self.model.is_some() { 0 } else { 3 }
     }
 }
 
-/// Checks `stored` by every rest in the data, which may be in any orientations, one is enough, and
-/// brings it up to date. Its bias may have moved by what [`Ageing`] says since it was made.
+/// Checks `stored` with every rest in the data, at least one, in any orientations, and updates it. Its bias may have
+/// drifted by [`Ageing`] since it was made.
 ///
 /// # Errors
-/// `usage` when gravity is out of bounds; `data_refused` when nothing says how good `stored` is.
+/// `usage` when gravity is out of bounds; `data_refused` when `stored` has no quality information.
 pub fn update(
     data: &Dataset,
     stored: &ParameterSet,
@@ -80,17 +80,15 @@ pub fn update(
     utc_s: Option<u64>,
 ) -> Result<UpdateReport> {
     let gravity = match gravity_mps2 {
-        Some(mps2) => Gravity::new(mps2, 0.0).map_err(|error| {
-            HostError::new(ErrorCode::Usage, error.to_string(), "check --gravity")
-        })?,
+        Some(mps2) => Gravity::new(mps2, 0.0)
+            .map_err(|error| ErrorCode::Usage.error(error.to_string(), "check --gravity"))?,
         None => Gravity::UNKNOWN_PLACE,
     };
-    let check = SelfCheck::of(stored, gravity, Ageing::default());
+    let check = SelfCheck::<f64>::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
-        return Err(HostError::new(
-            ErrorCode::DataRefused,
-            "nothing says how well the stored calibration is known",
-            "give one that `wimu calibrate … -o CAL.json` wrote, with --with CAL.json",
+        return Err(ErrorCode::DataRefused.error(
+            "the stored calibration has no standard deviations",
+            "give one that was written by `wimu calibrate … -o CAL.json`, with --with CAL.json",
         ));
     };
     let scale = match data.unit {
@@ -99,12 +97,12 @@ pub fn update(
     };
     let found = poses(data, scale, gravity.mps2()).poses;
     let rest = |pose: &Pose| {
-        let said = check.push(pose)?;
+        let check = check.push(pose)?;
         Some(RestReport {
             first_sample: pose.first_sample,
-            residual_mm_s2: said.residual_mps2 * 1e3,
-            expected_sd_mm_s2: said.expected_sd_mps2 * 1e3,
-            holds: said.holds,
+            residual_mm_s2: check.residual_mps2 * 1e3,
+            expected_sd_mm_s2: check.expected_sd_mps2 * 1e3,
+            holds: check.holds,
         })
     };
     let rests: Vec<RestReport> = found.iter().filter_map(rest).collect();
@@ -112,7 +110,6 @@ pub fn update(
     let mut report = UpdateReport {
         schema: CalibrationReport::SCHEMA,
         status: "refused",
-        reason: None,
         source: data.name.clone(),
         method: "update",
         stored_id: parameter_id(stored).to_string(),
@@ -120,36 +117,30 @@ pub fn update(
         poses: found.len(),
         contradictions,
         rests,
-        bias_change_m_s2: None,
-        model: None,
-        sd: None,
-        parameters: None,
-        parameter_id: None,
+        ..UpdateReport::default()
     };
     let unusable = found.len() - report.rests.len();
-    // One of many may be disturbed.
+    // One of ten may be disturbed.
     let allowed = found.len() / 10;
     report.reason = if found.is_empty() {
         Some("no rest was found: hold the sensor still for two seconds or more".to_owned())
     } else if unusable > allowed {
         Some(format!(
-            "{unusable} of {} rests are nowhere near gravity: is it this sensor, and this unit?",
+            "{unusable} of {} rests differ too much from gravity: check that it is this sensor, and the unit",
             found.len()
         ))
     } else if let (Some(alone), true) = (lone(&report.rests), allowed == 0) {
         let rest = &report.rests[alone];
         Some(format!(
-            "rest {alone} (from 0, at sample {}) alone of {} contradicts it, by {:+.0} mm/s²: it was \
-             knocked or not still, or the calibration does not hold any more; hold that position again, \
-             and calibrate again if it still contradicts",
+            "rest {alone} (from 0, at sample {}) is the only one of {} that contradicts the calibration, by {:+.0} mm/s²: \
+             repeat that position, and calibrate again if it still does",
             rest.first_sample,
             found.len(),
             rest.residual_mm_s2
         ))
     } else if contradictions as usize > allowed {
         Some(format!(
-            "the calibration does not hold any more: {contradictions} of {} rests contradict it; \
-             calibrate again",
+            "the calibration is no longer valid: {contradictions} of {} rests contradict it; calibrate again",
             found.len()
         ))
     } else {
@@ -161,7 +152,9 @@ pub fn update(
     let model = match check.model() {
         Ok(model) => model,
         Err(error) => {
-            report.reason = Some(format!("by now it is no accelerometer's: {error}"));
+            report.reason = Some(format!(
+                "the update is not possible for an accelerometer: {error}"
+            ));
             return Ok(report);
         }
     };
@@ -193,7 +186,7 @@ pub fn update(
     Ok(report)
 }
 
-/// The rest that contradicts, if it is one of three or more: a device waits for two in a row, too.
+/// The rest that contradicts, if it is the only one of three or more.
 fn lone(rests: &[RestReport]) -> Option<usize> {
     let mut bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
     let (alone, _) = bad.next()?;
@@ -227,8 +220,7 @@ impl fmt::Display for UpdateReport {
                 let [u, v, w] = [sd[0], sd[1], sd[2]].map(|s| s * 1e3);
                 write!(
                     out,
-                    "it holds; the bias is by now {x:+.2} {y:+.2} {z:+.2} mm/s² from where it was, \
-                     ± {u:.2} {v:.2} {w:.2}"
+                    "the calibration is still valid; change of the bias: {x:+.2} {y:+.2} {z:+.2} mm/s² ± {u:.2} {v:.2} {w:.2}"
                 )
             }
             (None, None) => Ok(()),

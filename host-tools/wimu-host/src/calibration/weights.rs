@@ -1,25 +1,25 @@
-//! What a sample's noise is where only means and their numbers of samples are given.
+//! Estimation of the noise per sample from pose means of different numbers of samples.
 
 use nalgebra::{DMatrix, DVector};
 use wimu_calib::{Estimate, Parameter, Pose};
 
-/// Numbers of samples that differ by less tell nothing.
-const LEAST_RATIO: u32 = 4;
-/// Fewer degrees of freedom tell nothing.
-const LEAST_DOF: usize = 4;
-/// A gain in the logarithm of the likelihood that chance gives once in twenty times.
-const EVIDENCE: f64 = 1.92;
+/// Smallest ratio of the largest to the smallest number of samples: below it the noise is not observable.
+const MIN_RATIO: u32 = 4;
+/// Fewest degrees of freedom.
+const MIN_DOF: usize = 4;
+/// Gain in log-likelihood that is exceeded by chance once in twenty times: half the 95 % quantile of χ²₁.
+const MIN_GAIN: f64 = 1.92;
 
-/// The same poses with the standard deviation of a sample, where what `estimate` leaves of them shows that
-/// the mean of fewer samples is worse; `None` where it does not, or it is known.
+/// The poses with the standard deviation of a sample, where the residuals under `estimate` show that means of fewer
+/// samples are noisier; `None` where they do not, or where it is known.
 pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
     let counts = || poses.iter().map(|pose| pose.samples.max(1));
-    let differ = counts().max()? / counts().min()? >= LEAST_RATIO;
-    // Those left out have to be known by name.
+    let differ = counts().max()? / counts().min()? >= MIN_RATIO;
+    // All rejected poses must be listed.
     let named = estimate.rejected.count() == estimate.rejected.as_slice().len();
     if !differ
         || !named
-        || estimate.dof < LEAST_DOF
+        || estimate.dof < MIN_DOF
         || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3])
     {
         return None;
@@ -40,15 +40,15 @@ pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
     Some(poses.iter().map(with).collect())
 }
 
-/// What is left of a pose.
+/// The residual of a pose.
 struct Row {
     residual: f64,
     samples: f64,
-    /// How the residual goes with each of the basic parameters that were fitted.
+    /// Derivatives of the residual by the basic parameters that were fitted.
     by_parameter: Vec<f64>,
 }
 
-/// |f| goes with the bias as the direction, with A as the direction's products.
+/// Derivatives of |f|: the direction for the bias, products of the direction for A.
 fn by_parameter(estimate: &Estimate, pose: &Pose) -> Vec<f64> {
     let length = pose.mean_mps2.iter().map(|y| y * y).sum::<f64>().sqrt();
     let up = pose.mean_mps2.map(|y| y / length.max(f64::MIN_POSITIVE));
@@ -64,11 +64,11 @@ fn by_parameter(estimate: &Estimate, pose: &Pose) -> Vec<f64> {
         .collect()
 }
 
-/// The likeliest variance of a sample, for residuals whose variance is `common + variance / samples`;
-/// `None` where a common variance alone is as likely. The likelihood is that of what the parameters leave
-/// (restricted maximum likelihood), so that it does not matter with which weights they were fitted.
+/// The likeliest variance of a sample, for residuals of variance `common + variance / samples`;
+/// `None` where a common variance alone is as likely. Restricted maximum likelihood: it does not depend on the
+/// weights of the fit.
 fn noise(rows: &[Row]) -> Option<f64> {
-    // Both variances per `share` of the noise in a mean of one sample.
+    // Both variances by `share`, the fraction of the noise per sample in a mean of one sample.
     let likelihood = |share: f64| {
         let parameters = rows.first()?.by_parameter.len();
         let mut normal = DMatrix::zeros(parameters, parameters);
@@ -95,13 +95,13 @@ fn noise(rows: &[Row]) -> Option<f64> {
         Some((-0.5 * log, share * variance))
     };
     let (equal, _) = likelihood(0.0)?;
-    // From a thousandth to a million samples' worth of noise, and nothing but it.
+    // From 10⁻³ to 10⁶ of the common variance, and the noise alone.
     let shares = (-12..=24).map(|k| 10_f64.powf(0.25 * f64::from(k)));
     let shares = shares.map(|ratio| ratio / (1.0 + ratio)).chain([1.0]);
     let (best, variance) = shares
         .filter_map(likelihood)
         .max_by(|a, b| a.0.total_cmp(&b.0))?;
-    (best - equal > EVIDENCE && variance > 0.0).then_some(variance)
+    (best - equal > MIN_GAIN && variance > 0.0).then_some(variance)
 }
 
 /// rᵀ N⁻¹ r and ln det N of normal equations; `None` where they are singular.

@@ -1,4 +1,4 @@
-//! What a calibration says beside its numbers.
+//! Messages of a calibration: reasons for a refusal, and remarks.
 
 use wimu_calib::{Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term};
 use wimu_model::Sensitivity;
@@ -7,43 +7,39 @@ use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
 use super::{CalibrateOptions, MethodChoice, ModelChoice, bend};
 use crate::dataset::{Dataset, Output, RateSource};
+use crate::plural::counted;
 
-pub(super) fn said_of_repeated(poses: usize) -> Option<String> {
-    let one = poses == 1;
+/// How many poses repeat another one exactly and were left out.
+pub(super) fn repeated_remark(poses: usize) -> Option<String> {
     (poses > 0).then(|| {
         format!(
-            "{poses} pose{} equal to {} to the last digit and tell{} nothing new: left out, and not \
-             counted where poses are numbered",
-            if one { " is" } else { "s are" },
-            if one { "another" } else { "others" },
-            if one { "s" } else { "" },
+            "{} left out and not numbered: exactly equal to an earlier pose",
+            counted(poses, "pose")
         )
     })
 }
 
-pub(super) fn said_of_closing(poses: usize) -> Option<String> {
-    let one = poses == 1;
+/// How many poses repeat the first step of a rotation and were left out.
+pub(super) fn closing_remark(poses: usize) -> Option<String> {
     (poses > 0).then(|| {
         format!(
-            "{poses} pose{} back at the beginning of a turn and tell{} of nothing but that: left out, and not counted \
-             where poses are numbered",
-            if one { " is" } else { "s are" },
-            if one { "s" } else { "" },
+            "{} left out and not numbered: the rotation had returned to its first step",
+            counted(poses, "pose")
         )
     })
 }
 
-/// When poses begin, for a person to find them by.
-pub(super) fn begins(data: &Dataset, poses: &[Pose]) -> String {
+/// Start times of the poses, so that a person can find them; empty where there are none or too many.
+pub(super) fn start_times(data: &Dataset, poses: &[Pose]) -> String {
     if data.poses || poses.is_empty() || poses.len() > 40 {
         return String::new();
     }
-    let begin = |pose: &Pose| format!("{:.0}", data.since_start_s(pose.first_sample as usize));
-    let begins: Vec<String> = poses.iter().map(begin).collect();
-    format!(", which begin {} s after the start", begins.join(", "))
+    let start = |pose: &Pose| format!("{:.0}", data.since_start_s(pose.first_sample as usize));
+    let starts: Vec<String> = poses.iter().map(start).collect();
+    format!(" (starting at {} s)", starts.join(", "))
 }
 
-/// Why it was refused, and what on the command line mends it.
+/// Why the data were refused, and which option of the command line helps.
 pub(super) fn reason(
     refusal: &Refusal,
     poses: &[Pose],
@@ -51,45 +47,40 @@ pub(super) fn reason(
     options: &CalibrateOptions,
 ) -> String {
     let has = poses.len();
-    if let Refusal::NotATurn { steps, .. } = *refusal
-        && has < steps
-    {
-        return format!(
-            "{has} static pose{} found, a turn has {steps} steps of {}°: turn about one axis of the \
-             sensor, in one direction, and hold it still for two seconds at each step",
-            if has == 1 { "" } else { "s" },
-            360 / steps.max(1)
-        );
-    }
-    if let Refusal::NotATurn { pose, steps } = *refusal
-        && has < pose + steps
-    {
-        let one = has == pose + 1;
-        return format!(
-            "{} (from 0) {} not {steps} steps of {}° about a level axis but {}: each turn needs {steps} poses, in order, \
-             and no others{}",
-            if one {
-                format!("pose {pose}")
+    if let Refusal::NotATurn { pose, steps } = *refusal {
+        let degrees = 360 / steps.max(1);
+        if has < steps {
+            return format!(
+                "{} found, a rotation has {steps} steps of {degrees}°: rotate about one axis of the sensor, in one \
+                 direction, and hold it still for two seconds at each step",
+                counted(has, "static pose")
+            );
+        }
+        if has < pose + steps {
+            let last = if has > pose + 1 {
+                format!(" to {}", has - 1)
             } else {
-                format!("poses {pose} to {}", has - 1)
-            },
-            if one { "is" } else { "are" },
-            360 / steps.max(1),
-            has - pose,
-            begins(data, poses)
-        );
+                String::new()
+            };
+            return format!(
+                "poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis: give \
+                 {steps} poses for each rotation, in order, and no others{}",
+                has - pose,
+                start_times(data, poses)
+            );
+        }
     }
     let mut reason = refusal.to_string();
     if looks_like_means(data, has) {
         return reason + "; the rows look like means over static poses: if they are, add --poses";
     }
-    if let (Refusal::TooFewPoses { .. }, Some(per_s)) = (refusal, turned_slowly(data)) {
+    if let (Refusal::TooFewPoses { .. }, Some(deg_per_s)) = (refusal, slow_rotation(data)) {
         reason += &format!(
-            "; the sensor was turned all the time, by {per_s:.0}° in a second: a pose is where it stands still"
+            "; the sensor rotated all the time, at {deg_per_s:.0}°/s: hold it still in each pose"
         );
     }
     if has == 1 && !data.poses {
-        reason += "; what a sensor that lies still tells is its noise: `wimu allan`";
+        reason += "; for the noise of a sensor at rest use `wimu allan`";
     }
     if matches!(
         refusal,
@@ -97,29 +88,29 @@ pub(super) fn reason(
     ) {
         reason.extend(what_changed(poses, options));
     }
-    let lacks = matches!(
+    let too_few = matches!(
         refusal,
         Refusal::TooFewPoses { .. }
             | Refusal::NotObservable { .. }
             | Refusal::Confounded { .. }
             | Refusal::PoorPrediction { .. }
     );
-    if !lacks || options.method != MethodChoice::MultiPosition {
+    if !too_few || options.method != MethodChoice::MultiPosition {
         return reason;
     }
     let fixed = options.model != ModelChoice::Auto;
     if fixed && has > Model::Bias3.parameters() {
-        reason += "; --model auto takes the model that these poses support best";
+        reason += "; --model auto chooses the model that these poses support best";
     }
     let up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
     if Face::ALL.iter().all(up) {
-        reason += "; all six sides are there: where they were squared, --method six-position gives \
-                   all 12 parameters";
+        reason += "; all six sides are present: if they were placed squarely, --method six-position estimates all \
+         12 parameters";
     }
     reason
 }
 
-/// What may have moved the bias between poses that one bias does not fit, and what fits that.
+/// Which effect may have changed the bias between poses, and which option fits it.
 fn what_changed(poses: &[Pose], options: &CalibrateOptions) -> Option<String> {
     let of = |value: fn(&Pose) -> Option<f64>| {
         let values: Option<Vec<f64>> = poses.iter().map(value).collect();
@@ -135,23 +126,22 @@ fn what_changed(poses: &[Pose], options: &CalibrateOptions) -> Option<String> {
     if let Some([low, high]) = of(|pose| pose.temperature_c).filter(|[low, high]| high - low >= 1.0)
     {
         return Some(format!(
-            "; the temperature went from {low:.0} to {high:.0} °C meanwhile: --model auto+temperature fits what that \
-             does to the sensor"
+            "; the temperature changed from {low:.0} to {high:.0} °C: --model auto+temperature fits its effect"
         ));
     }
     let tried = options.terms.contains(Term::Drift) || options.model == ModelChoice::Auto;
     let [begin, end] = of(|pose| Some(pose.time_s)).filter(|_| !tried)?;
-    (end > begin).then(|| "; or the bias moved meanwhile: --model auto+drift fits that".to_owned())
+    (end > begin).then(|| "; the bias may have drifted: --model auto+drift fits that".to_owned())
 }
 
-/// More rows than anyone has poses.
-const MOST_MEANS: usize = 2000;
+/// Largest number of rows that can be pose means.
+const MAX_MEANS: usize = 2000;
 
-/// In degrees per second, of seconds that nearly all differ: as of a sensor that nobody puts down.
-const SLOW_TURN: std::ops::RangeInclusive<f64> = 0.5..=30.0;
+/// Angle between the means of successive seconds of a sensor that is rotated slowly by hand, degrees. Chosen.
+const SLOW_ROTATION: std::ops::RangeInclusive<f64> = 0.5..=30.0;
 
-/// How fast a sensor was turned, degrees per second, that never stood still and was not shaken either.
-fn turned_slowly(data: &Dataset) -> Option<f64> {
+/// Median angular rate, degrees per second, of a sensor that was rotated slowly and never held still.
+fn slow_rotation(data: &Dataset) -> Option<f64> {
     let second = data.rate_hz.round().max(1.0) as usize;
     let means: Vec<[f64; 3]> = data
         .outputs
@@ -170,16 +160,16 @@ fn turned_slowly(data: &Dataset) -> Option<f64> {
     let angles: Vec<f64> = means.windows(2).map(between).collect();
     let turning = angles
         .iter()
-        .filter(|angle| SLOW_TURN.contains(angle))
+        .filter(|angle| SLOW_ROTATION.contains(angle))
         .count();
     let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
     median(angles.into_iter()).filter(|_| enough)
 }
 
-/// Whether rows among which hardly a rest is found are each of the length of gravity, and too far apart
-/// for samples.
+/// Whether the rows are pose means instead of samples: no times, few poses found, and nearly all of the magnitude of
+/// gravity.
 fn looks_like_means(data: &Dataset, found: usize) -> bool {
-    if data.poses || found > 1 || data.outputs.len() > MOST_MEANS {
+    if data.poses || found > 1 || data.outputs.len() > MAX_MEANS {
         return false;
     }
     let median = median_magnitude(data);
@@ -188,7 +178,7 @@ fn looks_like_means(data: &Dataset, found: usize) -> bool {
     data.rate_source == RateSource::Assumed && 10 * alike >= 9 * data.outputs.len()
 }
 
-/// Poses left out because they are in g among m/s².
+/// Rejected poses that appear to be in g among poses in m/s².
 fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<String> {
     let g = estimate.gravity.mps2();
     let short = |k: &&usize| {
@@ -202,19 +192,16 @@ fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<String> {
         .filter(short)
         .map(usize::to_string)
         .collect();
-    let one = short.len() == 1;
     (!short.is_empty()).then(|| {
-        format!(
-            "pose{} {} (from 0), left out, look{} like g among poses in m/s²: give all in one unit",
-            if one { "" } else { "s" },
-            short.join(", "),
-            if one { "s" } else { "" },
-        )
+            format!(
+                "poses left out because they appear to be in g, the others in m/s²: {} (from 0); use one unit",
+                short.join(", ")
+            )
     })
 }
 
-/// What turns cannot show of themselves.
-fn what_a_turn_hides(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
+/// What rotations about level axes cannot observe.
+fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
     let steps = match estimate.method {
         Method::FourAngle => 4,
         Method::ThreeAngle => 3,
@@ -228,8 +215,8 @@ fn what_a_turn_hides(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
         let mean = poses.iter().map(|pose| pose.mean_mps2[axis]).sum::<f64>() / poses.len() as f64;
         let share = (mean / estimate.gravity.mps2()).abs().min(1.0);
         remarks.push(format!(
-            "all turns were about {}, which reads {mean:+.2} m/s²: that is its bias, or an axle {:.0}° from level, \
-             which takes {:.1} % from the scale factors; a turn about another axis tells which",
+                "all rotations were about {}, which reads {mean:+.2} m/s²: its bias, or an axis {:.0}° from level, which lowers \
+                 the scale factors by {:.1} %; rotate about another axis to separate them",
             ["X", "Y", "Z"][axis],
             share.asin().to_degrees(),
             100.0 * (1.0 - (1.0 - share * share).sqrt()),
@@ -237,59 +224,59 @@ fn what_a_turn_hides(poses: &[Pose], estimate: &Estimate) -> Vec<String> {
     }
     if steps == 3 && poses.len() == steps {
         remarks.push(
-            "nothing is left of three steps to check them by: one that is 8° off passes for 4 % of scale factor; \
-             --method four-angle shows it"
+            "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %; --method four-angle \
+             detects it"
                 .to_owned(),
         );
     }
     remarks
 }
 
-/// No sensor reads every orientation this nearly alike, as a share.
+/// Largest relative difference of magnitudes that indicates normalised data. Chosen: a sensor differs by more.
 const NORMALISED: f64 = 1e-4;
-/// Orientations that show it.
-const FEWEST_NORMALISED: usize = 6;
+/// Fewest orientations for that test.
+const MIN_NORMALISED: usize = 6;
 
-/// Poses that are all of one length were divided by it: nothing of the sensor is left in that.
+/// Remark on poses that all have the same magnitude: they were divided by it.
 fn normalised(poses: &[Pose], estimate: &Estimate) -> Option<&'static str> {
     let sizes = || poses.iter().map(|pose| magnitude(pose.mean_mps2));
     let first = sizes().next()?;
     let alike = sizes().all(|size| (size / first - 1.0).abs() < NORMALISED);
-    let enough = estimate.orientations >= FEWEST_NORMALISED;
+    let enough = estimate.orientations >= MIN_NORMALISED;
     (alike && enough).then_some(
-        "every pose is of the same length to 0.01 %, as no sensor has it: the data look normalised, or corrected \
-         already; what the sensor itself put out is needed",
+        "all poses have the same magnitude to 0.01 %: the data look normalised or already corrected; give the raw output \
+         of the sensor",
     )
 }
 
-/// More than poses of a sound sensor leave, mm/s² rms: 5 mg.
+/// Largest plausible residual of poses, mm/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 
-/// The same of turns, mm/s² rms: misalignments, which they do not fit, of 2 % of each axis leave g √2 0.02/2, 1 σ; twice that.
+/// Largest plausible residual of rotations, mm/s² rms: twice g √2 · 0.02/2, the 1 σ effect of misalignments of 2 %, which they do not fit.
 const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 
-/// Why a calibration cannot go to a board.
-pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g, not in counts: to push or export this calibration, calibrate \
-     again with --sensitivity, the nominal LSB/g of the board's range";
+/// Why a calibration cannot be pushed or exported.
+pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g: to push or export this calibration, calibrate again with --sensitivity, \
+ the nominal LSB/g of the board's range";
 
-/// What the numbers do not show.
+/// What a user should know beside the numbers.
 pub(super) fn remarks(
     data: &Dataset,
     options: &CalibrateOptions,
     poses: &[Pose],
     estimate: Option<&Estimate>,
-    told: Option<(Sensitivity, Range)>,
+    board: Option<(Sensitivity, Range)>,
     lsb_per_g: Option<f64>,
 ) -> Vec<String> {
     let mut remarks = Vec::new();
     if data.rate_source == RateSource::Assumed && !data.poses {
         let timed = data.outputs.iter().any(|output| output.time_s.is_some());
         remarks.push(format!(
-            "the data have no {}: {} Hz assumed",
+            "{}: {} Hz assumed",
             if timed {
-                "two times within a second of each other (is their unit right?)"
+                "the times are more than a second apart (check their unit)"
             } else {
-                "times"
+                "the data have no times"
             },
             data.rate_hz
         ));
@@ -306,11 +293,11 @@ pub(super) fn remarks(
     let [mut scales, mut misalignments] = [false; 2];
     if missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]) {
         scales = true;
-        remarks.push("scale factors were not fitted and are taken as 1".to_owned());
+        remarks.push("scale factors were not fitted: taken as 1".to_owned());
     }
     if missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]) {
         misalignments = true;
-        remarks.push("misalignments were not fitted and are taken as 0".to_owned());
+        remarks.push("misalignments were not fitted: taken as 0".to_owned());
     }
     let others: Vec<String> = estimate
         .not_observed()
@@ -324,7 +311,7 @@ pub(super) fn remarks(
         .collect();
     if !others.is_empty() {
         remarks.push(format!(
-            "nothing here shows {}: taken as those of a perfect sensor, as uncertain as datasheets have it",
+            "not observed: {}; taken as ideal, with the standard deviations typical of datasheets",
             others.join(", ")
         ));
     }
@@ -345,52 +332,50 @@ pub(super) fn remarks(
                 ""
             };
             remarks.push(format!(
-                "the side {} up{or} was placed about {:.1}° off, declared is {declared:.1}° (1 σ): the \
-                 intervals of its axis include it; put it up again, square",
+                    "side {} up{or} was placed {:.1}° off, declared is {declared:.1}° (1 σ); the intervals of its axis include this: \
+                     repeat it, placed squarely",
                 side.face,
                 side.tilt_rad.to_degrees()
             ));
         }
         if placement_sd_rad > declared_sd_rad {
             remarks.push(format!(
-                "the sides were placed worse than declared, {:.1}° rather than {declared:.1}° (1 σ): the \
-                 intervals include it",
+                    "placement was worse than declared: {:.1}° instead of {declared:.1}° (1 σ); the intervals include this",
                 placement_sd_rad.to_degrees()
             ));
         }
         let mm = revisit_sd_mps2 * 1e3;
         if unexplained {
             remarks.push(format!(
-                "visits of one side differ by more than noise and placement explain, {mm:.1} mm/s² (1 σ): \
-                 the sensor drifts, or was not put down alike; the standard deviations include it"
+                    "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
+                     placement; the standard deviations include this"
             ));
         } else if revisits == 0 && mm > 0.0 {
             remarks.push(format!(
-                "each side was up once: that a position comes back to {mm:.1} mm/s² (1 σ) is taken \
-                 from other sensors; put each up twice to see it"
+                    "each side was measured once: a repeatability of {mm:.1} mm/s² (1 σ), typical of other sensors, is assumed; \
+                     measure each side twice to determine it"
             ));
         }
     }
     remarks.extend(in_another_unit(poses, estimate));
     remarks.extend(bend::remark(poses, estimate).map(str::to_owned));
     remarks.extend(normalised(poses, estimate).map(str::to_owned));
-    remarks.extend(what_a_turn_hides(poses, estimate));
-    let left = estimate.rms_mps2 * 1e3;
+    remarks.extend(unobserved_by_rotations(poses, estimate));
+    let rms = estimate.rms_mps2 * 1e3;
     let most = match estimate.method {
         Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
         _ => SUSPICIOUS_RMS_MM_S2,
     };
-    if left > most && estimate.rejected.as_slice().is_empty() {
+    if rms > most && estimate.rejected.as_slice().is_empty() {
         remarks.push(format!(
-            "what is left, {left:.0} mm/s² rms, is more than poses of a sound sensor leave: the model \
-             is too small, or poses are bad"
+                "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or poses \
+                 are disturbed"
         ));
     }
-    remarks.extend(told.and_then(|(sensitivity, range)| range.remark(sensitivity)));
-    if let (None, Some(lsb_per_g)) = (told, lsb_per_g) {
+    remarks.extend(board.and_then(|(sensitivity, range)| range.remark(sensitivity)));
+    if let (None, Some(lsb_per_g)) = (board, lsb_per_g) {
         remarks.push(format!(
-            "{lsb_per_g:.1} LSB/g is outside what a board can be told (160 to 65536): this calibration \
-             cannot be pushed or exported"
+                "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 65536): this calibration cannot be pushed or exported"
         ));
     }
     if lsb_per_g.is_none() {
@@ -398,8 +383,7 @@ pub(super) fn remarks(
     }
     if options.method != MethodChoice::SixPosition || options.sides.is_none() {
         remarks.push(
-            "nothing here shows axes that are swapped, mirrored or inverted: --method six-position \
-             --sides does"
+            "swapped, mirrored or inverted axes cannot be detected: use --method six-position --sides"
                 .to_owned(),
         );
     }

@@ -1,24 +1,23 @@
-//! What is asked of a board, and what it answers: parameters, settings, keys.
+//! Requests to a board: parameters, settings, keys.
 
 use super::*;
 
-/// A request is repeated in so many sessions when they end under it.
+/// Largest number of sessions in which a request is repeated when they end.
 const SESSIONS: usize = 4;
 
 impl<T: Transport> Client<T> {
-    /// Signs with this key from the next write on; with none, nothing from now on.
+    /// Signs with this key from the next write on; with `None`, signs nothing.
     pub fn use_key(&mut self, key: Option<DeviceKey>) {
         self.key = key;
         self.requester.sign_nothing();
     }
 
-    /// Signs everything from now on with the key of these that the board has, and has the board
-    /// prove that it has it: what it says then, nobody else can have said. Returns whether there
-    /// is one: with no keys, nothing is asked and nothing signed.
+    /// Signs everything from now on with that of `keys` which the board has, and verifies a signed answer
+    /// of the board. Returns whether there is a key: with no keys, nothing is requested or signed.
     ///
     /// # Errors
-    /// `key_needed` when the board has none of them, or something else says so: who has a key of a
-    /// board never goes on without. Those of [`Client::request`]; nothing has been written.
+    /// `key_needed` when the board has none of them, or something else answers so: with a key of a
+    /// board, the host never continues without it. Those of [`Client::request`]; nothing has been written.
     pub fn use_key_among(&mut self, keys: &[DeviceKey]) -> Result<bool> {
         if keys.is_empty() {
             return Ok(false);
@@ -34,67 +33,64 @@ impl<T: Transport> Client<T> {
         Ok(true)
     }
 
-    /// Whether what is asked is signed, and what is answered therefore proved.
+    /// Whether requests are signed, and answers therefore verified.
     pub fn signs(&self) -> bool {
         self.requester.signs()
     }
 
-    /// The board has, or something in between says that it has, none of this computer's keys.
+    /// The error for a board that has, or appears to have, none of this computer's keys.
     fn not_ours(&self, held: Option<KeyId>) -> HostError {
         if held.is_none() && self.hello.access == WriteAccess::Locked {
-            // It has one, and cannot read it.
+            // It has a key that it cannot read.
             return self.refused(Refusal::Locked);
         }
         let (message, remedy) = match held {
             None => (
-                "this computer has a key of this device, and the answer is that it has none".into(),
-                "if `wimu simulate` was started without the `--store` of before, or the board's memory was erased, \
-                 give it a new key over the cable with `wimu key set`; else something in between answers in its name",
+                "this computer has a key of this device, but the device answers that it has none"
+                    .into(),
+                "if `wimu simulate` was started without its `--store`, or the board's memory was erased, set a new key over the \
+             cable with `wimu key set`; else something in between is answering",
             ),
             Some(id) => (
-                format!("the device's key is {id}, and this computer's key of it is another"),
-                "use the computer that has it, or copy its file from there; a lost key is erased at the board, \
-                 and a new one given over the cable with `wimu key set`",
+                format!("the device's key is {id}, this computer has another one"),
+                "use the computer with that key, or copy its file; erase a lost key at the board and set a new one over the \
+                 cable with `wimu key set`",
             ),
         };
-        HostError::new(ErrorCode::KeyNeeded, message, remedy).at(&self.name)
+        ErrorCode::KeyNeeded.error(message, remedy).at(&self.name)
     }
 
-    /// Asks for something and waits for the answer, repeating the question as often as it takes.
-    /// Writes are signed if there is a key, and so is everything from then on. What is asked signed
-    /// is believed signed only.
+    /// Sends a request and waits for the answer, repeating it if necessary. Writes are signed if there
+    /// is a key, and so is everything from then on. Answers to signed requests are accepted only if signed.
     ///
     /// # Errors
     /// `device_refused` or `key_needed` with the board's reason; `no_answer` and `link_lost`, after
-    /// which a write may have had its effect all the same, or have it yet. A refusal of a write that
-    /// anybody can have said is no answer.
+    /// which a write may still have been executed. An unsigned refusal of a write does not count as an answer.
     pub fn request(&mut self, command: Command) -> Result<Payload> {
         if command.is_write() && self.key.is_some() && !self.requester.signs() {
             self.open_session()?;
         }
         let answer = self.insist(command);
-        // What is staged has no effect of its own.
+        // Staging has no effect before the commit.
         let has_effect = command.is_write() && !matches!(command, Command::StageParameters(_));
         let signs = self.requester.signs();
-        let certain = answer.is_ok() && (!signs || self.requester.vouched());
-        let nobodys = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
+        let certain = answer.is_ok() && (!signs || self.requester.is_authenticated());
+        let unsigned_write = command.is_write() && !signs && self.hello.role != LinkRole::Cable;
         let outcome = match answer {
-            Ok(Answer::Accepted(_)) if nobodys => Err(HostError::new(
-                ErrorCode::KeyNeeded,
-                "something on this link takes what nobody has signed: no wimu board does that",
-                "write over the cable, or give the board a key there with `wimu key set`",
+            Ok(Answer::Accepted(_)) if unsigned_write => Err(ErrorCode::KeyNeeded.error("an unsigned write was accepted on this link: the answer is not from a wimu board",
+                "write over the cable, or set a key there with `wimu key set`",
             )
             .at(&self.name)),
             answer => answer.and_then(|answer| self.accepted(answer)),
         };
         match outcome {
-            Err(error) if has_effect && !certain => Err(perhaps_done(&error)),
+            Err(error) if has_effect && !certain => Err(possibly_done(&error)),
             outcome => outcome,
         }
     }
 
-    /// Asks, and again in other sessions when they end: the board has started anew, or that is
-    /// another one's doing. What is asked for twice is done once, or is the same.
+    /// Sends a request, and again in new sessions when they end: the board restarted, or another host
+    /// interfered. Every request has the same effect once or twice.
     fn insist(&mut self, command: Command) -> Result<Answer> {
         let mut answer = self.ask(command)?;
         for _ in 1..SESSIONS {
@@ -111,7 +107,7 @@ impl<T: Transport> Client<T> {
         Ok(answer)
     }
 
-    /// Has the board open a session, in which requests are signed from now on.
+    /// Opens a session on the board; requests are signed in it from now on.
     fn open_session(&mut self) -> Result<()> {
         let Some(key) = self.key else {
             return Ok(());
@@ -136,12 +132,13 @@ impl<T: Transport> Client<T> {
         Ok(())
     }
 
-    /// Asks and waits for the answer; again in another unsigned session where somebody else has used
-    /// the numbers of this one. Not a write: another host's may have come between.
+    /// Sends a request and waits for the answer; again in another unsigned session where another host has used
+    /// the numbers of this one. Writes are not repeated: another host's may have come between.
     fn ask(&mut self, command: Command) -> Result<Answer> {
         let mut answer = self.ask_once(command)?;
         for _ in 1..SESSIONS {
-            let stale = answer == Answer::Refused(Refusal::Stale) && !self.requester.vouched();
+            let stale =
+                answer == Answer::Refused(Refusal::Stale) && !self.requester.is_authenticated();
             if !stale || command.is_write() {
                 break;
             }
@@ -155,7 +152,7 @@ impl<T: Transport> Client<T> {
         Ok(answer)
     }
 
-    /// Asks once and waits for the answer.
+    /// Sends a request once and waits for the answer.
     fn ask_once(&mut self, command: Command) -> Result<Answer> {
         self.pauses_left = MAX_PAUSES;
         self.wait_while_deaf()?;
@@ -176,12 +173,9 @@ impl<T: Transport> Client<T> {
                     continue;
                 }
                 Next::Idle | Next::TimedOut => {
-                    return Err(HostError::new(
-                        ErrorCode::NoAnswer,
-                        "the board does not answer",
-                        "check the line to the board",
-                    )
-                    .at(&self.name));
+                    return Err(ErrorCode::NoAnswer
+                        .error("the board does not answer", "check the line to the board")
+                        .at(&self.name));
                 }
             };
             self.poll(wait)?;
@@ -192,12 +186,12 @@ impl<T: Transport> Client<T> {
         match answer {
             Answer::Accepted(payload) => Ok(payload),
             Answer::Refused(refusal) => Err(self.refused(refusal)),
-            Answer::Unknown => Err(HostError::new(
-                ErrorCode::DeviceRefused,
-                "the board does not know this command",
-                "update its firmware",
-            )
-            .at(&self.name)),
+            Answer::Unknown => Err(ErrorCode::DeviceRefused
+                .error(
+                    "the board does not know this command",
+                    "update its firmware",
+                )
+                .at(&self.name)),
         }
     }
 
@@ -208,7 +202,7 @@ impl<T: Transport> Client<T> {
             }
             _ => ErrorCode::DeviceRefused,
         };
-        // A refusal says what is wrong; what to do.
+        // A refusal's text is the cause, then the remedy.
         let text = refusal.to_string();
         let (message, remedy) = text
             .split_once("; ")
@@ -218,9 +212,8 @@ impl<T: Transport> Client<T> {
                 parameters_g,
                 device_g,
             } => format!(
-                "if the data were taken at ±{device_g} g, calibrate again with --range {device_g} and the \
-                 board's own sensitivity; if at ±{parameters_g} g, set the board to it with \
-                 `wimu settings set LINK --range {parameters_g}`"
+                "for data taken at ±{device_g} g, calibrate again with --range {device_g} and the board's own sensitivity; for data \
+                 at ±{parameters_g} g, set the board with `wimu settings set LINK --range {parameters_g}`"
             ),
             _ => remedy.to_owned(),
         };
@@ -228,15 +221,15 @@ impl<T: Transport> Client<T> {
     }
 
     fn unexpected(&self) -> HostError {
-        HostError::new(
-            ErrorCode::ProtocolVersion,
-            "the board's answer is of another kind than the question",
-            "update the older of firmware and wimu",
-        )
-        .at(&self.name)
+        ErrorCode::ProtocolVersion
+            .error(
+                "the board's answer does not match the request",
+                "update the older of firmware and wimu",
+            )
+            .at(&self.name)
     }
 
-    /// Which key the board has; `None` if it has none.
+    /// Id of the board's key; `None` if it has none.
     ///
     /// # Errors
     /// Those of [`Client::request`].
@@ -247,9 +240,9 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// Gives the board a key, in place of the one before if it has one and this client signs with
-    /// it; signs with the new one from then on, and makes sure that the board takes that. A key is
-    /// never sent over a radio.
+    /// Sets the board's key, replacing an existing one if this client signs with
+    /// it; signs with the new one from then on, and verifies that the board accepts that. A key is
+    /// never sent over a radio link.
     ///
     /// # Errors
     /// `key_needed` on any link but a cable. Those of [`Client::request`]; after `verify_failed` or
@@ -257,7 +250,7 @@ impl<T: Transport> Client<T> {
     pub fn set_key(&mut self, key: DeviceKey) -> Result<()> {
         self.only_by_cable()?;
         let outcome = self.request(Command::SetKey(key));
-        // The answer may be lost and the key set: what the board says then is proved below.
+        // The answer may be lost although the key was set: verified below.
         if let Err(error) = outcome {
             self.requester.sign_nothing();
             if self.key_status().ok().flatten() != Some(key.id()) {
@@ -266,18 +259,18 @@ impl<T: Transport> Client<T> {
         }
         self.use_key(Some(key));
         let held = self.open_session().and_then(|()| self.key_status());
-        match held.map_err(|error| perhaps_done(&error))? {
+        match held.map_err(|error| possibly_done(&error))? {
             Some(id) if id == key.id() => Ok(()),
-            _ => Err(HostError::new(
-                ErrorCode::VerifyFailed,
-                "the board has another key than it was given",
-                "set the key again; another computer may be setting one too",
-            )
-            .at(&self.name)),
+            _ => Err(ErrorCode::VerifyFailed
+                .error(
+                    "the board has a key other than the one that was set",
+                    "set the key again; another computer may be setting one too",
+                )
+                .at(&self.name)),
         }
     }
 
-    /// Has the board forget its key: the cable writes from then on, and nobody else.
+    /// Erases the board's key: from then on only the cable can write.
     ///
     /// # Errors
     /// As [`Client::set_key`].
@@ -292,15 +285,15 @@ impl<T: Transport> Client<T> {
         if self.hello.role == LinkRole::Cable {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::KeyNeeded,
-            format!(
-                "this is the {} link, and keys travel over the cable only",
-                self.hello.role
-            ),
-            "connect the cable and name its port",
-        )
-        .at(&self.name))
+        Err(ErrorCode::KeyNeeded
+            .error(
+                format!(
+                    "this is the {} link, and keys are sent over the cable only",
+                    self.hello.role
+                ),
+                "connect the cable and name its port",
+            )
+            .at(&self.name))
     }
 
     /// The parameters in use.
@@ -325,10 +318,10 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// Stores settings on the board and has them used; returns those in use then.
+    /// Stores settings on the board and applies them; returns those then in use.
     ///
     /// # Errors
-    /// Those of [`Client::request`]; the nearest that the sensor can do are in the message.
+    /// Those of [`Client::request`]; the message has the nearest settings that the sensor supports.
     pub fn set_settings(&mut self, settings: Settings) -> Result<Settings> {
         match self.request(Command::SetSettings(settings))? {
             Payload::Settings(settings) => Ok(settings),
@@ -336,7 +329,7 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// How the board is.
+    /// The board's status.
     ///
     /// # Errors
     /// Those of [`Client::request`].
@@ -347,9 +340,9 @@ impl<T: Transport> Client<T> {
         }
     }
 
-    /// Asks for the board's time and does not wait: the answer is an event, for a
-    /// [`ClockEstimator`](crate::clock::ClockEstimator). The question is filled up with zeros to the length of its answer, so that both take
-    /// equally long on the line.
+    /// Requests the board's time without waiting: the answer is an event, for a
+    /// [`ClockEstimator`](crate::clock::ClockEstimator). The request is padded with zeros to the length of its answer,
+    /// so that both take equally long on the line.
     ///
     /// # Errors
     /// `link_lost`.
@@ -360,7 +353,7 @@ impl<T: Transport> Client<T> {
         }
         let frame = self.requester.start(Command::GetTime, now);
         if self.time_bytes == 0 {
-            // As long as the answer will be when both have grown in the first seconds.
+            // The length that the answer will have after the first seconds.
             self.time_bytes = frame.len() + 6;
         }
         let mut question = vec![0; self.time_bytes.saturating_sub(frame.len())];
@@ -368,7 +361,7 @@ impl<T: Transport> Client<T> {
         self.transport.write_all(&question)
     }
 
-    /// Has the board forget parameters and settings.
+    /// Erases parameters and settings of the board.
     ///
     /// # Errors
     /// Those of [`Client::request`].
@@ -376,39 +369,36 @@ impl<T: Transport> Client<T> {
         self.request(Command::FactoryReset).map(drop)
     }
 
-    /// Stores a calibration on the board and has it used: stages it, compares what the board
-    /// staged, and commits that. A commit that is not answered, or refused, is resolved by asking
-    /// what the board holds.
+    /// Stores a calibration on the board and applies it: stages it, compares the staged
+    /// set, and commits it. If the commit is not answered, or refused, the parameters that the board
+    /// holds decide.
     ///
     /// # Errors
-    /// Those of [`Client::request`]; `verify_failed` when the board holds anything else: before
-    /// the commit nothing has changed on the board.
+    /// Those of [`Client::request`]; `verify_failed` when the board staged another set: it has not
+    /// changed then.
     pub fn push_parameters(&mut self, set: &ParameterSet) -> Result<ParameterId> {
         let wire = WireParameters::from(set);
         let id = parameter_id(set);
         let differs = |when: &str, found: u32| {
-            HostError::new(
-                ErrorCode::VerifyFailed,
-                format!("{when} {found:08x}, sent were {id}"),
-                "push again; if it stays so, update firmware and wimu to one version",
+            ErrorCode::VerifyFailed.error(
+                format!("{when} {found:08x} instead of {id}"),
+                "push again; if it repeats, update firmware and wimu to one version",
             )
         };
         match self.request(Command::StageParameters(wire))? {
             Payload::Staged { hash } if hash == id.0 => {}
             Payload::Staged { hash } => {
-                return Err(differs("the board has staged parameters", hash).at(&self.name));
+                return Err(differs("the board has staged the parameters", hash).at(&self.name));
             }
             _ => return Err(self.unexpected()),
         }
-        // The board has read the set back from its flash when it accepts, and it knows it by what
-        // it is: the commit names it.
+        // When the board accepts, it has read the set back from its flash; the commit names it by hash.
         let error = match self.request(Command::CommitParameters { hash: id.0 }) {
             Ok(_) => return Ok(id),
             Err(error) => error,
         };
-        // The answer may be lost and the commit done, or somebody else has said that it failed:
-        // what the board holds tells, signed if the commit was. Compared as numbers: −0 and 0 are one
-        // calibration, and neither is ever not-a-number.
+        // The answer may be lost although the commit was done, or a forged refusal: the parameters that the
+        // board holds decide, signed if the commit was. Compared as numbers, because −0 equals 0; NaN does not occur.
         match self.parameters() {
             Ok(held) if held.id == id.0 && held.active == Some(wire) => Ok(id),
             _ => Err(error),
@@ -422,8 +412,8 @@ fn random_number() -> Result<u32> {
     Ok(u32::from_le_bytes(bytes))
 }
 
-/// What is said when nobody knows whether a write was done.
-fn perhaps_done(error: &HostError) -> HostError {
+/// The error when it is unknown whether a write was done.
+fn possibly_done(error: &HostError) -> HostError {
     let code = match error.code() {
         ErrorCode::LinkLost => ErrorCode::LinkLost,
         _ => ErrorCode::NoAnswer,
@@ -431,10 +421,10 @@ fn perhaps_done(error: &HostError) -> HostError {
     let perhaps = HostError::new(
         code,
         format!(
-            "{}; the board may have done what it was asked, or do it yet",
+            "{}; the request may have been executed, or may still be",
             error.message()
         ),
-        "look at what it holds before asking again, over the cable if you do not trust the link",
+        "check the board's state before repeating it, over the cable if the link is not trusted",
     );
     match error.location() {
         Some(location) => perhaps.at(location),

@@ -411,7 +411,7 @@ fn what_is_no_board_is_told_from_silence() {
     line.board().silent = true;
     let error = line.connect().err().unwrap();
     assert_eq!(error.code(), ErrorCode::NotAWimuBoard);
-    assert!(error.message().contains("nothing answers"));
+    assert!(error.message().contains("no answer"));
     assert!(line.board().now < Duration::from_secs(104));
 
     line.board()

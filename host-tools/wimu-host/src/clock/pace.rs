@@ -1,4 +1,4 @@
-//! When to ask a board for its time.
+//! Pace of time requests to a board.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -6,78 +6,78 @@ use std::time::Duration;
 use wimu_link::LinkRole;
 use wimu_link::message::Status;
 
-/// How often the board is asked for its time at first, at most, and from when on in the long run.
+/// Shortest interval of time requests at first; time after which they are settled, and the interval from then on.
 const ASK_EVERY: Duration = Duration::from_millis(50);
 const SETTLED: Duration = Duration::from_secs(120);
 const ASK_EVERY_SETTLED: Duration = Duration::from_secs(1);
-/// The same in the last part of each stretch of so long over a link whose delays end sharply: the
-/// more questions, the more come close to that end. Before, they are far enough from each other that few
-/// hold up the next, and show how long the fastest takes.
+/// Interval in the dense part of each cycle over a link whose delays have a sharp lower edge: more requests give more
+/// transfers close to it. In the sparse part before, few requests delay the next one, and show the duration of
+/// the fastest.
 const ASK_OFTEN: Duration = Duration::from_millis(6);
-const STRETCH: Duration = Duration::from_millis(2000);
-const SELDOM_FOR: Duration = Duration::from_millis(1000);
-/// No line whose trips are all longer is asked that often: at 9600 baud through a radio they are.
+/// Length of a cycle.
+const CYCLE: Duration = Duration::from_millis(2000);
+/// Length of its sparse part.
+const SPARSE_FOR: Duration = Duration::from_millis(1000);
+/// Round-trip time above which there is no dense part: at 9600 baud over a radio link it is longer.
 const SLOW: Duration = Duration::from_millis(60);
-/// The part of a line, where its rate is known or answers show it, that questions take at most: one in
-/// so many.
-const LINE_SHARE: u32 = 2;
-/// Bits of a question on the line, about.
+/// Inverse of the largest fraction of a line's capacity that requests may take, where it is known or observed.
+const LINE_DIVISOR: u32 = 2;
+/// Bits of a request on the line, about.
 const QUESTION_BITS: u32 = 240;
-/// A line that is full of questions and answers answers so late, or so many times the shortest trip,
-/// and all of them for so long: a stall's answers come all at once.
+/// Signs of a saturated line: all answers take longer than this and than this multiple of the shortest round trip, for
+/// this long (after a stall they arrive all at once).
 const LATE: Duration = Duration::from_millis(250);
 const LATE_TRIPS: u32 = 4;
 const LATE_FOR: Duration = Duration::from_millis(300);
-/// It rests until none has been late for so long, and twice as long the next time.
+/// Pause of the requests after the last late answer; doubled the next time.
 const REST: Duration = Duration::from_secs(2);
-/// A line that carries less than it is asked lets questions wait: all answers of so long are this much
-/// later than nine in ten of those that were asked for seldom, or a quarter of that. It rests so long.
+/// Signs of queueing requests: all answers exceed the 90 % quantile of the sparse ones by this, or by a quarter of it,
+/// for this long; and the pause that follows.
 const WAITED: Duration = Duration::from_millis(20);
 const WAITED_FOR: Duration = Duration::from_millis(100);
 const SHORT_REST: Duration = Duration::from_millis(500);
-/// Trips that tell it, at least.
-const FEWEST_SELDOM: usize = 8;
-/// Trips that tell how delays end, at most and at least.
+/// Fewest sparse round trips for that quantile.
+const MIN_SPARSE: usize = 8;
+/// Largest and smallest number of round trips for the shape of the delays.
 const TRIPS: usize = 64;
-const FEWEST_TRIPS: usize = 32;
-/// How much farther the latest trips are from the middle ones than these from the shortest: 0.8 for
-/// two uniform delays, 1.6 for exponential ones. More than the second is no sharp end, less than the
-/// first is one.
+const MIN_TRIPS: usize = 32;
+/// Ratio of the upper to the lower half of the round-trip distribution: 0.8 for two uniform delays, 1.6 for exponential
+/// ones. Below the first value the lower edge is sharp, above the second it is not.
 const SHARP: [f64; 2] = [0.8, 1.2];
 
-/// How long a question and its answer took.
+/// Duration of a request and its answer.
 #[derive(Clone, Copy, Debug)]
 pub struct Trip {
-    /// From when it was sent until the whole answer had come.
+    /// From sending to the last byte of the answer.
     pub whole: Duration,
-    /// From the answer's first byte to its last, where nothing held it up.
+    /// From the answer's first byte to its last, if it was not delayed by other data.
     pub on_line: Option<Duration>,
 }
 
-/// When to ask a board for its time: often at first, on a slow link less, seldom in the long run,
-/// while it does not answer, and when its line is full: what the board has to say comes first. Questions need not wait for the answers
-/// before them.
+/// Schedule of time requests: dense at first, less on a slow link, sparse in the long run,
+/// while the board does not answer, and when its line is saturated, because telemetry has priority. Requests do not
+/// wait for earlier answers.
 #[derive(Clone, Debug)]
 pub struct Pace {
     first: Option<Duration>,
     latest: Option<Duration>,
-    /// When it was last known to answer.
+    /// Time of the latest answer.
     answered: Option<Duration>,
     least_trip: Option<Duration>,
     trips: VecDeque<Duration>,
-    /// Whether the delays end sharply, by the latest trips, or for all that is known.
+    /// Whether the delays have a sharp lower edge, by the latest round trips; assumed at first.
     sharp: bool,
     often: Duration,
-    /// How long the latest answers took on the line.
+    /// Durations of the latest answers on the line.
     takes: VecDeque<Duration>,
-    /// A trip longer than this has waited for others, where they tell.
+    /// Round-trip time above which a request has queued; `None` if unknown.
     waited: Option<Duration>,
     waited_since: Option<Duration>,
-    /// Since when every answer has come late, until when the line rests, and for how long the next time.
+    /// Since when all answers are late, until when requests pause, and the next pause.
     late_since: Option<Duration>,
     rests_until: Option<Duration>,
     rest: Duration,
-    /// What the board had left out when it last said so, and whether that has become more.
+    /// Shed frames in the latest status, and whether they have increased.
     shed: Option<u32>,
     full: bool,
 }
@@ -105,22 +105,22 @@ impl Default for Pace {
 }
 
 impl Pace {
-    /// For a line of this rate, bits/s, as far as the host knows: it may end at a radio.
+    /// For a line of this baud rate at the host, which may differ beyond a radio link.
     pub fn on_line(baud: Option<u32>) -> Self {
         let least =
-            baud.map(|baud| Duration::from_secs(1) * LINE_SHARE * QUESTION_BITS / baud.max(1));
+            baud.map(|baud| Duration::from_secs(1) * LINE_DIVISOR * QUESTION_BITS / baud.max(1));
         Self {
             often: least.unwrap_or_default().max(ASK_OFTEN),
             ..Self::default()
         }
     }
 
-    /// Whether it is time to ask, at `now` by the link's clock.
+    /// Whether a request is due at `now`, on the link's clock.
     pub fn is_due(&self, now: Duration) -> bool {
         self.due_in(now).is_zero()
     }
 
-    /// How long until then.
+    /// Time until the next request.
     pub fn due_in(&self, now: Duration) -> Duration {
         let (Some(first), Some(latest)) = (self.first, self.latest) else {
             return Duration::ZERO;
@@ -129,7 +129,7 @@ impl Pace {
         let settled = now.saturating_sub(first) >= SETTLED;
         let every = match self.least_trip {
             Some(trip) if !silent && !settled && !self.full && !self.rests(now) => {
-                // A question and its answer take a part of the line only.
+                // A request and its answer may take only a part of the capacity.
                 let seldom = (trip + trip / 2).clamp(ASK_EVERY, ASK_EVERY_SETTLED);
                 if self.sharp && self.waited.is_some() && trip <= SLOW && is_often(now) {
                     self.often().min(seldom)
@@ -142,10 +142,10 @@ impl Pace {
         every.saturating_sub(now.saturating_sub(latest))
     }
 
-    /// The board was asked, at `now`.
+    /// A request was sent at `now`.
     pub fn asked(&mut self, now: Duration) {
         self.first.get_or_insert(now);
-        // Whoever wakes up late is not to ask seldomer for it, nor so soon that one waits for the other.
+        // A late wake-up does not lower the rate, nor make the next request queue.
         let often = self.often();
         let late = self
             .latest
@@ -157,10 +157,10 @@ impl Pace {
         self.latest = Some(now - made_up);
     }
 
-    /// An answer has come at `now`.
+    /// An answer arrived at `now`.
     pub fn answered(&mut self, now: Duration, trip: Trip) {
         self.takes.extend(trip.on_line);
-        if self.takes.len() > FEWEST_TRIPS {
+        if self.takes.len() > MIN_TRIPS {
             self.takes.pop_front();
         }
         let trip = trip.whole;
@@ -175,11 +175,11 @@ impl Pace {
             } else if now.saturating_sub(since) >= LATE_FOR {
                 self.rests_until = Some(now + self.rest);
                 self.rest = (self.rest * 2).min(SETTLED);
-                // Asked often, it would be full again.
+                // A dense part would saturate it again.
                 self.often = ASK_EVERY_SETTLED;
             }
         }
-        // Of questions that came one upon the other, the first have held up the others.
+        // In the dense part earlier requests delay later ones.
         let asked = now.saturating_sub(trip);
         if !is_often(asked) {
             self.trips.push_back(trip);
@@ -193,14 +193,14 @@ impl Pace {
         if self.trips.len() > TRIPS {
             self.trips.pop_front();
         }
-        if self.trips.len() < FEWEST_SELDOM {
+        if self.trips.len() < MIN_SPARSE {
             return;
         }
         let mut trips: Vec<_> = self.trips.iter().copied().collect();
         trips.sort();
         let at = |share: usize| trips[share * (trips.len() - 1) / 100];
         self.waited = Some(at(90) + (at(90) / 4).max(WAITED));
-        if trips.len() >= FEWEST_TRIPS {
+        if trips.len() >= MIN_TRIPS {
             let late = (at(95) - at(50)).as_secs_f64();
             let early = (at(50) - at(0)).as_secs_f64();
             let [least, most] = SHARP.map(|ratio| ratio * early);
@@ -208,22 +208,22 @@ impl Pace {
         }
     }
 
-    /// The time from one question to the next where it is asked often: it leaves the line its share, as
-    /// most answers that came by themselves show.
+    /// Interval in the dense part: at least that which leaves the line its capacity, by the median duration of
+    /// undelayed answers.
     fn often(&self) -> Duration {
         let mut takes: Vec<_> = self.takes.iter().copied().collect();
         takes.sort();
         let takes = takes.get(takes.len() / 2).copied().unwrap_or_default();
-        self.often.max(takes * LINE_SHARE)
+        self.often.max(takes * LINE_DIVISOR)
     }
 
-    /// Whether the line rests from questions.
+    /// Whether requests pause.
     fn rests(&self, now: Duration) -> bool {
         self.rests_until.is_some_and(|until| now < until)
     }
 
-    /// The board has said on the link of `role` how it is: whether it leaves frames out there.
-    pub fn told(&mut self, role: LinkRole, status: &Status) {
+    /// Takes the board's status: whether it sheds frames on the link of `role`.
+    pub fn report_status(&mut self, role: LinkRole, status: &Status) {
         let link = match role {
             LinkRole::Cable => status.cable,
             _ => status.wireless,
@@ -235,7 +235,7 @@ impl Pace {
     }
 }
 
-/// Whether `now` is in the part of a stretch in which it may be asked often.
+/// Whether `now` is in the dense part of a cycle.
 fn is_often(now: Duration) -> bool {
-    now.as_millis() % STRETCH.as_millis() >= SELDOM_FOR.as_millis()
+    now.as_millis() % CYCLE.as_millis() >= SPARSE_FOR.as_millis()
 }

@@ -1,4 +1,4 @@
-//! Two tables of any two devices: no numbers, no common clock, so the motion itself aligns them.
+//! Comparison of two tables of any two devices: without sequence numbers or a common clock, the motion aligns them.
 
 use std::path::Path;
 
@@ -19,48 +19,47 @@ use time_fit::TimeFit;
 pub use turn::Turn;
 use turn::scale_along_itself;
 
-/// Both are brought to the slower one's rate, at most this, Hz.
+/// Largest rate at which both are compared, Hz.
 const MAX_RATE_HZ: f64 = 200.0;
-/// Points of the search over all lags.
+/// Largest number of points of the search over all lags.
 const COARSE_POINTS: usize = 4000;
-/// Least that must overlap, s, and as a share of the shorter table.
+/// Shortest overlap, s, and as a fraction of the shorter table.
 const MIN_OVERLAP_S: f64 = 2.0;
 const MIN_OVERLAP: f64 = 0.2;
-/// Streams of one motion are correlated at least this much when aligned.
+/// Smallest correlation of aligned tables.
 const MIN_CORRELATION: f64 = 0.6;
-/// Another place that fits within this makes the answer ambiguous.
+/// Smallest lead of the best correlation over that at another lag: below it the alignment is ambiguous.
 const MIN_LEAD: f64 = 0.03;
-/// By so many standard deviations a correlation is more than chance; at the best of thousands of lags
-/// chance makes nearly four.
+/// Smallest correlation, in standard deviations of chance. The best of thousands of lags reaches nearly four by chance.
 const MIN_DEVIATIONS: f64 = 4.0;
-/// Two devices in one motion show as much of it, but for such a factor, however they are mounted.
+/// Largest ratio of the motions' magnitudes.
 const MAX_SIZE: f64 = 1.4;
-/// Below this overlap the clocks' rates are not compared, s.
+/// Shortest overlap from which the rates of the clocks are compared, s.
 const MIN_RATE_OVERLAP_S: f64 = 9.0;
-/// Clocks farther apart than this are not compared.
+/// Largest rate difference of the clocks.
 const MAX_RATE: f64 = 0.01;
-/// Straight lines between rows know a moment to this part of the time between them, at best.
+/// Smallest standard deviation of a time, as a fraction of the row interval, because of linear interpolation.
 const BETWEEN_ROWS: f64 = 0.02;
 
-/// Rows on each side that the curve between two rows goes through, and those of the simpler one: what
-/// these two make different is what the curve may lose.
+/// Rows on each side through which a curve is interpolated, and those of a simpler curve: their difference estimates
+/// the interpolation error.
 const CURVE_ROWS: [usize; 2] = [3, 2];
 
-/// What the alignment of two tables found.
+/// Result of the alignment of two tables.
 #[derive(Clone, Debug, Serialize)]
 pub struct Alignment {
     /// The reference, and the other.
     pub sources: [String; 2],
-    /// Add to the other's time to get the reference's at the middle of the overlap, s.
+    /// Offset to add to the other's time at the middle of the overlap, s.
     pub offset_s: f64,
     /// Its standard deviation, s.
     pub offset_sd_s: f64,
     /// By how many ppm the other's clock is slow against the reference's; `None` where the
-    /// overlap is too short to tell.
+    /// overlap is too short.
     pub rate_ppm: Option<f64>,
     /// Its standard deviation.
     pub rate_sd_ppm: Option<f64>,
-    /// Correlation of the magnitudes when aligned.
+    /// Correlation of the aligned magnitudes.
     pub correlation: f64,
     /// Length of the overlap, s.
     pub overlap_s: f64,
@@ -68,24 +67,24 @@ pub struct Alignment {
     pub rate_hz: f64,
     /// Values compared.
     pub pairs: u64,
-    /// Moments left out because a value of either stands at its sensor's end.
+    /// Moments excluded because a value of either is saturated.
     pub saturated: u64,
-    /// Of the reference and the other: for a table in LSB, whose median magnitude is taken for 1 g,
-    /// how far that may be off, as a part of 1. It is in the standard deviations.
+    /// Of the reference and the other: standard deviation, relative, of the unit of a table in LSB, whose median magnitude
+    /// is taken as 1 g. It is included in the standard deviations.
     pub unit_sd: [Option<f64>; 2],
-    /// How the other's axes are turned against the reference's; `None` where the motion does not show it.
+    /// Rotation of the other's axes against the reference's; `None` where it is not observable.
     pub turn: Option<Turn>,
-    /// The other against the reference, X, Y, Z; `None` where they say nothing about each other. A scale
-    /// factor is along the other's own axis, as far as the motion shows where that points.
+    /// The other against the reference, X, Y, Z; `None` where they are not comparable. A scale
+    /// factor is along the other's own axis, as far as the direction of that is observable.
     pub axes: Option<[Axis; 3]>,
-    /// Why not.
+    /// Why they are not.
     pub axes_reason: Option<String>,
 }
-/// Aligns two tables by the magnitude of their specific force, which no mounting changes, and
-/// compares their values. In LSB, the median magnitude is taken for 1 g.
+/// Aligns two tables by the magnitude of their specific force, which does not depend on the mounting, and
+/// compares their values. In LSB, the median magnitude is taken as 1 g.
 ///
 /// # Errors
-/// Those of [`CsvReader`](crate::csv::CsvReader); `no_rows`, `csv_missing_column`; `data_refused` when no place, or more
+/// Those of [`CsvReader`](crate::csv::CsvReader); `no_rows`, `csv_missing_column`; `data_refused` when no alignment, or more
 /// than one, fits.
 pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let names = [reference, other].map(|path| path.display().to_string());
@@ -99,7 +98,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let none = || {
         refused(
             &both,
-            "no part of the one fits the other",
+            "the motions of the two tables do not match",
             "record one motion with both at the same time: shake them together at the beginning",
         )
     };
@@ -127,8 +126,8 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     if second > best - MIN_LEAD {
         return Err(refused(
             &both,
-            "they fit each other at more than one place: the motion repeats itself",
-            "record a motion that does not: shake them together once at the beginning",
+            "the alignment is ambiguous: the motion repeats itself",
+            "record a motion that does not repeat: shake them together once at the beginning",
         ));
     }
     // b[k] is at a[k + lag].
@@ -137,7 +136,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         return Err(refused(
             &both,
             format!(
-                "what fits, to {:.2}, is so short or so even a motion that another would fit as well",
+                "the matching motion (correlation {:.2}) is too short or too uniform to be unique",
                 fine.score
             ),
             "record one motion with both at the same time, longer and more varied",
@@ -156,7 +155,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let (start, end) = overlap_at(fit.offset_s);
     fit.middle = 0.5 * (start + end);
     let has_rate = end - start >= MIN_RATE_OVERLAP_S;
-    // The rate moves the ends: first a small correction, then what it leaves.
+    // The rate changes the ends: first a rough correction, then refinements.
     let rough = drift(&fine_a, &fine_b, fine.lag, (start, end), fit.offset_s);
     fit.rate = rough.filter(|_| has_rate).unwrap_or(0.0);
     for _ in 0..4 {
@@ -169,11 +168,11 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     fit.sd[1] = fit.sd[1].hypot(between_s * 12.0_f64.sqrt() / (end - start));
     let rate = has_rate.then_some((fit.rate, fit.sd[1]));
     let offset_s = fit.offset_s;
-    // Any two devices: nobody says which is the noisier.
+    // Either device may be the noisier one.
     let [mut transfer, mut simpler] = [0, 1].map(|_| ReferenceTransfer::of_unknown_noise());
     let (mut squares, mut sums, mut saturated) = ([0.0; 3], [[0.0; 3]; 2], 0);
     let mut sizes = [0.0; 2];
-    // Where the slower one has its rows: between them, straight lines are flatter than the motion.
+    // At the rows of the slower table: interpolation between them flattens the motion.
     let moments: Vec<(f64, f64)> = if b.rate_hz() < a.rate_hz() {
         b.times().map(|theirs| (fit.ours(theirs), theirs)).collect()
     } else {
@@ -207,13 +206,13 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
         let mean: f64 = sums[table].iter().map(|sum| sum * sum).sum();
         (sizes[table] - mean / pairs.max(1) as f64).max(0.0).sqrt()
     });
-    // Noise is in both sizes, and in the correlation.
+    // Noise affects both magnitudes, and the correlation.
     let most = MAX_SIZE / fine.score * (1.0 + 3.0 * unit_sd.iter().flatten().sum::<f64>());
     if found.is_ok() && !(1.0 / most..=most).contains(&(y / x)) {
         return Err(refused(
             &both,
             format!(
-                "what fits, to {:.2}, is {:.1} times as large a motion in the second as in the first",
+                "the matching motion (correlation {:.2}) is {:.1} times as large in the second table as in the first",
                 fine.score,
                 y / x
             ),
@@ -263,8 +262,7 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
 }
 
 impl Axis {
-    /// The same where the units of reference and other are known to these parts of 1 only; their means,
-    /// m/s².
+    /// Adds the relative standard deviations of the units of reference and other; `means` are their mean values, m/s².
     fn with_units_to(mut self, unit_sd: [f64; 2], means: [f64; 2]) -> Self {
         let widen = |sd: &mut f64, by: f64| *sd = sd.hypot(by);
         for (sd, mean) in unit_sd.into_iter().zip(means) {

@@ -1,4 +1,4 @@
-//! The second reading: what is counted, paired and fitted.
+//! The second reading: counts, pairs and fits.
 
 use std::io::Read;
 
@@ -14,21 +14,21 @@ use crate::decode::Event;
 use crate::mcap_file::RecordingReader;
 use crate::walk::{Step, walk};
 
-/// How far values are apart.
+/// Differences of pairs.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Apart {
+pub(super) struct Differences {
     squares: [f64; 3],
     pub max_lsb: [u32; 3],
     count: u64,
 }
 
-impl Apart {
+impl Differences {
     pub fn take(&mut self, reference: [i32; 3], value: [i32; 3], mps2_per_lsb: f64) {
         self.count += 1;
         for axis in 0..3 {
-            let apart = value[axis].abs_diff(reference[axis]);
-            self.squares[axis] += (f64::from(apart) * mps2_per_lsb).powi(2);
-            self.max_lsb[axis] = self.max_lsb[axis].max(apart);
+            let difference = value[axis].abs_diff(reference[axis]);
+            self.squares[axis] += (f64::from(difference) * mps2_per_lsb).powi(2);
+            self.max_lsb[axis] = self.max_lsb[axis].max(difference);
         }
     }
 
@@ -37,7 +37,7 @@ impl Apart {
     }
 }
 
-/// What an event says of how the device is.
+/// The device's status in an event.
 fn status_of(event: &Event) -> Option<Status> {
     match event {
         Event::Status(status) => Some(*status),
@@ -49,7 +49,7 @@ fn status_of(event: &Event) -> Option<Status> {
     }
 }
 
-/// What the second reading counts.
+/// Result of the second reading.
 pub(super) struct Counted {
     pub meters: [LinkMeter; 2],
     pub pairs: u64,
@@ -57,7 +57,7 @@ pub(super) struct Counted {
     pub saturated: u64,
     pub without_unit: u64,
     pub transfer: ReferenceTransfer,
-    pub before: Apart,
+    pub before: Differences,
     /// The coarsest LSB, m/s².
     pub lsb_mps2: f64,
     pub evolution: Vec<(f64, [Axis; 3])>,
@@ -66,7 +66,7 @@ pub(super) struct Counted {
 
 impl Counted {
     pub fn read<R: Read>(mut reader: RecordingReader<R>, overview: &Overview) -> Result<Self> {
-        // The same samples with the same noise: what differs is the wireless link's alone.
+        // The same samples of one sensor: differences are errors of the wireless link alone.
         let ratio = NoiseRatio::new(1.0, 1e-3).unwrap_or_default();
         let mut counted = Self {
             meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
@@ -75,7 +75,7 @@ impl Counted {
             saturated: 0,
             without_unit: 0,
             transfer: ReferenceTransfer::new(ratio).of_one_sensor(),
-            before: Apart::default(),
+            before: Differences::default(),
             lsb_mps2: 0.0,
             evolution: Vec::new(),
             excerpt: Vec::new(),
@@ -111,11 +111,11 @@ impl Counted {
                 Event::Samples(samples) if samples.stream == overview.stream => (samples, false),
                 Event::Late(samples) if samples.stream == overview.stream => (samples, true),
                 event => {
-                    // The device tells of both links on each.
+                    // The device reports both links' status on each link.
                     if let Some(status) = status_of(event) {
                         let links = [status.cable, status.wireless];
                         for (meter, status) in counted.meters.iter_mut().zip(links) {
-                            meter.told(start, status);
+                            meter.report_status(start, status);
                         }
                     }
                     return Ok(());

@@ -1,4 +1,4 @@
-//! What a damaged file lacks: samples that no link can be said to have lost.
+//! Samples that a damaged file lacks, and that therefore do not count as lost on a link.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -6,24 +6,23 @@ use std::ops::RangeInclusive;
 use crate::decode::Samples;
 use crate::walk::Start;
 
-/// Numbers of a stream's samples that each link may have brought in parts of the file that are
-/// missing.
+/// Sequence numbers that each link may have delivered in missing parts of the file.
 #[derive(Default)]
 pub(super) struct Holes {
     found: BTreeMap<(usize, Start), Vec<RangeInclusive<u32>>>,
     /// The last number of each link, in its start.
     latest: [Option<(Start, u32)>; 2],
-    /// Whether a part of the file is missing since.
+    /// Whether a part of the file is missing since then.
     open: [bool; 2],
 }
 
 impl Holes {
-    /// A part of the file is missing.
+    /// Notes that a part of the file is missing.
     pub fn open(&mut self, link: usize) {
         self.open[link] = true;
     }
 
-    /// What a link brings next.
+    /// Takes the next samples of a link.
     pub fn take(&mut self, link: usize, start: Start, samples: &Samples) {
         let Some(last) = samples.iter().last() else {
             return;
@@ -45,7 +44,7 @@ impl Holes {
         }
     }
 
-    /// The recording is over.
+    /// Ends the recording.
     pub fn close(&mut self) {
         for link in 0..2 {
             if let (true, Some((start, latest))) = (self.open[link], self.latest[link]) {
@@ -60,7 +59,7 @@ impl Holes {
         }
     }
 
-    /// Those of a link in a start of the board.
+    /// The missing ranges of a link in a start of the board.
     pub fn of(&self, link: usize, start: Start) -> Vec<RangeInclusive<u32>> {
         self.found.get(&(link, start)).cloned().unwrap_or_default()
     }

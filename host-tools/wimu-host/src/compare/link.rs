@@ -1,4 +1,4 @@
-//! What one link carried, sample by sample.
+//! Statistics of one link, sample by sample.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -12,23 +12,23 @@ use crate::clock::{ClockModel, ClockSummary};
 use crate::decode::{LinkStatistics, Samples, StreamStatistics};
 use crate::walk::Start;
 
-/// One link in numbers.
+/// Statistics of one link.
 #[derive(Clone, Debug, Serialize)]
 pub struct LinkReport {
     /// `cable` or `wireless`.
     pub link: String,
-    /// Samples delivered, of the stream that is compared.
+    /// Samples delivered, of the compared stream.
     pub delivered: u64,
-    /// Samples that the other link delivered and this one did not, of those taken since it was first
-    /// heard, or since it was opened where it then was silent for more than 5 s.
+    /// Samples delivered by the other link and not by this one, of those taken since it was first
+    /// heard, or since it was opened if it was then silent for more than 5 s.
     pub lost: u64,
-    /// Of the other's, those taken before that.
+    /// Samples of the other link taken before that.
     pub before: u64,
-    /// Of the other's, those that may still have been under way when the recording ended.
+    /// Samples of the other link that may still have been under way at the end of the recording.
     pub under_way: u64,
-    /// Samples that neither delivered: lost on both, or never taken by the device.
+    /// Samples delivered by neither: lost on both, or not taken by the device.
     pub missing_on_both: u64,
-    /// Samples that arrived again.
+    /// Repeated samples.
     pub duplicated: u64,
     /// Samples that arrived after later ones, among those delivered.
     pub late: u64,
@@ -36,69 +36,68 @@ pub struct LinkReport {
     pub frames: u64,
     /// Damaged frames.
     pub damaged: u64,
-    /// Frames that the device shed because the link was too slow, as it says on either link; `None`
-    /// where it has not said it twice in a start.
+    /// Frames shed by the device because the link was too slow, as reported on either link; `None`
+    /// where it did not report twice in a start.
     pub shed: Option<u64>,
     /// How often the link was lost and came back.
     pub interruptions: u64,
-    /// Batches of samples whose place no epoch has told, those at the very end of the recording too.
+    /// Batches whose numbers no epoch defines, including those at the end of the recording.
     pub unplaced: u64,
     /// Undamaged frames with a number or time that the device cannot have reached.
     pub rejected: u64,
-    /// Runs of missing samples: how many runs of how many samples, by powers of two.
+    /// Runs of missing samples by length, in powers of two.
     pub bursts: Vec<Burst>,
     /// From the newest sample of a batch to its arrival.
     pub latency: Quantiles,
-    /// From a sample to its arrival: the wait for its batch to fill included.
+    /// From a sample to its arrival, including the time to fill its batch.
     pub age: Quantiles,
     /// Mean change of the latency from one batch to the next, ms.
     pub jitter_ms: f64,
-    /// For how long the link was open, from the first sign of it to the end of the recording, less the
-    /// times from when it was lost until it was back, s.
+    /// Time that the link was open, from its first data to the end of the recording, without the
+    /// intervals in which it was lost, s.
     pub open_s: f64,
-    /// Samples delivered a second while it was open.
+    /// Samples delivered per second of that time.
     pub samples_per_s: f64,
-    /// Bytes a second while it was open, everything included.
+    /// Bytes received per second of that time.
     pub bytes_per_s: f64,
-    /// The device's clock by this link alone.
+    /// The device's clock, from this link alone.
     pub clock: Option<ClockSummary>,
-    /// Error of values taken at their time of arrival.
+    /// Error of values that are assigned to their time of arrival.
     pub by_arrival: Option<ByArrival>,
 }
 
-/// How many runs of missing samples had a length.
+/// Number of runs of missing samples within a range of lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Burst {
-    /// From so many samples.
+    /// Shortest length, samples.
     pub from: u64,
-    /// To so many.
+    /// Longest length, samples.
     pub to: u64,
     /// Runs.
     pub runs: u64,
 }
 
-/// What a user gets wrong who resamples by the time of arrival, m/s² rms, equation (64): by device
-/// time it is nothing.
+/// Error of resampling by the time of arrival, m/s² rms, equation (64); resampling by device time has none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ByArrival {
     /// As samples arrive.
     pub rms_mps2: f64,
-    /// With the median latency taken off: what jitter alone does.
+    /// With the median latency subtracted: the effect of jitter alone.
     pub rms_without_latency_mps2: f64,
 }
 
-/// A stretch of the recording for the pictures.
+/// A slice of the recording for the charts.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slice {
-    /// Of what arrived in it.
+    /// Of data that arrived in it.
     pub latency: Durations,
-    /// Of the samples taken in it.
+    /// Of samples taken in it.
     pub delivered: u64,
     pub missing: u64,
 }
 
 impl Slice {
-    /// What part of the samples that were taken in it did not arrive; `None` where none was.
+    /// Fraction of the samples taken in it that did not arrive; `None` without samples.
     pub fn lost_share(&self) -> Option<f64> {
         let all = self.delivered + self.missing;
         (all > 0).then(|| self.missing as f64 / all as f64)
@@ -115,7 +114,7 @@ pub(super) struct Slicing {
 }
 
 impl Slicing {
-    /// Which one is at a host time.
+    /// Index of the slice at a host time.
     pub fn at(&self, host_ns: i64) -> usize {
         let passed = host_ns.saturating_sub(self.start_ns).max(0) as f64;
         let share = passed / (self.span_ns as f64).max(1.0);
@@ -123,14 +122,14 @@ impl Slicing {
     }
 }
 
-/// Samples that are missing in a link's own numbers.
+/// Samples missing in a link's own numbers.
 #[derive(Clone, Copy, Debug)]
 struct Gap {
     first: u32,
     /// From one to the next.
     step: u32,
     count: u32,
-    /// When the samples before the first and behind the last were taken, host time, ns.
+    /// Host times of the samples before the first and after the last, ns.
     between_ns: (i64, i64),
 }
 
@@ -141,8 +140,7 @@ impl Gap {
         from + (to.saturating_sub(from) as f64 * share) as i64
     }
 
-    /// The first index behind this one that is in a later slice, or the count: there may be thousands of
-    /// millions between.
+    /// The first index after this one in a later slice, or the count; by bisection, because the count may be up to 2³¹.
     fn end_of_slice(&self, index: u32, slicing: &Slicing) -> u32 {
         let at = slicing.at(self.time_ns(index));
         let (mut low, mut high) = (index + 1, self.count);
@@ -163,7 +161,7 @@ impl Gap {
         (behind.is_multiple_of(self.step) && index < self.count).then_some(index)
     }
 
-    /// What is left before and behind one that came after all.
+    /// The parts before and after a sample that arrived late.
     fn without(&self, index: u32) -> [Self; 2] {
         let there_ns = self.time_ns(index);
         [
@@ -182,7 +180,7 @@ impl Gap {
     }
 }
 
-/// Gaps that late samples may still fill, at most.
+/// Largest number of gaps that late samples may still fill.
 const MAX_GAPS: usize = 256;
 
 /// Measures one link.
@@ -204,17 +202,17 @@ pub(super) struct LinkMeter {
     last_latency: Option<i64>,
     jitter_sum_ns: f64,
     jitter_count: u64,
-    /// Number of the latest sample, and when it was taken, host time, ns.
+    /// Number and host time, ns, of the latest sample.
     latest: Option<(u32, i64)>,
     shed: BTreeMap<Start, Shed>,
-    /// When it was opened last, if it is open, and for how long it was before, ns.
+    /// When it was opened last, if it is open, and the total of earlier open times, ns.
     opened_ns: Option<u64>,
     open_ns: u64,
     slicing: Slicing,
     pub slices: Vec<Slice>,
 }
 
-/// What the device says of one link in one start, on any.
+/// Shed frames of a link in one start, as reported on any link.
 #[derive(Clone, Copy, Debug)]
 struct Shed {
     least: u32,
@@ -231,27 +229,26 @@ impl LinkMeter {
         }
     }
 
-    /// What comes next does not follow what came before: the device has started anew, or a part of the
-    /// file is missing.
+    /// Ends the sequence: the device has restarted, or a part of the file is missing.
     pub fn skip(&mut self) {
         self.latest = None;
         self.last_latency = None;
         self.count_gaps(0);
     }
 
-    /// There is a sign of the link.
+    /// Notes that the link is open.
     pub fn is_open(&mut self, host_ns: u64) {
         self.opened_ns.get_or_insert(host_ns);
     }
 
-    /// The link was lost, or the recording is over.
+    /// The link was lost, or the recording has ended.
     pub fn close(&mut self, host_ns: u64) {
         if let Some(opened) = self.opened_ns.take() {
             self.open_ns += host_ns.saturating_sub(opened);
         }
     }
 
-    /// Samples that arrived at `host_ns`.
+    /// Takes samples that arrived at `host_ns`.
     pub fn take(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
         self.delivered += samples.values.len() as u64;
         let step = u32::from(samples.every.max(1));
@@ -287,7 +284,7 @@ impl LinkMeter {
         }
     }
 
-    /// Samples that arrived at `host_ns`, after later ones.
+    /// Takes samples that arrived at `host_ns`, after later ones.
     pub fn take_late(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
         for sample in samples.iter() {
             let taken_ns = clock.host_ns(sample.time) as i64;
@@ -317,7 +314,7 @@ impl LinkMeter {
         &mut self.slices[at.min(last)]
     }
 
-    /// No late sample fills any gap but the last `left` any more.
+    /// Counts all gaps but the last `left`, which late samples may still fill.
     fn count_gaps(&mut self, left: usize) {
         while self.gaps.len() > left
             && let Some(gap) = self.gaps.pop_front()
@@ -332,7 +329,7 @@ impl LinkMeter {
         }
     }
 
-    /// A run of samples that the link did not bring before its first or after its last one of a start.
+    /// Takes a run of samples that the link did not deliver before its first or after its last one of a start.
     pub fn lack(&mut self, run: &Run) {
         for taken_ns in &run.taken_ns {
             self.slice(*taken_ns).missing += 1;
@@ -344,7 +341,7 @@ impl LinkMeter {
         }
     }
 
-    /// The recording was over at `host_ns`.
+    /// Ends the recording at `host_ns`.
     pub fn finish(&mut self, host_ns: u64) {
         self.close(host_ns);
         self.count_gaps(0);
@@ -355,8 +352,8 @@ impl LinkMeter {
         (self.age.summary().max_ms * 1e6) as u64
     }
 
-    /// What the device has said of this link, on any.
-    pub fn told(&mut self, start: Start, status: Option<LinkStatus>) {
+    /// Takes the device's status of this link, received on any link.
+    pub fn report_status(&mut self, start: Start, status: Option<LinkStatus>) {
         let Some(status) = status else { return };
         let now = status.telemetry_shed;
         let shed = self.shed.entry(start).or_insert(Shed {
@@ -369,11 +366,11 @@ impl LinkMeter {
         shed.times += 1;
     }
 
-    /// What the device has shed while it was recorded.
+    /// Frames shed during the recording.
     fn shed(&self) -> Option<u64> {
         let first = self.shed.keys().next()?;
         let starts = self.shed.iter().map(|(start, shed)| {
-            // A start that began meanwhile was recorded from its beginning.
+            // A start that began during the recording was recorded from its beginning.
             let least = if start == first { shed.least } else { 0 };
             let known = start != first || shed.times > 1;
             known.then_some(u64::from(shed.most - least))
@@ -436,21 +433,21 @@ impl LinkMeter {
     }
 }
 
-/// The values of one link as a user has them who goes by the time of arrival, against the values at
+/// The values of one link resampled by the time of arrival, against the values at
 /// the true times: equation (64).
 #[derive(Debug)]
 pub(super) struct ArrivalUser {
-    /// Taken off the times of arrival, ns.
+    /// Subtracted from the times of arrival, ns.
     latency_ns: f64,
-    /// What the user has, from the value at or before the oldest true time on.
+    /// Values by time of arrival, from the one at or before the oldest true time on.
     points: VecDeque<(i64, [f64; 3])>,
-    /// True times and values to compare at.
+    /// True times and values to compare.
     waiting: VecDeque<(i64, [f64; 3])>,
     squares: f64,
     count: u64,
 }
 
-/// Values held at most: more than a link holds up.
+/// Largest number of values held: more than a link delays.
 const MAX_HELD: usize = 1 << 16;
 
 impl ArrivalUser {
@@ -464,17 +461,17 @@ impl ArrivalUser {
         }
     }
 
-    /// What comes next does not follow what came before.
+    /// Ends the sequence.
     pub fn restart(&mut self) {
         self.points.clear();
         self.waiting.clear();
     }
 
-    /// A sample of `value`, m/s², taken at `true_ns`, that the user thinks was at `arrived_ns`.
+    /// Takes a sample of `value`, m/s², taken at `true_ns`, that arrived at `arrived_ns`.
     pub fn take(&mut self, true_ns: u64, arrived_ns: u64, value: [f64; 3]) {
         self.waiting.push_back((true_ns as i64, value));
         let time = (arrived_ns as i64).wrapping_sub(self.latency_ns as i64);
-        // Time does not go back for the user either.
+        // Times of arrival are made monotonic.
         let time = self.points.back().map_or(time, |(last, _)| time.max(*last));
         self.points.push_back((time, value));
         while let Some(&(true_ns, truth)) = self.waiting.front() {
@@ -508,7 +505,7 @@ impl ArrivalUser {
         }
     }
 
-    /// m/s² rms over the three axes together.
+    /// RMS of the three axes together, m/s².
     pub fn rms_mps2(&self) -> f64 {
         (self.squares / self.count.max(1) as f64).sqrt()
     }

@@ -1,4 +1,4 @@
-//! A link's own error, as a file: what wireless values are against the cable's.
+//! Error model of a link, as a file: the wireless values against the cable's.
 
 use std::path::Path;
 
@@ -9,13 +9,13 @@ use super::Axis;
 use crate::{ErrorCode, HostError, OutputFile, Result};
 
 /// Bias and scale factor of a link's values against the reference link's, equation (65). It
-/// corrects what the link brought, on the host; it is no sensor's error and is never pushed.
+/// corrects received values on the host; it is not the sensor's error model and is never pushed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LinkModel {
     pub(super) schema: String,
     /// The link that it corrects.
     pub link: String,
-    /// The device whose link it is, 16 hex digits.
+    /// The device of the link, 16 hex digits.
     pub device_id: String,
     /// m/s², X, Y, Z.
     pub bias_mps2: [f64; 3],
@@ -23,17 +23,17 @@ pub struct LinkModel {
     pub scale: [f64; 3],
     /// Standard deviations of the bias, m/s².
     pub bias_sd_mps2: [f64; 3],
-    /// Standard deviations of the scale; absent for an axis that did not move, whose bias is the
-    /// whole offset at its one value.
+    /// Standard deviations of the scale; `None` for an axis that did not move, whose bias is the
+    /// offset at its only value.
     pub scale_sd: [Option<f64>; 3],
-    /// Pairs of samples that it is from.
+    /// Number of pairs of samples.
     pub pairs: u64,
 }
 
 const SCHEMA: &str = "wimu.link_model/1";
 
 impl LinkModel {
-    /// From what the comparison found in so many pairs.
+    /// The result of a comparison of `pairs` pairs.
     pub fn new(role: LinkRole, device_id: &str, axes: &[Axis; 3], pairs: u64) -> Self {
         Self {
             schema: SCHEMA.to_owned(),
@@ -47,57 +47,55 @@ impl LinkModel {
         }
     }
 
-    /// Whether it is this link's.
+    /// Whether it is of this link.
     pub fn is_of(&self, role: LinkRole) -> bool {
         self.link == role.to_string()
     }
 
-    /// That it is this device's.
+    /// Checks that it is of this device.
     ///
     /// # Errors
-    /// `data_refused` when it is another's.
+    /// `data_refused` when it is of another one.
     pub fn check_device(&self, device_id: u64) -> Result<()> {
         let id = format!("{device_id:016x}");
         if id == self.device_id {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
+        Err(ErrorCode::DataRefused.error(
             format!(
-                "the link model is of device {}, this is {id}",
+                "the link model is of device {}, the data of {id}",
                 self.device_id
             ),
             "compare the links of this device: `wimu compare FILE -o LINK.json`",
         ))
     }
 
-    /// That it is this link's.
+    /// Checks that it is of this link.
     ///
     /// # Errors
-    /// `data_refused` when it is another's.
+    /// `data_refused` when it is of another one.
     pub fn check_role(&self, role: LinkRole) -> Result<()> {
         if self.is_of(role) {
             return Ok(());
         }
-        Err(HostError::new(
-            ErrorCode::DataRefused,
+        Err(ErrorCode::DataRefused.error(
             format!("the link model is of the {} link", self.link),
             format!("choose it with --link {}", self.link),
         ))
     }
 
-    /// What the reference link would have brought for `value`, m/s².
+    /// The value of the reference link for `value`, m/s².
     pub fn correct(&self, value_mps2: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|axis| (value_mps2[axis] - self.bias_mps2[axis]) / self.scale[axis])
     }
 
-    /// The same for whole LSB of so many m/s² each.
+    /// The same in LSB of `mps2_per_lsb`.
     pub fn correct_lsb(&self, value: [i32; 3], mps2_per_lsb: f64) -> [i32; 3] {
         self.correct(value.map(|v| f64::from(v) * mps2_per_lsb))
             .map(|v| (v / mps2_per_lsb).round() as i32)
     }
 
-    /// Writes it to a file, in place of one that is there.
+    /// Writes it to a file, replacing an existing one.
     ///
     /// # Errors
     /// `file_failed`, `file_unreadable`.
@@ -113,23 +111,20 @@ impl LinkModel {
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let bad = |message: String| {
-            HostError::new(
-                ErrorCode::BadCalibration,
-                message,
-                "give a file written by `wimu compare -o`",
-            )
-            .at(&name)
+            ErrorCode::BadCalibration
+                .error(message, "give a file written by `wimu compare -o`")
+                .at(&name)
         };
         let text = std::fs::read_to_string(path)
             .map_err(|error| HostError::file(&name, "read", &error))?;
         let model: Self = serde_json::from_str(&text)
-            .map_err(|error| bad(format!("this is no link error model: {error}")))?;
+            .map_err(|error| bad(format!("this is not a link error model: {error}")))?;
         let finite = model.bias_mps2.iter().all(|b| b.is_finite());
         let scales = model.scale.iter().all(|s| (0.1..10.0).contains(s));
         match (model.schema.as_str(), finite && scales) {
             (SCHEMA, true) => Ok(model),
-            (SCHEMA, false) => Err(bad("its numbers are out of range".to_owned())),
-            (other, _) => Err(bad(format!("it is a `{other}`, no link error model"))),
+            (SCHEMA, false) => Err(bad("its numbers are out of bounds".to_owned())),
+            (other, _) => Err(bad(format!("it is a `{other}`, not a link error model"))),
         }
     }
 }

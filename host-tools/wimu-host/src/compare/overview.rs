@@ -1,4 +1,4 @@
-//! The first reading: who is there, what both carry, and the clocks.
+//! The first reading: devices, streams and clocks.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
@@ -18,7 +18,7 @@ use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::units::RawUnits;
 use crate::walk::{Clocks, Start, Step, walk};
 
-/// What the first reading tells.
+/// Result of the first reading.
 pub(super) struct Overview {
     pub stream: Stream,
     pub devices: Vec<u64>,
@@ -42,7 +42,7 @@ impl Overview {
         let mut samples = [[0_u64; 2]; 2];
         let mut starts: BTreeMap<Start, [u64; 2]> = BTreeMap::new();
         let mut span: Option<(u64, u64)> = None;
-        // When each link was opened and when it was first heard, host time, and its first decimation.
+        // Host times of the opening and the first data of each link, and its first decimation.
         let (mut opened_ns, mut heard_ns, mut every) = ([None; 2], [None; 2], [None; 2]);
         // By stream.
         let mut holes: [Holes; 2] = Default::default();
@@ -82,7 +82,7 @@ impl Overview {
             if samples[0][index] + samples[1][index] == 0 {
                 return Err(refused(
                     name,
-                    format!("the {role} link is missing: it brought no samples"),
+                    format!("the {role} link is missing: it has no samples"),
                     "record both links of the board: `wimu record LINK --cable LINK`",
                 ));
             }
@@ -91,8 +91,11 @@ impl Overview {
             let named: Vec<_> = devices.iter().map(|id| format!("{id:016x}")).collect();
             return Err(refused(
                 name,
-                format!("it holds different boards: {}", named.join(", ")),
-                "record both links of one board; two devices are compared by their tables: `wimu compare A.csv B.csv`",
+                format!(
+                    "the recording contains different boards: {}",
+                    named.join(", ")
+                ),
+                "record both links of one board; compare two devices by their tables: `wimu compare A.csv B.csv`",
             ));
         }
         let stream = [Stream::Raw, Stream::Corrected]
@@ -101,8 +104,8 @@ impl Overview {
             .ok_or_else(|| {
                 refused(
                     name,
-                    "one link carries raw samples only, the other corrected ones only",
-                    "let both carry the same: `wimu settings set LINK --cable raw --wireless raw`",
+                    "one link carries raw samples only, the other one corrected ones only",
+                    "set both to the same stream: `wimu settings set LINK --cable raw --wireless raw`",
                 )
             })?;
         let mut holes = std::mem::take(&mut holes[stream as usize]);
@@ -152,7 +155,7 @@ impl Overview {
         host_ns.saturating_sub(self.span.0) as f64 * 1e-9
     }
 
-    /// The start with most samples.
+    /// The start with the most samples.
     pub fn longest(&self) -> Option<Start> {
         let most = self.starts.iter().max_by_key(|(_, samples)| **samples);
         most.map(|(start, _)| *start)

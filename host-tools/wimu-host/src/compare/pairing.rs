@@ -1,4 +1,4 @@
-//! The samples with the same number on both links, in bounded memory, and what one of them lost.
+//! Pairs of samples with the same number on both links, and the samples that one of them lost, in bounded memory.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::RangeInclusive;
@@ -8,40 +8,40 @@ use crate::clock::ClockModel;
 use crate::decode::{TimedSample, sequence_order};
 use crate::walk::Start;
 
-/// Samples that wait for their twin at most: over three minutes at 1344 Hz.
+/// Largest number of samples that wait for their counterpart: over three minutes at 1344 Hz.
 const MAX_WAITING: usize = 1 << 18;
-/// Starts of which samples wait: the links are at most so far apart.
+/// Largest number of starts with waiting samples.
 const MAX_STARTS: usize = 4;
 
-/// Samples that a link lacks and that may still come late, at most.
+/// Largest number of missing samples of a link that may still arrive late.
 const MAX_LACKED: usize = 1 << 14;
 
-/// A sample that a link has brought.
+/// A sample of a link.
 #[derive(Clone, Copy, Debug)]
 struct Taken {
     /// Its sequence number.
     number: u32,
     /// X, Y, Z, LSB.
     value: [i32; 3],
-    /// When it was taken, ns on the host's clock: below 0 for what was under way when that began.
+    /// Host time, ns: negative for samples taken before that clock began.
     taken_ns: i64,
 }
 
-/// From when on a link is listened to.
+/// When and how a link is heard.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Heard {
-    /// ns on the host's clock: what was taken before, it need not bring.
+    /// Host time since which samples are expected, ns.
     pub from_ns: i64,
-    /// It carries every `every`th sample at first.
+    /// Its first decimation.
     pub every: u8,
 }
 
-/// Samples of the other link that a link did not bring, one behind the other.
+/// Consecutive samples of the other link that a link did not deliver.
 #[derive(Default)]
 pub(super) struct Run {
-    /// When they were taken, ns on the host's clock: the first of them.
+    /// Host times of the first of them, ns.
     pub taken_ns: Vec<i64>,
-    /// How many there are more.
+    /// Number of further ones.
     pub more: u64,
 }
 
@@ -55,23 +55,23 @@ impl Run {
     }
 }
 
-/// What a link did not bring before its first sample of each start and after its last.
+/// Samples that a link did not deliver before its first one of each start and after its last.
 #[derive(Default)]
 pub(super) struct AtEnds {
-    /// In order.
+    /// In order of time.
     pub lost: Vec<Run>,
-    /// Samples taken before it was listened to.
+    /// Samples taken before the link was heard.
     pub before: u64,
-    /// Samples that may still have been on their way.
+    /// Samples that may still have been under way.
     pub under_way: u64,
 }
 
-/// Finds the samples with the same number on both links.
+/// Finds pairs of samples with the same number.
 pub(super) struct Pairing<'a> {
     holes: &'a Holes,
     heard: [Heard; 2],
     starts: BTreeMap<Start, [Waiting; 2]>,
-    /// Samples that the other link brought and this one did not, between its first and last.
+    /// Samples that the other link delivered and this one did not, between its first and last.
     lost: [u64; 2],
     /// The latest of these.
     lacked: [VecDeque<(Start, Taken)>; 2],
@@ -81,33 +81,33 @@ pub(super) struct Pairing<'a> {
 #[derive(Default)]
 struct Waiting {
     samples: VecDeque<Taken>,
-    /// The first number that the link brought.
+    /// The first number of the link.
     first: Option<u32>,
-    /// What the other link brought before it.
+    /// Samples of the other link before it.
     before_first: Run,
-    /// And what it need not have brought.
+    /// Samples of the other link that are not expected.
     before_heard: u64,
-    /// From when on it is listened to.
+    /// Host time since which samples are expected, ns.
     from_ns: i64,
-    /// It carries every `every`th sample.
+    /// Decimation.
     every: u8,
-    /// Numbers of which the file does not tell whether it brought them.
+    /// Numbers in missing parts of the file.
     holes: Vec<RangeInclusive<u32>>,
 }
 
 impl Waiting {
-    /// Whether the link carries this sample as far as is known, given that it has brought `known`.
+    /// Whether the link carries this sample, given that it has delivered `known`.
     fn carries(&self, number: u32, known: u32) -> bool {
         if self.holes.iter().any(|hole| hole.contains(&number)) {
             return false;
         }
-        let apart = known.wrapping_sub(number) as i32;
-        apart
+        let distance = known.wrapping_sub(number) as i32;
+        distance
             .unsigned_abs()
             .is_multiple_of(self.every.max(1).into())
     }
 
-    /// Notes that the other link has brought `sample` and this one, that has brought `known`, has not.
+    /// Takes a `sample` of the other link that this one, which has delivered `known`, has not.
     /// Returns whether it is lost between this link's first and last.
     fn lacks(&mut self, sample: Taken, known: u32) -> bool {
         if !self.carries(sample.number, known) {
@@ -137,8 +137,8 @@ impl<'a> Pairing<'a> {
         }
     }
 
-    /// Takes a sample that a link has brought, after later ones or not: the other's value, if it has
-    /// brought it already.
+    /// Takes a sample of a link, late or not; returns the other link's value, if it has
+    /// arrived.
     pub fn pair(
         &mut self,
         link: usize,
@@ -160,8 +160,8 @@ impl<'a> Pairing<'a> {
         }
     }
 
-    /// Takes a link's next sample, of which it carries every `every`th; the other's value, if it has
-    /// brought it already.
+    /// Takes a link's next sample, with decimation `every`; returns the other link's value, if it has
+    /// arrived.
     fn take(&mut self, link: usize, start: Start, sample: Taken, every: u8) -> Option<[i32; 3]> {
         self.heard[link].every = every;
         let [own, other] = self.links(link, start);
@@ -170,8 +170,8 @@ impl<'a> Pairing<'a> {
         own.every = every;
         let mut twin = None;
         let mut lacked = [Vec::new(), Vec::new()];
-        // Each link brings its samples in order, but for late ones: what the other has brought before
-        // this one is not coming any more.
+        // Each link delivers its samples in order, except late ones: what the other has delivered before
+        // this one will not arrive.
         while let Some(before) = other.samples.front().copied() {
             if sequence_order(before.number, number).is_gt() {
                 break;
@@ -184,7 +184,7 @@ impl<'a> Pairing<'a> {
             }
         }
         if twin.is_some() {
-            // The other is further: what of this link still waits for it waits in vain.
+            // The other link is ahead: the waiting samples of this one have no counterpart.
             for before in std::mem::take(&mut own.samples) {
                 if other.lacks(before, number) {
                     lacked[1 - link].push(before);
@@ -214,7 +214,7 @@ impl<'a> Pairing<'a> {
         twin
     }
 
-    /// Takes a sample that a link has brought after later ones; the other's value, if it has brought it.
+    /// Takes a late sample of a link; returns the other link's value, if it has arrived.
     fn take_late(&mut self, link: usize, start: Start, sample: Taken) -> Option<[i32; 3]> {
         let number = sample.number;
         let lacked = &mut self.lacked[link];
@@ -238,7 +238,7 @@ impl<'a> Pairing<'a> {
         None
     }
 
-    /// What waits of a link and of the other one.
+    /// The waiting samples of a link and of the other one.
     fn links(&mut self, link: usize, start: Start) -> [&mut Waiting; 2] {
         let (holes, heard) = (self.holes, self.heard);
         let begun = |link: usize| Waiting {
@@ -256,9 +256,9 @@ impl<'a> Pairing<'a> {
         }
     }
 
-    /// The recording is over; what the other link brought and was taken at or after `under_way_ns` may
-    /// still have been on its way by each. Returns what each link lost between its first and last sample
-    /// of each start, and what it did not bring outside of these.
+    /// Ends the recording; samples of the other link taken at or after `under_way_ns` may
+    /// still have been under way. Returns what each link lost between its first and last sample
+    /// of each start, and outside of these.
     pub fn finish(mut self, under_way_ns: [i64; 2]) -> ([u64; 2], [AtEnds; 2]) {
         while let Some((_, links)) = self.starts.pop_first() {
             let is_last = self.starts.is_empty();
@@ -289,7 +289,7 @@ impl<'a> Pairing<'a> {
             found.lost.push(run);
         }
         for (found, waiting) in self.at_ends.iter_mut().zip(links) {
-            // What came before the first one is before what came behind the last one.
+            // Samples before the first one come before those after the last one.
             let at = found.lost.len().saturating_sub(1);
             found.lost.insert(at, waiting.before_first);
         }

@@ -1,4 +1,4 @@
-//! The comparison in pictures.
+//! Charts of a comparison.
 
 use std::path::{Path, PathBuf};
 
@@ -9,13 +9,13 @@ use crate::chart::{self, Band, Chart, Series};
 use crate::html::Report;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
-/// The clock is not known better than this, ms: what is faster is shown as this.
+/// Smallest latency shown, ms: the uncertainty of the clock.
 const LEAST_SHOWN_MS: f64 = 0.1;
-/// Points of a line: more are not seen.
+/// Largest number of points of a line.
 const MAX_POINTS: usize = 1000;
 
 impl Comparison {
-    /// A page with the pictures; `printed` is what the command has said.
+    /// A page with the charts; `printed` is the text of the command.
     ///
     /// # Errors
     /// `file_failed` when one cannot be drawn.
@@ -26,7 +26,7 @@ impl Comparison {
         Ok(report)
     }
 
-    /// Adds the pictures to a page.
+    /// Adds the charts to a page.
     ///
     /// # Errors
     /// `file_failed` when one cannot be drawn.
@@ -37,7 +37,7 @@ impl Comparison {
         Ok(())
     }
 
-    /// Writes every picture into a folder, which is made if it is not there, as SVG and as PNG;
+    /// Writes every chart into a folder, created if necessary, as SVG and as PNG;
     /// returns the files.
     ///
     /// # Errors
@@ -46,8 +46,8 @@ impl Comparison {
         chart::write_all(folder, &self.charts())
     }
 
-    /// The largest part of the samples taken in a stretch of the pictures that did not arrive: of the
-    /// cable and of the wireless link.
+    /// Largest fraction of samples taken in a slice that did not arrive: of the cable and of the
+    /// wireless link.
     pub fn worst_loss(&self) -> [f64; 2] {
         let worst = |slices: &Vec<Slice>| {
             let shares = slices.iter().filter_map(Slice::lost_share);
@@ -56,17 +56,14 @@ impl Comparison {
         self.history.slices.each_ref().map(worst)
     }
 
-    /// The pictures, with what their files are called.
+    /// The charts, with their file names.
     pub fn charts(&self) -> Vec<(&'static str, Chart)> {
         let history = &self.history;
         let axis = self.shown_axis();
         let sides = |pairs: &[(f64, [[f64; 3]; 2])], wireless: &str| {
-            let side = |which: usize, name: &str| Series {
-                name: name.to_owned(),
-                points: chart::broken(thin(
-                    pairs.iter().map(|(time, pair)| (*time, pair[which][axis])),
-                )),
-                dots: false,
+            let side = |which: usize, name: &str| {
+                let points = pairs.iter().map(|(time, pair)| (*time, pair[which][axis]));
+                Series::line(name, chart::broken(thin(points)))
             };
             vec![side(1, wireless), side(0, "cable")]
         };
@@ -74,7 +71,7 @@ impl Comparison {
         let mut charts = vec![(
             "both",
             chart(
-                format!("{name} as both links brought it ({})", self.stream),
+                format!("{name} as received on both links ({})", self.stream),
                 "m/s²",
                 sides(&history.excerpt, "wireless"),
             ),
@@ -88,7 +85,7 @@ impl Comparison {
             charts.push((
                 "both-corrected",
                 chart(
-                    format!("{name} with the link's error model taken off"),
+                    format!("{name} with the link's error model applied"),
                     "m/s²",
                     sides(&corrected, "wireless, corrected"),
                 ),
@@ -100,15 +97,15 @@ impl Comparison {
         charts
     }
 
-    /// The axis whose links are furthest apart.
+    /// The axis with the largest difference between the links.
     fn shown_axis(&self) -> usize {
-        let apart = |axis: &usize| {
+        let difference = |axis: &usize| {
             self.values
                 .as_ref()
                 .map_or(0.0, |values| values.axes[*axis].rms_before_mps2)
         };
         (0..3)
-            .max_by(|a, b| apart(a).total_cmp(&apart(b)))
+            .max_by(|a, b| difference(a).total_cmp(&difference(b)))
             .unwrap_or(0)
     }
 }
@@ -123,31 +120,38 @@ fn chart(title: String, y: &str, series: Vec<Series>) -> Chart {
     }
 }
 
-/// At most [`MAX_POINTS`] of them, evenly.
+/// At most [`MAX_POINTS`] of them, evenly spaced.
 fn thin(points: impl ExactSizeIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     let step = points.len().div_ceil(MAX_POINTS).max(1);
     points.step_by(step).collect()
 }
 
-/// Wireless less cable, before and under the model.
+/// Wireless less cable, before and after correction.
 fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
     [
-        ("gap", "Gap between the links: wireless less cable", false),
-        ("gap-corrected", "The same under the model", true),
+        (
+            "gap",
+            "Difference between the links: wireless less cable",
+            false,
+        ),
+        (
+            "gap-corrected",
+            "The same after correction by the model",
+            true,
+        ),
     ]
     .map(|(name, title, corrected)| {
         let series = (0..3)
-            .map(|axis| Series {
-                name: AXES[axis].to_owned(),
-                points: chart::broken(thin(history.excerpt.iter().map(|(time, [c, w])| {
+            .map(|axis| {
+                let points = history.excerpt.iter().map(|(time, [c, w])| {
                     let w = if corrected {
                         values.model.correct(*w)
                     } else {
                         *w
                     };
                     (*time, (w[axis] - c[axis]) * 1e3)
-                }))),
-                dots: false,
+                });
+                Series::line(AXES[axis], chart::broken(thin(points)))
             })
             .collect();
         (name, chart(title.to_owned(), "mm/s²", series))
@@ -157,8 +161,8 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
 /// A value of an axis, by its index, with its standard deviation.
 type Estimate<'a> = dyn Fn(usize, &Axis) -> Option<(f64, f64)> + 'a;
 
-/// The estimated bias and scale factor as the recording grows, with two standard deviations: of an axis
-/// that hardly moves the offset, of others from when both are told apart.
+/// Estimated bias and scale factor as functions of time, with two standard deviations: for an axis
+/// that hardly moves the offset, for others since both are separable.
 fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
     let last = history.evolution.last().map(|(_, axes)| *axes);
     let has_line = |axis: usize| last.is_some_and(|axes| axes[axis].line.is_some());
@@ -176,7 +180,7 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
             if points.is_empty() {
                 continue;
             }
-            // The bands of the second half are seen whole: the first ones would hide all.
+            // The range shows the bands of the second half completely: the first ones are too wide.
             for (_, value, sd) in &points[points.len() / 2..] {
                 let (low, high) = picture.y_range.unwrap_or((*value, *value));
                 picture.y_range = Some((low.min(value - 3.0 * sd), high.max(value + 3.0 * sd)));
@@ -187,14 +191,13 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
                 series: picture.series.len(),
                 points: points.iter().map(band).collect(),
             });
-            picture.series.push(Series {
-                name: name.to_owned(),
-                points: points
+            picture.series.push(Series::line(
+                name,
+                points
                     .iter()
                     .map(|(time, value, _)| (*time, *value))
                     .collect(),
-                dots: false,
-            });
+            ));
         }
         picture
     };
@@ -207,7 +210,7 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
         Some(((line.scale - 1.0) * 100.0, line.scale_sd * 100.0))
     };
     let bias = picture(
-        "Estimated bias of the wireless link as the recording grows, ± 2 σ",
+        "Estimated bias of the wireless link over time, ± 2 σ",
         "mm/s²",
         &bias,
     );
@@ -226,19 +229,15 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
     let mut series = Vec::new();
     for (slices, link) in history.slices.iter().zip(links).rev() {
         for (share, what) in [(1.0, "longest"), (0.5, "median")] {
-            series.push(Series {
-                name: format!("{link}, {what}"),
-                points: slices
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, slice)| slice.latency.count() > 0)
-                    .map(|(k, slice)| {
-                        let latency_ms = slice.latency.quantile_ns(share) * 1e-6;
-                        (time(k), latency_ms.max(LEAST_SHOWN_MS))
-                    })
-                    .collect(),
-                dots: false,
-            });
+            let shown = slices
+                .iter()
+                .enumerate()
+                .filter(|(_, slice)| slice.latency.count() > 0)
+                .map(|(k, slice)| {
+                    let latency_ms = slice.latency.quantile_ns(share) * 1e-6;
+                    (time(k), latency_ms.max(LEAST_SHOWN_MS))
+                });
+            series.push(Series::line(&format!("{link}, {what}"), shown.collect()));
         }
     }
     let latency = Chart {
@@ -249,19 +248,16 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
             series,
         )
     };
-    let lost = |slices: &[Slice], link: &str| Series {
-        name: link.to_owned(),
-        points: (slices.iter().enumerate())
-            .filter_map(|(k, slice)| {
-                let share = slice.lost_share()?;
-                Some((time(k), 100.0 * share))
-            })
-            .collect(),
-        dots: false,
+    let lost = |slices: &[Slice], link: &str| {
+        let points = slices.iter().enumerate().filter_map(|(k, slice)| {
+            let share = slice.lost_share()?;
+            Some((time(k), 100.0 * share))
+        });
+        Series::line(link, points.collect())
     };
     let [cable, wireless] = &history.slices;
     let loss = chart(
-        "Samples that did not arrive, by when they were taken".to_owned(),
+        "Samples that did not arrive, by the time at which they were taken".to_owned(),
         "%",
         vec![lost(wireless, "wireless"), lost(cable, "cable")],
     );

@@ -2,14 +2,14 @@
 
 use serde::Serialize;
 
-/// Bins for each factor of e: a quantile is right to 1 %.
+/// Bins per factor of e: quantiles are exact to 1 %.
 const BINS_PER_E: f64 = 50.0;
-/// Shortest duration told apart, ns.
+/// Upper end of the first bin, ns.
 const LEAST_NS: f64 = 1_000.0;
 /// Up to 11 days.
 const BINS: usize = 1385;
 
-/// How often durations of which length occurred.
+/// Histogram of durations.
 #[derive(Clone, Debug)]
 pub(super) struct Durations {
     bins: Vec<u64>,
@@ -17,16 +17,16 @@ pub(super) struct Durations {
     max_ns: i64,
 }
 
-/// Durations in numbers, ms.
+/// Quantiles of durations, ms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Quantiles {
-    /// Half are shorter.
+    /// Median.
     pub median_ms: f64,
-    /// 95 % are shorter.
+    /// 95 % quantile.
     pub p95_ms: f64,
-    /// 99 % are shorter.
+    /// 99 % quantile.
     pub p99_ms: f64,
-    /// The longest.
+    /// Maximum.
     pub max_ms: f64,
 }
 
@@ -41,7 +41,7 @@ impl Default for Durations {
 }
 
 impl Durations {
-    /// One more; one below 0, which only a clock's error makes, counts as the shortest.
+    /// Adds a duration; a negative one, which is an error of the clock, counts as the shortest.
     pub fn push(&mut self, ns: i64) {
         let place = (ns.max(1) as f64 / LEAST_NS).ln().max(0.0) * BINS_PER_E;
         self.bins[(place as usize).min(BINS - 1)] += 1;
@@ -53,7 +53,7 @@ impl Durations {
         self.count
     }
 
-    /// The duration below which `share` of all are, ns.
+    /// The duration below which the fraction `share` of all are, ns.
     pub fn quantile_ns(&self, share: f64) -> f64 {
         let wanted = (share * self.count as f64).ceil().max(1.0) as u64;
         let mut below = 0;

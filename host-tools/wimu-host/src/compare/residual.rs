@@ -1,9 +1,9 @@
-//! The third reading: what is left once the fit is taken off, and what a user would see who goes by
-//! the time of arrival.
+//! The third reading: residuals under the fit, and the error of resampling by the time of
+//! arrival.
 
 use std::io::Read;
 
-use super::counted::{Apart, Counted};
+use super::counted::{Counted, Differences};
 use super::index_of;
 use super::link::{ArrivalUser, ByArrival};
 use super::model::LinkModel;
@@ -14,10 +14,10 @@ use crate::decode::{Event, TimedSample};
 use crate::mcap_file::RecordingReader;
 use crate::walk::{Step, walk};
 
-/// What the third reading finds left.
+/// Result of the third reading.
 pub(super) struct Residual {
-    pub after: Apart,
-    /// By link: by the time of arrival, and without its median latency.
+    pub after: Differences,
+    /// By link: by time of arrival, and with its median latency subtracted.
     users: [[ArrivalUser; 2]; 2],
 }
 
@@ -33,7 +33,7 @@ impl Residual {
             [ArrivalUser::new(0.0), ArrivalUser::new(latency_ns)]
         };
         let mut residual = Self {
-            after: Apart::default(),
+            after: Differences::default(),
             users: [users(0), users(1)],
         };
         let mut pairing = Pairing::new(overview.heard, &overview.holes);
@@ -59,7 +59,7 @@ impl Residual {
             let unit = |sample: &TimedSample| overview.units.of(start, sample.sequence);
             let new = current[link].replace(start) != Some(start);
             let count = samples.values.len();
-            // Who goes by the time of arrival has no use for what is late.
+            // Late samples are of no use by time of arrival.
             for user in residual.users[link].iter_mut().filter(|_| !is_late) {
                 if new {
                     user.restart();
@@ -69,7 +69,7 @@ impl Residual {
                         user.restart();
                         continue;
                     };
-                    // A batch arrives at once; its samples are spread out behind its end.
+                    // A batch arrives at once; its samples are spaced by their period before its end.
                     let apart_ns = u64::from(samples.period.0) * u64::from(samples.every);
                     let before_ns = (count - 1 - index) as u64 * apart_ns;
                     let arrived_ns = arrival.host_ns.wrapping_sub(before_ns);

@@ -1,4 +1,4 @@
-//! What a stream's values are.
+//! Units of a stream's values.
 
 use std::collections::BTreeMap;
 
@@ -7,13 +7,13 @@ use wimu_model::SpecificForceQ16;
 use crate::units::RawUnits;
 use crate::walk::Start;
 
-/// What a stream's values are, in each start: by the epochs of both links together.
+/// Units of a stream's values in each start, from the epochs of both links together.
 pub(super) enum Units {
     Raw(BTreeMap<Start, RawUnits>),
     Corrected,
 }
 
-/// What a value is.
+/// Unit of a value.
 #[derive(Clone, Copy)]
 pub(super) struct Unit {
     pub mps2_per_lsb: f64,
@@ -32,7 +32,7 @@ impl Unit {
 }
 
 impl Units {
-    /// That of the sample of this number; `None` where no epoch tells.
+    /// The unit of the sample of this number; `None` if unknown.
     pub fn of(&self, start: Start, sequence: u32) -> Option<Unit> {
         Some(match self {
             Self::Raw(starts) => {

@@ -1,11 +1,11 @@
-//! The header line: which column holds what, in which unit.
+//! The header line: quantity and unit of each column.
 
 use crate::error::{ErrorCode, HostError, Result};
 
 /// Unit of all accelerometer columns of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AccelerationUnit {
-    /// Counts, as the sensor puts them out.
+    /// Raw counts.
     Lsb,
     /// 9.80665 m/s².
     G,
@@ -23,7 +23,7 @@ impl AccelerationUnit {
         }
     }
 
-    /// m/s² per unit, `None` for counts: the sensitivity decides.
+    /// m/s² per unit; `None` for counts, which need a sensitivity.
     pub fn mps2(self) -> Option<f64> {
         match self {
             Self::Lsb => None,
@@ -33,19 +33,19 @@ impl AccelerationUnit {
     }
 }
 
-/// What a file's columns are.
+/// The columns of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Whether there is a time.
+    /// Whether it has a time.
     pub time: bool,
-    /// The accelerometers' numbers, in the order of [`Row::accelerations`](super::Row); `None` is
+    /// The accelerometers' numbers, in the order of [`Row::accelerations`](super::Row); `None` for
     /// one without a number.
     pub accelerometers: Vec<Option<u32>>,
     /// The unit of all accelerometers.
     pub acceleration_unit: AccelerationUnit,
-    /// Whether there is a magnetometer.
+    /// Whether it has a magnetometer.
     pub magnetometer: bool,
-    /// Whether there is a temperature.
+    /// Whether it has a temperature.
     pub temperature: bool,
     /// Full names of the other columns.
     pub other: Vec<String>,
@@ -76,7 +76,7 @@ impl Header {
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 
-/// What one column holds.
+/// Content of one column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Quantity {
     /// The value times 10^exponent is in ns.
@@ -86,7 +86,7 @@ pub enum Quantity {
     Acceleration {
         sensor: usize,
         axis: usize,
-        /// Of the header's unit in the column's.
+        /// The header's unit per unit of the column.
         factor: f64,
     },
     MagneticField {
@@ -97,7 +97,7 @@ pub enum Quantity {
     Other,
 }
 
-/// Every column's name and meaning.
+/// Name and content of every column.
 pub struct Columns {
     names: Vec<String>,
     quantities: Vec<Quantity>,
@@ -129,7 +129,7 @@ impl Columns {
     }
 }
 
-/// A column's meaning before its unit is looked at.
+/// Quantity of a column, without its unit.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Time,
@@ -139,12 +139,10 @@ enum Kind {
     Other,
 }
 
-/// Makes sense of the header's fields; an error's location is the column's name alone.
+/// Parses the fields of the header; the location of an error is the column's name alone.
 pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
     if !names.is_empty() && names.iter().all(|name| name.parse::<f64>().is_ok()) {
-        return Err(HostError::new(
-            ErrorCode::CsvNoHeader,
-            "the first line holds numbers, not column names",
+        return Err(ErrorCode::CsvNoHeader.error("the first line holds numbers, not column names",
             "put a header first, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
         ));
     }
@@ -156,8 +154,9 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
         temperature: false,
         other: Vec::new(),
     };
+    let mut kinds: Vec<Kind> = Vec::with_capacity(names.len());
     let mut quantities = Vec::with_capacity(names.len());
-    // The first column with a unit, which the others must share.
+    // The first column of the quantity, whose unit the others must have.
     let mut acceleration: Option<(&str, (AccelerationUnit, f64))> = None;
     let mut magnetic: Option<(&str, f64)> = None;
     for (index, name) in names.iter().enumerate() {
@@ -166,18 +165,16 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
             .iter()
             .all(|earlier| !split_unit(earlier).0.eq_ignore_ascii_case(bare));
         if !is_first && !bare.is_empty() {
-            return Err(HostError::new(
-                ErrorCode::CsvDuplicateColumn,
-                format!("the column `{bare}` is there twice"),
-                "rename or remove one",
-            )
-            .at(name));
+            return Err(ErrorCode::CsvDuplicateColumn
+                .error(
+                    format!("the column `{bare}` occurs twice"),
+                    "rename or remove one",
+                )
+                .at(name));
         }
-        quantities.push(match meaning(names, bare, unit) {
+        let kind = meaning(names, bare, unit);
+        quantities.push(match kind {
             Kind::Time => {
-                if header.time {
-                    return Err(twice(name, "time"));
-                }
                 header.time = true;
                 Quantity::Time {
                     exponent: lookup(name, unit, &TIME_UNITS)?,
@@ -196,10 +193,6 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
                     header.accelerometers.push(number);
                     header.accelerometers.len() - 1
                 });
-                let earlier = |q: &Quantity| matches!(*q, Quantity::Acceleration { sensor: s, axis: a, .. } if (s, a) == (sensor, axis));
-                if quantities.iter().any(earlier) {
-                    return Err(twice(name, "this axis"));
-                }
                 Quantity::Acceleration {
                     sensor,
                     axis,
@@ -212,18 +205,11 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
                 if ut_per_unit != first_unit {
                     return Err(mixed_units(name, first));
                 }
-                let earlier = |q: &Quantity| matches!(*q, Quantity::MagneticField { axis: a, .. } if a == axis);
-                if quantities.iter().any(earlier) {
-                    return Err(twice(name, "this axis"));
-                }
                 header.magnetometer = true;
                 Quantity::MagneticField { axis, ut_per_unit }
             }
             Kind::Temperature => {
                 lookup(name, unit, &TEMPERATURE_UNITS)?;
-                if header.temperature {
-                    return Err(twice(name, "temperature"));
-                }
                 header.temperature = true;
                 Quantity::Temperature
             }
@@ -232,19 +218,25 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
                 Quantity::Other
             }
         });
+        if kind != Kind::Other && kinds.contains(&kind) {
+            return Err(ErrorCode::CsvDuplicateColumn
+                .error(
+                    "another column has the same quantity",
+                    "rename or remove one",
+                )
+                .at(name));
+        }
+        kinds.push(kind);
     }
-    for (sensor, number) in header.accelerometers.iter().enumerate() {
-        let sensor_name =
-            number.map_or("Accelerometer".to_owned(), |n| format!("Accelerometer {n}"));
-        all_axes(&sensor_name, header.acceleration_unit.as_str(), |wanted| {
-            quantities.iter().any(|q| matches!(*q, Quantity::Acceleration { sensor: s, axis, .. } if (s, axis) == (sensor, wanted)))
+    for &number in &header.accelerometers {
+        let sensor = number.map_or("Accelerometer".to_owned(), |n| format!("Accelerometer {n}"));
+        all_axes(&sensor, header.acceleration_unit.as_str(), |axis| {
+            kinds.contains(&Kind::Acceleration { number, axis })
         })?;
     }
     if header.magnetometer {
-        all_axes("Magnetometer", "µT", |wanted| {
-            quantities
-                .iter()
-                .any(|q| matches!(q, Quantity::MagneticField { axis, .. } if *axis == wanted))
+        all_axes("Magnetometer", "µT", |axis| {
+            kinds.contains(&Kind::MagneticField { axis })
         })?;
     }
     let columns = Columns {
@@ -254,8 +246,8 @@ pub fn parse(names: &[String]) -> Result<(Header, Columns)> {
     Ok((header, columns))
 }
 
-/// What a column of these `names` holds. Other programs' names count where they have a unit that goes with
-/// them and the file has no column of ours for the same.
+/// Quantity of a column among `names`. Names of other programs are accepted if they have a unit of that quantity and
+/// the file has no column of this format for it.
 fn meaning(names: &[String], bare: &str, unit: Option<&str>) -> Kind {
     let ours = kind_of_ours(bare);
     if ours != Kind::Other {
@@ -334,10 +326,11 @@ fn axis(word: &str) -> Option<usize> {
     AXES.iter().position(|axis| axis.eq_ignore_ascii_case(word))
 }
 
-/// Whether a column has this name, with or without its unit, and the unit of an acceleration, with how many of it one is.
+/// Unit of an acceleration column of this name, with or without its unit, and how many of that unit one of the column's
+/// is; `None` for another column.
 ///
 /// # Errors
-/// `csv_unknown_unit` for a column of this name that has another.
+/// `csv_unknown_unit` for a column of this name with an unknown unit.
 pub(crate) fn acceleration(column: &str, name: &str) -> Result<Option<(AccelerationUnit, f64)>> {
     let (bare, unit) = split_unit(column);
     if !bare.eq_ignore_ascii_case(split_unit(name).0) {
@@ -356,7 +349,7 @@ fn split_unit(name: &str) -> (&str, Option<&str>) {
 }
 
 const TIME_UNITS: [(&str, i32); 5] = [("s", 9), ("ms", 6), ("us", 3), ("µs", 3), ("ns", 0)];
-/// With how many of it one is.
+/// Name, unit, and how many of that unit one is.
 const ACCELERATION_UNITS: [(&str, (AccelerationUnit, f64)); 8] = [
     ("LSB", (AccelerationUnit::Lsb, 1.0)),
     ("counts", (AccelerationUnit::Lsb, 1.0)),
@@ -372,7 +365,7 @@ const MAGNETIC_UNITS: [(&str, f64); 4] = [("µT", 1.0), ("uT", 1.0), ("T", 1e6),
 const TEMPERATURE_UNITS: [(&str, ()); 2] = [("°C", ()), ("C", ())];
 
 fn find<T: Copy>(unit: Option<&str>, known: &[(&str, T)]) -> Option<T> {
-    // Greek mu for the micro sign: they look the same.
+    // Both µ characters, Greek mu and micro sign.
     let unit = unit?.replace('\u{3bc}', "\u{b5}");
     let found = known.iter().find(|(text, _)| **text == *unit)?;
     Some(found.1)
@@ -381,42 +374,32 @@ fn find<T: Copy>(unit: Option<&str>, known: &[(&str, T)]) -> Option<T> {
 fn lookup<T: Copy>(name: &str, unit: Option<&str>, known: &[(&str, T)]) -> Result<T> {
     find(unit, known).ok_or_else(|| {
         let message = match unit {
-            Some(unit) => format!("the unit `{unit}` is not known here"),
+            Some(unit) => format!("the unit `{unit}` is unknown"),
             None => "the unit is missing".to_owned(),
         };
         let known: Vec<_> = known.iter().map(|(text, _)| *text).collect();
-        HostError::new(
-            ErrorCode::CsvUnknownUnit,
-            message,
-            format!("write one of {} in parentheses", known.join(", ")),
-        )
-        .at(name)
+        ErrorCode::CsvUnknownUnit
+            .error(
+                message,
+                format!("write one of {} in parentheses", known.join(", ")),
+            )
+            .at(name)
     })
 }
 
-fn twice(name: &str, what: &str) -> HostError {
-    HostError::new(
-        ErrorCode::CsvDuplicateColumn,
-        format!("another column holds {what} already"),
-        "rename or remove one",
-    )
-    .at(name)
-}
-
 fn mixed_units(name: &str, first: &str) -> HostError {
-    HostError::new(
-        ErrorCode::CsvMixedUnits,
-        format!("its unit differs from that of `{first}`"),
-        "convert the columns to one unit",
-    )
-    .at(name)
+    ErrorCode::CsvMixedUnits
+        .error(
+            format!("its unit differs from that of `{first}`"),
+            "convert the columns to one unit",
+        )
+        .at(name)
 }
 
 fn all_axes(sensor: &str, unit: &str, has: impl Fn(usize) -> bool) -> Result<()> {
     match (0..3).find(|axis| !has(*axis)) {
         None => Ok(()),
-        Some(axis) => Err(HostError::new(
-            ErrorCode::CsvMissingColumn,
+        Some(axis) => Err(ErrorCode::CsvMissingColumn.error(
             format!("there is no column `{sensor} {} ({unit})`", AXES[axis]),
             "all three axes are needed: add it, or rename the others if they are something else",
         )),

@@ -1,14 +1,14 @@
-//! Lines and their fields.
+//! Splitting lines into fields.
 
 use std::io::BufRead;
 
 use crate::error::{ErrorCode, HostError, Result};
 
-/// Splits a source into lines of fields, and counts them as an editor does.
+/// Splits a source into lines of fields, and counts lines as an editor does.
 pub struct Lines<R> {
     source: R,
     bytes: Vec<u8>,
-    /// What parts the fields; known from the first line on.
+    /// Separator of the fields; known from the first line on.
     separator: Option<char>,
     /// Number of the line last read, from 1.
     pub number: u64,
@@ -24,13 +24,13 @@ impl<R: BufRead> Lines<R> {
         }
     }
 
-    /// What parts the fields.
+    /// Separator of the fields.
     pub fn separator(&self) -> char {
         self.separator.unwrap_or(',')
     }
 
-    /// The fields of the next line that is neither blank nor begins with `#`, trimmed; `None` at the end. An error has no
-    /// location yet.
+    /// The fields of the next line that is not blank and does not begin with `#`, trimmed; `None` at the end. Errors have
+    /// no location yet.
     pub fn next_fields(&mut self, fields: &mut Vec<String>) -> Result<Option<()>> {
         loop {
             self.bytes.clear();
@@ -43,11 +43,8 @@ impl<R: BufRead> Lines<R> {
             }
             self.number += 1;
             let text = std::str::from_utf8(&self.bytes).map_err(|_| {
-                HostError::new(
-                    ErrorCode::CsvNotUtf8,
-                    "the text is not UTF-8",
-                    "save the file with UTF-8 encoding",
-                )
+                ErrorCode::CsvNotUtf8
+                    .error("the text is not UTF-8", "save the file with UTF-8 encoding")
             })?;
             let text = text
                 .strip_prefix('\u{feff}')
@@ -63,7 +60,7 @@ impl<R: BufRead> Lines<R> {
     }
 }
 
-/// Commas; where there is none outside quotes, semicolons or tabs.
+/// A comma; where there is none outside quotes, a semicolon or a tab.
 fn separator(line: &str) -> char {
     let bare: String = line.split('"').step_by(2).collect();
     [',', ';', '\t']
@@ -80,10 +77,9 @@ fn split(line: &str, separator: char, fields: &mut Vec<String>) -> Result<()> {
         let field;
         if let Some(quoted) = start.strip_prefix('"') {
             (field, rest) = unquote(quoted, separator).ok_or_else(|| {
-                HostError::new(
-                    ErrorCode::CsvFieldCount,
-                    "a quoted field does not end on its line, or text follows its end",
-                    "write a quote inside quotes twice, and a separator after the closing one",
+                ErrorCode::CsvFieldCount.error(
+                    "a quoted field does not end on its line, or is followed by text",
+                    "double a quote inside quotes, and put a separator after the closing one",
                 )
             })?;
         } else {
@@ -99,7 +95,7 @@ fn split(line: &str, separator: char, fields: &mut Vec<String>) -> Result<()> {
     }
 }
 
-/// The field after an opening quote, and what follows it: a separator or nothing.
+/// The field after an opening quote, and the rest: a separator or nothing.
 fn unquote(text: &str, separator: char) -> Option<(String, &str)> {
     let mut field = String::new();
     let mut rest = text;
@@ -120,17 +116,17 @@ fn unquote(text: &str, separator: char) -> Option<(String, &str)> {
     }
 }
 
-/// One line of `fields`, quoted where needed, with its end.
+/// One line of `fields` with its line end, quoted where needed.
 pub fn join(fields: &[String]) -> String {
     let mut line = String::new();
     for (index, field) in fields.iter().enumerate() {
         if index > 0 {
             line.push(',');
         }
-        // A single empty field would read back as a blank line.
+        // A single empty field would read as a blank line.
         let alone = fields.len() == 1 && field.is_empty();
         if alone || field.contains([',', '"', '\n', '\r']) || field.trim() != field {
-            // A line end inside a field would break the rule of one row a line.
+            // A line end inside a field would break the rule of one row per line.
             let text = field.replace('"', "\"\"").replace(['\n', '\r'], " ");
             line.push_str(&format!("\"{text}\""));
         } else {

@@ -1,4 +1,4 @@
-//! Numbers as text, without loss.
+//! Lossless conversion of numbers from and to text.
 
 /// A finite number.
 pub fn finite(text: &str) -> Option<f64> {
@@ -6,14 +6,14 @@ pub fn finite(text: &str) -> Option<f64> {
     text.parse::<f64>().ok().filter(|value| value.is_finite())
 }
 
-/// Whether a field says that there is no number: empty, or as programs write one that is none.
+/// Whether a field has no number: empty, or as programs write a missing value.
 pub fn is_none(text: &str) -> bool {
     let written = ["", "na", "n/a", "null", "none"];
     written.iter().any(|none| text.eq_ignore_ascii_case(none))
         || text.parse::<f64>().is_ok_and(|value| !value.is_finite())
 }
 
-/// Whether commas part `text` in groups of three digits, as `16,384`.
+/// Whether commas separate `text` into groups of three digits, as `16,384`.
 pub fn has_thousands(text: &str) -> bool {
     let digits = text.trim_start_matches(['-', '+']);
     let mut groups = digits.split(',');
@@ -25,8 +25,8 @@ pub fn has_thousands(text: &str) -> bool {
         && groups.all(|group| group.len() == 3 && whole(group))
 }
 
-/// `text` · 10^`exponent` as an integer, rounded half away from zero: exact where f64 is not, so
-/// that a UTC time in seconds keeps its nanoseconds. `None` if it is no decimal number or does not fit.
+/// `text` · 10^`exponent` as an integer, rounded half away from zero, in integer arithmetic so
+/// that a UTC time in seconds keeps its nanoseconds. `None` if it is not a decimal number or does not fit.
 pub fn decimal(text: &str, exponent: i32) -> Option<i64> {
     let (mantissa, power) = match text.split_once(['e', 'E']) {
         Some((mantissa, power)) => (mantissa, power.parse::<i32>().ok()?),
@@ -50,7 +50,7 @@ pub fn decimal(text: &str, exponent: i32) -> Option<i64> {
             return None;
         }
         any = true;
-        // Beyond 30 digits only zeros or far less than a nanosecond can follow.
+        // Digits after the 30th are far below a nanosecond.
         if value < 10_i128.pow(30) {
             value = value * 10 + i128::from(digit - b'0');
             shift = shift.checked_sub(i32::from(in_fraction))?;
@@ -69,7 +69,7 @@ pub fn decimal(text: &str, exponent: i32) -> Option<i64> {
             .checked_pow(shift.unsigned_abs())
             .and_then(|factor| value.checked_mul(factor))?
     } else {
-        // A divisor beyond 38 digits leaves nothing of 31 digits.
+        // Beyond 38 digits the quotient of 31 digits is 0.
         match 10_i128.checked_pow(shift.unsigned_abs()) {
             Some(divisor) => (value + divisor / 2) / divisor,
             None => 0,

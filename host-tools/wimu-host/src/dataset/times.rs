@@ -1,11 +1,11 @@
-//! What the times of a file's rows tell: their rate, and where samples are missing.
+//! Sample rate and gaps from the times of a file's rows.
 
-/// A longer pause between two rows is a break in the file, not a slow rate, ns.
+/// A longer time between two rows is a break, not a sample period, ns.
 const BREAK_NS: i64 = 1_000_000_000;
-/// Rows to either side of a step that tell whether samples are missing in it.
+/// Rows on either side of a step by which a gap is judged.
 const REACH: usize = 128;
-/// Samples that must be missing at least: fewer may be a late time stamp.
-const LEAST_MISSING: f64 = 3.0;
+/// Fewest missing samples of a gap: fewer may be a delayed time stamp.
+const MIN_MISSING: f64 = 3.0;
 
 /// The times of the rows, ns, in order.
 #[derive(Default)]
@@ -16,15 +16,14 @@ impl RowTimes {
         self.0.extend(time_ns);
     }
 
-    /// Rate, Hz, and the rows before which samples are missing; `None` without two times within a
-    /// second of each other.
+    /// Rate, Hz, and the rows after a gap; `None` without two times within a second.
     ///
-    /// Rows whose times come in bursts, as those that were stamped on arrival, miss nothing: what a
-    /// step is too long by must stay for the rows that follow.
+    /// Rows whose times come in bursts, such as times of arrival, have no gaps: the delay of a gap persists in the rows
+    /// that follow.
     pub fn rate_and_gaps(&self) -> Option<(f64, Vec<usize>)> {
         let mut period = self.usual_step_ns().or(self.period_ns(&[]))?;
         let mut gaps = Vec::new();
-        // Gaps found make the period that of the rows between them.
+        // Gaps are excluded from the period of the next pass.
         for _ in 0..3 {
             gaps = self.gaps(period);
             period = self.period_ns(&gaps)?;
@@ -32,8 +31,7 @@ impl RowTimes {
         Some((1e9 / period, gaps))
     }
 
-    /// The median step, ns, where steps about as long fill most of the time: where rows come in bursts
-    /// they do not.
+    /// The median step, ns, if steps of about its length are most of the time, which is not so in bursts.
     fn usual_step_ns(&self) -> Option<f64> {
         let steps = self
             .0
@@ -47,7 +45,7 @@ impl RowTimes {
         (usual > 0 && 2 * usual >= steps.iter().sum()).then_some(median as f64)
     }
 
-    /// Mean step, breaks and `gaps` left out, ns.
+    /// Mean step without breaks and `gaps`, ns.
     fn period_ns(&self, gaps: &[usize]) -> Option<f64> {
         let mut gaps = gaps.iter().peekable();
         let (mut total_ns, mut steps) = (0_i128, 0_u32);
@@ -61,22 +59,22 @@ impl RowTimes {
         (total_ns > 0).then(|| total_ns as f64 / f64::from(steps))
     }
 
-    /// Rows before which samples are missing, at this period, ns.
+    /// Rows after a gap, at this period, ns.
     fn gaps(&self, period: f64) -> Vec<usize> {
         let times = &self.0;
-        let late = |row: usize, from: usize| {
+        let delay = |row: usize, from: usize| {
             times[row].saturating_sub(times[from]) as f64 - (row as f64 - from as f64) * period
         };
         (1..times.len())
-            .filter(|row| late(*row, row - 1) >= LEAST_MISSING * period)
+            .filter(|row| delay(*row, row - 1) >= MIN_MISSING * period)
             .filter(|row| {
                 let before = row.saturating_sub(REACH)..*row;
                 let after = *row..times.len().min(row + REACH);
-                let latest = before.map(|k| late(k, row - 1)).fold(0.0, f64::max);
+                let latest = before.map(|k| delay(k, row - 1)).fold(0.0, f64::max);
                 let earliest = after
-                    .map(|k| late(k, row - 1))
+                    .map(|k| delay(k, row - 1))
                     .fold(f64::INFINITY, f64::min);
-                earliest - latest >= LEAST_MISSING * period
+                earliest - latest >= MIN_MISSING * period
             })
             .collect()
     }

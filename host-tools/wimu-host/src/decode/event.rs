@@ -1,46 +1,46 @@
-//! What a link brings, and how much of it.
+//! Events of a link, and their statistics.
 
 use wimu_link::batch::Stream;
 use wimu_link::message::{ActiveParameters, Environment, Epoch, Navigation, Status};
 use wimu_link::{FrameError, Hello, Reply, Settings};
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
-/// Something that a link brought.
+/// An event of a link.
 #[derive(Clone, Debug)]
 #[allow(
     clippy::large_enum_variant,
     reason = "events are handed on one at a time"
 )]
 pub enum Event {
-    /// Who the device is.
+    /// Identification of the device.
     Hello(Hello),
-    /// The device has started anew: sequence numbers and device times begin again.
+    /// The device has restarted: sequence numbers and device times begin again.
     Restart {
-        /// Which start it is, if the device has said so.
+        /// Boot count, if the device has reported it.
         boot_count: Option<u32>,
     },
     /// Consecutive samples.
     Samples(Samples),
     /// Samples that arrived after later ones.
     Late(Samples),
-    /// From here on samples can be replayed; may come before samples that precede it.
+    /// Samples can be replayed from here on; may arrive before samples that precede it.
     Epoch {
         /// As sent.
         epoch: Epoch,
-        /// Whether epochs before it have not arrived.
+        /// Whether epochs before it were lost.
         after_loss: bool,
     },
     /// Magnetic field and temperature.
     Environment(Environment),
     /// Velocity and position.
     Navigation(Navigation),
-    /// The parameters in use.
+    /// Parameters in use.
     Parameters(ActiveParameters),
-    /// The settings in use.
+    /// Settings in use.
     Settings(Settings),
-    /// How the device is.
+    /// Status of the device.
     Status(Status),
-    /// Something happened on the device.
+    /// An event of the device.
     Device {
         /// When.
         time: DeviceTimeUs,
@@ -49,19 +49,19 @@ pub enum Event {
     },
     /// An answer to a request.
     Reply {
-        /// What is known of it here.
+        /// Decoded reply.
         reply: Reply,
-        /// The frame's body, which the signature holds for.
+        /// The frame's body, which is signed.
         body: Vec<u8>,
     },
     /// A damaged frame, or one of another version.
     Damaged(FrameError),
-    /// An undamaged frame whose body makes no sense here.
+    /// An undamaged frame with an invalid body.
     Unreadable(String),
 }
 
 impl Event {
-    /// Whether it says something of the start that it is from.
+    /// Whether it depends on the start in which it was sent.
     pub(super) fn is_of_a_start(&self) -> bool {
         !matches!(
             self,
@@ -70,8 +70,7 @@ impl Event {
     }
 }
 
-/// Samples of one stream, of which none between the first and the last is missing, never the same
-/// ones twice.
+/// Consecutive samples of one stream without gaps or repetitions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Samples {
     /// Raw counts or corrected specific force.
@@ -80,16 +79,16 @@ pub struct Samples {
     pub first_sequence: u32,
     /// Device time of the first.
     pub first_time: DeviceTimeUs,
-    /// Time from one sample that the sensor takes to the next.
+    /// Sample period of the sensor.
     pub period: PeriodNs,
-    /// From one sample's sequence number to the next one's: 1 unless the stream is decimated.
+    /// Difference of consecutive sequence numbers: 1 unless the stream is decimated.
     pub every: u8,
     /// X, Y, Z in LSB or 2⁻¹⁶ m/s².
     pub values: Vec<[i32; 3]>,
 }
 
 impl Samples {
-    /// The samples one by one.
+    /// The samples, one by one.
     pub fn iter(&self) -> impl Iterator<Item = TimedSample> + '_ {
         self.values.iter().enumerate().map(|(index, value)| {
             let later = index as u32 * u32::from(self.every);
@@ -106,7 +105,7 @@ impl Samples {
 /// A sample with its number and time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedSample {
-    /// Counts every sample that the sensor took.
+    /// Number among all samples taken by the sensor.
     pub sequence: u32,
     /// When it was taken.
     pub time: DeviceTimeUs,
@@ -114,43 +113,41 @@ pub struct TimedSample {
     pub value: [i32; 3],
 }
 
-/// An event and when the bytes that completed it arrived.
+/// An event with the time of arrival of its last byte.
 #[derive(Clone, Debug)]
 pub struct Arrival {
     /// ns on the host's monotonic clock.
     pub host_ns: u64,
     /// The same for the first byte of its frame: independent of the frame's length.
     pub began_ns: u64,
-    /// What arrived.
+    /// The event.
     pub event: Event,
 }
 
-/// What a link carried and lost.
+/// Statistics of a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LinkStatistics {
     /// Bytes received.
     pub bytes: u64,
     /// Undamaged frames.
     pub frames: u64,
-    /// Damaged frames, but for those before the first whole one: listening may have begun within
-    /// one.
+    /// Damaged frames, except those before the first undamaged one: reception may have begun within one.
     pub frames_damaged: u64,
-    /// Undamaged frames of an unknown version or kind, or with a body that makes no sense.
+    /// Undamaged frames of an unknown version or kind, or with an invalid body.
     pub frames_unreadable: u64,
-    /// Undamaged frames with a number or time that the device cannot have reached, which were left out.
+    /// Undamaged frames with a number or time that the device cannot have reached; rejected.
     pub frames_rejected: u64,
-    /// Events that were left out because too many waited for somebody to take them.
+    /// Events dropped because too many were waiting.
     pub events_dropped: u64,
     /// The raw samples.
     pub raw: StreamStatistics,
     /// The corrected samples.
     pub corrected: StreamStatistics,
-    /// Batches that no epoch has told the place of.
+    /// Batches whose sequence numbers no epoch defines.
     pub batches_unplaced: u64,
-    /// Magnetic field and temperature, velocity and position that arrived again or after later ones
-    /// and were left out.
+    /// Environment and navigation messages that were repeated or arrived after later ones; left out.
     pub readings_repeated: u64,
-    /// How often the link was lost and had to be opened again.
+    /// How often the link was lost and reopened.
     pub interruptions: u64,
 }
 
@@ -163,7 +160,7 @@ impl LinkStatistics {
     }
 }
 
-/// What of a stream of samples arrived.
+/// Statistics of a stream of samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct StreamStatistics {
     /// Samples received.
@@ -171,8 +168,8 @@ pub struct StreamStatistics {
     /// Samples between the first and the last received that did not arrive: missed by the device
     /// or lost on the link.
     pub missing: u64,
-    /// Samples that arrived again and were left out.
+    /// Repeated samples; left out.
     pub duplicated: u64,
-    /// Samples that arrived after later ones: not among those received.
+    /// Samples that arrived after later ones; not counted as received.
     pub late: u64,
 }

@@ -1,13 +1,13 @@
-//! Samples that are missing, as far as they may still come.
+//! Missing samples that may still arrive.
 
 use std::collections::VecDeque;
 
 use super::event::{Samples, StreamStatistics};
 
-/// Gaps of a stream that late samples may still fill, at most.
+/// Largest number of gaps of a stream kept for late samples.
 const MAX_GAPS: usize = 256;
 
-/// Numbers of samples that are missing, from and up to, the latest of them.
+/// The latest gaps: first missing number, and first one after the gap.
 #[derive(Debug, Default)]
 pub(super) struct Gaps(VecDeque<(u32, u32)>);
 

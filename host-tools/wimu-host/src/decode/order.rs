@@ -1,21 +1,21 @@
-//! Whether what goes back in time is late, or the device has started anew.
+//! Distinction between delayed data and a restart of the device, when time goes back.
 //!
-//! Both look alike at first: numbers and times begin anew at each start, from the same beginnings.
-//! What follows tells. After something late or repeated the present start goes on; after a restart
-//! nothing is as far as the present start would be by then.
+//! Both look alike at first, because numbers and times begin again at each start. Later data
+//! decide: after delayed or repeated data the present start continues; after a restart
+//! no data are as far as the present start would be.
 
-/// What goes back by no more than this is late: a device is not up again so soon, µs.
+/// Data that go back by at most this are delayed: a restart takes longer, µs.
 const LATE_US: i64 = 500_000;
-/// How long a new start must have gone on without a sign of the old one, ns.
+/// Duration of a new start without data of the old one after which it is accepted, ns.
 const CERTAIN_NS: u64 = 3_000_000_000;
-/// The same where the numbers have passed the old one's.
+/// The same where the numbers have passed those of the old start.
 const CERTAIN_BEYOND_NS: u64 = 5_000_000_000;
-/// By how much a new start's frames may be later than its first, µs.
+/// Largest delay of a new start's frames relative to its first one, µs.
 const LATENCY_US: i64 = 1_000_000;
-/// Held at most: more than arrive while it is uncertain.
+/// Largest number of items held: more than arrive until the decision.
 const MAX_HELD: usize = 2048;
 
-/// Something at its time of arrival and at its device time.
+/// Time of arrival and device time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
     /// Host's monotonic clock, ns.
@@ -25,40 +25,40 @@ pub(super) struct Moment {
 }
 
 impl Moment {
-    /// The device time at `host_ns`, if nothing is late and the device has gone on.
+    /// The device time at `host_ns`, if nothing is delayed and the device has not restarted.
     fn foretold_us(self, host_ns: u64) -> i64 {
         let passed_us = host_ns.saturating_sub(self.host_ns) / 1000;
         self.time_us.saturating_add(passed_us).min(i64::MAX as u64) as i64
     }
 }
 
-/// Where something is among its kind.
+/// Position of data in their stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// Behind the latest, and next to it.
+    /// Next to the latest.
     Next,
-    /// Behind the latest.
+    /// After the latest.
     Ahead,
-    /// Not behind the latest.
+    /// At or before the latest.
     Back,
 }
 
-/// What to do with it.
+/// How to treat data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// It goes on.
+    /// They continue the present start.
     InOrder,
-    /// It is late or repeated.
+    /// They are delayed or repeated.
     Late,
-    /// To be held until what follows tells.
+    /// Hold them until later data decide.
     Hold,
-    /// What is held was late; this goes on.
+    /// The held data were delayed; these continue the present start.
     HeldWasLate,
-    /// The device has started anew before what is held.
+    /// The device has restarted before the held data.
     NewStart,
 }
 
-/// The order of what a link brings of one start; holds `T`.
+/// The order of a link's data within one start; holds `T`.
 #[derive(Debug)]
 pub(super) struct Order<T> {
     front: Option<Moment>,
@@ -66,27 +66,28 @@ pub(super) struct Order<T> {
     held: Vec<T>,
 }
 
-impl<T> Order<T> {
-    /// Nothing has come yet.
-    pub fn new() -> Self {
+impl<T> Default for Order<T> {
+    fn default() -> Self {
         Self {
             front: None,
             doubt: None,
             held: Vec::new(),
         }
     }
+}
 
-    /// Whether something is held: all that follows is, too, until it is decided.
+impl<T> Order<T> {
+    /// Whether data are held: all later data are held too, until the decision.
     pub fn is_in_doubt(&self) -> bool {
         self.doubt.is_some()
     }
 
-    /// Whether what tells nothing of its place is to be held: in doubt, while there is room.
+    /// Whether data without a number or time are to be held: in doubt, while there is room.
     pub fn holds(&self) -> bool {
         self.is_in_doubt() && self.held.len() < MAX_HELD
     }
 
-    /// What is held.
+    /// The held data.
     pub fn held(&self) -> &[T] {
         &self.held
     }
@@ -96,18 +97,18 @@ impl<T> Order<T> {
         self.front.map(|front| front.time_us)
     }
 
-    /// Holds something.
+    /// Holds an item.
     pub fn hold(&mut self, held: T) {
         self.held.push(held);
     }
 
-    /// Ends the doubt; returns what was held.
+    /// Ends the doubt; returns the held data.
     pub fn release(&mut self) -> Vec<T> {
         self.doubt = None;
         std::mem::take(&mut self.held)
     }
 
-    /// What to do with what has come.
+    /// Decides how to treat new data.
     pub fn judge(&mut self, moment: Moment, place: Place) -> Verdict {
         let (Some(front), Some(doubt)) = (self.front, self.doubt) else {
             return self.judge_undoubted(moment, place);
@@ -117,7 +118,7 @@ impl<T> Order<T> {
         let new = doubt.foretold_us(moment.host_ns);
         let is_nearer_to_old = time > new + (old - new) / 2;
         let is_late_for_new = time < new - LATENCY_US;
-        // After a stall what is next to the old is far behind both.
+        // After a stall, data next to the old ones are far behind both.
         let is_old = is_nearer_to_old || (place == Place::Next && is_late_for_new);
         if is_old && place != Place::Back {
             self.advance(moment);

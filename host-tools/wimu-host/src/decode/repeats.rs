@@ -1,20 +1,20 @@
-//! What comes again after the device has started anew is not the new start's.
+//! Repeated data of a previous start of the device.
 //!
-//! Numbers and times begin anew at each start, so that what is repeated from the start before may be
-//! at the new one's place. Its values tell, as noise makes those of two starts differ, and that it is
-//! not long ago that they came.
+//! Numbers and times begin again at each start, so that repeated data of the start before may fit
+//! the new one. They are recognised by their values, which differ between starts because of noise, if
+//! they are recent.
 
 use std::collections::{HashMap, VecDeque};
 
 use wimu_link::Batch;
 use wimu_link::batch::Stream;
 
-/// Batches kept to know them again, and after how many more a start's repeats are at an end.
+/// Batches kept for comparison, and batches after a restart until repeats have ceased.
 const KEPT: usize = 512;
-/// How long after it came something may come again, ns: what is as old is not a link's repeat.
+/// Longest time after which a link repeats data, ns.
 const REPEATED_NS: u64 = 25_000_000_000;
 
-/// What a batch is known by.
+/// Identification of a batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Mark {
     stream: Stream,
@@ -27,15 +27,15 @@ struct Mark {
 /// The latest batches that were handed on.
 #[derive(Debug, Default)]
 pub(super) struct Repeats {
-    /// With when they came, ns of the host.
+    /// With their times of arrival, ns of the host.
     latest: VecDeque<(Mark, u64)>,
-    /// Those of before the latest restart; empty once nothing of them comes any more.
+    /// Those before the latest restart; empty once repeats have ceased.
     before: HashMap<Mark, u64>,
     since_restart: usize,
 }
 
 impl Repeats {
-    /// A batch that came at `host_ns` has been handed on.
+    /// Stores a batch that arrived at `host_ns` and was handed on.
     pub fn add(&mut self, batch: &Batch, host_ns: u64) {
         let Some(mark) = mark(batch) else {
             return;
@@ -46,13 +46,13 @@ impl Repeats {
         self.latest.push_back((mark, host_ns));
     }
 
-    /// The device has started anew.
+    /// The device has restarted.
     pub fn restart(&mut self) {
         self.before = self.latest.iter().copied().collect();
         self.since_restart = 0;
     }
 
-    /// Whether a batch that came at `host_ns` was handed on before the device started anew.
+    /// Whether a batch that arrived at `host_ns` was already handed on before the restart.
     pub fn is_of_a_start_before(&mut self, batch: &Batch, host_ns: u64) -> bool {
         if self.before.is_empty() {
             return false;
@@ -67,8 +67,7 @@ impl Repeats {
     }
 }
 
-/// `None` of a batch whose values are as good as constant: a sensor that is stuck or saturated gives
-/// the same at each start.
+/// `None` for a batch of practically constant values: a stuck or saturated sensor gives the same ones at each start.
 fn mark(batch: &Batch) -> Option<Mark> {
     let samples = batch.samples();
     let (first, last) = (*samples.first()?, *samples.last()?);

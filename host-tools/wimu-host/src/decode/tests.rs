@@ -1,9 +1,10 @@
 use proptest::prelude::*;
-use wimu_link::MAX_FRAME;
 use wimu_link::hello::LinkRole;
 use wimu_link::message::{EpochReason, WireState};
+use wimu_link::{MAX_FRAME, Telemetry};
 use wimu_model::Counts;
 
+use super::anchor::MAX_AHEAD_US;
 use super::*;
 
 const PERIOD_US: u64 = 10_000;
@@ -728,13 +729,15 @@ fn what_is_held_in_doubt_is_bounded_whatever_comes() {
     for _ in 0..sent {
         decoder.push(time(1_600) * 1000, &event, |_| handed_on += 1);
     }
-    assert!(decoder.order.held().len() <= 2048);
+    assert!(decoder.start.order.held().len() <= 2048);
     assert!(handed_on >= sent - 2048, "{handed_on}");
     let unplaced = samples(40_000, 16);
     for _ in 0..sent {
         decoder.push(time(1_600) * 1000, &unplaced, |_| {});
     }
-    assert!(decoder.order.held().len() <= 2048 && decoder.unplaced.len() <= MAX_UNPLACED);
+    assert!(
+        decoder.start.order.held().len() <= 2048 && decoder.start.unplaced.len() <= MAX_UNPLACED
+    );
 }
 
 /// A frame of a device, or of nobody's, with any numbers.
@@ -801,8 +804,8 @@ proptest! {
                 history.take(&arrival);
                 readings.push(&arrival.event, |_| {});
             });
-            prop_assert!(decoder.order.held().len() <= 2049);
-            prop_assert!(decoder.unplaced.len() <= MAX_UNPLACED);
+            prop_assert!(decoder.start.order.held().len() <= 2049);
+            prop_assert!(decoder.start.unplaced.len() <= MAX_UNPLACED);
         }
         for boot in &history.boots {
             for mark in &boot.epochs {

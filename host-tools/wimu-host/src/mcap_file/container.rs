@@ -1,4 +1,4 @@
-//! The container: an MCAP file, appended chunk by chunk.
+//! The container: an MCAP file, written chunk by chunk.
 //!
 //! The writer of the `mcap` crate (0.26) keeps an index entry of every chunk until the file is closed:
 //! of 24 h flushed every second it takes 21 MB, and 40 MB while it closes, where this one takes 2.7 MB,
@@ -32,7 +32,7 @@ const RECORD_HEAD: usize = 9;
 const CHUNK_HEAD: usize = 40;
 /// A chunk is closed at this size, if it is not flushed before.
 const CHUNK_BYTES: usize = 256 * 1024;
-/// So much of the index is held at a time while a file is closed.
+/// Size of the index held in memory while a file is closed, bytes.
 const INDEX_BYTES: usize = 64 * 1024;
 
 /// An MCAP file being written. Dropping it closes it, unless writing has failed.
@@ -41,17 +41,17 @@ pub(super) struct Container<W: Read + Write + Seek> {
     sink: Option<W>,
     /// Bytes written.
     position: u64,
-    /// The open chunk: its heads, to be filled in, and its records.
+    /// The open chunk: its header, to be filled in, and its records.
     chunk: Vec<u8>,
-    /// Time and place in the chunk of its messages, per channel.
+    /// Time and offset in the chunk of its messages, per channel.
     index: BTreeMap<u16, Vec<(u64, u64)>>,
     /// First and last time of the chunk's messages.
     chunk_times: Option<(u64, u64)>,
-    /// Names and whole records, which the summary repeats. The first schema is number 1.
+    /// Names and complete records, which the summary repeats. The first schema has number 1.
     schemas: Vec<(String, Vec<u8>)>,
-    /// Whole records. The first channel is number 0.
+    /// Complete records. The first channel has number 0.
     channels: Vec<Vec<u8>>,
-    /// Whole index records.
+    /// Complete index records.
     metadata: Vec<Vec<u8>>,
     chunks: u32,
     /// Messages per channel.
@@ -84,7 +84,7 @@ impl<W: Read + Write + Seek> Container<W> {
         Ok(container)
     }
 
-    /// The number of a schema of ROS messages; one that is known keeps its own.
+    /// The number of a schema of ROS messages, added if it is new.
     pub(super) fn schema(&mut self, name: &str, definition: &str) -> u16 {
         let known = self.schemas.iter().position(|schema| schema.0 == name);
         let id = known.unwrap_or(self.schemas.len()) as u16 + 1;
@@ -118,7 +118,7 @@ impl<W: Read + Write + Seek> Container<W> {
         id
     }
 
-    /// Appends metadata, behind what is in the chunk.
+    /// Appends metadata, after the open chunk.
     pub(super) fn write_metadata(
         &mut self,
         name: &str,
@@ -180,19 +180,19 @@ impl<W: Read + Write + Seek> Container<W> {
         Ok(())
     }
 
-    /// Hands everything to the operating system.
+    /// Writes all buffered data to the file.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         self.close_chunk()?;
         self.sink()?.flush()
     }
 
-    /// Closes the file with its index; gives the sink back.
+    /// Closes the file with its index; returns the sink.
     pub(super) fn finish(mut self) -> io::Result<W> {
         self.close()?;
         self.sink.take().ok_or_else(closed)
     }
 
-    /// Gives the sink back as it is, without an end.
+    /// Returns the sink without closing the file.
     #[cfg(test)]
     pub(super) fn abandon(mut self) -> W {
         self.sink.take().unwrap()
@@ -206,7 +206,7 @@ impl<W: Read + Write + Seek> Container<W> {
         &mut self.chunk
     }
 
-    /// Writes the open chunk and its messages' places.
+    /// Writes the open chunk and the index of its messages.
     fn close_chunk(&mut self) -> io::Result<()> {
         if self.chunk.is_empty() {
             return Ok(());
@@ -249,7 +249,7 @@ impl<W: Read + Write + Seek> Container<W> {
         let written = self.sink()?.write_all(bytes);
         match written {
             Ok(()) => self.position += bytes.len() as u64,
-            // Half a record may stand there: nothing behind it would be read.
+            // A partial record may have been written: nothing after it could be read.
             Err(_) => self.sink = None,
         }
         written
@@ -322,12 +322,12 @@ impl<W: Read + Write + Seek> Container<W> {
         bytes
     }
 
-    /// Writes an index record of every chunk, from what the chunks before `data_end` say themselves.
+    /// Writes an index record of every chunk, read back from the chunks before `data_end`.
     fn put_chunk_index(&mut self, summary: &mut Summary, data_end: u64) -> io::Result<()> {
         let mut at = mcap::MAGIC.len() as u64;
         while at < data_end {
             let mut entries = Vec::new();
-            // Heads are far apart: what lies between need not be read.
+            // Headers are far apart: the data between are skipped.
             let mut source = BufReader::with_capacity(512, self.sink()?);
             source.seek(io::SeekFrom::Start(at))?;
             let mut chunk: Option<ChunkPlace> = None;
@@ -356,7 +356,7 @@ impl<W: Read + Write + Seek> Container<W> {
                     read = channel.len() as u64;
                     chunk.messages.push((channel, at));
                 }
-                // Its own records: the length is the one that was written.
+                // The length is that of a record of this writer.
                 let rest = length
                     .checked_sub(read)
                     .and_then(|rest| rest.try_into().ok());
@@ -397,11 +397,11 @@ pub(super) struct Message<'a> {
     pub(super) data: &'a [u8],
 }
 
-/// What is told at the end of the summary.
+/// Checksum and offsets of the summary.
 #[derive(Default)]
 struct Summary {
     crc: crc32fast::Hasher,
-    /// Whole records.
+    /// Complete records.
     offsets: Vec<u8>,
 }
 
@@ -418,13 +418,13 @@ impl Summary {
     }
 }
 
-/// Where a chunk and its messages' index are.
+/// Offsets of a chunk and of the index of its messages.
 struct ChunkPlace {
     start: u64,
     head: [u8; CHUNK_HEAD],
-    /// Channels, as in the file, and where their index is.
+    /// Channels, as in the file, and the offset of their index.
     messages: Vec<([u8; 2], u64)>,
-    /// Behind its messages' index.
+    /// End of the index of its messages.
     end: u64,
 }
 
@@ -474,7 +474,7 @@ fn record(bytes: &mut Vec<u8>, code: u8, content: impl FnOnce(&mut Vec<u8>)) {
     bytes[start - 8..start].copy_from_slice(&length.to_le_bytes());
 }
 
-/// Appends what has its length in bytes before it.
+/// Appends content after its length in bytes.
 fn sized(bytes: &mut Vec<u8>, content: impl FnOnce(&mut Vec<u8>)) {
     let start = bytes.len() + 4;
     bytes.extend([0; 4]);

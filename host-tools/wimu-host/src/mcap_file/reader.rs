@@ -1,19 +1,19 @@
-//! Reading a recording, whole or not.
+//! Reader of recordings, complete or not.
 
 use super::*;
 
-/// How whole a recording is, known once it has been read to its end.
+/// Completeness of a recording, known once it has been read to its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Wholeness {
-    /// The file does not end as a closed recording does: it was cut off, is still being written,
-    /// or is damaged beyond what was read.
+    /// The file does not end like a closed recording: it was cut off, is still being written,
+    /// or is damaged beyond the last part read.
     pub truncated: bool,
     /// Chunks left out because their CRC does not match.
     pub damaged_chunks: u32,
 }
 
 impl Wholeness {
-    /// What is wrong with the file, if anything.
+    /// What is wrong with the file; `None` if it is complete.
     pub fn fault(&self) -> Option<String> {
         let cut = "the file is cut off at the end, or damaged from there on".to_owned();
         let damaged = match self.damaged_chunks {
@@ -39,7 +39,7 @@ pub struct RecordingReader<R> {
     channels: BTreeMap<u16, (LinkRole, Content)>,
     /// Messages of the chunk being read, last first.
     pending: Vec<Recorded>,
-    /// Links that have brought something, and the latest time of it, ns on the host's monotonic clock.
+    /// Links with data so far, and their latest host time, ns.
     heard: Vec<LinkRole>,
     latest_ns: u64,
     wholeness: Wholeness,
@@ -60,7 +60,7 @@ impl RecordingReader<BufReader<File>> {
 }
 
 impl<R: Read> RecordingReader<R> {
-    /// Opens a recording and reads it through what `watch` makes of the file, such as a progress bar.
+    /// Opens a recording and reads it through a wrapper of the file, such as a progress bar.
     ///
     /// # Errors
     /// Those of [`open`](RecordingReader::open).
@@ -75,7 +75,7 @@ impl<R: Read> RecordingReader<R> {
         Self::new(watch(source), &name)
     }
 
-    /// Reads from `source`, which errors call `name`.
+    /// Reads from `source`; `name` is its name in errors.
     ///
     /// # Errors
     /// `bad_recording`, `file_failed`.
@@ -96,16 +96,16 @@ impl<R: Read> RecordingReader<R> {
             started: false,
             done: false,
         };
-        // The header is the first record: with it the file is an MCAP file.
+        // The header is the first record and identifies an MCAP file.
         reader.step()?;
         if !reader.started {
-            return Err(bad_recording("it was cut off before anything was recorded").at(name));
+            return Err(bad_recording("it was cut off before its first record").at(name));
         }
         Ok(reader)
     }
 
-    /// The anchor of the times; `None` if another program has written the file without one: then
-    /// times are the file's own.
+    /// The anchor of the times; `None` if the file has none because another program wrote it: then
+    /// times are those of the file.
     pub fn anchor(&mut self) -> Result<Option<ClockAnchor>> {
         while self.anchor.is_none() && self.pending.is_empty() && !self.done {
             self.step()?;
@@ -139,12 +139,12 @@ impl<R: Read> RecordingReader<R> {
             }
             if self.done {
                 if self.channels.is_empty() {
-                    return Err(HostError::new(
-                        ErrorCode::NoWimuTopics,
-                        "the file has neither `/wireless/bytes` nor `/cable/bytes`",
-                        "give a file written by `wimu record`",
-                    )
-                    .at(&self.name));
+                    return Err(ErrorCode::NoWimuTopics
+                        .error(
+                            "the file has neither `/wireless/bytes` nor `/cable/bytes`",
+                            "give a file written by `wimu record`",
+                        )
+                        .at(&self.name));
                 }
                 return Ok(None);
             }
@@ -152,7 +152,7 @@ impl<R: Read> RecordingReader<R> {
         }
     }
 
-    /// How whole the file is; final once [`RecordingReader::next_received`] has given `None`.
+    /// Completeness of the file; final once [`RecordingReader::next_received`] has returned `None`.
     pub fn wholeness(&self) -> Wholeness {
         self.wholeness
     }
@@ -166,7 +166,7 @@ impl<R: Read> RecordingReader<R> {
                     return Ok(());
                 }
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    // A damaged length may ask for more than there is.
+                    // A damaged length may request more than exists.
                     let buffer = self.records.insert(wanted.clamp(1, 1 << 16));
                     let count = match self.source.read(buffer) {
                         Ok(count) => count,
@@ -191,10 +191,10 @@ impl<R: Read> RecordingReader<R> {
                 }
                 Err(mcap::McapError::BadMagic) if !self.started => {
                     self.done = true;
-                    Err(bad_recording("it does not start as an MCAP file does").at(&self.name))
+                    Err(bad_recording("it does not begin like an MCAP file").at(&self.name))
                 }
-                // The file ends in the middle of a record, or the record's length is damaged and
-                // nothing behind it can be found.
+                // The file ends within a record, or the record's length is damaged, so that the next one
+                // cannot be found.
                 Err(_) => {
                     self.done = true;
                     self.wholeness.truncated = true;
@@ -225,17 +225,17 @@ impl<R: Read> RecordingReader<R> {
             Record::Chunk { header, data } => {
                 if !header.compression.is_empty() {
                     self.done = true;
-                    return Err(HostError::new(
-                        ErrorCode::BadRecording,
-                        format!(
-                            "it is compressed with {}, which wimu leaves out",
-                            header.compression
-                        ),
-                        "decompress it with `mcap decompress`",
-                    )
-                    .at(&self.name));
+                    return Err(ErrorCode::BadRecording
+                        .error(
+                            format!(
+                                "it is compressed with {}, which wimu does not support",
+                                header.compression
+                            ),
+                            "decompress it with `mcap decompress`",
+                        )
+                        .at(&self.name));
                 }
-                // Only a whole, undamaged chunk counts: half of one is no loss, it is a second.
+                // A chunk is one second at most: it is used only if it is complete and undamaged.
                 let records = mcap::read::LinearReader::sans_magic(&data);
                 let intact = header.uncompressed_crc == 0
                     || crc32fast::hash(&data) == header.uncompressed_crc;
@@ -263,7 +263,7 @@ impl<R: Read> RecordingReader<R> {
         }
     }
 
-    /// A record that may stand inside a chunk or outside.
+    /// A record inside or outside of a chunk.
     fn take_message(&mut self, record: Record<'_>) -> Result<()> {
         match record {
             Record::Channel(channel) => {
@@ -277,7 +277,7 @@ impl<R: Read> RecordingReader<R> {
                     return Ok(());
                 };
                 let bad = || {
-                    bad_recording("a message on its topic is not of the topic's type").at(format!(
+                    bad_recording("a message on its topic has another type").at(format!(
                         "{}, message {} of {role:?}",
                         self.name, header.sequence
                     ))
@@ -331,9 +331,8 @@ impl<R: Read> Iterator for RecordingReader<R> {
 }
 
 fn bad_recording(message: &str) -> HostError {
-    HostError::new(
-        ErrorCode::BadRecording,
-        format!("this is no recording that can be read: {message}"),
+    ErrorCode::BadRecording.error(
+        format!("this recording cannot be read: {message}"),
         "give a file written by `wimu record`",
     )
 }

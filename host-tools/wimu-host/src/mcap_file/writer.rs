@@ -1,15 +1,15 @@
-//! Writing a recording while it happens.
+//! Writer of a recording in progress.
 
 use super::container::{Container, Message};
 use super::*;
 
-/// A further topic of a [`RecordingWriter`].
+/// An additional topic of a [`RecordingWriter`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topic(u16);
 
-/// Writes a recording while it happens. Memory does not grow with its length.
+/// Writes a recording in progress, in memory that does not grow with its length.
 ///
-/// Dropping it closes the file as well; [`RecordingWriter::finish`] also tells whether that worked.
+/// Dropping it closes the file as well; [`RecordingWriter::finish`] also returns errors.
 pub struct RecordingWriter<W: Read + Write + Seek> {
     name: String,
     pub(super) container: Container<W>,
@@ -21,7 +21,7 @@ pub struct RecordingWriter<W: Read + Write + Seek> {
 }
 
 impl RecordingWriter<File> {
-    /// Creates a file; one that exists is left alone.
+    /// Creates a file; an existing one is not changed.
     ///
     /// # Errors
     /// `file_exists`, `file_unreadable`, `file_failed`.
@@ -38,7 +38,7 @@ impl RecordingWriter<File> {
 }
 
 impl<W: Read + Write + Seek> RecordingWriter<W> {
-    /// Starts a recording in `sink`, which is empty and which errors call `name`.
+    /// Begins a recording in the empty `sink`, with this name in errors.
     ///
     /// # Errors
     /// `file_failed`.
@@ -60,7 +60,7 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
                 Content::State => text,
             };
             channel.0 = container.channel(schema, topic);
-            // The channels stand in the first chunk alone: damage there must not lose the rest.
+            // The channel records are in the first chunk only: the ids here make the rest readable if that is damaged.
             metadata.push((key, channel.0.to_string()));
         }
         container
@@ -77,8 +77,8 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
         })
     }
 
-    /// Appends what the link of `role` received at `host_ns`, ns on the anchored monotonic clock.
-    /// Flushes what is a second old.
+    /// Appends bytes that the link of `role` received at `host_ns`, ns on the anchored monotonic clock.
+    /// Flushes data that are a second old.
     ///
     /// # Errors
     /// `file_failed`.
@@ -151,14 +151,14 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
         self.tick(host_ns)
     }
 
-    /// A further topic, of ROS messages in CDR.
+    /// Adds a topic of ROS messages in CDR.
     pub fn topic(&mut self, name: &str, schema_name: &str, schema: &str) -> Topic {
         let schema = self.container.schema(schema_name, schema);
         Topic(self.container.channel(schema, name))
     }
 
-    /// Appends a message on a further topic that arrived at `host_ns`, on the anchored monotonic
-    /// clock, and tells of `stamp_utc_ns`.
+    /// Appends a message on an additional topic, with arrival at `host_ns`, on the anchored monotonic
+    /// clock, and time stamp `stamp_utc_ns`.
     ///
     /// # Errors
     /// `file_failed`.
@@ -184,7 +184,7 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
         self.anchor
     }
 
-    /// Flushes if a second has passed: for the times when nothing is received.
+    /// Flushes if a second has passed: to be called while nothing is received.
     ///
     /// # Errors
     /// `file_failed`.
@@ -197,7 +197,7 @@ impl<W: Read + Write + Seek> RecordingWriter<W> {
         Ok(())
     }
 
-    /// Hands everything to the operating system.
+    /// Writes all buffered data to the file.
     ///
     /// # Errors
     /// `file_failed`.

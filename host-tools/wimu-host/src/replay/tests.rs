@@ -5,6 +5,7 @@ use wimu_link::{Hello, LinkRole, MAX_FRAME, Telemetry};
 use wimu_model::{
     DeviceTimeUs, ErrorModel, ErrorTerms, ParameterSet, Sensitivity, TemperatureTerms,
 };
+use wimu_testkit::Random;
 
 use super::*;
 use crate::decode::Decoder;
@@ -143,17 +144,14 @@ impl Device {
 
     /// Rest, a shove and rest again, with some noise; a change of temperature and of the period.
     fn run(mut self) -> Vec<Vec<u8>> {
-        let mut noise = 1_u32;
+        let mut random = Random::new(1);
         for step in 0..900_u32 {
             let shove = match step {
                 300..350 => 2_000,
                 350..400 => -2_000,
                 _ => 0,
             };
-            let counts = [0, 0, 16384].map(|axis| {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                axis + (noise >> 28) as i16
-            });
+            let counts = [0, 0, 16384].map(|axis| axis + random.below(16) as i16);
             if step == 333 {
                 self.set_temperature(CentiCelsius(2612));
             }

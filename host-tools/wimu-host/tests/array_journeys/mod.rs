@@ -542,6 +542,25 @@ impl Coverage {
         share(self.outcomes.iter().flat_map(|o| o.rate.iter().copied()))
     }
 
+    /// Whether the true percentages of positions and rates with a NEES below 7.81 can be at least these: within 4 standard
+    /// errors, samples of one journey being dependent.
+    pub fn can_be_at_least(&self, position: f64, rate: f64) -> bool {
+        let reaches = |all: &dyn Fn(&Outcome) -> &Vec<f64>, least: f64| {
+            let parts = || self.outcomes.iter().map(all);
+            let below = share(parts().flatten().copied());
+            let count = parts().map(Vec::len).sum::<usize>().max(1) as f64;
+            let departs =
+                |part: &Vec<f64>| part.len() as f64 * (share(part.iter().copied()) - below);
+            let se = parts()
+                .map(|part| departs(part).powi(2))
+                .sum::<f64>()
+                .sqrt()
+                / count;
+            below + 4.0 * se >= least
+        };
+        reaches(&|o| &o.position, position) && reaches(&|o| &o.rate, rate)
+    }
+
     /// Share of the samples whose position is valid, %.
     pub fn valid(&self) -> f64 {
         let sum: f64 = self.outcomes.iter().map(|o| o.valid).sum();

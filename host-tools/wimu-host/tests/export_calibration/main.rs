@@ -124,13 +124,13 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
     assert!(!text.contains("rounding"));
-    assert!(!text.contains("Not seen"));
+    assert!(!text.contains("Not observed"));
     let unseen = KalibrNoise {
         random_walk_seen: false,
         ..noise
     };
     let unseen = to_kalibr(&set(), Some(unseen));
-    assert!(unseen.contains("# Not seen in the recording: it is this at the most"));
+    assert!(unseen.contains("# Not observed in the recording: upper bound"));
     assert!(unseen.contains("\naccelerometer_random_walk: 0.0001\n"));
     // What Kalibr has no place for is said.
     for word in ["at 24.50 °C", "nonlinearity", "alignment"] {

@@ -7,19 +7,18 @@ use super::values::ValueChanger;
 use super::{DEFAULT_BUFFER, Jitter, LinkFaults, nanoseconds};
 use crate::random::Random;
 
-/// Bytes that share one draw of jitter, at most: a radio sends what it has when it is full or the line
-/// pauses.
+/// Largest number of bytes with the same jitter: a radio sends a packet when it is full or the line pauses.
 const PACKET: u64 = 64;
 const PAUSE_NS: u64 = 3_000_000;
-/// Longest piece that comes in between, bytes.
+/// Longest splice, bytes.
 const LONGEST_SPLICE: u64 = 64;
-/// Longest piece that comes again, bytes; of one in sixteen, as of a ring buffer that is lapped.
+/// Longest duplicate, bytes, and that of one in sixteen, as of an overrun ring buffer.
 const LONGEST_DUPLICATE: u64 = 256;
 const LONGEST_LAP: u64 = 4096;
 /// Bytes remembered for both.
 const HISTORY: usize = LONGEST_LAP as usize;
 
-/// Draws of one generator each.
+/// Stream numbers of the random generators.
 const LOSSES: u64 = 64;
 const FLIPS: u64 = 65;
 const SPLICES: u64 = 66;
@@ -27,8 +26,8 @@ const DUPLICATES: u64 = 67;
 const DELAYS: u64 = 68;
 const VALUES: u64 = 69;
 
-/// Carries bytes in one direction of a link and does to them what its faults are. Times are ns since
-/// the simulation's start and never go back; bytes keep their order.
+/// Carries bytes in one direction of a link with its faults. Times are ns since
+/// the simulation's start and never decrease; bytes keep their order.
 #[derive(Debug)]
 pub struct Channel {
     faults: LinkFaults,
@@ -39,32 +38,32 @@ pub struct Channel {
     duplicates: Events,
     delays: Random,
     packet: Packet,
-    /// Bytes that came in so far.
+    /// Number of bytes that entered so far.
     place: u64,
     /// The latest time at which a byte reaches the receiver.
     latest_ns: u64,
     /// When each byte reaches the receiver.
     under_way: VecDeque<(u64, u8)>,
-    /// Bytes that left last.
+    /// The latest bytes that left.
     history: VecDeque<u8>,
-    /// Whether what left last was a zero, or nothing has left yet.
+    /// Whether the last byte that left was a zero, or none has left.
     at_end_of_frame: bool,
     frame: FrameUnderWay,
     counts: FaultCounts,
     log: Option<Vec<FrameTruth>>,
 }
 
-/// The bytes that the radio sends at once.
+/// A packet of the radio.
 #[derive(Debug, Default)]
 struct Packet {
     number: u64,
     bytes: u64,
-    /// When the latest of them came in.
+    /// Time of its latest byte.
     latest_ns: u64,
     jitter_ns: u64,
 }
 
-/// The frame that the sender is at.
+/// The current frame of the sender.
 #[derive(Debug, Default)]
 struct FrameUnderWay {
     bytes: Vec<u8>,
@@ -76,7 +75,7 @@ struct FrameUnderWay {
 }
 
 impl Channel {
-    /// A channel with these faults; the same seed does the same to the same bytes.
+    /// A channel with these faults; the same seed has the same effect on the same bytes.
     pub fn new(faults: &LinkFaults, seed: u64) -> Self {
         Self {
             values: faults
@@ -107,12 +106,12 @@ impl Channel {
         self
     }
 
-    /// Keeps every frame from now on until [`take_frames`](Self::take_frames).
+    /// Keeps every frame until [`take_frames`](Self::take_frames).
     pub fn log_frames(&mut self) {
         self.log.get_or_insert_default();
     }
 
-    /// The frames sent since the last time, if they are kept, in order.
+    /// The kept frames since the last call, in order.
     pub fn take_frames(&mut self) -> Vec<FrameTruth> {
         self.log.as_mut().map(std::mem::take).unwrap_or_default()
     }
@@ -122,20 +121,20 @@ impl Channel {
         &self.faults
     }
 
-    /// What became of everything so far.
+    /// Statistics of the faults.
     pub fn counts(&self) -> FaultCounts {
         self.counts
     }
 
-    /// Bytes that it takes before its buffer is full.
+    /// Free bytes of its buffer.
     pub fn room(&self) -> usize {
         let holds = self.faults.buffer.unwrap_or(DEFAULT_BUFFER);
         holds.saturating_sub(self.under_way.len())
     }
 
-    /// Takes bytes that came off the sender's line at `now_ns`.
+    /// Takes bytes that left the sender's line at `now_ns`.
     ///
-    /// With changed values a frame is held until its last byte is there.
+    /// With changed values a frame is held until its last byte.
     pub fn push(&mut self, now_ns: u64, bytes: &[u8]) {
         let Some(mut values) = self.values.take() else {
             for &byte in bytes {
@@ -151,7 +150,7 @@ impl Channel {
         self.values = Some(values);
     }
 
-    /// Takes what has arrived by `now_ns`, `most` bytes at most.
+    /// The bytes that have arrived by `now_ns`, `most` at most.
     pub fn pull(&mut self, now_ns: u64, most: usize) -> Vec<u8> {
         let due = self.under_way.iter().take(most);
         let count = due.take_while(|(due_ns, _)| *due_ns <= now_ns).count();
@@ -164,7 +163,7 @@ impl Channel {
         self.under_way.front().map(|(due_ns, _)| *due_ns)
     }
 
-    /// How often the connection has been lost by `now_ns`; `None` while there is none.
+    /// Number of lost connections by `now_ns`; `None` while there is none.
     pub fn connection(&self, now_ns: u64) -> Option<u64> {
         let mut lost = 0;
         for outage in &self.faults.disconnects {
@@ -181,7 +180,7 @@ impl Channel {
         Some(lost)
     }
 
-    /// Forgets what is under way: the sender has lost its power.
+    /// Drops bytes under way: the sender has lost its power.
     pub fn clear(&mut self) {
         self.counts.bytes_delivered -= self.under_way.len() as u64;
         self.under_way.clear();
@@ -247,7 +246,7 @@ impl Channel {
         self.frame.changed |= !piece.is_empty() && self.frame.length > 0;
     }
 
-    /// Sends one byte on its way; when it arrives, or `None` if it does not.
+    /// Delivers one byte; returns its time of arrival, or `None` if it is lost.
     fn deliver(&mut self, now_ns: u64, byte: u8) -> Option<u64> {
         if self.room() == 0 {
             self.counts.bytes_overflowed += 1;
@@ -256,7 +255,7 @@ impl Channel {
         let jitter_ns = self.jitter_ns(now_ns);
         let delayed = now_ns + nanoseconds(self.faults.latency) + jitter_ns;
         let mut due_ns = delayed.max(self.latest_ns);
-        // One stall may end in another; ones without end between them are given up.
+        // A stall may end in another one; endless sequences are given up.
         for _ in 0..1000 {
             let stalls = self.faults.stalls.iter();
             let Some(end_ns) = stalls.filter_map(|stall| stall.end_at(due_ns)).max() else {
@@ -341,7 +340,7 @@ impl Channel {
     }
 }
 
-/// Events at random places, each with the same probability.
+/// Events at random positions with constant probability.
 #[derive(Debug)]
 struct Events {
     random: Random,
@@ -367,7 +366,7 @@ impl Events {
         self.random.unit(self.drawn)
     }
 
-    /// Draws the next place, from `start` on.
+    /// Draws the next position, from `start` on.
     fn advance(&mut self, start: u64) {
         self.next = (self.rate > 0.0).then(|| {
             let draw = self.draw();
@@ -375,7 +374,7 @@ impl Events {
         });
     }
 
-    /// A number to draw the event's kind from, if one is at `place`. Places are asked for in order.
+    /// A random number for the kind of the event at `place`, if there is one. Positions are queried in order.
     fn at(&mut self, place: u64) -> Option<u64> {
         (self.next == Some(place)).then(|| {
             self.advance(place + 1);
@@ -383,9 +382,9 @@ impl Events {
         })
     }
 
-    /// How far behind `start` the next event is, if nearer than `count`.
+    /// Distance from `start` to the next event, if below `count`.
     fn within(&mut self, start: u64, count: u64) -> Option<u64> {
-        // Those of lost bytes are behind.
+        // Skip events of lost bytes.
         while self.next.is_some_and(|next| next < start) {
             let next = self.next.unwrap_or(start);
             self.advance(next + 1);
@@ -403,7 +402,7 @@ struct Runs {
     /// Probabilities per byte that the good state ends, and the bad one.
     ends: Option<[f64; 2]>,
     bad: bool,
-    /// Where the state ends.
+    /// Position at which the state ends.
     until: u64,
     drawn: u64,
 }
@@ -437,7 +436,7 @@ impl Runs {
         self.until = self.until.saturating_add(length);
     }
 
-    /// Whether the byte at `place` is lost. Places are asked for in order, from 0.
+    /// Whether the byte at `place` is lost. Positions are queried in order, from 0.
     fn at(&mut self, place: u64) -> bool {
         while self.until <= place {
             self.turn();
@@ -446,12 +445,12 @@ impl Runs {
     }
 }
 
-/// How many trials up to the first success of probability `p`, 0 < p ≤ 1, by a uniform draw of
+/// Number of trials up to the first success of probability `p`, 0 < p ≤ 1, by a uniform draw from
 /// (0, 1]: 1 or more.
 fn run_length(draw: f64, p: f64) -> u64 {
     if p >= 1.0 {
         return 1;
     }
-    // Saturates for a p that is next to nothing.
+    // Saturates for a very small p.
     ((libm::log(draw) / libm::log1p(-p)) as u64).saturating_add(1)
 }

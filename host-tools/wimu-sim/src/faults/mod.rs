@@ -1,6 +1,6 @@
-//! What goes wrong on a link: pacing, latency, losses, bit errors, splices, duplicates, stalls,
-//! disconnects, and values that the sender changed. Everything is drawn from a seed by the place in
-//! the stream of bytes and by time, so that a run repeats exactly however its bytes are carried.
+//! Faults of a link: baud rate, latency, losses, bit errors, splices, duplicates, stalls,
+//! disconnects, and changed values. Everything is drawn from a seed by the position in
+//! the byte stream and by time, so that a run repeats exactly in any partition of its bytes.
 //!
 //! ```
 //! use wimu_sim::faults::{Channel, LinkFaults};
@@ -25,13 +25,12 @@ pub use truth::{Fate, FaultCounts, FrameTruth};
 
 use std::time::Duration;
 
-/// Bytes that an adapter holds at most, if nothing else is said.
+/// Default size of an adapter's buffer, bytes.
 pub const DEFAULT_BUFFER: usize = 65_536;
 
-/// The faults of one link, the same in both directions but for the values; none by default.
+/// The faults of one link, the same in both directions except the values; none by default.
 ///
-/// As text, for `wimu simulate --faults`: `key=value` joined with commas, see [`PRESETS`] for the
-/// names that stand for several.
+/// As text, for `wimu simulate --faults`: `key=value` joined with commas, or names in [`PRESETS`].
 ///
 /// | key | value | |
 /// |---|---|---|
@@ -51,32 +50,32 @@ pub const DEFAULT_BUFFER: usize = 65_536;
 /// | `noise` | `2mg` | standard deviation added per axis |
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkFaults {
-    /// Rate of the simulated UART, bits/s; `None` leaves the link's own.
+    /// Baud rate of the simulated UART; `None` keeps the link's own.
     pub baud: Option<u32>,
     /// Delay of every byte.
     pub latency: Duration,
     /// Delay added to every packet.
     pub jitter: Option<Jitter>,
-    /// Runs of bytes that are lost.
+    /// Runs of lost bytes.
     pub loss: Option<Loss>,
-    /// Part of the bits that are flipped, 0..=0.5.
+    /// Fraction of flipped bits, 0..=0.5.
     pub bit_error_rate: f64,
-    /// Probability per byte that an earlier piece comes in before it, 0..=0.1.
+    /// Probability per byte that an earlier piece is inserted before it, 0..=0.1.
     pub splice_rate: f64,
-    /// Probability per byte that the piece up to it comes again, 0..=0.1.
+    /// Probability per byte that the preceding piece is repeated, 0..=0.1.
     pub duplicate_rate: f64,
-    /// When nothing passes.
+    /// Times without transmission.
     pub stalls: Vec<Outage>,
-    /// When there is no connection.
+    /// Times without a connection.
     pub disconnects: Vec<Outage>,
-    /// Bytes held at most; `None` for [`DEFAULT_BUFFER`].
+    /// Size of the buffer, bytes; `None` for [`DEFAULT_BUFFER`].
     pub buffer: Option<usize>,
-    /// What the device's wireless unit does to the values.
+    /// Changes of the values by the wireless unit.
     pub values: Option<ValueFaults>,
 }
 
 impl LinkFaults {
-    /// Whether there are none but a rate of the line.
+    /// Whether there are none except a baud rate.
     pub fn is_none(&self) -> bool {
         let only_baud = Self {
             baud: self.baud,
@@ -89,34 +88,34 @@ impl LinkFaults {
 /// How the delay of packets is distributed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Jitter {
-    /// Between nothing and this.
+    /// Uniform from 0 to this.
     Uniform(Duration),
-    /// With this mean, and without a limit.
+    /// Exponential with this mean.
     Exponential(Duration),
 }
 
-/// Gilbert and Elliott's channel: it is good, then bad for a run of bytes, all of them lost.
+/// Gilbert and Elliott's channel: in its bad state all bytes are lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Loss {
-    /// Part of the bytes lost, 0..=0.9.
+    /// Fraction of lost bytes, 0..=0.9.
     pub fraction: f64,
     /// Mean length of a run, bytes, at least 1.
     pub mean_run: f64,
 }
 
-/// A time that comes once, or again and again; counted from the simulation's start.
+/// A single or periodic interval; times from the simulation's start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outage {
-    /// When it first begins.
+    /// First begin.
     pub start: Duration,
-    /// How long it lasts.
+    /// Duration.
     pub length: Duration,
-    /// From one begin to the next, longer than it lasts; `None` if it comes once.
+    /// Period, longer than the duration; `None` for a single one.
     pub every: Option<Duration>,
 }
 
 impl Outage {
-    /// The outage that is on at `time_ns`, or the next one: its begin and its end, ns.
+    /// The outage at `time_ns`, or the next one: begin and end, ns.
     fn at_or_after(&self, time_ns: u64) -> Option<(u64, u64)> {
         let [start, length] = [self.start, self.length].map(nanoseconds);
         let past = time_ns.saturating_sub(start);
@@ -129,20 +128,20 @@ impl Outage {
         Some((begin, begin + length))
     }
 
-    /// Its end, ns, if it is on at `time_ns`.
+    /// The end of the outage at `time_ns`, ns.
     fn end_at(&self, time_ns: u64) -> Option<u64> {
         let (begin, end) = self.at_or_after(time_ns)?;
         (begin <= time_ns).then_some(end)
     }
 }
 
-/// Changes of the samples between the sensor and the frame, as a wireless unit with a converter of
-/// its own has them: `f + scale ∘ f + bias + noise`, both of raw and of corrected samples.
+/// Changes of the samples between sensor and frame, as of a wireless unit with its own
+/// converter: `f + scale ∘ f + bias + noise`, of raw and corrected samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ValueFaults {
     /// m/s², axes of the stream.
     pub bias_mps2: [f64; 3],
-    /// Error of the scale factor, 1 being 100 %.
+    /// Scale factor error, 1 being 100 %.
     pub scale: [f64; 3],
     /// Standard deviation, m/s².
     pub noise_mps2: f64,

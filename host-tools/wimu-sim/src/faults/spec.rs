@@ -1,4 +1,4 @@
-//! Faults as text.
+//! Parser of faults.
 
 use std::str::FromStr;
 use std::time::Duration;
@@ -7,8 +7,8 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{Jitter, LinkFaults, Loss, Outage, ValueFaults};
 
-/// Names that stand for several faults, with what they are like. What follows one in a list is
-/// added or put in its place.
+/// Names of combinations of faults, with their text and description. Later items in a list are
+/// added or replace earlier ones.
 pub const PRESETS: [(&str, &str, &str); 4] = [
     ("none", "", "no faults"),
     (
@@ -19,7 +19,7 @@ pub const PRESETS: [(&str, &str, &str); 4] = [
     (
         "noisy",
         "baud=115200,loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s/60s",
-        "a bad place: 2 % of the bytes lost in runs, 1e-4 of the bits flipped, 50 ms of jitter, a stall of 3 s every minute",
+        "poor radio link: 2 % of the bytes lost in runs, 1e-4 of the bits flipped, 50 ms of jitter, a stall of 3 s every minute",
     ),
     (
         "other-unit",
@@ -30,7 +30,7 @@ pub const PRESETS: [(&str, &str, &str); 4] = [
 
 const LONGEST: Duration = Duration::from_secs(86_400);
 
-/// Why a text says no faults.
+/// Why a text is not a list of faults.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FaultSpecError {
     /// Neither a fault nor a preset.
@@ -47,10 +47,10 @@ pub enum FaultSpecError {
         expected: &'static str,
     },
     /// A length of runs without a loss.
-    #[error("`burst` says how long lost runs are, but `loss` says that there are none")]
+    #[error("`burst` is the length of lost runs, but there is no `loss`")]
     BurstWithoutLoss,
-    /// Stalls or disconnects that leave no time between them.
-    #[error("`{0}`: between them they leave no time at which the link works")]
+    /// Stalls or disconnects without time between them.
+    #[error("`{0}`: the link would never work")]
     NeverWorks(&'static str),
 }
 
@@ -190,7 +190,7 @@ impl LinkFaults {
     }
 }
 
-/// A part of a whole: a number, or a percentage.
+/// A fraction, as number or percentage.
 fn part(text: &str, most: f64) -> Option<f64> {
     let value: f64 = match text.strip_suffix('%') {
         Some(percent) => percent.parse::<f64>().ok()? * 1e-2,
@@ -199,7 +199,7 @@ fn part(text: &str, most: f64) -> Option<f64> {
     (0.0..=most).contains(&value).then_some(value)
 }
 
-/// A time of at most a day, such as `250us`, `20ms`, `3s` or `2min`.
+/// A duration of at most a day, such as `250us`, `20ms`, `3s` or `2min`.
 fn duration(text: &str) -> Option<Duration> {
     let end = text.find(|c: char| c.is_ascii_alphabetic() || c == 'µ')?;
     let (number, unit) = text.split_at(end);
@@ -231,7 +231,7 @@ fn outage(text: &str) -> Option<Outage> {
     (ends && !outage.length.is_zero()).then_some(outage)
 }
 
-/// One number for all axes, or three with `/` between them, each within ±`most`.
+/// One number for all axes, or three separated by `/`, each within ±`most`.
 fn axes(text: &str, most: f64) -> Option<[f64; 3]> {
     let number = |text: &str| {
         let value: f64 = text.trim().parse().ok()?;

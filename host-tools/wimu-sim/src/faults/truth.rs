@@ -1,11 +1,11 @@
-//! What a channel did, known to the test and hidden from the host.
+//! The true effect of a channel, unknown to the host.
 
-/// What became of everything that was sent in one direction.
+/// Statistics of one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FaultCounts {
-    /// Bytes that the sender put on the line.
+    /// Bytes sent.
     pub bytes_sent: u64,
-    /// Bytes that arrived or will, added ones included.
+    /// Bytes delivered or under way, including added ones.
     pub bytes_delivered: u64,
     /// Bytes lost in runs.
     pub bytes_lost: u64,
@@ -15,9 +15,9 @@ pub struct FaultCounts {
     pub bytes_disconnected: u64,
     /// Bits flipped.
     pub bits_flipped: u64,
-    /// Earlier bytes that came in between.
+    /// Inserted earlier bytes.
     pub bytes_spliced: u64,
-    /// Bytes that came again.
+    /// Repeated bytes.
     pub bytes_duplicated: u64,
     /// Frames sent, by their [`Fate`].
     pub frames_intact: u64,
@@ -29,17 +29,16 @@ pub struct FaultCounts {
     pub frames_lost: u64,
 }
 
-/// What became of a frame.
+/// Result of the transmission of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
-    /// It arrived as it was sent, and what arrived before it ended with a zero.
+    /// It arrived unchanged, after a zero.
     Intact,
-    /// It arrived as it was sent, but without a zero before it: it cannot be told from the rubble of
-    /// the one before.
+    /// It arrived unchanged, but without a zero before it, so that it cannot be separated from the damaged frame before it.
     Fused,
-    /// Bytes of it are missing or changed, or others are in between.
+    /// Some of its bytes are missing, changed or separated by others.
     Damaged,
-    /// No byte of it arrived.
+    /// None of its bytes arrived.
     Lost,
 }
 
@@ -48,10 +47,10 @@ pub enum Fate {
 pub struct FrameTruth {
     /// As sent, with its closing zero.
     pub bytes: Vec<u8>,
-    /// When its last byte came off the sender's line, ns since the simulation's start.
+    /// Time of its last byte at the end of the sender's line, ns since the simulation's start.
     pub sent_ns: u64,
-    /// When that byte reached the receiver, if it did, on the same clock.
+    /// Time of arrival of that byte, if it arrived, on the same clock.
     pub delivered_ns: Option<u64>,
-    /// What became of it.
+    /// Result of the transmission.
     pub fate: Fate,
 }

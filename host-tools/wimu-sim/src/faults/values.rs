@@ -1,4 +1,4 @@
-//! Values that change between the sensor and the frame.
+//! Change of values between sensor and frame.
 
 use std::num::NonZeroU8;
 
@@ -9,16 +9,16 @@ use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 use super::ValueFaults;
 use crate::random::Random;
 
-/// Takes frames apart, changes the samples of batches, and puts them together again. What is no
-/// frame passes as it is, and so do raw samples whose unit no epoch has told.
+/// Decodes frames, changes the samples of batches, and encodes them again. Other bytes pass unchanged,
+/// and so do raw samples of unknown unit.
 #[derive(Debug)]
 pub(super) struct ValueChanger {
     faults: ValueFaults,
     random: Random,
     deframer: Deframer,
-    /// What has come of the frame so far.
+    /// The current frame so far.
     held: Vec<u8>,
-    /// What left last.
+    /// The latest output.
     out: Vec<u8>,
     units: RawUnits,
     /// The number of the latest epoch's first sample.
@@ -38,7 +38,7 @@ impl ValueChanger {
         }
     }
 
-    /// Takes a byte; what leaves because of it.
+    /// Takes a byte; returns the resulting output.
     pub(super) fn push(&mut self, byte: u8) -> &[u8] {
         self.held.push(byte);
         let received = self.deframer.push(byte);
@@ -52,7 +52,7 @@ impl ValueChanger {
                 Kind::Telemetry => {
                     if let Ok(Telemetry::Epoch(epoch)) = Telemetry::decode(frame.body) {
                         if epoch.sequence < self.latest {
-                            // The board has started anew.
+                            // The board has restarted.
                             self.units = RawUnits::default();
                         }
                         self.units.see(&epoch);
@@ -73,7 +73,7 @@ impl ValueChanger {
 
     fn change(&mut self, batch: &Batch) {
         let mut frame = [0; MAX_FRAME];
-        // Only the low bits travel.
+        // Only the low bits are sent.
         let sequence = u32::from(batch.sequence_low());
         let time = DeviceTimeUs(batch.time_low().into());
         let Some(every) = NonZeroU8::new(batch.every()) else {

@@ -116,7 +116,7 @@ impl Accelerometer {
         self.fifo.len() > usize::from(threshold)
     }
 
-    /// Whether it is the reader's turn.
+    /// Whether the source has to wait for the reader.
     fn waits(&self) -> bool {
         match self.mode() {
             Mode::Bypass => self.output.fresh(),
@@ -171,7 +171,7 @@ impl Accelerometer {
         }
     }
 
-    /// A sample that has to go makes place even while it is read: no datasheet denies it.
+    /// A new sample replaces the oldest one even while that is read; the datasheet does not specify it.
     fn queue(&mut self, sample: [i16; 3]) {
         let full = self.fifo.len() >= FIFO_SAMPLES;
         if full && self.mode() == Mode::Fifo {
@@ -183,7 +183,7 @@ impl Accelerometer {
         self.fifo.push_back(sample);
     }
 
-    /// A byte of the oldest sample that waits; its last byte makes place for the next.
+    /// A byte of the oldest sample; its last byte removes it.
     fn unqueue(&mut self, byte: u8) -> u8 {
         let sample = self.fifo.front().copied().unwrap_or_default();
         let bytes = sample.map(i16::to_le_bytes);

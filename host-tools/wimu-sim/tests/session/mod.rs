@@ -75,7 +75,7 @@ fn listen(
     arrival: &Arrival,
 ) {
     if let Event::Status(status) = &arrival.event {
-        pace.told(role, status);
+        pace.report_status(role, status);
     }
     if let Some(trip) = clock.heard(role, arrival) {
         pace.answered(Duration::from_micros(now_us), trip);

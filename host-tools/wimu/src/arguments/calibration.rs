@@ -1,136 +1,149 @@
-//! What can be asked of the commands that say how wrong a sensor is.
+//! Options of the commands that estimate a sensor's errors.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, ValueEnum, value_parser};
+use wimu_calib::Face;
+use wimu_host::csv::Filter;
+use wimu_model::Sensitivity;
 
 use super::Role;
+use super::values::{from_to, positive, seconds, sensitivity, side};
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu calibrate session.mcap -o CAL.json
-         wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
-         wimu calibrate session.csv --model auto+drift --report report.html
-         wimu calibrate sides.csv --method six-position --sides x,-x,y,-y,z,-z --placement-sd 0.5
-         wimu calibrate turns.csv --method four-angle --placement-sd 0.5
-         wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
-         wimu calibrate later.csv --method update --with CAL.json -o NOW.json
-         wimu calibrate session.mcap --method reference           (wireless against cable)
-         wimu calibrate two.csv --method reference --reference 0 --accelerometer 1
-         wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json
-         wimu calibrate board.csv --geometry places.csv -o ARRAY.json      (several accelerometers)")]
+Examples:
+  wimu calibrate session.mcap -o CAL.json
+  wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
+  wimu calibrate session.csv --model auto+drift --report report.html
+  wimu calibrate sides.csv --method six-position --sides x,-x,y,-y,z,-z
+  wimu calibrate rotation.csv --method four-angle --placement-sd 0.5
+  wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
+  wimu calibrate later.csv --method update --with CAL.json -o NOW.json
+  wimu calibrate session.mcap --method reference
+  wimu calibrate two.csv --method reference --reference 0 --accelerometer 1
+  wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json
+  wimu calibrate board.csv --geometry positions.csv -o ARRAY.json")]
 pub struct Calibrate {
     /// A LINK, a recording or a CSV file
     pub input: String,
-    /// The recordings of further boards on the same body: together one array, in the order of --geometry
-    #[arg(value_name = "BOARD")]
+    /// With --geometry: recordings of further boards on the same body, in the order of the geometry
+    #[arg(value_name = "BOARD", requires = "geometry")]
     pub boards: Vec<PathBuf>,
-    /// Write the calibration here
-    #[arg(short, long, value_name = "CAL.json")]
-    pub output: Option<PathBuf>,
-    /// Which sensor; the magnetometer from rests in twelve orientations or more, turned about the
-    /// vertical too, beside a calibrated accelerometer
-    #[arg(long, value_enum, default_value_t = Calibrated::Accelerometer)]
-    pub sensor: Calibrated,
-    /// The calibration to update, or of the accelerometer beside the magnetometer; without it, as the
-    /// recording or the device says
-    #[arg(long, value_name = "CAL.json")]
-    pub with: Option<PathBuf>,
-    /// How: from gravity's magnitude in any poses, from six known ones, from turns about level axes
-    /// in steps of 90° or 120°, or against a reference that moves along: the cable's samples, or
-    /// another accelerometer of a CSV file; or a stored one, updated by later rests
-    #[arg(long, value_enum, default_value_t = Method::MultiPosition)]
-    pub method: Method,
-    /// How many parameters: 9 = bias, scale and misalignment (default), 6 without misalignment,
-    /// 3 bias only, auto = the one that predicts poses left out best, a larger one only for more than
-    /// chance; six-position has 12, the turns 6.
-    /// On top: +drift (of the bias over the session), +temperature, +quadratic, as in 9+drift
-    #[arg(long, value_name = "3|6|9|12|auto[+TERM…]")]
-    pub model: Option<String>,
-    /// Local gravity; without it 9.80665 ± 0.015
-    #[arg(long, value_name = "M_S2")]
-    pub gravity: Option<f64>,
-    /// Nominal sensitivity; without it the board's, or for a CSV file the fit's mean
-    #[arg(long, value_name = "LSB_PER_G")]
-    pub sensitivity: Option<f64>,
-    /// Full-scale range at which a CSV file was taken, ± g; without it that of 16 bits at the sensitivity
-    #[arg(long, value_name = "G", value_parser = clap::value_parser!(u8).range(1..=127))]
-    pub range: Option<u8>,
-    /// Compare with the datasheet of this sensor, such as MPU-6050; without it the board's sensor
-    #[arg(long, value_name = "NAME")]
-    pub sensor_model: Option<String>,
-    /// The rows are already means over static poses
-    #[arg(long)]
-    pub poses: bool,
-    /// Only the rows of the CSV file with these values
-    #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
-    pub filter: Option<String>,
-    /// Which accelerometer of a CSV file that has several
-    #[arg(long, value_name = "N")]
+
+    /// Rows of the CSV file to use: those whose columns have these values, such as "Run=2,IMU=0"
+    #[arg(long = "where", value_name = "COLUMN=VALUE,…", help_heading = "Input")]
+    pub filter: Option<Filter>,
+    /// Number (from 0) of the accelerometer to calibrate in a CSV file that has several
+    #[arg(long, value_name = "N", help_heading = "Input")]
     pub accelerometer: Option<u32>,
-    /// Which accelerometer of a CSV file is the reference; without it the first (method reference)
-    #[arg(long, value_name = "N")]
-    pub reference: Option<u32>,
-    /// Nominal sensitivity of the reference of a CSV file of counts, where it is not --sensitivity (method
-    /// reference)
-    #[arg(long, value_name = "LSB_PER_G")]
-    pub reference_sensitivity: Option<f64>,
-    /// Noise of the output per noise of the reference (method reference): 2 where it is twice as noisy;
-    /// without it as both show at rest, or as neighbouring samples tell
-    #[arg(long, value_name = "RATIO")]
-    pub noise_ratio: Option<f64>,
-    /// How exactly six positions or steps of a turn were placed, 1 σ; without it 1 (six-position,
-    /// four-angle, three-angle)
-    #[arg(long, value_name = "DEG")]
-    pub placement_sd: Option<f64>,
-    /// Which side was up in each pose, in order, such as "x,-x,y,-y,z,-z" (six-position): finds
-    /// axes that are swapped or mirrored, which gravity alone does not show
-    #[arg(long, value_name = "SIDES", allow_hyphen_values = true)]
-    pub sides: Option<String>,
-    /// Write the report with its pictures here
-    #[arg(long, value_name = "FILE.html")]
-    pub report: Option<PathBuf>,
-    /// Of which link of a recording; without it, the cable if it was recorded
-    #[arg(long, value_enum)]
+    /// Each row of the CSV file is the mean of one static pose
+    #[arg(long, help_heading = "Input")]
+    pub poses: bool,
+    /// Link of the recording to use [default: the cable if it was recorded]
+    #[arg(long, value_enum, help_heading = "Input")]
     pub link: Option<Role>,
-    /// How many poses to capture (LINK only); without it 12
-    #[arg(long, value_name = "N")]
-    pub count: Option<usize>,
-    /// The dip of the Earth's field at the place, negative south of the magnetic equator; its sign
-    /// tells a mirrored axis, and without it the field points down (magnetometer)
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file the mean scale factor of the fit]
+    #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
+    pub sensitivity: Option<f64>,
+    /// Full-scale range of a CSV file, ± g [default: 32768 / sensitivity, rounded down to a power of two]
+    #[arg(long, value_name = "G", value_parser = value_parser!(u8).range(1..=127), help_heading = "Input")]
+    pub range: Option<u8>,
+    /// For method reference: number of the accelerometer of a CSV file that is the reference [default: the first]
+    #[arg(long, value_name = "N", help_heading = "Input")]
+    pub reference: Option<u32>,
+    /// For method reference: nominal sensitivity of the reference, LSB/g [default: --sensitivity]
+    #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity, help_heading = "Input")]
+    pub reference_sensitivity: Option<Sensitivity>,
+    /// Calibration to update, or calibration of the accelerometer beside the magnetometer [default: that of the
+    /// recording or the device]
+    #[arg(long, value_name = "CAL.json", help_heading = "Input")]
+    pub with: Option<PathBuf>,
+
+    /// Sensor to calibrate
+    #[arg(long, value_enum, default_value_t = Calibrated::Accelerometer, help_heading = "Model")]
+    pub sensor: Calibrated,
+    /// How to calibrate
+    #[arg(long, value_enum, default_value_t = Method::MultiPosition, help_heading = "Model")]
+    pub method: Method,
+    /// Parameters to estimate: 3 (bias), 6 (and scale factors), 9 (and misalignments), or auto (least leave-one-out
+    /// error). Append +drift (of the bias), +temperature or +quadratic, as in 9+drift [default: 9; six-position has 12,
+    /// four-angle and three-angle have 6]
+    #[arg(long, value_name = "3|6|9|12|auto[+TERM…]", help_heading = "Model")]
+    pub model: Option<String>,
+    /// Local gravity, m/s² [default: 9.80665 m/s², uncertainty ± 0.015 m/s² (1 σ)]
+    #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
+    pub gravity: Option<f64>,
+    /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
+    #[arg(long, value_name = "NAME", help_heading = "Model")]
+    pub sensor_model: Option<String>,
+    /// For method reference: standard deviation of the noise, divided by that of the reference [default: estimated]
+    #[arg(long, value_name = "RATIO", help_heading = "Model")]
+    pub noise_ratio: Option<f64>,
+    /// For the magnetometer: dip of the Earth's field, degrees, negative south of the magnetic equator. Its sign shows a
+    /// mirrored axis [default: the field points down]
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), help_heading = "Model")]
     pub dip: Option<f64>,
-    /// Push the result to the device (LINK only)
-    #[arg(long)]
-    pub push: bool,
-    /// All accelerometers of an array at once: their places (see `wimu navigate --help`). Rests in a dozen
-    /// orientations tell each one's errors and how they are turned against each other, fast turns besides
-    /// their places and delays; -o writes all of it as the geometry that `wimu navigate` takes
-    #[arg(long, value_name = "FILE")]
+
+    /// For methods with known orientations: placement error, degrees, 1 σ [default: 1]
+    #[arg(long, value_name = "DEG", help_heading = "Placement")]
+    pub placement_sd: Option<f64>,
+    /// For method six-position: the side that is up in each pose, in order, such as "x,-x,y,-y,z,-z". Shows swapped and
+    /// mirrored axes
+    #[arg(long, value_name = "SIDES", allow_hyphen_values = true, value_delimiter = ',', value_parser = side, help_heading = "Placement")]
+    pub sides: Option<Vec<Face>>,
+
+    /// Calibrate all accelerometers of an array: a file with their positions, or a preset, see `wimu navigate --help`.
+    /// Rests in a dozen orientations give errors and relative rotations; fast rotation also gives positions and delays
+    #[arg(
+        long,
+        value_name = "FILE|PRESET",
+        help_heading = "Arrays",
+        conflicts_with_all = [
+            "method", "sensor", "model", "with", "sensor_model", "range", "poses", "filter", "accelerometer", "reference",
+            "reference_sensitivity", "noise_ratio", "placement_sd", "sides", "report", "count", "dip", "push",
+        ]
+    )]
     pub geometry: Option<PathBuf>,
-    /// How well --geometry knows a place, mm (1 standard deviation); without it as the geometry says, or 0.5
-    #[arg(long, value_name = "MM")]
+    /// Standard deviation of the positions in the geometry, mm [default: that of the geometry file, or 0.5]
+    #[arg(long, value_name = "MM", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub place_sd: Option<f64>,
-    /// How well --geometry knows a sensor's delay, µs; without it as the geometry says, or 300
-    #[arg(long, value_name = "US")]
+    /// Standard deviation of the sensors' delays, µs [default: that of the geometry file, or 300]
+    #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
     pub delay_sd: Option<f64>,
+
+    /// Write the calibration to this file
+    #[arg(short, long, value_name = "CAL.json", help_heading = "Output")]
+    pub output: Option<PathBuf>,
+    /// Write a report with pictures to this file
+    #[arg(long, value_name = "FILE.html", help_heading = "Output")]
+    pub report: Option<PathBuf>,
+
+    /// Push the result to the device (LINK only)
+    #[arg(long, help_heading = "Device")]
+    pub push: bool,
+    /// Number of poses to capture (LINK only), at most 64 [default: 12]
+    #[arg(long, value_name = "N", value_parser = value_parser!(u8).range(..=64), help_heading = "Device")]
+    pub count: Option<u8>,
 }
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu align rests.mcap --up z,x -o CAL.json
-           it stood level (the body's z up), then on its tail (the body's x up)
-         wimu align rests.mcap --up z,x --rests 0,2
-           the second of three rests was an accident
-         wimu align push.mcap --forward --calibration CAL.json -o ALIGNED.json
-           it stood level, was pushed straight ahead, and stood still again
-         wimu align tcp://127.0.0.1:7100 --up z,x --push
-           as soon as the board has stood so
-Push the result with `wimu params push LINK CAL.json`.")]
+Examples:
+  wimu align rests.mcap --up z,x -o CAL.json
+      rests level (body z up), then on its tail (body x up)
+  wimu align rests.mcap --up z,x --rests 0,2
+      ignores the second of three rests
+  wimu align move.mcap --forward --calibration CAL.json -o ALIGNED.json
+      rests level, moves straight ahead, rests again
+  wimu align tcp://127.0.0.1:7100 --up z,x --push
+      listens until both rests were found
+Push a written result with `wimu params push LINK CAL.json`.")]
 pub struct Align {
     /// A LINK, a recording or a CSV file
     pub input: String,
-    /// The body axis that points up at each rest, in order: z is level, -x on its nose
+    /// Body axis that points up at each rest, in order: z is level, -x is nose down
     #[arg(
         long,
         value_name = "AXES",
@@ -139,27 +152,27 @@ pub struct Align {
         allow_hyphen_values = true
     )]
     pub up: Vec<String>,
-    /// Which rests these are, from 0, where it rested more often than --up names
+    /// Numbers of these rests, from 0, where the recording has more rests than --up names
     #[arg(long, value_name = "N", value_delimiter = ',')]
     pub rests: Option<Vec<usize>>,
-    /// After the first of these rests it was moved straight ahead, along the body's x
+    /// After the first of these rests the body moves straight ahead, along its x axis
     #[arg(long)]
     pub forward: bool,
-    /// How the sensor is calibrated; without it, as the recording or the device says
+    /// Calibration of the accelerometer [default: that of the recording or the device]
     #[arg(long, value_name = "CAL.json")]
     pub calibration: Option<PathBuf>,
-    /// How well the body was placed and pushed, 1 σ
-    #[arg(long, value_name = "DEG", default_value_t = 1.0)]
+    /// Placement error of the body, degrees, 1 σ
+    #[arg(long, value_name = "DEG", default_value_t = 1.0, value_parser = from_to(0.01, 20.0))]
     pub placement_sd: f64,
-    /// Write the calibration with the alignment here
+    /// Write the calibration with the alignment to this file
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
-    /// Of which link of a recording; without it, the cable if it was recorded
+    /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum)]
     pub link: Option<Role>,
-    /// Listen for so long at most (LINK only); without it until it is known, or Ctrl-C
-    #[arg(long = "for", value_name = "SECONDS")]
-    pub seconds: Option<f64>,
+    /// Longest time to listen, s (LINK only) [default: until the alignment is known, or Ctrl-C]
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
+    pub seconds: Option<Duration>,
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,
@@ -167,45 +180,54 @@ pub struct Align {
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu allan rest.mcap --report noise.html
-         wimu allan tcp://127.0.0.1:7100 --for 600
-Ten minutes at rest tell the noise density, an hour or more the bias instability.")]
+Examples:
+  wimu allan rest.mcap --report noise.html
+  wimu allan tcp://127.0.0.1:7100 --for 600
+Ten minutes at rest show the noise density, an hour or more the bias instability.")]
 pub struct Allan {
-    /// A LINK, a recording or a CSV file of a sensor that lies still
+    /// A LINK, a recording or a CSV file of a sensor at rest
     pub input: String,
-    /// Write a report with the curve here
+    /// Write a report with the Allan deviation to this file
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Nominal sensitivity; without it the board's, or for a CSV file so that gravity is 1 g
-    #[arg(long, value_name = "LSB_PER_G")]
-    pub sensitivity: Option<f64>,
-    /// Only the rows of the CSV file with these values
+    /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file such that gravity is 1 g]
+    #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity)]
+    pub sensitivity: Option<Sensitivity>,
+    /// Rows of the CSV file to use: those whose columns have these values, such as "Run=2,IMU=0"
     #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
-    pub filter: Option<String>,
-    /// Which accelerometer of a CSV file that has several
+    pub filter: Option<Filter>,
+    /// Number (from 0) of the accelerometer in a CSV file that has several
     #[arg(long, value_name = "N")]
     pub accelerometer: Option<u32>,
-    /// Of which link of a recording; without it, the cable if it was recorded
+    /// Link of the recording to use [default: the cable if it was recorded]
     #[arg(long, value_enum)]
     pub link: Option<Role>,
-    /// Listen for so long (LINK only); without it until Ctrl-C
-    #[arg(long = "for", value_name = "SECONDS")]
-    pub seconds: Option<f64>,
+    /// Time to listen, s (LINK only) [default: until Ctrl-C]
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
+    pub seconds: Option<Duration>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Calibrated {
+    /// Bias, scale factors and misalignments of an accelerometer
     Accelerometer,
+    /// Hard and soft iron of a magnetometer beside a calibrated accelerometer: rests in twelve or more orientations,
+    /// also rotated about the vertical
     Magnetometer,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Method {
+    /// Any poses; only the magnitude of gravity is known
     MultiPosition,
+    /// Each of six sides up; the orientations are known
     SixPosition,
+    /// Rotation about a level axis in steps of 90°
     FourAngle,
+    /// Rotation about a level axis in steps of 120°
     ThreeAngle,
+    /// Against a reference in the same motion: the cable's samples, or another accelerometer of a CSV file
     Reference,
-    /// A stored calibration (--with) checked by later rests and brought up to date
+    /// A stored calibration (--with), checked and updated with later rests
     Update,
 }

@@ -1,93 +1,116 @@
-//! What can be asked of `wimu navigate`.
+//! Options of `wimu navigate`.
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-
 use wimu_host::inertial::Zupt;
 
 use super::Role;
+use super::values::positive;
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu navigate session.mcap --method slide -o path.csv        (moves between rests, without a turn)
-         wimu navigate walk.csv --method tilt --zupt cautious --report path.html
-         wimu navigate raw.csv --calibration CAL.json                  (from `wimu calibrate rests.csv`)
-         wimu navigate board.csv --geometry places.csv -o path.csv
-         wimu navigate board.csv --geometry ARRAY.json                 (from `wimu calibrate --geometry`)
-         wimu navigate cube.csv --geometry cube:100mm                  (columns `Accelerometer 0 (m/s²)`, … to 5)
-         wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json --refine refined.json")]
+GEOMETRY is a file or a preset:
+  FILE.csv         header `X (m),Y (m),Z (m)` (or mm), one row per triad of axes
+  FILE.json        as `wimu calibrate --geometry -o` or --refine wrote it
+  FILE.json        single `axes` with `place_m`, `direction`, `column` of output
+  cube:100mm       six single axes on a cube with this side
+  four:30mm        four triads at this distance from the centre
+  octahedron:30mm  six triads at this distance from the centre
+  board:9.5mm,2mm  eight triads; half side and half thickness of the board
+The path is that of the centre of the sensors.
+
+Examples:
+  wimu navigate session.mcap --method slide -o path.csv
+  wimu navigate walk.csv --method tilt --zupt cautious --report path.html
+  wimu navigate raw.csv --calibration CAL.json
+  wimu navigate board.csv --geometry positions.csv -o path.csv
+  wimu navigate board.csv --geometry ARRAY.json
+  wimu navigate cube.csv --geometry cube:100mm
+  wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json")]
 pub struct Navigate {
-    /// A recording, or a CSV file: of corrected samples, or with --calibration as the sensor puts them out
+    /// A recording, or a CSV file of corrected samples (with --calibration: of the sensor's output)
     pub input: PathBuf,
-    /// The recordings of further boards on the same body: together one array, in the order of --geometry
-    #[arg(value_name = "BOARD")]
+    /// With --geometry: recordings of further boards on the same body, in the order of the geometry
+    #[arg(value_name = "BOARD", requires = "geometry")]
     pub boards: Vec<PathBuf>,
-    /// How the path is found
-    #[arg(long, value_enum, default_value_t = NavigateMethod::Auto)]
-    pub method: NavigateMethod,
-    /// How the bias settles is fitted to this CSV file: the same unit at rest, from its switching on
-    #[arg(long, value_name = "STATIC.csv")]
-    pub drift: Option<PathBuf>,
-    /// Places of an array's accelerometers (triads): a line `X (m),Y (m),Z (m)` or `X (mm),…`, then one for
-    /// each; or what `wimu calibrate --geometry` or --refine wrote, which may also hold axes, delays and error
-    /// models, or single `axes`, each with `place_m`, `direction` and the `column` of its output (`Accelerometer 0`, … where
-    /// it has none). Or a preset: `cube:100mm` (six single axes on a cube of that side), `four:30mm`, `octahedron:30mm`
-    /// (triads so far from the centre), `board:9.5mm,2mm` (eight triads, half the side and half the thickness).
-    /// The path is that of the sensors' centre, wherever the origin of the places is
-    #[arg(long, value_name = "FILE|PRESET")]
-    pub geometry: Option<PathBuf>,
-    /// Estimate the places of all axes and the delays of all sensors from this recording; use them and write them
-    /// here if they predict parts of it that they were not fitted to better than --geometry does
-    #[arg(long, value_name = "GEOMETRY.json", requires = "geometry")]
-    pub refine: Option<PathBuf>,
-    /// How well --geometry knows a place, mm (1 standard deviation), which rate and position hold; without it as
-    /// the geometry says, or 0.5
-    #[arg(long, value_name = "MM")]
-    pub place_sd: Option<f64>,
-    /// How well --geometry knows a sensor's delay, µs, which rate and position hold; without it as the geometry
-    /// says, or 300
-    #[arg(long, value_name = "US")]
-    pub delay_sd: Option<f64>,
-    /// Sensitivity of counts; without it as the calibration or a column `Sensitivity (LSB/g)` says, of an array 2048
-    #[arg(long, value_name = "LSB_PER_G")]
-    pub sensitivity: Option<f64>,
-    /// Position counts as usable while its standard deviation is below this, m
-    #[arg(long, value_name = "M", default_value_t = 1.0)]
-    pub limit: f64,
-    /// Write a report with pictures here
-    #[arg(long, value_name = "FILE.html")]
-    pub report: Option<PathBuf>,
-    /// Write velocity and position here, as a CSV file
-    #[arg(short, long, value_name = "PATH.csv")]
-    pub output: Option<PathBuf>,
-    /// What `wimu calibrate -o` wrote. Of a CSV file it corrects the samples, in the unit that it was made from: counts,
-    /// or m/s² and g. Of a recording it takes the place of the device's own. Of an array once for each sensor, in the
-    /// order of --geometry
-    #[arg(long, value_name = "CAL.json")]
-    pub calibration: Vec<PathBuf>,
-    /// Zero velocity at rests; without this, `on`. Position is zero where the first rest ends. The device's own path is
-    /// as it computed it, unless this is given
-    #[arg(long, value_enum)]
-    pub zupt: Option<ZeroVelocity>,
-    /// Of which link; without it, the cable if it was recorded
-    #[arg(long, value_enum)]
+
+    /// Link of the recording to use [default: the cable if it was recorded]
+    #[arg(long, value_enum, help_heading = "Input")]
     pub link: Option<Role>,
+    /// Calibration that `wimu calibrate -o` wrote. Counts need a calibration made from counts; m/s² or g need one made from
+    /// m/s² or g. It replaces the calibration in a recording. For an array, give one for each sensor, in the order of
+    /// --geometry
+    #[arg(long, value_name = "CAL.json", help_heading = "Input")]
+    pub calibration: Vec<PathBuf>,
+    /// Sensitivity of counts, LSB/g [default: that of the calibration or of a column `Sensitivity (LSB/g)`; for an array
+    /// 2048]
+    #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
+    pub sensitivity: Option<f64>,
+
+    /// Navigation method
+    #[arg(long, value_enum, default_value_t = NavigateMethod::Auto, help_heading = "Model")]
+    pub method: NavigateMethod,
+    /// Zero-velocity updates at rests [default: on]. The path that the device itself has computed does not change
+    #[arg(long, value_enum, help_heading = "Model")]
+    pub zupt: Option<ZeroVelocity>,
+    /// Fit the bias drift after power-on to this recording of the same unit at rest, from its power-on
+    #[arg(
+        long,
+        value_name = "STATIC.csv",
+        conflicts_with = "geometry",
+        help_heading = "Model"
+    )]
+    pub drift: Option<PathBuf>,
+    /// Standard deviation up to which a position is valid, m
+    #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = positive, help_heading = "Model")]
+    pub limit: f64,
+
+    /// Positions of the accelerometers of an array: a file or a preset, see GEOMETRY below
+    #[arg(
+        long,
+        value_name = "GEOMETRY",
+        required_if_eq("method", "array"),
+        help_heading = "Arrays"
+    )]
+    pub geometry: Option<PathBuf>,
+    /// Estimate the positions of all axes and the delays of all sensors. Use them and write them to this file if they
+    /// predict other parts of the recording better than --geometry does
+    #[arg(
+        long,
+        value_name = "GEOMETRY.json",
+        requires = "geometry",
+        help_heading = "Arrays"
+    )]
+    pub refine: Option<PathBuf>,
+    /// Standard deviation of the positions in the geometry, mm [default: that of the geometry file, or 0.5]
+    #[arg(long, value_name = "MM", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
+    pub place_sd: Option<f64>,
+    /// Standard deviation of the sensors' delays, µs [default: that of the geometry file, or 300]
+    #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
+    pub delay_sd: Option<f64>,
+
+    /// Write velocity and position to this CSV file
+    #[arg(short, long, value_name = "PATH.csv", help_heading = "Output")]
+    pub output: Option<PathBuf>,
+    /// Write a report with pictures to this file
+    #[arg(long, value_name = "FILE.html", help_heading = "Output")]
+    pub report: Option<PathBuf>,
 }
 
-/// What `wimu navigate` takes a rest for. An accelerometer cannot tell one from constant velocity.
+/// Use of rests. An accelerometer cannot tell rest from constant velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ZeroVelocity {
-    /// Velocity is zero there: σ and Valid are right where the unit did rest
+    /// Velocity is zero at each rest; σ assumes that the unit was at rest
     On,
-    /// The same, and σ includes what constant velocity could have hidden there: Valid ends the sooner
+    /// Velocity is zero at each rest; σ includes a constant velocity that the sensor cannot exclude
     Cautious,
-    /// Nothing, except at the start
+    /// Velocity is zero at the first rest only
     Off,
 }
 
 impl ZeroVelocity {
-    /// That of the option, and its default.
+    /// The option's value, or its default.
     pub fn of(option: Option<Self>) -> Zupt {
         match option {
             None | Some(Self::On) => Zupt::Stated,
@@ -97,17 +120,17 @@ impl ZeroVelocity {
     }
 }
 
-/// How `wimu navigate` finds the path.
+/// Navigation methods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum NavigateMethod {
-    /// `array` with --geometry, `strapdown` where there is a gyroscope, `tilt` otherwise
+    /// `array` with --geometry, `strapdown` if there is a gyroscope, otherwise `tilt`
     Auto,
-    /// With the gyroscope's angular rate
+    /// Strapdown navigation with a gyroscope
     Strapdown,
-    /// Accelerometer and magnetometer alone
+    /// Accelerometer and magnetometer only
     Tilt,
-    /// With the angular rate of several accelerometers
+    /// Angular rate from several accelerometers (needs --geometry)
     Array,
-    /// Straight moves between rests
+    /// Lengths of straight moves between rests, without rotation
     Slide,
 }

@@ -2,23 +2,20 @@
 
 use std::path::Path;
 
+use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
-use wimu_host::calibration::{read_parameters, write_report};
-use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
-use wimu_host::history::{LinkHistory, Recording};
-use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::history::LinkHistory;
 use wimu_model::ParameterSet;
 
 use crate::arguments::Align;
-use crate::command::{connect, connect_to_write, live, not_over_input, params};
-use crate::output::Output;
+use crate::command::calibrate::{finish, read_calibrated};
+use crate::command::{Connection, listen_until, not_over_input, params};
+use crate::output::{Output, usage};
 
-/// Returns the exit code: 0, or 3 when the data do not support an answer.
+/// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Align, output: Output) -> Result<u8> {
-    let usage = |message: &str, remedy: &str| HostError::new(ErrorCode::Usage, message, remedy);
     let options = AlignOptions {
         up: arguments
             .up
@@ -29,15 +26,9 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         forward: arguments.forward,
         placement_sd_rad: arguments.placement_sd.to_radians(),
     };
-    if !(0.01..=20.0).contains(&arguments.placement_sd) {
-        return Err(usage(
-            "--placement-sd is outside 0.01 to 20 degrees",
-            "give how well the body was placed, 1 σ",
-        ));
-    }
     if options.up.len() < 2 && !options.forward {
         return Err(usage(
-            "one direction leaves a rotation about it open",
+            "one direction does not determine the rotation about it",
             "name a second rest, `--up z,x`, or add --forward",
         ));
     }
@@ -54,93 +45,47 @@ pub fn run(arguments: &Align, output: Output) -> Result<u8> {
         role: arguments.link.map(Into::into),
         ..LoadOptions::default()
     };
-    let given = arguments
-        .calibration
-        .as_deref()
-        .map(read_parameters)
-        .transpose()?;
-    let input = Input::parse(&arguments.input)?;
-    for (flag, given) in [
-        ("--push", arguments.push),
-        ("--for", arguments.seconds.is_some()),
-    ] {
-        if given && !matches!(input, Input::Link(_)) {
-            let remedy = "leave it out; push with `wimu params push LINK CAL.json`";
-            return Err(live::needs_link(flag, remedy));
-        }
-    }
-    let mut client = None;
-    let (data, set) = match (input, given) {
-        (Input::Csv(path), Some(set)) => (Dataset::from_csv(&path, &load)?, set),
-        (Input::Csv(_), None) => {
-            return Err(usage(
-                "a CSV file does not say how its sensor is calibrated",
-                "add --calibration CAL.json",
-            ));
-        }
-        (Input::Recording(path), given) => {
-            let recording = Recording::load(&path)?;
-            let link = recording.link(load.role)?;
-            let data = Dataset::from_link(link, &recording.name)?;
-            let set = match given {
-                Some(set) => set,
-                None => link.last_parameters()?.ok_or_else(|| {
-                    usage(
-                        "the recording does not say how its sensor is calibrated",
-                        "add --calibration CAL.json",
-                    )
-                })?,
-            };
-            (data, set)
-        }
-        (Input::Link(_), given) => {
-            let connected = if arguments.push {
-                connect_to_write(&arguments.input)
-            } else {
-                connect(&arguments.input)
-            };
-            let client = client.insert(connected?);
-            let set = match given {
-                Some(set) => set,
-                None => params::held(client)?.ok_or_else(|| {
-                    usage(
-                        "the device is uncalibrated",
-                        "calibrate it first, or add --calibration CAL.json",
-                    )
-                })?,
-            };
-            (listen(client, arguments, &set, &options, output)?, set)
-        }
-    };
+    let (data, set, mut client) = read_calibrated(
+        &arguments.input,
+        &load,
+        arguments.calibration.as_deref(),
+        arguments.push,
+        |set| {
+            set.ok_or_else(|| {
+                usage(
+                    "there is no calibration of the accelerometer",
+                    "calibrate it first, and add --calibration CAL.json",
+                )
+            })
+        },
+        |client, set| listen(client, arguments, set, &options, output),
+    )?;
     let report = alignment::alignment(&data, &set, &options);
-    output.say(report.to_string());
-    if report.exit_code() == 0
-        && let Some(path) = &arguments.output
-    {
-        write_report(path, &report)?;
-    }
-    if arguments.push
-        && let Some(client) = &mut client
-        && let Some(set) = &report.parameters
-    {
-        params::push(client, set, output)?;
-    }
-    output.object(&report);
-    Ok(report.exit_code())
+    let code = report.exit_code();
+    finish(
+        &report,
+        code,
+        arguments.output.as_deref(),
+        output,
+        || match (&mut client, &report.parameters) {
+            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
+            _ => Ok(()),
+        },
+    )
 }
 
-/// Listens until what has come can be answered, or the time is over, or Ctrl-C.
-fn listen<T: Transport>(
-    client: &mut Client<T>,
+/// Listens until the alignment is known, the time is over, or Ctrl-C.
+fn listen(
+    client: &mut Connection,
     arguments: &Align,
     set: &ParameterSet,
     options: &AlignOptions,
     output: Output,
 ) -> Result<Dataset> {
     let ask = |rests: usize| match arguments.up.get(rests) {
-        Some(up) => output.say(format!("hold the body still with its {up} up")),
+        Some(up) => output.print(format!("hold the body still with its {up} axis up")),
         None if options.forward => {
-            output.say("push it straight ahead, briskly, and hold it still again");
+            output.print("push the body straight ahead, briskly, and hold it still again");
         }
         None => {}
     };
@@ -148,7 +93,7 @@ fn listen<T: Transport>(
     let name = client.name().to_owned();
     let mut record = LinkHistory::new(client.hello().role);
     let (mut looked, mut asked) = (0, 0);
-    live::listen(client, arguments.seconds, |arrival| {
+    listen_until(client, arguments.seconds, |arrival| {
         record.take(arrival);
         let samples = record.boots.iter().map(|boot| boot.raw.len()).sum();
         let rate_hz = match &arrival.event {

@@ -1,4 +1,4 @@
-//! What the commands for several accelerometers on one body share.
+//! Shared code of the commands for an array of accelerometers on one body.
 
 use std::path::{Path, PathBuf};
 
@@ -11,32 +11,33 @@ use wimu_host::array::{
 use crate::arguments::Role;
 use crate::output::Output;
 
-/// Sensitivity of counts where nobody says it, LSB/g.
-pub const SENSITIVITY: f64 = 2048.0;
+/// Default sensitivity of counts, LSB/g (16 bits at ± 16 g).
+pub const SENSITIVITY_LSB_PER_G: f64 = 2048.0;
 
-/// How well places and delays are known: as it is said, as the geometry says, or as where nobody says it.
-pub fn known(
+/// Uncertainty of positions and delays: that of the options, of the geometry, or the default.
+pub fn prior(
     place_sd_mm: Option<f64>,
     delay_sd_us: Option<f64>,
     geometry: &ArrayGeometry,
 ) -> RefineOptions {
-    let unsaid = RefineOptions::default();
+    let default = RefineOptions::default();
     let place = place_sd_mm.or(geometry.place_sd_mm).map(|mm| mm * 1e-3);
     let delay = delay_sd_us.or(geometry.delay_sd_us).map(|us| us * 1e-6);
     RefineOptions {
-        place_sd_m: place.unwrap_or(unsaid.place_sd_m),
-        delay_sd_s: delay.unwrap_or(unsaid.delay_sd_s),
+        place_sd_m: place.unwrap_or(default.place_sd_m),
+        delay_sd_s: delay.unwrap_or(default.delay_sd_s),
     }
 }
 
-/// The recording of an array: one table of all sensors, or one file a board.
+/// Reads the recording of an array: one table of all sensors, or one file per board.
 pub fn read(
     input: &Path,
     boards: &[PathBuf],
-    sensitivity_lsb_per_g: f64,
+    sensitivity_lsb_per_g: Option<f64>,
     link: Option<Role>,
     raw: bool,
 ) -> Result<ArrayRecording> {
+    let sensitivity_lsb_per_g = sensitivity_lsb_per_g.unwrap_or(SENSITIVITY_LSB_PER_G);
     let is_table = input
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("csv"));
@@ -53,7 +54,7 @@ pub fn read(
     ArrayRecording::from_boards(&Board::read_all(&paths, &options)?)
 }
 
-/// What the recording said about places and delays.
+/// Positions and delays estimated from a recording.
 #[derive(Serialize)]
 pub struct Refined {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -61,14 +62,15 @@ pub struct Refined {
     samples: usize,
     residual_before_mps2: f64,
     residual_after_mps2: f64,
-    /// Whether what one half of the recording shows predicts the other half better, and by how much it differs there.
+    /// Whether the estimate from one half of the recording predicts the other half better than the given geometry, and
+    /// the rms prediction error of both.
     accepted: bool,
     held_out_given_mps2: f64,
     held_out_refined_mps2: f64,
     sensors: Vec<RefinedSensor>,
 }
 
-/// One sensor: by how much each coordinate of each axis's place was moved, and its delay.
+/// One sensor: correction of the position of each axis, and its delay.
 #[derive(Serialize)]
 struct RefinedSensor {
     moved_mm: [[f64; 3]; 3],
@@ -78,23 +80,22 @@ struct RefinedSensor {
 }
 
 impl Refined {
-    /// Says it, and makes it an object.
+    /// Prints the result; returns its object.
     pub fn of(found: &Refinement, output: Output) -> Self {
-        output.say(format!(
-            "places and delays from {} samples; what no motion explains falls from {:.3} to {:.3} m/s²",
+        output.print(format!(
+            "positions and delays from {} samples: residual {:.3} → {:.3} m/s² rms",
             found.samples, found.residual_mps2[0], found.residual_mps2[1]
         ));
         let [given, refined] = found.held_out_mps2;
-        output.say(format!(
-            "{}: in parts of the recording that they were not fitted to, the outputs differ from the motion by {refined:.3} m/s² \
-             with them, by {given:.3} as given",
+        output.print(format!(
+            "{}: the residual in held-out parts of the recording is {refined:.3} m/s² with them, {given:.3} m/s² as given",
             if found.accepted {
                 "accepted"
             } else {
-                "rejected, places and delays stay as given"
+                "rejected (the given geometry is kept)"
             }
         ));
-        let mm = |all: &[[f64; 3]; 3]| all.map(|place| place.map(|v| v * 1e3));
+        let mm = |all: &[[f64; 3]; 3]| all.map(|position| position.map(|v| v * 1e3));
         let sensors: Vec<RefinedSensor> = (0..found.delay_s.len())
             .map(|k| RefinedSensor {
                 moved_mm: mm(&found.moved_m[k]),
@@ -109,8 +110,8 @@ impl Refined {
                 .map(|(name, [x, y, z])| format!("{name} {x:+.2} {y:+.2} {z:+.2}"))
                 .collect();
             let sds = sensor.moved_sd_mm.iter().flatten();
-            output.say(format!(
-                "sensor {k}: axes moved by {} mm (± {:.2} at most), later by {:.0} ± {:.0} µs",
+            output.print(format!(
+                "sensor {k}: axes moved by {} mm (± {:.2} at most), delay {:.0} ± {:.0} µs",
                 moved.join(", "),
                 sds.copied().fold(0.0, f64::max),
                 sensor.delay_us,

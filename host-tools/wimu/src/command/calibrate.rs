@@ -3,327 +3,190 @@
 mod array;
 mod magnetometer;
 
+use std::fmt::Display;
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use serde::Serialize;
 use wimu_calib::{Face, Model, Phase, Session, Term, Terms};
 use wimu_host::calibration::{self, CalibrateOptions, MethodChoice, ModelChoice, Paired};
-use wimu_host::client::Client;
 use wimu_host::dataset::{Dataset, LoadOptions};
 use wimu_host::decode::Event;
 use wimu_host::history::{LinkHistory, Recording};
-use wimu_host::transport::Transport;
-use wimu_host::{ErrorCode, HostError, Input, Result};
+use wimu_host::{Input, Result};
 use wimu_link::batch::Stream;
 use wimu_link::hello::board;
 use wimu_link::message::Event as Happened;
-use wimu_model::{Counts, Sensitivity};
+use wimu_model::{Counts, ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
-use crate::command::{connect, connect_to_write, interrupted, not_over_input, params};
-use crate::output::Output;
+use crate::command::{Connection, connect_for, interrupted, not_over_input, params};
+use crate::output::{Output, usage};
 
-/// Returns the exit code: 0, or 3 when the data do not support an answer.
+/// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: Output) -> Result<u8> {
-    if let Some(geometry) = &arguments.geometry {
-        return array::run(arguments, geometry, output).map(|()| 0);
+    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
+    match (&arguments.geometry, arguments.sensor, arguments.method) {
+        (Some(geometry), ..) => array::run(arguments, geometry, output).map(|()| 0),
+        (_, Calibrated::Magnetometer, _) => magnetometer::run(arguments, output),
+        (_, _, Method::Update) => update(arguments, output),
+        (_, _, Method::Reference) => against_reference(arguments, output),
+        _ => with_gravity(arguments, output),
     }
-    let of_arrays = [
-        ("several boards", !arguments.boards.is_empty()),
-        ("--place-sd", arguments.place_sd.is_some()),
-        ("--delay-sd", arguments.delay_sd.is_some()),
-    ];
-    if let Some((what, _)) = of_arrays.into_iter().find(|(_, given)| *given) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("{what}: for arrays only, with --geometry"),
-            "give --geometry FILE, or leave it out",
-        ));
+}
+
+/// Prints a report, writes it to `file` if it holds an answer, and does the rest. Returns the exit code.
+pub fn finish<R: Display + Serialize>(
+    report: &R,
+    exit_code: u8,
+    file: Option<&Path>,
+    output: Output,
+    rest: impl FnOnce() -> Result<()>,
+) -> Result<u8> {
+    output.print(report.to_string());
+    if let Some(file) = file.filter(|_| exit_code == 0) {
+        calibration::write_report(file, report)?;
     }
-    only_what_counts(arguments)?;
-    if arguments.sensor == Calibrated::Magnetometer {
-        return magnetometer::run(arguments, output);
+    rest()?;
+    output.object(report);
+    Ok(exit_code)
+}
+
+/// Reads the samples of `input` and the calibration that belongs to them: `given`, else that of the recording or of the
+/// device. `checked` refuses a calibration that does not serve, before `listen` collects the samples of a LINK.
+pub fn read_calibrated(
+    input: &str,
+    load: &LoadOptions,
+    given: Option<&Path>,
+    push: bool,
+    checked: impl Fn(Option<ParameterSet>) -> Result<ParameterSet>,
+    listen: impl FnOnce(&mut Connection, &ParameterSet) -> Result<Dataset>,
+) -> Result<(Dataset, ParameterSet, Option<Connection>)> {
+    let given = given.map(calibration::read_parameters).transpose()?;
+    match Input::parse(input)? {
+        Input::Csv(path) => Ok((Dataset::from_csv(&path, load)?, checked(given)?, None)),
+        Input::Recording(path) => {
+            let recording = Recording::load(&path)?;
+            let link = recording.link(load.role)?;
+            let data = Dataset::from_link(link, &recording.name)?;
+            let set = given.map_or_else(|| link.last_parameters(), |set| Ok(Some(set)))?;
+            Ok((data, checked(set)?, None))
+        }
+        Input::Link(_) => {
+            let mut client = connect_for(input, push)?;
+            let set = given.map_or_else(|| params::held(&mut client), |set| Ok(Some(set)))?;
+            let set = checked(set)?;
+            Ok((listen(&mut client, &set)?, set, Some(client)))
+        }
     }
-    if arguments.method == Method::Update {
-        return updated(arguments, output);
-    }
-    if arguments.with.is_some() {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "--with goes with --sensor magnetometer or --method update only",
-            "leave it out, or add one of them",
-        ));
-    }
-    if arguments.method == Method::Reference {
-        return against_reference(arguments, output);
-    }
-    let of_reference = [
-        ("--reference", arguments.reference.is_some()),
-        (
-            "--reference-sensitivity",
-            arguments.reference_sensitivity.is_some(),
-        ),
-        ("--noise-ratio", arguments.noise_ratio.is_some()),
-    ];
-    if let Some((flag, _)) = of_reference.into_iter().find(|(_, given)| *given) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("{flag} goes with --method reference only"),
-            "leave it out, or add --method reference",
-        ));
-    }
-    let options = options(arguments)?;
-    let load = LoadOptions {
-        filter: arguments.filter.as_deref().map(str::parse).transpose()?,
+}
+
+fn load_options(arguments: &Calibrate) -> LoadOptions {
+    LoadOptions {
+        filter: arguments.filter.clone(),
         accelerometer: arguments.accelerometer,
         poses: arguments.poses,
         role: arguments.link.map(Into::into),
-    };
-    let input = Input::parse(&arguments.input)?;
-    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    if arguments.push && !matches!(input, Input::Link(_)) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "--push needs a LINK",
-            "write the calibration with -o and push it with `wimu params push LINK CAL.json`",
-        ));
     }
+}
+
+/// Calibrates with poses, by the magnitude or the direction of gravity.
+fn with_gravity(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let options = options(arguments)?;
+    let load = load_options(arguments);
     let mut client = None;
-    let data = match input {
+    let data = match Input::parse(&arguments.input)? {
         Input::Csv(path) => Dataset::from_csv(&path, &load)?,
         Input::Recording(path) => Dataset::from_recording(&path, &load)?,
         Input::Link(_) => {
-            let connected = if arguments.push {
-                connect_to_write(&arguments.input)
-            } else {
-                connect(&arguments.input)
-            };
-            let client = client.insert(connected?);
+            let client = client.insert(connect_for(&arguments.input, arguments.push)?);
             collect(client, arguments, &options, output)?
         }
     };
     let report = calibration::calibrate(&data, &options)?;
-    output.say(report.to_string());
-    if report.exit_code() == 0
-        && let Some(path) = &arguments.output
-    {
-        calibration::write_report(path, &report)?;
-    }
-    if let Some(path) = &arguments.report {
-        report.page()?.write(path)?;
-    }
-    if report.exit_code() == 0
-        && arguments.push
-        && let Some(client) = &mut client
-        && let Some(set) = &report.parameters
-    {
-        params::push(client, set, output)?;
-    }
-    output.object(&report);
-    Ok(report.exit_code())
+    let code = report.exit_code();
+    finish(&report, code, arguments.output.as_deref(), output, || {
+        if let Some(path) = &arguments.report {
+            report.page()?.write(path)?;
+        }
+        match (&mut client, &report.parameters) {
+            (Some(client), Some(set)) if arguments.push && code == 0 => {
+                params::push(client, set, output)
+            }
+            _ => Ok(()),
+        }
+    })
 }
 
-/// Refuses what the input or the method would pass over in silence.
-fn only_what_counts(arguments: &Calibrate) -> Result<()> {
-    let (csv, link, recording) = match Input::parse(&arguments.input) {
-        Ok(Input::Csv(_)) => (true, false, false),
-        Ok(Input::Link(_)) => (false, true, false),
-        Ok(Input::Recording(_)) => (false, false, true),
-        // What is not there is said when it is read.
-        Err(_) => return Ok(()),
-    };
-    let known_orientations = matches!(
-        arguments.method,
-        Method::SixPosition | Method::FourAngle | Method::ThreeAngle
-    );
-    let magnetometer = arguments.sensor == Calibrated::Magnetometer;
-    let passed_over = [
-        ("--count", arguments.count.is_some() && !link, "a LINK only"),
-        (
-            "--where",
-            arguments.filter.is_some() && !csv,
-            "a CSV file only",
-        ),
-        ("--poses", arguments.poses && !csv, "a CSV file only"),
-        (
-            "--accelerometer",
-            arguments.accelerometer.is_some() && !csv,
-            "a CSV file only",
-        ),
-        (
-            "--link",
-            arguments.link.is_some() && !recording,
-            "a recording only",
-        ),
-        (
-            "--range",
-            arguments.range.is_some() && !csv,
-            "a CSV file only",
-        ),
-        (
-            "--reference-sensitivity",
-            arguments.reference_sensitivity.is_some() && !csv,
-            "a CSV file only",
-        ),
-        (
-            "--placement-sd",
-            arguments.placement_sd.is_some() && !known_orientations,
-            "--method six-position, four-angle or three-angle only",
-        ),
-        (
-            "--dip",
-            arguments.dip.is_some() && !magnetometer,
-            "--sensor magnetometer only",
-        ),
-    ];
-    match passed_over.into_iter().find(|(_, given, _)| *given) {
-        Some((flag, _, what)) => Err(HostError::new(
-            ErrorCode::Usage,
-            format!("{flag} goes with {what}"),
-            "leave it out",
-        )),
-        None => Ok(()),
-    }
-}
-
-/// One stream against another of the same motion.
+/// Calibrates one stream with another of the same motion.
 fn against_reference(arguments: &Calibrate, output: Output) -> Result<u8> {
-    let others = [
-        ("--model", arguments.model.is_some()),
-        ("--gravity", arguments.gravity.is_some()),
-        ("--poses", arguments.poses),
-        ("--placement-sd", arguments.placement_sd.is_some()),
-        ("--sides", arguments.sides.is_some()),
-        ("--report", arguments.report.is_some()),
-        ("--sensor-model", arguments.sensor_model.is_some()),
-        ("--link", arguments.link.is_some()),
-        ("--push", arguments.push),
-    ];
-    if let Some((flag, _)) = others.into_iter().find(|(_, given)| *given) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("{flag} does not go with --method reference"),
-            "leave it out; push the result with `wimu params push LINK CAL.json`",
-        ));
-    }
-    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    let worth = |lsb_per_g: Option<f64>, flag: &str| {
-        let known = lsb_per_g.map(Sensitivity::from_lsb_per_g).transpose();
-        known.map_err(|error| {
-            HostError::new(ErrorCode::Usage, error.to_string(), format!("check {flag}"))
-        })
-    };
-    let sensitivity = worth(arguments.sensitivity, "--sensitivity")?;
-    let of_reference = worth(arguments.reference_sensitivity, "--reference-sensitivity")?;
+    let sensitivity = arguments.sensitivity.map(Sensitivity::from_lsb_per_g);
+    let sensitivity = sensitivity
+        .transpose()
+        .map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
     let data = match Input::parse(&arguments.input)? {
         Input::Csv(path) => Paired::from_csv(
             &path,
-            arguments
-                .filter
-                .as_deref()
-                .map(str::parse)
-                .transpose()?
-                .as_ref(),
+            arguments.filter.as_ref(),
             arguments.reference,
             arguments.accelerometer,
             sensitivity,
-            of_reference,
+            arguments.reference_sensitivity,
         )?
         .at_range(arguments.range),
         Input::Recording(path) => Paired::from_recording(&Recording::load(&path)?)?,
         Input::Link(_) => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
+            return Err(usage(
                 "--method reference needs a recording of both links, or a CSV file",
                 "record with `wimu record LINK --cable LINK -o FILE.mcap` first",
             ));
         }
     };
     let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
-    output.say(report.to_string());
-    if report.exit_code() == 0
-        && let Some(path) = &arguments.output
-    {
-        calibration::write_report(path, &report)?;
-    }
-    output.object(&report);
-    Ok(report.exit_code())
+    let code = report.exit_code();
+    finish(
+        &report,
+        code,
+        arguments.output.as_deref(),
+        output,
+        || Ok(()),
+    )
 }
 
-/// A stored calibration by later rests.
-fn updated(arguments: &Calibrate, output: Output) -> Result<u8> {
-    let others = [
-        ("--model", arguments.model.is_some()),
-        ("--sensitivity", arguments.sensitivity.is_some()),
-        ("--sensor-model", arguments.sensor_model.is_some()),
-        ("--placement-sd", arguments.placement_sd.is_some()),
-        ("--sides", arguments.sides.is_some()),
-        ("--reference", arguments.reference.is_some()),
-        (
-            "--reference-sensitivity",
-            arguments.reference_sensitivity.is_some(),
-        ),
-        ("--noise-ratio", arguments.noise_ratio.is_some()),
-        ("--range", arguments.range.is_some()),
-        ("--report", arguments.report.is_some()),
-        ("--push", arguments.push),
-    ];
-    if let Some((flag, _)) = others.into_iter().find(|(_, given)| *given) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("{flag} does not go with --method update"),
-            "leave it out; push the result with `wimu params push LINK CAL.json`",
-        ));
-    }
-    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    let given = arguments
-        .with
-        .as_deref()
-        .map(calibration::read_parameters)
-        .transpose()?;
-    let load = LoadOptions {
-        filter: arguments.filter.as_deref().map(str::parse).transpose()?,
-        accelerometer: arguments.accelerometer,
-        poses: arguments.poses,
-        role: arguments.link.map(Into::into),
-    };
-    let (data, recorded) = match Input::parse(&arguments.input)? {
-        Input::Csv(path) => (Dataset::from_csv(&path, &load)?, None),
-        Input::Recording(path) => {
-            let recording = Recording::load(&path)?;
-            let link = recording.link(load.role)?;
-            (
-                Dataset::from_link(link, &recording.name)?,
-                link.last_parameters()?,
-            )
-        }
-        Input::Link(_) => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                "--method update needs a recording or a CSV file",
-                "record with `wimu record LINK -o FILE.mcap` first",
-            ));
-        }
-    };
-    let stored = given.or(recorded).ok_or_else(|| {
-        HostError::new(
-            ErrorCode::Usage,
-            "there is no calibration to update",
-            "give it with --with CAL.json",
+/// Checks and updates a stored calibration with later rests.
+fn update(arguments: &Calibrate, output: Output) -> Result<u8> {
+    let not_live = || {
+        usage(
+            "--method update needs a recording or a CSV file",
+            "record with `wimu record LINK -o FILE.mcap` first",
         )
-    })?;
-    let report = calibration::update(&data, &stored, arguments.gravity, utc_s())?;
-    output.say(report.to_string());
-    if report.exit_code() == 0
-        && let Some(path) = &arguments.output
-    {
-        calibration::write_report(path, &report)?;
+    };
+    if let Ok(Input::Link(_)) = Input::parse(&arguments.input) {
+        return Err(not_live());
     }
-    output.object(&report);
-    Ok(report.exit_code())
+    let checked = |set: Option<_>| {
+        set.ok_or_else(|| usage("there is no calibration to update", "add --with CAL.json"))
+    };
+    let (data, stored, _) = read_calibrated(
+        &arguments.input,
+        &load_options(arguments),
+        arguments.with.as_deref(),
+        false,
+        checked,
+        |_, _| Err(not_live()),
+    )?;
+    let report = calibration::update(&data, &stored, arguments.gravity, utc_s())?;
+    let code = report.exit_code();
+    finish(
+        &report,
+        code,
+        arguments.output.as_deref(),
+        output,
+        || Ok(()),
+    )
 }
 
 /// Now, s since 1970 UTC.
@@ -339,13 +202,14 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         Method::ThreeAngle => MethodChoice::ThreeAngle,
         Method::MultiPosition | Method::Reference | Method::Update => MethodChoice::MultiPosition,
     };
-    let usage = |message: String, remedy: &str| HostError::new(ErrorCode::Usage, message, remedy);
+    let multi_position = method == MethodChoice::MultiPosition;
     let text = arguments.model.as_deref().unwrap_or_default();
-    let mut parts = text.split('+');
-    let base = parts.next().unwrap_or_default();
+    let (base, names) = text
+        .split_once('+')
+        .map_or((text, None), |(base, names)| (base, Some(names)));
     let mut terms = Terms::NONE;
-    for part in parts {
-        terms = match part {
+    for name in names.into_iter().flat_map(|names| names.split('+')) {
+        terms = match name {
             "drift" => terms.with(Term::Drift),
             "temperature" => terms
                 .with(Term::BiasTemperature)
@@ -353,21 +217,20 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
             "quadratic" => terms.with(Term::Quadratic),
             other => {
                 return Err(usage(
-                    format!("--model {text}: there is no term {other:?}"),
+                    format!("--model {text}: unknown term {other:?}"),
                     "the terms are drift, temperature and quadratic, as in 9+drift",
                 ));
             }
         };
     }
-    let multi = method == MethodChoice::MultiPosition;
     let model = match (base, method) {
-        ("", _) => ModelChoice::default(),
+        ("", _)
+        | ("12", MethodChoice::SixPosition)
+        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
         ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
         ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
         ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
         ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
-        ("12", MethodChoice::SixPosition)
-        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
         _ => {
             return Err(usage(
                 format!("--model {text} does not go with --method {}", method.name()),
@@ -375,65 +238,33 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
             ));
         }
     };
-    if terms != Terms::NONE && !multi {
+    if terms != Terms::NONE && !multi_position {
         return Err(usage(
             format!("--model {text}: only multi-position has terms"),
             "leave the term out, or use --method multi-position",
         ));
     }
-    let sides = match &arguments.sides {
-        Some(_) if method != MethodChoice::SixPosition => {
-            return Err(usage(
-                "--sides goes with --method six-position only".to_owned(),
-                "leave it out",
-            ));
-        }
-        Some(text) => Some(text.split(',').map(side).collect::<Result<Vec<_>>>()?),
-        None => None,
-    };
+    let datasheet = arguments.sensor_model.as_deref();
     Ok(CalibrateOptions {
         method,
         model,
         terms,
-        sides,
+        sides: arguments.sides.clone(),
         gravity_mps2: arguments.gravity,
         sensitivity_lsb_per_g: arguments.sensitivity,
         range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,
-        datasheet: arguments
-            .sensor_model
-            .as_deref()
-            .map(calibration::datasheet)
-            .transpose()?,
+        datasheet: datasheet.map(calibration::datasheet).transpose()?,
         utc_s: utc_s(),
     })
 }
 
-fn side(text: &str) -> Result<Face> {
-    let text = text.trim().to_ascii_lowercase();
-    let (sign, axis) = match text.strip_prefix('-') {
-        Some(axis) => (1, axis),
-        None => (0, text.strip_prefix('+').unwrap_or(&text)),
-    };
-    ["x", "y", "z"]
-        .iter()
-        .position(|name| *name == axis)
-        .map(|axis| Face::ALL[2 * axis + sign])
-        .ok_or_else(|| {
-            HostError::new(
-                ErrorCode::Usage,
-                format!("--sides: {text:?} is no side"),
-                "the sides that are up are x, -x, y, -y, z and -z, separated by commas",
-            )
-        })
-}
-
-/// Most poses of a live calibration.
-const ROOM: usize = 64;
-/// Poses of a live calibration where nothing is said.
+/// Capacity of a live calibration, poses.
+const CAPACITY: usize = 64;
+/// Default number of poses of a live calibration.
 const POSES: usize = 12;
 
-/// Tells of every `s` that a person enters; of none where nobody sits at a terminal.
+/// A message for each line `s` that is entered; none if stdin is no terminal.
 fn skips() -> mpsc::Receiver<()> {
     let (sender, receiver) = mpsc::channel();
     if std::io::stdin().is_terminal() {
@@ -448,52 +279,44 @@ fn skips() -> mpsc::Receiver<()> {
     receiver
 }
 
-/// Collects a live board's samples until enough poses were held, or Ctrl-C.
-fn collect<T: Transport>(
-    client: &mut Client<T>,
+/// Collects a live board's samples until enough poses were captured, or Ctrl-C.
+fn collect(
+    client: &mut Connection,
     arguments: &Calibrate,
     options: &CalibrateOptions,
     output: Output,
 ) -> Result<Dataset> {
     let six = arguments.method == Method::SixPosition;
-    let count = arguments.count.unwrap_or(POSES);
+    let count = arguments.count.map_or(POSES, usize::from);
     let fewest = match options.model {
         ModelChoice::Fixed(model) => model.parameters() + 1,
         ModelChoice::Auto => Model::Bias3.parameters() + 1,
     };
-    if count > ROOM {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("--count {count} is more than {ROOM} poses"),
-            "twelve to twenty are enough",
-        ));
-    }
     if !six && count < fewest {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("--count {count} poses do not suffice"),
+        return Err(usage(
+            format!("--count {count} is too small for this model"),
             format!("give {fewest} or more, or a smaller --model"),
         ));
     }
-    output.say(if six {
-        "hold the board still with each of its six sides up, in any order; its button takes a side at \
-         once"
+    output.print(if six {
+        "hold the board still with each of its six sides up, in any order; the board's button \
+         captures a side at once"
             .to_owned()
     } else {
         format!(
-            "hold the board still in {count} orientations, as advised or as different as you can; \
-             Ctrl-C ends early, the board's button, or s and Enter, skips what cannot be reached"
+            "hold the board still in {count} different orientations; the board's button, or s and Enter, \
+             skips a suggested one; Ctrl-C stops early"
         )
     });
     let stop = interrupted()?;
     let skips = skips();
-    let wanted = if six { ROOM } else { count };
+    let needed = if six { CAPACITY } else { count };
     let model = match options.model {
         ModelChoice::Fixed(model) => model,
         ModelChoice::Auto => Model::Full9,
     };
     let mut record = LinkHistory::new(client.hello().role);
-    let mut live: Option<Live> = None;
+    let mut live: Option<LivePoses> = None;
     while !stop.load(Ordering::Relaxed) {
         while skips.try_recv().is_ok() {
             if let Some(live) = &mut live {
@@ -508,10 +331,10 @@ fn collect<T: Transport>(
             Event::Epoch { epoch, .. } if live.is_none() => {
                 let rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
                 if let Ok(sensitivity) = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g) {
-                    let live = live.insert(Live {
-                        session: Session::new(rate_hz, model, wanted),
+                    let live = live.insert(LivePoses {
+                        session: Session::new(rate_hz, model, needed),
                         sensitivity,
-                        wanted,
+                        needed,
                         names: side_names(client.hello().board.number),
                         sides: six.then(Vec::new),
                         output,
@@ -533,7 +356,7 @@ fn collect<T: Transport>(
                 ..
             } => {
                 if let Some(live) = &mut live {
-                    live.go_on();
+                    live.press();
                 }
             }
             _ => {}
@@ -542,7 +365,7 @@ fn collect<T: Transport>(
     Dataset::from_link(&record, client.name())
 }
 
-/// What is up, in the order of [`Face::ALL`]: as one sees it on a board whose sides are known.
+/// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.
 fn side_names(board: u16) -> &'static [&'static str; 6] {
     match board {
         board::MICROBIT_V2 => &[
@@ -557,20 +380,19 @@ fn side_names(board: u16) -> &'static [&'static str; 6] {
     }
 }
 
-/// A live calibration: what a person who turns the board is told.
-struct Live {
-    session: Session<ROOM>,
+/// Instructions of a live calibration.
+struct LivePoses {
+    session: Session<CAPACITY>,
     sensitivity: Sensitivity,
-    /// So many poses are enough, unless sides are to be up.
-    wanted: usize,
-    /// The board's sides, as one sees them.
+    /// Number of poses to capture, if `sides` is `None`.
+    needed: usize,
     names: &'static [&'static str; 6],
-    /// Of the six-position method: the sides that have been up.
+    /// For the six-position method: the sides captured.
     sides: Option<Vec<Face>>,
     output: Output,
 }
 
-impl Live {
+impl LivePoses {
     /// Takes a raw sample.
     fn push(&mut self, counts: [i32; 3]) {
         let counts = Counts(counts.map(|axis| axis as i16));
@@ -580,8 +402,8 @@ impl Live {
         }
     }
 
-    /// The board's button: takes the pose that is held, or skips the one that is advised.
-    fn go_on(&mut self) {
+    /// The board's button captures the pose that is held, or skips the suggested one.
+    fn press(&mut self) {
         match self.session.capture() {
             Some(pose) => self.captured(pose),
             None => self.skip(),
@@ -595,7 +417,7 @@ impl Live {
 
     fn captured(&mut self, pose: usize) {
         let side = self.session.poses().get(pose).and_then(Face::of);
-        self.output.say(match side {
+        self.output.print(match side {
             Some(side) => format!("pose {} captured: {}", pose + 1, self.name(side)),
             None => format!("pose {} captured", pose + 1),
         });
@@ -613,34 +435,31 @@ impl Live {
                 let left = Face::ALL.iter().filter(|side| !sides.contains(side));
                 let left: Vec<_> = left.map(|side| self.name(*side)).collect();
                 if !left.is_empty() {
-                    self.output
-                        .say(format!("still to come: {}", left.join("; ")));
+                    self.output.print(format!("remaining: {}", left.join("; ")));
                 }
             }
             None => {
                 if let Some(next) = self.session.next() {
                     let how = next.instruction_with(self.names);
-                    self.output.say(format!("next, for example: {how}"));
+                    self.output.print(format!("suggested next: {how}"));
                 }
             }
         }
     }
 
     fn name(&self, side: Face) -> &'static str {
-        let place = Face::ALL.iter().position(|other| *other == side);
-        place
-            .and_then(|place| self.names.get(place))
-            .copied()
-            .unwrap_or_default()
+        let all = Face::ALL.iter().zip(self.names);
+        let mut named = all.filter(|(other, _)| **other == side);
+        named.next().map_or("", |(_, name)| name)
     }
 
-    /// Whether there are poses enough, or no room for more.
+    /// Whether all poses were captured.
     fn is_complete(&self) -> bool {
         let all = match &self.sides {
             Some(sides) => sides.len() == Face::ALL.len(),
-            None => self.session.poses().len() >= self.wanted,
+            None => self.session.poses().len() >= self.needed,
         };
-        all || self.session.poses().len() == ROOM
+        all || self.session.poses().len() == CAPACITY
     }
 }
 
@@ -651,15 +470,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_sides_of_a_microbit_are_called_what_one_sees() {
-        let told = |board, side: Face| {
+    fn the_sides_of_a_microbit_have_the_names_of_its_parts() {
+        let instruction = |board, side: Face| {
             let names = side_names(board);
             Orientation::from(side).instruction_with(names).to_string()
         };
-        let microbit = |side| told(board::MICROBIT_V2, side);
+        let microbit = |side| instruction(board::MICROBIT_V2, side);
         assert_eq!(microbit(Face::ZUp), "hold it with display up");
         assert_eq!(microbit(Face::XDown), "hold it with logo down");
         assert_eq!(microbit(Face::YUp), "hold it with button A up");
-        assert_eq!(told(0, Face::YUp), "hold it with Y up");
+        assert_eq!(instruction(0, Face::YUp), "hold it with Y up");
     }
 }

@@ -1,4 +1,4 @@
-//! `wimu demo`: the main job on a simulated board.
+//! `wimu demo`: record, calibrate and navigate with a simulated board.
 
 use std::time::Instant;
 
@@ -19,9 +19,7 @@ use crate::output::Output;
 const WIRELESS: &str = "bluetooth,loss=0.3%,bits=1e-5";
 
 #[derive(Serialize)]
-struct Shown {
-    schema: &'static str,
-    status: &'static str,
+struct Demonstrated {
     seed: u64,
     tilts_before_mm_s2: f64,
     tilts_after_mm_s2: f64,
@@ -61,7 +59,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     )?;
     let story = story(&outcome, &links, arguments.seed);
     for line in &story {
-        output.say(line);
+        output.print(line);
     }
     let recording = arguments.report.with_extension("mcap");
     OutputFile::write(&recording, &outcome.recording)?;
@@ -72,8 +70,8 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     if let Some(folder) = &arguments.pictures {
         chart::write_all(folder, &charts)?;
     }
-    output.say(format!(
-        "{:.0} s of a board's life in {:.1} s. Pictures: {}; the recording: {} (try `wimu navigate --method slide` on it).",
+    output.print(format!(
+        "{:.0} s of board time in {:.1} s. Pictures: {}; recording: {} (try `wimu navigate --method slide` on it).",
         outcome.duration_s,
         began.elapsed().as_secs_f64(),
         arguments.report.display(),
@@ -81,9 +79,7 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
     ));
     let [before, after] = outcome.tilts_rms_mps2();
     let exact = outcome.replays.iter().all(|replay| replay.is_exact());
-    output.object(&Shown {
-        schema: "wimu.demo/1",
-        status: "ok",
+    let demonstrated = Demonstrated {
         seed: arguments.seed,
         tilts_before_mm_s2: before * 1e3,
         tilts_after_mm_s2: after * 1e3,
@@ -95,20 +91,21 @@ pub fn run(arguments: &Demo, output: Output) -> Result<()> {
         parameter_id: outcome.after_restart.to_string(),
         report: arguments.report.display().to_string(),
         recording: recording.display().to_string(),
-    });
+    };
+    output.answer("wimu.demo/1", &demonstrated);
     let locked = outcome.refusals.iter().all(Option::is_some);
     if exact && locked && outcome.pushed == outcome.after_restart {
         Ok(())
     } else {
         Err(HostError::new(
             ErrorCode::VerifyFailed,
-            "what the device computed or kept is not what was expected",
+            "the device's results or stored parameters differ from the expected ones",
             "report this as a fault of wimu, with the seed",
         ))
     }
 }
 
-/// What happened, a line a step.
+/// The steps, one line each.
 fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
     let hidden = outcome.truth.model.terms();
     let mg = |bias: f64| bias * 1e3 / wimu_model::STANDARD_GRAVITY_MPS2;
@@ -125,29 +122,29 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
     });
     vec![
         format!(
-            "A simulated board ({}, seed {seed}) whose accelerometer is wrong in ways nobody told wimu:",
+            "A simulated board ({}, seed {seed}). Its accelerometer has errors that wimu does not know:",
             outcome.hello.sensor.name
         ),
         format!(
-            "  bias {bx:+.0} {by:+.0} {bz:+.0} mg, scale {:+.1} {:+.1} {:+.1} %, axes askew, noise of the real part.",
+            "  bias {bx:+.0} {by:+.0} {bz:+.0} mg, scale {:+.1} {:+.1} {:+.1} %, misaligned axes, noise as in the datasheet.",
             scale[0], scale[1], scale[2]
         ),
         "1 stream     raw samples, corrected samples and position, over a cable and a wireless link that loses bytes"
             .to_owned(),
         format!(
-            "2 move       a 1 m slide, uncalibrated: the position is {:.2} m wrong after 3 s",
+            "2 move       a 1 m slide, uncalibrated: position error {:.2} m after 3 s",
             slide.uncalibrated_m
         ),
         format!(
-            "3 record     {} samples while a hand holds the board in {} poses",
+            "3 record     {} samples while the board is held in {} poses",
             outcome.samples, outcome.report.poses
         ),
         format!(
-            "4 calibrate  9 parameters from gravity alone ({}); the bias is found to {worst_bias_mg:.2} mg",
+            "4 calibrate  9 parameters from gravity alone ({}); bias error {worst_bias_mg:.2} mg",
             outcome.report.terms.join(", ")
         ),
         format!(
-            "5 push       over the wireless link: {}; signed with the board's key: done in {:.0} ms",
+            "5 push       over the wireless link: {}; signed with the board's key: accepted in {:.0} ms",
             if outcome.refusals.iter().all(Option::is_some) {
                 "refused without the key"
             } else {
@@ -160,24 +157,24 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
             outcome.after_restart
         ),
         format!(
-            "7 verify     on ten new tilts |f| is off g by {before:.1} mm/s² before, {after:.2} mm/s² after: {:.0} times less",
+            "7 verify     |f| − g on ten new tilts: {before:.1} mm/s² before, {after:.2} mm/s² after: {:.0} times less",
             before / after
         ),
         format!(
-            "8 navigate   the same slide: {:.1} mm wrong; with zero velocity assumed at both rests {:.1} mm",
+            "8 navigate   the same slide: position error {:.1} mm; with zero-velocity updates {:.1} mm",
             slide.calibrated_m * 1e3,
             slide.zupt_m * 1e3
         ),
         format!(
-            "9 replay     {replayed} corrected samples and all positions computed again here: {}",
+            "9 replay     {replayed} corrected samples and all positions recomputed on the host: {}",
             if outcome.replays.iter().all(|replay| replay.is_exact()) {
-                "bit for bit the board's"
+                "bit for bit equal"
             } else {
-                "NOT the board's"
+                "DIFFERENT"
             }
         ),
         format!(
-            "10 compare   {} samples over both links, {} alike; wireless: {} lost, each counted; latency {:.0} ms, at most {:.0}",
+            "10 compare   {} samples over both links, {} equal; wireless: {} lost and counted; latency {:.0} ms, at most {:.0} ms",
             links.pairs,
             if links.identical == links.pairs {
                 "all"
@@ -191,7 +188,7 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
     ]
 }
 
-/// The demo's own pictures, with what their files are called.
+/// The demo's own pictures, with their file names.
 fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
     let tilt = |which: usize, name: &str| Series {
         name: name.to_owned(),
@@ -204,17 +201,13 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         dots: true,
     };
     let tilts = Chart {
-        title: "Ten tilts that were not fitted: how far |f| is off g".to_owned(),
+        title: "|f| − g on ten tilts that were not used in the fit".to_owned(),
         x: "tilt".to_owned(),
         y: "mm/s²".to_owned(),
         log: true,
         y_range: Some((0.01, 2000.0)),
-        bands: Vec::new(),
-        marked: Vec::new(),
-        series: vec![
-            tilt(0, "as the sensor puts it out"),
-            tilt(1, "corrected on the board"),
-        ],
+        series: vec![tilt(0, "uncorrected"), tilt(1, "corrected on the board")],
+        ..Chart::default()
     };
     let path = |points: &[Point], name: &str| {
         let start = points.first().map_or(0.0, |point| point.time.to_seconds());
@@ -234,25 +227,24 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
         }
     };
     let slide = Chart {
-        title: "A slide of 1 m in 3 s between two rests: how far the board says it went".to_owned(),
+        title: "Distance computed by the board, for a slide of 1 m in 3 s between two rests"
+            .to_owned(),
         x: "time (s)".to_owned(),
         y: "distance from the start (m)".to_owned(),
-        log: false,
         y_range: Some((0.0, 3.0)),
-        bands: Vec::new(),
-        marked: Vec::new(),
         series: vec![
             path(&outcome.uncalibrated_path, "uncalibrated"),
             path(&outcome.calibrated_path, "calibrated"),
-            path(&outcome.zupt_path, "calibrated, zero velocity at rests"),
+            path(&outcome.zupt_path, "calibrated, zero-velocity updates"),
         ],
+        ..Chart::default()
     };
     [("tilts", tilts), ("slide", slide)]
 }
 
 fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Result<Report> {
     let mut report = Report::new("wimu demo");
-    report.text("A simulated board with hidden errors is streamed, recorded, calibrated and corrected. Everything below is what the board itself sent.");
+    report.text("A simulated board with unknown errors is streamed, recorded, calibrated and corrected. All data below was sent by the board.");
     report.printed(&story.join("\n"));
     for (_, chart) in charts {
         report.chart(chart)?;
@@ -280,9 +272,9 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Resu
             &[
                 "axis",
                 "true bias (m/s²)",
-                "found",
+                "estimate",
                 "true scale factor",
-                "found",
+                "estimate",
             ],
             &rows,
         );

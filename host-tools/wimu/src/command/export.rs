@@ -9,20 +9,18 @@ use wimu_host::csv::SENSITIVITY;
 use wimu_host::export::{self, ExportStream};
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{ErrorCode, HostError, OutputFile, Result};
+use wimu_host::{HostError, OutputFile, Result};
 
 use crate::arguments::{Export, ExportFormat, Stream};
-use crate::command::{not_over_input, say_fault};
-use crate::output::Output;
+use crate::command::{not_over_input, print_fault};
+use crate::output::{Output, usage};
 
 #[derive(Serialize)]
 struct Exported {
-    schema: &'static str,
-    status: &'static str,
     file: String,
     link: String,
     rows: usize,
-    /// Raw samples whose range no epoch tells.
+    /// Raw samples of unknown range.
     without_unit: usize,
     #[serde(flatten)]
     wholeness: Wholeness,
@@ -31,19 +29,15 @@ struct Exported {
 /// A calibration for other programs.
 #[derive(Serialize)]
 struct ExportedCalibration {
-    schema: &'static str,
-    status: &'static str,
-    /// Where it was written; null where it is `text`.
+    /// The file written; null if the output is `text`.
     file: Option<String>,
     text: Option<String>,
-    /// What it does not say.
+    /// What the format cannot express.
     remarks: Vec<String>,
 }
 
 #[derive(Serialize)]
 struct ExportedTopics {
-    schema: &'static str,
-    status: &'static str,
     file: String,
     #[serde(flatten)]
     decoded: Decoded,
@@ -56,24 +50,13 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         .as_deref()
         .map(LinkModel::read)
         .transpose()?;
-    if arguments.noise.is_some() && !matches!(arguments.format, ExportFormat::Kalibr) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "--noise goes with --format kalibr only",
-            "leave it out",
-        ));
-    }
     let to = match (arguments.format, arguments.output.as_deref()) {
         (ExportFormat::Rust | ExportFormat::C | ExportFormat::Kalibr, _) => {
             return calibration(arguments, output);
         }
         (_, Some(to)) => to,
         (_, None) => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                "it is not said where the table goes",
-                "name a file with -o FILE",
-            ));
+            return Err(usage("no output file is given", "name one with -o FILE"));
         }
     };
     let file = to.display().to_string();
@@ -84,15 +67,10 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
         }
         let decoded = ros::decode(&arguments.input, to, model.as_ref())?;
         for (topic, count) in &decoded.messages {
-            output.say(format!("{file}: {count} messages on {topic}"));
+            output.print(format!("{file}: {count} messages on {topic}"));
         }
-        say_left_out(&decoded, output);
-        output.object(&ExportedTopics {
-            schema: "wimu.export_topics/1",
-            status: "ok",
-            file,
-            decoded,
-        });
+        print_left_out(&decoded, output);
+        output.answer("wimu.export_topics/1", &ExportedTopics { file, decoded });
         return Ok(());
     }
     let stream = match arguments.stream {
@@ -103,15 +81,15 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     let role = arguments.link.map(Into::into);
     let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
     if table.ranges_differ {
-        output.say(format!(
-            "{file}: the range changes; the column `{SENSITIVITY}` tells each row's"
+        output.print(format!(
+            "{file}: the range changes; the column `{SENSITIVITY}` has each row's"
         ));
     }
     let (rows, link) = (table.rows, table.role.to_string());
-    output.say(format!("{file}: {rows} rows of the {link} link"));
+    output.print(format!("{file}: {rows} rows of the {link} link"));
     if table.without_unit > 0 {
-        output.say(format!(
-            "  {} raw samples {}: the range may have changed, and the epoch that tells is lost",
+        output.print(format!(
+            "  {} raw samples {}: their range is unknown because an epoch was lost",
             table.without_unit,
             match model {
                 Some(_) => "left out",
@@ -119,46 +97,39 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
             }
         ));
     }
-    say_fault(table.wholeness, output);
-    output.object(&Exported {
-        schema: "wimu.export/1",
-        status: "ok",
+    print_fault(table.wholeness, output);
+    let exported = Exported {
         file,
         link,
         rows,
         without_unit: table.without_unit,
         wholeness: table.wholeness,
-    });
+    };
+    output.answer("wimu.export/1", &exported);
     Ok(())
 }
 
-/// Says what decoded topics lack, and what is out of order in them.
-pub fn say_left_out(decoded: &Decoded, output: Output) {
+/// Prints what decoded topics lack, and what is out of order in them.
+pub fn print_left_out(decoded: &Decoded, output: Output) {
     let lacks = [
         (
             decoded.without_time,
-            "messages left out: no clock tells when they were",
+            "messages left out: their time is unknown",
         ),
         (
             decoded.without_unit,
-            "raw samples left out: the range may have changed, and the epoch that tells is lost",
+            "raw samples left out: their range is unknown because an epoch was lost",
         ),
-        (
-            decoded.late,
-            "samples stand behind later ones: they came after them",
-        ),
-        (
-            decoded.unplaced,
-            "batches left out: no epoch tells their place",
-        ),
+        (decoded.late, "samples are out of order: they arrived late"),
+        (decoded.unplaced, "batches left out: no epoch places them"),
     ];
     for (count, what) in lacks.into_iter().filter(|(count, _)| *count > 0) {
-        output.say(format!("  {count} {what}"));
+        output.print(format!("  {count} {what}"));
     }
-    say_fault(decoded.wholeness, output);
+    print_fault(decoded.wholeness, output);
 }
 
-/// Writes a calibration as other programs read it, or prints it.
+/// Writes a calibration for other programs, or prints it.
 fn calibration(arguments: &Export, output: Output) -> Result<()> {
     let set = read_parameters(&arguments.input)?;
     let mut remarks: Vec<String> = range_remark(&arguments.input, &set).into_iter().collect();
@@ -179,21 +150,20 @@ fn calibration(arguments: &Export, output: Output) -> Result<()> {
     match (&arguments.output, &file) {
         (Some(path), Some(file)) => {
             OutputFile::write(path, &text)?;
-            output.say(format!("{file}: {} lines", text.lines().count()));
+            output.print(format!("{file}: {} lines", text.lines().count()));
             for remark in &remarks {
-                output.say(remark);
+                output.print(remark);
             }
         }
-        // What is printed says it itself.
-        _ if !output.is_json() => output.say(text.trim_end()),
+        // The text itself holds the remarks.
+        _ if !output.is_json() => output.print(text.trim_end()),
         _ => {}
     }
-    output.object(&ExportedCalibration {
-        schema: "wimu.export_calibration/1",
-        status: "ok",
+    let exported = ExportedCalibration {
         text: file.is_none().then_some(text),
         file,
         remarks,
-    });
+    };
+    output.answer("wimu.export_calibration/1", &exported);
     Ok(())
 }

@@ -12,13 +12,13 @@ use wimu_host::{ErrorCode, HostError, Result};
 use crate::arguments::{Board, Flash};
 use crate::output::Output;
 
-/// What a chip is called and where it has what.
+/// A chip's name and memory map.
 struct Chip {
-    /// As probe-rs calls it.
+    /// Name in probe-rs.
     name: &'static str,
     flash: Range<u32>,
     ram: Range<u32>,
-    /// Where an image has its vectors.
+    /// Address of an image's vector table.
     vectors: u32,
 }
 
@@ -56,7 +56,7 @@ impl Board {
     }
 }
 
-/// An image that is for its board.
+/// A firmware image, checked to be for its board.
 struct Image {
     board: Board,
     file: PathBuf,
@@ -64,38 +64,32 @@ struct Image {
 }
 
 pub fn run(arguments: &Flash, output: Output) -> Result<()> {
-    if arguments.list {
-        return list(output);
+    match arguments.board {
+        Some(board) if !arguments.list => {
+            write(&read(board, arguments.image.clone())?, arguments, output)
+        }
+        _ => list(output),
     }
-    let board = arguments.board.ok_or_else(|| {
-        HostError::new(
-            ErrorCode::Usage,
-            "no board is named",
-            "name one: `wimu flash microbit-v2` or `wimu flash pico-adxl345`",
-        )
-    })?;
-    let image = read(board, arguments.image.clone())?;
-    write(&image, arguments, output)
 }
 
 fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
     let file = file.unwrap_or_else(|| board.file_and_drive().0.into());
-    let place = file.display().to_string();
+    let location = file.display().to_string();
     let bytes = std::fs::read(&file).map_err(|error| {
         HostError::new(
             ErrorCode::FileUnreadable,
             format!("the image cannot be read: {error}"),
-            "make it with `cargo xtask firmware`, in the folder of wimu's source, or name one with --image",
+            "build it with `cargo xtask firmware` in the repository, or name one with --image",
         )
-        .at(&place)
+        .at(&location)
     })?;
     let segments = image::segments(&bytes).ok_or_else(|| {
         HostError::new(
             ErrorCode::UnknownFormat,
-            "this is no whole firmware image",
-            "give an ELF file for ARM, an Intel HEX file or a UF2 file; `cargo xtask firmware` makes them",
+            "this is not a complete firmware image",
+            "give an ELF file for ARM, an Intel HEX file or a UF2 file; `cargo xtask firmware` builds them",
         )
-        .at(&place)
+        .at(&location)
     })?;
     match image::objection(board, &segments) {
         None => Ok(Image {
@@ -107,11 +101,11 @@ fn read(board: Board, file: Option<PathBuf>) -> Result<Image> {
             ErrorCode::WrongImage,
             format!("this image is not for a {}: {why}", board.name()),
             format!(
-                "give the board's own: `cargo xtask firmware` writes {}",
+                "give the board's own image: `cargo xtask firmware` writes {}",
                 board.file_and_drive().0
             ),
         )
-        .at(&place)),
+        .at(&location)),
     }
 }
 
@@ -125,7 +119,7 @@ fn list(_: Output) -> Result<()> {
 
 #[cfg(not(feature = "flash"))]
 fn write(image: &Image, arguments: &Flash, _: Output) -> Result<()> {
-    // What the other build would do with them.
+    // Used by the build with the feature only.
     let Flash {
         probe: _,
         erase_all: _,
@@ -144,7 +138,7 @@ fn write(image: &Image, arguments: &Flash, _: Output) -> Result<()> {
 fn left_out(command: &str, otherwise: &str) -> HostError {
     HostError::new(
         ErrorCode::FeatureMissing,
-        "this wimu was built without debug probes",
+        "this wimu was built without support for debug probes",
         format!("cargo run --release -p wimu --features flash -- {command}{otherwise}"),
     )
 }

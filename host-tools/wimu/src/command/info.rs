@@ -13,13 +13,11 @@ use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
 use crate::command::record::left_out_text;
-use crate::command::{connect, say_fault};
+use crate::command::{connect, print_fault};
 use crate::output::Output;
 
 #[derive(Serialize)]
 struct Contents {
-    schema: &'static str,
-    status: &'static str,
     source: String,
     duration_s: f64,
     #[serde(flatten)]
@@ -43,12 +41,12 @@ struct Link {
     statistics: LinkStatistics,
 }
 
-/// What a device says of its sensor.
+/// Sampling statistics of a device.
 #[derive(Serialize)]
 pub struct Sampling {
-    /// As measured against the device's clock.
+    /// By the device's clock.
     rate_hz: Option<f64>,
-    /// Of the data-ready times, equation (95).
+    /// Jitter of the data-ready times, equation (95).
     jitter_us: Option<f64>,
     samples: u32,
     missed: u32,
@@ -145,43 +143,40 @@ pub fn run(arguments: &Info, output: Output) -> Result<()> {
         Input::Recording(path) => recording(&path, output),
         Input::Link(_) => {
             #[derive(Serialize)]
-            struct Answer {
-                schema: &'static str,
-                status: &'static str,
+            struct Live {
                 role: String,
                 #[serde(flatten)]
                 device: Device,
-                /// What is wrong with it.
+                /// Events that the device reports.
                 troubles: Vec<String>,
                 sampling: Sampling,
             }
             let mut client = connect(&arguments.input)?;
             let device = Device::from(client.hello());
             let role = client.hello().role.to_string();
-            output.say(format!("{role} link of {}", device.text()));
+            output.print(format!("{role} link of {}", device.text()));
             let sampling = Sampling::from(&client.status()?);
             let mut troubles = Vec::new();
             while let Some(arrival) = client.next_event(Duration::ZERO)? {
                 if let decode::Event::Device { event, .. } = arrival.event {
                     let trouble = event.to_string();
-                    output.say(format!("  {trouble}"));
+                    output.print(format!("  {trouble}"));
                     troubles.push(trouble);
                 }
             }
-            output.say(format!("  {}", sampling.text()));
-            output.object(&Answer {
-                schema: "wimu.device/1",
-                status: "ok",
+            output.print(format!("  {}", sampling.text()));
+            let live = Live {
                 role,
                 device,
                 troubles,
                 sampling,
-            });
+            };
+            output.answer("wimu.device/1", &live);
             Ok(())
         }
         Input::Csv(_) => Err(HostError::new(
             ErrorCode::UnknownFormat,
-            "this is no recording",
+            "this is not a recording",
             "give a file written by `wimu record`, or a LINK",
         )
         .at(&arguments.input)),
@@ -212,17 +207,15 @@ fn recording(path: &Path, output: Output) -> Result<()> {
         })
         .collect();
     let contents = Contents {
-        schema: "wimu.info/1",
-        status: "ok",
         source: path.display().to_string(),
         duration_s: recording.duration_ns as f64 * 1e-9,
         wholeness: recording.wholeness,
         links,
     };
-    output.say(format!("{}: {:.1} s", contents.source, contents.duration_s));
-    say_fault(contents.wholeness, output);
+    output.print(format!("{}: {:.1} s", contents.source, contents.duration_s));
+    print_fault(contents.wholeness, output);
     for link in &contents.links {
-        output.say(format!(
+        output.print(format!(
             "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes{}",
             link.role,
             link.raw_samples,
@@ -239,18 +232,18 @@ fn recording(path: &Path, output: Output) -> Result<()> {
             }
         ));
         if let Some(device) = &link.device {
-            output.say(format!("         {}", device.text()));
+            output.print(format!("         {}", device.text()));
         }
         if let Some(sampling) = &link.sampling {
-            output.say(format!("         {}", sampling.text()));
+            output.print(format!("         {}", sampling.text()));
         }
         for event in &link.events {
-            output.say(format!("         {event}"));
+            output.print(format!("         {event}"));
         }
         if link.more_events > 0 {
-            output.say(format!("         and {} events more", link.more_events));
+            output.print(format!("         and {} more events", link.more_events));
         }
     }
-    output.object(&contents);
+    output.answer("wimu.info/1", &contents);
     Ok(())
 }

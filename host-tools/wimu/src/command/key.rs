@@ -1,39 +1,30 @@
 //! `wimu key`.
 
 use serde::Serialize;
-use wimu_host::client::Client;
 use wimu_host::keys::{self, KeyFolder};
-use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::auth::DeviceKey;
 use wimu_link::hello::{LinkRole, WriteAccess};
 
-use crate::arguments::Key;
-use crate::command::connect;
+use crate::arguments::{Key, KeyAction};
+use crate::command::{Connection, connect};
 use crate::output::Output;
 
-/// What is known of a device's key; never the key.
+/// State of a device's key; never the key itself.
 #[derive(Serialize)]
 struct Status {
-    schema: &'static str,
-    status: &'static str,
     device_id: String,
-    /// Whether the device has one.
     set: bool,
-    /// Its name.
+    /// Identifier of the key.
     key_id: Option<String>,
-    /// Whether this computer has it.
+    /// Whether this computer has the same key.
     ours: bool,
-    /// Whether the device has proved that; null if this computer has no key of it.
+    /// Whether the device has proved to have it; null if this computer has no key of the device.
     authenticated: Option<bool>,
 }
 
-pub fn run(action: &Key, output: Output) -> Result<()> {
-    let link = match action {
-        Key::Set { link } | Key::Status { link } | Key::Rotate { link } | Key::Forget { link } => {
-            link
-        }
-    };
+pub fn run(arguments: &Key, output: Output) -> Result<()> {
+    let link = &arguments.link;
     let folder = KeyFolder::of_user()?;
     let mut client = connect(link)?;
     let device = client.hello().device_id;
@@ -43,25 +34,24 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
         None => None,
     };
     client.use_key(ours);
-    match (action, held, ours) {
-        (Key::Status { .. }, ..) => {}
+    let refused = |code, message: &str, remedy| Err(HostError::new(code, message, remedy).at(link));
+    match (arguments.action, held, ours) {
+        (KeyAction::Status, ..) => {}
         (_, None, _) if is_lost(&client) => {
-            return Err(HostError::new(
+            return refused(
                 ErrorCode::DeviceRefused,
-                "the device cannot read its own key, and takes nothing from anyone",
-                "have it forget the key by the gesture that its page describes, then run wimu key set",
-            )
-            .at(link.clone()));
-        }
-        (Key::Set { .. }, Some(_), Some(_)) => {
-            output.say(
-                "the device has this computer's key already; wimu key rotate gives it a new one",
+                "the device cannot read its own key and refuses all writes",
+                "erase the key by the gesture on the board's page, then run `wimu key set`",
             );
         }
-        (Key::Forget { .. }, None, _) => {
+        (KeyAction::Set, Some(_), Some(_)) => {
+            output
+                .print("the device already has this computer's key; `wimu key rotate` replaces it");
+        }
+        (KeyAction::Forget, None, _) => {
             let file = folder.file(device);
-            output.say(if file.exists() {
-                // It may be something in between that says so: the only copy is not thrown away.
+            output.print(if file.exists() {
+                // The answer is not authenticated, so the only copy of the key is kept.
                 let file = file.display();
                 format!("the device has no key; if it was erased at the board, remove {file}")
             } else {
@@ -71,52 +61,48 @@ pub fn run(action: &Key, output: Output) -> Result<()> {
         (_, Some(_), None) => {
             let file = folder.file(device);
             let what = if file.exists() {
-                format!("the device has another key than {}", file.display())
+                format!("the key on the device is not the one in {}", file.display())
             } else {
-                "the device has a key, and this computer does not".to_owned()
+                "the device has a key that this computer does not have".to_owned()
             };
-            return Err(HostError::new(
+            return refused(
                 ErrorCode::KeyNeeded,
-                what,
-                "use the computer that has it, or have the board forget it by the gesture that its \
-                 page describes",
-            )
-            .at(link.clone()));
+                &what,
+                "use the computer that has it, or erase it by the gesture on the board's page",
+            );
         }
-        (Key::Rotate { .. }, None, _) => {
-            return Err(HostError::new(
+        (KeyAction::Rotate, None, _) => {
+            return refused(
                 ErrorCode::KeyNeeded,
                 "the device has no key to rotate",
-                "run wimu key set over the cable",
-            )
-            .at(link.clone()));
+                "run `wimu key set` over the cable",
+            );
         }
-        (Key::Forget { .. }, Some(_), Some(_)) => {
+        (KeyAction::Forget, Some(_), Some(_)) => {
             client.forget_key()?;
             folder.forget(device)?;
-            output.say("the device has forgotten its key, and so has this computer");
+            output.print("the key is erased on the device and on this computer");
         }
-        (Key::Set { .. } | Key::Rotate { .. }, ..) => {
-            give(&mut client, &folder, device)?;
-            output.say("the device has a new key; it is in this user's configuration folder alone");
+        (KeyAction::Set | KeyAction::Rotate, ..) => {
+            store_key(&mut client, &folder, device)?;
+            output.print("the device has a new key; the only copy is in your configuration folder");
         }
     }
     show(&mut client, &folder, output)
 }
 
-/// Makes a key and gives it to the device. It is in the folder before the device has it.
-fn give<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, device: u64) -> Result<()> {
+/// Creates a key, saves it in the folder, then stores it on the device.
+fn store_key(client: &mut Connection, folder: &KeyFolder, device: u64) -> Result<()> {
     let key: DeviceKey = keys::generate()?;
     folder.prepare(device, &key)?;
     match client.set_key(key) {
         Ok(()) => {
             folder.confirm(device)?;
-            // The device has proved that it has the new one.
             folder.drop_replaced(device);
             Ok(())
         }
         Err(error) => {
-            // Whichever key the device has, one of the two files holds it, unless it refused.
+            // After a refusal the device has the old key; otherwise it may have either, and both files are kept.
             if matches!(
                 error.code(),
                 ErrorCode::KeyNeeded | ErrorCode::DeviceRefused
@@ -128,42 +114,43 @@ fn give<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, device: u64) -
     }
 }
 
-/// Whether the device has a key and cannot read it: without one, the cable would be open.
-fn is_lost<T: Transport>(client: &Client<T>) -> bool {
+/// Whether the device has a key that it cannot read: it would otherwise accept writes over the cable.
+fn is_lost(client: &Connection) -> bool {
     let hello = client.hello();
     hello.role == LinkRole::Cable && hello.access == WriteAccess::Locked
 }
 
-fn show<T: Transport>(client: &mut Client<T>, folder: &KeyFolder, output: Output) -> Result<()> {
+fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<()> {
     let hello = *client.hello();
     let held = client.key_status()?;
     let known = folder.candidates(hello.device_id)?;
     let ours = known.iter().any(|key| Some(key.id()) == held);
     let proved = ours && client.use_key_among(&known).is_ok();
     let authenticated = (!known.is_empty()).then_some(proved);
-    output.say(match (held, ours) {
+    output.print(match (held, ours) {
         (None, _) if is_lost(client) => {
-            "a key that the device itself cannot read: nobody writes".to_owned()
+            "the device cannot read its key; all writes are refused".to_owned()
         }
-        (None, _) => "no key: the cable writes, the wireless link does not".to_owned(),
-        (Some(id), true) => format!("key {id}, which this computer has: both links write, signed"),
+        (None, _) => "no key: writes are accepted over the cable only".to_owned(),
+        (Some(id), true) => {
+            format!("key {id}, which this computer has: signed writes are accepted on both links")
+        }
         (Some(id), false) => format!("key {id}, which this computer does not have"),
     });
     if authenticated == Some(false) {
-        output.say("not authenticated: the device has not proved this with a key of this computer");
+        output.print("not authenticated: the device has not proved to have a key of this computer");
     }
-    output.say(format!(
+    output.print(format!(
         "write access on the {} link: {}",
         hello.role, hello.access
     ));
-    output.object(&Status {
-        schema: "wimu.key/1",
-        status: "ok",
+    let status = Status {
         device_id: format!("{:016x}", hello.device_id),
         set: held.is_some(),
         key_id: held.map(|id| id.to_string()),
         ours,
         authenticated,
-    });
+    };
+    output.answer("wimu.key/1", &status);
     Ok(())
 }

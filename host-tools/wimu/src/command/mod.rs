@@ -1,4 +1,4 @@
-//! One module a command.
+//! The commands, one module each.
 
 pub mod align;
 pub mod allan;
@@ -10,7 +10,6 @@ pub mod export;
 pub mod flash;
 pub mod info;
 pub mod key;
-mod live;
 pub mod monitor;
 pub mod navigate;
 pub mod params;
@@ -25,22 +24,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use wimu_host::client::{self, Client};
+use wimu_host::decode::Arrival;
 use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::transport::Transport;
 use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
 
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 /// A connection to a board over a real link.
 type Connection = Client<Box<dyn Transport + Send>>;
 
-/// Connects to the board behind LINK.
+/// Connects to the board at LINK.
 fn connect(link: &str) -> Result<Connection> {
     client::connect(&link.parse::<LinkUrl>()?)
 }
 
-/// Connects to the board behind LINK, to write: with its key, if this computer has one of it.
+/// Connects to the board at LINK for writing, with its key if this computer has it.
 fn connect_to_write(link: &str) -> Result<Connection> {
     let mut client = connect(link)?;
     let known = KeyFolder::of_user()?.candidates(client.hello().device_id)?;
@@ -48,9 +48,17 @@ fn connect_to_write(link: &str) -> Result<Connection> {
     Ok(client)
 }
 
-/// Connects to the board behind LINK, to read: with its key, if this computer has one of it, and
-/// without where the board does not prove that it has it. Returns whether what is read is proved;
-/// `None` if this computer has no key of the board.
+/// Connects to the board at LINK, for writing if the result is to be pushed.
+fn connect_for(link: &str, push: bool) -> Result<Connection> {
+    if push {
+        connect_to_write(link)
+    } else {
+        connect(link)
+    }
+}
+
+/// Connects to the board at LINK for reading, with its key if this computer has it and the board proves to have the
+/// same. Returns whether the answers are authenticated; `None` if this computer has no key of the board.
 fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<bool>)> {
     let mut client = connect(link)?;
     let Ok(folder) = KeyFolder::of_user() else {
@@ -62,20 +70,20 @@ fn connect_to_read(link: &str, output: Output) -> Result<(Connection, Option<boo
         Err(error) if error.code() == ErrorCode::LinkLost => Err(error),
         Err(error) => {
             client.use_key(None);
-            output.say(format!("not authenticated: {error}"));
+            output.print(format!("not authenticated: {error}"));
             Ok((client, Some(false)))
         }
     }
 }
 
-/// Says what is wrong with a recording's file, if anything.
-fn say_fault(wholeness: Wholeness, output: Output) {
+/// Prints what is wrong with a recording's file, if anything.
+fn print_fault(wholeness: Wholeness, output: Output) {
     if let Some(fault) = wholeness.fault() {
-        output.say(format!("  {fault}"));
+        output.print(format!("  {fault}"));
     }
 }
 
-/// Refuses to write over what is being read.
+/// Refuses an output file that is the input.
 fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
     let same = output.is_some_and(|output| {
         match (std::fs::canonicalize(input), std::fs::canonicalize(output)) {
@@ -84,48 +92,53 @@ fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
         }
     });
     if same {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "the output is the input: it would be destroyed",
-            "name another file with -o",
-        )
-        .at(input.display().to_string()));
+        let error = usage(
+            "the output file is the input file and would overwrite it",
+            "name another output file",
+        );
+        return Err(error.at(input.display().to_string()));
     }
     Ok(())
 }
 
-/// A flag that Ctrl-C and a request to end set.
+/// A flag that Ctrl-C and SIGTERM set.
 fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let set = flag.clone();
     ctrlc::set_handler(move || set.store(true, Ordering::Relaxed)).map_err(|error| {
         HostError::new(
             ErrorCode::FileFailed,
-            format!("Ctrl-C cannot be caught: {error}"),
+            format!("cannot install the Ctrl-C handler: {error}"),
             "run the command in a terminal",
         )
     })?;
     Ok(flag)
 }
 
-/// When a command that was given `--for SECONDS` ends.
-fn deadline(seconds: Option<f64>) -> Result<Option<Instant>> {
-    seconds
-        .map(|seconds| {
-            Duration::try_from_secs_f64(seconds)
-                .ok()
-                .and_then(|duration| Instant::now().checked_add(duration))
-                .ok_or_else(|| {
-                    HostError::new(
-                        ErrorCode::Usage,
-                        format!("--for {seconds} is no time"),
-                        "give seconds, 0 or more",
-                    )
-                })
-        })
-        .transpose()
+/// The end of a command with `--for SECONDS`; `None` without it, or if it is beyond the clock.
+fn deadline(time: Option<Duration>) -> Option<Instant> {
+    Instant::now().checked_add(time?)
 }
 
 fn is_over(deadline: Option<Instant>, interrupted: &AtomicBool) -> bool {
     interrupted.load(Ordering::Relaxed) || deadline.is_some_and(|end| Instant::now() >= end)
+}
+
+/// Passes arrivals to `take` until it returns false, `time` is over, or Ctrl-C.
+fn listen_until(
+    client: &mut Connection,
+    time: Option<Duration>,
+    mut take: impl FnMut(&Arrival) -> Result<bool>,
+) -> Result<()> {
+    let end = deadline(time);
+    let stop = interrupted()?;
+    while !is_over(end, &stop) {
+        let arrival = client.next_event(Duration::from_millis(100))?;
+        if let Some(arrival) = arrival
+            && !take(&arrival)?
+        {
+            break;
+        }
+    }
+    Ok(())
 }

@@ -15,10 +15,10 @@ use wimu_link::message::Status;
 use crate::arguments::Monitor;
 use crate::command::info::Sampling;
 use crate::command::record::left_out_text;
-use crate::command::{connect, deadline, interrupted, is_over};
+use crate::command::{connect, listen_until};
 use crate::output::Output;
 
-/// A person reads no more lines a second than this.
+/// Interval between refreshes of a terminal's line.
 const REFRESH: Duration = Duration::from_millis(50);
 
 /// One reading as JSON.
@@ -30,13 +30,13 @@ struct Line {
     raw_lsb: Option<[i16; 3]>,
     specific_force_m_s2: [f64; 3],
     corrected: bool,
-    /// Of the parameters in use; "00000000" on an uncalibrated device.
+    /// Parameters in use; "00000000" on an uncalibrated device.
     parameter_id: Option<String>,
     magnetic_field_ut: Option<[f64; 3]>,
-    /// In body axes and without hard and soft iron; else as the magnetometer put it out.
+    /// Whether the field is corrected and in body axes.
     magnetic_field_calibrated: Option<bool>,
-    /// Of body x, clockwise from magnetic north, 0 to 360; uncalibrated without a standard
-    /// deviation: body x pointed east (90) at the first rest.
+    /// Heading of body x, clockwise from magnetic north, 0 to 360. Without a standard deviation it is uncalibrated:
+    /// 90 (east) at the first rest, by definition.
     heading_deg: Option<f64>,
     heading_sd_deg: Option<f64>,
     temperature_c: Option<f64>,
@@ -82,7 +82,7 @@ impl From<&Reading> for Line {
 }
 
 impl Line {
-    /// For a line of no more than `width` characters, if it is given: what is most important and fits.
+    /// The most important parts that fit into `width` characters.
     fn text(&self, width: Option<usize>) -> String {
         let parts = self.parts();
         let mut room = width.unwrap_or(usize::MAX);
@@ -97,7 +97,7 @@ impl Line {
         kept.into_iter().map(|at| parts[at].1.as_str()).collect()
     }
 
-    /// What it says, in order, each with how important it is.
+    /// The parts of a line in order, each with its importance.
     fn parts(&self) -> Vec<(u8, String)> {
         let [x, y, z] = self.specific_force_m_s2;
         let norm = (x * x + y * y + z * z).sqrt();
@@ -132,31 +132,22 @@ impl Line {
 }
 
 pub fn run(arguments: &Monitor, output: Output) -> Result<()> {
-    if let Some(rate) = arguments.rate.filter(|rate| !(1e-6..=1e6).contains(rate)) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("--rate {rate} is out of range"),
-            "give lines a second, above 0, as in --rate 10",
-        ));
-    }
     match Input::parse(&arguments.input)? {
         Input::Link(_) => live(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
         Input::Csv(_) => Err(HostError::new(
             ErrorCode::UnknownFormat,
-            "a CSV file has nothing to watch",
-            "give a LINK or a recording; `wimu simulate --replay` makes a board of a CSV file",
+            "monitor does not read CSV files",
+            "give a LINK or a recording; `wimu simulate --replay` streams a CSV file",
         )
         .at(&arguments.input)),
     }
 }
 
 fn live(arguments: &Monitor, output: Output) -> Result<()> {
-    let end = deadline(arguments.seconds)?;
-    let stop = interrupted()?;
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
-    output.say(format!(
+    output.print(format!(
         "{} with {}, device {:016x}, {} link, parameters {}, last start: {}",
         hello.board.name,
         hello.sensor.name,
@@ -167,17 +158,12 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
     ));
     let mut readings = Readings::new();
     let mut screen = Screen::new(arguments.rate, output);
-    while !is_over(end, &stop) {
-        let Some(arrival) = client.next_event(Duration::from_millis(100))? else {
-            continue;
-        };
-        if !screen.show(&arrival.event, &mut readings) {
-            break;
-        }
-    }
+    listen_until(&mut client, arguments.seconds, |arrival| {
+        Ok(screen.show(&arrival.event, &mut readings))
+    })?;
     output.end_refresh();
     let statistics = client.statistics();
-    output.say(format!(
+    output.print(format!(
         "{} frames, {} damaged{}; {} samples missing",
         statistics.frames,
         statistics.frames_damaged,
@@ -185,7 +171,7 @@ fn live(arguments: &Monitor, output: Output) -> Result<()> {
         statistics.raw.missing.max(statistics.corrected.missing)
     ));
     if let Some(status) = &screen.status {
-        output.say(Sampling::from(status).text());
+        output.print(Sampling::from(status).text());
     }
     Ok(())
 }
@@ -198,7 +184,7 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
     let mut role = None;
     let mut going = true;
     while let Some(received) = reader.next_received()? {
-        // One link is enough to look at: the first that was heard.
+        // Shows the first link of the recording only.
         if *role.get_or_insert(received.role) != received.role {
             continue;
         }
@@ -213,7 +199,7 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: Output) -> Result
     Ok(())
 }
 
-/// Why a device has started.
+/// Cause of the last start.
 fn cause(hello: &Hello) -> String {
     match hello.fault {
         Some(fault) => format!("{}, {fault}", hello.reset_reason),
@@ -221,19 +207,19 @@ fn cause(hello: &Hello) -> String {
     }
 }
 
-/// Shows readings and what happens to the device.
+/// Prints readings and device events.
 struct Screen {
     output: Output,
-    /// When a terminal's line was last renewed.
+    /// Last refresh of a terminal's line.
     last: Option<Instant>,
     refreshes: bool,
     /// Device time between two lines, s.
     every_s: f64,
     /// Device time of the latest line, s.
     shown_s: Option<f64>,
-    /// As the device said it last.
+    /// Latest status of the device.
     status: Option<Status>,
-    /// The device has started anew and has not said yet why.
+    /// The device has restarted; the cause is not known yet.
     restarted: bool,
 }
 
@@ -254,13 +240,13 @@ impl Screen {
         }
     }
 
-    /// Returns false when nobody looks any more.
+    /// Returns false when the output is closed.
     fn show(&mut self, event: &Event, readings: &mut Readings) -> bool {
         match event {
             Event::Device { time, event } => {
                 self.output.end_refresh();
                 self.output
-                    .say(format!("{:8.2} s  {event}", time.to_seconds()));
+                    .print(format!("{:8.2} s  {event}", time.to_seconds()));
             }
             Event::Status(status) => self.status = Some(*status),
             Event::Restart { .. } => {
@@ -270,14 +256,14 @@ impl Screen {
             Event::Hello(hello) if core::mem::take(&mut self.restarted) => {
                 self.output.end_refresh();
                 self.output
-                    .say(format!("the device has started anew: {}", cause(hello)));
+                    .print(format!("the device has restarted: {}", cause(hello)));
             }
             _ => {}
         }
         let mut going = true;
         readings.push(event, |reading| {
             let line = Line::from(&reading);
-            // As many lines as were asked for, however the samples' times are rounded.
+            // 1 µs of tolerance for rounded sample times.
             let due = |shown_s| line.time_s - shown_s >= self.every_s - 1e-6;
             if !self.shown_s.is_none_or(due) {
                 return;
@@ -286,7 +272,7 @@ impl Screen {
             if self.output.is_json() {
                 going = going && self.output.object(&line);
             } else if !self.refreshes {
-                self.output.say(line.text(Output::width()));
+                self.output.print(line.text(Output::width()));
             } else if self.last.is_none_or(|last| last.elapsed() >= REFRESH) {
                 self.last = Some(Instant::now());
                 self.output.refresh(&line.text(Output::width()));

@@ -16,20 +16,19 @@ use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
 use wimu_host::{ErrorCode, HostError, Input, Result};
 use wimu_integrator::Phase;
+use wimu_model::ParameterSet;
 
 use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
 use crate::command::not_over_input;
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 #[derive(Serialize)]
 struct Navigated {
-    schema: &'static str,
-    status: &'static str,
     source: String,
     link: String,
-    /// One for each start of the device.
+    /// One entry for each start of the device.
     starts: Vec<Start>,
-    /// The path of the longest start with its uncertainty; null where there is none.
+    /// Path of the longest start with its uncertainty; null if there is none.
     path: Option<inertial::Found>,
 }
 
@@ -37,23 +36,23 @@ struct Navigated {
 struct Start {
     device: Option<Track>,
     recomputed: Option<Track>,
-    /// Whether the recomputed numbers are the device's bit for bit; absent where they are not
-    /// meant to be.
+    /// Bit-exact comparison of the recomputed values with the device's; null with other parameters or settings than
+    /// the device's.
     replay: Option<ReplayReport>,
 }
 
 impl Start {
-    fn tell(&self, output: Output) {
+    fn print(&self, output: Output) {
         match &self.device {
-            Some(track) => output.say(format!("device:     {}", track.text())),
-            None => output.say("device:     sent no position, or found no rest"),
+            Some(track) => output.print(format!("device:     {}", track.text())),
+            None => output.print("device:     no position sent, or no rest detected"),
         }
         match &self.recomputed {
-            Some(track) => output.say(format!("recomputed: {}", track.text())),
-            None => output.say("recomputed: no rest to start from"),
+            Some(track) => output.print(format!("recomputed: {}", track.text())),
+            None => output.print("recomputed: no rest detected"),
         }
         if let (Some(_), Some(replay)) = (&self.recomputed, &self.replay) {
-            output.say(verdict(replay));
+            output.print(replay_text(replay));
         }
     }
 }
@@ -105,31 +104,22 @@ impl Track {
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let input = arguments.input.to_string_lossy();
     if let Ok(Input::Link(link)) = Input::parse(&input) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "this is a LINK to a live board, and navigate reads recordings",
-            format!(
-                "record first: `wimu record {link} -o FILE.mcap`, then `wimu navigate FILE.mcap`"
-            ),
-        )
-        .at(input));
+        let remedy = format!("record first: `wimu record {link} -o FILE.mcap`");
+        return Err(usage("navigate reads recordings, and this is a LINK", remedy).at(input));
     }
-    not_over_input(&arguments.input, arguments.output.as_deref())?;
+    for file in [&arguments.report, &arguments.output] {
+        not_over_input(&arguments.input, file.as_deref())?;
+    }
+    if arguments.calibration.len() > 1 && arguments.geometry.is_none() {
+        return Err(usage(
+            "--calibration was given more than once for a single sensor",
+            "give one, or --geometry",
+        ));
+    }
     let extension = arguments.input.extension();
     let is_table = extension.is_some_and(|e| e.eq_ignore_ascii_case("csv"));
-    if is_table || arguments.geometry.is_some() || !arguments.boards.is_empty() {
+    if is_table || arguments.geometry.is_some() {
         return inertial::run(arguments, output);
-    }
-    inertial::check(arguments)?;
-    if arguments.calibration.len() > 1 {
-        return Err(inertial::one_calibration());
-    }
-    if arguments.method == NavigateMethod::Array {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "a board has one accelerometer",
-            "use --method tilt or slide, or several boards with --geometry",
-        ));
     }
     let name = arguments.input.display().to_string();
     let watch = |file| Watched::new(file, output);
@@ -137,7 +127,13 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     let recording = Recording::read(reader, &name)?;
     output.end_refresh();
     let link = recording.link(arguments.link.map(Into::into))?;
-    let starts = link.boots.iter().map(|boot| start(boot, arguments));
+    let calibration = arguments.calibration.first();
+    let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
+    let calibration = calibration.as_ref();
+    let starts = link
+        .boots
+        .iter()
+        .map(|boot| start(boot, arguments, calibration));
     let starts = starts.collect::<Result<Vec<Start>>>()?;
     if starts
         .iter()
@@ -145,27 +141,26 @@ pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
     {
         return Err(HostError::new(
             ErrorCode::DataRefused,
-            "there is no rest in the recording, so there is no attitude and no position",
-            "hold the board still for a second before moving it",
+            "the recording has no rest, which initial attitude and position need",
+            "hold the board still for at least a second before moving it",
         )
         .at(&recording.name));
     }
-    let path = path(link, arguments, &recording.name, output)?;
+    let path = path(link, arguments, calibration, &recording.name, output)?;
     for start in &starts {
-        start.tell(output);
+        start.print(output);
     }
-    output.object(&Navigated {
-        schema: "wimu.navigation/1",
-        status: "ok",
+    let navigated = Navigated {
         source: recording.name.clone(),
         link: link.role.to_string(),
         starts,
         path,
-    });
+    };
+    output.answer("wimu.navigation/1", &navigated);
     Ok(())
 }
 
-/// A file that shows how much of it has been read.
+/// A file that shows the progress of reading it.
 struct Watched {
     file: BufReader<File>,
     read: u64,
@@ -201,11 +196,11 @@ impl Read for Watched {
     }
 }
 
-/// The filter's path through the longest start. Where nothing but the device's own was asked for, it may be
-/// absent.
+/// The filter's path through the longest start of the device. It may be absent if no option asks for it.
 fn path(
     link: &LinkHistory,
     arguments: &Navigate,
+    calibration: Option<&ParameterSet>,
     name: &str,
     output: Output,
 ) -> Result<Option<inertial::Found>> {
@@ -216,28 +211,24 @@ fn path(
     else {
         return Ok(None);
     };
-    let parameters = match arguments.calibration.first() {
-        Some(file) => Some(read_parameters(file)?),
-        None => None,
-    };
-    let asked = arguments.method != NavigateMethod::Auto
+    let required = arguments.method != NavigateMethod::Auto
         || arguments.output.is_some()
         || arguments.report.is_some();
-    let found = navigation::motion(name, boot, parameters.as_ref())
+    let found = navigation::motion(name, boot, calibration)
         .and_then(|motion| inertial::one_unit(arguments, &motion, name.to_owned(), output));
     match found {
         Ok(found) => Ok(Some(found)),
-        Err(error) if asked => Err(error),
+        Err(error) if required => Err(error),
         Err(error) => {
-            output.say(format!("no path with its uncertainty: {error}"));
+            output.print(format!("no path with uncertainty: {error}"));
             Ok(None)
         }
     }
 }
 
-fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
+fn start(boot: &Boot, arguments: &Navigate, calibration: Option<&ParameterSet>) -> Result<Start> {
     let device = Track::of(&navigation::device(boot));
-    let as_device = arguments.calibration.is_empty() && arguments.zupt.is_none();
+    let as_device = calibration.is_none() && arguments.zupt.is_none();
     if as_device || boot.epochs.is_empty() {
         return Ok(Start {
             device,
@@ -246,10 +237,8 @@ fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
         });
     }
     let mark = &boot.epochs[boot.epochs.len() - 1];
-    let parameters = match arguments.calibration.first() {
-        Some(path) => read_parameters(path)?,
-        None => boot.parameters_of(&mark.epoch)?,
-    };
+    let recorded = || boot.parameters_of(&mark.epoch);
+    let parameters = calibration.copied().map_or_else(recorded, Ok)?;
     let zupt = arguments
         .zupt
         .map_or(mark.epoch.state.zupt, |zupt| zupt != ZeroVelocity::Off);
@@ -261,10 +250,10 @@ fn start(boot: &Boot, arguments: &Navigate) -> Result<Start> {
     })
 }
 
-fn verdict(replay: &ReplayReport) -> String {
+fn replay_text(replay: &ReplayReport) -> String {
     if replay.is_exact() {
         format!(
-            "bit for bit the device's: {} corrected samples, {} positions, {} states compared",
+            "bit for bit equal to the device's: {} corrected samples, {} positions, {} states compared",
             replay.corrected_compared, replay.navigation_compared, replay.states_compared
         )
     } else {

@@ -10,8 +10,6 @@ use crate::output::Output;
 
 #[derive(Serialize)]
 struct Listing {
-    schema: &'static str,
-    status: &'static str,
     ports: Vec<Listed>,
 }
 
@@ -19,7 +17,7 @@ struct Listing {
 struct Listed {
     #[serde(flatten)]
     port: Port,
-    /// Who answered, or why nobody did; absent where nobody was asked.
+    /// The device that answered, or the error; absent for a port that was not opened.
     #[serde(skip_serializing_if = "Option::is_none")]
     probe: Option<Result<String, String>>,
 }
@@ -33,23 +31,19 @@ pub fn run(arguments: &Ports, output: Output) -> Result<()> {
         })
         .collect();
     if ports.is_empty() {
-        output.say("no serial ports; `wimu simulate` is a board without one");
+        output.print("no serial ports; `wimu simulate` runs a board without one");
     }
     for Listed { port, probe } in &ports {
         let usb = port.usb.map_or(String::new(), |usb| format!("  usb {usb}"));
         let board = port.board.map_or(String::new(), |b| format!("  {b}"));
         let answer = match probe {
-            Some(Ok(who)) => format!("  → {who}"),
+            Some(Ok(device)) => format!("  → {device}"),
             Some(Err(why)) => format!("  → {why}"),
             None => String::new(),
         };
-        output.say(format!("{}{usb}{board}{answer}", port.path));
+        output.print(format!("{}{usb}{board}{answer}", port.path));
     }
-    output.object(&Listing {
-        schema: "wimu.ports/1",
-        status: "ok",
-        ports,
-    });
+    output.answer("wimu.ports/1", &Listing { ports });
     Ok(())
 }
 

@@ -8,22 +8,20 @@ use wimu_host::clock::ClockSummary;
 use wimu_host::decode::LinkStatistics;
 use wimu_host::recorder::{Progress, Recorder};
 use wimu_host::ros::{self, Decoded};
-use wimu_host::{ErrorCode, HostError, LinkUrl, Result};
+use wimu_host::{HostError, LinkUrl, Result};
 
 use crate::arguments::Record;
-use crate::command::export::say_left_out;
+use crate::command::export::print_left_out;
 use crate::command::{deadline, interrupted, is_over};
 use crate::output::Output;
 
 #[derive(Serialize)]
 struct Recorded {
-    schema: &'static str,
-    status: &'static str,
     file: String,
-    /// Why it ended by itself.
+    /// Why the recording ended without Ctrl-C or --for.
     ended: Option<HostError>,
     links: Vec<Link>,
-    /// What `--decoded` added.
+    /// Topics that `--decoded` added.
     decoded: Option<Decoded>,
 }
 
@@ -36,31 +34,24 @@ struct Link {
 }
 
 pub fn run(arguments: &Record, output: Output) -> Result<()> {
-    let end = deadline(arguments.seconds)?;
+    let end = deadline(arguments.seconds);
     let stop = interrupted()?;
     let links = [Some(&arguments.link), arguments.cable.as_ref()]
         .into_iter()
         .flatten()
         .map(|link| link.parse::<LinkUrl>())
         .collect::<Result<Vec<_>>>()?;
-    let patience = Duration::try_from_secs_f64(arguments.reconnect).map_err(|_| {
-        HostError::new(
-            ErrorCode::Usage,
-            format!("--reconnect {} is no time", arguments.reconnect),
-            "give seconds, 0 or more",
-        )
-    })?;
-    let recorder = Recorder::connect(&links)?.with_patience(patience);
+    let recorder = Recorder::connect(&links)?.with_patience(arguments.reconnect);
     for hello in recorder.hellos() {
-        output.say(format!(
-            "recording the {} link of {} with {}, device {:016x}; Ctrl-C ends it",
+        output.print(format!(
+            "recording the {} link of {} with {}, device {:016x}; Ctrl-C stops",
             hello.role, hello.board.name, hello.sensor.name, hello.device_id
         ));
     }
     let finished = AtomicBool::new(false);
     let mut shown = Instant::now();
     let progress = std::thread::scope(|scope| {
-        // The clock must be watched even while no byte comes.
+        // The deadline holds even while no byte arrives.
         let watch = scope.spawn(|| {
             while !is_over(end, &stop) && !finished.load(Ordering::Relaxed) {
                 std::thread::sleep(Duration::from_millis(20));
@@ -78,14 +69,14 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
         outcome
     })?;
     output.end_refresh();
-    output.say(format!(
+    output.print(format!(
         "{}: {}",
         arguments.output.display(),
         summary(&progress)
     ));
     for link in &progress.links {
         if let Some(clock) = &link.clock {
-            output.say(format!("{:8} {}", link.role, clock_text(clock)));
+            output.print(format!("{:8} {}", link.role, clock_text(clock)));
         }
     }
     let decoded = match arguments.decoded {
@@ -94,34 +85,30 @@ pub fn run(arguments: &Record, output: Output) -> Result<()> {
     };
     if let Some(decoded) = &decoded {
         let count: u64 = decoded.messages.values().sum();
-        output.say(format!(
+        output.print(format!(
             "decoded: {count} messages on {} topics",
             decoded.messages.len()
         ));
-        say_left_out(decoded, output);
+        print_left_out(decoded, output);
     }
     if let Some(error) = &progress.ended {
-        output.say(format!(
-            "ended: no link has come back ({}); what they brought is in the file",
+        output.print(format!(
+            "stopped: all links were lost ({}); the file holds everything received",
             error.message()
         ));
     }
-    output.object(&Recorded {
-        schema: "wimu.record/1",
-        status: "ok",
+    let links = progress.links.iter().map(|link| Link {
+        role: link.role.to_string(),
+        statistics: link.statistics,
+        clock: link.clock,
+    });
+    let recorded = Recorded {
         file: arguments.output.display().to_string(),
-        links: progress
-            .links
-            .iter()
-            .map(|link| Link {
-                role: link.role.to_string(),
-                statistics: link.statistics,
-                clock: link.clock,
-            })
-            .collect(),
+        links: links.collect(),
         decoded,
         ended: progress.ended,
-    });
+    };
+    output.answer("wimu.record/1", &recorded);
     Ok(())
 }
 
@@ -140,7 +127,7 @@ fn summary(progress: &Progress) -> String {
                 statistics.frames_damaged,
                 left_out_text(statistics.batches_unplaced, statistics.frames_rejected),
                 if link.lost.is_some() {
-                    ", LOST: trying again"
+                    ", LOST, reconnecting"
                 } else {
                     ""
                 }
@@ -150,20 +137,19 @@ fn summary(progress: &Progress) -> String {
     links.join("; ")
 }
 
-/// What is said of batches whose place no epoch tells, at the end of a recording too, and of frames
-/// that were rejected.
+/// Text on batches without an epoch that places them, and on rejected frames.
 pub fn left_out_text(batches: u64, rejected: u64) -> String {
     let mut text = String::new();
     if batches > 0 {
-        text += &format!(", {batches} batches whose place no epoch tells");
+        text += &format!(", {batches} batches without an epoch that places them");
     }
     if rejected > 0 {
-        text += &format!(", {rejected} frames rejected: their number or time is impossible");
+        text += &format!(", {rejected} frames rejected (impossible sequence number or time)");
     }
     text
 }
 
-/// A clock in a line, two standard deviations.
+/// A clock in one line, with 2 σ.
 pub fn clock_text(clock: &ClockSummary) -> String {
     let rate = format!(
         "device clock {:.1} ± {:.1} ppm {}",
@@ -175,10 +161,10 @@ pub fn clock_text(clock: &ClockSummary) -> String {
         Some(bound) => {
             let sd = 2.0 * clock.offset_sd_ms;
             format!(
-                "{rate}; its times in host time to {sd:.2} ms if both directions take equally long, to {:.2} ms in any case",
+                "{rate}; offset to host time known to {sd:.2} ms if both directions are equally fast, otherwise to {:.2} ms",
                 bound.max(sd)
             )
         }
-        None => format!("{rate}; its times are late by what the fastest transfer took"),
+        None => format!("{rate}; offset to host time unknown by the shortest transfer time"),
     }
 }

@@ -1,8 +1,8 @@
 //! `wimu settings`.
 
 use serde::Serialize;
+use wimu_host::Result;
 use wimu_host::client::adapter_decides;
-use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::message::{Resolution, Settings, Streams};
 use wimu_link::{Command, LinkRole};
 
@@ -12,8 +12,6 @@ use crate::output::Output;
 
 #[derive(Serialize)]
 struct Held {
-    schema: &'static str,
-    status: &'static str,
     range_g: u8,
     rate_hz: u16,
     resolution: &'static str,
@@ -22,9 +20,9 @@ struct Held {
     cable: Vec<&'static str>,
     wireless: Vec<&'static str>,
     batch: [u8; 2],
-    /// Of raw and corrected samples, every n-th.
+    /// Decimation of raw and corrected samples on the two links.
     every: [u8; 2],
-    /// Whether the device has signed this; null if this computer has no key of it.
+    /// Whether the device has signed its answers; null if this computer has no key of the device.
     authenticated: Option<bool>,
 }
 
@@ -35,15 +33,15 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
             (client.settings()?, authenticated)
         }
         arguments::Settings::Set { link, change } => {
-            // A port of a radio has a rate of its own, whatever it says.
+            // The baud rate of a Bluetooth port has no effect.
             if let Some(baud) = change.baud.filter(|_| link.contains("rfcomm")) {
                 return Err(adapter_decides(link, baud));
             }
             let mut client = connect_to_write(link)?;
             if let Some(baud) = change.baud {
                 client.set_line_rate(baud)?;
-                output.say(format!(
-                    "the line runs at {baud} baud from now on: add ?baud={baud} to the link"
+                output.print(format!(
+                    "the link now runs at {baud} baud: add ?baud={baud} to the LINK"
                 ));
             }
             if let Some(baud) = change.wireless_baud {
@@ -51,7 +49,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
                 client.request(Command::SetLineRate { link, baud })?;
             }
             let before = client.settings()?;
-            let wanted = changed(before, change)?;
+            let wanted = changed(before, change);
             let now = match wanted == before {
                 true => before,
                 false => client.set_settings(wanted)?,
@@ -61,8 +59,6 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         }
     };
     let held = Held {
-        schema: "wimu.settings/1",
-        status: "ok",
         range_g: settings.range_g,
         rate_hz: settings.rate_hz,
         resolution: match settings.resolution {
@@ -78,7 +74,7 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         every: [settings.cable.every, settings.wireless.every],
         authenticated,
     };
-    output.say(format!(
+    output.print(format!(
         "range ±{} g, {} Hz, {} resolution\nZUPT {}, local gravity {:.6} m/s²\ncable    {} in batches of {}{}\nwireless {} in batches of {}{}",
         held.range_g,
         held.rate_hz,
@@ -92,22 +88,11 @@ pub fn run(action: &arguments::Settings, output: Output) -> Result<()> {
         held.batch[1],
         decimation(held.every[1]),
     ));
-    output.object(&held);
+    output.answer("wimu.settings/1", &held);
     Ok(())
 }
 
-fn changed(now: Settings, change: &Change) -> Result<Settings> {
-    let gravity_um_s2 = match change.gravity {
-        None => now.gravity_um_s2,
-        Some(gravity) if (9.7..=9.9).contains(&gravity) => (gravity * 1e6).round() as u32,
-        Some(gravity) => {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                format!("local gravity {gravity} m/s² is on no place of the Earth"),
-                "give 9.7 to 9.9",
-            ));
-        }
-    };
+fn changed(now: Settings, change: &Change) -> Settings {
     let streams = |now: Streams, wanted: &Option<Vec<Carried>>, batch: Option<u8>, every| {
         let batch = batch.or(change.batch).unwrap_or(now.batch);
         let every = Option::unwrap_or(every, now.every);
@@ -130,7 +115,7 @@ fn changed(now: Settings, change: &Change) -> Result<Settings> {
             }
         }
     };
-    Ok(Settings {
+    Settings {
         range_g: change.range.unwrap_or(now.range_g),
         rate_hz: change.rate.unwrap_or(now.rate_hz),
         resolution: match change.resolution {
@@ -140,7 +125,9 @@ fn changed(now: Settings, change: &Change) -> Result<Settings> {
             Some(arguments::Resolution::High) => Resolution::High,
         },
         zupt: change.zupt.map_or(now.zupt, |zupt| zupt == Switch::On),
-        gravity_um_s2,
+        gravity_um_s2: change
+            .gravity
+            .map_or(now.gravity_um_s2, |mps2| (mps2 * 1e6).round() as u32),
         cable: streams(
             now.cable,
             &change.cable,
@@ -153,13 +140,13 @@ fn changed(now: Settings, change: &Change) -> Result<Settings> {
             change.wireless_batch,
             change.wireless_every,
         ),
-    })
+    }
 }
 
 fn decimation(every: u8) -> String {
     match every {
         0 | 1 => String::new(),
-        every => format!(", of samples every {every}."),
+        every => format!(", decimated by {every}"),
     }
 }
 

@@ -20,31 +20,27 @@ use wimu_sim::truth::{Gauge, SensorTruth};
 
 use crate::arguments::{Sensor, Simulate};
 use crate::command::interrupted;
-use crate::output::Output;
+use crate::output::{Output, usage};
 
-/// After the end, the last batch is on its way for a moment, µs.
+/// Time to deliver the last batches after the end of the motion, µs.
 const LINGER_US: u64 = 2_000_000;
 
 #[derive(Serialize)]
 struct Listening {
-    schema: &'static str,
-    status: &'static str,
     cable: String,
     wireless: String,
 }
 
-/// What only the simulation knows, when it ends.
+/// The true values of the simulation, printed at its end.
 #[derive(Serialize)]
 struct Truth {
-    schema: &'static str,
-    status: &'static str,
-    /// How much faster the board's clock ran.
+    /// Rate error of the board's clock, positive if it was fast.
     clock_ppm: f64,
     cable: Option<LinkTruth>,
     wireless: Option<LinkTruth>,
 }
 
-/// What a link with faults did.
+/// Statistics of a link with faults.
 #[derive(Serialize)]
 struct LinkTruth {
     bias_m_s2: [f64; 3],
@@ -55,31 +51,6 @@ struct LinkTruth {
 }
 
 pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
-    if let Some(time) = arguments
-        .press
-        .iter()
-        .find(|time| !time.is_finite() || **time < 0.0)
-    {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("--press {time} is no time"),
-            "give the seconds since the board's start, as in --press 5,9.5",
-        ));
-    }
-    if !(arguments.speed > 0.0 && arguments.speed <= 1000.0) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("--speed {} is out of range", arguments.speed),
-            "give 0.01 to 1000",
-        ));
-    }
-    if arguments.clock_ppm.is_nan() || arguments.clock_ppm.abs() > 10_000.0 {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            format!("--clock-ppm {} is out of range", arguments.clock_ppm),
-            "give -10000 to 10000",
-        ));
-    }
     let [cable_faults, wireless_faults] = faults_of(&arguments.faults)?;
     let storage = match &arguments.store {
         Some(path) => Storage::in_file(path)
@@ -87,7 +58,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         None => Storage::in_memory(),
     };
     let config = BoardConfig {
-        // TCP has no baud rate: a client that reads slowly makes the board shed.
+        // TCP has no baud rate; a slow client makes the board shed telemetry.
         cable: LinkConfig::default(),
         wireless: LinkConfig::default(),
         cable_faults,
@@ -105,7 +76,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
     let (board, played) = match &arguments.replay {
         Some(path) => {
             let counts = counts_of(arguments, path)?;
-            output.say(format!(
+            output.print(format!(
                 "replaying {} samples of {}",
                 counts.len(),
                 path.display()
@@ -119,10 +90,9 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             let scene = Scene::new(World::default());
             let motion = motion::named(&arguments.motion, arguments.seed).map_err(|unknown| {
                 let known: Vec<_> = motion::NAMES.iter().map(|(name, _)| *name).collect();
-                HostError::new(
-                    ErrorCode::Usage,
+                usage(
                     unknown.to_string(),
-                    format!("choose of {}", known.join(", ")),
+                    format!("choose from {}", known.join(", ")),
                 )
             })?;
             scene.play(0.0, motion.clone());
@@ -142,7 +112,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             HostError::new(
                 ErrorCode::LinkBusy,
                 format!("cannot listen: {error}"),
-                "stop what listens there, or give other addresses with --cable and --wireless",
+                "stop the program that listens there, or give other addresses with --cable and --wireless",
             )
             .at(address.to_string())
         })?
@@ -157,16 +127,14 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             .map_err(|error| HostError::file("the listening port", "read", &error))
     };
     let listening = Listening {
-        schema: "wimu.simulate/1",
-        status: "ok",
         cable: url(LinkRole::Cable)?,
         wireless: url(LinkRole::Wireless)?,
     };
-    output.say(format!(
-        "cable    {}\nwireless {}\nCtrl-C stops; in another terminal: wimu monitor {}",
+    output.print(format!(
+        "cable    {}\nwireless {}\nCtrl-C stops it; in another terminal: wimu monitor {}",
         listening.cable, listening.wireless, listening.cable
     ));
-    output.object(&listening);
+    output.answer("wimu.simulate/1", &listening);
     let stop = interrupted()?;
     let mut done_at = None;
     let mut presses = arguments.press.clone();
@@ -190,10 +158,10 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         };
         if done && done_at.is_none() {
             done_at = Some(now_us);
-            output.say(match (&played, arguments.exit_when_done) {
-                (Some(_), false) => "the motion begins again",
+            output.print(match (&played, arguments.exit_when_done) {
+                (Some(_), false) => "the motion starts again",
                 (Some(_), true) => "the motion is over",
-                (None, _) => "the recording is over; the sensor has no more data",
+                (None, _) => "the replayed file is over; the sensor has no more data",
             });
         }
         stop.load(Ordering::Relaxed)
@@ -213,16 +181,14 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
         })
     };
     let truth = Truth {
-        schema: "wimu.simulate-truth/1",
-        status: "ok",
         clock_ppm: arguments.clock_ppm,
         cable: truth(LinkRole::Cable),
         wireless: truth(LinkRole::Wireless),
     };
     for (name, link) in [("cable", &truth.cable), ("wireless", &truth.wireless)] {
         if let Some(LinkTruth { to_host, .. }) = link {
-            output.say(format!(
-                "{name}: of {} bytes sent {} were lost, {} bits flipped; of the frames {} were intact, {} damaged, {} lost",
+            output.print(format!(
+                "{name}: {} bytes sent, {} lost, {} bits flipped; frames: {} intact, {} damaged, {} lost",
                 to_host.bytes_sent,
                 to_host.bytes_lost + to_host.bytes_overflowed + to_host.bytes_disconnected,
                 to_host.bits_flipped,
@@ -232,7 +198,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
             ));
         }
     }
-    output.object(&truth);
+    output.answer("wimu.simulate-truth/1", &truth);
     Ok(())
 }
 
@@ -240,7 +206,7 @@ pub fn run(arguments: &Simulate, output: Output) -> Result<()> {
 fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
     let mut texts = [Vec::new(), Vec::new()];
     for spec in specs {
-        // A link holds for what follows it, up to another one.
+        // A link prefix holds until the next one.
         let mut link = 1;
         for part in spec.split(',').map(str::trim) {
             let fault = match (part.strip_prefix("cable:"), part.strip_prefix("wireless:")) {
@@ -261,8 +227,7 @@ fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
         let text = texts.join(",");
         text.parse().map_err(|error| {
             let presets: Vec<_> = PRESETS.iter().map(|(name, ..)| *name).collect();
-            HostError::new(
-                ErrorCode::Usage,
+            usage(
                 format!("--faults: {error}"),
                 format!(
                     "give presets ({}) or faults such as loss=2%,bits=1e-4,jitter=50ms,stall=3s@30s; see `wimu simulate --help`",
@@ -277,7 +242,7 @@ fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
 /// Raw counts of a CSV file in LSB.
 fn counts_of(arguments: &Simulate, path: &Path) -> Result<Vec<Counts>> {
     let load = LoadOptions {
-        filter: arguments.filter.as_deref().map(str::parse).transpose()?,
+        filter: arguments.filter.clone(),
         accelerometer: arguments.accelerometer,
         ..LoadOptions::default()
     };
@@ -289,7 +254,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_link_stands_once_before_its_faults_or_before_each() {
+    fn a_link_prefix_holds_until_the_next_one() {
         let of = |specs: &[&str]| {
             let specs: Vec<_> = specs.iter().map(|spec| (*spec).to_owned()).collect();
             faults_of(&specs).unwrap()

@@ -1,7 +1,10 @@
-//! Runs the real `wimu`, always with `--json`, and never for ever.
+//! Runs the real `wimu`, always with `--json` and with a time limit, and compares its text with snapshots.
 
 #![allow(dead_code, reason = "each test file uses its own part of it")]
 
+use std::cell::RefCell;
+use std::fmt::{Display, Write};
+use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -10,12 +13,20 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use wimu_host::calibration::read_parameters;
+use wimu_model::ParameterSet;
+use wimu_sim::board::{Board, BoardConfig, SensorPart};
+use wimu_sim::motion;
+use wimu_sim::scenario::Host;
+use wimu_sim::scene::{Scene, World};
+use wimu_sim::source::Physics;
+use wimu_sim::truth::{Gauge, SensorTruth};
 pub use wimu_testkit::spread;
 
-/// No command of a test takes longer, unless something hangs, however busy the machine is.
-const PATIENCE: Duration = Duration::from_secs(300);
+/// Time limit of a command: far beyond what a busy machine needs, so that only a hang reaches it.
+const TIME_LIMIT: Duration = Duration::from_secs(300);
 
-/// What a command came to.
+/// Result of a command.
 #[derive(Debug)]
 pub struct Ran {
     pub code: i32,
@@ -37,7 +48,7 @@ impl Ran {
         objects.remove(0)
     }
 
-    /// The object of a command that has done what it should.
+    /// Asserts success; returns the object.
     pub fn succeeds(&self) -> Value {
         assert_eq!(self.code, 0, "{self:?}");
         let object = self.object();
@@ -45,7 +56,18 @@ impl Ran {
         object
     }
 
-    /// The object of a command that failed so.
+    /// Asserts a report that the data support no answer: exit code 3, status `refused`, a reason.
+    pub fn refuses(&self) -> Value {
+        assert_eq!(self.code, 3, "{self:?}");
+        let object = self.object();
+        assert_eq!(object["status"], "refused", "{self:?}");
+        let reason = object["reason"].as_str();
+        assert!(reason.is_some_and(|text| !text.is_empty()), "{self:?}");
+        assert!(!self.stderr.is_empty(), "{self:?}");
+        object
+    }
+
+    /// Asserts a failure with this exit code and error code; returns the object.
     pub fn fails(&self, exit: i32, code: &str) -> Value {
         assert_eq!(self.code, exit, "{self:?}");
         let object = self.object();
@@ -60,10 +82,130 @@ impl Ran {
             object.as_object().unwrap().contains_key("where"),
             "{self:?}"
         );
-        // People read what went wrong as well.
+        // The text for people is not missing either.
         assert!(!self.stderr.is_empty() || code == "usage", "{self:?}");
         object
     }
+}
+
+/// Text of a family of commands. Exit codes and JSON are asserted when a case is added; the wording is
+/// compared with `snapshots/NAME.snap`.
+#[derive(Default)]
+pub struct Transcript(String);
+
+impl Transcript {
+    fn case(&mut self, case: impl Display, outcome: impl Display, text: &str) {
+        writeln!(self.0, "## {case}: {outcome}\n{}\n", text.trim_end()).expect("memory");
+    }
+
+    /// Adds all that a command printed for people.
+    pub fn text(&mut self, case: impl Display, ran: &Ran) {
+        self.case(case, format_args!("exit {}", ran.code), &ran.stderr);
+    }
+
+    /// Adds a command that fails with this exit code and error code; returns the object.
+    pub fn fails(&mut self, case: impl Display, ran: &Ran, exit: i32, code: &str) -> Value {
+        let object = ran.fails(exit, code);
+        self.case(case, format_args!("exit {exit}, {code}"), &ran.stderr);
+        object
+    }
+
+    /// Adds the reason of a command that refuses the data; returns the report.
+    pub fn refuses(&mut self, case: impl Display, ran: &Ran) -> Value {
+        let report = ran.refuses();
+        let reason = report["reason"].as_str().expect("a reason");
+        self.case(case, "exit 3, refused", reason);
+        report
+    }
+
+    /// Adds the remarks of a command that succeeds; returns the object.
+    pub fn remarks(&mut self, case: impl Display, ran: &Ran) -> Value {
+        let object = ran.succeeds();
+        self.list(case, remarks(&object));
+        object
+    }
+
+    /// Adds a list of texts.
+    pub fn list<'a>(&mut self, case: impl Display, texts: impl IntoIterator<Item = &'a str>) {
+        let lines: String = texts
+            .into_iter()
+            .map(|text| format!("- {text}\n"))
+            .collect();
+        let none = if lines.is_empty() { "none" } else { "listed" };
+        self.case(case, none, &lines);
+    }
+
+    /// The text so far.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// Compares with the snapshot of this name.
+    pub fn check(&self, name: &str) {
+        snapshot(name, &self.0, &[]);
+    }
+
+    /// Compares with the snapshot of this name, numbers and column widths left out: they differ from run to
+    /// run where a command talks to a running board.
+    pub fn check_live(&self, name: &str) {
+        const NUMBERS: &[(&str, &str)] =
+            &[(r"[-+−]?\d+(\.\d+)?(e[-+]?\d+)?", "#"), (" {2,}", "  ")];
+        snapshot(name, &self.0, NUMBERS);
+    }
+}
+
+/// The remarks of a report or, of a recording, of the path in it.
+pub fn remarks(object: &Value) -> Vec<&str> {
+    let at = |pointer| object.pointer(pointer).and_then(Value::as_array);
+    let all = at("/remarks").or_else(|| at("/path/remarks"));
+    let all = all.unwrap_or_else(|| panic!("no remarks in {object}"));
+    all.iter()
+        .map(|remark| remark.as_str().expect("text"))
+        .collect()
+}
+
+/// The line number in a failure's location.
+pub fn line_number(failure: &Value) -> Option<usize> {
+    let (_, rest) = failure["where"].as_str()?.split_once("line ")?;
+    let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
+    digits.parse().ok()
+}
+
+/// Compares text with `snapshots/NAME.snap`. What differs between machines and runs is replaced, by
+/// [`FILTERS`] and then by `more`.
+pub fn snapshot(name: &str, text: &str, more: &[(&str, &str)]) {
+    compare(name, text, FILTERS.iter().chain(more));
+}
+
+/// Compares text with `snapshots/NAME.snap` as it is.
+pub fn verbatim(name: &str, text: &str) {
+    compare(name, text, []);
+}
+
+/// Folders, ports, numbers of full precision, the sign of zero, ids, times and numbers of system errors.
+const FILTERS: &[(&str, &str)] = &[
+    (r"[^\s`'\x22=:,]*/\.tmp\w{6}/", ""),
+    (r"127\.0\.0\.1:\d{5}\b", "ADDRESS"),
+    (r"\d+\.\d{10,}(e[-+]?\d+)?", "#"),
+    (r"[-+](0\.0+)\b", "$1"),
+    (r"\b[0-9a-f]{16}\b", "DEVICE"),
+    (r"\b[0-9a-f]{8}\b", "ID"),
+    (
+        r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?( UTC|Z)?",
+        "TIME",
+    ),
+    (r"\(os error \d+\)", "(os error N)"),
+];
+
+fn compare<'a>(name: &str, text: &str, filters: impl IntoIterator<Item = &'a (&'a str, &'a str)>) {
+    let mut settings = insta::Settings::new();
+    settings.set_snapshot_path("../snapshots");
+    settings.set_prepend_module_to_snapshot(false);
+    settings.set_omit_expression(true);
+    for (pattern, replacement) in filters {
+        settings.add_filter(pattern, *replacement);
+    }
+    settings.bind(|| insta::assert_snapshot!(name, text));
 }
 
 /// Runs `wimu --json` with these arguments to its end.
@@ -76,7 +218,7 @@ pub struct Background {
     child: Child,
     stdout: BufReader<ChildStdout>,
     read: String,
-    /// What it has said to people so far.
+    /// What it has printed for people so far.
     stderr: Arc<Mutex<String>>,
     errors: Option<JoinHandle<()>>,
     arguments: String,
@@ -102,12 +244,12 @@ impl Background {
         let stdout = BufReader::new(child.stdout.take().expect("piped"));
         let mut lines = BufReader::new(child.stderr.take().expect("piped"));
         let stderr = Arc::new(Mutex::new(String::new()));
-        let said = stderr.clone();
-        // Pipes are emptied meanwhile, so that it never waits for us.
+        let printed = stderr.clone();
+        // Both pipes are emptied while it runs: a full one would block it.
         let errors = thread::spawn(move || {
             let mut line = String::new();
             while lines.read_line(&mut line).is_ok_and(|read| read > 0) {
-                said.lock().expect("no panic").push_str(&line);
+                printed.lock().expect("no panic").push_str(&line);
                 line.clear();
             }
         });
@@ -128,17 +270,17 @@ impl Background {
         self.read[start..].trim_end().to_owned()
     }
 
-    /// Itself, once it has said something.
+    /// Waits for its first line on stdout.
     pub fn after_a_line(mut self) -> Self {
-        assert!(!self.line().is_empty(), "{} says nothing", self.arguments);
+        assert!(!self.line().is_empty(), "{} prints nothing", self.arguments);
         self
     }
 
-    /// Waits until it has said `text` to people `count` times.
-    pub fn says(self, text: &str, count: usize) -> Self {
+    /// Waits until what it has printed for people contains `text` `count` times.
+    pub fn prints(self, text: &str, count: usize) -> Self {
         wait_until(text, || {
-            let said = self.stderr.lock().expect("no panic");
-            said.matches(text).count() >= count
+            let printed = self.stderr.lock().expect("no panic");
+            printed.matches(text).count() >= count
         });
         self
     }
@@ -154,7 +296,7 @@ impl Background {
 
     /// Waits for its end.
     pub fn finish(mut self) -> Ran {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIME_LIMIT;
         let child = &mut self.child;
         let (stdout, read) = (&mut self.stdout, &mut self.read);
         let status = thread::scope(|scope| {
@@ -240,6 +382,52 @@ impl Simulator {
     }
 }
 
+/// Records both links of a simulated board through these motions to their end, in virtual time: the same
+/// file in every run. The recorder itself is tested in `recording` and `session`.
+pub fn record_motion(motion: &str, seed: u64, file: &str) {
+    record_motion_of(SensorPart::Lsm303agr, motion, seed, file);
+}
+
+/// The same with this sensor on the board.
+pub fn record_motion_of(sensor: SensorPart, motion: &str, seed: u64, file: &str) {
+    record_board(sensor, motion, seed, file, None);
+}
+
+/// The same after a push of the calibration in `pushed`.
+pub fn record_calibrated(pushed: &str, motion: &str, seed: u64, file: &str) {
+    let set = read_parameters(pushed.as_ref()).expect("a calibration");
+    record_board(SensorPart::Lsm303agr, motion, seed, file, Some(&set));
+}
+
+fn record_board(
+    sensor: SensorPart,
+    motion: &str,
+    seed: u64,
+    file: &str,
+    pushed: Option<&ParameterSet>,
+) {
+    let scene = Scene::new(World::default());
+    let truth = match sensor {
+        SensorPart::Lsm303agr => SensorTruth::random,
+        SensorPart::Adxl345 => SensorTruth::random_adxl345,
+    };
+    let source = Physics::new(truth(seed, Gauge::LowerTriangular), scene.clone(), seed);
+    let config = BoardConfig {
+        sensor,
+        ..BoardConfig::default()
+    };
+    let board = RefCell::new(Board::start(config, source));
+    let mut host = Host::connect(&board, scene.clone()).expect("a board");
+    if let Some(set) = pushed {
+        host.cable.push_parameters(set).expect("a push");
+    }
+    let motion = motion::named(motion, seed).expect("a known motion");
+    let duration_s = motion.duration();
+    let begin_s = scene.play(host.now_s(), motion);
+    host.run_until(begin_s + duration_s).expect("a board");
+    fs::write(file, host.file().expect("a recording")).expect("written");
+}
+
 /// Which links of a board are recorded.
 #[derive(Clone, Copy)]
 pub enum Links {
@@ -293,10 +481,10 @@ pub fn in_folder(name: &str) -> (String, tempfile::TempDir) {
     (path.to_str().expect("text").to_owned(), folder)
 }
 
-/// Waits until something is so.
-pub fn wait_until(what: &str, is_so: impl Fn() -> bool) {
-    let until = Instant::now() + PATIENCE;
-    while !is_so() {
+/// Waits until a condition holds.
+pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
+    let until = Instant::now() + TIME_LIMIT;
+    while !holds() {
         assert!(Instant::now() < until, "{what}: not in time");
         thread::sleep(Duration::from_millis(20));
     }

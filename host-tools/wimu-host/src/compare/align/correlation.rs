@@ -1,13 +1,13 @@
-//! How well two signals fit each other at a lag.
+//! Correlation of two signals as a function of the lag.
 
 use super::signal::Grid;
 use super::{MAX_RATE, MIN_CORRELATION};
 
-/// What a motion shares with itself later than this counts as chance, s; at most so many products.
+/// Longest autocorrelation that is considered, s, and largest number of products.
 const MAX_MEMORY_S: f64 = 5.0;
 const MAX_PRODUCTS: usize = 200_000_000;
 
-/// Correlation of what overlaps when b is moved by `lag`; `None` below `least` points.
+/// Correlation of the overlap when b is shifted by `lag`; `None` below `least` points.
 fn correlation(a: &[f64], b: &[f64], lag: i64, least: usize) -> Option<f64> {
     let (a, b) = if lag >= 0 {
         (a.get(lag as usize..)?, b)
@@ -43,7 +43,7 @@ pub(super) struct Best {
     pub lag: f64,
 }
 
-/// The best lag within `reach` of `around`, between points too.
+/// The best lag within `reach` of `around`, interpolated between points.
 pub(super) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Best> {
     let score = |lag: i64| correlation(a, b, lag, 8);
     let (peak, lag) = (around - reach..=around + reach)
@@ -66,9 +66,9 @@ pub(super) fn refine(a: &[f64], b: &[f64], around: i64, reach: i64) -> Option<Be
     })
 }
 
-/// By how many standard deviations the correlation of what overlaps when b is moved by `lag` is more
-/// than chance: Fisher's transformation, with as many independent values as the motion has. It has as many
-/// as it is longer than what it shares with itself; and a short motion in a long rest is short.
+/// By how many standard deviations the correlation of the overlap, with b shifted by `lag`, exceeds
+/// chance: Fisher's transformation, with the number of independent values, which follows from the length of the motion
+/// and its autocorrelation; rest before and after a short motion does not count.
 pub(super) fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
     let (x, y) = if lag >= 0 {
         (a.get(lag as usize..).unwrap_or_default(), b)
@@ -99,7 +99,7 @@ pub(super) fn deviations(a: &[f64], b: &[f64], lag: i64, step: f64) -> f64 {
     score.atanh() * independent.sqrt()
 }
 
-/// How much the lag grows from the first third of the overlap to the last, per second of the
+/// Growth of the lag from the first third of the overlap to the last, per second of the
 /// reference; `None` where a third does not fit on its own.
 pub(super) fn drift(
     a: &Grid,
@@ -124,7 +124,7 @@ pub(super) fn drift(
         };
         let ((first_a, a_part), (first_b, b_part)) = (cut(a, from), cut(b, from - shift));
         let expected = lag - (first_a as f64 - first_b as f64);
-        // 1 % of clock error is the most.
+        // The largest rate difference.
         let reach = (MAX_RATE * (end - start) / a.step).ceil() as i64 + 1;
         let best = refine(&a_part, &b_part, expected.round() as i64, reach)?;
         (best.score >= MIN_CORRELATION)

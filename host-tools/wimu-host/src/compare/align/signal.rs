@@ -5,16 +5,16 @@ use std::path::Path;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::csv::{AccelerationUnit, CsvReader};
-use crate::{ErrorCode, HostError, Result};
+use crate::{ErrorCode, Result};
 
-/// Taken where a table has no times, Hz.
+/// Assumed rate of a table without times, Hz.
 const ASSUMED_RATE_HZ: f64 = 100.0;
-/// No motion is over so soon, s.
+/// Shortest motion, s.
 const SHORT_S: f64 = 0.1;
-/// A sensor's bias makes the magnitude at rest another than 1 g by about this, as a part of it.
+/// Smallest relative standard deviation of the unit: the effect of a typical bias on the magnitude at rest.
 const LEAST_UNIT_SD: f64 = 0.03;
-/// A value stands at its sensor's end that stays for so many rows, so many times, and comes or goes by more
-/// than so many of the finest steps at once.
+/// Detection of saturation: rows for which an extreme value persists, number of such runs, and smallest step into or
+/// out of a run, in multiples of the finest step.
 const MIN_STAY: usize = 2;
 const MIN_STOPS: usize = 2;
 const STEEP: f64 = 4.0;
@@ -25,9 +25,9 @@ pub(super) struct Signal {
     times: Vec<f64>,
     /// m/s².
     values: Vec<[f64; 3]>,
-    /// Whether an axis stands at its sensor's end.
+    /// Whether an axis is saturated.
     saturated: Vec<bool>,
-    /// How far the unit may be off, where it is guessed, as a part of 1.
+    /// Relative standard deviation of the unit, where it is assumed.
     pub unit_sd: Option<f64>,
 }
 
@@ -38,13 +38,12 @@ pub(super) struct Grid {
     pub values: Vec<f64>,
 }
 
-/// Which rows have an axis at the end of what its sensor shows: at its largest or smallest value, where the
-/// motion stops and stays more than once.
+/// Rows with a saturated axis: at its largest or smallest value, where the motion stops and stays more than once.
 fn saturated(values: &[[f64; 3]]) -> Vec<bool> {
     let mut saturated = vec![false; values.len()];
     for axis in 0..3 {
         let of = |row: usize| values[row][axis];
-        // The finest step between two rows: a value may stay by itself for as coarse as it is.
+        // The finest step between two rows: within it a value may persist because of its resolution.
         let steps = values
             .windows(2)
             .map(|pair| (pair[1][axis] - pair[0][axis]).abs());
@@ -80,15 +79,13 @@ pub(super) fn norm(v: &[f64; 3]) -> f64 {
 }
 
 impl Signal {
-    /// Reads a table. In LSB, the median magnitude is taken for 1 g.
+    /// Reads a table. In LSB, the median magnitude is taken as 1 g.
     pub fn read(path: &Path) -> Result<Signal> {
         let reader = CsvReader::open(path)?;
         let name = reader.name().to_owned();
         let unit = reader.header().acceleration_unit;
         if reader.header().accelerometers.len() != 1 {
-            return Err(HostError::new(
-                ErrorCode::CsvMissingColumn,
-                format!(
+            return Err(ErrorCode::CsvMissingColumn.error(format!(
                     "it has {} accelerometers",
                     reader.header().accelerometers.len()
                 ),
@@ -116,12 +113,9 @@ impl Signal {
             }
         }
         if signal.times.len() < 2 {
-            return Err(HostError::new(
-                ErrorCode::NoRows,
-                "there are fewer than two rows",
-                "give a recording",
-            )
-            .at(name));
+            return Err(ErrorCode::NoRows
+                .error("the table has fewer than two rows", "give a recording")
+                .at(name));
         }
         let factor = match unit {
             AccelerationUnit::Lsb => {
@@ -154,12 +148,12 @@ impl Signal {
         1.0 / steps[steps.len() / 2].max(1e-6)
     }
 
-    /// When its rows were taken, s.
+    /// Times of the rows, s.
     pub fn times(&self) -> impl Iterator<Item = f64> {
         self.times.iter().copied()
     }
 
-    /// The value at a time, between two samples; `None` outside, or in a gap of a second.
+    /// The value at a time, interpolated linearly; `None` outside, or in a gap of a second.
     pub fn at(&self, time: f64) -> Option<[f64; 3]> {
         let next = self.times.partition_point(|t| *t <= time);
         let before = next.checked_sub(1)?;
@@ -172,8 +166,8 @@ impl Signal {
         (t1 - t0 < 1.0).then(|| [0, 1, 2].map(|axis| v0[axis] + share * (v1[axis] - v0[axis])))
     }
 
-    /// The value at a time by the curve through as many rows on each side: straight lines are flatter than
-    /// the motion. Where these rows are not evenly apart, not there, or at a sensor's end, [`Signal::at`].
+    /// The value at a time by polynomial interpolation over `rows` rows on each side, which is less flattened than
+    /// linear interpolation. Where these rows are unevenly spaced, missing or saturated, [`Signal::at`].
     pub fn curved_at(&self, time: f64, rows: usize) -> Option<[f64; 3]> {
         let next = self.times.partition_point(|t| *t <= time);
         let near = next.saturating_sub(rows)..next + rows;
@@ -203,7 +197,7 @@ impl Signal {
         Some(curved)
     }
 
-    /// Whether the value at a time is made of one at its sensor's end.
+    /// Whether the value at a time depends on a saturated one.
     pub fn is_saturated_at(&self, time: f64) -> bool {
         let next = self.times.partition_point(|t| *t <= time);
         let rows = next.saturating_sub(1)..(next + 1).min(self.saturated.len());
@@ -239,8 +233,7 @@ impl Grid {
         self.start + (self.values.len() as f64 - 1.0) * self.step
     }
 
-    /// The mean of each `fold` points, or where these are longer than a motion how much it moves within
-    /// them.
+    /// The mean of each `fold` points, or, where these are longer than a motion, their standard deviation.
     pub fn folded(&self, fold: usize) -> Self {
         let values = if fold == 1 || self.step * fold as f64 <= SHORT_S {
             let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;

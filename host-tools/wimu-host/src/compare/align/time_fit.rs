@@ -1,19 +1,19 @@
-//! The fit of one table's times to the other's.
+//! Fit of one table's times to the other's.
 
 use nalgebra::Matrix4;
 
 use super::MAX_RATE;
 use super::signal::{Signal, norm};
 
-/// What is left is the same for so long, s: its parts are taken for independent beyond.
+/// Residuals are correlated within this time and taken as independent beyond, s.
 const CLUSTER_S: f64 = 1.0;
 
 /// The other's time in the reference's.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TimeFit {
-    /// Added to the other's time, s, at the middle.
+    /// Added to the other's time at the middle, s.
     pub offset_s: f64,
-    /// How much it grows per second of the reference.
+    /// Its growth per second of the reference.
     pub rate: f64,
     pub middle: f64,
     /// Standard deviations of both.
@@ -30,10 +30,10 @@ impl TimeFit {
         (theirs + self.offset_s - self.rate * self.middle) / (1.0 - self.rate)
     }
 
-    /// One step towards the best fit of |y| of the other by c + k|x|, by the change of |x| for an offset
-    /// and by how that grows for a rate. What is left is weighed by the change of |y|, whose noise is not
-    /// that of the change of |x|: so noise makes no step too small. The standard deviations let what is
-    /// left be alike within a second.
+    /// One step towards the best fit of |y| of the other by c + k|x|, by the derivative of |x| for an offset
+    /// and that times the time for a rate. Residuals are weighted by the derivative of |y|, whose noise is independent
+    /// of that of |x| (instrumental variables), so that noise does not bias the step. The standard deviations allow for
+    /// correlated residuals within a second.
     pub fn refined(
         &self,
         a: &Signal,
@@ -98,7 +98,7 @@ impl TimeFit {
             }
         }
         close(sum);
-        // How much the other shows of the reference's motion.
+        // The other's gain against the reference.
         let gain = found[1];
         if gain.abs() < 0.1 {
             return None;
@@ -109,15 +109,15 @@ impl TimeFit {
             middle: self.middle,
             sd: [2, 3].map(|k| variances[k].sqrt() / gain.abs()),
         };
-        // One step is small, or it leads nowhere.
+        // A valid step is small.
         let moved = (fit.offset_s - self.offset_s).abs();
         (moved < 5.0 * step && fit.rate.abs() <= MAX_RATE).then_some(fit)
     }
 }
 
-/// The inverse of the first `size` rows and columns of a matrix that is nearly symmetric and positive.
+/// The inverse of the first `size` rows and columns of a nearly symmetric positive matrix.
 fn inverse(matrix: [[f64; 4]; 4], size: usize) -> Option<[[f64; 4]; 4]> {
-    // Of like size first: seconds beside seconds squared.
+    // Normalised, because seconds and seconds squared differ in magnitude.
     let scale: [f64; 4] = std::array::from_fn(|k| if k < size { matrix[k][k].sqrt() } else { 1.0 });
     let scaled = Matrix4::from_fn(|row, column| match row.max(column) < size {
         true => matrix[row][column] / (scale[row] * scale[column]),

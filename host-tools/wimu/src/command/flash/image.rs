@@ -1,11 +1,11 @@
-//! Firmware images: ELF, Intel HEX and UF2, and whether they are for a board.
+//! Firmware images: ELF, Intel HEX and UF2, and the check that they are for a board.
 
 use crate::arguments::Board;
 
-/// What lies at an address.
+/// An address and the bytes there.
 pub type Segment = (u32, Vec<u8>);
 
-/// Reads an image of any of the formats; `None` if it is of none, or damaged.
+/// Reads an image in any of the formats; `None` if it is damaged or in another format.
 pub fn segments(file: &[u8]) -> Option<Vec<Segment>> {
     let found = if file.starts_with(b"\x7fELF") {
         elf(file)
@@ -17,14 +17,14 @@ pub fn segments(file: &[u8]) -> Option<Vec<Segment>> {
     found.filter(|segments| !segments.is_empty())
 }
 
-/// Why an image is not for a board, in words; `None` if it is.
+/// Why an image is not for a board; `None` if it is.
 pub fn objection(board: Board, segments: &[Segment]) -> Option<String> {
     let chip = board.chip();
     for (address, bytes) in segments {
         let end = u64::from(*address) + bytes.len() as u64;
         if *address < chip.flash.start || end > u64::from(chip.flash.end) {
             return Some(format!(
-                "it has something at {address:#010x}, and the flash of its {} is at {:#010x} to {:#010x}",
+                "it has data at {address:#010x}, outside the flash of the {} ({:#010x} to {:#010x})",
                 chip.name, chip.flash.start, chip.flash.end
             ));
         }
@@ -37,12 +37,12 @@ pub fn objection(board: Board, segments: &[Segment]) -> Option<String> {
         Some(u32::from_le_bytes(*bytes.get(offset..)?.first_chunk()?))
     };
     let Some(stack) = word(chip.vectors) else {
-        return Some(format!("it has no vectors at {:#010x}", chip.vectors));
+        return Some(format!("it has no vector table at {:#010x}", chip.vectors));
     };
     let ram = chip.ram.start + 4..=chip.ram.end;
     (!ram.contains(&stack)).then(|| {
         format!(
-            "its stack begins at {stack:#010x}, and the memory of a {} is at {:#010x} to {:#010x}",
+            "its stack begins at {stack:#010x}, outside the RAM of the {} ({:#010x} to {:#010x})",
             chip.name, chip.ram.start, chip.ram.end
         )
     })
@@ -56,7 +56,7 @@ fn half(bytes: &[u8], at: usize) -> Option<usize> {
     Some(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?).into())
 }
 
-/// The loaded segments of 32-bit ARM, at their addresses in the flash.
+/// Loadable segments of a 32-bit ARM ELF file, at their physical addresses.
 fn elf(file: &[u8]) -> Option<Vec<Segment>> {
     const ARM: usize = 40;
     const LOADED: u32 = 1;
@@ -80,7 +80,7 @@ fn elf(file: &[u8]) -> Option<Vec<Segment>> {
     Some(segments)
 }
 
-/// Lines of `:LLAAAATT…CC`, each with its sum.
+/// Intel HEX: lines of `:LLAAAATT…CC` with a checksum each.
 fn hex(text: &str) -> Option<Vec<Segment>> {
     let mut segments: Vec<Segment> = Vec::new();
     let mut upper = 0_u32;
@@ -114,16 +114,16 @@ fn hex(text: &str) -> Option<Vec<Segment>> {
             (1, _) => return Some(segments),
             (2, [high, low]) => upper = u32::from(u16::from_be_bytes([*high, *low])) << 4,
             (4, [high, low]) => upper = u32::from(u16::from_be_bytes([*high, *low])) << 16,
-            // Where it starts: the vectors tell.
+            // The start address is in the vector table.
             (3 | 5, _) => {}
             _ => return None,
         }
     }
-    // Without its last line it is not whole.
+    // The end record is missing.
     None
 }
 
-/// Blocks of 512 bytes.
+/// UF2: blocks of 512 bytes.
 fn uf2(file: &[u8]) -> Option<Vec<Segment>> {
     const BLOCK: usize = 512;
     if file.is_empty() || !file.len().is_multiple_of(BLOCK) {

@@ -1,4 +1,4 @@
-//! Writing through a debug probe.
+//! Writing an image through a debug probe.
 
 use std::str::FromStr;
 
@@ -12,12 +12,12 @@ use wimu_host::{ErrorCode, HostError, Result};
 
 use super::Image;
 use crate::arguments::Flash;
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 #[derive(Serialize)]
 struct Probe {
     name: String,
-    /// For `--probe`.
+    /// Value for `--probe`.
     selector: String,
     accessible: bool,
 }
@@ -35,8 +35,6 @@ impl From<&ProbeListItem> for Probe {
 pub fn list(output: Output) -> Result<()> {
     #[derive(Serialize)]
     struct Probes {
-        schema: &'static str,
-        status: &'static str,
         probes: Vec<Probe>,
     }
     let probes: Vec<Probe> = Lister::new()
@@ -45,29 +43,23 @@ pub fn list(output: Output) -> Result<()> {
         .map(Probe::from)
         .collect();
     if probes.is_empty() {
-        output.say("no debug probe is plugged in");
+        output.print("no debug probe is connected");
     }
     for probe in &probes {
         let access = if probe.accessible {
             ""
         } else {
-            " (not for this user)"
+            " (no permission)"
         };
-        output.say(format!("{}  {}{access}", probe.selector, probe.name));
+        output.print(format!("{}  {}{access}", probe.selector, probe.name));
     }
-    output.object(&Probes {
-        schema: "wimu.probes/1",
-        status: "ok",
-        probes,
-    });
+    output.answer("wimu.probes/1", &Probes { probes });
     Ok(())
 }
 
 pub fn write(image: &Image, arguments: &Flash, output: Output) -> Result<()> {
     #[derive(Serialize)]
     struct Written {
-        schema: &'static str,
-        status: &'static str,
         board: &'static str,
         chip: &'static str,
         probe: String,
@@ -86,7 +78,7 @@ pub fn write(image: &Image, arguments: &Flash, output: Output) -> Result<()> {
     }
     let mut options = DownloadOptions::new();
     options.progress = progress(output);
-    // Sectors that the image shares with something else keep it; the store has its own.
+    // Keeps other contents of sectors that the image uses in part; the store has sectors of its own.
     options.keep_unwritten_bytes = true;
     options.verify = true;
     let outcome = loader.commit(&mut session, options);
@@ -94,31 +86,29 @@ pub fn write(image: &Image, arguments: &Flash, output: Output) -> Result<()> {
     outcome.map_err(|error| failed("writing the flash failed", &error))?;
     let started = session.core(0).and_then(|mut core| core.reset());
     started.map_err(|error| failed("the image is written, but the chip did not start", &error))?;
-    output.say(format!(
-        "{bytes} bytes of {} are on the {}; `wimu ports` names its port",
+    output.print(format!(
+        "wrote {bytes} bytes of {} to the {}; `wimu ports` shows its port",
         image.file.display(),
         image.board.name()
     ));
-    output.object(&Written {
-        schema: "wimu.flash/1",
-        status: "ok",
+    let written = Written {
         board: image.board.name(),
         chip,
         probe: Probe::from(&probe).selector,
         image: image.file.display().to_string(),
         bytes,
-    });
+    };
+    output.answer("wimu.flash/1", &written);
     Ok(())
 }
 
-/// The probe that is named, or the only one.
+/// The named probe, or the only one.
 fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
     let selector = named
         .map(|text| {
             DebugProbeSelector::from_str(text).map_err(|error| {
-                HostError::new(
-                    ErrorCode::Usage,
-                    format!("`{text}` names no probe: {error}"),
+                usage(
+                    format!("`{text}` is not a probe selector: {error}"),
                     "give VENDOR:PRODUCT or VENDOR:PRODUCT:SERIAL, as `wimu flash --list` shows them",
                 )
             })
@@ -131,12 +121,11 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
             ErrorCode::ProbeAbsent,
             match named {
                 Some(named) => format!("there is no debug probe {named}"),
-                None => "no debug probe is plugged in".into(),
+                None => "no debug probe is connected".into(),
             },
             format!(
-                "plug one in (a micro:bit is its own, a Pico needs a Debug Probe on its SWD pins) \
-                 with a cable that carries data, and see `wimu flash --list`; or copy {file} onto the \
-                 board's drive {drive}"
+                "connect one (a micro:bit has its own, a Pico needs a Debug Probe on its SWD pins) with a \
+                 cable that carries data; or copy {file} to the board's drive {drive}"
             ),
         )),
         1 => {
@@ -148,8 +137,7 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
         }
         _ => {
             let known: Vec<String> = probes.iter().map(|p| Probe::from(p).selector).collect();
-            Err(HostError::new(
-                ErrorCode::Usage,
+            Err(usage(
                 format!("there are {} debug probes", known.len()),
                 format!("name one: --probe {}", known.join(" or --probe ")),
             ))
@@ -161,26 +149,26 @@ fn forbidden(probe: &ProbeListItem) -> HostError {
     let vendor = probe.info.vendor_id;
     HostError::new(
         ErrorCode::ProbePermission,
-        format!("this user may not open the probe {}", probe.info),
+        format!("no permission to open the probe {}", probe.info),
         udev_rule(vendor),
     )
     .at(Probe::from(probe).selector)
 }
 
-/// What lets whoever sits at the computer open the probes of a maker.
+/// How to let the logged-in user open the probes of a vendor.
 fn udev_rule(vendor: u16) -> String {
     format!(
-        "write these two lines into /etc/udev/rules.d/69-wimu-probe.rules, run `sudo udevadm control \
-         --reload`, and plug the probe in again:\n\
+        "write these two lines to /etc/udev/rules.d/69-wimu-probe.rules, run `sudo udevadm control \
+         --reload`, and reconnect the probe:\n\
          SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", MODE=\"0660\", TAG+=\"uaccess\"\n\
          KERNEL==\"hidraw*\", ATTRS{{idVendor}}==\"{vendor:04x}\", MODE=\"0660\", TAG+=\"uaccess\""
     )
 }
 
-/// Attaches to the chip. A locked one is unlocked only with consent, for that erases it.
+/// Attaches to the chip. Unlocking a locked chip erases it and needs `--erase-all`.
 fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) -> Result<Session> {
     let permissions = if erase_all {
-        output.say("if the chip is locked, all that is on it is erased now, its calibration too");
+        output.print("a locked chip is erased now, with its firmware, calibration and key");
         Permissions::new().allow_erase_all()
     } else {
         Permissions::new()
@@ -188,7 +176,7 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
     let open = probe.info.open().map_err(|error| {
         HostError::new(
             ErrorCode::ProbePermission,
-            format!("the probe {} does not open: {}", probe.info, chain(&error)),
+            format!("cannot open the probe {}: {}", probe.info, chain(&error)),
             format!(
                 "close other programs that use it; on Linux, {}",
                 udev_rule(probe.info.vendor_id)
@@ -199,19 +187,19 @@ fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: Output) ->
         .map_err(|error| refused(chip, error))
 }
 
-/// Why a chip does not let itself be attached to, and what to do.
+/// Why attaching to a chip failed, and what to do.
 fn refused(chip: &str, error: probe_rs::Error) -> HostError {
     match error {
         probe_rs::Error::MissingPermissions(_)
         | probe_rs::Error::Arm(ArmError::MissingPermissions(_)) => HostError::new(
             ErrorCode::ChipLocked,
-            "the chip is locked: unlocking it erases all that is on it, its calibration and key too",
-            "if nothing on it is needed, run the command again with --erase-all",
+            "the chip is locked; unlocking erases all of it, with its calibration and key",
+            "if nothing on it is needed, add --erase-all",
         ),
         other => HostError::new(
             ErrorCode::FlashFailed,
             format!("no {chip} answers at the probe: {}", chain(&other)),
-            "check the board's power and the wires to SWDIO, SWCLK and ground, and that the board is the one named",
+            "check the board's power, the wires to SWDIO, SWCLK and ground, and the board's name",
         ),
     }
 }
@@ -246,11 +234,11 @@ fn failed(what: &str, error: &dyn std::error::Error) -> HostError {
     HostError::new(
         ErrorCode::FlashFailed,
         format!("{what}: {}", chain(error)),
-        "keep the cable plugged in, run the command again; a chip that refuses once more is erased with --erase-all",
+        "keep the cable connected and try again; if it fails again, --erase-all erases the chip",
     )
 }
 
-/// An error and what it comes from.
+/// An error with its causes.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut source = error.source();

@@ -1,16 +1,16 @@
-//! `wimu navigate --geometry`: several accelerometers on one body, in one table or on several boards.
+//! `wimu navigate --geometry`: an array of accelerometers, in one table or on several boards.
 
 use std::path::Path;
 
 use wimu_calib::Gravity;
+use wimu_host::Result;
 use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, refine};
 use wimu_host::inertial::{Choice, InertialPath, navigate_array, navigate_axes};
-use wimu_host::{ErrorCode, HostError, Result};
 
 use crate::arguments::Navigate;
 use crate::command::array::{self, Refined};
 use crate::command::not_over_input;
-use crate::output::Output;
+use crate::output::{Output, usage};
 
 /// Navigates an array.
 pub fn path(
@@ -26,31 +26,24 @@ pub fn path(
         not_over_input(geometry, written.as_deref())?;
     }
     not_over_input(&arguments.input, arguments.refine.as_deref())?;
-    let positive = |value: &Option<f64>| value.is_none_or(|v| v > 0.0 && v.is_finite());
-    if !(positive(&arguments.place_sd) && positive(&arguments.delay_sd)) {
-        return Err(HostError::new(
-            ErrorCode::Usage,
-            "--place-sd and --delay-sd must be positive numbers",
-            "for example --place-sd 0.5 --delay-sd 300",
-        ));
-    }
     let mut geometry = ArrayGeometry::read(geometry)?;
     if !arguments.calibration.is_empty() {
         geometry = geometry.with_models(&arguments.calibration)?;
     }
-    let options = array::known(arguments.place_sd, arguments.delay_sd, &geometry);
+    let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
     if !geometry.axes.is_empty() {
         if arguments.refine.is_some() || !arguments.boards.is_empty() {
-            return Err(HostError::new(
-                ErrorCode::Usage,
-                "single axes are in one table, and their places are as given",
+            return Err(usage(
+                "a geometry of single axes takes one CSV file and no --refine",
                 "leave out --refine and further boards",
             ));
         }
         let recording = ArrayRecording::axes_from_csv(
             &arguments.input,
             &geometry,
-            arguments.sensitivity.unwrap_or(array::SENSITIVITY),
+            arguments
+                .sensitivity
+                .unwrap_or(array::SENSITIVITY_LSB_PER_G),
         )?;
         return Ok((
             navigate_axes(&recording, &geometry, &options, choice)?,
@@ -60,7 +53,7 @@ pub fn path(
     let read = array::read(
         &arguments.input,
         &arguments.boards,
-        arguments.sensitivity.unwrap_or(array::SENSITIVITY),
+        arguments.sensitivity,
         arguments.link,
         geometry.has_models(),
     )?;
@@ -78,15 +71,14 @@ pub fn path(
                 refined,
             ));
         }
-        // What was found is known as well as it was found.
         let (place_sd_m, delay_sd_s) = (found.known_place_m(), found.known_delay_s());
         geometry = found.geometry.clone();
         geometry.place_sd_mm = Some(place_sd_m * 1e3);
         geometry.delay_sd_us = Some(delay_sd_s * 1e6);
         geometry.write(file)?;
-        output.say(format!("{}: written", file.display()));
-        if let Some(said) = &mut refined {
-            said.file = Some(file.display().to_string());
+        output.print(format!("wrote {}", file.display()));
+        if let Some(refined) = &mut refined {
+            refined.file = Some(file.display().to_string());
         }
         recording = read.arranged(&geometry)?;
         calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;

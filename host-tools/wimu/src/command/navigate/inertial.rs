@@ -1,35 +1,33 @@
-//! `wimu navigate` over a CSV file: gyro-free inertial navigation.
+//! `wimu navigate` with its own estimators, on CSV files, recordings and arrays.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use serde::Serialize;
+use wimu_host::Result;
 use wimu_host::calibration::read_model;
 use wimu_host::inertial::{
     Choice, InertialPath, Method, SlideMove, Zupt, consistency, navigate, settling,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
-use wimu_host::{ErrorCode, HostError, Result};
 
 use super::array;
 use crate::arguments::{Navigate, NavigateMethod, ZeroVelocity};
 use crate::command::array::Refined;
-use crate::command::not_over_input;
 use crate::output::Output;
 
-/// What `--json` says of a path.
+/// A path, as `--json` prints it.
 #[derive(Serialize)]
 pub struct Found {
     schema: &'static str,
     status: &'static str,
     source: String,
     method: Method,
-    /// As the option has it: `cautious` where σ includes what constant velocity at the rests could have hidden.
+    /// Value of the option `--zupt`.
     zupt: &'static str,
     duration_s: f64,
-    /// When the first rest ends: position is zero there, and velocity, by definition.
+    /// End of the first rest, where position and velocity are zero by definition.
     origin_s: Option<f64>,
-    /// Over the valid samples.
+    /// Length of the path over the valid samples.
     distance_m: f64,
     final_position_m: [f64; 3],
     final_sigma_m: [f64; 3],
@@ -39,7 +37,7 @@ pub struct Found {
     horizon: Horizon,
     stillness: Option<Still>,
     nees: Option<Nees>,
-    /// Of an array's angular rate and velocity.
+    /// NEES of an array's angular rate and velocity.
     rate_nees: Option<Nees>,
     velocity_nees: Option<Nees>,
     moves: Vec<MoveFound>,
@@ -47,20 +45,18 @@ pub struct Found {
     remarks: Vec<String>,
 }
 
-/// Seconds of motion after which the position's standard deviation passes a limit, or the position is lost;
-/// null when it never is.
+/// Motion time after which the position's standard deviation exceeds a limit or the position is lost; null if never.
 #[derive(Serialize)]
 struct Horizon {
     to_0_1_m_s: Option<f64>,
     to_1_m_s: Option<f64>,
     limit_m: f64,
     to_limit_s: Option<f64>,
-    /// The same with when that is.
+    /// The same with the time in the recording.
     ends: Vec<End>,
 }
 
-/// What was taken for rests, and the largest speed at which the unit might have been moved evenly there and that would
-/// not show; how far even motion may have taken it by the end, one standard deviation.
+/// Rests, the largest constant velocity that cannot be excluded there, and its effect on the final position, 1 σ.
 #[derive(Serialize)]
 struct Still {
     rests: usize,
@@ -83,7 +79,7 @@ struct Nees {
     samples: usize,
     median: f64,
     share_below_7_81: f64,
-    /// `truth`, or `fitted` where the truth has none: the one that fits the path best.
+    /// Heading of the truth: `truth`, or `fitted` to the path if the truth has no heading.
     heading: &'static str,
 }
 
@@ -108,14 +104,14 @@ struct MoveFound {
     to_s: f64,
     valid: bool,
     length_m: f64,
-    /// With what even motion at its rests could have hidden where that is assumed away, and without.
+    /// With `--zupt cautious` this includes a constant velocity at the rests; `length_sd_if_rested_m` does not.
     length_sd_m: f64,
     length_sd_if_rested_m: f64,
     duration_s: f64,
     turned_deg: f64,
 }
 
-/// How the bias settles.
+/// Bias drift after power-on.
 #[derive(Serialize)]
 struct Settling {
     rise_m_s2: [f64; 3],
@@ -124,102 +120,37 @@ struct Settling {
     time_sd_s: f64,
 }
 
-fn usage<T>(message: &str, remedy: &str) -> Result<T> {
-    Err(HostError::new(ErrorCode::Usage, message, remedy))
-}
-
-/// What is said of several calibrations for one unit.
-pub fn one_calibration() -> HostError {
-    HostError::new(
-        ErrorCode::Usage,
-        "--calibration more than once is for an array",
-        "give one, or --geometry",
-    )
-}
-
-/// Checks what does not need the files.
-pub fn check(arguments: &Navigate) -> Result<()> {
-    for file in [&arguments.report, &arguments.output] {
-        not_over_input(&arguments.input, file.as_deref())?;
-    }
-    let positive = |value: f64| value > 0.0 && value.is_finite();
-    if !positive(arguments.limit) || arguments.sensitivity.is_some_and(|s| !positive(s)) {
-        return usage(
-            "the limit and the sensitivity must be positive numbers",
-            "for example --limit 0.5",
-        );
-    }
-    if arguments.drift.is_some() && arguments.method == NavigateMethod::Slide {
-        return usage(
-            "--drift is not for slides: the rests at both ends show the bias",
-            "leave one of the two out",
-        );
-    }
-    Ok(())
-}
-
-/// A CSV file of corrected samples, or of an array's.
+/// Navigates a CSV file of one unit, or an array.
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {
-    check(arguments)?;
-    if arguments.link.is_some() && arguments.geometry.is_none() {
-        return usage(
-            "--link is for a recording: a CSV file has none",
-            "leave it out",
-        );
-    }
     let source = arguments.input.display().to_string();
-    let found = match (arguments.method, &arguments.geometry) {
-        (NavigateMethod::Auto | NavigateMethod::Array, Some(geometry)) => {
-            if arguments.drift.is_some() {
-                return usage(
-                    "--drift is not for arrays: their biases are found at each rest",
-                    "leave it out",
-                );
-            }
+    let found = match &arguments.geometry {
+        Some(geometry) => {
             let (choice, settling) = choice(arguments, Method::Array)?;
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
             let mut found = present(arguments, &path, &choice, settling, source, output)?;
             found.refined = refined;
             found
         }
-        (NavigateMethod::Array, None) | (_, Some(_)) => {
-            return usage(
-                "the method array, several boards and --geometry go together",
-                "give --geometry FILE with --method array, and none of them otherwise",
-            );
+        None => {
+            let motion = table(arguments, &arguments.input)?;
+            one_unit(arguments, &motion, source, output)?
         }
-        (_, None) if !arguments.boards.is_empty() => {
-            return usage(
-                "several boards need --geometry: where each one is on the body",
-                "write a line `X (m),Y (m),Z (m)` and one line for each board, in their order",
-            );
-        }
-        (_, None) => one_unit(
-            arguments,
-            &table(arguments, &arguments.input)?,
-            source,
-            output,
-        )?,
     };
     output.object(&found);
     Ok(())
 }
 
-/// A CSV file of one unit, corrected.
+/// Reads a CSV file of one unit and corrects it.
 fn table(arguments: &Navigate, file: &Path) -> Result<MotionRecording> {
-    let calibration = match &arguments.calibration[..] {
-        [] => None,
-        [file] => Some(read_model(file)?),
-        _ => return Err(one_calibration()),
-    };
+    let calibration = arguments.calibration.first();
     let options = TableOptions {
-        calibration,
+        calibration: calibration.map(|file| read_model(file)).transpose()?,
         sensitivity_lsb_per_g: arguments.sensitivity,
     };
     MotionRecording::from_csv_with(file, &options)
 }
 
-/// The path of one unit: said and written; returns what `--json` says.
+/// Computes, prints and writes the path of one unit; returns its object.
 pub fn one_unit(
     arguments: &Navigate,
     recording: &MotionRecording,
@@ -268,21 +199,25 @@ fn present(
     output: Output,
 ) -> Result<Found> {
     let text = text(path, choice);
-    output.say(text.trim_end());
+    output.print(text.trim_end());
     if let Some(fit) = &settling {
         let ([x, y, z], [sx, sy, sz]) = (fit.rise_m_s2, fit.rise_sd_m_s2);
-        output.say(format!(
-            "the bias settles by {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s² in {:.0} ± {:.0} s",
+        output.print(format!(
+            "bias drift {x:+.4} ± {sx:.4}, {y:+.4} ± {sy:.4}, {z:+.4} ± {sz:.4} m/s², time constant {:.0} ± {:.0} s",
             fit.time_s, fit.time_sd_s
         ));
     }
     if let Some(file) = &arguments.output {
         path.write_csv(file)?;
-        output.say(format!("{}: {} rows", file.display(), path.points.len()));
+        output.print(format!(
+            "wrote {} rows to {}",
+            path.points.len(),
+            file.display()
+        ));
     }
     if let Some(file) = &arguments.report {
         path.report(&source, &text, file)?;
-        output.say(format!("{}: written", file.display()));
+        output.print(format!("wrote {}", file.display()));
     }
     Ok(found(path, choice, settling, source))
 }
@@ -359,7 +294,7 @@ fn found(
     }
 }
 
-/// Standard deviation of a move's length, m, under what is said of its rests.
+/// Standard deviation of a move's length, m, under the assumption of `--zupt`.
 fn length_sd_m(one: &SlideMove, choice: &Choice) -> f64 {
     let rested = one.done.length_sd_m;
     match choice.zupt {
@@ -368,7 +303,7 @@ fn length_sd_m(one: &SlideMove, choice: &Choice) -> f64 {
     }
 }
 
-/// What horizons are said of, m.
+/// Position limits of the printed horizons, m.
 fn limits(choice: &Choice) -> Vec<f64> {
     let mut limits = vec![0.1, 1.0];
     if !limits.contains(&choice.limit_m) {
@@ -384,10 +319,10 @@ fn duration(path: &InertialPath) -> f64 {
     }
 }
 
-/// The result: how far it moved, or the last position that is valid.
+/// The result: the length of the moves, or the last valid position.
 fn headline(path: &InertialPath, choice: &Choice) -> String {
     let moves: Vec<&SlideMove> = path.moves.iter().filter(|m| m.valid).collect();
-    // Their errors of scale are one: deviations add up.
+    // The scale factor error is common to all moves, so their deviations add up.
     let length_m: f64 = moves.iter().map(|m| m.done.length_m).sum();
     let sd_m: f64 = moves.iter().map(|m| length_sd_m(m, choice)).sum();
     match (&moves[..], path.points.iter().rfind(|p| p.valid)) {
@@ -395,24 +330,26 @@ fn headline(path: &InertialPath, choice: &Choice) -> String {
             "moved {length_m:.3} ± {sd_m:.3} m, from {:.2} to {:.2} s",
             one.from_s, one.to_s
         ),
-        ([_, ..], _) => format!("{} moves, {length_m:.3} ± {sd_m:.3} m in all", moves.len()),
+        ([_, ..], _) => format!(
+            "{} moves, {length_m:.3} ± {sd_m:.3} m in total",
+            moves.len()
+        ),
         ([], Some(point)) if path.method != Method::Slide => {
             let ([e, n, u], sd) = (point.position_m, point.sd_m());
             let ends = path.points.last().is_some_and(|last| last.valid);
-            let last = if ends { "" } else { ", the last that is valid" };
+            let last = if ends { "" } else { " (the last valid one)" };
             let at = point.time_s;
             format!("position at {at:.2} s{last}: E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m")
         }
-        _ => "no move whose length is known".to_owned(),
+        _ => "no move of known length".to_owned(),
     }
 }
 
 fn text(path: &InertialPath, choice: &Choice) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "{}", headline(path, choice));
-    let _ = writeln!(
-        text,
-        "{:?}, {:.1} s: path {:.3} m over the {:.0} % of the samples that are valid: known to {} m, no gap since the last rest",
+    text += &format!("{}\n", headline(path, choice));
+    text += &format!(
+        "{:?}, {:.1} s: path {:.3} m over the {:.0} % of samples that are valid (σ below {} m, no gap since the last rest)\n",
         path.method,
         duration(path),
         path.distance_m(),
@@ -422,15 +359,14 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
     if path.method != Method::Array
         && let Some(origin) = path.points.get(path.origin)
     {
-        let _ = writeln!(
-            text,
-            "origin: t = {:.2} s (end of the first rest, velocity taken as zero)",
+        text += &format!(
+            "origin: t = {:.2} s (end of the first rest, velocity taken as zero)\n",
             origin.time_s
         );
     }
     for limit in limits(choice) {
         let Some(end) = path.horizon(limit) else {
-            let _ = writeln!(text, "horizon: 1 σ stays below {limit} m");
+            text += &format!("horizon: 1 σ stays below {limit} m\n");
             continue;
         };
         let since = end
@@ -445,13 +381,9 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         let motion = if end.moving_s > 0.0 {
             format!("after {:.1} s of motion", end.moving_s)
         } else {
-            "while it seems to rest".to_owned()
+            "at an apparent rest".to_owned()
         };
-        let _ = writeln!(
-            text,
-            "horizon: {what} {motion}, at {:.2} s{since}",
-            end.at_s
-        );
+        text += &format!("horizon: {what} {motion}, at {:.2} s{since}\n", end.at_s);
     }
     if let Some(found) = path.stillness() {
         let so = match choice.zupt {
@@ -461,16 +393,14 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
                 found.unseen_m
             ),
         };
-        let _ = writeln!(
-            text,
-            "rests: {} ({:.1} s in total), velocity taken as zero. Constant velocity up to {:.3} m/s cannot be excluded there; {so}",
+        text += &format!(
+            "rests: {} ({:.1} s in total), velocity taken as zero. Constant velocity up to {:.3} m/s cannot be excluded there; {so}\n",
             found.rests, found.lasted_s, found.unseen_mps,
         );
     }
     for (index, one) in path.moves.iter().enumerate() {
-        let _ = writeln!(
-            text,
-            "move {} from {:.2} to {:.2} s: {}",
+        text += &format!(
+            "move {} from {:.2} to {:.2} s: {}\n",
             index + 1,
             one.from_s,
             one.to_s,
@@ -483,17 +413,17 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
                 );
                 match choice.zupt {
                     Zupt::Assumed => {
-                        format!("{known} (± {rested:.3} m if it rested before and after)")
+                        format!("{known} (± {rested:.3} m if at rest before and after)")
                     }
                     _ => known,
                 }
             } else {
-                "its length is not known".to_owned()
+                "length unknown".to_owned()
             }
         );
     }
     let fitted = if path.heading_fitted {
-        ", turned to fit as it has no heading"
+        ", heading fitted"
     } else {
         ""
     };
@@ -503,16 +433,15 @@ fn text(path: &InertialPath, choice: &Choice) -> String {
         ("velocity, ", &path.velocity_nees),
     ] {
         if let Some((median, share)) = consistency(nees) {
-            let _ = writeln!(
-                text,
-                "against the truth{fitted}, while it moves: {what}NEES median {median:.2} (2.37 is right), below 7.81 in {:.0} % (95 is \
-                 right)",
+            text += &format!(
+                "against the truth{fitted}, in motion: {what}NEES median {median:.2} (expected 2.37), below 7.81 in {:.0} % (expected \
+                 95 %)\n",
                 100.0 * share
             );
         }
     }
     for remark in &path.remarks {
-        let _ = writeln!(text, "note: {remark}");
+        text += &format!("note: {remark}\n");
     }
     text
 }

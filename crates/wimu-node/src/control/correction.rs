@@ -1,0 +1,187 @@
+//! Parameter sets: checked, compiled and given to the sampler.
+
+use core::ops::Range;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_integrator::Compass;
+use wimu_link::LinkRole;
+use wimu_link::hello::sensor;
+use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, WireParameters};
+use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
+
+use super::Control;
+use crate::accelerometer::{Accelerometer, Plan};
+use crate::shared::{Correction, Order, PersistentFault, Staged};
+use crate::store::Store;
+use crate::timer::Timer;
+
+/// Change of the temperature after which the corrector is compiled again, 0.01 °C.
+const TEMPERATURE_STEP: u16 = 50;
+/// Allowed ratio of a parameter set's sensitivity to the sensor's nominal one: covers the tolerance of a
+/// sensor, excludes another range.
+const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
+
+impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+    /// Configures the sensor for `plan`, corrected with the set in use, or with the set at the given position
+    /// in `record`, if there is one.
+    pub(super) async fn configure(
+        &mut self,
+        plan: &Plan,
+        with: Option<&Option<Range<usize>>>,
+    ) -> Result<(), Refusal> {
+        self.shared.orders.room().await;
+        self.shared.configured.reset();
+        let correction = match with {
+            None => self.correction_in_use(plan)?,
+            Some(position) => self.correction(plan, self.set_at(position))?,
+        };
+        self.shared.orders.give(Order::Configure(*plan, correction));
+        let outcome = self.shared.configured.wait().await;
+        outcome.map_err(|_| Refusal::SensorFailed)
+    }
+
+    /// Compiles the corrector again after a temperature step.
+    pub(super) async fn follow_temperature(&mut self, plan: &Plan, temperature: CentiCelsius) {
+        let moved = self
+            .latched
+            .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP);
+        if moved {
+            self.latched = Some(temperature);
+            self.shared.orders.room().await;
+            if let Ok(correction) = self.correction_in_use(plan) {
+                self.shared.orders.give(Order::Correct(correction));
+            }
+        }
+    }
+
+    /// The corrector for `plan` with the set in use.
+    pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction, Refusal> {
+        self.correction(plan, self.shared.active().get())
+    }
+
+    /// The corrector for `plan`: that of the committed parameters if they are for its range, else that of an
+    /// ideal sensor.
+    pub(super) fn correction(
+        &self,
+        plan: &Plan,
+        committed: Option<EncodedParameters>,
+    ) -> Result<Correction, Refusal> {
+        let range_g = plan.settings.range_g;
+        if let Some(set) = committed {
+            match self.compiled(set) {
+                Ok((correction, of)) if of == range_g => {
+                    self.clear_fault(PersistentFault::Parameters);
+                    return Ok(correction);
+                }
+                Err(Refusal::InvalidParameters(fault)) => {
+                    let event = Event::ModelRejected(fault);
+                    self.set_fault(PersistentFault::Parameters, event);
+                    self.shared.report(self.timer.now(), event);
+                }
+                _ => {}
+            }
+        }
+        let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensitivity);
+        self.compile(&uncalibrated, ParameterId::UNCALIBRATED)
+    }
+
+    /// The corrector of a set, and its full-scale range, ± *g*.
+    pub(super) fn compiled(&self, set: EncodedParameters) -> Result<(Correction, u8), Refusal> {
+        let wire = set.decode().map_err(|_| Refusal::NothingStaged)?;
+        let decoded = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
+        Ok((self.compile(&decoded, set.id())?, decoded.range_g))
+    }
+
+    pub(super) fn compile(
+        &self,
+        set: &ParameterSet,
+        parameters: ParameterId,
+    ) -> Result<Correction, Refusal> {
+        Ok(Correction {
+            corrector: Corrector::compile(set, self.latched)
+                .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
+            parameters,
+            temperature: self.latched,
+            compass: if A::MAGNETOMETER {
+                Compass::new(set)
+            } else {
+                None
+            },
+        })
+    }
+
+    /// Checks the received set and stores it in canonical form (rotations of length 1); returns its id.
+    #[inline(never)] // Keeps the decoded set off the stack afterwards.
+    pub(super) fn check_staged(
+        &self,
+        plan: &Plan,
+        role: LinkRole,
+        staging: &mut Staged,
+    ) -> Result<ParameterId, Refusal> {
+        // A set from the other link has replaced it.
+        if staging.from.as_ref() != Some(&role) {
+            return Err(Refusal::NothingStaged);
+        }
+        staging.from.take();
+        let wire = staging.set.get().and_then(|set| set.decode().ok());
+        let mut wire = wire.ok_or(Refusal::NothingStaged)?;
+        let set = self.checked(&wire).map_err(Refusal::InvalidParameters)?;
+        wire.take_rotations(&set);
+        if set.range_g != plan.settings.range_g {
+            return Err(Refusal::WrongRange {
+                parameters_g: set.range_g,
+                device_g: plan.settings.range_g,
+            });
+        }
+        Corrector::compile(&set, self.latched)
+            .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
+        let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
+        let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
+        if known && !SENSITIVITY_RATIO.contains(&ratio) {
+            return Err(Refusal::WrongSensitivity {
+                parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
+                device_lsb_per_g: plan.sensitivity.lsb_per_g(),
+            });
+        }
+        Ok(staging.set.encode(&wire))
+    }
+
+    /// The set, if its values are valid and it was made for this model of accelerometer.
+    pub(super) fn checked(&self, wire: &WireParameters) -> Result<ParameterSet, ParameterFault> {
+        let set = ParameterSet::try_from(wire)?;
+        let device = self
+            .shared
+            .with_published(|published| published.hello.sensor.number);
+        match set.sensor {
+            Some(SensorId(parameters)) if parameters != device && sensor::is_one_model(device) => {
+                Err(ParameterFault::OtherSensor { parameters, device })
+            }
+            _ => Ok(set),
+        }
+    }
+
+    /// Compares |f| at a rest with gravity, and reports if the calibration no longer holds.
+    #[cfg(feature = "self-check")]
+    pub(super) fn check_calibration(&mut self, mean: [i64; 3], parameters: ParameterId) {
+        let published = self.shared.published();
+        if published.parameters != parameters {
+            return;
+        }
+        let gravity_um_s2 = published.settings.gravity_um_s2;
+        let active = self.shared.active();
+        let wire = active.get().and_then(|set| set.decode().ok());
+        let set = wire.and_then(|wire| ParameterSet::try_from(&wire).ok());
+        let set = set.map(|set| (parameters, set));
+        match self
+            .self_check
+            .rest(set.as_ref(), gravity_um_s2, self.latched, mean)
+        {
+            crate::self_check::Finding::Contradicted(event) => {
+                self.set_fault(PersistentFault::Calibration, event);
+                self.shared.report(self.timer.now(), event);
+            }
+            crate::self_check::Finding::Holds => self.clear_fault(PersistentFault::Calibration),
+            crate::self_check::Finding::Unknown => {}
+        }
+    }
+}

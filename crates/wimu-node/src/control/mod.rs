@@ -1,0 +1,394 @@
+//! Requests, parameters, settings and what is stored.
+
+mod correction;
+mod plan;
+mod records;
+
+use core::marker::PhantomData;
+
+use embassy_futures::select::{Either, Either4, select, select4};
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_link::auth::{DeviceKey, KeyState};
+use wimu_link::frame::MAX_FRAME;
+use wimu_link::message::{Answer, Command, EncodedParameters, Event, Payload, Refusal, Settings};
+use wimu_link::{LinkRole, Responder};
+use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
+
+use self::records::parameters_record;
+use crate::accelerometer::{Accelerometer, Plan};
+use crate::shared::{
+    Message, Order, PersistentFault, ROLES, RateOrder, Shared, Staged, active_parameters,
+};
+use crate::slot::put;
+use crate::store::{Key, MAX_RECORD, Store, StoreFault};
+use crate::timer::Timer;
+
+/// Longest wait for the links to send the announcement of a pause, µs.
+const DRAIN_US: u64 = 100_000;
+/// Interval between status messages, µs.
+const STATUS_US: u64 = 5_000_000;
+
+/// A payload without parameters.
+type ShortPayload = Payload<EncodedParameters<'static>>;
+
+/// Executes requests, and stores parameters and settings.
+pub struct Control<'a, A, T, S, M: RawMutex> {
+    pub(crate) store: S,
+    pub(crate) timer: T,
+    pub(crate) shared: &'a Shared<M>,
+    /// A record on its way to the store or from it.
+    pub(crate) record: [u8; MAX_RECORD],
+    /// The new parameters have to be announced.
+    pub(crate) parameters_changed: bool,
+    #[cfg(feature = "self-check")]
+    pub(crate) self_check: crate::self_check::CalibrationCheck,
+    pub(crate) latched: Option<CentiCelsius>,
+    pub(crate) sensor: PhantomData<A>,
+}
+
+impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+    /// Runs for ever.
+    pub async fn run(&mut self) -> ! {
+        let mut plan = self.start().await;
+        let mut next_status = self.timer.now();
+        loop {
+            let event = select(
+                select4(
+                    self.shared.requests.receive(),
+                    self.shared.temperature.wait(),
+                    self.timer.until(next_status),
+                    self.shared.key_lost.wait(),
+                ),
+                select(self.shared.rates.receive(), self.shared.rest.wait()),
+            )
+            .await;
+            let event = match event {
+                Either::First(event) => event,
+                Either::Second(Either::First((role, baud))) => {
+                    // A rate that cannot be stored is used until the next start.
+                    let _ = self.save_rate(role, baud).await;
+                    continue;
+                }
+                #[cfg(feature = "self-check")]
+                Either::Second(Either::Second((mean, parameters))) => {
+                    self.check_calibration(mean, parameters);
+                    continue;
+                }
+                #[cfg(not(feature = "self-check"))]
+                Either::Second(Either::Second(_)) => continue,
+            };
+            match event {
+                Either4::First((role, Command::SetLineRate { link, baud })) => {
+                    let outcome = self.set_rate(role, link, baud).await;
+                    let answer = match outcome {
+                        Ok(_) => Answer::Accepted(Payload::None),
+                        Err(refusal) => Answer::Refused(refusal),
+                    };
+                    self.answer(role, Some(&answer)).await;
+                    // If the request came on this line, `RateKeeper` changes the rate after the answer has been
+                    // sent.
+                    if let Ok((line, order)) = outcome {
+                        self.shared.rate_signals(line).order.signal(order);
+                    }
+                }
+                Either4::First((role, Command::GetParameters)) => self.answer(role, None).await,
+                Either4::First((role, command)) => {
+                    let answer = match self.execute(&mut plan, role, command).await {
+                        Ok(payload) => Answer::Accepted(payload),
+                        Err(refusal) => Answer::Refused(refusal),
+                    };
+                    self.answer(role, Some(&answer)).await;
+                    // After the answer, because a host waits for it and parameters are long.
+                    if core::mem::take(&mut self.parameters_changed) {
+                        self.announce_parameters();
+                    }
+                }
+                Either4::Second(temperature) => self.follow_temperature(&plan, temperature).await,
+                Either4::Third(()) => {
+                    let now = self.timer.now();
+                    next_status = DeviceTimeUs(now.0.saturating_add(STATUS_US));
+                    self.send_status(now);
+                }
+                Either4::Fourth(()) => self.forget_lost_key(&mut plan).await,
+            }
+        }
+    }
+
+    fn send_status(&self, now: DeviceTimeUs) {
+        let status = Message::Status(self.shared.status(now));
+        self.shared.stream([true; 2], &status, |_| true);
+    }
+
+    /// Answers a request; `None` answers with the parameters in use.
+    async fn answer(&self, role: LinkRole, answer: Option<&Answer<EncodedParameters<'_>>>) {
+        let mut responder = self.shared.responder(role).await;
+        match answer {
+            Some(answer) => self.reply(role, &mut responder, answer),
+            None => {
+                let active = self.shared.active();
+                let active = Payload::Parameters(active_parameters(&active));
+                self.reply(role, &mut responder, &Answer::Accepted(active));
+            }
+        }
+    }
+
+    fn reply(
+        &self,
+        role: LinkRole,
+        responder: &mut Responder,
+        answer: &Answer<EncodedParameters<'_>>,
+    ) {
+        let mut frame = [0; MAX_FRAME];
+        match responder.is_signed() {
+            true => self.shared.keep(role, responder.reply(answer, &mut frame)),
+            // If there is no room, the host repeats its request.
+            false => (self.shared).keep_if_room(role, responder.reply(answer, &mut frame)),
+        }
+    }
+
+    /// Checks a `SetLineRate` request from link `role`; returns the line and its rate order. The rate of
+    /// another line is stored at once.
+    async fn set_rate(
+        &mut self,
+        role: LinkRole,
+        link: u8,
+        baud: u32,
+    ) -> Result<(LinkRole, RateOrder), Refusal> {
+        let line = ROLES.into_iter().find(|role| role.number() == link);
+        let line = line.ok_or(Refusal::FixedLineRate)?;
+        match self.shared.nearest_rate(line, baud) {
+            None => Err(Refusal::FixedLineRate),
+            Some(_) if (role, line) == (LinkRole::Wireless, LinkRole::Wireless) => {
+                Err(Refusal::AdapterLineRate)
+            }
+            Some(nearest) if nearest != baud => Err(Refusal::UnsupportedLineRate { nearest }),
+            Some(_) if role == line => Ok((line, RateOrder::Try(baud))),
+            Some(_) => {
+                self.save_rate(line, baud).await?;
+                Ok((line, RateOrder::Use(Some(baud))))
+            }
+        }
+    }
+
+    async fn execute(
+        &mut self,
+        plan: &mut Plan,
+        role: LinkRole,
+        command: Command<()>,
+    ) -> Result<ShortPayload, Refusal> {
+        match command {
+            // Answered by `run`.
+            Command::GetParameters => Ok(Payload::None),
+            Command::SetLineRate { .. } => Err(Refusal::FixedLineRate),
+            // Answered by the responder.
+            Command::OpenSession => Err(Refusal::KeyNeeded),
+            Command::GetSettings => Ok(Payload::Settings(plan.settings)),
+            Command::GetKeyStatus => Ok(self.key_status()),
+            Command::SetKey(key) => self.set_key(key).await,
+            Command::ForgetKey => {
+                self.announce_pause().await;
+                let removed = self.store.remove(|key| key == Key::DeviceKey).await;
+                removed.map_err(|StoreFault| Refusal::StoreFailed)?;
+                self.use_key(KeyState::None);
+                Ok(self.key_status())
+            }
+            Command::GetTime => Ok(Payload::Time {
+                uptime_us: self.timer.now().0,
+            }),
+            Command::GetStatus => Ok(Payload::Status(self.shared.status(self.timer.now()))),
+            Command::StageParameters(()) => {
+                let mut staging = self.shared.staging.lock().await;
+                let id = self.check_staged(plan, role, &mut staging)?;
+                staging.id = Some(id);
+                Ok(Payload::Staged { hash: id.0 })
+            }
+            Command::CommitParameters { hash } => self.commit(ParameterId(hash)).await,
+            Command::SetSettings(wanted) => {
+                let new = plan::or_refusal::<A>(&wanted)?;
+                self.change(plan, new).await?;
+                Ok(Payload::Settings(plan.settings))
+            }
+            Command::FactoryReset => {
+                let new = plan::nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
+                self.configure(&new, Some(&None)).await?;
+                self.announce_pause().await;
+                if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
+                    self.configure(plan, None).await?;
+                    return Err(Refusal::StoreFailed);
+                }
+                put(plan, &new);
+                self.shared.staging.lock().await.id = None;
+                self.shared.activate(None);
+                self.shared
+                    .publish(|published| published.settings = new.settings);
+                self.clear_fault(PersistentFault::Settings);
+                self.clear_fault(PersistentFault::Parameters);
+                self.announce(&Message::Settings(new.settings));
+                self.announce_parameters();
+                Ok(Payload::None)
+            }
+        }
+    }
+
+    /// Removes the key and the settings after the owner's gesture at the board.
+    async fn forget_lost_key(&mut self, plan: &mut Plan) {
+        self.announce_pause().await;
+        let removed = self
+            .store
+            .remove(|key| matches!(key, Key::DeviceKey | Key::Settings))
+            .await;
+        if removed.is_err() {
+            self.shared.report(self.timer.now(), Event::StoreUnreadable);
+            return;
+        }
+        if let Some(new) = plan::nearest::<A>(&Settings::default()) {
+            let parameters = self.load_parameters(new.settings.range_g).await;
+            // A failed sensor is restarted with these settings later.
+            let _ = self.configure(&new, Some(&parameters)).await;
+            put(plan, &new);
+            self.shared.activate(self.set_at(&parameters));
+            self.shared
+                .publish(|published| published.settings = new.settings);
+            self.clear_fault(PersistentFault::Settings);
+        }
+        self.use_key(KeyState::None);
+    }
+
+    /// Stores a key and uses it. If the boot count could not be read, it restarts with a different key:
+    /// sessions of earlier starts are not valid with that key.
+    async fn set_key(&mut self, key: DeviceKey) -> Result<ShortPayload, Refusal> {
+        self.announce_pause().await;
+        self.save_raw(Key::DeviceKey, key.expose())
+            .await
+            .map_err(|StoreFault| Refusal::StoreFailed)?;
+        let lock = self.shared.lock();
+        if lock.boot_count.is_none() && lock.key != KeyState::Set(key) {
+            let boot_count = self.count_start(0).await;
+            self.shared.publish(|published| {
+                published.hello.boot_count = boot_count.unwrap_or(0);
+                published.lock.boot_count = boot_count;
+            });
+            if boot_count.is_some() {
+                self.clear_fault(PersistentFault::BootCount);
+            }
+        }
+        self.use_key(KeyState::Set(key));
+        Ok(self.key_status())
+    }
+
+    /// Uses this key from now on, and announces it.
+    fn use_key(&mut self, key: KeyState) {
+        self.shared.publish(|published| published.lock.key = key);
+        self.clear_fault(PersistentFault::DeviceKey);
+        for role in ROLES {
+            self.shared.introduce(role, self.timer.now());
+        }
+    }
+
+    fn key_status(&self) -> ShortPayload {
+        Payload::KeyStatus {
+            key: match self.shared.lock().key {
+                KeyState::Set(key) => Some(key.id()),
+                _ => None,
+            },
+        }
+    }
+
+    /// Announces that nothing is received while the flash is written, and waits until the announcement is
+    /// sent, for at most [`DRAIN_US`] because a link may be stalled.
+    async fn announce_pause(&self) {
+        let longest_ms = self.store.pause_ms();
+        if longest_ms == 0 {
+            return;
+        }
+        let now = self.timer.now();
+        self.shared.report(now, Event::Pause { longest_ms });
+        let until = now.0.saturating_add(DRAIN_US);
+        while !ROLES.iter().all(|role| self.shared.is_drained(*role)) && self.timer.now().0 < until
+        {
+            self.timer.after_us(500).await;
+        }
+    }
+
+    async fn commit(&mut self, named: ParameterId) -> Result<ShortPayload, Refusal> {
+        let shared = self.shared;
+        let mut staging = shared.staging.lock().await;
+        let Staged { set, id, .. } = &mut *staging;
+        let (Some(staged), Some(set)) = (*id, set.get()) else {
+            // A commit of the parameters in use is repeated because the answer was lost.
+            return if shared.parameters() == named {
+                Ok(Payload::None)
+            } else {
+                Err(Refusal::NothingStaged)
+            };
+        };
+        if staged != named {
+            return Err(Refusal::HashMismatch { staged: staged.0 });
+        }
+        let range_g = self.compiled(set)?.1;
+        let length = parameters_record(set, &mut self.record);
+        self.announce_pause().await;
+        self.save_record(Key::Parameters { range_g }, length)
+            .await?;
+        shared.activate(Some(set));
+        *id = None;
+        self.parameters_changed = true;
+        self.clear_fault(PersistentFault::Parameters);
+        shared.orders.room().await;
+        let correction = self.compiled(set)?.0;
+        shared.orders.give(Order::Correct(correction));
+        Ok(Payload::None)
+    }
+
+    /// Applies new settings and stores them. On failure the old ones stay in use.
+    async fn change(&mut self, plan: &mut Plan, new: Plan) -> Result<(), Refusal> {
+        let before = self.shared.parameters();
+        let other_range = new.settings.range_g != plan.settings.range_g;
+        let mut loaded = None;
+        if other_range {
+            loaded = self.load_parameters(new.settings.range_g).await;
+        }
+        let with = other_range.then_some(&loaded);
+        self.configure(&new, with).await?;
+        if let Err(refusal) = self.save_settings(new.settings).await {
+            self.configure(plan, None).await?;
+            return Err(refusal);
+        }
+        put(plan, &new);
+        self.shared
+            .publish(|published| published.settings = new.settings);
+        self.clear_fault(PersistentFault::Settings);
+        self.announce(&Message::Settings(new.settings));
+        if other_range {
+            // The staged set is for the previous range.
+            self.shared.staging.lock().await.id = None;
+            self.shared.activate(self.set_at(&loaded));
+        }
+        if self.shared.parameters() != before {
+            self.announce_parameters();
+        }
+        Ok(())
+    }
+
+    fn announce_parameters(&self) {
+        for role in ROLES {
+            self.shared.send_parameters(role);
+        }
+    }
+
+    fn announce(&self, message: &Message) {
+        self.shared.announce(message, [true; 2]);
+    }
+
+    fn set_fault(&self, fault: PersistentFault, event: Event) {
+        self.shared.set_fault(fault, self.timer.now(), Some(event));
+    }
+
+    fn clear_fault(&self, fault: PersistentFault) {
+        self.shared.set_fault(fault, self.timer.now(), None);
+    }
+}
+
+fn is_calibration_or_settings(key: Key) -> bool {
+    matches!(key, Key::Parameters { .. } | Key::Settings)
+}

@@ -1,0 +1,117 @@
+//! Batches of samples under way to the links.
+
+use core::num::NonZeroU8;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use heapless::Vec;
+use wimu_link::LinkRole;
+use wimu_link::batch::{self, MAX_BATCH, Sample, Stream};
+use wimu_link::frame::MAX_FRAME;
+use wimu_link::message::{Settings, Streams};
+use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+
+use crate::shared::{ROLES, Shared};
+
+/// Age at which a batch is sent before it is full, µs.
+const OLDEST_BATCH_US: u64 = 250_000;
+
+/// Batches for one link, or for both if their lengths and decimations are equal.
+#[derive(Default)]
+pub(super) struct Lane {
+    roles: [bool; 2],
+    raw: Batcher<Counts>,
+    corrected: Batcher<SpecificForceQ16>,
+    length: usize,
+    /// Decimation: samples whose sequence number is a multiple of this are sent. 0 for an unused lane.
+    every: u8,
+}
+
+impl Lane {
+    pub(super) fn of(settings: &Settings) -> [Self; 2] {
+        let lane = |roles, streams: Streams| Self {
+            roles,
+            length: usize::from(streams.batch).clamp(1, MAX_BATCH),
+            every: streams.every.max(1),
+            ..Self::default()
+        };
+        let (cable, wireless) = (settings.cable, settings.wireless);
+        if (cable.batch, cable.every) == (wireless.batch, wireless.every) {
+            [lane([true; 2], cable), Self::default()]
+        } else {
+            [lane([true, false], cable), lane([false, true], wireless)]
+        }
+    }
+
+    pub(super) fn add<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        sequence: u32,
+        time: DeviceTimeUs,
+        counts: Counts,
+        force: SpecificForceQ16,
+    ) {
+        if self.roles == [false; 2] {
+            return;
+        }
+        if self.every == 1 || sequence.is_multiple_of(self.every.into()) {
+            self.raw.add(sequence, time, counts);
+            self.corrected.add(sequence, time, force);
+        }
+        let age = time.0.saturating_sub(self.raw.first_time.0);
+        if self.raw.samples.len() >= self.length || age >= OLDEST_BATCH_US {
+            self.flush(shared);
+        }
+    }
+
+    pub(super) fn flush<M: RawMutex>(&mut self, shared: &Shared<M>) {
+        let every = NonZeroU8::new(self.every).unwrap_or(NonZeroU8::MIN);
+        self.raw.flush(shared, self.roles, every);
+        self.corrected.flush(shared, self.roles, every);
+    }
+}
+
+struct Batcher<S> {
+    samples: Vec<S, MAX_BATCH>,
+    first_sequence: u32,
+    first_time: DeviceTimeUs,
+}
+
+impl<S> Default for Batcher<S> {
+    fn default() -> Self {
+        Self {
+            samples: Vec::new(),
+            first_sequence: 0,
+            first_time: DeviceTimeUs(0),
+        }
+    }
+}
+
+impl<S: Sample> Batcher<S> {
+    fn add(&mut self, sequence: u32, time: DeviceTimeUs, sample: S) {
+        if self.samples.is_empty() {
+            self.first_sequence = sequence;
+            self.first_time = time;
+        }
+        // A lane flushes before a batch exceeds `MAX_BATCH`.
+        let _ = self.samples.push(sample);
+    }
+
+    fn flush<M: RawMutex>(&mut self, shared: &Shared<M>, roles: [bool; 2], every: NonZeroU8) {
+        let mut frame = [0; MAX_FRAME];
+        let (sequence, time) = (self.first_sequence, self.first_time);
+        let encoded = batch::encode_every(every, sequence, time, &self.samples, &mut frame);
+        self.samples.clear();
+        if let Ok(length) = encoded {
+            let wanted: fn(&Streams) -> bool = match S::STREAM {
+                Stream::Raw => |streams| streams.raw,
+                Stream::Corrected => |streams| streams.corrected,
+            };
+            shared.stream_frame(roles, frame.get(..length).unwrap_or_default(), wanted);
+        }
+    }
+}
+
+const _: () = {
+    // `roles` of a lane are in the order of `ROLES`.
+    assert!(matches!(ROLES, [LinkRole::Cable, LinkRole::Wireless]));
+};

@@ -1,0 +1,434 @@
+//! Samples: read, number, correct, integrate, pack.
+
+mod batches;
+mod clock;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use wimu_integrator::{Config, FieldMean, Integrator, Phase, Transition};
+use wimu_link::message::{BusFault, Environment, Epoch, EpochReason, Event, Navigation, Settings};
+use wimu_model::{Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs};
+
+use self::batches::Lane;
+use self::clock::SampleClock;
+use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
+use crate::shared::{Correction, Message, Order, PersistentFault, ROLES, Shared};
+use crate::timer::Timer;
+
+/// Most samples in one read.
+const MAX_READ: usize = 32;
+/// Interval between navigation messages, ns.
+const NAVIGATION_NS: u32 = 100_000_000;
+/// Minimum age of an epoch, µs, after which the next end of a detector window begins a new one. The state is
+/// shortest there.
+const EPOCH_DUE_US: u64 = 800_000;
+/// Age of an epoch, µs, from which any sample begins a new one: less than the 1 s that hosts expect.
+const EPOCH_LATEST_US: u64 = 950_000;
+/// Interval between reads of magnetic field and temperature, µs.
+const SURROUNDINGS_US: u64 = 500_000;
+/// Interval between attempts to restart a failed sensor, µs.
+const RETRY_US: u64 = 200_000;
+/// Smallest change of the sample period that the integrator takes over, ppm.
+const PERIOD_CHANGE_PPM: u64 = 50;
+
+/// Reads the sensor, corrects and integrates the samples, and sends them.
+pub struct Sampler<'a, A, T, M: RawMutex> {
+    accelerometer: A,
+    timer: T,
+    shared: &'a Shared<M>,
+    lanes: [Lane; 2],
+    next_sequence: u32,
+    /// Epochs sent on both links, modulo 256.
+    epochs: u8,
+    next_surroundings: DeviceTimeUs,
+    /// The reported fault, until the next sample.
+    reported: Option<SensorFault>,
+}
+
+/// The state of a configured sampler.
+struct Running {
+    plan: Plan,
+    correction: Correction,
+    integrator: Integrator,
+    clock: SampleClock,
+    epoch_reason: Option<EpochReason>,
+    last_epoch: DeviceTimeUs,
+    until_navigation: u32,
+    /// The magnetic field in the present rest.
+    field: FieldMean,
+    /// The sensor has failed and has not been started again.
+    lost: bool,
+}
+
+impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
+    pub(crate) fn new(accelerometer: A, timer: T, shared: &'a Shared<M>) -> Self {
+        Self {
+            accelerometer,
+            timer,
+            shared,
+            lanes: [Lane::default(), Lane::default()],
+            next_sequence: 0,
+            epochs: 0,
+            next_surroundings: DeviceTimeUs(0),
+            reported: None,
+        }
+    }
+
+    /// Runs for ever. Never waits for a link or for the store.
+    pub async fn run(&mut self) -> ! {
+        let mut running = loop {
+            self.shared.orders.given.wait().await;
+            if let Some(plan) = self.shared.orders.plan() {
+                let outcome = self.accelerometer.configure(&plan).await;
+                if let Some(running) = self.start(outcome) {
+                    break running;
+                }
+            } else {
+                // A correction before the first configuration has no effect.
+                self.shared.orders.take();
+            }
+        };
+        let mut counts = [Counts::default(); MAX_READ];
+        loop {
+            if self.shared.orders.given.try_take().is_some() {
+                match self.shared.orders.plan() {
+                    Some(plan) => {
+                        self.flush();
+                        let outcome = self.accelerometer.configure(&plan).await;
+                        self.configured(&mut running, outcome);
+                    }
+                    None => self.correct(&mut running),
+                }
+            }
+            if running.lost {
+                self.retry(&mut running).await;
+                continue;
+            }
+            match self.accelerometer.next(&mut counts).await {
+                Ok(read) => {
+                    let counts = counts.get(..read.count).unwrap_or(&counts);
+                    self.process(&mut running, read, counts);
+                }
+                Err(fault) => self.fail(&mut running, fault),
+            }
+            if !running.lost && self.timer.now() >= self.next_surroundings {
+                self.read_surroundings(&mut running).await;
+            }
+        }
+    }
+
+    /// After the first attempt to configure the sensor.
+    #[inline(never)]
+    fn start(&mut self, outcome: Result<(), SensorFault>) -> Option<Running> {
+        let Some(Order::Configure(plan, correction)) = self.shared.orders.take() else {
+            return None;
+        };
+        let mut running = Running::new(plan, correction, EpochReason::Start);
+        if let Err(fault) = outcome {
+            self.fail(&mut running, fault);
+        }
+        self.lanes = Lane::of(&plan.settings);
+        self.shared.configured.signal(outcome);
+        Some(running)
+    }
+
+    /// After a later attempt to configure the sensor.
+    #[inline(never)] // Keeps the new state off the stack while samples are taken.
+    fn configured(&mut self, running: &mut Running, outcome: Result<(), SensorFault>) {
+        match (outcome, self.shared.orders.take()) {
+            (Ok(()), Some(Order::Configure(plan, correction))) => {
+                *running = Running::new(plan, correction, EpochReason::Settings);
+                self.lanes = Lane::of(&plan.settings);
+            }
+            // The state of the sensor is unknown: `retry` configures it under the previous plan.
+            (Err(fault), _) => self.fail(running, fault),
+            _ => {}
+        }
+        self.shared.configured.signal(outcome);
+    }
+
+    #[inline(never)]
+    fn correct(&mut self, running: &mut Running) {
+        let Some(Order::Correct(correction)) = self.shared.orders.take() else {
+            return;
+        };
+        let reason = if correction.parameters == running.correction.parameters {
+            EpochReason::Temperature
+        } else {
+            running.integrator = integrator(&running.plan.settings, running.clock.period);
+            EpochReason::Parameters
+        };
+        running.correction = correction;
+        running.begin_epoch(reason);
+    }
+
+    /// Processes samples, oldest first.
+    fn process(&mut self, running: &mut Running, read: Batch, counts: &[Counts]) {
+        if self.reported.take().is_some() {
+            self.shared
+                .set_fault(PersistentFault::Sensor, self.timer.now(), None);
+            self.shared.report(self.timer.now(), Event::SensorFound);
+        }
+        let missed = running.clock.missed_before(&read, counts.len());
+        let mut spacing_ns = u64::from(running.clock.period.0);
+        if missed == 0 && running.clock.is_after_last(read.last_time) {
+            spacing_ns = running.clock.spacing_ns(&read, spacing_ns);
+        } else {
+            self.flush();
+            running.clock.restart_measurement();
+            running.integrator.gap();
+            self.next_sequence = self.next_sequence.wrapping_add(missed);
+            running.begin_epoch(EpochReason::Gap);
+        }
+        let measured = running.clock.measured();
+        running.clock.update_jitter(&read, measured);
+        self.shared.publish(|published| {
+            let sensor = &mut published.sensor;
+            sensor.samples = sensor.samples.wrapping_add(counts.len() as u32);
+            sensor.missed = sensor.missed.wrapping_add(missed);
+            sensor.overruns = sensor.overruns.wrapping_add(read.overrun.into());
+            published.measured_period_ns = measured.map(|period| period.0);
+            published.jitter_ns = running.clock.jitter_ns;
+        });
+        for (index, &sample) in counts.iter().enumerate() {
+            let newer = (counts.len() - 1 - index) as u64;
+            let time = DeviceTimeUs(
+                (read.last_time.0).saturating_sub(newer.saturating_mul(spacing_ns) / 1000),
+            );
+            self.sample(running, sample, time);
+        }
+        running.clock.count(read.last_time, counts.len() as u32);
+    }
+
+    fn sample(&mut self, running: &mut Running, counts: Counts, time: DeviceTimeUs) {
+        let wanted = ROLES.map(|role| self.shared.take_epoch_wanted(role));
+        match running.epoch_reason.take() {
+            Some(reason) => {
+                running.last_epoch = time;
+                self.epochs = self.epochs.wrapping_add(1);
+                self.send_epoch(running, reason, time, [true; 2]);
+            }
+            // Only for the link with a new listener.
+            None if wanted != [false; 2] => {
+                self.send_epoch(running, EpochReason::Periodic, time, wanted);
+            }
+            None => {}
+        }
+        let sequence = self.next_sequence;
+        let force = running.correction.corrector.correct(counts);
+        let saturated = counts.saturated(running.plan.full_scale);
+        let transition = running.integrator.step(force, saturated);
+        for lane in &mut self.lanes {
+            lane.add(self.shared, sequence, time, counts, force);
+        }
+        self.next_sequence = sequence.wrapping_add(1);
+
+        running.until_navigation = running.until_navigation.saturating_sub(1);
+        if running.until_navigation == 0 {
+            running.until_navigation = (NAVIGATION_NS / running.clock.period.0.max(1)).max(1);
+            self.send_navigation(running, sequence);
+        }
+        if transition == Transition::Rest {
+            // Read the field soon: the rest may be short.
+            running.field = FieldMean::default();
+            if running.correction.compass.is_some() {
+                self.next_surroundings = time;
+            }
+            let mean = running.integrator.state().rest_mean;
+            self.shared
+                .rest
+                .signal((mean, running.correction.parameters));
+        }
+        let since_epoch = time.0.saturating_sub(running.last_epoch.0);
+        running.epoch_reason = match transition {
+            Transition::Rest | Transition::Motion => Some(EpochReason::Stillness),
+            Transition::Window if since_epoch >= EPOCH_DUE_US => {
+                running.adopt_measured_period();
+                Some(EpochReason::Periodic)
+            }
+            _ if since_epoch >= EPOCH_LATEST_US => Some(EpochReason::Periodic),
+            _ => None,
+        };
+    }
+
+    fn send_epoch(
+        &self,
+        running: &Running,
+        reason: EpochReason,
+        time: DeviceTimeUs,
+        roles: [bool; 2],
+    ) {
+        let epoch = Message::Epoch(Epoch {
+            reason,
+            number: self.epochs,
+            sequence: self.next_sequence,
+            time_us: time.0,
+            period_ns: running.clock.period.0,
+            range_g: running.plan.settings.range_g,
+            sensitivity_lsb_per_g: running.plan.sensitivity.lsb_per_g(),
+            full_scale: running.plan.full_scale,
+            parameters: running.correction.parameters.0,
+            temperature_centi_c: running.correction.temperature.map(|t| t.0),
+            state: running.integrator.state().into(),
+        });
+        self.shared.announce(&epoch, roles);
+    }
+
+    fn send_navigation(&self, running: &Running, sequence: u32) {
+        let message =
+            Message::Navigation(Navigation::new(sequence, &running.integrator.navigation()));
+        self.shared
+            .stream([true; 2], &message, |streams| streams.navigation);
+    }
+
+    async fn read_surroundings(&mut self, running: &mut Running) {
+        let now = self.timer.now();
+        self.next_surroundings = DeviceTimeUs(now.0.saturating_add(SURROUNDINGS_US));
+        match self.accelerometer.surroundings().await {
+            // The sensor measures neither: no message.
+            Ok(nothing) if nothing == Surroundings::default() => {}
+            Ok(surroundings) => {
+                if A::MAGNETOMETER
+                    && let Some(field) = surroundings.magnetic_field
+                {
+                    running.take_field(field);
+                }
+                if let Some(temperature) = surroundings.temperature {
+                    self.shared.temperature.signal(temperature);
+                }
+                let message = Message::Environment(Environment {
+                    time_us: now.0,
+                    magnetic_field_nt: surroundings.magnetic_field.map(|field| field.0),
+                    temperature_centi_c: surroundings.temperature.map(|t| t.0),
+                });
+                self.shared
+                    .stream([true; 2], &message, |streams| streams.environment);
+            }
+            Err(fault) => self.fail(running, fault),
+        }
+    }
+
+    /// The sensor has failed: sends the samples read so far, marks a gap and schedules a restart.
+    fn fail(&mut self, running: &mut Running, fault: SensorFault) {
+        self.flush();
+        running.integrator.gap();
+        running.begin_epoch(EpochReason::Gap);
+        running.clock.broken = true;
+        running.lost = true;
+        self.shared.publish(|published| {
+            let errors = &mut published.sensor.bus_errors;
+            *errors = errors.wrapping_add(1);
+        });
+        self.report(fault);
+    }
+
+    async fn retry(&mut self, running: &mut Running) {
+        self.timer.after_us(RETRY_US).await;
+        match self.accelerometer.configure(&running.plan).await {
+            // The first sample confirms that it works.
+            Ok(()) => running.lost = false,
+            Err(fault) => self.report(fault),
+        }
+    }
+
+    /// Reports a fault, once until another one occurs or samples arrive again.
+    fn report(&mut self, fault: SensorFault) {
+        if self.reported.replace(fault) == Some(fault) {
+            return;
+        }
+        let event = match fault {
+            SensorFault::NotAnswering => Event::SensorLost(BusFault::NoAnswer),
+            SensorFault::Transfer => Event::SensorLost(BusFault::Transfer),
+            SensorFault::NoData => Event::SensorLost(BusFault::Timeout),
+            SensorFault::WrongIdentity { expected, found } => {
+                Event::WrongSensor { expected, found }
+            }
+        };
+        let now = self.timer.now();
+        self.shared
+            .set_fault(PersistentFault::Sensor, now, Some(event));
+        self.shared.report(now, event);
+    }
+
+    fn flush(&mut self) {
+        for lane in &mut self.lanes {
+            lane.flush(self.shared);
+        }
+    }
+}
+
+fn integrator(settings: &Settings, period: PeriodNs) -> Integrator {
+    let config = Config {
+        period,
+        zupt: settings.zupt,
+        gravity_um_s2: settings.gravity_um_s2,
+    };
+    Integrator::new(config)
+}
+
+impl Running {
+    fn new(plan: Plan, correction: Correction, reason: EpochReason) -> Self {
+        Self {
+            plan,
+            correction,
+            integrator: integrator(&plan.settings, plan.period),
+            clock: SampleClock::new(plan.period),
+            epoch_reason: Some(reason),
+            last_epoch: DeviceTimeUs(0),
+            until_navigation: 1,
+            field: FieldMean::default(),
+            lost: false,
+        }
+    }
+
+    /// Makes the next sample begin an epoch. Of several reasons the one that resets most is reported,
+    /// because a replay must not continue across a reset.
+    fn begin_epoch(&mut self, reason: EpochReason) {
+        let severity = |reason| match reason {
+            EpochReason::Periodic | EpochReason::Other(_) => 0,
+            EpochReason::Stillness => 1,
+            EpochReason::Temperature => 2,
+            EpochReason::Heading => 3,
+            EpochReason::Gap => 4,
+            EpochReason::Start | EpochReason::Settings | EpochReason::Parameters => 5,
+        };
+        if self
+            .epoch_reason
+            .is_none_or(|known| severity(known) <= severity(reason))
+        {
+            self.epoch_reason = Some(reason);
+        }
+    }
+
+    /// Sets the heading from the magnetometer, if it is calibrated and the unit is at rest.
+    fn take_field(&mut self, field: MagneticFieldNt) {
+        let Some(compass) = &self.correction.compass else {
+            return;
+        };
+        let state = self.integrator.state();
+        if state.phase != Phase::Resting || !self.field.push(field) {
+            return;
+        }
+        if let Some(heading) = compass.heading(&self.field, state.rest_mean)
+            && self.integrator.set_heading(heading)
+        {
+            self.begin_epoch(EpochReason::Heading);
+        }
+    }
+
+    /// Integrates with the measured sample period from now on. Not in motion, where a change of the period
+    /// would add an error.
+    fn adopt_measured_period(&mut self) {
+        if self.integrator.navigation().phase == Phase::Moving {
+            return;
+        }
+        if let Some(measured) = self.clock.measured() {
+            let used = self.clock.period;
+            let change = u64::from(measured.0.abs_diff(used.0)) * 1_000_000;
+            if change > PERIOD_CHANGE_PPM * u64::from(used.0)
+                && self.integrator.set_period(measured).is_ok()
+            {
+                self.clock.period = measured;
+            }
+        }
+    }
+}

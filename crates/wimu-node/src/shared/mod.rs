@@ -1,0 +1,354 @@
+//! What the node's tasks share.
+
+mod orders;
+mod parameters;
+mod sending;
+
+use core::cell::{Cell, RefCell};
+
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::mutex::{MappedMutexGuard, Mutex as AsyncMutex, MutexGuard};
+use embassy_sync::signal::Signal;
+use wimu_link::auth::Lock;
+use wimu_link::message::{Command, EncodedParameters, Event, SensorStatus, Settings, Telemetry};
+use wimu_link::{Hello, LinkRole, Responder};
+use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
+
+pub(crate) use self::orders::{Correction, Order};
+pub(crate) use self::parameters::{Staged, active_parameters};
+
+use self::orders::Orders;
+use self::parameters::{Set, Staging};
+use crate::accelerometer::SensorFault;
+use crate::queue::FrameQueue;
+use crate::slot::Slot;
+
+/// A message of the device, with parameters in their wire form.
+pub(crate) type Message<'a> = Telemetry<EncodedParameters<'a>>;
+
+/// Both links.
+pub(crate) const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
+
+/// Memory that a node's tasks share. Put it in a `static` or where it outlives them.
+///
+/// `M` is `CriticalSectionRawMutex` if the sampler runs at a higher interrupt priority than the other
+/// tasks, `NoopRawMutex` if one executor polls all tasks.
+pub struct Shared<M: RawMutex> {
+    links: [LinkShared<M>; 2],
+    pub(crate) orders: Orders<M>,
+    pub(crate) configured: Signal<M, Result<(), SensorFault>>,
+    pub(crate) temperature: Signal<M, CentiCelsius>,
+    /// Accepted requests. The parameters to stage are in `staging`.
+    pub(crate) requests: Channel<M, (LinkRole, Command<()>), 1>,
+    pub(crate) staging: Staging<M>,
+    /// The parameter set in use.
+    active: Mutex<M, RefCell<Set>>,
+    pub(crate) key_lost: Signal<M, ()>,
+    /// Rates to store.
+    pub(crate) rates: Channel<M, (LinkRole, u32), 2>,
+    /// Mean specific force of a rest that has begun, 2⁻³² m/s², body axes, and the parameters it
+    /// was corrected with.
+    pub(crate) rest: Signal<M, ([i64; 3], ParameterId)>,
+    /// Empty until something is published.
+    published: Mutex<M, RefCell<Slot<Published>>>,
+}
+
+struct LinkShared<M: RawMutex> {
+    outbox: Mutex<M, RefCell<FrameQueue>>,
+    waiting: Signal<M, ()>,
+    /// Empty until the first request. Computing signatures takes long, so this lock does not disable
+    /// interrupts, which would delay sample times.
+    responder: AsyncMutex<M, Slot<Responder>>,
+    heard: Mutex<M, Cell<Heard>>,
+    rate: RateSignals<M>,
+    /// The line's supported rates; `None` if the rate cannot be set.
+    nearest_rate: Mutex<M, Cell<Option<NearestRate>>>,
+}
+
+impl<M: RawMutex> LinkShared<M> {
+    const fn new() -> Self {
+        Self {
+            outbox: Mutex::new(RefCell::new(FrameQueue::new())),
+            waiting: Signal::new(),
+            responder: AsyncMutex::new(Slot::Empty),
+            heard: Mutex::new(Cell::new(Heard::NOTHING)),
+            rate: RateSignals {
+                order: Signal::new(),
+                heard: Signal::new(),
+                noise: Signal::new(),
+            },
+            nearest_rate: Mutex::new(Cell::new(None)),
+        }
+    }
+}
+
+/// Returns the supported rate nearest to the argument, bit/s.
+type NearestRate = fn(u32) -> u32;
+
+/// Signals to the [`RateKeeper`](crate::RateKeeper) of a line.
+pub(crate) struct RateSignals<M: RawMutex> {
+    pub(crate) order: Signal<M, RateOrder>,
+    /// An undamaged frame from a host has been received.
+    pub(crate) heard: Signal<M, ()>,
+    /// Bytes have been received without an undamaged frame.
+    pub(crate) noise: Signal<M, ()>,
+}
+
+/// An order to change the rate of a line.
+#[derive(Clone, Copy)]
+pub(crate) enum RateOrder {
+    /// Use this stored rate, bit/s; `None`: nothing is stored, keep the opening rate. A wireless link then
+    /// detects the adapter's rate, this one first.
+    Use(Option<u32>),
+    /// Change to this rate, bit/s, and back if no frame from a host is received.
+    Try(u32),
+}
+
+/// The state of the receiving side of a link.
+#[derive(Clone, Copy)]
+pub(crate) struct Heard {
+    /// Damaged frames.
+    pub(crate) damaged: u32,
+    /// Repeated requests.
+    pub(crate) repeated: u32,
+    /// The link needs an epoch: it has a new listener, or frames were dropped.
+    epoch_wanted: bool,
+    /// The parameters in use have to be sent as soon as there is room.
+    parameters_wanted: bool,
+}
+
+impl Heard {
+    const NOTHING: Self = Self {
+        damaged: 0,
+        repeated: 0,
+        epoch_wanted: false,
+        parameters_wanted: false,
+    };
+}
+
+/// Persistent faults of a device.
+#[derive(Clone, Copy)]
+pub(crate) enum PersistentFault {
+    Sensor,
+    BootCount,
+    Settings,
+    Parameters,
+    DeviceKey,
+    #[cfg(feature = "self-check")]
+    Calibration,
+}
+
+impl PersistentFault {
+    /// The number of variants.
+    const COUNT: usize = 6;
+}
+
+/// Summary of the device's state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Health {
+    /// Samples read since the start, modulo 2³².
+    pub samples: u32,
+    /// The sensor has failed and is being restarted.
+    pub sensor_lost: bool,
+    /// Parameters are in use.
+    pub calibrated: bool,
+    /// Frames dropped because a link was too slow, modulo 2³².
+    pub shed: u32,
+}
+
+/// The present state of the device.
+#[derive(Clone, Copy)]
+pub(crate) struct Published {
+    pub(crate) hello: Hello,
+    /// Decides who may write.
+    pub(crate) lock: Lock,
+    pub(crate) settings: Settings,
+    /// The parameters in use.
+    pub(crate) parameters: ParameterId,
+    pub(crate) sensor: SensorStatus,
+    pub(crate) measured_period_ns: Option<u32>,
+    pub(crate) jitter_ns: Option<u32>,
+    /// Present faults by [`PersistentFault`], and when each began.
+    faults: [Option<(DeviceTimeUs, Event)>; PersistentFault::COUNT],
+    /// Whether the store has been read; before that nothing is sent.
+    pub(crate) ready: bool,
+}
+
+impl Published {
+    fn new() -> Self {
+        Self {
+            hello: Hello::new(LinkRole::Cable),
+            lock: Lock::default(),
+            settings: Settings::default(),
+            parameters: ParameterId::UNCALIBRATED,
+            sensor: SensorStatus::default(),
+            measured_period_ns: None,
+            jitter_ns: None,
+            faults: [None; PersistentFault::COUNT],
+            ready: false,
+        }
+    }
+}
+
+impl<M: RawMutex> Shared<M> {
+    /// Memory for one node. Its initial value is all zeros, so that a `static` takes no flash.
+    pub const fn new() -> Self {
+        Self {
+            links: [const { LinkShared::new() }; 2],
+            orders: Orders::new(),
+            configured: Signal::new(),
+            temperature: Signal::new(),
+            requests: Channel::new(),
+            staging: Staging::new(Staged {
+                set: Set::NONE,
+                from: Slot::Empty,
+                id: None,
+            }),
+            active: Mutex::new(RefCell::new(Set::NONE)),
+            key_lost: Signal::new(),
+            rates: Channel::new(),
+            rest: Signal::new(),
+            published: Mutex::new(RefCell::new(Slot::Empty)),
+        }
+    }
+
+    fn link(&self, role: LinkRole) -> &LinkShared<M> {
+        let [cable, wireless] = &self.links;
+        match role {
+            LinkRole::Cable => cable,
+            _ => wireless,
+        }
+    }
+
+    /// Makes the device forget its key and its settings, but not its calibration. A board calls it after a
+    /// gesture that takes physical access, such as a button held down for seconds: the owner has lost
+    /// the key.
+    pub fn forget_key(&self) {
+        self.key_lost.signal(());
+    }
+
+    pub(crate) fn has_rate(&self, role: LinkRole, nearest: NearestRate) {
+        self.link(role)
+            .nearest_rate
+            .lock(|known| known.set(Some(nearest)));
+    }
+
+    /// The supported rate of a link's line nearest to `baud`, bit/s; `None` if the rate cannot be set.
+    pub(crate) fn nearest_rate(&self, role: LinkRole, baud: u32) -> Option<u32> {
+        let nearest = self.link(role).nearest_rate.lock(Cell::get)?;
+        Some(nearest(baud))
+    }
+
+    pub(crate) fn rate_signals(&self, role: LinkRole) -> &RateSignals<M> {
+        &self.link(role).rate
+    }
+
+    pub(crate) fn lock(&self) -> Lock {
+        self.with_published(|published| published.lock)
+    }
+
+    pub(crate) fn published(&self) -> Published {
+        self.with_published(|published| *published)
+    }
+
+    /// The id of the parameters in use.
+    pub(crate) fn parameters(&self) -> ParameterId {
+        self.with_published(|published| published.parameters)
+    }
+
+    pub(crate) fn settings(&self) -> Settings {
+        self.with_published(|published| published.settings)
+    }
+
+    pub(crate) fn publish(&self, change: impl FnOnce(&mut Published)) {
+        self.with_published(change);
+    }
+
+    pub(crate) fn with_published<R>(&self, f: impl FnOnce(&mut Published) -> R) -> R {
+        self.published
+            .lock(|published| f(published.borrow_mut().or_new(Published::new)))
+    }
+
+    /// A copy of the set in use.
+    pub(crate) fn active(&self) -> Set {
+        self.active.lock(|active| active.borrow().copy())
+    }
+
+    /// Uses a set from now on, or none.
+    pub(crate) fn activate(&self, set: Option<EncodedParameters>) {
+        self.active.lock(|active| active.borrow_mut().put(set));
+        let id = parameters::id(set);
+        self.publish(|published| published.parameters = id);
+    }
+
+    /// The responder of a link.
+    pub(crate) async fn responder(&self, role: LinkRole) -> MappedMutexGuard<'_, M, Responder> {
+        let new = match role {
+            LinkRole::Cable => || Responder::new(LinkRole::Cable),
+            _ => || Responder::new(LinkRole::Wireless),
+        };
+        let responder = self.link(role).responder.lock().await;
+        MutexGuard::map(responder, |responder| responder.or_new(new))
+    }
+
+    pub(crate) fn with_heard<R>(&self, role: LinkRole, f: impl FnOnce(&mut Heard) -> R) -> R {
+        self.link(role).heard.lock(|cell| {
+            let mut heard = cell.get();
+            let result = f(&mut heard);
+            cell.set(heard);
+            result
+        })
+    }
+
+    /// Notes that a fault has begun, or ended, for later listeners.
+    pub(crate) fn set_fault(
+        &self,
+        fault: PersistentFault,
+        now: DeviceTimeUs,
+        event: Option<Event>,
+    ) {
+        self.publish(|published| {
+            if let Some(known) = published.faults.get_mut(fault as usize) {
+                *known = event.map(|event| (now, event));
+            }
+        });
+    }
+
+    /// Whether a link needs an epoch; clears the flag.
+    pub(crate) fn take_epoch_wanted(&self, role: LinkRole) -> bool {
+        self.with_heard(role, |heard| core::mem::take(&mut heard.epoch_wanted))
+    }
+
+    fn want_epoch(&self, role: LinkRole) {
+        self.with_heard(role, |heard| heard.epoch_wanted = true);
+    }
+
+    /// Summary of the device's state, for its indicator.
+    pub fn health(&self) -> Health {
+        self.with_published(|published| {
+            let shed = ROLES.map(|role| {
+                let outbox = &self.link(role).outbox;
+                outbox.lock(|outbox| outbox.borrow().shed)
+            });
+            let [cable, wireless] = shed;
+            Health {
+                samples: published.sensor.samples,
+                sensor_lost: matches!(
+                    published.faults.get(PersistentFault::Sensor as usize),
+                    Some(Some(_))
+                ),
+                calibrated: published.parameters != ParameterId::UNCALIBRATED,
+                shed: cable.wrapping_add(wireless),
+            }
+        })
+    }
+}
+
+impl<M: RawMutex> Default for Shared<M> {
+    fn default() -> Self {
+        Self::new()
+    }
+}

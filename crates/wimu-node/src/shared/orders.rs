@@ -1,0 +1,76 @@
+//! Orders to the sampler.
+
+use core::cell::RefCell;
+
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::signal::Signal;
+use wimu_integrator::Compass;
+use wimu_model::{CentiCelsius, Corrector, ParameterId};
+
+use crate::accelerometer::Plan;
+use crate::slot::Slot;
+
+/// An order to the sampler.
+#[allow(clippy::large_enum_variant, reason = "only one exists")]
+pub(crate) enum Order {
+    /// Configure the sensor and signal the result.
+    Configure(Plan, Correction),
+    /// Use this corrector from the next sample on. Navigation restarts if the parameters changed.
+    Correct(Correction),
+}
+
+/// One order at a time. It stays here until it is executed, so that the sampler needs no memory for it
+/// while it configures the sensor.
+pub(crate) struct Orders<M: RawMutex> {
+    order: Mutex<M, RefCell<Slot<Order>>>,
+    pub(crate) given: Signal<M, ()>,
+    taken: Signal<M, ()>,
+}
+
+impl<M: RawMutex> Orders<M> {
+    pub(super) const fn new() -> Self {
+        Self {
+            order: Mutex::new(RefCell::new(Slot::Empty)),
+            given: Signal::new(),
+            taken: Signal::new(),
+        }
+    }
+
+    /// Waits until the previous order has been executed.
+    pub(crate) async fn room(&self) {
+        while self.order.lock(|order| order.borrow().as_ref().is_some()) {
+            self.taken.wait().await;
+        }
+    }
+
+    pub(crate) fn give(&self, new: Order) {
+        self.order
+            .lock(|order| *order.borrow_mut() = Slot::Full(new));
+        self.given.signal(());
+    }
+
+    /// The plan of a [`Order::Configure`].
+    pub(crate) fn plan(&self) -> Option<Plan> {
+        self.order.lock(|order| match order.borrow().as_ref() {
+            Some(Order::Configure(plan, _)) => Some(*plan),
+            _ => None,
+        })
+    }
+
+    pub(crate) fn take(&self) -> Option<Order> {
+        let order = self.order.lock(|order| order.borrow_mut().take());
+        self.taken.signal(());
+        order
+    }
+}
+
+/// A corrector and what it was compiled from.
+#[derive(Clone, Copy)]
+pub(crate) struct Correction {
+    pub(crate) corrector: Corrector,
+    pub(crate) parameters: ParameterId,
+    pub(crate) temperature: Option<CentiCelsius>,
+    /// `None` without a calibrated magnetometer.
+    pub(crate) compass: Option<Compass>,
+}

@@ -1,0 +1,263 @@
+//! Two streams of samples of one motion: the wireless link and the cable, or two accelerometers of a CSV file.
+
+use std::path::Path;
+
+use wimu_calib::{Pose, find_poses};
+use wimu_link::LinkRole;
+use wimu_model::{Sensitivity, SensorId};
+
+use super::input::median_magnitude;
+use super::numbers::MAX_POSES;
+use crate::csv::{CsvReader, Filter};
+use crate::dataset::{Dataset, LoadOptions, OutputUnit};
+use crate::decode::sequence_order;
+use crate::error::{ErrorCode, Result};
+use crate::history::Recording;
+use crate::units::RawUnits;
+
+/// Two streams of one motion, sample by sample.
+#[derive(Clone, Debug)]
+pub struct Paired {
+    /// Name of the data in errors.
+    pub name: String,
+    /// The reference.
+    pub reference: String,
+    /// The output that is compared with it.
+    pub output: String,
+    /// Reference and output, m/s², sensor axes, in order.
+    pub pairs: Vec<[[f64; 3]; 2]>,
+    /// Raw samples left out because their range is unknown: no epoch covers them.
+    pub without_unit: usize,
+    /// Sample rate, Hz.
+    pub rate_hz: f64,
+    /// Whether both are of one sensor, over two links: their axes are parallel.
+    pub one_sensor: bool,
+    /// Sensitivity that converted counts into m/s², or that a board needs for data in m/s².
+    pub sensitivity: Option<Sensitivity>,
+    /// The unit of the reference.
+    pub unit: OutputUnit,
+    /// Full-scale range given by the user, ± *g*, for data that do not contain it.
+    pub range_g: Option<u8>,
+    /// The accelerometer, where a device identified it.
+    pub sensor: Option<SensorId>,
+}
+
+impl Paired {
+    /// Rows of a CSV file with several accelerometers: `reference` (the first of the file if
+    /// `None`) and `output` (the other one if `None` and there are two).
+    ///
+    /// `sensitivity`, LSB/g, is the output's, and the reference's too unless `reference_sensitivity` is
+    /// given; without it, the median magnitude of the reference's counts is taken as 1 g.
+    /// For data in m/s² it is only stored for a board.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::from_csv`]; `usage` when the file does not have the two.
+    pub fn from_csv(
+        path: &Path,
+        filter: Option<&Filter>,
+        reference: Option<u32>,
+        output: Option<u32>,
+        sensitivity: Option<Sensitivity>,
+        reference_sensitivity: Option<Sensitivity>,
+    ) -> Result<Self> {
+        let sensors: Vec<u32> = {
+            let reader = CsvReader::open(path)?;
+            let all = &reader.header().accelerometers;
+            all.iter().copied().flatten().collect()
+        };
+        let name = path.display().to_string();
+        let usage =
+            |message: String, remedy: String| ErrorCode::Usage.error(message, remedy).at(&name);
+        let list = || {
+            sensors
+                .iter()
+                .map(u32::to_string)
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
+        let [first, _, ..] = sensors[..] else {
+            return Err(usage(
+                "it has one accelerometer: a reference is missing".to_owned(),
+                "name the columns of two `Accelerometer 0 X (…)`, `Accelerometer 1 X (…)`"
+                    .to_owned(),
+            ));
+        };
+        let reference = reference.unwrap_or(first);
+        let others: Vec<u32> = sensors
+            .iter()
+            .copied()
+            .filter(|s| *s != reference)
+            .collect();
+        let output = match (output, &others[..]) {
+            (Some(output), _) => output,
+            (None, [other]) => *other,
+            (None, _) => {
+                return Err(usage(
+                    format!("it has {} accelerometers", sensors.len()),
+                    format!(
+                        "choose the one to calibrate with --accelerometer: {}",
+                        list()
+                    ),
+                ));
+            }
+        };
+        if output == reference {
+            return Err(usage(
+                format!("accelerometer {output} cannot be its own reference"),
+                format!(
+                    "choose two of {} with --accelerometer and --reference",
+                    list()
+                ),
+            ));
+        }
+        let load = |sensor| {
+            let options = LoadOptions {
+                filter: filter.cloned(),
+                accelerometer: Some(sensor),
+                ..LoadOptions::default()
+            };
+            Dataset::from_csv(path, &options)
+        };
+        let (x, y) = (load(reference)?, load(output)?);
+        let sensitivity = match (x.unit, sensitivity) {
+            (_, Some(given)) => Some(given),
+            (OutputUnit::Mps2, None) => None,
+            (OutputUnit::Counts { .. }, None) if reference_sensitivity.is_some() => {
+                return Err(usage(
+                    "--reference-sensitivity is given without --sensitivity".to_owned(),
+                    "give --sensitivity, the LSB/g of the output, too".to_owned(),
+                ));
+            }
+            (OutputUnit::Counts { .. }, None) => Some(
+                Sensitivity::from_lsb_per_g(median_magnitude(&x)).map_err(|error| {
+                    usage(
+                        format!(
+                            "the median of the reference's counts is not a sensitivity: {error}"
+                        ),
+                        "give --sensitivity".to_owned(),
+                    )
+                })?,
+            ),
+        };
+        let scale = |known: Option<Sensitivity>| match (x.unit, known) {
+            (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
+            _ => 1.0,
+        };
+        let scales = [
+            scale(reference_sensitivity.or(sensitivity)),
+            scale(sensitivity),
+        ];
+        Ok(Self {
+            reference: format!("accelerometer {reference}"),
+            output: format!("accelerometer {output}"),
+            pairs: x
+                .outputs
+                .iter()
+                .zip(&y.outputs)
+                .map(|(x, y)| {
+                    [
+                        x.value.map(|v| v * scales[0]),
+                        y.value.map(|v| v * scales[1]),
+                    ]
+                })
+                .collect(),
+            without_unit: 0,
+            rate_hz: x.rate_hz,
+            one_sensor: false,
+            sensitivity,
+            unit: x.unit,
+            range_g: None,
+            sensor: None,
+            name,
+        })
+    }
+
+    /// The same with a full-scale range, ± *g*, where one is given.
+    #[must_use]
+    pub fn at_range(self, range_g: Option<u8>) -> Self {
+        Self {
+            range_g: range_g.or(self.range_g),
+            ..self
+        }
+    }
+
+    /// The raw samples of a recording that came over both links, the cable's as reference.
+    ///
+    /// # Errors
+    /// Those of [`Recording::link`]; `no_rows` when no sample came over both.
+    pub fn from_recording(recording: &Recording) -> Result<Self> {
+        let cable = recording.link(Some(LinkRole::Cable))?;
+        let wireless = recording.link(Some(LinkRole::Wireless))?;
+        let same_start = wireless.boots.iter().filter_map(|theirs| {
+            let ours = cable
+                .boots
+                .iter()
+                .find(|ours| ours.start == theirs.start && !ours.raw.is_empty())?;
+            Some((ours, theirs))
+        });
+        let mut without_unit = 0;
+        let mut pairs = Vec::new();
+        let mut sensor = None;
+        let mut known: Option<(Sensitivity, u8, f64)> = None;
+        for (ours, theirs) in same_start {
+            let Some(mark) = ours.epochs.first() else {
+                continue;
+            };
+            let Ok(sensitivity) = Sensitivity::from_lsb_per_g(mark.epoch.sensitivity_lsb_per_g)
+            else {
+                continue;
+            };
+            let rate_hz = 1e9 / f64::from(mark.epoch.period_ns.max(1));
+            sensor = sensor.or(ours.sensor());
+            known.get_or_insert((sensitivity, mark.epoch.range_g, rate_hz));
+            // An epoch that one link lost may have arrived on the other.
+            let epochs = ours.epochs.iter().chain(&theirs.epochs);
+            let units = RawUnits::of_epochs(epochs.map(|mark| &mark.epoch));
+            for sample in &theirs.raw {
+                let found = ours
+                    .raw
+                    .binary_search_by(|ours| sequence_order(ours.sequence, sample.sequence));
+                let Ok(index) = found else { continue };
+                let Some(unit) = units.of(sample.sequence) else {
+                    without_unit += 1;
+                    continue;
+                };
+                let both = [ours.raw[index].value, sample.value];
+                pairs.push(both.map(|value| unit.mps2(value)));
+            }
+        }
+        let Some((sensitivity, range_g, rate_hz)) = known.filter(|_| !pairs.is_empty()) else {
+            return Err(ErrorCode::NoRows
+                .error(
+                    "no raw sample came over both links",
+                    "record both at once with `wimu record LINK --cable LINK`, raw samples on both",
+                )
+                .at(&recording.name));
+        };
+        Ok(Self {
+            name: recording.name.clone(),
+            reference: "cable".to_owned(),
+            output: "wireless".to_owned(),
+            pairs,
+            without_unit,
+            rate_hz,
+            one_sensor: true,
+            sensitivity: Some(sensitivity),
+            unit: OutputUnit::Counts {
+                nominal: Some(sensitivity),
+                range_g: Some(range_g),
+            },
+            range_g: None,
+            sensor,
+        })
+    }
+
+    /// Rests of the reference, 0, or of the output, 1.
+    pub(super) fn rests(&self, which: usize) -> Vec<Pose> {
+        let mut rests = vec![Pose::default(); MAX_POSES];
+        let samples = self.pairs.iter().map(|pair| (pair[which], None));
+        let found = find_poses(samples, self.rate_hz, &mut rests);
+        rests.truncate(found);
+        rests
+    }
+}

@@ -1,0 +1,169 @@
+//! Relations between options that depend on a value or on the kind of input; clap declares all others.
+
+use clap::parser::ValueSource;
+use clap::{ArgMatches, CommandFactory};
+use wimu_host::{Input, Result};
+
+use super::{Arguments, Calibrated};
+use crate::output::usage;
+
+/// Which options of a command go with which value of another option. Options without a row go with all of them.
+struct Table {
+    command: &'static str,
+    decided_by: &'static str,
+    values: &'static [&'static str],
+    /// An option, and one mark for each of `values`: × goes with it, · does not.
+    rows: &'static [(&'static str, &'static str)],
+}
+
+/// `--sensor magnetometer` stands beside the methods, of which it reads none.
+const MAGNETOMETER: &str = "magnetometer";
+
+#[rustfmt::skip]
+const TABLES: [Table; 3] = [
+    Table {
+        command: "calibrate",
+        decided_by: "method",
+        values: &["multi-position", "six-position", "four-angle", "three-angle", "reference", "update", MAGNETOMETER],
+        rows: &[
+            ("method",                "× × × × × × ·"),
+            ("model",                 "× × × × · · ·"),
+            ("sensor-model",          "× × × × · · ·"),
+            ("gravity",               "× × × × · × ·"),
+            ("sensitivity",           "× × × × × · ·"),
+            ("range",                 "× × × × × · ·"),
+            ("placement-sd",          "· × × × · · ·"),
+            ("sides",                 "· × · · · · ·"),
+            ("reference",             "· · · · × · ·"),
+            ("reference-sensitivity", "· · · · × · ·"),
+            ("noise-ratio",           "· · · · × · ·"),
+            ("with",                  "· · · · · × ×"),
+            ("dip",                   "· · · · · · ×"),
+            ("poses",                 "× × × × · × ×"),
+            ("link",                  "× × × × · × ×"),
+            ("report",                "× × × × · · ×"),
+            ("count",                 "× × × × · · ×"),
+            ("push",                  "× × × × · · ×"),
+        ],
+    },
+    Table {
+        command: "navigate",
+        decided_by: "method",
+        values: &["auto", "strapdown", "tilt", "array", "slide"],
+        rows: &[
+            ("geometry",              "× · · × ·"),
+            ("drift",                 "× × × · ·"),
+        ],
+    },
+    Table {
+        command: "export",
+        decided_by: "format",
+        values: &["csv", "mcap", "rust", "c", "kalibr"],
+        rows: &[
+            ("noise",                 "· · · · ×"),
+        ],
+    },
+];
+
+/// Options of `align`, `allan`, `calibrate` and `navigate` that one kind of input has.
+const INPUTS: [(&str, &str); 9] = [
+    ("where", "a CSV file"),
+    ("poses", "a CSV file"),
+    ("accelerometer", "a CSV file"),
+    ("range", "a CSV file"),
+    ("reference-sensitivity", "a CSV file"),
+    ("link", "a recording"),
+    ("count", "a LINK"),
+    ("for", "a LINK"),
+    ("push", "a LINK"),
+];
+
+/// Refuses options that the command would ignore.
+///
+/// # Errors
+/// `usage`, with the option, what it needs and what was given.
+pub fn check(matches: &ArgMatches) -> Result<()> {
+    let Some((name, matches)) = matches.subcommand() else {
+        return Ok(());
+    };
+    let command = Arguments::command();
+    let Some(command) = command.find_subcommand(name) else {
+        return Ok(());
+    };
+    let given: Vec<&str> = command
+        .get_arguments()
+        .filter(|option| {
+            matches.value_source(option.get_id().as_str()) == Some(ValueSource::CommandLine)
+        })
+        .filter_map(|option| option.get_long())
+        .collect();
+    for table in TABLES.iter().filter(|table| table.command == name) {
+        by_value(table, matches, &given)?;
+    }
+    if matches!(name, "align" | "allan" | "calibrate" | "navigate") && !given.contains(&"geometry")
+    {
+        by_input(matches, &given)?;
+    }
+    Ok(())
+}
+
+fn by_value(table: &Table, matches: &ArgMatches, given: &[&str]) -> Result<()> {
+    let raw = matches.get_raw(table.decided_by);
+    let value = match raw.and_then(|mut raw| raw.next()?.to_str()) {
+        _ if table.values.contains(&MAGNETOMETER)
+            && matches.get_one("sensor") == Some(&Calibrated::Magnetometer) =>
+        {
+            MAGNETOMETER
+        }
+        Some(value) => value,
+        None => return Ok(()),
+    };
+    let name = |value: &str| match value {
+        MAGNETOMETER => format!("--sensor {value}"),
+        _ => format!("--{} {value}", table.decided_by),
+    };
+    for (option, marks) in table.rows {
+        let marks = table.values.iter().zip(marks.split(' '));
+        let goes_with: Vec<String> = marks
+            .filter(|(_, mark)| *mark == "×")
+            .map(|(value, _)| name(value))
+            .collect();
+        if given.contains(option) && !goes_with.contains(&name(value)) {
+            let remedy = match value {
+                MAGNETOMETER => "leave one of the two out".to_owned(),
+                _ => format!("leave it out, or use {}", goes_with.join(", ")),
+            };
+            return Err(usage(
+                format!("--{option} does not go with {}", name(value)),
+                remedy,
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
+    let input = matches.get_raw("input").and_then(|mut raw| raw.next());
+    let input = input.unwrap_or_default().to_string_lossy();
+    let kind = match Input::parse(&input) {
+        Ok(Input::Csv(_)) => "a CSV file",
+        Ok(Input::Recording(_)) => "a recording",
+        Ok(Input::Link(_)) => "a LINK",
+        // The command reports it when it reads the input.
+        Err(_) => return Ok(()),
+    };
+    for (option, needed) in INPUTS {
+        if needed != kind && given.contains(&option) {
+            let remedy = match option {
+                "push" => {
+                    "write the result with -o and push it with `wimu params push LINK CAL.json`"
+                }
+                _ => "leave it out",
+            };
+            return Err(
+                usage(format!("--{option} needs {needed}; this is {kind}"), remedy).at(input),
+            );
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,485 @@
+//! Properties of `wimu-link` that hold for any input bytes: for fuzzing and for tests with seeded
+//! input. Each function panics when the property is violated.
+
+use std::num::NonZeroU8;
+
+use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
+
+use wimu_link::auth::{DeviceKey, KeyState, Lock, Session};
+use wimu_link::batch::{self, Batch, Stream};
+use wimu_link::frame::{self, Deframer, Frame, Kind, MAX_BODY, MAX_FRAME};
+use wimu_link::hello::{self, Hello, LinkRole, WhoAreYou};
+use wimu_link::message::{
+    Answer, Command, Event, Payload, Refusal, Reply, Request, Settings, Signature, Telemetry,
+};
+use wimu_link::responder::{Decision, Responder};
+
+/// Checks all properties.
+pub fn all(data: &[u8]) {
+    deframe(data);
+    damage(data);
+    batch_body(data);
+    batch_samples(data);
+    bodies(data);
+    requests(data);
+    signed_requests(data);
+}
+
+/// Bytes on a line: decoding does not panic, finds the next intact frame, and gives the same result
+/// byte by byte and in pieces.
+pub fn deframe(data: &[u8]) {
+    let mut deframer = Deframer::new();
+    let mut in_pieces = Deframer::new();
+    let (first, second) = data.split_at(data.len() / 3);
+    let mut rest = first;
+    for (index, &byte) in data.iter().enumerate() {
+        if index == first.len() {
+            assert_eq!(in_pieces.next(&mut rest), None);
+            rest = second;
+        }
+        if let Some(received) = deframer.push(byte) {
+            assert_eq!(in_pieces.next(&mut rest), Some(received));
+            if let Ok(frame) = received {
+                body(&frame);
+            }
+        }
+    }
+    assert_eq!(in_pieces.next(&mut rest), None);
+    deframer.push(0);
+    let mut line = [0; MAX_FRAME];
+    let length = Hello::new(LinkRole::Cable).encode(&mut line).expect("room");
+    let mut found = None;
+    for &byte in &line[..length] {
+        assert!(found.is_none());
+        found = deframer
+            .push(byte)
+            .map(|frame| frame.map(|frame| frame.kind));
+    }
+    assert_eq!(found, Some(Ok(Kind::Hello)));
+}
+
+/// Two frames with flipped bits and lost, repeated and moved bytes: every accepted frame is one of
+/// the two.
+pub fn damage(data: &[u8]) {
+    let mut source = Source(data);
+    let bodies = [source.slice(), source.slice()];
+    let mut line = [0; 2 * MAX_FRAME];
+    let mut length = 0;
+    for body in bodies {
+        length += frame::encode(Kind::Batch, body, &mut line[length..]).expect("room");
+    }
+    for _ in 0..1 + source.below(4) {
+        let at = source.below(length);
+        let run = source.below(length - at + 1).min(source.below(64));
+        match source.byte() % 4 {
+            0 => line[at] ^= 1 << (source.byte() % 8),
+            1 => {
+                line.copy_within(at + run..length, at);
+                length -= run;
+            }
+            2 => {
+                let to = source.below(length - run + 1);
+                line.copy_within(at..at + run, to);
+            }
+            _ => line[at] = source.byte(),
+        }
+        if length == 0 {
+            return;
+        }
+    }
+    let mut deframer = Deframer::new();
+    for &byte in &line[..length] {
+        if let Some(Ok(frame)) = deframer.push(byte) {
+            assert_eq!(frame.kind, Kind::Batch);
+            assert!(bodies.contains(&frame.body), "a damaged frame was accepted");
+        }
+    }
+}
+
+/// Any body of any kind: decoding does not panic, and a decoded message encodes to an equal one.
+pub fn bodies(data: &[u8]) {
+    for kind in [
+        Kind::Hello,
+        Kind::WhoAreYou,
+        Kind::Batch,
+        Kind::Telemetry,
+        Kind::Request,
+        Kind::Reply,
+    ] {
+        body(&Frame {
+            version: frame::WIRE_VERSION,
+            kind,
+            body: data,
+        });
+    }
+}
+
+fn body(frame: &Frame<'_>) {
+    let mut line = [0; MAX_FRAME];
+    match frame.kind {
+        Kind::Hello => {
+            if let Ok(hello) = Hello::decode(frame.body) {
+                let length = hello.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    assert_eq!(Hello::decode(body), Ok(hello));
+                });
+            }
+            assert!(hello::extensions(frame.body).count() <= frame.body.len());
+        }
+        Kind::WhoAreYou => {
+            let _ = WhoAreYou::decode(frame.body);
+        }
+        Kind::Batch => batch_body(frame.body),
+        // Compared as bytes, because NaN differs from itself.
+        Kind::Telemetry => {
+            if let Ok(telemetry) = Telemetry::decode(frame.body)
+                && !matches!(
+                    telemetry,
+                    Telemetry::Event {
+                        event: Event::Other { .. },
+                        ..
+                    }
+                )
+            {
+                let length = telemetry.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    let mut again = [0; MAX_FRAME];
+                    let telemetry = Telemetry::decode(body).expect("own frame");
+                    assert_eq!(telemetry.encode(&mut again), Ok(length));
+                    assert_eq!(line, again);
+                });
+            }
+        }
+        Kind::Request => {
+            if let Ok(request) = Request::decode(frame.body) {
+                let length = request.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    let mut again = [0; MAX_FRAME];
+                    let request = Request::decode(body).expect("own frame");
+                    assert_eq!(request.encode(&mut again), Ok(length));
+                    assert_eq!(line, again);
+                });
+            }
+        }
+        Kind::Reply => {
+            if let Ok(reply) = Reply::decode(frame.body)
+                && !matches!(reply.answer, Answer::Refused(Refusal::Other { .. }))
+            {
+                let length = reply.encode(&mut line).expect("room");
+                with_body(&line[..length], |body| {
+                    let mut again = [0; MAX_FRAME];
+                    let reply = Reply::decode(body).expect("own frame");
+                    assert_eq!(reply.encode(&mut again), Ok(length));
+                    assert_eq!(line, again);
+                });
+            }
+        }
+        kind => unreachable!("{kind:?} is not in `bodies`"),
+    }
+}
+
+fn with_body(line: &[u8], check: impl FnOnce(&[u8])) {
+    let mut deframer = Deframer::new();
+    for &byte in line {
+        if let Some(frame) = deframer.push(byte) {
+            return check(frame.expect("own frame").body);
+        }
+    }
+    panic!("a frame did not end");
+}
+
+/// Any body of a batch: a decoded batch is packed again without loss.
+pub fn batch_body(data: &[u8]) {
+    let Ok(batch) = Batch::decode(data) else {
+        return;
+    };
+    let mut line = [0; MAX_FRAME];
+    let (sequence, time) = (
+        batch.sequence_low().into(),
+        DeviceTimeUs(batch.time_low().into()),
+    );
+    let every = NonZeroU8::new(batch.every()).expect("at least 1");
+    let length = match batch.stream() {
+        Stream::Raw => {
+            let mut samples = [Counts::default(); batch::MAX_BATCH];
+            let count = fill(&mut samples, batch.counts());
+            batch::encode_every(every, sequence, time, &samples[..count], &mut line)
+        }
+        Stream::Corrected => {
+            let mut samples = [SpecificForceQ16::default(); batch::MAX_BATCH];
+            let count = fill(&mut samples, batch.specific_forces());
+            batch::encode_every(every, sequence, time, &samples[..count], &mut line)
+        }
+    };
+    with_body(&line[..length.expect("room")], |body| {
+        let again = Batch::decode(body).expect("own batch");
+        assert_eq!(again.stream(), batch.stream());
+        assert_eq!(again.every(), batch.every());
+        assert_eq!(again.samples(), batch.samples());
+        assert_eq!(again.sequence_low(), batch.sequence_low());
+        assert_eq!(again.time_low(), batch.time_low());
+    });
+}
+
+fn fill<T>(places: &mut [T], values: impl Iterator<Item = T>) -> usize {
+    places
+        .iter_mut()
+        .zip(values)
+        .map(|(place, value)| *place = value)
+        .count()
+}
+
+/// Any samples: packing and unpacking is lossless.
+pub fn batch_samples(data: &[u8]) {
+    let mut source = Source(data);
+    let count = 1 + source.below(batch::MAX_BATCH);
+    let start: [u32; 3] = std::array::from_fn(|_| source.word());
+    let narrow = source.below(33) as u32;
+    let mut raw = [Counts::default(); batch::MAX_BATCH];
+    let mut corrected = [SpecificForceQ16::default(); batch::MAX_BATCH];
+    for (raw, corrected) in raw.iter_mut().zip(&mut corrected) {
+        let near =
+            start.map(|start| start.wrapping_add(source.word().checked_shr(narrow).unwrap_or(0)));
+        corrected.0 = near.map(|value| value as i32);
+        raw.0 = near.map(|value| value as i16);
+    }
+    let sequence = source.word();
+    let time = DeviceTimeUs(source.word().into());
+    let mut line = [0; MAX_FRAME];
+    let length = batch::encode(sequence, time, &raw[..count], &mut line).expect("room");
+    with_body(&line[..length], |body| {
+        let batch = Batch::decode(body).expect("own batch");
+        assert!(batch.counts().eq(raw[..count].iter().copied()));
+        assert_eq!(
+            batch::extend_sequence(batch.sequence_low(), sequence),
+            sequence
+        );
+        assert_eq!(batch::extend_time(batch.time_low(), time), time);
+    });
+    let length = batch::encode(sequence, time, &corrected[..count], &mut line).expect("room");
+    with_body(&line[..length], |body| {
+        let batch = Batch::decode(body).expect("own batch");
+        assert!(
+            batch
+                .specific_forces()
+                .eq(corrected[..count].iter().copied())
+        );
+    });
+}
+
+const UNKNOWN: Answer = Answer::Unknown;
+
+const NO_KEY: Lock = Lock {
+    key: KeyState::None,
+    device_id: 1,
+    boot_count: Some(1),
+    entropy: [0; 16],
+};
+
+/// Unsigned requests of three sessions, repeated and reordered, mixed with other bytes: each write is
+/// executed at most once, repeats get the same reply, and no write is accepted over the wireless link.
+pub fn requests(data: &[u8]) {
+    let mut source = Source(data);
+    let role = if source.byte() % 2 == 0 {
+        LinkRole::Cable
+    } else {
+        LinkRole::Wireless
+    };
+    let mut responder = Responder::new(role);
+    // By session and id.
+    let mut executed = [[false; 8]; 3];
+    let mut replied = [const { [const { None::<Vec<u8>> }; 8] }; 3];
+    let mut pending: Option<(usize, usize)> = None;
+    while !source.0.is_empty() {
+        if source.byte() % 4 == 0
+            && let Some((session, id)) = pending.take()
+        {
+            let answer: Answer = Answer::Accepted(Payload::None);
+            let mut frame = [0; MAX_FRAME];
+            let frame = responder.reply(&answer, &mut frame);
+            assert!(!frame.is_empty());
+            replied[session][id] = Some(frame.to_vec());
+        }
+        if source.byte() % 16 == 0 {
+            let garbage = source.slice();
+            if Request::decode(garbage).is_err() {
+                assert!(!matches!(
+                    responder.accept(garbage, &NO_KEY),
+                    Decision::Execute(_)
+                ));
+            }
+            // Random bytes may hold a valid head of one of the sessions.
+            return;
+        }
+        let (session, id) = (source.below(3), source.below(8));
+        let request = Request {
+            session: session as u32,
+            id: id as u32,
+            signature: Signature::NONE,
+            command: if id % 2 == 0 {
+                Command::SetSettings(Settings::default())
+            } else {
+                Command::GetStatus
+            },
+        };
+        let mut line = [0; MAX_FRAME];
+        let length = request.encode(&mut line).expect("room");
+        with_body(&line[..length], |body| {
+            match responder.accept(body, &NO_KEY) {
+                Decision::Execute(command) => {
+                    // Reads may be executed again.
+                    let again = executed[session][id] && command.is_write();
+                    assert!(!again, "a request had two effects");
+                    assert!(role == LinkRole::Cable || !command.is_write());
+                    assert_eq!(pending, None);
+                    executed[session][id] = true;
+                    pending = Some((session, id));
+                }
+                Decision::Send(frame) => {
+                    let stale = {
+                        let mut reply = None;
+                        with_body(frame, |body| reply = Reply::decode(body).ok());
+                        let reply = reply.expect("own reply");
+                        assert_eq!((reply.session, reply.id), (request.session, request.id));
+                        reply.answer == Answer::Refused(Refusal::Stale)
+                    };
+                    if let Some(before) = &replied[session][id] {
+                        assert!(stale || before == frame, "two answers to one request");
+                    }
+                }
+                Decision::Ignore => assert!(pending.is_some()),
+            }
+        });
+    }
+}
+
+/// Signed requests, damaged, repeated and reordered, mixed with other bytes: only intact signed writes
+/// are executed, each once.
+pub fn signed_requests(data: &[u8]) {
+    const SENT: usize = 6;
+    let mut source = Source(data);
+    let key = DeviceKey::new([source.byte(); 32]);
+    let lock = Lock {
+        key: KeyState::Set(key),
+        ..NO_KEY
+    };
+    let mut responder = Responder::new(LinkRole::Wireless);
+    let mut sessions: [Option<Session>; 2] = [None; 2];
+    let mut ids = [u32::MAX - 1; 2];
+    let mut sent = [[0; MAX_FRAME]; SENT];
+    let mut lengths = [0; SENT];
+    let mut executed = [false; SENT];
+    let mut count = 0;
+    while !source.0.is_empty() {
+        let which = source.below(2);
+        let choice = source.byte() % 4;
+        if choice == 0 {
+            // Opening a session takes no signature.
+            let number = source.word();
+            let request = Request {
+                session: number,
+                id: 1,
+                signature: Signature::NONE,
+                command: Command::OpenSession,
+            };
+            let mut line = [0; MAX_FRAME];
+            let length = request.encode(&mut line).expect("room");
+            with_body(&line[..length], |body| {
+                if let Decision::Send(frame) = responder.accept(body, &lock) {
+                    with_body(frame, |body| {
+                        let reply = Reply::decode(body).expect("own reply");
+                        if let Answer::Accepted(Payload::Session { number, nonce }) = reply.answer {
+                            sessions[which] = Some(Session {
+                                key,
+                                role: LinkRole::Wireless,
+                                device_id: lock.device_id,
+                                number,
+                                nonce,
+                            });
+                        }
+                    });
+                }
+            });
+        } else if choice == 1
+            && count < SENT
+            && let Some(session) = sessions[which]
+        {
+            ids[which] = ids[which].wrapping_add(1);
+            let command = Command::CommitParameters { hash: count as u32 };
+            let request = Request {
+                session: session.number,
+                id: ids[which],
+                signature: session.sign(ids[which], &command),
+                command,
+            };
+            lengths[count] = request.encode(&mut sent[count]).expect("room");
+            count += 1;
+        } else if count > 0 {
+            let chosen = source.below(count);
+            let mut body_of = [0; MAX_BODY];
+            let mut length = 0;
+            with_body(&sent[chosen][..lengths[chosen]], |body| {
+                length = body.len();
+                body_of[..length].copy_from_slice(body);
+            });
+            let mut whole = true;
+            if choice == 2 {
+                let at = source.below(length);
+                let flip = source.byte();
+                body_of[at] ^= flip;
+                whole = flip == 0;
+            }
+            if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
+                if command.is_write() {
+                    assert!(whole, "an unsigned write was executed");
+                    assert_eq!(
+                        command,
+                        Command::CommitParameters {
+                            hash: chosen as u32
+                        }
+                    );
+                    assert!(!executed[chosen], "a request had two effects");
+                    executed[chosen] = true;
+                }
+                assert!(!responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]).is_empty());
+            }
+        } else {
+            let garbage = source.slice();
+            if let Decision::Execute(command) = responder.accept(garbage, &lock) {
+                assert!(!command.is_write(), "an unsigned write was executed");
+                responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]);
+            }
+        }
+    }
+}
+
+/// Numbers taken from bytes; zeros after the last byte.
+struct Source<'a>(&'a [u8]);
+
+impl<'a> Source<'a> {
+    fn byte(&mut self) -> u8 {
+        match self.0.split_first() {
+            Some((&byte, rest)) => {
+                self.0 = rest;
+                byte
+            }
+            None => 0,
+        }
+    }
+
+    fn word(&mut self) -> u32 {
+        u32::from_le_bytes(std::array::from_fn(|_| self.byte()))
+    }
+
+    /// A number below `limit`; 0 for a limit of 0.
+    fn below(&mut self, limit: usize) -> usize {
+        usize::from(u16::from_le_bytes([self.byte(), self.byte()])) % limit.max(1)
+    }
+
+    fn slice(&mut self) -> &'a [u8] {
+        let length = self.below(MAX_BODY + 1).min(self.0.len());
+        let (slice, rest) = self.0.split_at(length);
+        self.0 = rest;
+        slice
+    }
+}

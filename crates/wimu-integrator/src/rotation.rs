@@ -19,7 +19,7 @@ use wimu_model::{AngularRateQ21, PeriodNs};
 ///     rotation.step(quarter_turn_a_second);
 /// }
 /// let [w, _, _, z] = rotation.quaternion();
-/// assert!((w - z).abs() < 1e-6 && (w * w + z * z - 1.0).abs() < 1e-9);
+/// assert!((w - z).abs() < 1e-6 && (w * w + z * z - 1.0).abs() < 1e-8);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -29,7 +29,7 @@ pub use quality::{
     TermDeviations,
 };
 pub use quantities::{
-    CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
+    AngularRateQ21, CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
     STANDARD_GRAVITY_MPS2, Sensitivity, SensitivityError, SpecificForceMps2, SpecificForceQ16,
     VelocityNmps,
 };

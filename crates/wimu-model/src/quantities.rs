@@ -56,16 +56,16 @@ impl SpecificForceQ16 {
     }
 }
 
-/// Angular rate of the body against inertial space, body axes, 2⁻²¹ rad/s: ± 1024 rad/s, a step of
-/// 0.1 °/h.
+/// Angular rate of the body against inertial space, body axes, 2⁻²⁰ rad/s: ± 2048 rad/s, a step of
+/// 0.2 °/h.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct AngularRateQ21(pub [i32; 3]);
+pub struct AngularRateQ20(pub [i32; 3]);
 
-impl AngularRateQ21 {
-    /// LSB per rad/s: 2²¹.
-    pub const LSB_PER_RAD_S: f64 = 2_097_152.0;
+impl AngularRateQ20 {
+    /// LSB per rad/s: 2²⁰.
+    pub const LSB_PER_RAD_S: f64 = 1_048_576.0;
 
     /// The nearest angular rate; saturates at the ends of the range.
     pub fn from_rad_s(rate: [f64; 3]) -> Self {

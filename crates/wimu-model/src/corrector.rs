@@ -3,7 +3,7 @@
 use core::fmt;
 
 use crate::kernel::{Fixed, Kernel, LOW_BITS, Split};
-use crate::matrix;
+use crate::matrix::{self, Matrix3};
 use crate::{CentiCelsius, Counts, ParameterSet, SpecificForceQ16};
 
 /// Fraction bits of the high part: with fewer than the minimum the error can exceed 1 LSB.
@@ -59,33 +59,8 @@ impl Corrector {
         let coefficients = inverse.map(|row| row.map(|k| k * scale));
         let offset = matrix::apply(&inverse, bias).map(|o| -o * SpecificForceQ16::LSB_PER_MPS2);
 
-        let mut largest = 0.0_f64;
-        let mut reach = 0.0_f64;
-        for (row, o) in coefficients.iter().zip(offset) {
-            let magnitudes = row.map(f64::abs);
-            largest = magnitudes.iter().fold(largest, |l, &m| l.max(m));
-            reach = reach.max((magnitudes[0] + magnitudes[1] + magnitudes[2]) * 32768.0 + o.abs());
-        }
-        // The sum of the high parts may exceed the total by that of the low parts, 3 · 2¹⁵ / 2, and
-        // the rounding; 2¹⁷ covers both.
-        let fits = |shift: u32| {
-            let unit = (1_u32 << shift) as f64;
-            largest * unit <= 32766.0 && reach * unit <= 2_147_483_648.0 - 131_072.0
-        };
-        let shift = (MIN_SHIFT..=MAX_SHIFT)
-            .rev()
-            .find(|&shift| fits(shift) && reach <= LARGEST_OUTPUT)
-            .ok_or(CompileError::Overflow)?;
-
-        let unit = (1_u32 << shift) as f64;
-        Ok(Self {
-            kernel: Kernel::new(&Fixed {
-                shift,
-                coefficients: coefficients.map(|row| row.map(|k| split(k * unit))),
-                // Half a unit is added because the sum of the low parts is rounded down.
-                offset: offset.map(|o| round(o * unit + 0.5) + (1 << (shift - 1))),
-            }),
-        })
+        let kernel = kernel(coefficients, offset).ok_or(CompileError::Overflow)?;
+        Ok(Self { kernel })
     }
 
     /// Specific force in body axes for counts in sensor axes.
@@ -95,6 +70,34 @@ impl Corrector {
     }
 }
 
+/// The integers of y = M c + o, LSB; `None` where full-scale counts exceed [`LARGEST_OUTPUT`] or the
+/// result would be more than 1 LSB from the f64 result.
+pub(crate) fn kernel(coefficients: Matrix3, offset: [f64; 3]) -> Option<Kernel> {
+    let mut largest = 0.0_f64;
+    let mut reach = 0.0_f64;
+    for (row, o) in coefficients.iter().zip(offset) {
+        let magnitudes = row.map(f64::abs);
+        largest = magnitudes.iter().fold(largest, |l, &m| l.max(m));
+        reach = reach.max((magnitudes[0] + magnitudes[1] + magnitudes[2]) * 32768.0 + o.abs());
+    }
+    // The sum of the high parts may exceed the total by that of the low parts, 3 · 2¹⁵ / 2, and
+    // the rounding; 2¹⁷ covers both.
+    let fits = |shift: u32| {
+        let unit = (1_u32 << shift) as f64;
+        largest * unit <= 32766.0 && reach * unit <= 2_147_483_648.0 - 131_072.0
+    };
+    let shift = (MIN_SHIFT..=MAX_SHIFT)
+        .rev()
+        .find(|&shift| fits(shift) && reach <= LARGEST_OUTPUT)?;
+    let unit = (1_u32 << shift) as f64;
+    Some(Kernel::new(&Fixed {
+        shift,
+        coefficients: coefficients.map(|row| row.map(|k| split(k * unit))),
+        // Half a unit is added because the sum of the low parts is rounded down.
+        offset: offset.map(|o| round(o * unit + 0.5) + (1 << (shift - 1))),
+    }))
+}
+
 /// `value` as high + low · 2⁻¹⁵, both rounded to nearest.
 fn split(value: f64) -> Split {
     let high = round(value);
@@ -102,7 +105,7 @@ fn split(value: f64) -> Split {
     Split { high, low }
 }
 
-fn round(value: f64) -> i32 {
+pub(crate) fn round(value: f64) -> i32 {
     (value + if value < 0.0 { -0.5 } else { 0.5 }) as i32
 }
 

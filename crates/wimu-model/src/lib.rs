@@ -8,6 +8,7 @@ extern crate std;
 mod corrector;
 mod covariance;
 mod error_model;
+mod gyroscope;
 mod kernel;
 mod magnetometer;
 mod matrix;
@@ -19,6 +20,10 @@ pub mod root;
 pub use corrector::{CompileError, Corrector};
 pub use covariance::{CovarianceError, ModelCovariance, RotationCovariance};
 pub use error_model::{ErrorModel, ErrorTerms, ModelError, TemperatureTerms, Term};
+pub use gyroscope::{
+    GyroscopeCorrector, GyroscopeError, GyroscopeModel, GyroscopeTemperatureTerms, GyroscopeTerm,
+    GyroscopeTerms,
+};
 pub use magnetometer::{
     MagnetometerError, MagnetometerModel, MagnetometerRotation, MagnetometerTerms,
 };
@@ -29,7 +34,7 @@ pub use quality::{
     TermDeviations,
 };
 pub use quantities::{
-    CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
+    AngularRateQ20, CentiCelsius, Counts, DeviceTimeUs, MagneticFieldNt, PeriodNs, PositionNm,
     STANDARD_GRAVITY_MPS2, Sensitivity, SensitivityError, SpecificForceMps2, SpecificForceQ16,
     VelocityNmps,
 };

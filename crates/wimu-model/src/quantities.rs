@@ -56,6 +56,31 @@ impl SpecificForceQ16 {
     }
 }
 
+/// Angular rate of the body against inertial space, body axes, 2⁻²⁰ rad/s: ± 2048 rad/s, a step of
+/// 0.2 °/h.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct AngularRateQ20(pub [i32; 3]);
+
+impl AngularRateQ20 {
+    /// LSB per rad/s: 2²⁰.
+    pub const LSB_PER_RAD_S: f64 = 1_048_576.0;
+
+    /// The nearest angular rate; saturates at the ends of the range.
+    pub fn from_rad_s(rate: [f64; 3]) -> Self {
+        Self(rate.map(|axis| {
+            let lsb = axis * Self::LSB_PER_RAD_S;
+            (lsb + if lsb < 0.0 { -0.5 } else { 0.5 }) as i32
+        }))
+    }
+
+    /// The same angular rate in rad/s; exact.
+    pub fn to_rad_s(self) -> [f64; 3] {
+        self.0.map(|lsb| f64::from(lsb) / Self::LSB_PER_RAD_S)
+    }
+}
+
 /// Velocity in the navigation frame (east-north-up), nm/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

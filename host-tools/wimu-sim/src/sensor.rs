@@ -58,7 +58,11 @@ impl Sensor {
         Self::of(clock, source, Box::new(Adxl345::default()))
     }
 
-    fn of(clock: &VirtualClock, source: impl Source + 'static, chip: Box<dyn Chip>) -> Self {
+    pub(crate) fn of(
+        clock: &VirtualClock,
+        source: impl Source + 'static,
+        chip: Box<dyn Chip>,
+    ) -> Self {
         Self {
             clock: clock.clone(),
             state: Rc::new(RefCell::new(State {

@@ -7,6 +7,7 @@ mod driver;
 mod faults;
 mod long_files;
 mod lsm303agr_fifo;
+mod lsm6dso;
 mod motion;
 mod physics;
 mod pipe;

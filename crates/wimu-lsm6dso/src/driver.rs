@@ -1,0 +1,258 @@
+use embedded_hal_async::delay::DelayNs;
+
+use crate::fifo::{Batch, DEPTH, Pairing, Sample, WORD, axes};
+use crate::registers::*;
+use crate::{Bus, Error, Power, Setup};
+
+/// Interval and number of looks at the reset bit: 10 ms; the chip takes 50 µs.
+const RESET_POLL_US: u32 = 100;
+const RESET_POLLS: u32 = 100;
+/// From power-down until the gyroscope measures (70 ms by ST's AN5192), with reserve.
+const TURN_ON_US: u32 = 80_000;
+/// Samples that the filters take to settle after that.
+const SETTLING: u32 = 2;
+/// Words of a burst.
+const BURST: usize = 32;
+
+/// State of the FIFO.
+#[derive(Clone, Copy)]
+struct FifoStatus {
+    /// Words that wait, 0..=512.
+    words: u16,
+    /// Whether words were dropped since the status was last read.
+    overrun: bool,
+}
+
+/// An LSM6DSO.
+///
+/// A future that is dropped may end a bus transfer early; the next call starts its own transfer, and
+/// [`read`](Self::read) reports a gap.
+#[derive(Debug)]
+pub struct Lsm6dso<B> {
+    bus: B,
+    pairing: Pairing,
+    /// Whether every word since the last batch can be accounted for.
+    continuous: bool,
+}
+
+impl<B> Lsm6dso<B> {
+    /// Content of register WHO_AM_I.
+    pub const IDENTITY: u8 = 0x6C;
+    /// Most samples that [`read`](Self::read) delivers at once: one burst of 224 bytes.
+    pub const MOST: usize = BURST / 2;
+
+    /// A chip on `bus`; nothing is sent yet.
+    pub fn new(bus: B) -> Self {
+        Self {
+            bus,
+            pairing: Pairing::default(),
+            continuous: false,
+        }
+    }
+
+    /// Returns the bus.
+    pub fn release(self) -> B {
+        self.bus
+    }
+}
+
+impl<B: Bus> Lsm6dso<B> {
+    /// Checks that the chip is an LSM6DSO.
+    ///
+    /// # Errors
+    /// [`Error::WrongIdentity`] if it is not; [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn check_identity(&mut self) -> Result<(), Error<B::Error>> {
+        match self.read_register(WHO_AM_I).await? {
+            Self::IDENTITY => Ok(()),
+            0x00 | 0xFF => Err(Error::NotAnswering),
+            found => Err(Error::WrongIdentity { found }),
+        }
+    }
+
+    /// Resets all registers to their defaults, from any state of the chip: both sensors are off.
+    ///
+    /// # Errors
+    /// [`Error::ResetTimeout`], [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn reset(&mut self, delay: &mut impl DelayNs) -> Result<(), Error<B::Error>> {
+        self.continuous = false;
+        // Access to the registers of embedded functions would hide all others.
+        self.write(FUNC_CFG_ACCESS, 0).await?;
+        self.write(CTRL3_C, CTRL3_SW_RESET | CTRL3_IF_INC).await?;
+        for _ in 0..RESET_POLLS {
+            delay.delay_us(RESET_POLL_US).await;
+            if self.read_register(CTRL3_C).await? & CTRL3_SW_RESET == 0 {
+                return Ok(());
+            }
+        }
+        Err(Error::ResetTimeout)
+    }
+
+    /// Resets the chip and starts both sensors with `setup`. Returns when they have settled, after
+    /// 80 ms and two sample periods; the FIFO fills from then on, and INT1 follows its watermark.
+    ///
+    /// # Errors
+    /// Those of [`reset`](Self::reset): some of the settings may have been written.
+    pub async fn start(
+        &mut self,
+        setup: &Setup,
+        delay: &mut impl DelayNs,
+    ) -> Result<(), Error<B::Error>> {
+        self.reset(delay).await?;
+        self.start_interface().await?;
+        let on = |condition: bool, bits: u8| if condition { bits } else { 0 };
+        let low_power = setup.power == Power::Low;
+        let [watermark_low, watermark_high] = (2 * u16::from(setup.watermark.max(1))).to_le_bytes();
+        let rate = setup.rate.code();
+        let registers = [
+            (CTRL6_C, on(low_power, CTRL6_LOW_POWER)),
+            (CTRL7_G, on(low_power, CTRL7_LOW_POWER)),
+            (INT1_CTRL, INT1_CTRL_FIFO_TH),
+            (FIFO_CTRL1, watermark_low),
+            (FIFO_CTRL2, watermark_high),
+            (FIFO_CTRL3, rate << 4 | rate),
+            (CTRL1_XL, rate << 4 | setup.acceleration.bits()),
+            (CTRL2_G, rate << 4 | setup.angular_rate.bits()),
+        ];
+        for (register, value) in registers {
+            self.write(register, value).await?;
+        }
+        let settling_us = SETTLING * (setup.rate.period_ns() / 1000);
+        delay.delay_us(TURN_ON_US + settling_us).await;
+        let fifo = FIFO_CTRL4_CONTINUOUS | on(setup.temperature, FIFO_CTRL4_TEMPERATURE);
+        self.write(FIFO_CTRL4, fifo).await?;
+        self.pairing = Pairing::default();
+        self.continuous = true;
+        Ok(())
+    }
+
+    /// Settings of the interface after a reset: block data update, no MIPI I3C, I²C only if used.
+    pub(crate) async fn start_interface(&mut self) -> Result<(), Error<B::Error>> {
+        self.write(CTRL9_XL, CTRL9_I3C_DISABLE).await?;
+        self.write(CTRL3_C, CTRL3_BDU | CTRL3_IF_INC).await?;
+        if B::I2C {
+            return Ok(());
+        }
+        self.write(CTRL4_C, CTRL4_I2C_DISABLE).await
+    }
+
+    /// Reads the state of the FIFO. Words that arrive between the two bytes may make the level too
+    /// high, but only above 255.
+    async fn fifo_status(&mut self) -> Result<FifoStatus, Error<B::Error>> {
+        let mut bytes = [0; 2];
+        self.read_registers(FIFO_STATUS1, &mut bytes).await?;
+        let [low, high] = bytes;
+        // A bit of FIFO_STATUS2 is always 0, except on an SPI bus without a chip.
+        if high == 0xFF {
+            return Err(Error::NotAnswering);
+        }
+        let words = u16::from_le_bytes([low, high & FIFO_STATUS2_LEVEL]).min(DEPTH);
+        let overrun = high & (FIFO_STATUS2_OVERRUN | FIFO_STATUS2_OVERRUN_LATCHED) != 0;
+        Ok(FifoStatus { words, overrun })
+    }
+
+    /// Reads the oldest samples in the FIFO in one burst: at most [`MOST`](Self::MOST), and as many
+    /// as `samples` holds. Call it again while it fills them.
+    ///
+    /// A sample consists of two words that follow each other with the same tag counter, and no word
+    /// was lost during the burst: the status is read before and after it. Nothing is delivered from a
+    /// burst during which the FIFO overran.
+    ///
+    /// # Errors
+    /// [`Error::NotAnswering`], [`Error::Bus`]: words may be gone; the next batch reports a gap.
+    pub async fn read(&mut self, samples: &mut [Sample]) -> Result<Batch, Error<B::Error>> {
+        // Stays false if the transfer fails or the future is dropped.
+        let continuous = core::mem::replace(&mut self.continuous, false);
+        let before = self.fifo_status().await?;
+        let mut bytes = [0; WORD * BURST];
+        let words = (2 * samples.len()).min(BURST).min(before.words.into());
+        let bytes = bytes.get_mut(..WORD * words).unwrap_or_default();
+        let mut after = FifoStatus {
+            overrun: false,
+            ..before
+        };
+        if !bytes.is_empty() {
+            self.read_registers(FIFO_DATA_OUT_TAG, bytes).await?;
+            after = self.fifo_status().await?;
+        }
+        let mut batch = Batch {
+            overrun: before.overrun || after.overrun,
+            words_left: after.words,
+            ..Batch::default()
+        };
+        if before.overrun || !continuous {
+            self.pairing = Pairing::default();
+        }
+        for word in bytes.as_chunks().0 {
+            match self.pairing.take(*word, &mut batch.temperature) {
+                Ok(sample) => {
+                    if let (Some(sample), Some(next)) = (sample, samples.get_mut(batch.count)) {
+                        *next = sample;
+                        batch.count += 1;
+                    }
+                }
+                Err(fault) => {
+                    batch.fault = Some(fault);
+                    batch.count = 0;
+                }
+            }
+        }
+        if after.overrun {
+            self.pairing = Pairing::default();
+            batch.count = 0;
+        }
+        batch.gap = batch.overrun || batch.fault.is_some() || !continuous;
+        self.continuous = true;
+        Ok(batch)
+    }
+
+    /// Reads the newest sample from the output registers, past the FIFO. The words of the two sensors
+    /// may belong to neighbouring samples.
+    ///
+    /// # Errors
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn newest(&mut self) -> Result<Sample, Error<B::Error>> {
+        let mut bytes = [0; 12];
+        self.read_registers(OUTX_L_G, &mut bytes).await?;
+        let [gx, hx, gy, hy, gz, hz, acceleration @ ..] = bytes;
+        Ok(Sample {
+            acceleration: axes(acceleration),
+            angular_rate: axes([gx, hx, gy, hy, gz, hz]),
+        })
+    }
+
+    /// Reads the temperature, LSB of 1/256 K from 25 °C; it changes 52 times a second at most.
+    ///
+    /// # Errors
+    /// [`Error::NotAnswering`], [`Error::Bus`].
+    pub async fn temperature(&mut self) -> Result<i16, Error<B::Error>> {
+        let mut bytes = [0; 2];
+        self.read_registers(OUT_TEMP_L, &mut bytes).await?;
+        Ok(i16::from_le_bytes(bytes))
+    }
+
+    pub(crate) async fn write(&mut self, register: u8, value: u8) -> Result<(), Error<B::Error>> {
+        self.bus.write(register, value).await.map_err(fault::<B>)
+    }
+
+    async fn read_register(&mut self, register: u8) -> Result<u8, Error<B::Error>> {
+        let mut value = [0];
+        self.read_registers(register, &mut value).await?;
+        Ok(value[0])
+    }
+
+    async fn read_registers(
+        &mut self,
+        register: u8,
+        values: &mut [u8],
+    ) -> Result<(), Error<B::Error>> {
+        self.bus.read(register, values).await.map_err(fault::<B>)
+    }
+}
+
+fn fault<B: Bus>(error: B::Error) -> Error<B::Error> {
+    if B::not_answering(&error) {
+        Error::NotAnswering
+    } else {
+        Error::Bus(error)
+    }
+}

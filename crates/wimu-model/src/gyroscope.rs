@@ -1,0 +1,453 @@
+//! The error model of a gyroscope, and its fixed-point corrector: equations (25) and (26) of
+//! docs/EQUATIONS.md.
+
+use core::fmt;
+
+use crate::corrector::{CompileError, kernel, round};
+use crate::kernel::Kernel;
+use crate::matrix::{self, Matrix3};
+use crate::{Alignment, AngularRateQ20, CentiCelsius, Counts, SpecificForceQ16};
+
+/// Temperature terms about a reference temperature T₀: b(T) = b₀ + b₁ (T−T₀), S(T) = S₀ (1 + s₁ (T−T₀)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GyroscopeTemperatureTerms {
+    /// T₀, °C, −60..=150.
+    pub reference_c: f64,
+    /// b₁, rad/s per K, |b₁| ≤ 0.05.
+    pub bias_rad_s_per_k: [f64; 3],
+    /// s₁, 1/K, |s₁| ≤ 0.01.
+    pub scale_per_k: [f64; 3],
+}
+
+impl Default for GyroscopeTemperatureTerms {
+    /// No temperature effect, about 25 °C.
+    fn default() -> Self {
+        Self {
+            reference_c: 25.0,
+            bias_rad_s_per_k: [0.0; 3],
+            scale_per_k: [0.0; 3],
+        }
+    }
+}
+
+/// The parameters of a gyroscope's error model before they are checked: [`GyroscopeModel::new`] checks
+/// them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GyroscopeTerms {
+    /// b₀, rad/s, sensor axes, each within ±1.
+    pub bias_rad_s: [f64; 3],
+    /// A at T₀, dimensionless: scale factors within 0.5..=1.5, misalignments within ±0.3 rad.
+    pub matrix: Matrix3,
+    /// G, rad/s per m/s², each within ±0.02 (11 °/s per *g*); sensor axes of gyroscope and accelerometer.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub g_sensitivity: Matrix3,
+    /// Temperature terms.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub temperature: GyroscopeTemperatureTerms,
+}
+
+impl Default for GyroscopeTerms {
+    /// A perfect sensor.
+    fn default() -> Self {
+        Self {
+            bias_rad_s: [0.0; 3],
+            matrix: matrix::IDENTITY,
+            g_sensitivity: [[0.0; 3]; 3],
+            temperature: GyroscopeTemperatureTerms::default(),
+        }
+    }
+}
+
+/// The error model of a three-axis gyroscope: y = b(T) + A(T) ω + G f, output y and angular rate ω in
+/// rad/s, specific force f in m/s², all in sensor axes (IEEE Std 528: bias, scale factor, misalignment,
+/// acceleration-sensitive drift).
+///
+/// Always finite, within bounds and invertible: it cannot be built otherwise.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(try_from = "GyroscopeTerms", into = "GyroscopeTerms")
+)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GyroscopeModel(GyroscopeTerms);
+
+impl GyroscopeModel {
+    /// Checks the terms and makes them a model.
+    ///
+    /// # Errors
+    /// [`GyroscopeError`] names the first term that is outside the bounds given on [`GyroscopeTerms`]
+    /// and [`GyroscopeTemperatureTerms`] (a NaN is), or says that A is singular.
+    pub fn new(terms: GyroscopeTerms) -> Result<Self, GyroscopeError> {
+        use GyroscopeTerm::*;
+        let t = &terms.temperature;
+        check(ReferenceTemperature, 0, t.reference_c, -60.0, 150.0)?;
+        for axis in 0..3 {
+            check(Bias, axis, terms.bias_rad_s[axis], -1.0, 1.0)?;
+            check(BiasSlope, axis, t.bias_rad_s_per_k[axis], -0.05, 0.05)?;
+            check(ScaleSlope, axis, t.scale_per_k[axis], -0.01, 0.01)?;
+            for column in 0..3 {
+                let (term, low, high) = match axis == column {
+                    true => (Scale, 0.5, 1.5),
+                    false => (Misalignment, -0.3, 0.3),
+                };
+                check(term, axis, terms.matrix[axis][column], low, high)?;
+                check(
+                    GSensitivity,
+                    axis,
+                    terms.g_sensitivity[axis][column],
+                    -0.02,
+                    0.02,
+                )?;
+            }
+        }
+        let determinant = matrix::determinant(&terms.matrix);
+        match determinant < 0.05 {
+            true => Err(GyroscopeError::Singular { determinant }),
+            false => Ok(Self(terms)),
+        }
+    }
+
+    /// The parameters.
+    pub fn terms(&self) -> &GyroscopeTerms {
+        &self.0
+    }
+
+    /// Output of the sensor, rad/s, sensor axes, without noise, for angular rate `rate`, rad/s, and
+    /// specific force `force`, m/s², at `temperature` (T₀ if `None`). Equation (25).
+    pub fn distort(
+        &self,
+        rate: [f64; 3],
+        force: [f64; 3],
+        temperature: Option<CentiCelsius>,
+    ) -> [f64; 3] {
+        let (bias, a) = self.at(temperature);
+        let rotation = matrix::apply(&a, rate);
+        let g = matrix::apply(&self.0.g_sensitivity, force);
+        [0, 1, 2].map(|axis| bias[axis] + rotation[axis] + g[axis])
+    }
+
+    /// Angular rate, rad/s, from the output of the sensor; the inverse of [`distort`](Self::distort).
+    pub fn correct(
+        &self,
+        output: [f64; 3],
+        force: [f64; 3],
+        temperature: Option<CentiCelsius>,
+    ) -> [f64; 3] {
+        let (bias, a) = self.at(temperature);
+        let g = matrix::apply(&self.0.g_sensitivity, force);
+        matrix::apply(
+            &matrix::inverse(&a),
+            [0, 1, 2].map(|axis| output[axis] - bias[axis] - g[axis]),
+        )
+    }
+
+    /// b(T) in rad/s and A(T).
+    fn at(&self, temperature: Option<CentiCelsius>) -> ([f64; 3], Matrix3) {
+        let t = &self.0.temperature;
+        let dt = temperature.map_or(0.0, |now| now.to_celsius() - t.reference_c);
+        let (mut bias, mut a) = (self.0.bias_rad_s, self.0.matrix);
+        for axis in 0..3 {
+            bias[axis] += t.bias_rad_s_per_k[axis] * dt;
+            a[axis][axis] *= 1.0 + t.scale_per_k[axis] * dt;
+        }
+        (bias, a)
+    }
+}
+
+impl TryFrom<GyroscopeTerms> for GyroscopeModel {
+    type Error = GyroscopeError;
+
+    fn try_from(terms: GyroscopeTerms) -> Result<Self, GyroscopeError> {
+        Self::new(terms)
+    }
+}
+
+impl From<GyroscopeModel> for GyroscopeTerms {
+    fn from(model: GyroscopeModel) -> GyroscopeTerms {
+        model.0
+    }
+}
+
+/// Maps counts of a gyroscope to angular rate in body axes in integers, at one latched temperature:
+/// ω = R A(T)⁻¹ (y − b(T) − G Rᵀ f), equation (26) of docs/EQUATIONS.md.
+///
+/// Without g-sensitivity the result is at most 1 LSB (2⁻²⁰ rad/s) from the f64 result for all 16-bit
+/// counts, with it at most 2 LSB for specific force within ±2²⁴ LSB (256 m/s²). It is within ±2²⁸ LSB
+/// (256 rad/s).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GyroscopeCorrector {
+    kernel: Kernel,
+    /// −R A⁻¹ G Rᵀ, LSB of rate per LSB of force, 2⁻³⁰; `None` if G is zero.
+    g_sensitivity: Option<[[i32; 3]; 3]>,
+}
+
+impl GyroscopeCorrector {
+    /// Compiles `model` at `temperature` (T₀ if `None`) for a sensor of `rad_s_per_lsb`, mounted by
+    /// `alignment` (sensor to body).
+    ///
+    /// # Errors
+    /// [`CompileError::Overflow`] when full-scale counts exceed ±128 rad/s; [`CompileError::Singular`]
+    /// when A(T) cannot be inverted at this temperature.
+    pub fn compile(
+        model: &GyroscopeModel,
+        rad_s_per_lsb: f64,
+        alignment: Alignment,
+        temperature: Option<CentiCelsius>,
+    ) -> Result<Self, CompileError> {
+        let (bias, a) = model.at(temperature);
+        if matrix::determinant(&a) < 0.01 {
+            return Err(CompileError::Singular);
+        }
+        let rotation = alignment.matrix();
+        let inverse = matrix::multiply(&rotation, &matrix::inverse(&a));
+        let lsb = AngularRateQ20::LSB_PER_RAD_S;
+        let scale = rad_s_per_lsb * lsb;
+        let coefficients = inverse.map(|row| row.map(|k| k * scale));
+        let offset = matrix::apply(&inverse, bias).map(|o| -o * lsb);
+        let kernel = kernel(coefficients, offset).ok_or(CompileError::Overflow)?;
+        let g = &model.terms().g_sensitivity;
+        let transposed = [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[column][row]));
+        let g_body = matrix::multiply(&matrix::multiply(&inverse, g), &transposed);
+        let unit = (1_u32 << G_BITS) as f64 * lsb / SpecificForceQ16::LSB_PER_MPS2;
+        Ok(Self {
+            kernel,
+            g_sensitivity: (*g != [[0.0; 3]; 3])
+                .then(|| g_body.map(|row| row.map(|k| round(-k * unit)))),
+        })
+    }
+
+    /// Angular rate in body axes for counts in sensor axes, and the corrected specific force of the same
+    /// sample, body axes.
+    #[inline]
+    pub fn correct(&self, counts: Counts, force: SpecificForceQ16) -> AngularRateQ20 {
+        let mut rate = self.kernel.apply(counts.0);
+        if let Some(g) = &self.g_sensitivity {
+            for (axis, row) in rate.iter_mut().zip(g) {
+                let sum = row
+                    .iter()
+                    .zip(force.0)
+                    .fold(1_i64 << (G_BITS - 1), |sum, (k, f)| {
+                        sum.wrapping_add(i64::from(*k) * i64::from(f))
+                    });
+                *axis = axis.saturating_add((sum >> G_BITS) as i32);
+            }
+        }
+        AngularRateQ20(rate)
+    }
+}
+
+/// Fraction bits of a g-sensitivity coefficient: 16 · 0.02 · 3 / 0.5 LSB per LSB fits 32 bits.
+const G_BITS: u32 = 28;
+
+fn check(
+    term: GyroscopeTerm,
+    axis: usize,
+    value: f64,
+    low: f64,
+    high: f64,
+) -> Result<(), GyroscopeError> {
+    match (low..=high).contains(&value) {
+        true => Ok(()),
+        false => Err(GyroscopeError::OutOfBounds {
+            term,
+            axis,
+            value,
+            low,
+            high,
+        }),
+    }
+}
+
+/// A term of the gyroscope's error model, as errors name it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum GyroscopeTerm {
+    /// b₀, rad/s.
+    Bias,
+    /// S, the diagonal of A.
+    Scale,
+    /// m, A off its diagonal, rad.
+    Misalignment,
+    /// G, rad/s per m/s².
+    GSensitivity,
+    /// T₀, °C.
+    ReferenceTemperature,
+    /// b₁, rad/s per K.
+    BiasSlope,
+    /// s₁, 1/K.
+    ScaleSlope,
+}
+
+/// Why numbers are not a gyroscope's error model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum GyroscopeError {
+    /// A term is not a number, or outside its bounds.
+    OutOfBounds {
+        /// Which term.
+        term: GyroscopeTerm,
+        /// Its axis (its row in a matrix), 0 = X.
+        axis: usize,
+        /// Its value, in the term's unit.
+        value: f64,
+        /// The lowest allowed.
+        low: f64,
+        /// The highest allowed.
+        high: f64,
+    },
+    /// A cannot be inverted, or is mirrored.
+    Singular {
+        /// det A; at least 0.05 is required.
+        determinant: f64,
+    },
+}
+
+impl fmt::Display for GyroscopeError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::OutOfBounds {
+                term,
+                axis,
+                value,
+                low,
+                high,
+            } => {
+                let (name, unit) = match term {
+                    GyroscopeTerm::Bias => ("bias", " rad/s"),
+                    GyroscopeTerm::Scale => ("scale factor", ""),
+                    GyroscopeTerm::Misalignment => ("misalignment", " rad"),
+                    GyroscopeTerm::GSensitivity => ("g-sensitivity", " rad/s per m/s²"),
+                    GyroscopeTerm::ReferenceTemperature => ("reference temperature", " °C"),
+                    GyroscopeTerm::BiasSlope => ("bias slope", " rad/s/K"),
+                    GyroscopeTerm::ScaleSlope => ("scale-factor slope", " 1/K"),
+                };
+                let axis = ["X", "Y", "Z"].get(axis).copied().unwrap_or("?");
+                write!(
+                    out,
+                    "gyroscope {name} {axis} = {value}{unit} is outside {low} to {high}{unit}"
+                )
+            }
+            Self::Singular { determinant } => write!(
+                out,
+                "the gyroscope's matrix cannot be inverted or is mirrored: its determinant is {determinant}, at least 0.05 is required"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for GyroscopeError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    prop_compose! {
+        fn terms()(
+            bias in prop::array::uniform3(-0.5..0.5_f64),
+            scale in prop::array::uniform3(0.9..1.1_f64),
+            skew in prop::array::uniform6(-0.05..0.05_f64),
+            g in prop::array::uniform9(-0.01..0.01_f64),
+            slope in prop::array::uniform3(-0.01..0.01_f64),
+        ) -> GyroscopeTerms {
+            GyroscopeTerms {
+                bias_rad_s: bias,
+                matrix: [
+                    [scale[0], skew[0], skew[1]],
+                    [skew[2], scale[1], skew[3]],
+                    [skew[4], skew[5], scale[2]],
+                ],
+                g_sensitivity: [[g[0], g[1], g[2]], [g[3], g[4], g[5]], [g[6], g[7], g[8]]],
+                temperature: GyroscopeTemperatureTerms {
+                    bias_rad_s_per_k: slope,
+                    ..GyroscopeTemperatureTerms::default()
+                },
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(5000))]
+
+        #[test]
+        fn the_corrector_is_within_2_lsb_of_the_model(
+            terms in terms(),
+            counts: [i16; 3],
+            force in prop::array::uniform3(-(1 << 24)..1_i32 << 24),
+            quaternion in prop::array::uniform4(-1.0..1.0_f64),
+            celsius in -20.0..60.0_f64,
+        ) {
+            let Ok(alignment) = Alignment::from_quaternion(quaternion) else { return Ok(()) };
+            let model = GyroscopeModel::new(terms).expect("within bounds");
+            let temperature = Some(CentiCelsius::from_celsius(celsius));
+            let rad_s_per_lsb = 0.0011;
+            let corrector = GyroscopeCorrector::compile(&model, rad_s_per_lsb, alignment, temperature)
+                .expect("in range");
+            let force = SpecificForceQ16(force);
+            let rotation = alignment.matrix();
+            let back = [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[column][row]));
+            let output = counts.map(|c| f64::from(c) * rad_s_per_lsb);
+            let sensor = model.correct(output, matrix::apply(&back, force.to_mps2().0), temperature);
+            let exact = matrix::apply(&rotation, sensor).map(|r| r * AngularRateQ20::LSB_PER_RAD_S);
+            let found = corrector.correct(Counts(counts), force);
+            for axis in 0..3 {
+                let error = f64::from(found.0[axis]) - exact[axis];
+                prop_assert!(error.abs() <= 2.0, "{error}");
+            }
+        }
+
+        #[test]
+        fn correcting_undoes_the_model(
+            terms in terms(),
+            rate in prop::array::uniform3(-30.0..30.0_f64),
+            force in prop::array::uniform3(-100.0..100.0_f64),
+        ) {
+            let model = GyroscopeModel::new(terms).expect("within bounds");
+            let found = model.correct(model.distort(rate, force, None), force, None);
+            for axis in 0..3 {
+                prop_assert!((found[axis] - rate[axis]).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn terms_beyond_their_bounds_and_nan_are_named() {
+        for value in [1.001, f64::NAN, f64::INFINITY] {
+            let mut terms = GyroscopeTerms::default();
+            terms.bias_rad_s[1] = value;
+            assert!(matches!(
+                GyroscopeModel::new(terms),
+                Err(GyroscopeError::OutOfBounds {
+                    term: GyroscopeTerm::Bias,
+                    axis: 1,
+                    ..
+                })
+            ));
+        }
+        let mut terms = GyroscopeTerms::default();
+        terms.bias_rad_s[1] = 1.0;
+        assert!(GyroscopeModel::new(terms).is_ok());
+    }
+
+    #[test]
+    fn a_sensor_beyond_128_rad_s_is_refused() {
+        let compiled = |rad_s_per_lsb| {
+            GyroscopeCorrector::compile(
+                &GyroscopeModel::default(),
+                rad_s_per_lsb,
+                Alignment::IDENTITY,
+                None,
+            )
+        };
+        assert!(compiled(0.0038).is_ok());
+        assert_eq!(compiled(0.004), Err(CompileError::Overflow));
+    }
+}

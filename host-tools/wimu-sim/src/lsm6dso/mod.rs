@@ -1,0 +1,394 @@
+//! The LSM6DSO at register level: accelerometer, gyroscope, thermometer, FIFO, on I²C or SPI.
+//!
+//! Modelled: identity, both addresses, I2C_disable, output data rates 12.5 Hz to 6.66 kHz with both
+//! sensors on one oscillator, ranges, turn-on time of the gyroscope (full scale until it has passed),
+//! output registers with block data update, the FIFO of 512 tagged words (bypass, continuous) with
+//! batch rates and temperatures, watermark, overrun and its latch, data-ready, watermark, overrun and
+//! full on INT1 of either polarity, self-test, software reset, access to the embedded functions'
+//! registers, which hides all others. Other registers keep what is written to them and do nothing:
+//! timestamps, filters, compression, embedded functions, I3C, INT2. Low power changes no noise. The
+//! order of the words of one instant (gyroscope, accelerometer, temperature) and the content of an
+//! empty FIFO are not in the datasheet.
+
+mod fifo;
+mod gyroscope;
+
+pub use gyroscope::{
+    Gyroscope, GyroscopeFault, GyroscopeTruth, RateSource, accelerometer_truth, angular_rate_radps,
+};
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use crate::chip::Chip;
+use crate::clock::VirtualClock;
+use crate::sampling::SampleClock;
+use crate::sensor::Sensor;
+use crate::source::{Conversion, Source, quantise};
+use crate::spi;
+use fifo::{ACCELEROMETER, Fifo, GYROSCOPE, TEMPERATURE, WORDS};
+
+const FUNC_CFG_ACCESS: u8 = 0x01;
+const FIFO_CTRL1: u8 = 0x07;
+const FIFO_CTRL2: u8 = 0x08;
+const FIFO_CTRL3: u8 = 0x09;
+const FIFO_CTRL4: u8 = 0x0A;
+const INT1_CTRL: u8 = 0x0D;
+const WHO_AM_I: u8 = 0x0F;
+const CTRL1_XL: u8 = 0x10;
+const CTRL2_G: u8 = 0x11;
+const CTRL3_C: u8 = 0x12;
+const CTRL4_C: u8 = 0x13;
+const CTRL5_C: u8 = 0x14;
+const CTRL9_XL: u8 = 0x18;
+const ALL_INT_SRC: u8 = 0x1A;
+const STATUS: u8 = 0x1E;
+const OUT_TEMP_L: u8 = 0x20;
+const OUTZ_H_A: u8 = 0x2D;
+const FIFO_STATUS1: u8 = 0x3A;
+const FIFO_STATUS2: u8 = 0x3B;
+const FIFO_TAG: u8 = 0x78;
+const FIFO_Z_H: u8 = 0x7E;
+
+const SW_RESET: u8 = 1;
+const IF_INC: u8 = 1 << 2;
+const ACTIVE_LOW: u8 = 1 << 5;
+const BDU: u8 = 1 << 6;
+const I2C_DISABLE: u8 = 1 << 2;
+
+/// Rate of code 10, the fastest, Hz; each code below halves it.
+const FASTEST_HZ: f64 = 20_000.0 / 3.0;
+const RESET_US: u64 = 50;
+/// From power-down until the gyroscope measures.
+const TURN_ON_S: f64 = 0.070;
+/// Change by the self-test: geometric means of the datasheet's limits.
+const SELF_TEST_G: f64 = 0.29;
+const SELF_TEST_DPS: f64 = 320.0;
+
+impl Sensor {
+    /// An LSM6DSO at `address` (0x6A or 0x6B) that has just got power, with accelerometer samples from
+    /// `source` and gyroscope samples from `rates`; its interrupt line is INT1. `fault` breaks its
+    /// gyroscope, also while it runs.
+    pub fn lsm6dso(
+        clock: &VirtualClock,
+        address: u8,
+        source: impl Source + 'static,
+        rates: impl RateSource + 'static,
+        fault: &Rc<Cell<GyroscopeFault>>,
+    ) -> Self {
+        let mut chip = Lsm6dso {
+            address,
+            identity: 0x6C,
+            rates: Some(Box::new(rates)),
+            fault: fault.clone(),
+            ..Lsm6dso::default()
+        };
+        chip.reset();
+        Self::of(clock, source, Box::new(chip))
+    }
+}
+
+#[derive(Debug, Default)]
+struct Lsm6dso {
+    address: u8,
+    identity: u8,
+    rates: Option<Box<dyn RateSource>>,
+    fault: Rc<Cell<GyroscopeFault>>,
+    registers: Vec<u8>,
+    pointer: u8,
+    expects_register: bool,
+    now: u64,
+    reset_until: u64,
+    gyroscope_on_us: u64,
+    /// At the faster of both rates; the slower one is a power of two below it.
+    sampling: Option<SampleClock>,
+    /// Samples of the gyroscope and of the accelerometer.
+    taken: [u64; 2],
+    ticks: u64,
+    /// Tag counter: instants with words in the FIFO.
+    slot: u8,
+    /// Temperature, gyroscope x, y, z, accelerometer x, y, z.
+    output: [i16; 7],
+    /// High byte of the value whose low byte was read, with block data update.
+    held_high: [Option<u8>; 7],
+    /// STATUS: TDA, GDA, XLDA.
+    fresh: u8,
+    fifo: Fifo,
+}
+
+impl Lsm6dso {
+    fn register(&self, register: u8) -> u8 {
+        self.registers[usize::from(register)]
+    }
+
+    fn is_set(&self, register: u8, mask: u8) -> bool {
+        self.register(register) & mask != 0
+    }
+
+    /// Rate codes of the gyroscope and the accelerometer, 0 while one is off.
+    fn codes(&self) -> [u8; 2] {
+        [CTRL2_G, CTRL1_XL].map(|control| match self.register(control) >> 4 {
+            code @ 0..=10 => code,
+            _ => 0,
+        })
+    }
+
+    fn fastest_code(&self) -> u8 {
+        self.codes()[0].max(self.codes()[1])
+    }
+
+    /// Whether something of rate `code` happens at this tick.
+    fn is_due(&self, code: u8) -> bool {
+        let slower = self.fastest_code().saturating_sub(code);
+        code != 0 && self.ticks.is_multiple_of(1 << slower)
+    }
+
+    fn lsb_per_dps(&self) -> f64 {
+        let range = self.register(CTRL2_G);
+        let doublings = if range & 0b10 == 0 {
+            1 + (range >> 2 & 0b11)
+        } else {
+            0
+        };
+        1e3 / (4.375 * f64::from(1 << doublings))
+    }
+
+    fn lsb_per_g(&self) -> f64 {
+        let mg_per_lsb = [0.061, 0.488, 0.122, 0.244];
+        1e3 / mg_per_lsb[usize::from(self.register(CTRL1_XL) >> 2 & 0b11)]
+    }
+
+    fn above_watermark(&self) -> bool {
+        let watermark = [self.register(FIFO_CTRL1), self.register(FIFO_CTRL2) & 1];
+        let watermark = usize::from(u16::from_le_bytes(watermark));
+        watermark > 0 && self.fifo.len() >= watermark
+    }
+
+    fn tick(&mut self, time_s: f64, source: &mut dyn Source) {
+        if source.waits_for_reader() && self.above_watermark() {
+            return;
+        }
+        let [mut rate, force] = self.codes().map(|code| self.is_due(code));
+        if force && !self.sample_force(time_s, source) {
+            return;
+        }
+        rate &= self.fault.get() != GyroscopeFault::Stops;
+        if rate {
+            self.sample_rate(time_s);
+        }
+        self.output[0] = quantise(256.0 * (source.temperature_c(time_s) - 25.0), 16);
+        self.fresh |= 0b100;
+        if self.register(FIFO_CTRL4) & 0b111 != 0 {
+            self.batch(rate, force);
+        }
+        self.ticks += 1;
+    }
+
+    fn sample_rate(&mut self, time_s: f64) {
+        let turned_on = time_s >= self.gyroscope_on_us as f64 * 1e-6 + TURN_ON_S;
+        let rate_hz = FASTEST_HZ / f64::from(1 << (10 - self.codes()[0]));
+        let (index, lsb_per_dps) = (self.taken[0], self.lsb_per_dps());
+        let counts = match (self.fault.get(), &mut self.rates) {
+            (GyroscopeFault::None, Some(rates)) if turned_on => {
+                rates.counts(index, time_s, rate_hz, lsb_per_dps)
+            }
+            _ => [i16::MAX; 3],
+        };
+        let shift = match self.register(CTRL5_C) >> 2 & 0b11 {
+            0b01 => SELF_TEST_DPS * lsb_per_dps,
+            0b11 => -SELF_TEST_DPS * lsb_per_dps,
+            _ => 0.0,
+        };
+        let counts = counts.map(|axis| axis.saturating_add(shift as i16));
+        if self.fault.get() != GyroscopeFault::Stuck {
+            self.output[1..4].copy_from_slice(&counts);
+        }
+        self.taken[0] += 1;
+        self.fresh |= 0b010;
+    }
+
+    /// Whether the source had a sample.
+    fn sample_force(&mut self, time_s: f64, source: &mut dyn Source) -> bool {
+        let conversion = Conversion {
+            index: self.taken[1],
+            time_s,
+            rate_hz: FASTEST_HZ / f64::from(1 << (10 - self.codes()[1])),
+            lsb_per_g: self.lsb_per_g(),
+            bits: 16,
+        };
+        let Some(counts) = source.acceleration(&conversion) else {
+            return false;
+        };
+        let shift = match self.register(CTRL5_C) & 0b11 {
+            0b01 => SELF_TEST_G * self.lsb_per_g(),
+            0b10 => -SELF_TEST_G * self.lsb_per_g(),
+            _ => 0.0,
+        };
+        self.output[4..7].copy_from_slice(&counts.0.map(|axis| axis.saturating_add(shift as i16)));
+        self.taken[1] += 1;
+        self.fresh |= 0b001;
+        true
+    }
+
+    /// Puts the words of this tick into the FIFO.
+    fn batch(&mut self, rate: bool, force: bool) {
+        let codes = self.codes();
+        let batched = self.register(FIFO_CTRL3);
+        let rate = rate && self.is_due(codes[0].min(batched >> 4));
+        let force = force && self.is_due(codes[1].min(batched & 0xF));
+        self.slot = self.slot.wrapping_add(u8::from(rate || force));
+        let control = self.register(FIFO_CTRL4);
+        // At 1.6 Hz (an eighth of code 1), 12.5 Hz, 52 Hz.
+        let temperature = match control >> 4 & 0b11 {
+            0b00 => false,
+            0b01 => self.ticks.is_multiple_of(8 << (self.fastest_code() - 1)),
+            0b10 => self.is_due(1),
+            _ => self.is_due(3),
+        };
+        let [t, gx, gy, gz, ax, ay, az] = self.output.map(i16::to_le_bytes);
+        for (is_due, sensor, data) in [
+            (rate, GYROSCOPE, [gx, gy, gz]),
+            (force, ACCELEROMETER, [ax, ay, az]),
+            (temperature, TEMPERATURE, [t, [0; 2], [0; 2]]),
+        ] {
+            if is_due {
+                self.fifo.push(sensor, self.slot, data);
+            }
+        }
+    }
+
+    fn read_output(&mut self, byte: usize) -> u8 {
+        let word = byte / 2;
+        self.fresh &= [!0b100, !0b010, !0b001][word.div_ceil(3)];
+        let [low, high] = self.output[word].to_le_bytes();
+        if byte.is_multiple_of(2) {
+            self.held_high[word] = self.is_set(CTRL3_C, BDU).then_some(high);
+            low
+        } else {
+            self.held_high[word].take().unwrap_or(high)
+        }
+    }
+
+    /// The register after `register` in a burst: words of the FIFO follow each other.
+    fn after(&self, register: u8) -> u8 {
+        match register {
+            _ if !self.is_set(CTRL3_C, IF_INC) => register,
+            FIFO_Z_H => FIFO_TAG,
+            _ => (register + 1) & 0x7F,
+        }
+    }
+
+    /// Whether the registers of the embedded functions hide `register`.
+    fn is_hidden(&self, register: u8) -> bool {
+        register != FUNC_CFG_ACCESS && self.is_set(FUNC_CFG_ACCESS, 0xC0)
+    }
+}
+
+impl Chip for Lsm6dso {
+    fn settle(&mut self, now: u64, source: &mut dyn Source) {
+        self.now = now;
+        let Some(mut sampling) = self.sampling else {
+            return;
+        };
+        while let Some(time_s) = sampling.take_due(now) {
+            self.tick(time_s, source);
+        }
+        self.sampling = Some(sampling);
+    }
+
+    fn reset(&mut self) {
+        self.registers = vec![0; 0x80];
+        self.registers[usize::from(CTRL3_C)] = IF_INC;
+        self.registers[usize::from(CTRL9_XL)] = 0xE0;
+        self.sampling = None;
+        self.output = [0; 7];
+        self.fresh = 0;
+        self.fifo = Fifo::default();
+    }
+
+    fn acknowledges(&self, address: u8) -> bool {
+        let i2c = address == self.address && !self.is_set(CTRL4_C, I2C_DISABLE);
+        i2c || address == spi::ADDRESS
+    }
+
+    fn begin_write(&mut self, _address: u8) {
+        self.expects_register = true;
+    }
+
+    fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
+        if std::mem::take(&mut self.expects_register) {
+            self.pointer = byte & 0x7F;
+            return;
+        }
+        let register = self.pointer;
+        self.pointer = self.after(register);
+        let read_only = matches!(
+            register,
+            WHO_AM_I | ALL_INT_SRC..=OUTZ_H_A | FIFO_STATUS1 | FIFO_STATUS2 | FIFO_TAG..
+        );
+        if self.is_hidden(register) || read_only {
+            return;
+        }
+        let codes = self.codes();
+        self.registers[usize::from(register)] = byte;
+        match register {
+            CTRL3_C if byte & SW_RESET != 0 => {
+                self.reset();
+                self.reset_until = now + RESET_US;
+            }
+            FIFO_CTRL4 if byte & 0b111 == 0 => self.fifo = Fifo::default(),
+            _ => {}
+        }
+        if self.codes() != codes {
+            if codes[0] == 0 {
+                self.gyroscope_on_us = now;
+            }
+            self.ticks = 0;
+            let rate_hz = FASTEST_HZ / f64::from(1 << (10 - self.fastest_code()));
+            let sampling = SampleClock::new(rate_hz, now, period_error_ppm);
+            self.sampling = (self.fastest_code() > 0).then_some(sampling);
+        }
+    }
+
+    fn read(&mut self, _address: u8) -> u8 {
+        let register = self.pointer;
+        self.pointer = self.after(register);
+        match register {
+            _ if self.is_hidden(register) => 0,
+            WHO_AM_I => self.identity,
+            CTRL3_C => self.register(CTRL3_C) | u8::from(self.now < self.reset_until),
+            STATUS => self.fresh,
+            OUT_TEMP_L..=OUTZ_H_A => self.read_output(usize::from(register - OUT_TEMP_L)),
+            FIFO_STATUS1 => self.fifo.len() as u8,
+            FIFO_STATUS2 => u8::from(self.above_watermark()) << 7 | self.fifo.status2(),
+            FIFO_TAG..=FIFO_Z_H => self.fifo.read(usize::from(register - FIFO_TAG)),
+            _ => self.register(register),
+        }
+    }
+
+    fn interrupt(&self) -> bool {
+        let full = self.fifo.len() >= WORDS;
+        // Data-ready of both sensors, FIFO threshold, overrun and full.
+        let happened = self.fresh & 0b011
+            | u8::from(self.above_watermark()) << 3
+            | u8::from(full) << 4
+            | u8::from(full) << 5;
+        (self.register(INT1_CTRL) & happened != 0) != self.is_set(CTRL3_C, ACTIVE_LOW)
+    }
+
+    fn next_change(&self) -> Option<u64> {
+        self.sampling.map(|sampling| sampling.next_us())
+    }
+
+    fn set_identity(&mut self, identity: u8) {
+        self.identity = identity;
+    }
+
+    fn samples_taken(&self) -> u64 {
+        self.taken[1]
+    }
+
+    fn has_unread(&self) -> bool {
+        self.fifo.len() > 0
+    }
+}

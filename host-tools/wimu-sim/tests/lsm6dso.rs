@@ -1,0 +1,661 @@
+//! The `wimu-lsm6dso` driver on the simulated sensor, in virtual time.
+
+use std::cell::Cell;
+use std::fmt::Debug;
+use std::rc::Rc;
+
+use embedded_hal_async::digital::Wait;
+use embedded_hal_async::i2c::I2c;
+use wimu_lsm6dso::{
+    AccelerationRange, Address, AngularRateRange, Batch, Bus, Error, FifoFault, I2cBus, Lsm6dso,
+    Power, Rate, Sample, Setup, SpiBus,
+};
+use wimu_model::{Counts, STANDARD_GRAVITY_MPS2};
+use wimu_sim::attitude::Attitude;
+use wimu_sim::clock::VirtualClock;
+use wimu_sim::i2c::{Faults, I2cError, SimI2c};
+use wimu_sim::lsm6dso::{
+    Gyroscope, GyroscopeFault, GyroscopeTruth, RateSource, accelerometer_truth, angular_rate_radps,
+};
+use wimu_sim::motion::{Hand, Motion, Pose};
+use wimu_sim::scene::{Scene, Temperature, World};
+use wimu_sim::sensor::Sensor;
+use wimu_sim::source::{Physics, Source};
+use wimu_sim::spi::SimSpi;
+use wimu_sim::truth::{Gauge, SensorTruth};
+
+const RANGES_G: [AccelerationRange; 4] = [
+    AccelerationRange::G2,
+    AccelerationRange::G4,
+    AccelerationRange::G8,
+    AccelerationRange::G16,
+];
+const RANGES_DPS: [(AngularRateRange, f64); 5] = [
+    (AngularRateRange::Dps125, 125.0),
+    (AngularRateRange::Dps250, 250.0),
+    (AngularRateRange::Dps500, 500.0),
+    (AngularRateRange::Dps1000, 1000.0),
+    (AngularRateRange::Dps2000, 2000.0),
+];
+const SETUP: Setup = Setup {
+    acceleration: AccelerationRange::G4,
+    angular_rate: AngularRateRange::Dps500,
+    rate: Rate::Hz208,
+    power: Power::High,
+    watermark: 8,
+    temperature: false,
+};
+/// 10 MHz.
+const SPI_HZ: u32 = 10_000_000;
+
+/// What a test holds beside the driver.
+struct Bench {
+    clock: VirtualClock,
+    sensor: Sensor,
+    gyroscope: Rc<Cell<GyroscopeFault>>,
+}
+
+impl Bench {
+    fn new(address: u8, source: impl Source + 'static, rates: impl RateSource + 'static) -> Self {
+        let clock = VirtualClock::new();
+        let gyroscope = Rc::default();
+        let sensor = Sensor::lsm6dso(&clock, address, source, rates, &gyroscope);
+        Self {
+            clock,
+            sensor,
+            gyroscope,
+        }
+    }
+
+    fn i2c(&self) -> (SimI2c, Faults) {
+        let bus = SimI2c::new(&self.clock, [Rc::new(self.sensor.clone()) as Rc<_>]);
+        let faults = bus.faults();
+        (bus, faults)
+    }
+
+    /// Runs `use_it` with a driver on I²C.
+    fn on_i2c(
+        &self,
+        use_it: impl AsyncFnOnce(&mut Lsm6dso<I2cBus<SimI2c>>) -> Result<(), Error<I2cError>>,
+    ) {
+        let (i2c, _) = self.i2c();
+        let address = Address::Low;
+        let mut driver = Lsm6dso::new(I2cBus { i2c, address });
+        let outcome = self.clock.run(use_it(&mut driver));
+        outcome.expect("nothing stalls").expect("the bus works");
+    }
+
+    /// Runs `use_it` with a driver on SPI.
+    fn on_spi<R>(&self, use_it: impl AsyncFnOnce(&mut Lsm6dso<SpiBus<SimSpi>>) -> R) -> R {
+        let spi = SimSpi::new(&self.clock, Rc::new(self.sensor.clone()), SPI_HZ);
+        let mut driver = Lsm6dso::new(SpiBus(spi));
+        let outcome = self.clock.run(use_it(&mut driver));
+        outcome.expect("nothing stalls")
+    }
+
+    /// Lets time pass.
+    async fn wait_us(&self, time_us: u64) {
+        self.clock.until(self.clock.now() + time_us).await;
+    }
+}
+
+/// A level body that rotates at a constant rate about one body axis for an hour.
+#[derive(Debug)]
+struct Spin([f64; 3]);
+
+impl Motion for Spin {
+    fn pose(&self, t: f64) -> Pose {
+        let angle = self.0.map(|dps| dps.to_radians() * t);
+        Pose::resting(Attitude::from_rotation_vector(angle))
+    }
+
+    fn duration(&self) -> f64 {
+        3600.0
+    }
+}
+
+fn spinning(dps: [f64; 3]) -> Scene {
+    let scene = Scene::new(World::default());
+    scene.play(0.0, Rc::new(Spin(dps)));
+    scene
+}
+
+/// An ideal sensor in `scene`.
+fn ideal(scene: Scene) -> Bench {
+    let physics = Physics::new(SensorTruth::ideal(), scene.clone(), 1);
+    Bench::new(
+        0x6A,
+        physics,
+        Gyroscope::new(GyroscopeTruth::ideal(), scene, 1),
+    )
+}
+
+/// Samples that tell their number on every axis of both sensors.
+#[derive(Debug)]
+struct Numbered;
+
+impl Source for Numbered {
+    fn acceleration(&mut self, conversion: &wimu_sim::source::Conversion) -> Option<Counts> {
+        Some(Counts([conversion.index as i16; 3]))
+    }
+    fn magnetic_field_nt(&mut self, _index: u64, _time_s: f64) -> [f64; 3] {
+        [0.0; 3]
+    }
+    fn temperature_c(&mut self, _time_s: f64) -> f64 {
+        25.0
+    }
+}
+
+impl RateSource for Numbered {
+    fn counts(&mut self, index: u64, _: f64, _: f64, _: f64) -> [i16; 3] {
+        // The gyroscope's samples during its turn-on time come from the model itself.
+        [index as i16; 3]
+    }
+}
+
+fn numbered() -> Bench {
+    Bench::new(0x6A, Numbered, Numbered)
+}
+
+/// The number of a sample, whose words must be of the same instant.
+fn number(sample: &Sample) -> i16 {
+    let number = sample.acceleration[0];
+    assert_eq!(sample.acceleration, [number; 3]);
+    assert_eq!(sample.angular_rate, [number; 3], "of the same instant");
+    number
+}
+
+/// Reads the FIFO until it holds less than a sample, or for 40 bursts on a bus that hardly keeps up.
+async fn drain<B: Bus>(
+    driver: &mut Lsm6dso<B>,
+) -> Result<(Vec<Batch>, Vec<Sample>), Error<B::Error>> {
+    let (mut batches, mut all) = (Vec::new(), Vec::new());
+    for _ in 0..40 {
+        let mut samples = [Sample::default(); 16];
+        let batch = driver.read(&mut samples).await?;
+        batches.push(batch);
+        all.extend_from_slice(&samples[..batch.count]);
+        if batch.words_left < 2 {
+            break;
+        }
+    }
+    Ok((batches, all))
+}
+
+fn near(counts: i16, lsb: f64, expected: f64) {
+    let found = f64::from(counts) * lsb;
+    assert!(
+        (found - expected).abs() <= 0.51 * lsb,
+        "{found}, expected {expected}"
+    );
+}
+
+#[test]
+fn every_range_reads_gravity_and_a_constant_rate() {
+    for range in RANGES_G {
+        for (angular_range, dps) in RANGES_DPS {
+            // Half of the range about the vertical.
+            let bench = ideal(spinning([0.0, 0.0, -dps / 2.0]));
+            bench.on_i2c(async |driver| {
+                let setup = Setup {
+                    acceleration: range,
+                    angular_rate: angular_range,
+                    ..SETUP
+                };
+                driver.start(&setup, &mut bench.clock.clone()).await?;
+                bench.wait_us(50_000).await;
+                let (_, samples) = drain(driver).await?;
+                assert!(samples.len() >= 9);
+                for sample in samples {
+                    let g = f64::from(range.ug_per_lsb()) * 1e-6;
+                    let [x, y, z] = sample.acceleration;
+                    near(x, g, 0.0);
+                    near(y, g, 0.0);
+                    near(z, g, 1.0);
+                    let lsb = f64::from(angular_range.udps_per_lsb()) * 1e-6;
+                    assert_eq!(sample.angular_rate[..2], [0, 0]);
+                    near(sample.angular_rate[2], lsb, -dps / 2.0);
+                }
+                Ok(())
+            });
+        }
+    }
+}
+
+#[test]
+fn both_sensors_saturate_at_full_scale() {
+    let bench = ideal(spinning([0.0, 0.0, 300.0]));
+    bench.on_i2c(async |driver| {
+        let setup = Setup {
+            angular_rate: AngularRateRange::Dps250,
+            ..SETUP
+        };
+        driver.start(&setup, &mut bench.clock.clone()).await?;
+        bench.wait_us(50_000).await;
+        for sample in drain(driver).await?.1 {
+            assert_eq!(sample.angular_rate, [0, 0, i16::MAX]);
+            assert_eq!(sample.saturated(), [false, true]);
+        }
+        Ok(())
+    });
+}
+
+#[test]
+fn every_rate_on_both_buses_gives_every_sample_once() {
+    async fn follow<B: Bus<Error: Debug>>(bench: &Bench, driver: &mut Lsm6dso<B>, rate: Rate) {
+        let watermark = 64;
+        let setup = Setup {
+            rate,
+            watermark,
+            ..SETUP
+        };
+        driver.check_identity().await.expect("it is one");
+        let started = driver.start(&setup, &mut bench.clock.clone()).await;
+        started.expect("the bus works");
+        let mut line = bench.sensor.data_ready();
+        let mut last = None;
+        for round in 0..4 {
+            line.wait_for_high().await.expect("never fails");
+            let (batches, samples) = drain(driver).await.expect("the bus works");
+            assert!(
+                batches.iter().all(|batch| batch.fault.is_none()),
+                "{rate:?}"
+            );
+            assert!(!batches.iter().any(|batch| batch.gap), "{rate:?}");
+            assert!(samples.len() >= 64, "{rate:?}, round {round}");
+            for sample in samples {
+                let number = number(&sample);
+                assert!(last.is_none_or(|last| number == last + 1), "{last:?}");
+                last = Some(number);
+            }
+        }
+    }
+    for rate in Rate::ALL {
+        // 3.332 kHz takes 1.2 times what a bus of 400 kHz carries.
+        if rate < Rate::Hz3332 {
+            let bench = numbered();
+            bench.on_i2c(async |driver| {
+                follow(&bench, driver, rate).await;
+                Ok(())
+            });
+        }
+        let bench = numbered();
+        bench.on_spi(async |driver| follow(&bench, driver, rate).await);
+        let taken = bench.sensor.samples_taken();
+        // 80 ms and two periods of settling, then four times the watermark and what came meanwhile.
+        assert!(taken > 4 * 64, "{rate:?}: {taken}");
+    }
+}
+
+#[test]
+fn the_line_rises_with_the_sample_that_reaches_the_watermark() {
+    let bench = numbered();
+    bench.on_i2c(async |driver| {
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        let mut line = bench.sensor.data_ready();
+        let mut rises = Vec::new();
+        for _ in 0..5 {
+            line.wait_for_high().await.expect("never fails");
+            rises.push(line.rose_us());
+            assert_eq!(drain(driver).await?.1.len(), 8);
+            line.wait_for_low().await.expect("never fails");
+        }
+        // 8 periods of 4.8 ms.
+        assert!(
+            rises.windows(2).all(|pair| pair[1] - pair[0] == 38_400),
+            "{rises:?}"
+        );
+        Ok(())
+    });
+}
+
+#[test]
+fn no_sample_of_the_turn_on_time_is_delivered() {
+    for rate in Rate::ALL {
+        let bench = ideal(Scene::new(World::default()));
+        bench.on_spi(async |driver| {
+            let setup = Setup { rate, ..SETUP };
+            let clock = &bench.clock;
+            driver
+                .start(&setup, &mut clock.clone())
+                .await
+                .expect("the bus works");
+            bench.wait_us(20 * u64::from(rate.period_ns()) / 1000).await;
+            let (_, samples) = drain(driver).await.expect("the bus works");
+            assert!(samples.len() >= 19, "{rate:?}");
+            assert!(
+                samples.iter().all(|sample| sample.angular_rate == [0; 3]),
+                "{rate:?}"
+            );
+        });
+    }
+}
+
+#[test]
+fn an_overrun_is_reported_once_and_the_newest_256_samples_stay() {
+    let bench = numbered();
+    bench.on_i2c(async |driver| {
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        // One sample is read, then 1000 arrive.
+        bench.wait_us(12_000).await;
+        let mut first = [Sample::default(); 1];
+        driver.read(&mut first).await?;
+        bench.wait_us(4_800_000).await;
+        let newest = bench.sensor.samples_taken() as i16 - 1;
+        let (batches, samples) = drain(driver).await?;
+        assert!(batches[0].overrun && batches[0].gap);
+        let oldest = number(&samples[0]);
+        assert!(
+            (newest - 256..newest - 250).contains(&oldest),
+            "{oldest}, {newest}"
+        );
+        let later = batches.iter().skip(1).filter(|batch| batch.gap).count();
+        assert_eq!(later, 0);
+        for pair in samples.windows(2) {
+            assert_eq!(number(&pair[1]), number(&pair[0]) + 1);
+        }
+        Ok(())
+    });
+}
+
+/// 6.664 kHz on I²C: the FIFO overruns during bursts all the time.
+#[test]
+fn a_bus_that_is_too_slow_loses_samples_but_pairs_none_wrongly() {
+    for rate in [Rate::Hz3332, Rate::Hz6664] {
+        let bench = numbered();
+        bench.on_i2c(async |driver| {
+            let setup = Setup { rate, ..SETUP };
+            driver.start(&setup, &mut bench.clock.clone()).await?;
+            let (mut last, mut overruns) = (None, 0);
+            for _ in 0..400 {
+                let mut samples = [Sample::default(); 16];
+                let batch = driver.read(&mut samples).await?;
+                overruns += u32::from(batch.overrun);
+                if batch.gap {
+                    last = None;
+                }
+                for sample in &samples[..batch.count] {
+                    let number = number(sample);
+                    assert!(last.is_none_or(|last: i16| number == last.wrapping_add(1)));
+                    last = Some(number);
+                }
+            }
+            assert!(overruns > 100, "{overruns}");
+            Ok(())
+        });
+    }
+}
+
+#[test]
+fn a_gyroscope_that_stops_is_reported_and_recovers() {
+    let bench = numbered();
+    bench.on_i2c(async |driver| {
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        bench.wait_us(50_000).await;
+        assert!(!drain(driver).await?.1.is_empty());
+        bench.gyroscope.set(GyroscopeFault::Stops);
+        bench.wait_us(50_000).await;
+        let (batches, samples) = drain(driver).await?;
+        assert_eq!(samples, []);
+        assert_eq!(batches[0].fault, Some(FifoFault::GyroscopeMissing));
+        bench.gyroscope.set(GyroscopeFault::None);
+        bench.wait_us(50_000).await;
+        let (batches, samples) = drain(driver).await?;
+        assert!(samples.len() >= 9);
+        assert_eq!(batches[0].fault, Some(FifoFault::GyroscopeMissing));
+        Ok(())
+    });
+}
+
+#[test]
+fn a_stuck_and_a_saturated_gyroscope_are_visible_in_the_counts() {
+    let scene = Scene::new(World::default());
+    scene.play(0.0, Rc::new(Hand::new(3, 10.0, 20.0)));
+    let bench = ideal(scene);
+    bench.on_i2c(async |driver| {
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        bench.wait_us(3_000_000).await;
+        drain(driver).await?;
+        let mut rates = async |fault| {
+            bench.gyroscope.set(fault);
+            bench.wait_us(50_000).await;
+            let (_, samples) = drain(driver).await?;
+            Ok::<_, Error<I2cError>>(samples.into_iter().skip(2).collect::<Vec<_>>())
+        };
+        let moving = rates(GyroscopeFault::None).await?;
+        assert!(
+            moving
+                .windows(2)
+                .all(|pair| pair[0].angular_rate != pair[1].angular_rate)
+        );
+        let stuck = rates(GyroscopeFault::Stuck).await?;
+        assert!(
+            stuck
+                .windows(2)
+                .all(|pair| pair[0].angular_rate == pair[1].angular_rate)
+        );
+        let saturated = rates(GyroscopeFault::Saturates).await?;
+        assert!(
+            saturated
+                .iter()
+                .all(|sample| sample.saturated() == [false, true])
+        );
+        Ok(())
+    });
+}
+
+#[test]
+fn another_chip_no_chip_and_a_broken_bus_are_told_apart() {
+    let bench = numbered();
+    let (i2c, faults) = bench.i2c();
+    let address = Address::Low;
+    let mut driver = Lsm6dso::new(I2cBus { i2c, address });
+    let outcome = bench.clock.run(async {
+        bench.sensor.set_who_am_i(0x6B);
+        let wrong = driver.check_identity().await;
+        assert_eq!(wrong, Err(Error::WrongIdentity { found: 0x6B }));
+        bench.sensor.set_who_am_i(0x6C);
+        bench.sensor.set_present(false);
+        assert_eq!(driver.check_identity().await, Err(Error::NotAnswering));
+        bench.sensor.set_present(true);
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        bench.wait_us(50_000).await;
+        // The status is answered, the burst is not.
+        faults.refuse_after(1);
+        let mut samples = [Sample::default(); 16];
+        assert_eq!(driver.read(&mut samples).await, Err(Error::NotAnswering));
+        faults.clear();
+        let batch = driver.read(&mut samples).await?;
+        assert!(batch.gap && batch.count > 0);
+        Ok::<_, Error<I2cError>>(())
+    });
+    outcome.expect("nothing stalls").expect("the bus works");
+    bench.sensor.set_present(false);
+    let absent = bench.on_spi(async |driver| driver.check_identity().await);
+    assert_eq!(absent, Err(Error::NotAnswering));
+}
+
+#[test]
+fn the_other_address_answers_and_spi_turns_i2c_off() {
+    let bench = Bench::new(0x6B, Numbered, Numbered);
+    let (i2c, _) = bench.i2c();
+    let address = Address::High;
+    let mut driver = Lsm6dso::new(I2cBus { i2c, address });
+    let found = bench.clock.run(driver.check_identity());
+    assert_eq!(found, Ok(Ok(())));
+    let started = bench.on_spi(async |driver| driver.start(&SETUP, &mut bench.clock.clone()).await);
+    assert_eq!(started, Ok(()));
+    let found = bench.clock.run(driver.check_identity());
+    assert_eq!(found, Ok(Err(Error::NotAnswering)));
+}
+
+#[test]
+fn a_start_works_from_any_state() {
+    let bench = numbered();
+    let (mut i2c, _) = bench.i2c();
+    let disturbed = bench.clock.run(async {
+        i2c.write(0x6A, &[0x10, 0xA4]).await?;
+        i2c.write(0x6A, &[0x0A, 0x56]).await?;
+        // Without increments, behind the registers of the embedded functions.
+        i2c.write(0x6A, &[0x12, 0x00]).await?;
+        i2c.write(0x6A, &[0x01, 0x80]).await
+    });
+    disturbed.expect("nothing stalls").expect("the bus works");
+    bench.on_i2c(async |driver| {
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        driver.check_identity().await?;
+        bench.wait_us(50_000).await;
+        let (batches, samples) = drain(driver).await?;
+        assert!(!batches[0].gap && samples.len() >= 9);
+        Ok(())
+    });
+}
+
+#[test]
+fn temperatures_come_through_the_fifo() {
+    let world = World {
+        temperature: Temperature::Constant(-10.5),
+        ..World::default()
+    };
+    let bench = ideal(Scene::new(world));
+    bench.on_i2c(async |driver| {
+        let setup = Setup {
+            temperature: true,
+            ..SETUP
+        };
+        driver.start(&setup, &mut bench.clock.clone()).await?;
+        let mut temperatures = Vec::new();
+        while bench.clock.now() < 4_000_000 {
+            bench.wait_us(19_200).await;
+            let (batches, _) = drain(driver).await?;
+            assert!(batches.iter().all(|batch| batch.fault.is_none()));
+            temperatures.extend(batches.iter().filter_map(|batch| batch.temperature));
+        }
+        // 1.6 Hz over 4 s.
+        assert!((5..=8).contains(&temperatures.len()), "{temperatures:?}");
+        let lsb = -9088; // 25 °C - 35.5 K
+        assert!(temperatures.iter().all(|found| *found == lsb));
+        assert_eq!(driver.temperature().await?, lsb);
+        Ok(())
+    });
+}
+
+#[test]
+fn the_self_test_is_within_the_datasheets_limits() {
+    let bench = ideal(Scene::new(World::default()));
+    bench.on_i2c(async |driver| {
+        let test = driver.self_test(&mut bench.clock.clone()).await?;
+        assert_eq!(test.passed(), [[true; 3]; 2], "{test:?}");
+        bench.gyroscope.set(GyroscopeFault::Stuck);
+        let test = driver.self_test(&mut bench.clock.clone()).await?;
+        assert_eq!(test.passed(), [[true; 3], [false; 3]]);
+        Ok(())
+    });
+}
+
+#[test]
+fn output_registers_keep_the_bytes_of_a_value_together() {
+    let bench = numbered();
+    let (mut i2c, _) = bench.i2c();
+    let value = async |i2c: &mut SimI2c, control: u8| {
+        i2c.write(0x6A, &[0x12, control]).await?;
+        let (mut low, mut high) = ([0], [0]);
+        i2c.write_read(0x6A, &[0x28], &mut low).await?;
+        // 256 samples later.
+        bench.wait_us(256 * 150).await;
+        i2c.write_read(0x6A, &[0x29], &mut high).await?;
+        let after = bench.sensor.samples_taken() - 1;
+        Ok::<_, I2cError>((u16::from_le_bytes([low[0], high[0]]), after as u16))
+    };
+    let outcome = bench.clock.run(async {
+        i2c.write(0x6A, &[0x10, 0xA0]).await?;
+        bench.wait_us(150_000).await;
+        let (held, after) = value(&mut i2c, 0x44).await?;
+        assert!((after - held).abs_diff(258) <= 2, "{held}, {after}");
+        let (torn, after) = value(&mut i2c, 0x04).await?;
+        assert!((after - torn) < 5, "{torn}, {after}");
+        Ok::<_, I2cError>(())
+    });
+    outcome.expect("nothing stalls").expect("the bus works");
+}
+
+#[test]
+fn the_oscillator_sets_the_rate() {
+    let scene = Scene::new(World::default());
+    let mut physics = Physics::new(SensorTruth::ideal(), scene.clone(), 1);
+    physics.truth.period_error_ppm = -15_000.0;
+    let bench = Bench::new(
+        0x6A,
+        physics,
+        Gyroscope::new(GyroscopeTruth::ideal(), scene, 1),
+    );
+    bench.on_i2c(async |driver| {
+        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+        let before = bench.sensor.samples_taken();
+        bench.wait_us(4_800_000).await;
+        let taken = bench.sensor.samples_taken() - before;
+        assert!(taken.abs_diff(1015) <= 1, "{taken}");
+        Ok(())
+    });
+}
+
+/// The angular rate that the model derives from attitudes, integrated again.
+#[test]
+fn the_angular_rate_of_hand_motion_integrates_to_its_attitude() {
+    let scene = Scene::new(World::default());
+    scene.play(0.0, Rc::new(Hand::new(5, 10.0, 20.0)));
+    let mut attitude = scene.state(0.0).attitude;
+    let steps = 40_000_u32;
+    let dt = 10.0 / f64::from(steps);
+    for step in 0..steps {
+        // The midpoint rule.
+        let rate = angular_rate_radps(&scene, (f64::from(step) + 0.5) * dt);
+        attitude = attitude.turned(Attitude::from_rotation_vector(rate.map(|w| w * dt)));
+    }
+    let error = attitude.angle_to(scene.state(10.0).attitude);
+    assert!(error < 1e-6, "{error} rad");
+    let [x, y, z] = angular_rate_radps(&spinning([0.0, 700.0, 0.0]), 2.0);
+    assert!(x.abs() < 1e-9 && z.abs() < 1e-9, "{x} {z}");
+    assert!((y - 700_f64.to_radians()).abs() < 1e-7, "{y}");
+}
+
+#[test]
+fn hidden_errors_and_noise_appear_in_the_counts() {
+    let scene = Scene::new(World::default());
+    let truth = GyroscopeTruth::random(7);
+    let physics = Physics::new(accelerometer_truth(7, Gauge::Full), scene.clone(), 7);
+    let bench = Bench::new(0x6A, physics, Gyroscope::new(truth, scene, 7));
+    bench.on_spi(async |driver| {
+        let setup = Setup {
+            angular_rate: AngularRateRange::Dps125,
+            ..SETUP
+        };
+        let started = driver.start(&setup, &mut bench.clock.clone()).await;
+        started.expect("SPI works");
+        let mut rates = Vec::new();
+        for _ in 0..100 {
+            bench.wait_us(400_000).await;
+            let (_, samples) = drain(driver).await.expect("SPI works");
+            rates.extend(samples.iter().map(|sample| sample.angular_rate));
+        }
+        let n = rates.len() as f64;
+        for axis in 0..3 {
+            let dps: Vec<f64> = rates
+                .iter()
+                .map(|rate| f64::from(rate[axis]) * 4.375e-3)
+                .collect();
+            let mean = dps.iter().sum::<f64>() / n;
+            let g_sensitivity = truth.g_sensitivity_dps_per_mps2[axis][2] * STANDARD_GRAVITY_MPS2;
+            assert!(
+                (mean - truth.bias_dps[axis] - g_sensitivity).abs() < 3e-3,
+                "{mean}"
+            );
+            let sd = (dps.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / n).sqrt();
+            let expected = truth.noise_dps_per_rthz * (1e9 / 4_800_000.0 / 2.0_f64).sqrt();
+            assert!(
+                (sd / expected - 1.0).abs() < 0.05,
+                "{sd}, expected {expected}"
+            );
+        }
+    });
+}

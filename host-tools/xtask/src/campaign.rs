@@ -153,10 +153,6 @@ pub const CAMPAIGNS: [Campaign; 9] = [
         about: "errors and consistency on recordings and journeys, beside plain baselines",
         runs: &[
             Run {
-                command: "test --release -p wimu-nav --test all -- --include-ignored",
-                sources: &NAVIGATION,
-            },
-            Run {
                 command: "test --release -p wimu-host --test all -- --include-ignored array_coverage:: array_input:: array_survey:: arrays:: slides:: violent::",
                 sources: &HOST_NAVIGATION,
             },
@@ -179,6 +175,10 @@ pub const CAMPAIGNS: [Campaign; 9] = [
             Run {
                 command: "run --release -p wimu-host --example score_navigation -- {data} --json {results}/navigation-reference.json",
                 sources: &HOST_NAVIGATION,
+            },
+            Run {
+                command: "test --release -p wimu-nav --test all -- --include-ignored",
+                sources: &NAVIGATION,
             },
         ],
     },

@@ -113,9 +113,9 @@ fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
     host.restart().expect("it starts");
     let watched = memory.clone();
     let before = flash(&memory);
-    let begun = thread::spawn(move || begun(&watched, &before));
+    let first = thread::spawn(move || begun(&watched, &before));
     host.cable.push_parameters(&sets[0]).expect("pushed");
-    let span = begun.join().expect("written").elapsed();
+    let span = first.join().expect("written").elapsed();
     let mut holds = ids[0];
     for kill in 0..kills {
         board.borrow_mut().machine().slow_flash = Some(CYCLES);

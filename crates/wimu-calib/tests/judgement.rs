@@ -271,7 +271,11 @@ fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
             poses.len() - estimate.rejected.as_slice().len()
         );
     }
-    coverage_figure("bad poses, 0 to 3 of 30, are left out", &[found], 0.995..=1.0);
+    coverage_figure(
+        "bad poses, 0 to 3 of 30, are left out",
+        &[found],
+        0.995..=1.0,
+    );
     coverage_figure("good poses of 30 are left out", &[wrongly], 0.0..=0.001);
     coverage_figure(
         "sessions with 0 to 3 bad of 30 poses are answered",

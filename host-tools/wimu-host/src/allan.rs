@@ -423,7 +423,7 @@ impl fmt::Display for NoiseReport {
             let density = axis.noise_density_m_s2_rthz;
             write!(
                 out,
-                "\n{name}: noise density {:.1} ± {:.1} µg/√Hz, velocity random walk {:.3} mm/s/√s, ",
+                "\n{name}: noise density (one-sided) {:.1} ± {:.1} µg/√Hz, velocity random walk N {:.3} mm/s/√s, ",
                 density.value * ug,
                 density.sd * ug,
                 axis.velocity_random_walk_m_s_rts.value * 1e3

@@ -273,8 +273,7 @@ impl<R: BufRead> CsvReader<R> {
         match &self.unit {
             Some(unit) if unit != field => Err(ErrorCode::CsvMixedUnits.error(format!("the range changes here: 1 g is {field} LSB, before {unit} LSB"),
                 format!(
-                        "select the rows of one range with --where \"{SENSITIVITY}={unit}\" (where the command has it), or record \
-                         at one range"
+                        "select the rows of one range with --where \"{SENSITIVITY}={unit}\", or record at one range"
                 ),
             )
             .at(self.location(Some(index)))),

@@ -12,6 +12,7 @@ pub mod compare;
 pub mod csv;
 pub mod dataset;
 pub mod decode;
+pub mod digits;
 mod error;
 pub mod export;
 mod foreign;

@@ -70,7 +70,15 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
             .filter(|line| !line.is_empty())
             .collect();
         let message = message.join(" ").trim_start_matches("error: ").to_owned();
-        Output::new(true).failure(&usage(message, "see `wimu --help`"));
+        let command = Arguments::command();
+        let named = std::env::args()
+            .skip(1)
+            .find(|argument| command.find_subcommand(argument).is_some());
+        let help = match named {
+            Some(name) => format!("see `wimu {name} --help`"),
+            None => "see `wimu --help`".to_owned(),
+        };
+        Output::new(true).failure(&usage(message, help));
     } else {
         let _ = error.print();
     }

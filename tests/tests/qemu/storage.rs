@@ -6,7 +6,7 @@ use std::io::Read;
 use std::path::Path;
 use std::process::Command;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use wimu_host::ErrorCode;
 use wimu_link::LinkRole;
@@ -94,9 +94,9 @@ fn power_lost_at_any_word_of_a_push_leaves_the_old_parameters_or_the_new() {
     assert!(outcomes[0] > 20 && outcomes[2] == 1, "{outcomes:?}");
 }
 
-/// Kills QEMU `kills` times, each time while it writes a push into a flash that is slow, at a moment that
-/// nobody chose; after each it must hold the set of before or the new one. Returns how often it held
-/// which, and how often the write was unfinished.
+/// Kills QEMU `kills` times while it writes a push into a slow flash, at random times within the
+/// duration that an uninterrupted push takes on this machine. After each kill it must hold the previous
+/// or the new set. Returns how often it held which, and how often the write was unfinished.
 fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
     /// In QEMU some milliseconds.
     const CYCLES: u32 = 3_000_000;
@@ -106,21 +106,26 @@ fn killed_while_writing(kills: u32) -> ([u32; 2], u32) {
     let sets = [5, 6].map(parameters);
     let ids = sets.map(|set| host.cable.push_parameters(&set).expect("pushed").0);
     let memory = memory(folder.path());
-    let mut holds = ids[1];
     let mut outcomes = [0; 2];
     let mut unfinished = 0;
     let mut random = Random::new(1);
+    board.borrow_mut().machine().slow_flash = Some(CYCLES);
+    host.restart().expect("it starts");
+    let watched = memory.clone();
+    let before = flash(&memory);
+    let first = thread::spawn(move || begun(&watched, &before));
+    host.cable.push_parameters(&sets[0]).expect("pushed");
+    let span = first.join().expect("written").elapsed();
+    let mut holds = ids[0];
     for kill in 0..kills {
         board.borrow_mut().machine().slow_flash = Some(CYCLES);
         host.restart().expect("it starts");
         let id = board.borrow().process_id().to_string();
-        let delay = Duration::from_micros(random.below(900_000) as u64);
+        let delay = span.mul_f64(random.uniform());
         let before = flash(&memory);
         let watched = memory.clone();
         let killer = thread::spawn(move || {
-            while flash(&watched) == before {
-                thread::sleep(Duration::from_micros(300));
-            }
+            begun(&watched, &before);
             thread::sleep(delay);
             let killed = Command::new("kill").args(["-9", &id]).status();
             assert!(killed.is_ok_and(|status| status.success()));
@@ -158,6 +163,14 @@ fn a_machine_killed_while_it_writes_holds_the_old_parameters_or_the_new() {
         true,
     );
     assert!(unfinished * 4 > kills, "{unfinished} of {kills}");
+}
+
+/// Waits until the flash in this file is no longer what it was, and says when.
+fn begun(path: &Path, before: &[u8]) -> Instant {
+    while flash(path) == before {
+        thread::sleep(Duration::from_micros(300));
+    }
+    Instant::now()
 }
 
 /// The flash's bytes in the file that keeps it, complemented: an erased bit is 0.

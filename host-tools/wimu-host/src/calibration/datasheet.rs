@@ -5,6 +5,7 @@ use std::fmt;
 use serde::Serialize;
 use wimu_calib::{Datasheet, Estimate, Finding, Quantity, Verdict};
 
+use crate::digits::{signed, significant};
 use crate::error::{ErrorCode, Result};
 
 /// The datasheet of the sensor called `name`.
@@ -90,8 +91,10 @@ impl DatasheetReport {
             vec![
                 format!("{} {}", limit.quantity, limit.of),
                 format!(
-                    "{:+.3} ± {:.3} {}",
-                    limit.value, limit.half_width_95, limit.unit
+                    "{} ± {} {}",
+                    signed(limit.value, 3),
+                    significant(limit.half_width_95, 2),
+                    limit.unit
                 ),
                 format!(
                     "± {} {}{}",
@@ -106,7 +109,7 @@ impl DatasheetReport {
     }
 
     pub(super) const HEAD: [&'static str; 4] =
-        ["parameter", "estimate, 95 %", "datasheet", "verdict"];
+        ["parameter", "estimate, 95 %", "datasheet", "finding"];
 }
 
 fn limit(finding: &Finding) -> LimitReport {
@@ -133,18 +136,25 @@ impl fmt::Display for DatasheetReport {
             let Some(first) = of_one.first() else {
                 continue;
             };
-            let kind = if first.guaranteed { "" } else { ", typical" };
+            let kind = if first.guaranteed {
+                ""
+            } else {
+                ", typical limits"
+            };
             write!(out, "\n  {}, {}{kind}:", first.quantity, first.unit)?;
             for (place, limit) in of_one.iter().enumerate() {
                 let comma = if place > 0 { "," } else { "" };
-                let verdict = match limit.verdict.as_str() {
-                    "within" => String::new(),
-                    other => format!(" {}", other.to_uppercase()),
+                let [relation, note] = match limit.verdict.as_str() {
+                    "beyond" => ["exceeds", ""],
+                    "unclear" => ["of", " (within its uncertainty of the limit)"],
+                    _ => ["of", ""],
                 };
                 write!(
                     out,
-                    "{comma} {} {:+.3} of ± {}{verdict}",
-                    limit.of, limit.value, limit.limit
+                    "{comma} {} {} {relation} ±{}{note}",
+                    limit.of,
+                    signed(limit.value, 3),
+                    limit.limit
                 )?;
             }
         }
@@ -156,13 +166,13 @@ impl fmt::Display for DatasheetReport {
                     0 => write!(out, "\n  all {count} within the limits"),
                     _ => write!(
                         out,
-                        "\n  none of {count} beyond the limits, {unclear} unclear"
+                        "\n  none of {count} exceeds its limit, {unclear} within the uncertainty of the limit"
                     ),
                 }
             }
             beyond => write!(
                 out,
-                "\n  {beyond} of {count} beyond the limits ({} guaranteed): check that it is this sensor, at its nominal \
+                "\n  {beyond} of {count} exceed the limits ({} of them guaranteed): check that it is this sensor, at its nominal \
                  sensitivity and about 25 °C",
                 self.beyond_guaranteed
             ),

@@ -262,8 +262,8 @@ impl MagnetometerReport {
                  --dip -60, to detect a negated axis".to_owned(),
             ),
             Some(place) if (dip - place).abs() > MAX_DISTORTION_DEG => remarks.push(format!(
-                    "the estimated dip is {dip:+.1}°, the given one {place:+.1}°: iron nearby distorts the field, or the \
-                     accelerometer's calibration is of another sensor"
+                    "the estimated dip is {dip:+.1}°, the given one {place:+.1}°: check --dip, iron nearby, the signs of \
+                     the axes, and that --with is of this sensor"
             )),
             Some(_) => {}
         }
@@ -413,7 +413,7 @@ impl fmt::Display for MagnetometerReport {
             let [w, i, j, k] = r.rotation.quaternion();
             write!(
                 out,
-                "\nto the accelerometer {w:+.5} {i:+.5} {j:+.5} {k:+.5} ± {x:.2} {y:.2} {z:.2}°, \
+                "\nrotation quaternion (w x y z), magnetometer to accelerometer: {w:+.5} {i:+.5} {j:+.5} {k:+.5} ± {x:.2} {y:.2} {z:.2}°, \
                  dip {:+.2}° ({:.2}° rms over the poses)",
                 r.dip_rad.to_degrees(),
                 r.dip_rms_rad.to_degrees()

@@ -15,6 +15,7 @@ use super::input::{magnitude, median};
 use super::paired::Paired;
 use super::range::Range;
 use super::{CalibrationReport, Source};
+use crate::digits::{signed_with_sd, with_sd};
 use crate::error::{ErrorCode, Result};
 use crate::plural::counted;
 
@@ -164,7 +165,7 @@ pub fn compare_with_reference(
     };
     if data.without_unit > 0 {
         report.remarks.push(format!(
-            "{} left out: their range is unknown because an epoch was lost",
+            "{} left out: their range is unknown because a time-reference message (Epoch) was lost",
             counted(data.without_unit, "sample")
         ));
     }
@@ -352,33 +353,42 @@ impl fmt::Display for ReferenceReport {
                 self.reason.as_deref().unwrap_or("no reason")
             );
         };
+        let noise = |report: &AxisReport| match report.noise_from {
+            Some(NoiseSource::Given) => "noise ratio as given",
+            Some(NoiseSource::Rests) => "noise ratio from rests",
+            Some(NoiseSource::Neighbours) | None => "noise estimated from neighbouring samples",
+            Some(NoiseSource::Bounds) => {
+                "noise ratio unknown, ± covers all ratios: hold both still for a while, or give --noise-ratio"
+            }
+        };
+        let mut noises: Vec<(&str, Vec<&str>)> = Vec::new();
         for (axis, (name, report)) in ["X", "Y", "Z"].into_iter().zip(axes).enumerate() {
             if report.separated {
-                let noise = match report.noise_from {
-                    Some(NoiseSource::Given) => "noise ratio as given",
-                    Some(NoiseSource::Rests) => "noise ratio from rests",
-                    Some(NoiseSource::Neighbours) | None => "noises from neighbouring samples",
-                    Some(NoiseSource::Bounds) => {
-                        "noise ratio unknown, ± covers all ratios: hold both still for a while, or give --noise-ratio"
-                    }
-                };
+                let source = noise(report);
+                match noises.iter_mut().find(|(known, _)| *known == source) {
+                    Some((_, names)) => names.push(name),
+                    None => noises.push((source, vec![name])),
+                }
                 writeln!(
                     out,
-                    "{name}: bias {:+.5} ± {:.5} m/s², scale factor {:.6} ± {:.6}; residual {:.2} mm/s² rms; {noise}",
-                    model.bias_mps2[axis],
-                    sd.bias_mps2[axis],
-                    model.matrix[axis][axis],
-                    sd.matrix[axis][axis],
+                    "{name}: bias {} m/s², scale factor {}; residual {:.2} mm/s² rms",
+                    signed_with_sd(model.bias_mps2[axis], sd.bias_mps2[axis]),
+                    with_sd(model.matrix[axis][axis], sd.matrix[axis][axis]),
                     report.rms_mm_s2,
                 )?;
             } else {
                 writeln!(
                     out,
-                    "{name}: offset {:+.5} ± {:.5} m/s² at {:+.2} m/s²; bias and scale factor not separable: it moved only \
+                    "{name}: offset {} m/s² at {:+.2} m/s²; bias and scale factor not separable: specific force varied by only \
                      {:.2} m/s² rms",
-                    report.offset_m_s2, report.offset_sd_m_s2, report.at_m_s2, report.motion_m_s2
+                    signed_with_sd(report.offset_m_s2, report.offset_sd_m_s2),
+                    report.at_m_s2,
+                    report.motion_m_s2
                 )?;
             }
+        }
+        for (source, names) in &noises {
+            writeln!(out, "{}: {source}", names.join(", "))?;
         }
         for remark in &self.remarks {
             writeln!(out, "{remark}")?;

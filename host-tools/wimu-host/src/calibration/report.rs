@@ -376,7 +376,10 @@ impl fmt::Display for CalibrationReport {
         }
         match (self.poses_worth_adding, self.next_poses.first()) {
             _ if self.method != MethodChoice::MultiPosition.name() => {
-                write!(out, "more poses improve it less than better placement")
+                write!(
+                    out,
+                    "place the sensor more accurately rather than adding poses"
+                )
             }
             (0, _) | (_, None) => write!(out, "more poses would improve it little"),
             (1, Some(next)) => write!(out, "one more pose is worthwhile: {}", next.instruction),
@@ -499,7 +502,9 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
         }
         None => " (not measured)".to_owned(),
     };
-    lines.push(format!("alignment {w:+.5} {x:+.5} {y:+.5} {z:+.5}{known}"));
+    lines.push(format!(
+        "alignment quaternion (w x y z), sensor to body: {w:+.5} {x:+.5} {y:+.5} {z:+.5}{known}"
+    ));
     match &set.magnetometer {
         None => lines.push("magnetometer not calibrated: no heading".to_owned()),
         Some(model) => {

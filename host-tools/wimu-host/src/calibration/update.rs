@@ -10,6 +10,7 @@ use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, 
 use super::CalibrationReport;
 use super::input::poses;
 use crate::dataset::{Dataset, OutputUnit};
+use crate::digits::signed_with_sd;
 use crate::error::{ErrorCode, Result};
 
 /// A rest compared with the stored calibration.
@@ -186,6 +187,9 @@ pub fn update(
     Ok(report)
 }
 
+/// Largest number of contradicting rests that are printed.
+const MAX_LISTED: usize = 20;
+
 /// The rest that contradicts, if it is the only one of three or more.
 fn lone(rests: &[RestReport]) -> Option<usize> {
     let mut bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
@@ -200,30 +204,43 @@ impl fmt::Display for UpdateReport {
             "{}: {} rests against calibration {}, g = {} m/s²",
             self.source, self.poses, self.stored_id, self.gravity_m_s2
         )?;
-        for (k, rest) in self.rests.iter().enumerate().take(20) {
-            writeln!(
-                out,
-                "rest {k}: |f| − g {:+.2} mm/s², {:.2} expected (1 σ){}",
-                rest.residual_mm_s2,
-                rest.expected_sd_mm_s2,
-                if rest.holds { "" } else { ": contradicts" }
-            )?;
-        }
-        if let Some(more) = self.rests.len().checked_sub(20).filter(|more| *more > 0) {
-            writeln!(out, "and {more} more")?;
-        }
         match (&self.reason, &self.bias_change_m_s2) {
-            (Some(reason), _) => write!(out, "refused: {reason}"),
+            (Some(reason), _) => write!(out, "refused: {reason}")?,
             (None, Some(change)) => {
-                let [x, y, z] = change.map(|c| c * 1e3);
                 let sd = self.sd.unwrap_or_default();
-                let [u, v, w] = [sd[0], sd[1], sd[2]].map(|s| s * 1e3);
+                let axis = |k: usize| signed_with_sd(change[k] * 1e3, sd[k] * 1e3);
+                let significant = (0..3).any(|k| change[k].abs() > 2.0 * sd[k]);
                 write!(
                     out,
-                    "the calibration is still valid; change of the bias: {x:+.2} {y:+.2} {z:+.2} mm/s² ± {u:.2} {v:.2} {w:.2}"
-                )
+                    "the calibration is still valid; change of the bias, mm/s² (1 σ): X {}, Y {}, Z {}{}",
+                    axis(0),
+                    axis(1),
+                    axis(2),
+                    if significant {
+                        "; it is significant (2 σ): use the updated file (-o)"
+                    } else {
+                        ""
+                    }
+                )?;
             }
-            (None, None) => Ok(()),
+            (None, None) => {}
+        }
+        let contradicting = || {
+            self.rests
+                .iter()
+                .enumerate()
+                .filter(|(_, rest)| !rest.holds)
+        };
+        for (k, rest) in contradicting().take(MAX_LISTED) {
+            write!(
+                out,
+                "\nrest {k} (from 0) contradicts it: |f| − g {:+.2} mm/s², {:.2} expected (1 σ)",
+                rest.residual_mm_s2, rest.expected_sd_mm_s2
+            )?;
+        }
+        match contradicting().skip(MAX_LISTED).count() {
+            0 => Ok(()),
+            more => write!(out, "\nand {more} more"),
         }
     }
 }

@@ -7,13 +7,14 @@ use super::input::{magnitude, median, median_magnitude};
 use super::range::Range;
 use super::{CalibrateOptions, MethodChoice, ModelChoice, bend};
 use crate::dataset::{Dataset, Output, RateSource};
+use crate::digits::significant;
 use crate::plural::counted;
 
 /// How many poses repeat another one exactly and were left out.
 pub(super) fn repeated_remark(poses: usize) -> Option<String> {
     (poses > 0).then(|| {
         format!(
-            "{} left out and not numbered: exactly equal to an earlier pose",
+            "{} left out: exactly equal to an earlier pose; pose numbers count only the others",
             counted(poses, "pose")
         )
     })
@@ -23,7 +24,7 @@ pub(super) fn repeated_remark(poses: usize) -> Option<String> {
 pub(super) fn closing_remark(poses: usize) -> Option<String> {
     (poses > 0).then(|| {
         format!(
-            "{} left out and not numbered: the rotation had returned to its first step",
+            "{} left out: the rotation had returned to its first step; pose numbers count only the others",
             counted(poses, "pose")
         )
     })
@@ -75,12 +76,13 @@ pub(super) fn reason(
         return reason + "; the rows look like means over static poses: if they are, add --poses";
     }
     if let (Refusal::TooFewPoses { .. }, Some(deg_per_s)) = (refusal, slow_rotation(data)) {
-        reason += &format!(
-            "; the sensor rotated all the time, at {deg_per_s:.0}°/s: hold it still in each pose"
-        );
+        return reason
+            + &format!(
+                "; the sensor rotated all the time, at {deg_per_s:.0}°/s: hold it still in each pose"
+            );
     }
     if has == 1 && !data.poses {
-        reason += "; for the noise of a sensor at rest use `wimu allan`";
+        return reason + "; for the noise of a sensor at rest use `wimu allan`";
     }
     if matches!(
         refusal,
@@ -100,7 +102,7 @@ pub(super) fn reason(
     }
     let fixed = options.model != ModelChoice::Auto;
     if fixed && has > Model::Bias3.parameters() {
-        reason += "; --model auto chooses the model that these poses support best";
+        return reason + "; --model auto chooses the model that these poses support best";
     }
     let up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
     if Face::ALL.iter().all(up) {
@@ -259,6 +261,17 @@ const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 pub(super) const NO_SENSITIVITY: &str = "the data are in m/s² or g: to push or export this calibration, calibrate again with --sensitivity, \
  the nominal LSB/g of the board's range";
 
+/// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.
+fn pose_noise_mps2(poses: &[Pose]) -> f64 {
+    poses
+        .iter()
+        .flat_map(|pose| {
+            pose.sd_mps2
+                .map(|sd| sd / f64::from(pose.samples.max(1)).sqrt())
+        })
+        .fold(0.0, f64::max)
+}
+
 /// What a user should know beside the numbers.
 pub(super) fn remarks(
     data: &Dataset,
@@ -350,10 +363,11 @@ pub(super) fn remarks(
                     "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
                      placement; the standard deviations include this"
             ));
-        } else if revisits == 0 && mm > 0.0 {
+        } else if revisits == 0 && revisit_sd_mps2 > pose_noise_mps2(poses) {
             remarks.push(format!(
-                    "each side was measured once: a repeatability of {mm:.1} mm/s² (1 σ), typical of other sensors, is assumed; \
-                     measure each side twice to determine it"
+                    "each side was measured once: a repeatability of {} mm/s² (1 σ), typical of other sensors, is assumed; \
+                     measure each side twice to determine it",
+                    significant(mm, 3)
             ));
         }
     }

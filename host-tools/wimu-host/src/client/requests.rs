@@ -215,6 +215,9 @@ impl<T: Transport> Client<T> {
                 "for data taken at ±{device_g} g, calibrate again with --range {device_g} and the board's own sensitivity; for data \
                  at ±{parameters_g} g, set the board with `wimu settings set LINK --range {parameters_g}`"
             ),
+            Refusal::InvalidParameters(_) if !text.contains("; ") => {
+                "calibrate this board (`wimu calibrate LINK --push`), or push a calibration made for its sensor".to_owned()
+            }
             _ => remedy.to_owned(),
         };
         HostError::new(code, message, remedy).at(&self.name)
@@ -418,12 +421,19 @@ fn possibly_done(error: &HostError) -> HostError {
         ErrorCode::LinkLost => ErrorCode::LinkLost,
         _ => ErrorCode::NoAnswer,
     };
-    let perhaps = HostError::new(
-        code,
-        format!(
+    let message = match error.code() {
+        ErrorCode::KeyNeeded | ErrorCode::DeviceRefused => format!(
+            "no authenticated answer was received ({}): the request may have been executed, or may still be",
+            error.message()
+        ),
+        _ => format!(
             "{}; the request may have been executed, or may still be",
             error.message()
         ),
+    };
+    let perhaps = HostError::new(
+        code,
+        message,
         "check the board's state before repeating it, over the cable if the link is not trusted",
     );
     match error.location() {

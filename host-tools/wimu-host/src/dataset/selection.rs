@@ -64,12 +64,12 @@ pub(crate) fn one_sensor(path: &Path, options: &LoadOptions) -> Result<()> {
         return Ok(());
     }
     let (several, selected) = (several.join("; "), selected.join(","));
-    Err(ErrorCode::Usage.error(format!("the rows are of several sensors or runs: {several}"),
-            format!(
-                "select one with --where \"{selected}\"; where the command has no --where, remove the other rows"
-        ),
-    )
-    .at(path.display().to_string()))
+    Err(ErrorCode::Usage
+        .error(
+            format!("the rows are of several sensors or runs: {several}"),
+            format!("select one with --where \"{selected}\", or remove the other rows"),
+        )
+        .at(path.display().to_string()))
 }
 
 /// Number of samples in a mean.

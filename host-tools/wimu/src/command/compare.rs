@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use wimu_host::compare::{Alignment, Axis, Comparison, LinkReport, align, compare};
+use wimu_host::digits::{signed_with_sd, with_sd};
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::{ErrorCode, HostError, Input, Result};
 
@@ -98,7 +99,7 @@ fn text(found: &Comparison) -> String {
     }
     match (&found.values, &found.values_reason) {
         (Some(values), _) => {
-            text += "\nvalues of wireless against cable:";
+            text += "\nvalues of wireless against cable (± is 1 σ):";
             text += &axes_text(&values.axes);
         }
         (None, Some(reason)) => {
@@ -108,7 +109,7 @@ fn text(found: &Comparison) -> String {
     }
     if found.without_unit > 0 {
         text += &format!(
-            "\n  {} samples left out of the values: their range is unknown because an epoch was lost",
+            "\n  {} samples left out of the values: their range is unknown because a time-reference message (Epoch) was lost",
             found.without_unit
         );
     }
@@ -117,7 +118,7 @@ fn text(found: &Comparison) -> String {
 
 fn link_text(link: &LinkReport) -> String {
     let mut text = format!(
-        "\n{:8} {} delivered, {} lost, {} on neither link, {} duplicated, {} late; {} damaged frames, {} shed, {} interruptions{}",
+        "\n{:8} {} delivered, {} lost, {} lost on both links, {} duplicated, {} delayed; {} damaged frames, dropped by the board: {}, {} interruptions{}",
         link.link,
         link.delivered,
         link.lost,
@@ -177,16 +178,13 @@ fn axes_text(axes: &[Axis; 3]) -> String {
     for (axis, name) in axes.iter().zip(["X", "Y", "Z"]) {
         text += &match &axis.line {
             Some(line) => format!(
-                "\n  {name}: bias {:+.4} ± {:.4} m/s², scale factor {:.5} ± {:.5}",
-                line.bias_mps2,
-                2.0 * line.bias_sd_mps2,
-                line.scale,
-                2.0 * line.scale_sd
+                "\n  {name}: bias {} m/s², scale factor {}",
+                signed_with_sd(line.bias_mps2, line.bias_sd_mps2),
+                with_sd(line.scale, line.scale_sd)
             ),
             None => format!(
-                "\n  {name}: offset {:+.4} ± {:.4} m/s² (too little motion for a scale factor)",
-                axis.offset_mps2,
-                2.0 * axis.offset_sd_mps2
+                "\n  {name}: offset {} m/s² (too little motion for a scale factor)",
+                signed_with_sd(axis.offset_mps2, axis.offset_sd_mps2)
             ),
         };
         let lsb =
@@ -206,19 +204,17 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
     let found: Alignment = align(reference, other)?;
     let mut text = format!(
         "{} against {}: {:.1} s in common at {:.1} Hz, correlation of the magnitudes {:.3}\n\
-         clock offset {:+.4} ± {:.4} s{}",
+         clock offset {} s{}; ± is 1 σ",
         found.sources[1],
         found.sources[0],
         found.overlap_s,
         found.rate_hz,
         found.correlation,
-        found.offset_s,
-        2.0 * found.offset_sd_s,
+        signed_with_sd(found.offset_s, found.offset_sd_s),
         match (found.rate_ppm, found.rate_sd_ppm) {
             (Some(ppm), Some(sd)) => format!(
-                ", {:.1} ± {:.1} ppm {}",
-                ppm.abs(),
-                2.0 * sd,
+                ", {} ppm {}",
+                with_sd(ppm.abs(), sd),
                 if ppm > 0.0 { "slow" } else { "fast" }
             ),
             _ => String::new(),
@@ -227,8 +223,8 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
     for (source, sd) in found.sources.iter().zip(found.unit_sd) {
         if let Some(sd) = sd {
             text += &format!(
-                "\n{source} is in LSB: its median magnitude is taken as 1 g; all scale factors may be off by {:.0} %",
-                200.0 * sd
+                "\n{source} is in LSB: its median magnitude is taken as 1 g; the standard deviation of all scale factors is {:.0} %",
+                100.0 * sd
             );
         }
     }
@@ -239,9 +235,8 @@ fn tables(reference: &Path, other: &Path, output: Output) -> Result<()> {
         (Some(axes), _) => {
             text += &match &found.turn {
                 Some(turn) => format!(
-                    "\nits axes are rotated by {:.2} ± {:.2}° from the reference's; scale factors are along its own axes",
-                    turn.angle_deg,
-                    2.0 * turn.angle_sd_deg
+                    "\nits axes are rotated by {}° (1 σ) from the reference's; scale factors are along its own axes",
+                    with_sd(turn.angle_deg, turn.angle_sd_deg)
                 ),
                 None => "\nthe motion does not determine the rotation between the axes: 5° change a scale factor by 0.4 % and a \
                          bias by 9 % of the other axes' output; move both through all orientations"

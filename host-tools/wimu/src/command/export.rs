@@ -82,14 +82,14 @@ pub fn run(arguments: &Export, output: Output) -> Result<()> {
     let table = export::to_csv(&arguments.input, role, model.as_ref(), stream, to)?;
     if table.ranges_differ {
         output.print(format!(
-            "{file}: the range changes; the column `{SENSITIVITY}` has each row's"
+            "{file}: the range changes; column `{SENSITIVITY}` gives the value of each row"
         ));
     }
     let (rows, link) = (table.rows, table.role.to_string());
     output.print(format!("{file}: {rows} rows of the {link} link"));
     if table.without_unit > 0 {
         output.print(format!(
-            "  {} raw samples {}: their range is unknown because an epoch was lost",
+            "  {} raw samples {}: their range is unknown because a time-reference message (Epoch) was lost",
             table.without_unit,
             match model {
                 Some(_) => "left out",
@@ -118,10 +118,13 @@ pub fn print_left_out(decoded: &Decoded, output: Output) {
         ),
         (
             decoded.without_unit,
-            "raw samples left out: their range is unknown because an epoch was lost",
+            "raw samples left out: their range is unknown because a time-reference message (Epoch) was lost",
         ),
         (decoded.late, "samples are out of order: they arrived late"),
-        (decoded.unplaced, "batches left out: no epoch places them"),
+        (
+            decoded.unplaced,
+            "batches left out: they have no time reference",
+        ),
     ];
     for (count, what) in lacks.into_iter().filter(|(count, _)| *count > 0) {
         output.print(format!("  {count} {what}"));

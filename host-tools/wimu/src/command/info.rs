@@ -12,6 +12,7 @@ use wimu_link::Hello;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
+use crate::command::key::access_text;
 use crate::command::record::left_out_text;
 use crate::command::{connect, print_fault};
 use crate::output::Output;
@@ -122,7 +123,7 @@ impl From<&Hello> for Device {
 impl Device {
     fn text(&self) -> String {
         format!(
-            "{} with {}, device {}, firmware {}, start {} ({}{}), parameters {}, writing {}",
+            "{} with {}, device {}, firmware {}, start {} ({}{}), parameters {}, write access: {}",
             self.board,
             self.sensor,
             self.device_id,
@@ -133,7 +134,7 @@ impl Device {
                 .as_ref()
                 .map_or(String::new(), |fault| format!(": {fault}")),
             self.parameter_id,
-            self.write_access
+            access_text(&self.write_access)
         )
     }
 }

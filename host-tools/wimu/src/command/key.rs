@@ -85,7 +85,10 @@ pub fn run(arguments: &Key, output: Output) -> Result<()> {
         }
         (KeyAction::Set | KeyAction::Rotate, ..) => {
             store_key(&mut client, &folder, device)?;
-            output.print("the device has a new key; the only copy is in your configuration folder");
+            output.print(format!(
+                "key saved in {}; back it up: without it the key must be erased at the board",
+                folder.file(device).display()
+            ));
         }
     }
     show(&mut client, &folder, output)
@@ -120,6 +123,14 @@ fn is_lost(client: &Connection) -> bool {
     hello.role == LinkRole::Cable && hello.access == WriteAccess::Locked
 }
 
+/// Which writes a link accepts, from the name of its write access.
+pub fn access_text(access: &str) -> &str {
+    match access {
+        "key" => "signed writes only",
+        other => other,
+    }
+}
+
 fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<()> {
     let hello = *client.hello();
     let held = client.key_status()?;
@@ -142,7 +153,8 @@ fn show(client: &mut Connection, folder: &KeyFolder, output: Output) -> Result<(
     }
     output.print(format!(
         "write access on the {} link: {}",
-        hello.role, hello.access
+        hello.role,
+        access_text(&hello.access.to_string())
     ));
     let status = Status {
         device_id: format!("{:016x}", hello.device_id),

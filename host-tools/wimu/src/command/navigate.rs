@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
+use wimu_host::digits::{signed, significant};
 use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{self, Point};
@@ -44,12 +45,12 @@ struct Start {
 impl Start {
     fn print(&self, output: Output) {
         match &self.device {
-            Some(track) => output.print(format!("device:     {}", track.text())),
-            None => output.print("device:     no position sent, or no rest detected"),
+            Some(track) => output.print(format!("computed on the board: {}", track.text())),
+            None => output.print("computed on the board: no position sent, or no rest detected"),
         }
         match &self.recomputed {
-            Some(track) => output.print(format!("recomputed: {}", track.text())),
-            None => output.print("recomputed: no rest detected"),
+            Some(track) => output.print(format!("recomputed on the host: {}", track.text())),
+            None => output.print("recomputed on the host: no rest detected"),
         }
         if let (Some(_), Some(replay)) = (&self.recomputed, &self.replay) {
             output.print(replay_text(replay));
@@ -90,15 +91,29 @@ impl Track {
     }
 
     fn text(&self) -> String {
-        let [e, n, u] = self.final_position_m;
+        let [e, n, u] = self
+            .final_position_m
+            .map(|axis| signed(to_tenth_mm(axis), 3));
         format!(
-            "{:.1} s, {}, path {:.3} m, ends at E {e:+.4} N {n:+.4} U {u:+.4} m{}",
+            "{:.1} s, {}, path {} m, ends at E {e} N {n} U {u} m{}",
             self.duration_s,
             counted(self.legs, "leg"),
-            self.distance_m,
-            if self.valid { "" } else { " (invalid)" }
+            significant(to_tenth_mm(self.distance_m), 3),
+            if self.valid {
+                String::new()
+            } else {
+                format!(
+                    "; not valid at the end, {} s after the last rest",
+                    significant(self.since_rest_s, 3)
+                )
+            }
         )
     }
+}
+
+/// Rounded to 0.1 mm, without a negative zero.
+fn to_tenth_mm(m: f64) -> f64 {
+    (m * 1e4).round() / 1e4 + 0.0
 }
 
 pub fn run(arguments: &Navigate, output: Output) -> Result<()> {

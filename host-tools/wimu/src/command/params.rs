@@ -108,20 +108,33 @@ fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output:
         return;
     }
     output.print(format!("{} → {}", name(before), name(after)));
+    let mut below_precision = Vec::new();
     for ((name, old), (_, new)) in figures(before).into_iter().zip(figures(after)) {
-        if old != new {
-            output.print(format!("{name:24} {} → {}", numbers(&old), numbers(&new)));
+        let [old_text, new_text] = [&old, &new].map(|values| numbers(values));
+        if old_text != new_text {
+            output.print(format!("{name:24} {old_text} → {new_text}"));
+        } else if old != new {
+            below_precision.push(name);
         }
     }
+    if !below_precision.is_empty() {
+        output.print(format!(
+            "differences below the printed precision: {}",
+            below_precision.join("; ")
+        ));
+    }
     let others = [
-        ("alignment", before.alignment != after.alignment),
-        ("magnetometer", before.magnetometer != after.magnetometer),
-        ("quality", before.quality != after.quality),
-        ("sensor", before.sensor != after.sensor),
+        ("alignment differs", before.alignment != after.alignment),
+        (
+            "magnetometer calibration differs",
+            before.magnetometer != after.magnetometer,
+        ),
+        ("fit statistics differ", before.quality != after.quality),
+        ("sensor differs", before.sensor != after.sensor),
     ];
-    for (name, changes) in others {
-        if changes {
-            output.print(format!("{name:24} changes"));
+    for (text, differs) in others {
+        if differs {
+            output.print(text);
         }
     }
 }

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use wimu_host::clock::ClockSummary;
 use wimu_host::decode::LinkStatistics;
+use wimu_host::digits::{significant, with_sd};
 use wimu_host::recorder::{Progress, Recorder};
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{HostError, LinkUrl, Result};
@@ -137,11 +138,11 @@ fn summary(progress: &Progress) -> String {
     links.join("; ")
 }
 
-/// Text on batches without an epoch that places them, and on rejected frames.
+/// Text on batches without an epoch that gives their times, and on rejected frames.
 pub fn left_out_text(batches: u64, rejected: u64) -> String {
     let mut text = String::new();
     if batches > 0 {
-        text += &format!(", {batches} batches without an epoch that places them");
+        text += &format!(", {batches} batches without a time reference");
     }
     if rejected > 0 {
         text += &format!(", {rejected} frames rejected (impossible sequence number or time)");
@@ -149,22 +150,22 @@ pub fn left_out_text(batches: u64, rejected: u64) -> String {
     text
 }
 
-/// A clock in one line, with 2 σ.
+/// A clock in one line, with 1 σ.
 pub fn clock_text(clock: &ClockSummary) -> String {
     let rate = format!(
-        "device clock {:.1} ± {:.1} ppm {}",
-        clock.rate_ppm.abs(),
-        2.0 * clock.rate_sd_ppm,
-        if clock.rate_ppm > 0.0 { "slow" } else { "fast" }
+        "device clock {} by {} ppm (1 σ)",
+        if clock.rate_ppm > 0.0 { "slow" } else { "fast" },
+        with_sd(clock.rate_ppm.abs(), clock.rate_sd_ppm)
     );
     match clock.offset_bound_ms {
         Some(bound) => {
-            let sd = 2.0 * clock.offset_sd_ms;
+            let sd = clock.offset_sd_ms;
             format!(
-                "{rate}; offset to host time known to {sd:.2} ms if both directions are equally fast, otherwise to {:.2} ms",
-                bound.max(sd)
+                "{rate}; offset to host time ± {} ms (1 σ) if both directions are equally fast, otherwise within {} ms",
+                significant(sd, 2),
+                significant(bound.max(2.0 * sd), 2)
             )
         }
-        None => format!("{rate}; offset to host time unknown by the shortest transfer time"),
+        None => format!("{rate}; offset to host time uncertain by the (unknown) minimum latency"),
     }
 }

@@ -6,6 +6,7 @@ use serde::Serialize;
 use wimu_calib::Gravity;
 use wimu_host::Result;
 use wimu_host::array::{ArrayGeometry, CalibratedArray, calibrate_array};
+use wimu_host::digits::{signed_with_sd, with_sd};
 use wimu_model::ErrorModel;
 
 use crate::arguments::Calibrate;
@@ -94,14 +95,15 @@ fn present(
         let mm = |mps2: f64| mps2 * 1e3;
         if let (Some(model), Some(estimate)) = (&sensor.model, estimate) {
             let terms = model.terms();
-            let [x, y, z] = terms.bias_mps2;
-            let [a, b, c] = [0, 1, 2].map(|i| terms.matrix[i][i]);
+            let sd = estimate.sd();
+            let [x, y, z] = [0, 1, 2].map(|i| signed_with_sd(terms.bias_mps2[i], sd.bias_mps2[i]));
+            let [a, b, c] = [0, 1, 2].map(|i| with_sd(terms.matrix[i][i], sd.matrix[i][i]));
             let left_out = match estimate.loo_rms_mps2 {
                 Some(loo) => format!(", {:.2} leave-one-out", mm(loo)),
                 None => String::new(),
             };
             output.print(format!(
-                "sensor {k}: bias {x:+.4} {y:+.4} {z:+.4} m/s², scale factors {a:.5} {b:.5} {c:.5}; |f| − g {:.2} mm/s² \
+                "sensor {k}: bias {x}, {y}, {z} m/s², scale factors {a}, {b}, {c} (1 σ); |f| − g {:.2} mm/s² \
                  rms{left_out}",
                 mm(estimate.rms_mps2)
             ));

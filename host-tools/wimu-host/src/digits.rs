@@ -1,0 +1,57 @@
+//! Numbers as text, rounded to significant digits.
+
+/// Decimals that show `digits` significant digits of a number, at most nine.
+fn decimals(value: f64, digits: i32) -> usize {
+    let size = value.abs();
+    if size == 0.0 || !size.is_finite() {
+        return 0;
+    }
+    let leading = size.log10().floor() as i32;
+    (digits - 1 - leading).clamp(0, 9) as usize
+}
+
+/// A number with `digits` significant digits; those before the decimal point are all shown.
+pub fn significant(value: f64, digits: i32) -> String {
+    format!("{value:.0$}", decimals(value, digits))
+}
+
+/// As [`significant`], with the sign of a positive number.
+pub fn signed(value: f64, digits: i32) -> String {
+    format!("{value:+.0$}", decimals(value, digits))
+}
+
+/// `1.0023 ± 0.0012`: the standard deviation with two significant digits, the value with as many decimals.
+/// A standard deviation of 0 is shown as `± 0` behind a value with five decimals.
+pub fn with_sd(value: f64, sd: f64) -> String {
+    let [value, sd] = parts(value, sd);
+    format!("{} ± {sd}", value.trim_start_matches('+'))
+}
+
+/// As [`with_sd`], with the sign of a positive value.
+pub fn signed_with_sd(value: f64, sd: f64) -> String {
+    let [value, sd] = parts(value, sd);
+    format!("{value} ± {sd}")
+}
+
+fn parts(value: f64, sd: f64) -> [String; 2] {
+    if sd == 0.0 {
+        return [format!("{value:+.5}"), "0".to_owned()];
+    }
+    let decimals = decimals(sd, 2);
+    [format!("{value:+.decimals$}"), format!("{sd:.decimals$}")]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digits_follow_the_size_of_the_number() {
+        assert_eq!(significant(1849.771, 3), "1850");
+        assert_eq!(significant(0.012_34, 3), "0.0123");
+        assert_eq!(signed(30.525, 3), "+30.5");
+        assert_eq!(with_sd(1.002_345, 0.001_234), "1.0023 ± 0.0012");
+        assert_eq!(signed_with_sd(0.5, 0.0), "+0.50000 ± 0");
+        assert_eq!(signed_with_sd(12.3, f64::INFINITY), "+12 ± inf");
+    }
+}

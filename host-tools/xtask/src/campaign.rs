@@ -40,11 +40,13 @@ const HOST_NAVIGATION: [&str; 8] = [
     "host-tools/wimu-host/examples",
     "host-tools/wimu-host/tests",
 ];
-const LINK: [&str; 4] = [
+const LINK: [&str; 6] = [
     "crates/wimu-link/src",
     "crates/wimu-node/src",
     "host-tools/wimu-sim/src",
-    "tests/tests",
+    "tests/tests/board",
+    "tests/tests/noisy_link.rs",
+    "tests/tests/pushes.rs",
 ];
 const LOOP: [&str; 7] = [
     "crates/wimu-model/src",

@@ -1,13 +1,13 @@
 //! Numbers as text, rounded to significant digits.
 
-/// Decimals that show `digits` significant digits of a number, at most nine.
+/// Decimals that show `digits` significant digits of a number, at most seven.
 fn decimals(value: f64, digits: i32) -> usize {
     let size = value.abs();
     if size == 0.0 || !size.is_finite() {
         return 0;
     }
     let leading = size.log10().floor() as i32;
-    (digits - 1 - leading).clamp(0, 9) as usize
+    (digits - 1 - leading).clamp(0, 7) as usize
 }
 
 /// A number with `digits` significant digits; those before the decimal point are all shown.
@@ -21,7 +21,7 @@ pub fn signed(value: f64, digits: i32) -> String {
 }
 
 /// `1.0023 ± 0.0012`: the standard deviation with two significant digits, the value with as many decimals.
-/// A standard deviation of 0 is shown as `± 0` behind a value with five decimals.
+/// A standard deviation below 5·10⁻⁸ is shown as `± 0` behind a value with five decimals.
 pub fn with_sd(value: f64, sd: f64) -> String {
     let [value, sd] = parts(value, sd);
     format!("{} ± {sd}", value.trim_start_matches('+'))
@@ -34,7 +34,7 @@ pub fn signed_with_sd(value: f64, sd: f64) -> String {
 }
 
 fn parts(value: f64, sd: f64) -> [String; 2] {
-    if sd == 0.0 {
+    if sd < 5e-8 {
         return [format!("{value:+.5}"), "0".to_owned()];
     }
     let decimals = decimals(sd, 2);

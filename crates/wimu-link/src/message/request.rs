@@ -408,7 +408,7 @@ impl fmt::Display for Refusal {
                 "writing on this link takes a key, and the device has none; run `wimu key set` once over the cable",
             ),
             Self::Locked => out.write_str(
-                "writes are locked: the device cannot read its key or boot count. Run `wimu key rotate` over the cable; if refused, see docs/SECURITY.md (lost key)",
+                "writes are locked: the device cannot read its key or boot count; run `wimu key rotate` over the cable; if refused, see docs/SECURITY.md (lost key)",
             ),
             Self::InvalidParameters(fault) => write!(out, "the parameters are invalid: {fault}"),
             Self::WrongRange {

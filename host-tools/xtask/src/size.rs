@@ -47,6 +47,9 @@ pub fn run(workspace: &Workspace) -> Result<(), String> {
     for (name, size) in &found {
         heading(name);
         print!("{}", table(size));
+        if !MOST.iter().any(|(board, ..)| board == name) {
+            continue;
+        }
         for (what, bytes, aim) in [
             ("flash", size.flash, AIM_FLASH),
             ("RAM without the stack", size.ram, AIM_RAM),

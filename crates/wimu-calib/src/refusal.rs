@@ -195,7 +195,7 @@ impl fmt::Display for UnitHint {
         out.write_str(match self {
             Self::G => "which looks like g, not m/s²: multiply by 9.80665",
             Self::Mps2TakenForG => {
-                "which looks like m/s² taken for g: declare the unit as m/s²; or the \
+                "which looks like m/s² converted as if it were g: declare the unit as m/s²; or the \
                  sensitivity is ten times too small"
             }
             Self::MilliGOrCounts => {
@@ -294,7 +294,7 @@ impl fmt::Display for Refusal {
             ),
             Self::Saturated { axis } => write!(
                 out,
-                "axis {} stops at one reading in several poses: it is saturated; choose a \
+                "axis {} has the same extreme reading in several poses: it is saturated; choose a \
                  larger range and repeat the poses",
                 axis_name(axis)
             ),
@@ -366,7 +366,7 @@ impl fmt::Display for Refusal {
             Self::PoseContradicted { pose, or, off_mps2 } => {
                 write!(
                     out,
-                    "pose {pose} (from 0) is {:.0} mm/s² from the fit of the others, which is significant",
+                    "pose {pose} (from 0) differs significantly, by {:.0} mm/s², from the fit of the others",
                     off_mps2.abs() * 1e3
                 )?;
                 if let Some(other) = or {

@@ -47,7 +47,7 @@ fn session(random: &mut Random, ups: &[[f64; 3]], noise: f64) -> (ErrorModel, Ve
     (truth, poses)
 }
 
-/// What became of so many recordings.
+/// Numbers of recordings by result.
 #[derive(Default)]
 struct Count {
     refused: Coverage,

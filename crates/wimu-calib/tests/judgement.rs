@@ -383,7 +383,7 @@ fn no_pose_is_left_out_that_the_data_cannot_spare() {
             jitter(&mut random, pose, 0.003);
         }
         poses[5].mean_mps2 = poses[5].mean_mps2.map(|y| y * 1.03);
-        // Of twelve there is none to spare: it is named, and that is all.
+        // With twelve poses none can be left out: the outlier is reported only.
         match multi_position_with(&poses, exact(), rejecting()) {
             Err(refusal) => assert!(matches!(refusal, Refusal::PoseContradicted { .. })),
             Ok(estimate) => {

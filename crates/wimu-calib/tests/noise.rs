@@ -104,7 +104,7 @@ struct Relaxation {
     /// with and without it.
     keep: [f64; 2],
     new: [f64; 3],
-    /// It moves on every so many samples.
+    /// Number of samples between movements.
     every: usize,
     state: f64,
     mean: f64,
@@ -184,7 +184,7 @@ fn recordings(axes: usize) -> u64 {
     trials(axes).div_ceil(3) as u64
 }
 
-/// N, B and K of so many axes.
+/// N, B and K of each axis.
 fn coverage(axes: usize, n: usize, truth: Truth) -> [Term; 3] {
     let mut terms = [Term::default(); 3];
     for seed in 0..recordings(axes) {
@@ -385,7 +385,7 @@ fn hum_is_no_noise_and_samples_that_come_twice_are_of_half_the_rate() {
     }
 }
 
-/// A low-pass filter of so many stages, each with a cut-off of `cut_off` in samples⁻¹; N stays.
+/// A low-pass filter of equal stages, each with a cut-off of `cut_off` in samples⁻¹; N stays.
 fn filtered(random: &mut Random, n: usize, stages: usize, cut_off: f64) -> Vec<f64> {
     let keep = (-std::f64::consts::TAU * cut_off).exp();
     let mut states = vec![0.0; stages];
@@ -409,7 +409,7 @@ fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
     let mut all_held = Vec::new();
     for (stages, cut_off) in [(1, 0.2), (1, 0.1), (1, 0.05), (2, 0.1), (4, 0.1), (4, 0.2)] {
         let (mut white, mut ratios) = (Term::default(), Vec::new());
-        let mut told = Coverage::default();
+        let mut reported = Coverage::default();
         for seed in 0..recordings(300) {
             let mut random = Random::new(seed);
             let axes = [0; 3].map(|_| filtered(&mut random, n, stages, cut_off));
@@ -421,18 +421,18 @@ fn a_filtered_output_has_the_noise_density_that_it_has_below_its_bandwidth() {
                 let walk = found.velocity_random_walk;
                 white.take(Some(walk), truth);
                 ratios.push(walk.value / truth);
-                told.count(found.white_from_s.is_some() && found.is_noise());
+                reported.count(found.white_from_s.is_some() && found.is_noise());
             }
         }
         ratios.sort_by(f64::total_cmp);
         let middle = ratios[ratios.len() / 2];
         let name = format!("{stages} stages of {cut_off} of the rate");
         println!(
-            "{name}: N {middle:.3} of the true one, held {}, told {told}",
+            "{name}: N {middle:.3} of the true one, held {}, reported {reported}",
             white.held
         );
         assert!((0.95..1.05).contains(&middle), "{name}: {middle}");
-        told.assert_can_be(0.9..=1.0, &name);
+        reported.assert_can_be(0.9..=1.0, &name);
         all_held.push(white.held);
     }
     let claim = "95 % intervals of N behind low-pass filters hold the truth";

@@ -46,7 +46,7 @@ struct Trial {
     sd: [f64; 2],
     memory: f64,
     /// Whether the ratio of the noises is given.
-    told: bool,
+    ratio_known: bool,
     /// What the output's axes see of the reference's others, 1 σ, above the diagonal and below.
     across: [f64; 2],
     /// Held in ten orientations, or moved all the time.
@@ -56,7 +56,7 @@ struct Trial {
 const PARALLEL: Trial = Trial {
     sd: [0.03, 0.03],
     memory: 0.0,
-    told: false,
+    ratio_known: false,
     across: [0.0; 2],
     rests: false,
 };
@@ -103,7 +103,7 @@ fn coverage(trial: Trial) -> [Coverage; 3] {
         } else {
             (0..SAMPLES).map(|k| motion(5 * k)).collect()
         };
-        let mut transfer = if trial.told {
+        let mut transfer = if trial.ratio_known {
             ReferenceTransfer::new(NoiseRatio::new(trial.sd[1], trial.sd[0]).expect("noise"))
         } else {
             ReferenceTransfer::of_unknown_noise()
@@ -180,19 +180,19 @@ fn intervals_hold_the_truth_whatever_the_noise() {
         (0.0, [0.2, 0.02]),
         (2.0, [0.05, 0.1]),
     ] {
-        for (told, rests) in [(true, memory > 0.0), (false, sd[1] < 0.1)] {
+        for (ratio_known, rests) in [(true, memory > 0.0), (false, sd[1] < 0.1)] {
             let trial = Trial {
                 sd,
                 memory,
-                told,
+                ratio_known,
                 across: [0.0, 0.02],
                 rests,
             };
             let [bias, scale, _] = coverage(trial);
-            let kind = format!("noise {sd:?}, memory {memory}, told {told}, rests {rests}");
+            let kind = format!("noise {sd:?}, memory {memory}, ratio known {ratio_known}, rests {rests}");
             println!("{kind}: bias {bias}, scale factor {scale}");
             // Where nothing parts the noises, from bound to bound.
-            let most = if told || memory == 0.0 { 0.97 } else { 1.0 };
+            let most = if ratio_known || memory == 0.0 { 0.97 } else { 1.0 };
             bias.assert_can_be(0.93..=most, &kind);
             scale.assert_can_be(0.93..=most, &kind);
             held.extend([bias, scale]);
@@ -202,8 +202,8 @@ fn intervals_hold_the_truth_whatever_the_noise() {
     coverage_figure(claim, &held, 0.93..=0.97);
 }
 
-/// The same where nobody says whose noise it is, motion of some tones up to `hz` at 100 Hz; and how
-/// often neighbours told.
+/// The same with an unknown ratio of the noises, for a motion of several tones up to `hz` at 100 Hz; and how
+/// often the neighbours method was chosen.
 fn coverage_of_unknown_noise(hz: f64, amplitude: f64, sd: [f64; 2], memory: f64) -> [Coverage; 3] {
     let mut held = [Coverage::default(); 3];
     for seed in 0..sensors(1002) {
@@ -251,12 +251,12 @@ fn intervals_hold_the_truth_where_nobody_says_whose_noise_it_is() {
         (0.8, [0.02, 0.4]),
         (0.8, [0.4, 0.02]),
     ] {
-        let [bias, scale, told] = coverage_of_unknown_noise(2.0, amplitude, sd, 0.0);
+        let [bias, scale, neighbours] = coverage_of_unknown_noise(2.0, amplitude, sd, 0.0);
         let kind = format!("noise {sd:?}");
-        println!("{kind}: bias {bias}, scale factor {scale}, neighbours {told}");
+        println!("{kind}: bias {bias}, scale factor {scale}, neighbours {neighbours}");
         bias.assert_can_be(0.93..=0.97, &kind);
         scale.assert_can_be(0.93..=0.97, &kind);
-        told.assert_can_be(0.95..=1.0, &kind);
+        neighbours.assert_can_be(0.95..=1.0, &kind);
         held.extend([bias, scale]);
     }
     let claim = "95 % intervals against a reference of unknown noise";
@@ -269,9 +269,9 @@ fn where_neighbours_do_not_tell_the_interval_reaches_from_bound_to_bound() {
     // Motion as fast as the samples, and noise with a longer memory than neighbours are apart.
     for (hz, memory) in [(40.0, 0.0), (2.0, 10.0)] {
         for sd in [[0.02, 0.4], [0.4, 0.02], [0.3, 0.3]] {
-            let [bias, scale, told] = coverage_of_unknown_noise(hz, 0.8, sd, memory);
+            let [bias, scale, neighbours] = coverage_of_unknown_noise(hz, 0.8, sd, memory);
             let kind = format!("{hz} Hz, memory {memory}, noise {sd:?}");
-            println!("{kind}: bias {bias}, scale factor {scale}, neighbours {told}");
+            println!("{kind}: bias {bias}, scale factor {scale}, neighbours {neighbours}");
             bias.assert_can_be(0.93..=1.0, &kind);
             scale.assert_can_be(0.93..=1.0, &kind);
             held.extend([bias, scale]);

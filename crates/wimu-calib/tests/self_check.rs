@@ -87,10 +87,9 @@ fn intervals_of_an_updated_calibration_cover_the_truth_of_the_next_run() {
     contradicted.assert_can_be(0.0..=0.002, "contradicted by chance");
 }
 
-/// How often, of turn-ons within the ageing, twelve rests tell that the calibration no longer holds
-/// when the bias jumps by `jump_mps2` after the sixth: at one rest, and as a device tells it, at two in a
-/// row.
-fn told(jump_mps2: f64) -> [Coverage; 2] {
+/// Detections of a bias jump of `jump_mps2` after the sixth of twelve rests, by turn-ons within the ageing:
+/// at one rest, and at two consecutive ones as on a device.
+fn detected(jump_mps2: f64) -> [Coverage; 2] {
     let ageing = Ageing::default();
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let mut counts = [Coverage::default(); 2];
@@ -142,7 +141,7 @@ fn alarms_are_as_rare_and_jumps_of_the_bias_as_well_seen_as_stated() {
             0.0 => "self-check: false alarms in 12 rests".into(),
             _ => format!("self-check: a bias jump of {:.0} mm/s² is seen", 1e3 * jump),
         };
-        let found = told(jump);
+        let found = detected(jump);
         coverage_figure(&format!("{kind}, at one"), &found[..1], once.clone());
         coverage_figure(&format!("{kind}, two in a row"), &found[1..], twice.clone());
         found[0].assert_can_be(once, &kind);
@@ -254,7 +253,7 @@ fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only
             .expect("a pose");
         assert!(!jumped.holds, "{celsius}: {jumped:?}");
     }
-    // 20 K beyond it nobody knows, by however many steps it came there.
+    // 20 K beyond it the temperature effect is unknown, whatever the number of steps.
     let far = check()
         .push(&hold([0.0, 0.6, 0.8], 70.0, 0.04))
         .expect("a pose");

@@ -320,7 +320,7 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
 #[test]
 fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
     let degree = std::f64::consts::PI / 180.0;
-    let [mut told, mut wrongly, mut held] = [Coverage::default(); 3];
+    let [mut detected, mut wrongly, mut held] = [Coverage::default(); 3];
     for seed in 0..trials(1000) as u64 {
         let mut random = Random::new(seed);
         let truth = random.model(false);
@@ -348,14 +348,14 @@ fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
                 wrongly.count(contradicted);
                 continue;
             }
-            told.count(contradicted);
+            detected.count(contradicted);
             for axis in 0..3 {
                 let off = estimate.model.terms().bias_mps2[axis] - truth.terms().bias_mps2[axis];
                 held.count(off.abs() <= estimate.half_width_95(Parameter::ALL[axis]));
             }
         }
     }
-    println!("a step 10° off: told {told}, biases held {held}; without one told {wrongly}");
+    println!("a step 10° off: detected {detected}, biases held {held}; without one detected {wrongly}");
     coverage_figure(
         "three turns, one step 10° off: 95 % intervals of biases hold",
         &[held],

@@ -265,7 +265,7 @@ fn a_heading_is_taken_at_rest_held_in_motion_and_uncalibrated_at_the_next_rest()
     let [east, north, _] = unit.navigation().position.to_m();
     let along = 40.0_f64.to_radians();
     assert!((east - along.sin()).abs() < 0.01 && (north - along.cos()).abs() < 0.01);
-    // A little is noise; a lot is a turn that nobody saw.
+    // A small change is noise; a large one is an undetected rotation.
     assert!(unit.set_heading(headed(47.0)));
     assert!(unit.navigation().flags.is_valid());
     assert!(unit.set_heading(headed(70.0)));

@@ -116,7 +116,7 @@ impl Owner {
         body(self.requester.start(command, NOW))
     }
 
-    /// Asks for a write, in a new session if there is none any more.
+    /// Requests a write, in a new session if the old one has ended.
     fn write(&mut self, device: &mut Device, command: Command) -> Answer {
         for _ in 0..3 {
             let request = self.request(command);
@@ -688,7 +688,7 @@ fn a_device_that_cannot_read_its_boot_count_takes_a_new_key_over_the_cable_and_n
         assert_eq!(reply.answer, Answer::Refused(refusal), "{role} {command:?}");
         assert_eq!(device.writes, []);
     }
-    // Over the cable the owner is told, in his session, and gives it a new key.
+    // Over the cable the owner gets an authenticated answer and sets a new key.
     let mut device = Device::new(lock);
     let mut owner = Owner::new(LinkRole::Cable, key, 1);
     owner.open(&mut device);

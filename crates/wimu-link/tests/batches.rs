@@ -40,7 +40,7 @@ fn assert_lossless_raw(samples: &[Counts]) {
     );
     assert!(batch.counts().eq(samples.iter().copied()));
     assert_eq!(batch.specific_forces().count(), 0);
-    // Header, and every sample as it is with its axis's coding and length, and the shift.
+    // Header, shift, each axis's coding and length, and every sample at full width.
     assert!(body.len() <= 6 + (22 + samples.len() * 48).div_ceil(8));
 }
 

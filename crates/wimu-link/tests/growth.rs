@@ -88,11 +88,11 @@ fn an_event_and_a_refusal_that_are_new_are_told_as_such() {
     let number = body.len() - 1;
     body[number] = 99;
     body.extend([1, 2]);
-    let told = Telemetry::Event {
+    let event = Telemetry::Event {
         time_us: 300,
         event: Event::Other { number: 99 },
     };
-    assert_eq!(Telemetry::decode(&body), Ok(told));
+    assert_eq!(Telemetry::decode(&body), Ok(event));
     assert!(Event::Other { number: 99 }.to_string().contains("update"));
 
     // As part of a longer message nothing can be made of it.

@@ -95,8 +95,8 @@ fn opened(frame: &[u8]) -> (Kind, Vec<u8>) {
     (frame.kind, frame.body.to_vec())
 }
 
-/// The frames of version 1 as they were frozen: the first so many of each file, and the CRC-32C of
-/// their hex digits. Whoever has to change a number here makes another version of the wire.
+/// The frozen frames of version 1: the number of first frames of each file, and the CRC-32C of their hex
+/// digits. A change of a number here is a new version of the wire.
 const FROZEN: [(&str, usize, u32); 6] = [
     ("batch", 9, 0xe476_f54d),
     ("hello", 2, 0x981e_9c73),

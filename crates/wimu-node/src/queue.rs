@@ -145,7 +145,7 @@ impl Ring<[u8]> {
         true
     }
 
-    /// Removes the next bytes of the oldest frame into `piece`; 0 if there is none.
+    /// Removes the next bytes of the oldest frame into `piece`; 0 if the queue is empty.
     fn pop(&mut self, piece: &mut [u8; PIECE]) -> usize {
         if self.begun == 0 && self.used > 0 {
             self.begun = self.length_at(0);

@@ -23,7 +23,7 @@ impl<T> Slot<T> {
         }
     }
 
-    /// The value, made by `new` if there is none. Not inlined, so that the code of `new` exists once.
+    /// The value, made by `new` if the slot is empty. Not inlined, so that the code of `new` exists once.
     #[inline(never)]
     pub(crate) fn or_new(&mut self, new: fn() -> T) -> &mut T {
         if let Self::Empty = self {

@@ -66,7 +66,7 @@ pub trait Store {
         0
     }
 
-    /// Reads a record into `buffer`, which holds [`MAX_RECORD`] bytes; `None` if there is none.
+    /// Reads a record into `buffer`, which holds [`MAX_RECORD`] bytes; `None` if it does not exist.
     ///
     /// # Errors
     /// [`StoreFault`] when the memory cannot be read, or a record that was saved is damaged.

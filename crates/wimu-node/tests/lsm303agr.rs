@@ -23,7 +23,7 @@ fn read(register: u8, values: &[u8]) -> Transaction {
     Transaction::write_read(ACCELEROMETER, vec![register | 0x80], values.to_vec())
 }
 
-/// FIFO_SRC: more wait than the line is told, it is full, it is empty; how many wait.
+/// FIFO_SRC: level above the watermark, overrun, empty; level, samples.
 fn source(value: u8) -> Transaction {
     read(0x2F, &[value])
 }
@@ -128,7 +128,7 @@ async fn start(bench: &mut Bench) {
     assert_eq!(outcome, Ok(()));
 }
 
-/// The next samples, of which the line told at `rose` and that are looked at `now`.
+/// The next samples, announced by the line at `rose` and read at `now`.
 async fn next(bench: &mut Bench, rose: u64, now: u64) -> (Batch, Vec<Counts>) {
     bench.rises.borrow_mut().push_back(rose);
     bench.clock.0.set(now);
@@ -214,7 +214,7 @@ fn of_a_full_fifo_the_oldest_sample_is_left_out_since_it_may_be_torn() {
         let batch = bench.sensor.next(&mut read).await.expect("they wait");
         assert_eq!(read[..batch.count], counts(0, 31));
         assert!(batch.overrun && batch.queued);
-        // Of the line, which told long ago, nothing follows: it is in the last period.
+        // An edge long ago gives no time: the newest sample is within the last period.
         assert_eq!(batch.last_time, DeviceTimeUs(139_750));
     });
 }
@@ -266,10 +266,10 @@ fn without_the_line_samples_come_late_and_without_samples_it_says_so() {
 
 #[test]
 fn a_transfer_that_fails_says_how() {
-    let nobody = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address);
+    let no_address = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address);
     let midway = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Data);
     for (error, fault) in [
-        (nobody, SensorFault::NotAnswering),
+        (no_address, SensorFault::NotAnswering),
         (midway, SensorFault::Transfer),
         (ErrorKind::Bus, SensorFault::Transfer),
     ] {

@@ -171,7 +171,7 @@ impl Fitting {
     pub fn how(&self, sums: &Sums) -> How {
         let (spread, own) = (sums.central(), self.axis);
         let white = WHITE.max(WHITE_DEVIATIONS / libm::sqrt(spread.n));
-        let told = |lag: &usize| {
+        let is_white = |lag: &usize| {
             let shared = sums.lagged(*lag)?;
             if shared.xy[(own, own)] < LEAST_SHARED * spread.xy[(own, own)] {
                 return None;
@@ -181,7 +181,7 @@ impl Fitting {
             let left = self.left(&spread, &sees).max(f64::MIN_POSITIVE);
             (self.left(&shared, &sees).abs() <= white * left).then_some(())
         };
-        let lag = (0..LAGS.len()).rev().find(|lag| told(lag).is_some());
+        let lag = (0..LAGS.len()).rev().find(|lag| is_white(lag).is_some());
         lag.map_or(How::Bounds, How::Neighbours)
     }
 
@@ -204,15 +204,15 @@ impl Fitting {
             let share = root.solve_lower_triangular(&self.information(&block))?;
             let share = root.solve_lower_triangular(&share.transpose())?;
             for (square, column) in squares.iter_mut().zip(inverse.column_iter()) {
-                let told = column.dot(&(share * column)) / column.norm_squared();
-                *square += told * told;
+                let fraction = column.dot(&(share * column)) / column.norm_squared();
+                *square += fraction * fraction;
             }
             // A block is part of the whole, which reduces the difference accordingly.
             let own = SymmetricEigen::new(share);
             let of = own.eigenvectors.transpose() * off;
             let less = own
                 .eigenvalues
-                .map(|told| libm::sqrt((1.0 - told).clamp(0.0, 1.0)));
+                .map(|fraction| libm::sqrt((1.0 - fraction).clamp(0.0, 1.0)));
             let off = root
                 .transpose()
                 .solve_upper_triangular(&(own.eigenvectors * of.component_mul(&less)))?;

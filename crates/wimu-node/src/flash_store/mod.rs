@@ -301,7 +301,7 @@ impl<F: NorFlash> FlashStore<F> {
         self.append_directories(REMOVAL_DIRECTORIES).await
     }
 
-    /// The record in use; `None` if there is none.
+    /// The record in use, if any.
     async fn find(&mut self, key: u8) -> Result<Option<&[u8]>, StoreFault> {
         let known = self.directory.entry(key);
         if !self.is_corrupt && !known.exists {

@@ -189,10 +189,15 @@ fn intervals_hold_the_truth_whatever_the_noise() {
                 rests,
             };
             let [bias, scale, _] = coverage(trial);
-            let kind = format!("noise {sd:?}, memory {memory}, ratio known {ratio_known}, rests {rests}");
+            let kind =
+                format!("noise {sd:?}, memory {memory}, ratio known {ratio_known}, rests {rests}");
             println!("{kind}: bias {bias}, scale factor {scale}");
             // Where nothing parts the noises, from bound to bound.
-            let most = if ratio_known || memory == 0.0 { 0.97 } else { 1.0 };
+            let most = if ratio_known || memory == 0.0 {
+                0.97
+            } else {
+                1.0
+            };
             bias.assert_can_be(0.93..=most, &kind);
             scale.assert_can_be(0.93..=most, &kind);
             held.extend([bias, scale]);

@@ -355,7 +355,9 @@ fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
             }
         }
     }
-    println!("a step 10° off: detected {detected}, biases held {held}; without one detected {wrongly}");
+    println!(
+        "a step 10° off: detected {detected}, biases held {held}; without one detected {wrongly}"
+    );
     coverage_figure(
         "three turns, one step 10° off: 95 % intervals of biases hold",
         &[held],

@@ -1,7 +1,7 @@
 //! Packing loses nothing and never blows up.
 
 use proptest::prelude::*;
-use wimu_link::batch::{self, Batch, BatchError, MAX_BATCH, Stream};
+use wimu_link::batch::{self, Batch, BatchError, Layout, MAX_BATCH, Stream};
 use wimu_link::frame::{Deframer, EncodeError, Kind, MAX_FRAME};
 use wimu_model::{Counts, DeviceTimeUs, SpecificForceQ16};
 use wimu_testkit::trials;
@@ -31,7 +31,7 @@ fn body(line: &[u8]) -> Vec<u8> {
 
 fn assert_lossless_raw(samples: &[Counts]) {
     let body = pack(samples);
-    let batch = Batch::decode(&body).unwrap();
+    let batch = Batch::decode(Kind::Batch, &body).unwrap();
     assert_eq!(batch.stream(), Stream::Raw);
     assert_eq!(batch.len(), samples.len());
     assert_eq!(
@@ -46,7 +46,7 @@ fn assert_lossless_raw(samples: &[Counts]) {
 
 fn assert_lossless_corrected(samples: &[SpecificForceQ16]) {
     let body = pack(samples);
-    let batch = Batch::decode(&body).unwrap();
+    let batch = Batch::decode(Kind::Batch, &body).unwrap();
     assert_eq!(batch.stream(), Stream::Corrected);
     assert!(batch.specific_forces().eq(samples.iter().copied()));
     assert_eq!(batch.counts().count(), 0);
@@ -89,12 +89,12 @@ proptest! {
         let forces: Vec<_> = samples.iter().copied().map(SpecificForceQ16).collect();
         let counts: Vec<_> = samples.iter().map(|axes| Counts(axes.map(|v| v as i16))).collect();
         let mut line = [0; MAX_FRAME];
-        let length = batch::encode_every(every, 7, DeviceTimeUs(9), &forces, &mut line).unwrap();
-        let batch = Batch::decode(&body(&line[..length])).unwrap();
+        let length = batch::encode_with(Layout { sensor: 0, every }, 7, DeviceTimeUs(9), &forces, &mut line).unwrap();
+        let batch = Batch::decode(Kind::Batch, &body(&line[..length])).unwrap();
         prop_assert_eq!(batch.every(), every.get());
         prop_assert!(batch.specific_forces().eq(forces));
-        let length = batch::encode_every(every, 7, DeviceTimeUs(9), &counts, &mut line).unwrap();
-        let batch = Batch::decode(&body(&line[..length])).unwrap();
+        let length = batch::encode_with(Layout { sensor: 0, every }, 7, DeviceTimeUs(9), &counts, &mut line).unwrap();
+        let batch = Batch::decode(Kind::Batch, &body(&line[..length])).unwrap();
         prop_assert_eq!((batch.every(), batch.sequence_low(), batch.time_low()), (every.get(), 7, 9));
         prop_assert!(batch.counts().eq(counts));
     }
@@ -130,10 +130,10 @@ proptest! {
     fn a_cut_or_longer_batch_is_refused(samples in around_a_course(), extra: u8) {
         let mut body = pack(&samples.iter().map(|s| Counts(s.map(|v| v as i16))).collect::<Vec<_>>());
         for cut in 0..body.len() {
-            prop_assert!(Batch::decode(&body[..cut]).is_err());
+            prop_assert!(Batch::decode(Kind::Batch, &body[..cut]).is_err());
         }
         body.push(extra);
-        prop_assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::TooLong);
+        prop_assert_eq!(Batch::decode(Kind::Batch, &body).unwrap_err(), BatchError::TooLong);
     }
 }
 
@@ -197,18 +197,27 @@ fn impossible_values_are_refused() {
     // Decimated by 0 and by 1.
     for every in [0, 1] {
         let body = [&[0x80, 0, 0, 0, 0, 0, every], &[0; 5][..]].concat();
-        assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Decimation);
+        assert_eq!(
+            Batch::decode(Kind::Batch, &body).unwrap_err(),
+            BatchError::Decimation
+        );
     }
     assert_eq!(
-        Batch::decode(&[0x80, 0, 0, 0, 0, 0]).unwrap_err(),
+        Batch::decode(Kind::Batch, &[0x80, 0, 0, 0, 0, 0]).unwrap_err(),
         BatchError::TooShort
     );
     // Two raw samples; X: mean, k = 15, first value 0, two ones: a residual of 2·2¹⁵ or more.
     let bits = [0b0111_1100, 0b0001_1000, 0, 0, 0];
     let body = [&[1, 0, 0, 0, 0, 0], &bits[..]].concat();
-    assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Value);
+    assert_eq!(
+        Batch::decode(Kind::Batch, &body).unwrap_err(),
+        BatchError::Value
+    );
     // And no batch at all.
-    assert_eq!(Batch::decode(&[]).unwrap_err(), BatchError::TooShort);
+    assert_eq!(
+        Batch::decode(Kind::Batch, &[]).unwrap_err(),
+        BatchError::TooShort
+    );
 }
 
 #[test]
@@ -216,5 +225,8 @@ fn a_coding_that_no_sender_makes_is_an_error() {
     // Three raw samples. X: coding 10, which stands for nothing. Y and Z of fixed width.
     let bits = [0b1000_0000, 0b0001_1010, 0, 0, 0];
     let body = [&[2, 0, 0, 0, 0, 0], &bits[..]].concat();
-    assert_eq!(Batch::decode(&body).unwrap_err(), BatchError::Value);
+    assert_eq!(
+        Batch::decode(Kind::Batch, &body).unwrap_err(),
+        BatchError::Value
+    );
 }

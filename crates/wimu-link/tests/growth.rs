@@ -182,6 +182,7 @@ fn an_epoch_of_other_arithmetic_still_places_samples() {
             revision: 200,
             ..WireState::default()
         },
+        ..Epoch::default()
     };
     let telemetry = Telemetry::Epoch(epoch);
     let body = body_of(|line| telemetry.encode(line));

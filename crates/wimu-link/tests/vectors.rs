@@ -10,6 +10,7 @@ use std::num::NonZeroU8;
 use std::path::PathBuf;
 
 use wimu_link::auth::{DeviceKey, KeyId};
+use wimu_link::batch::Layout;
 use wimu_link::frame::EncodeError;
 use wimu_link::hello::{Capabilities, LinkRole, Part, ResetReason, WriteAccess, board, sensor};
 use wimu_link::message::{
@@ -129,7 +130,7 @@ fn what_was_frozen_is_what_it_was_and_is_read() {
                 Kind::Reply => Reply::decode(&body).unwrap().encode(&mut line),
                 // Others may pack the same samples in another way.
                 _ => {
-                    Batch::decode(&body).unwrap();
+                    Batch::decode(Kind::Batch, &body).unwrap();
                     continue;
                 }
             };
@@ -270,16 +271,22 @@ fn batches_are_as_they_were() {
         format!("raw, every fourth, sequence 8, time 80000 µs: {axes:?}"),
         |line| {
             let every = NonZeroU8::new(4).unwrap();
-            batch::encode_every(every, 8, DeviceTimeUs(80_000), &fourth, line)
+            batch::encode_with(
+                Layout { sensor: 0, every },
+                8,
+                DeviceTimeUs(80_000),
+                &fourth,
+                line,
+            )
         },
     );
     let mut bodies = vectors.check();
-    let decimated = Batch::decode(&bodies.pop().unwrap()).unwrap();
+    let decimated = Batch::decode(Kind::Batch, &bodies.pop().unwrap()).unwrap();
     assert_eq!((decimated.every(), decimated.sequence_low()), (4, 8));
     assert!(decimated.counts().eq(fourth));
     let (raw_bodies, corrected_bodies) = bodies.split_at(raw.len());
     for (body, samples) in raw_bodies.iter().zip(raw) {
-        let batch = Batch::decode(body).unwrap();
+        let batch = Batch::decode(Kind::Batch, body).unwrap();
         assert_eq!(
             (batch.sequence_low(), batch.time_low()),
             (0x5678, 0xde_f012)
@@ -288,7 +295,7 @@ fn batches_are_as_they_were() {
         assert_eq!(batch.every(), 1);
     }
     for (body, samples) in corrected_bodies.iter().zip(corrected) {
-        let batch = Batch::decode(body).unwrap();
+        let batch = Batch::decode(Kind::Batch, body).unwrap();
         assert!(batch.specific_forces().eq(samples.iter().copied()));
     }
 }
@@ -431,6 +438,7 @@ fn epoch(reason: EpochReason) -> Epoch {
             }),
             heading_sd_mrad: Some(37),
         },
+        ..Epoch::default()
     }
 }
 

@@ -215,7 +215,7 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
         }
         let sequence = self.next_sequence;
         let force = running.correction.corrector.correct(counts);
-        let saturated = counts.saturated(running.plan.full_scale);
+        let saturated = counts.saturated(running.plan.full_scale.into());
         let transition = running.integrator.step(force, saturated);
         for lane in &mut self.lanes {
             lane.add(self.shared, sequence, time, counts, force);
@@ -265,10 +265,11 @@ impl<'a, A: Accelerometer, T: Timer, M: RawMutex> Sampler<'a, A, T, M> {
             period_ns: running.clock.period.0,
             range_g: running.plan.settings.range_g,
             sensitivity_lsb_per_g: running.plan.sensitivity.lsb_per_g(),
-            full_scale: running.plan.full_scale,
+            full_scale: running.plan.full_scale.into(),
             parameters: running.correction.parameters.0,
             temperature_centi_c: running.correction.temperature.map(|t| t.0),
             state: running.integrator.state().into(),
+            ..Epoch::default()
         });
         self.shared.announce(&epoch, roles);
     }

@@ -437,6 +437,7 @@ fn epoch(reason: EpochReason) -> Epoch {
                 start: segment,
             }),
             heading_sd_mrad: Some(37),
+            rotation: None,
         },
         ..Epoch::default()
     }

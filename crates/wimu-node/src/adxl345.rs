@@ -1,4 +1,4 @@
-//! The ADXL345 (accelerometer) behind [`Accelerometer`], through its FIFO.
+//! The ADXL345 (accelerometer) behind [`InertialSensor`], through its FIFO.
 
 use embedded_hal_async::i2c::{self, I2c};
 use wimu_adxl345::{
@@ -7,9 +7,9 @@ use wimu_adxl345::{
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{Counts, PeriodNs, Sensitivity};
 
-use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
 use crate::fifo::{DEPTH, FifoState, SensorFifo};
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::timer::Timer;
 
 /// Ranges, ± g.
@@ -106,10 +106,12 @@ fn format(range: Range, resolution: Resolution) -> DataFormat {
     }
 }
 
-impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
-    const MAGNETOMETER: bool = false;
-
-    fn plan(wanted: &Settings) -> Result<Plan, Settings> {
+impl<I2C, D, T> Adxl345<I2C, D, T> {
+    /// The plan for `wanted`.
+    ///
+    /// # Errors
+    /// The nearest supported settings.
+    pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
         let nearest_range = RANGES
             .iter()
             .min_by_key(|(g, _)| g.abs_diff(wanted.range_g));
@@ -129,18 +131,28 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Adxl345<I2C, D, T> {
         };
         let format = format(range, settings.resolution);
         match Sensitivity::from_lsb_per_g(f64::from(format.lsb_per_g())) {
-            Ok(sensitivity) if settings == *wanted => Ok(Plan {
-                settings,
-                period: PeriodNs(rate.period_ns()),
-                sensitivity,
-                full_scale: i16::MAX << (16 - format.bits()),
-            }),
+            Ok(sensitivity) if settings == *wanted => {
+                let period = PeriodNs(rate.period_ns());
+                let full_scale = i16::MAX << (16 - format.bits());
+                let sensor = SensorPlan::new(period, sensitivity, full_scale.into());
+                Ok(Plan::new(settings, sensor))
+            }
             _ => Err(settings),
         }
     }
+}
+
+impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Adxl345<I2C, D, T> {
+    type Sample = Counts;
+    type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    const MAGNETOMETER: bool = false;
+
+    fn planner(&self) -> Self::Planner {
+        Self::plan
+    }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        self.fifo = SensorFifo::new(plan.period, TRANSFER_US);
+        self.fifo = SensorFifo::new(plan.sensor.period, TRANSFER_US);
         self.start(plan).await.map_err(fault)
     }
 

@@ -2,7 +2,7 @@
 
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
-use crate::accelerometer::Batch;
+use crate::sensor::Batch;
 
 /// Capacity of the FIFO of each supported sensor, samples.
 pub(crate) const DEPTH: u8 = 32;
@@ -81,12 +81,9 @@ impl SensorFifo {
         let newest = self.newest(state).0;
         let last_time = DeviceTimeUs(newest.saturating_sub(self.micros(unread)));
         self.last = Some(last_time);
-        Batch {
-            count,
-            last_time,
-            overrun: state.overrun,
-            queued: true,
-        }
+        Batch::new(count, last_time)
+            .with_overrun(state.overrun)
+            .from_queue()
     }
 
     /// Time of the newest sample in the FIFO.

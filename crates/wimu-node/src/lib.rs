@@ -5,7 +5,6 @@
 #[cfg(test)]
 extern crate std;
 
-pub mod accelerometer;
 mod adxl345;
 mod bus;
 mod control;
@@ -19,15 +18,16 @@ mod mounting;
 mod node;
 mod queue;
 mod rate;
+mod sample;
 mod sampler;
 #[cfg(feature = "self-check")]
 mod self_check;
+pub mod sensor;
 mod shared;
 mod slot;
 mod store;
 mod timer;
 
-pub use accelerometer::Accelerometer;
 pub use adxl345::Adxl345;
 pub use bus::{BusError, TimeoutBus};
 pub use control::Control;
@@ -40,6 +40,7 @@ pub use mounting::{Axis, Mounting};
 pub use node::{Board, Node};
 pub use rate::{LineRate, RateKeeper};
 pub use sampler::Sampler;
+pub use sensor::InertialSensor;
 pub use shared::{Health, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;

@@ -1,4 +1,4 @@
-//! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`Accelerometer`], through its
+//! The LSM303AGR (accelerometer, magnetometer, temperature) behind [`InertialSensor`], through its
 //! FIFO.
 //!
 //! The `lsm303agr` crate is not used: it reads neither the FIFO level nor several samples at once, keeps a
@@ -9,10 +9,10 @@ use embedded_hal_async::i2c::I2c;
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs, Sensitivity};
 
-use crate::accelerometer::{Accelerometer, Batch, Plan, SensorFault, Surroundings};
 use crate::data_ready::DataReady;
 use crate::fifo::{DEPTH, FifoState, MAX_WATERMARK, SensorFifo};
 use crate::mounting::Mounting;
+use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::timer::Timer;
 
 /// I²C addresses of the accelerometer (with thermometer) and of the magnetometer.
@@ -177,8 +177,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Lsm303agr<I2C, D, T> {
     }
 }
 
-impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
-    fn plan(wanted: &Settings) -> Result<Plan, Settings> {
+impl<I2C, D, T> Lsm303agr<I2C, D, T> {
+    /// The plan for `wanted`.
+    ///
+    /// # Errors
+    /// The nearest supported settings.
+    pub fn plan(wanted: &Settings) -> Result<Plan, Settings> {
         let nearest_range = RANGES
             .iter()
             .min_by_key(|(g, ..)| g.abs_diff(wanted.range_g));
@@ -198,22 +202,29 @@ impl<I2C: I2c, D: DataReady, T: Timer> Accelerometer for Lsm303agr<I2C, D, T> {
         };
         let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
         match sensitivity {
-            Ok(sensitivity) if settings == *wanted => Ok(Plan {
-                settings,
-                period: PeriodNs(period),
-                sensitivity,
-                full_scale: match settings.resolution {
+            Ok(sensitivity) if settings == *wanted => {
+                let full_scale = match settings.resolution {
                     Resolution::LowPower => 0x7F00,
                     Resolution::Normal => 0x7FC0,
                     Resolution::High => 0x7FF0,
-                },
-            }),
+                };
+                let sensor = SensorPlan::new(PeriodNs(period), sensitivity, full_scale);
+                Ok(Plan::new(settings, sensor))
+            }
             _ => Err(settings),
         }
     }
+}
+
+impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
+    type Sample = Counts;
+    type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    fn planner(&self) -> Self::Planner {
+        Self::plan
+    }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        self.fifo = SensorFifo::new(plan.period, TRANSFER_US);
+        self.fifo = SensorFifo::new(plan.sensor.period, TRANSFER_US);
         self.field_measured = false;
         let Settings {
             range_g,

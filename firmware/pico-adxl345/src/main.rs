@@ -106,7 +106,7 @@ fn start(spawner: Spawner) {
             Part::new(board::PICO_ADXL345, "Pico"),
             Part::new(sensor::ADXL345, "ADXL345"),
         ),
-        accelerometer: Sensor::new(TimeoutBus::new(i2c, BoardTimer), line, BoardTimer),
+        sensor: Sensor::new(TimeoutBus::new(i2c, BoardTimer), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(flash), flash::LAYOUT, PAUSE_MS),
         entropy: entropy(),

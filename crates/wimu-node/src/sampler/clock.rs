@@ -2,7 +2,7 @@
 
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
-use crate::accelerometer::Batch;
+use crate::sensor::Batch;
 
 /// Shortest measurement of the sample period, ns.
 const MEASURE_NS: u64 = 2_000_000_000;
@@ -120,12 +120,8 @@ mod tests {
     fn jitter_ns(count: u64, late: impl Fn(u64) -> u64) -> Option<u32> {
         let mut clock = SampleClock::new(PeriodNs(10_000_000));
         for k in 1..=1000 {
-            let read = Batch {
-                count: count as usize,
-                last_time: DeviceTimeUs(k * count * 10_100 + late(k)),
-                overrun: false,
-                queued: count > 1,
-            };
+            let last_time = DeviceTimeUs(k * count * 10_100 + late(k));
+            let read = Batch::new(count as usize, last_time);
             clock.update_jitter(&read, clock.measured());
             clock.count(read.last_time, count as u32);
         }

@@ -8,7 +8,7 @@ use wimu_link::message::{Resolution, Settings};
 use wimu_model::{Counts, PeriodNs, Sensitivity};
 
 use crate::data_ready::DataReady;
-use crate::fifo::{DEPTH, FifoState, SensorFifo};
+use crate::fifo::{FifoState, SensorFifo};
 use crate::sensor::{Batch, InertialSensor, Plan, SensorFault, SensorPlan, Surroundings};
 use crate::timer::Timer;
 
@@ -30,6 +30,8 @@ const RATES: [(u16, Rate); 6] = [
     (800, Rate::Hz800),
 ];
 
+/// Capacity of the FIFO, samples.
+const DEPTH: u8 = 32;
 /// Time to read a sample on a bus of 400 kHz, µs.
 const TRANSFER_US: u64 = 240;
 
@@ -51,7 +53,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
             device: wimu_adxl345::Adxl345::new(i2c, Address::Low),
             data_ready,
             timer,
-            fifo: SensorFifo::new(PeriodNs(10_000_000), TRANSFER_US),
+            fifo: SensorFifo::new(DEPTH.into(), PeriodNs(10_000_000), TRANSFER_US),
         }
     }
 
@@ -68,7 +70,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
             rate,
             low_power: plan.settings.resolution == Resolution::LowPower,
             fifo: Fifo::Stream {
-                watermark: self.fifo.watermark(),
+                watermark: self.fifo.watermark() as u8,
             },
             interrupts: Interrupts::WATERMARK,
             on_int2: Interrupts::NONE,
@@ -79,19 +81,12 @@ impl<I2C: I2c, D: DataReady, T: Timer> Adxl345<I2C, D, T> {
 
     /// Waits for the watermark or a timeout, and reads the state of the FIFO.
     async fn read_state(&mut self) -> Result<FifoState, Error<I2C::Error>> {
-        let deadline = self.fifo.deadline(self.timer.now());
-        let edge = self.timer.before(deadline, self.data_ready.ready()).await;
-        let woken = self.timer.now();
+        let edge_time = self.fifo.wait(&self.timer, &mut self.data_ready).await;
         let level = self.device.fifo_level().await?.samples;
         let at = self.timer.now();
         let overrun =
             level >= DEPTH && (self.device.interrupts().await?).contains(Interrupts::OVERRUN);
-        Ok(FifoState {
-            edge_time: edge.flatten().unwrap_or(woken),
-            at,
-            level,
-            overrun,
-        })
+        Ok(FifoState::new(edge_time, at, level.into()).with_overrun(overrun))
     }
 }
 
@@ -152,7 +147,7 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Adxl345<I2C, D, T> {
     }
 
     async fn configure(&mut self, plan: &Plan) -> Result<(), SensorFault> {
-        self.fifo = SensorFifo::new(plan.sensor.period, TRANSFER_US);
+        self.fifo = SensorFifo::new(DEPTH.into(), plan.sensor.period, TRANSFER_US);
         self.start(plan).await.map_err(fault)
     }
 
@@ -169,12 +164,8 @@ impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Adxl345<I2C, D, T> {
                 *sample = Counts(self.device.sample().await.map_err(fault)?);
             }
             if self.fifo.kept_up(&state, self.timer.now()) {
-                let unread = state.level - count as u8;
-                let state = FifoState {
-                    overrun: lost,
-                    ..state
-                };
-                return Ok(self.fifo.read(state, count, unread));
+                let unread = state.level - count as u16;
+                return Ok(self.fifo.read(state.with_overrun(lost), count, unread));
             }
             lost = true;
         }

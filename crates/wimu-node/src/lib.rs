@@ -45,3 +45,4 @@ pub use sensor::InertialSensor;
 pub use shared::{Health, Shared};
 pub use store::{Key, MAX_RECORD, Store, StoreFault};
 pub use timer::Timer;
+pub use wimu_adxl345;

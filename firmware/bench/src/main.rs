@@ -33,7 +33,7 @@ const BATCH: usize = 16;
 /// Sample period: 10 ms.
 const PERIOD: PeriodNs = PeriodNs(10_000_000);
 /// Positive full scale of the 12-bit LSM303AGR, LSB of the left-justified 16-bit counts.
-const FULL_SCALE: i16 = 32752;
+const FULL_SCALE: i32 = 32752;
 /// Gravity, 2⁻¹⁶ m/s², body axes.
 const GRAVITY: [i32; 3] = [1_234, -567, 642_689];
 

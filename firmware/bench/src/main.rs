@@ -9,6 +9,7 @@ mod array;
 mod calibration;
 mod counter;
 mod float;
+mod inertial;
 mod signals;
 
 use core::hint::black_box;
@@ -252,6 +253,7 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
         }
         report(name, sum, SAMPLES as u32, most);
     }
+    inertial::measure(counter, corrector, &rest, &motion)?;
     #[cfg(target_abi = "eabihf")]
     calibration::measure(counter)?;
     #[cfg(not(target_abi = "eabihf"))]

@@ -299,6 +299,7 @@ impl From<WireState> for State {
             window: wire.window.into(),
             run: wire.run.map(Run::from),
             heading_sd_mrad: wire.heading_sd_mrad,
+            rotation: None,
         }
     }
 }

@@ -10,7 +10,7 @@ use wimu_link::{Deframer, Kind, LinkRole};
 use wimu_model::DeviceTimeUs;
 
 use crate::queue::PIECE;
-use crate::shared::Shared;
+use crate::shared::Common;
 use crate::slot::Slot;
 use crate::timer::Timer;
 
@@ -21,7 +21,7 @@ const INTRODUCED_US: u64 = 250_000;
 pub struct LinkWriter<'a, W, M: RawMutex> {
     pub(crate) role: LinkRole,
     pub(crate) line: W,
-    pub(crate) shared: &'a Shared<M>,
+    pub(crate) shared: &'a Common<M>,
 }
 
 impl<W: Write, M: RawMutex> LinkWriter<'_, W, M> {
@@ -49,7 +49,7 @@ pub struct LinkReader<'a, R, T, M: RawMutex> {
     pub(crate) role: LinkRole,
     pub(crate) line: R,
     pub(crate) timer: T,
-    pub(crate) shared: &'a Shared<M>,
+    pub(crate) shared: &'a Common<M>,
 }
 
 impl<R: Read, T: Timer, M: RawMutex> LinkReader<'_, R, T, M> {

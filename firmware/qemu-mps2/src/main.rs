@@ -98,7 +98,7 @@ fn main() -> ! {
     let bridge = &*BRIDGE.init(Mutex::new(Bridge::new(SENSOR_BUS.start())));
     let board = Board {
         hello: hello(),
-        accelerometer: Sensor::new(BridgeI2c(bridge), DataReady(bridge), BoardTimer),
+        sensor: Sensor::new(BridgeI2c(bridge), DataReady(bridge), BoardTimer),
         timer: BoardTimer,
         // SAFETY: nothing else uses the memory there.
         store: FlashStore::new(unsafe { Flash::new() }, store::LAYOUT, 0),

@@ -18,7 +18,9 @@ use wimu_host::{ErrorCode, HostError, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
-use wimu_node::{Accelerometer, DataReady, RateKeeper, Shared, TimeoutBus, Timer};
+use wimu_node::sensor::RawSample;
+use wimu_node::wimu_adxl345::{Address, I2cBus};
+use wimu_node::{DataReady, InertialSensor, RateKeeper, Shared, TimeoutBus, Timer};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
@@ -101,7 +103,7 @@ pub struct Board {
     wireless: HostEnd,
     /// Faults of the links, the cable's first.
     channels: [Option<Channels>; 2],
-    shared: SharedMemory,
+    buttons: Rc<dyn Buttons>,
     node: Pin<Box<dyn Future<Output = ()>>>,
     woken: Arc<Woken>,
 }
@@ -119,9 +121,8 @@ impl Board {
             (&config.wireless_faults, config.fault_seed.wrapping_add(1)),
         ]
         .map(|(faults, seed)| (!faults.is_none()).then(|| Channels::new(faults, seed)));
-        let shared = SharedMemory::default();
-        let (node, bus_faults, cable, wireless) =
-            boot(&clock, &config, &sensor, &channels, &shared);
+        let ((node, buttons), bus_faults, cable, wireless) =
+            boot(&clock, &config, &sensor, &channels);
         Self {
             clock,
             started_us: 0,
@@ -131,7 +132,7 @@ impl Board {
             cable,
             wireless,
             channels,
-            shared,
+            buttons,
             node,
             woken: Arc::new(Woken(AtomicBool::new(true))),
         }
@@ -146,14 +147,12 @@ impl Board {
             channels.clear();
         }
         let bauds = [self.cable.baud(), self.wireless.baud()];
-        self.shared = SharedMemory::default();
-        (self.node, self.bus_faults, self.cable, self.wireless) = boot(
-            &self.clock,
-            &self.config,
-            &self.sensor,
-            &self.channels,
-            &self.shared,
-        );
+        (
+            (self.node, self.buttons),
+            self.bus_faults,
+            self.cable,
+            self.wireless,
+        ) = boot(&self.clock, &self.config, &self.sensor, &self.channels);
         // The other ends keep their baud rates.
         for (link, baud) in [&mut self.cable, &mut self.wireless].into_iter().zip(bauds) {
             if let Some(baud) = baud {
@@ -209,12 +208,12 @@ impl Board {
     /// Presses button A for the `count`th time.
     pub fn press(&self, count: u16) {
         let timer = BoardTimer::new(&self.clock, self.started_us, &self.config);
-        self.shared.mark(timer.now(), count);
+        self.buttons.mark(timer.now(), count);
     }
 
     /// The gesture that erases a lost key.
     pub fn forget_key(&self) {
-        self.shared.forget_key();
+        self.buttons.forget_key();
     }
 
     /// The board's memory.
@@ -249,19 +248,32 @@ impl Board {
     }
 }
 
-/// Memory shared by the node's tasks.
-type SharedMemory = Rc<Shared<NoopRawMutex>>;
+/// The board's buttons, of a node with any sensor.
+trait Buttons {
+    fn mark(&self, now: DeviceTimeUs, count: u16);
+    fn forget_key(&self);
+}
 
-type Boot = (Pin<Box<dyn Future<Output = ()>>>, Faults, HostEnd, HostEnd);
+impl<S: RawSample> Buttons for Shared<NoopRawMutex, S> {
+    fn mark(&self, now: DeviceTimeUs, count: u16) {
+        self.mark(now, count);
+    }
+
+    fn forget_key(&self) {
+        self.forget_key();
+    }
+}
+
+/// A running node.
+type Running = (Pin<Box<dyn Future<Output = ()>>>, Rc<dyn Buttons>);
+type Boot = (Running, Faults, HostEnd, HostEnd);
 
 fn boot(
     clock: &VirtualClock,
     config: &BoardConfig,
     device: &Sensor,
     channels: &[Option<Channels>; 2],
-    shared: &SharedMemory,
 ) -> Boot {
-    let shared = shared.clone();
     let i2c = SimI2c::new(clock, [Rc::new(device.clone()) as Rc<dyn Target>]);
     let faults = i2c.faults();
     let link = |config: LinkConfig, faults: &LinkFaults, channels: &Option<Channels>| {
@@ -313,12 +325,14 @@ fn boot(
     };
     let node = match config.sensor {
         SensorPart::Lsm303agr => {
-            let accelerometer = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links, rates, shared)
+            let sensor = wimu_node::Lsm303agr::new(i2c, line, timer.clone());
+            node(hello, sensor, timer, storage, links, rates)
         }
         SensorPart::Adxl345 => {
-            let accelerometer = wimu_node::Adxl345::new(i2c, line, timer.clone());
-            node(hello, accelerometer, timer, storage, links, rates, shared)
+            let address = Address::Low;
+            let bus = I2cBus { i2c, address };
+            let sensor = wimu_node::Adxl345::new(bus, line, timer.clone());
+            node(hello, sensor, timer, storage, links, rates)
         }
     };
     (node, faults, cable, wireless)
@@ -326,26 +340,27 @@ fn boot(
 
 fn node(
     hello: Hello,
-    accelerometer: impl Accelerometer + 'static,
+    sensor: impl InertialSensor + 'static,
     timer: BoardTimer,
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
     rates: [Option<(DeviceRate, u32)>; 2],
-    shared: SharedMemory,
-) -> Pin<Box<dyn Future<Output = ()>>> {
+) -> Running {
     // Different at each start, and the same in every run: a simulation has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
     let clock = timer.clone();
     let board = wimu_node::Board {
         hello,
-        accelerometer,
+        sensor,
         timer,
         store: storage.store(),
         entropy: entropy.to_le_bytes(),
         cable,
         wireless,
     };
-    Box::pin(async move {
+    let shared = Rc::new(Shared::new());
+    let buttons = shared.clone();
+    let node = Box::pin(async move {
         let [cable, wireless] = rates;
         let keep = async |role, rate| match rate {
             Some((rate, opened)) => {
@@ -360,7 +375,8 @@ fn node(
         );
         // The keepers are polled first, so that they are ready for a request.
         join(keepers, board.split(&shared).run()).await;
-    })
+    });
+    (node, buttons)
 }
 
 fn firmware_version() -> [u16; 3] {

@@ -10,7 +10,8 @@ use wimu_link::message::{EncodedParameters, Event, ParameterFault, Refusal, Wire
 use wimu_model::{CentiCelsius, Corrector, ParameterId, ParameterSet, SensorId};
 
 use super::Control;
-use crate::accelerometer::{Accelerometer, Plan};
+use crate::sample::sealed::Process as _;
+use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Correction, Order, PersistentFault, Staged};
 use crate::store::Store;
 use crate::timer::Timer;
@@ -21,7 +22,7 @@ const TEMPERATURE_STEP: u16 = 50;
 /// sensor, excludes another range.
 const SENSITIVITY_RATIO: core::ops::RangeInclusive<f64> = 0.8..=1.25;
 
-impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Configures the sensor for `plan`, corrected with the set in use, or with the set at the given position
     /// in `record`, if there is one.
     pub(super) async fn configure(
@@ -29,13 +30,13 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         plan: &Plan,
         with: Option<&Option<Range<usize>>>,
     ) -> Result<(), Refusal> {
-        self.shared.orders.room().await;
+        self.orders.room().await;
         self.shared.configured.reset();
         let correction = match with {
             None => self.correction_in_use(plan)?,
             Some(position) => self.correction(plan, self.set_at(position))?,
         };
-        self.shared.orders.give(Order::Configure(*plan, correction));
+        self.orders.give(Order::Configure(*plan, correction));
         let outcome = self.shared.configured.wait().await;
         outcome.map_err(|_| Refusal::SensorFailed)
     }
@@ -47,15 +48,15 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             .is_none_or(|latched| latched.0.abs_diff(temperature.0) >= TEMPERATURE_STEP);
         if moved {
             self.latched = Some(temperature);
-            self.shared.orders.room().await;
+            self.orders.room().await;
             if let Ok(correction) = self.correction_in_use(plan) {
-                self.shared.orders.give(Order::Correct(correction));
+                self.orders.give(Order::Correct(correction));
             }
         }
     }
 
     /// The corrector for `plan` with the set in use.
-    pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction, Refusal> {
+    pub(super) fn correction_in_use(&self, plan: &Plan) -> Result<Correction<A::Sample>, Refusal> {
         self.correction(plan, self.shared.active().get())
     }
 
@@ -65,10 +66,10 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         &self,
         plan: &Plan,
         committed: Option<EncodedParameters>,
-    ) -> Result<Correction, Refusal> {
+    ) -> Result<Correction<A::Sample>, Refusal> {
         let range_g = plan.settings.range_g;
         if let Some(set) = committed {
-            match self.compiled(set) {
+            match self.compiled(plan, set) {
                 Ok((correction, of)) if of == range_g => {
                     self.clear_fault(PersistentFault::Parameters);
                     return Ok(correction);
@@ -81,24 +82,31 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 _ => {}
             }
         }
-        let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensitivity);
-        self.compile(&uncalibrated, ParameterId::UNCALIBRATED)
+        let uncalibrated = ParameterSet::uncalibrated(range_g, plan.sensor.sensitivity);
+        self.compile(plan, &uncalibrated, ParameterId::UNCALIBRATED)
     }
 
     /// The corrector of a set, and its full-scale range, ± *g*.
-    pub(super) fn compiled(&self, set: EncodedParameters) -> Result<(Correction, u8), Refusal> {
+    pub(super) fn compiled(
+        &self,
+        plan: &Plan,
+        set: EncodedParameters,
+    ) -> Result<(Correction<A::Sample>, u8), Refusal> {
         let wire = set.decode().map_err(|_| Refusal::NothingStaged)?;
         let decoded = ParameterSet::try_from(&wire).map_err(Refusal::InvalidParameters)?;
-        Ok((self.compile(&decoded, set.id())?, decoded.range_g))
+        Ok((self.compile(plan, &decoded, set.id())?, decoded.range_g))
     }
 
     pub(super) fn compile(
         &self,
+        plan: &Plan,
         set: &ParameterSet,
         parameters: ParameterId,
-    ) -> Result<Correction, Refusal> {
+    ) -> Result<Correction<A::Sample>, Refusal> {
         Ok(Correction {
             corrector: Corrector::compile(set, self.latched)
+                .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
+            gyroscope: A::Sample::compile_gyroscope(set, &plan.sensor, self.latched)
                 .map_err(|fault| Refusal::InvalidParameters(fault.into()))?,
             parameters,
             temperature: self.latched,
@@ -135,12 +143,12 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
         Corrector::compile(&set, self.latched)
             .map_err(|fault| Refusal::InvalidParameters(fault.into()))?;
-        let ratio = set.sensitivity.lsb_per_g() / plan.sensitivity.lsb_per_g();
+        let ratio = set.sensitivity.lsb_per_g() / plan.sensor.sensitivity.lsb_per_g();
         let known = (self.shared).with_published(|published| published.hello.sensitivity_known);
         if known && !SENSITIVITY_RATIO.contains(&ratio) {
             return Err(Refusal::WrongSensitivity {
                 parameters_lsb_per_g: set.sensitivity.lsb_per_g(),
-                device_lsb_per_g: plan.sensitivity.lsb_per_g(),
+                device_lsb_per_g: plan.sensor.sensitivity.lsb_per_g(),
             });
         }
         Ok(staging.set.encode(&wire))

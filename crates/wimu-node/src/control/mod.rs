@@ -4,8 +4,6 @@ mod correction;
 mod plan;
 mod records;
 
-use core::marker::PhantomData;
-
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::auth::{DeviceKey, KeyState};
@@ -15,9 +13,9 @@ use wimu_link::{LinkRole, Responder};
 use wimu_model::{CentiCelsius, DeviceTimeUs, ParameterId};
 
 use self::records::parameters_record;
-use crate::accelerometer::{Accelerometer, Plan};
+use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{
-    Message, Order, PersistentFault, ROLES, RateOrder, Shared, Staged, active_parameters,
+    Common, Message, Order, Orders, PersistentFault, ROLES, RateOrder, Staged, active_parameters,
 };
 use crate::slot::put;
 use crate::store::{Key, MAX_RECORD, Store, StoreFault};
@@ -32,10 +30,12 @@ const STATUS_US: u64 = 5_000_000;
 type ShortPayload = Payload<EncodedParameters<'static>>;
 
 /// Executes requests, and stores parameters and settings.
-pub struct Control<'a, A, T, S, M: RawMutex> {
+pub struct Control<'a, A: InertialSensor, T, S, M: RawMutex> {
+    pub(crate) planner: A::Planner,
     pub(crate) store: S,
     pub(crate) timer: T,
-    pub(crate) shared: &'a Shared<M>,
+    pub(crate) shared: &'a Common<M>,
+    pub(crate) orders: &'a Orders<M, A::Sample>,
     /// A record on its way to the store or from it.
     pub(crate) record: [u8; MAX_RECORD],
     /// The new parameters have to be announced.
@@ -43,10 +43,9 @@ pub struct Control<'a, A, T, S, M: RawMutex> {
     #[cfg(feature = "self-check")]
     pub(crate) self_check: crate::self_check::CalibrationCheck,
     pub(crate) latched: Option<CentiCelsius>,
-    pub(crate) sensor: PhantomData<A>,
 }
 
-impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Runs for ever.
     pub async fn run(&mut self) -> ! {
         let mut plan = self.start().await;
@@ -202,14 +201,15 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 staging.id = Some(id);
                 Ok(Payload::Staged { hash: id.0 })
             }
-            Command::CommitParameters { hash } => self.commit(ParameterId(hash)).await,
+            Command::CommitParameters { hash } => self.commit(plan, ParameterId(hash)).await,
             Command::SetSettings(wanted) => {
-                let new = plan::or_refusal::<A>(&wanted)?;
+                let new = plan::or_refusal(&self.planner, &wanted)?;
                 self.change(plan, new).await?;
                 Ok(Payload::Settings(plan.settings))
             }
             Command::FactoryReset => {
-                let new = plan::nearest::<A>(&Settings::default()).ok_or(Refusal::SensorFailed)?;
+                let new = plan::nearest(&self.planner, &Settings::default())
+                    .ok_or(Refusal::SensorFailed)?;
                 self.configure(&new, Some(&None)).await?;
                 self.announce_pause().await;
                 if let Err(StoreFault) = self.store.remove(is_calibration_or_settings).await {
@@ -241,7 +241,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
             self.shared.report(self.timer.now(), Event::StoreUnreadable);
             return;
         }
-        if let Some(new) = plan::nearest::<A>(&Settings::default()) {
+        if let Some(new) = plan::nearest(&self.planner, &Settings::default()) {
             let parameters = self.load_parameters(new.settings.range_g).await;
             // A failed sensor is restarted with these settings later.
             let _ = self.configure(&new, Some(&parameters)).await;
@@ -310,7 +310,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         }
     }
 
-    async fn commit(&mut self, named: ParameterId) -> Result<ShortPayload, Refusal> {
+    async fn commit(&mut self, plan: &Plan, named: ParameterId) -> Result<ShortPayload, Refusal> {
         let shared = self.shared;
         let mut staging = shared.staging.lock().await;
         let Staged { set, id, .. } = &mut *staging;
@@ -325,7 +325,7 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         if staged != named {
             return Err(Refusal::HashMismatch { staged: staged.0 });
         }
-        let range_g = self.compiled(set)?.1;
+        let range_g = self.compiled(plan, set)?.1;
         let length = parameters_record(set, &mut self.record);
         self.announce_pause().await;
         self.save_record(Key::Parameters { range_g }, length)
@@ -334,9 +334,9 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
         *id = None;
         self.parameters_changed = true;
         self.clear_fault(PersistentFault::Parameters);
-        shared.orders.room().await;
-        let correction = self.compiled(set)?.0;
-        shared.orders.give(Order::Correct(correction));
+        self.orders.room().await;
+        let correction = self.compiled(plan, set)?.0;
+        self.orders.give(Order::Correct(correction));
         Ok(Payload::None)
     }
 

@@ -8,7 +8,7 @@ use wimu_link::message::{ActiveParameters, EncodedParameters, Event, Record, Ref
 use wimu_link::{Kind, LinkRole, frame};
 
 use super::{Control, plan};
-use crate::accelerometer::{Accelerometer, Plan};
+use crate::sensor::{InertialSensor, Plan};
 use crate::shared::{Message, PersistentFault, ROLES, RateOrder};
 use crate::store::{Key, Store, StoreFault};
 use crate::timer::Timer;
@@ -16,7 +16,7 @@ use crate::timer::Timer;
 /// Longest record that holds no parameter set, bytes.
 const SHORT_RECORD: usize = 64;
 
-impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
+impl<A: InertialSensor, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> {
     /// Reads the store and starts the sensor. Records that cannot be read or used are reported and ignored.
     pub(super) async fn start(&mut self) -> Plan {
         let mut bytes = [0; 4];
@@ -46,15 +46,15 @@ impl<A: Accelerometer, T: Timer, S: Store, M: RawMutex> Control<'_, A, T, S, M> 
                 Settings::default()
             }
         };
-        let plan = match plan::for_settings::<A>(&wanted) {
+        let plan = match plan::for_settings(&self.planner, &wanted) {
             Ok(plan) => Some(plan),
             Err(nearest) => {
                 self.set_fault(PersistentFault::Settings, Event::SettingsAdjusted);
-                plan::for_settings::<A>(&nearest).ok()
+                plan::for_settings(&self.planner, &nearest).ok()
             }
         };
         // Every sensor supports the settings nearest to the default ones.
-        let plan = match plan.or_else(|| plan::nearest::<A>(&Settings::default())) {
+        let plan = match plan.or_else(|| plan::nearest(&self.planner, &Settings::default())) {
             Some(plan) => plan,
             None => core::future::pending().await,
         };

@@ -6,13 +6,13 @@ use wimu_link::message::{Event, LinkStatus, Status, Streams, Telemetry};
 use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 
-use super::{Message, ROLES, Shared, active_parameters};
+use super::{Common, Message, ROLES, active_parameters};
 use crate::queue::{FrameQueue, PIECE};
 
 /// Longest telemetry message (a status) in its frame, bytes.
 const MAX_TELEMETRY: usize = 192;
 
-impl<M: RawMutex> Shared<M> {
+impl<M: RawMutex> Common<M> {
     fn with_outbox<R>(&self, role: LinkRole, f: impl FnOnce(&mut FrameQueue) -> R) -> R {
         let link = self.link(role);
         let result = link.outbox.lock(|outbox| f(&mut outbox.borrow_mut()));
@@ -186,10 +186,5 @@ impl<M: RawMutex> Shared<M> {
             }
             link.waiting.wait().await;
         }
-    }
-
-    /// Reports on both links that the button was pressed, for the `count`-th time.
-    pub fn mark(&self, now: DeviceTimeUs, count: u16) {
-        self.report(now, Event::Marked { count });
     }
 }

@@ -1,6 +1,6 @@
 //! Decoding of a frame's body.
 
-use wimu_link::message::Epoch;
+use wimu_link::message::{Epoch, ParametersPiece};
 use wimu_link::{Hello, Kind, Reply, Telemetry};
 use wimu_model::DeviceTimeUs;
 
@@ -11,6 +11,7 @@ use super::event::Event;
 pub enum Message {
     Hello(Hello),
     Epoch(Epoch),
+    Piece(ParametersPiece),
     Event(Event),
 }
 
@@ -28,6 +29,7 @@ pub fn read(kind: Kind, body: &[u8]) -> Result<Message, String> {
         },
         Kind::Telemetry => match Telemetry::decode(body).map_err(|e| text(&e))? {
             Telemetry::Epoch(epoch) => return Ok(Message::Epoch(epoch)),
+            Telemetry::ParametersPiece(piece) => return Ok(Message::Piece(piece)),
             Telemetry::Environment(environment) => Event::Environment(environment),
             Telemetry::Navigation(navigation) => Event::Navigation(navigation),
             Telemetry::Attitude(attitude) => Event::Attitude(attitude),

@@ -8,6 +8,7 @@ mod heading;
 mod keys;
 mod links;
 mod middleman;
+mod pieces;
 mod rates;
 mod requests;
 mod self_check;

@@ -24,7 +24,7 @@ use wimu_model::{
     PeriodNs, Sensitivity, WideCounts,
 };
 use wimu_node::sensor::{Batch, Plan, RawSample, SensorFault, SensorPlan, Surroundings};
-use wimu_node::{Board, InertialSensor, Key, Shared, Store, StoreFault, Timer};
+use wimu_node::{Board, InertialSensor, Key, Secondary, Shared, Store, StoreFault, Timer};
 
 /// A clock that moves while somebody waits.
 #[derive(Clone, Default)]
@@ -103,8 +103,8 @@ type Step<S> = Result<(u8, Vec<S>), SensorFault>;
 struct Scripted<S> {
     clock: Clock,
     steps: VecDeque<Step<S>>,
-    /// Of sensor 0, then of sensor 1.
-    plans: Vec<SensorPlan>,
+    plan: SensorPlan,
+    secondary: Vec<Secondary>,
     /// Time of the newest sample of either.
     times: [u64; 2],
     done: Rc<Cell<bool>>,
@@ -123,11 +123,11 @@ impl<S: RawSample> InertialSensor for Scripted<S> {
     type Planner = Planner;
 
     fn planner(&self) -> Planner {
-        Planner(self.plans[0])
+        Planner(self.plan)
     }
 
-    fn secondary(&self, _: &Plan, index: u8) -> Option<SensorPlan> {
-        self.plans.get(usize::from(index)).copied()
+    fn secondary(&mut self) -> &mut [Secondary] {
+        &mut self.secondary
     }
 
     async fn configure(&mut self, _: &Plan) -> Result<(), SensorFault> {
@@ -191,7 +191,7 @@ impl Received {
     }
 }
 
-/// Runs a node with a sensor that follows `steps`.
+/// Runs a node with sensors of `plans` that follow `steps`.
 fn run<S: RawSample>(plans: &[SensorPlan], steps: impl IntoIterator<Item = Step<S>>) -> Received {
     run_with(None, plans, steps)
 }
@@ -208,7 +208,11 @@ fn run_with<S: RawSample>(
         sensor: Scripted {
             clock: clock.clone(),
             steps: steps.into_iter().collect(),
-            plans: plans.to_vec(),
+            plan: plans[0],
+            secondary: plans[1..]
+                .iter()
+                .map(|plan| Secondary::new(*plan))
+                .collect(),
             times: [0; 2],
             done: Rc::clone(&done),
         },

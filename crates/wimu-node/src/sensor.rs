@@ -122,7 +122,7 @@ impl Batch {
 
     /// The sensor queues its samples.
     #[must_use]
-    pub fn from_queue(self) -> Self {
+    pub fn queued(self) -> Self {
         let queued = true;
         Self { queued, ..self }
     }

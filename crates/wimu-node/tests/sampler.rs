@@ -148,9 +148,7 @@ impl<S: RawSample> InertialSensor for Scripted<S> {
         *time += 10_000 * new.len() as u64;
         let last_time = DeviceTimeUs(*time);
         self.clock.until(last_time).await;
-        Ok(Batch::new(new.len(), last_time)
-            .of_sensor(sensor)
-            .from_queue())
+        Ok(Batch::new(new.len(), last_time).of_sensor(sensor).queued())
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {

@@ -120,7 +120,7 @@ impl SensorFifo {
         self.last = Some(last_time);
         Batch::new(count, last_time)
             .with_overrun(state.overrun)
-            .from_queue()
+            .queued()
     }
 
     /// Time of the newest sample in the FIFO.

@@ -14,11 +14,17 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{ErrorType, Read, Write};
 use wimu_integrator::Flags;
 use wimu_link::batch::Stream;
-use wimu_link::message::{BusFault, Epoch, EpochReason, Event, Settings, Telemetry};
+use wimu_link::message::{
+    BusFault, EncodedParameters, Epoch, EpochReason, Event, ParameterFault, Record, Settings,
+    Telemetry, WireGyroscopeTerm, WireParameters,
+};
 use wimu_link::{Batch as WireBatch, Deframer, Hello, LinkRole};
-use wimu_model::{Counts, DeviceTimeUs, PeriodNs, Sensitivity, WideCounts};
+use wimu_model::{
+    Counts, DeviceTimeUs, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, ParameterSet,
+    PeriodNs, Sensitivity, WideCounts,
+};
 use wimu_node::sensor::{Batch, Plan, RawSample, SensorFault, SensorPlan, Surroundings};
-use wimu_node::{Board, InertialSensor, Key, Shared, Store, StoreFault, Timer};
+use wimu_node::{Board, InertialSensor, Key, Secondary, Shared, Store, StoreFault, Timer};
 
 /// A clock that moves while somebody waits.
 #[derive(Clone, Default)]
@@ -41,11 +47,19 @@ impl Timer for Clock {
     }
 }
 
-struct NoStore;
+/// A memory that holds at most a parameter set for ±2 g.
+struct Memory(Option<ParameterSet>);
 
-impl Store for NoStore {
-    async fn load(&mut self, _: Key, _: &mut [u8]) -> Result<Option<usize>, StoreFault> {
-        Ok(None)
+impl Store for Memory {
+    async fn load(&mut self, key: Key, record: &mut [u8]) -> Result<Option<usize>, StoreFault> {
+        let Some(set) = self.0.filter(|_| key == Key::Parameters { range_g: 2 }) else {
+            return Ok(None);
+        };
+        let mut bytes = [0; WireParameters::MAX];
+        let length = WireParameters::from(&set).encode(&mut bytes);
+        let set = EncodedParameters(&bytes[..length.expect("it fits")]);
+        let length = Record::encode_parameters(set, record);
+        Ok(Some(length.expect("it fits")))
     }
 
     async fn save(&mut self, _: Key, _: &[u8]) -> Result<(), StoreFault> {
@@ -89,8 +103,8 @@ type Step<S> = Result<(u8, Vec<S>), SensorFault>;
 struct Scripted<S> {
     clock: Clock,
     steps: VecDeque<Step<S>>,
-    /// Of sensor 0, then of sensor 1.
-    plans: Vec<SensorPlan>,
+    plan: SensorPlan,
+    secondary: Vec<Secondary>,
     /// Time of the newest sample of either.
     times: [u64; 2],
     done: Rc<Cell<bool>>,
@@ -109,11 +123,11 @@ impl<S: RawSample> InertialSensor for Scripted<S> {
     type Planner = Planner;
 
     fn planner(&self) -> Planner {
-        Planner(self.plans[0])
+        Planner(self.plan)
     }
 
-    fn secondary(&self, _: &Plan, index: u8) -> Option<SensorPlan> {
-        self.plans.get(usize::from(index)).copied()
+    fn secondary(&mut self) -> &mut [Secondary] {
+        &mut self.secondary
     }
 
     async fn configure(&mut self, _: &Plan) -> Result<(), SensorFault> {
@@ -134,9 +148,7 @@ impl<S: RawSample> InertialSensor for Scripted<S> {
         *time += 10_000 * new.len() as u64;
         let last_time = DeviceTimeUs(*time);
         self.clock.until(last_time).await;
-        Ok(Batch::new(new.len(), last_time)
-            .of_sensor(sensor)
-            .from_queue())
+        Ok(Batch::new(new.len(), last_time).of_sensor(sensor).queued())
     }
 
     async fn surroundings(&mut self) -> Result<Surroundings, SensorFault> {
@@ -177,20 +189,33 @@ impl Received {
     }
 }
 
-/// Runs a node with a sensor that follows `steps`.
+/// Runs a node with sensors of `plans` that follow `steps`.
 fn run<S: RawSample>(plans: &[SensorPlan], steps: impl IntoIterator<Item = Step<S>>) -> Received {
+    run_with(None, plans, steps)
+}
+
+/// Runs it with stored parameters.
+fn run_with<S: RawSample>(
+    parameters: Option<ParameterSet>,
+    plans: &[SensorPlan],
+    steps: impl IntoIterator<Item = Step<S>>,
+) -> Received {
     let (clock, cable, done) = (Clock::default(), Line::default(), Rc::default());
     let board = Board {
         hello: Hello::new(LinkRole::Cable),
         sensor: Scripted {
             clock: clock.clone(),
             steps: steps.into_iter().collect(),
-            plans: plans.to_vec(),
+            plan: plans[0],
+            secondary: plans[1..]
+                .iter()
+                .map(|plan| Secondary::new(*plan))
+                .collect(),
             times: [0; 2],
             done: Rc::clone(&done),
         },
         timer: clock,
-        store: NoStore,
+        store: Memory(parameters),
         entropy: [0; 16],
         cable: (Line::default(), cable.clone()),
         wireless: (Line::default(), Line::default()),
@@ -411,4 +436,44 @@ fn three_axes_stay_in_batches_of_version_1() {
     assert_eq!(received.samples(0, Stream::Raw).0.len(), 96);
     assert_eq!(received.quaternion, None);
     assert_eq!(received.epochs[0].gyroscope, None);
+}
+
+#[test]
+fn a_calibrated_gyroscope_is_corrected_and_a_set_for_another_scale_is_refused() {
+    let calibrated = |rad_s_per_lsb| {
+        let terms = GyroscopeTerms {
+            bias_rad_s: [0.0, 0.0, 0.25],
+            ..GyroscopeTerms::default()
+        };
+        let model = GyroscopeModel::new(terms).expect("within bounds");
+        let gyroscope = GyroscopeParameters::new(2000, rad_s_per_lsb, model, None);
+        let set = ParameterSet::uncalibrated(2, three_axes().sensitivity);
+        let gyroscope = Some(gyroscope.expect("within bounds"));
+        Some(ParameterSet { gyroscope, ..set })
+    };
+    let corrected = |parameters| {
+        let steps = reads(6, level([0, 0, 500]));
+        let received = run_with(parameters, &[six_axes()], steps);
+        let (_, rates) = received.samples(0, Stream::Corrected);
+        (
+            rates[0],
+            received.epochs[0].parameters != 0,
+            received.events,
+        )
+    };
+    let rad_s = |rate: f64| [0, 0, (rate * f64::from(1 << 20)).round() as i32];
+    assert_eq!(corrected(None), (rad_s(0.5), false, vec![]));
+    assert_eq!(
+        corrected(calibrated(RAD_S_PER_LSB)),
+        (rad_s(0.25), true, vec![])
+    );
+    let (rate, _, events) = corrected(calibrated(RAD_S_PER_LSB / 2.0));
+    assert_eq!(rate, rad_s(0.5), "nominal");
+    let refused = |event: &Event| {
+        let Event::ModelRejected(ParameterFault::Gyroscope { term, .. }) = event else {
+            return false;
+        };
+        *term == WireGyroscopeTerm::Sensitivity
+    };
+    assert!(events.iter().any(refused), "{events:?}");
 }

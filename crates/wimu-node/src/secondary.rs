@@ -1,20 +1,23 @@
-//! Sensors with index 1 to 3: their samples are sent without correction.
+//! Sensors with index 1 and up: their samples are sent without correction.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use wimu_link::batch;
 use wimu_link::message::{Epoch, EpochReason};
 use wimu_model::DeviceTimeUs;
 
-use super::batches::{Batcher, Lane};
-use super::clock::{Reads, sample_time};
-use super::{EPOCH_DUE_US, epoch_gyroscope};
 use crate::sample::RawSample;
+use crate::sampler::batches::{Batcher, Lane};
+use crate::sampler::clock::{Reads, sample_time};
+use crate::sampler::{EPOCH_DUE_US, epoch_gyroscope};
 use crate::sensor::{Batch, SensorPlan};
 use crate::shared::{Common, Message};
 
-/// Numbers and times of one sensor.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Secondary {
+/// A sensor with index 1 and up: its samples are sent without correction, with their own numbers and epochs, and
+/// corrected on the host.
+#[derive(Debug)]
+pub struct Secondary {
+    /// Its operation. Changes are made in [`configure`](crate::InertialSensor::configure).
+    pub plan: SensorPlan,
     next_sequence: u32,
     /// Epochs sent, modulo 256.
     epochs: u8,
@@ -25,22 +28,34 @@ pub(super) struct Secondary {
 }
 
 impl Secondary {
+    /// A sensor that operates as `plan` says.
+    pub fn new(plan: SensorPlan) -> Self {
+        Self {
+            plan,
+            next_sequence: 0,
+            epochs: 0,
+            reads: Reads::default(),
+            last_epoch: DeviceTimeUs(0),
+            begun: false,
+        }
+    }
+
     /// The sensor has been configured again.
-    pub(super) fn restart(&mut self) {
+    pub(crate) fn restart(&mut self) {
         self.begun = false;
         self.reads.broken = true;
     }
 
     /// Sends the samples of a read, and an epoch before them where one is due. Batches end with the read.
-    pub(super) fn process<S: RawSample, M: RawMutex>(
+    pub(crate) fn process<S: RawSample, M: RawMutex>(
         &mut self,
-        plan: &SensorPlan,
         read: &Batch,
         samples: &[S],
         lanes: &[Lane<S>],
         shared: &Common<M>,
         temperature_centi_c: Option<i16>,
     ) {
+        let plan = self.plan;
         let missed = self.reads.missed_before(read, samples.len(), plan.period);
         let measured_ns = self.reads.spacing_ns(read).filter(|_| missed == 0);
         let spacing_ns = measured_ns.unwrap_or(plan.period.0.into());
@@ -71,7 +86,7 @@ impl Secondary {
                 full_scale: plan.full_scale,
                 temperature_centi_c,
                 sensor: read.sensor,
-                gyroscope: epoch_gyroscope(plan),
+                gyroscope: epoch_gyroscope(&plan),
                 ..Epoch::default()
             });
             shared.announce(&epoch, [true; 2]);

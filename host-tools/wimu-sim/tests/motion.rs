@@ -231,6 +231,6 @@ fn an_unknown_name_says_which_are_known() {
     let error = named("rest,jump", 1).unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no motion `jump`; known are rest, six-positions, twelve-poses, tilts, slide, hand"
+        "there is no motion `jump`; known are rest, six-positions, twelve-poses, tilts, slide, carry, hand"
     );
 }
